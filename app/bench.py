@@ -18,22 +18,22 @@ from jaxtyping import Float32
 
 from gsrain_engine.backends import Backend, device_of, open_renderer
 from gsrain_engine.editor.viewport.camera import default_path
-from gsrain_engine.rain.settings import Rain, load_preset
-from gsrain_engine.rain.simulation import Rainfall
+from gsrain_engine.rain.settings import RainSettings, load_preset
+from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.recolor.problem import RecolorSettings
 from gsrain_engine.recolor.recolor import recolor_scene
 from gsrain_engine.recolor.views import TargetView
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import rain_in
-from gsrain_engine.render.hardware import machine
+from gsrain_engine.render.draw import rain_frame_of
+from gsrain_engine.render.hardware import describe_machine
 from gsrain_engine.render.opengl.context import NoOpenGLError
 from gsrain_engine.render.renderer import Color, Renderer, RenderStatistics
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
-from gsrain_engine.scene.open import is_random_scene, open_scene, random_scene, random_scene_camera
-from gsrain_engine.scene.progress import finished
+from gsrain_engine.scene.open import is_random_scene, load_scene, random_scene, random_scene_camera
+from gsrain_engine.scene.progress import run_to_end
 from gsrain_engine.scene.scene import Scene
 
 from .console import Console, Table
@@ -42,9 +42,9 @@ from .options import (
     JsonFileOrScreen,
     check_writable,
     converted_options,
-    listed,
     parse_size,
-    words_go_to,
+    split_list,
+    table_stream,
     write_numbers,
 )
 from .progress import progress_bar
@@ -107,7 +107,7 @@ class _Run:
         sequence, shot = self.sequence, self.sequence.shot(number)
         parts = sequence.scene.parts(shot.time_s, wetness=sequence.rainfall.wetness_at(shot.time_s))
         start = time.perf_counter()
-        falling = rain_in(sequence.scene, sequence.rainfall, self.sky, shot)
+        falling = rain_frame_of(sequence.scene, sequence.rainfall, self.sky, shot)
         rained = time.perf_counter()
         self.renderer.draw(parts, shot.camera, falling)
         drawn = time.perf_counter()
@@ -232,9 +232,9 @@ def render(
     check_writable(json)
     if not 1 <= frames <= 10_000:
         raise ValueError(f"--frames {frames}: must be within 1..10000")
-    resolutions = [parse_size(each, "--sizes") for each in listed("--sizes", sizes)]
-    rainfalls = [_rainfall(each) for each in listed("--rain", rain)]
-    names = listed("--scenes", scenes)
+    resolutions = [parse_size(each, "--sizes") for each in split_list("--sizes", sizes)]
+    rainfalls = [_rainfall(each) for each in split_list("--rain", rain)]
+    names = split_list("--scenes", scenes)
     rows: list[FrameTimes] = []
     with ExitStack() as stack:
         renderers = [stack.enter_context(open_renderer(each)) for each in _backends(backends)]
@@ -246,28 +246,28 @@ def render(
                 for renderer, sequences in runs:
                     rows += time_frames(renderer, sequences, frames)
                     advance()
-    numbers = _report(rows) | {"machine": machine() | {"devices": devices}}
-    _print(rows, numbers, Console(file=words_go_to(json), width=_COLUMNS))
+    numbers = _report(rows) | {"machine": describe_machine() | {"devices": devices}}
+    _print(rows, numbers, Console(file=table_stream(json), width=_COLUMNS))
     write_numbers(json, numbers)
     return numbers
 
 
 def timed_scene(name: str) -> Scene:
     """Open a scene, or make a random one."""
-    return random_scene(name) if is_random_scene(name) else open_scene(name)
+    return random_scene(name) if is_random_scene(name) else load_scene(name)
 
 
-def _rainfall(intensity: str) -> Rainfall:
+def _rainfall(intensity: str) -> RainSimulation:
     if not re.fullmatch(r"\d+(\.\d*)?", intensity):
         raise ValueError(f"--rain {intensity}: expected intensities in mm/h such as 0,8.5")
     values = msgspec.to_builtins(load_preset("paper")) | {"intensity_mm_h": float(intensity)}
-    return Rainfall.start(converted_options(values, Rain, RAIN_OPTIONS))
+    return RainSimulation.start(converted_options(values, RainSettings, RAIN_OPTIONS))
 
 
 def _backends(text: str | None) -> list[Backend]:
     """What was asked for, else what there is; auto becomes the one that it takes here."""
     known: dict[str, Backend] = {each: each for each in get_args(Backend)}
-    wanted = listed("--backends", text) if text is not None else ["auto", "cpu", *_opengl()]
+    wanted = split_list("--backends", text) if text is not None else ["auto", "cpu", *_opengl()]
     for name in wanted:
         if name not in known:
             raise ValueError(f"--backends {name}: expected {', '.join(known)}")
@@ -290,7 +290,7 @@ def _opengl() -> list[str]:
 
 
 def _runs(
-    scene: Scene, renderers: list[Renderer], resolutions: list[tuple[int, int]], rainfalls: list[Rainfall]
+    scene: Scene, renderers: list[Renderer], resolutions: list[tuple[int, int]], rainfalls: list[RainSimulation]
 ) -> Iterator[tuple[Renderer, list[FrameSequence]]]:
     """What takes turns: one scene, back end and size in all its rain."""
     for renderer in renderers:
@@ -393,17 +393,17 @@ def loading(
     check_writable(json)
     if not 1 <= repeats <= 1000:
         raise ValueError(f"--repeats {repeats}: must be within 1..1000")
-    suffixes = [_suffix(each) for each in listed("--formats", formats)]
+    suffixes = [_suffix(each) for each in split_list("--formats", formats)]
     rows: list[dict[str, Any]] = []
-    for name in listed("--scenes", scenes):
+    for name in split_list("--scenes", scenes):
         scene = timed_scene(name)
         with progress_bar(f"Timing {scene.name}", len(suffixes)) as advance:
             for suffix in suffixes:
                 with tempfile.TemporaryDirectory(prefix="gsrain-bench-") as folder:
                     rows.append(time_loading(scene, suffix, Path(folder), repeats))
                 advance()
-    _print_loading(rows, Console(file=words_go_to(json), width=100))
-    numbers = {"rows": rows, "machine": machine()}
+    _print_loading(rows, Console(file=table_stream(json), width=100))
+    numbers = {"rows": rows, "machine": describe_machine()}
     write_numbers(json, numbers)
     return numbers
 
@@ -457,7 +457,7 @@ def time_recoloring(scene: Scene, cameras: Sequence[tuple[float, Camera]], setti
     for number, (time_s, camera) in enumerate(cameras):
         renderer.draw(scene.parts(time_s), camera)
         targets.append(TargetView(f"view {number}", camera, time_s, darkened(renderer.read().rgba[..., :3])))
-    recolored = finished(recolor_scene(scene, targets, (), settings))
+    recolored = run_to_end(recolor_scene(scene, targets, (), settings))
     return {
         "scene": scene.name,
         "gaussians": scene.gaussian_count,
@@ -502,15 +502,15 @@ def recoloring(
         settings = msgspec.convert({"iterations": iterations}, RecolorSettings)
     except msgspec.ValidationError as error:
         raise ValueError(f"--iterations {iterations}: {error}") from None
-    names = listed("--scenes", scenes)
+    names = split_list("--scenes", scenes)
     rows: list[dict[str, Any]] = []
     with progress_bar("Recolouring", len(names)) as advance:
         for name in names:
             scene = timed_scene(name)
             rows.append(time_recoloring(scene, _cameras(scene, views, width, height), settings))
             advance()
-    _print_recoloring(rows, Console(file=words_go_to(json), width=120))
-    numbers = {"rows": rows, "machine": machine()}
+    _print_recoloring(rows, Console(file=table_stream(json), width=120))
+    numbers = {"rows": rows, "machine": describe_machine()}
     write_numbers(json, numbers)
     return numbers
 

@@ -25,7 +25,7 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from gsrain_engine.safe_io.text_files import escaped
+from gsrain_engine.safe_io.text_files import escape_invisible
 
 __all__ = [
     "BarColumn", "Console", "MofNCompleteColumn", "Progress", "Table", "TimeElapsedColumn", "TimeRemainingColumn",
@@ -45,7 +45,9 @@ class Console(rich.console.Console):
 
     def render_str(self, text: str, **options: Any) -> Text:
         """Turn text into what is shown: cells, titles, and lines all come by here."""
-        return super().render_str(escaped(text), **{**options, "markup": False, "emoji": False, "highlight": False})
+        return super().render_str(
+            escape_invisible(text), **{**options, "markup": False, "emoji": False, "highlight": False}
+        )
 
     def render(self, renderable: Any, options: Any = None) -> Iterable[Segment]:
         """Render anything; what was a `Text` before it came here is escaped now."""
@@ -53,7 +55,7 @@ class Console(rich.console.Console):
             if segment.control or segment.text.isprintable():
                 yield segment
             else:  # the line breaks of wrapped text stay
-                yield Segment("\n".join(map(escaped, segment.text.split("\n"))), segment.style)
+                yield Segment("\n".join(map(escape_invisible, segment.text.split("\n"))), segment.style)
 
 
 _WIDE_COLUMNS = 100_000
@@ -66,7 +68,7 @@ def wide_console() -> Console:
 
 
 def bold(text: str) -> Text:
-    return Text(escaped(text), "bold")
+    return Text(escape_invisible(text), "bold")
 
 
 class WordsColumn(ProgressColumn):
@@ -78,14 +80,14 @@ class WordsColumn(ProgressColumn):
         self._words = words
 
     def render(self, task: Task) -> Text:
-        return Text(escaped(task.description if self._words is None else self._words))
+        return Text(escape_invisible(task.description if self._words is None else self._words))
 
 
 def print(*words: object, file: IO[str] | None = None) -> None:
     """Print one line, as the built-in `print` does; what can't be seen is escaped, line breaks in names too."""
     stream = sys.stdout if file is None else file
     if stream is not None:  # pyright: ignore  # it is where a shell has closed it
-        stream.write(escaped(" ".join(map(str, words))) + "\n")
+        stream.write(escape_invisible(" ".join(map(str, words))) + "\n")
 
 
 def print_lines(text: str, file: IO[str] | None = None) -> None:
@@ -113,4 +115,4 @@ class _OneLine(logging.Formatter):
         lines = [record.getMessage()]
         if record.exc_info:
             lines += self.formatException(record.exc_info).splitlines()
-        return "\n".join(map(escaped, lines))
+        return "\n".join(map(escape_invisible, lines))

@@ -21,11 +21,11 @@ from gsrain_engine.plugins import (
     PANELS,
     SCENE_FORMATS,
     TRANSFERS,
+    EntryPointGroup,
     Extension,
-    Group,
-    extensions,
+    find_extensions,
 )
-from gsrain_engine.safe_io.text_files import printable
+from gsrain_engine.safe_io.text_files import printable_line
 
 from .console import print
 from .options import JsonFile, check_writable, has_display, write_numbers
@@ -95,7 +95,7 @@ def _tried(name: str, attempt: Callable[[], str], remedy: str) -> Finding:
     try:
         return Finding(name, True, attempt())
     except Exception as error:  # a missing library fails in its own way: its words are the finding
-        return Finding(name, False, f"{printable(error)} {remedy}".strip())
+        return Finding(name, False, f"{printable_line(error)} {remedy}".strip())
 
 
 def _opengl() -> Finding:
@@ -126,12 +126,12 @@ def find_depth_order() -> list[Finding]:
     threads one after another, sorts a few.
     """
     from gsrain_engine.render.opengl.context import NoOpenGLError, is_software, open_context
-    from gsrain_engine.render.opengl.sort import check_order
+    from gsrain_engine.render.opengl.sort import check_sort
 
     def order() -> str:
         with context:
             counts = _FEW_SPLATS if is_software(context) else _MANY_SPLATS
-            checks = [check_order(context, count) for count in counts]
+            checks = [check_sort(context, count) for count in counts]
         if wrong := [str(check) for check in checks if not check.is_right]:
             raise RuntimeError(f"{'; '.join(wrong)}.")
         return f"right for {' and '.join(f'{count:,}' for count in counts)} splats, twice the same"
@@ -285,12 +285,12 @@ def find_detector_file() -> Finding:
 def find_base_model() -> Finding:
     """Look for SD-Turbo, which cyclegan-turbo builds on, in diffusers' layout: whole, and of the right architecture."""
     from gsrain_engine.appearance.cyclegan_turbo.model import check_base, sd_turbo
-    from gsrain_engine.appearance.cyclegan_turbo.weight_paths import check_complete, find_base
+    from gsrain_engine.appearance.cyclegan_turbo.weight_paths import check_base_complete, find_base_model
 
     def folder() -> str:
-        found = find_base()
+        found = find_base_model()
         check_base(found, sd_turbo())
-        check_complete(found)
+        check_base_complete(found)
         return str(found)
 
     return _tried("SD-Turbo (base of cyclegan-turbo)", folder, "")
@@ -299,16 +299,16 @@ def find_base_model() -> Finding:
 def find_text_encoder() -> Finding:
     """Look for what makes captions into numbers; needed once, for what it said is kept."""
     from gsrain_engine.appearance.cyclegan_turbo.weight_paths import (
-        base_places,
+        base_model_folders,
         captions_file,
-        is_base,
+        is_base_model,
         text_encoder_folder,
     )
 
     def place() -> str:
         if captions_file().is_file():
             return f"not needed: its captions are kept in {captions_file()}"
-        bases = [base for base in base_places() if is_base(base)]
+        bases = [base for base in base_model_folders() if is_base_model(base)]
         folder = text_encoder_folder(bases[0]) if bases else None
         if folder is None:
             raise FileNotFoundError("comes with SD-Turbo (text_encoder, tokenizer); needed once, to encode captions")
@@ -319,10 +319,10 @@ def find_text_encoder() -> Finding:
 
 def find_transfer_weights() -> Finding:
     """Look for weights that make SD-Turbo a transfer."""
-    from gsrain_engine.appearance.cyclegan_turbo.weight_paths import find_weights
+    from gsrain_engine.appearance.cyclegan_turbo.weight_paths import find_transfer_weights
 
     def file() -> str:
-        found = find_weights()
+        found = find_transfer_weights()
         return f"{found} ({found.stat().st_size / 1e6:,.0f} MB)"
 
     return _tried("transfer weights (of cyclegan-turbo)", file, "")
@@ -340,7 +340,7 @@ def find_clip_model() -> Finding:
 
 def installed_extensions() -> list[Extension]:
     """Return all that there are, kind by kind."""
-    return [each for group in GROUPS for each in extensions(group)]
+    return [each for group in GROUPS for each in find_extensions(group)]
 
 
 def describe(extension: Extension) -> str:
@@ -356,9 +356,9 @@ def _scene_format(extension: Extension) -> None:
 
 
 def _transfer(extension: Extension) -> None:
-    from gsrain_engine.appearance.registry import method_of
+    from gsrain_engine.appearance.registry import find_method
 
-    method_of(extension.name)
+    find_method(extension.name)
 
 
 def _decoder(extension: Extension) -> None:
@@ -385,7 +385,7 @@ def _capture_format(extension: Extension) -> None:
     extension.load(CaptureFormat)
 
 
-_CHECKS: dict[Group, Callable[[Extension], object]] = {
+_CHECKS: dict[EntryPointGroup, Callable[[Extension], object]] = {
     AGENTS: Extension.load_callable,
     CAPTURE_FORMATS: _capture_format,
     DECODERS: _decoder,

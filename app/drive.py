@@ -13,17 +13,17 @@ import msgspec
 from cyclopts import Parameter
 
 from gsrain_engine.backends import Backend, open_renderer
-from gsrain_engine.rain.settings import Rain, load_preset
+from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.render.video import can_write_videos
 from gsrain_engine.scene.files import file_word
-from gsrain_engine.scene.open import open_to_draw
+from gsrain_engine.scene.open import load_sorted_scene
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.scene.scene_hash import scene_hash
 from gsrain_engine.simulation import simulation as driving
 from gsrain_engine.simulation.agents.base import Agent
 from gsrain_engine.simulation.agents.http import ClientError
 from gsrain_engine.simulation.agents.registry import AgentOptions, agent_file, agent_names, default_agent, open_agent
-from gsrain_engine.simulation.metrics.summary import Run, compare, results_table
+from gsrain_engine.simulation.metrics.summary import ScoredRun, compare_drives, results_table
 from gsrain_engine.simulation.obstacles import drivable_of
 from gsrain_engine.simulation.rollout import BACKGROUND
 from gsrain_engine.simulation.scenario import Scenario
@@ -33,8 +33,8 @@ from gsrain_engine.sweep.expansion import software
 
 from .console import print, print_lines
 from .drive_outputs import DriveFiles, write_drives
-from .evaluate.run_facts import run_facts, told_facts
-from .options import RAIN_OPTIONS, JsonFile, check_writable, converted_options, hold, write_numbers
+from .evaluate.run_facts import provenance_lines, run_provenance
+from .options import RAIN_OPTIONS, JsonFile, check_writable, converted_options, lock_outputs, write_numbers
 from .progress import progress_bar
 
 DEFAULT_SCENARIO = "stationary-lead"
@@ -96,22 +96,22 @@ class DriverOptions:
         """Return scenario and scene as the driver needs them: HUGSIM's clients know one rig and one vehicle."""
         if self.hugsim_dir is None:
             return scenario, scene
-        from gsrain_engine.simulation.interop.hugsim_protocol import in_hugsim_setting
+        from gsrain_engine.simulation.interop.hugsim_protocol import with_hugsim_rig
 
-        return in_hugsim_setting(scenario, scene)
+        return with_hugsim_rig(scenario, scene)
 
     @contextmanager
     def opened(self) -> Generator[list[Agent]]:
         """Open all agents for as long as the block runs; says so where one stands in for another."""
         with ExitStack() as stack:
-            agents = [self._open(name) for name in self.names()] or [self._usual()]
+            agents = [self._open(name) for name in self.names()] or [self._defaults()]
             for agent in agents:
                 stack.callback(agent.close)
             yield agents
 
     def _open(self, name: str) -> Agent:
         if name != HUGSIM:
-            return open_agent(name, self._given)
+            return open_agent(name, self._chosen_options)
         if self.hugsim_dir is None:
             raise ValueError("--agent hugsim takes the folder of its pipes: --hugsim-dir DIR")
         from gsrain_engine.simulation.interop.hugsim_agent import LATER_WAIT_S, HugsimAgent
@@ -122,14 +122,14 @@ class DriverOptions:
             first_wait_s=first_s, later_wait_s=later_s,
         )  # fmt: skip
 
-    def _usual(self) -> Agent:
-        name, reason = default_agent(self._given)
+    def _defaults(self) -> Agent:
+        name, reason = default_agent(self._chosen_options)
         if reason is not None:
             print(reason)
-        return open_agent(name, self._given)
+        return open_agent(name, self._chosen_options)
 
     @property
-    def _given(self) -> AgentOptions:
+    def _chosen_options(self) -> AgentOptions:
         return AgentOptions(self.detector, self.description, self.url)
 
 
@@ -183,7 +183,7 @@ def drive(
     files = DriveFiles(folder, frozenset(_words(export)), fps)
     files.check()
     check_writable(json, folders=[folder])
-    hold(folder)
+    lock_outputs(folder)
     with ExitStack() as stack:
         agents = stack.enter_context(asked.opened())  # before the scene, which takes longer to read
         hashed = scene_hash(test.scene)
@@ -201,7 +201,7 @@ def drive(
         renderer = None
         if films or any(agent.needs.cameras for agent in agents):
             renderer = stack.enter_context(open_renderer(backend))
-        runs: list[Run] = []
+        runs: list[ScoredRun] = []
         problem: str | None = None
         for agent, each in product(agents, rains):
             simulation = Simulation(msgspec.structs.replace(test, rain=each), opened, agent.needs, renderer, seed)
@@ -209,9 +209,9 @@ def drive(
             runs.append(_run(simulation, agent, hashed))
             if problem is not None:  # what has been driven is written all the same
                 break
-        facts = run_facts({})  # the runs name their scene
-        written = write_drives(files, runs, opened, renderer if films else None, told_facts(facts))
-    print_lines(results_table(compare(runs)).text)
+        facts = run_provenance({})  # the runs name their scene
+        written = write_drives(files, runs, opened, renderer if films else None, provenance_lines(facts))
+    print_lines(results_table(compare_drives(runs)).text)
     if len(rains) > 1:
         for name in [agent.name for agent in agents if not agent.needs.cameras]:
             print(f"{name} looks at no picture: rain changes nothing for it.")
@@ -260,11 +260,11 @@ def _place(error: Exception) -> str:
     return f"{Path(frame.filename).name}, line {frame.lineno}"
 
 
-def _run(simulation: Simulation, agent: Agent, hashed: str) -> Run:
+def _run(simulation: Simulation, agent: Agent, hashed: str) -> ScoredRun:
     """Measure what was driven."""
     drivable = drivable_of(simulation.scene, simulation.ground, simulation.occupied)
     rollout = msgspec.structs.replace(simulation.rollout(agent.name), scene_hash=hashed, software=software())
-    return Run.of(rollout, simulation.occupied, drivable)
+    return ScoredRun.of(rollout, simulation.occupied, drivable)
 
 
 def _as_asked(
@@ -279,23 +279,25 @@ def _as_asked(
     return msgspec.convert(values, Scenario)
 
 
-def _rains(own: Rain, intensities: str | None, preset: str | None, exposure: float | None) -> list[Rain]:
+def _rains(
+    own: RainSettings, intensities: str | None, preset: str | None, exposure: float | None
+) -> list[RainSettings]:
     """Return the rains of the runs; the scenario's own one where nothing else is asked for."""
     base = own
     if preset is not None:
         base = msgspec.structs.replace(load_preset(preset), intensity_mm_h=own.intensity_mm_h, seed=own.seed)
     values = msgspec.to_builtins(base) | ({} if exposure is None else {"exposure_s": exposure})
     if intensities is None:
-        return [converted_options(values, Rain, RAIN_OPTIONS)]
+        return [converted_options(values, RainSettings, RAIN_OPTIONS)]
     words = _words(intensities)
     if not words or not all(re.fullmatch(r"\d*\.?\d+", word) and float(word) <= 100 for word in words):
         raise ValueError(f"--rain {intensities}: expected mm/h within 0..100 with commas between, such as 0,1.2,8.5,12")
     chosen = sorted({float(word) for word in words})
-    return [converted_options(values | {"intensity_mm_h": each}, Rain, RAIN_OPTIONS) for each in chosen]
+    return [converted_options(values | {"intensity_mm_h": each}, RainSettings, RAIN_OPTIONS) for each in chosen]
 
 
 def _opened(name: str, wet: bool) -> Scene:
-    scene = open_to_draw(name)
+    scene = load_sorted_scene(name)
     if not wet:
         return scene
     # Kernels take a second to load: only where they are needed.

@@ -11,13 +11,13 @@ from gsrain_engine.evaluation.report import write_report
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.scene.files import file_word, shortened, whole_file
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.simulation.metrics.summary import Run, compare, results_table, write_metrics_csv
-from gsrain_engine.simulation.playback import PlayedRollout
+from gsrain_engine.simulation.metrics.summary import ScoredRun, compare_drives, results_table, write_metrics_csv
+from gsrain_engine.simulation.playback import RolloutPlayback
 from gsrain_engine.simulation.rollout import Rollout
 from gsrain_engine.simulation.rollout_io import write_rollout
 from gsrain_engine.simulation.route import recorded_route
 from gsrain_engine.simulation.scenario import Scenario
-from gsrain_engine.simulation.video import DriveVideo, film_drive
+from gsrain_engine.simulation.video import RolloutVideo, render_rollout_video
 
 from .progress import progress_bar
 
@@ -48,7 +48,7 @@ class DriveFiles:
         if not 1 <= self.fps <= 60:
             raise ValueError(f"--fps {self.fps:g}: must be within 1..60")
 
-    def of(self, run: Run, suffix: str) -> Path:
+    def of(self, run: ScoredRun, suffix: str) -> Path:
         """Return the file of a run."""
         metrics = run.metrics
         return self._of(metrics.scenario, metrics.agent, metrics.intensity_mm_h, metrics.seed, suffix)
@@ -82,7 +82,11 @@ def _drive_word(scenario: str, agent: str) -> str:
 
 
 def write_drives(
-    files: DriveFiles, runs: Sequence[Run], scene: Scene, renderer: Renderer | None, settings: Mapping[str, object]
+    files: DriveFiles,
+    runs: Sequence[ScoredRun],
+    scene: Scene,
+    renderer: Renderer | None,
+    settings: Mapping[str, object],
 ) -> list[str]:
     """Write everything that came of runs in one scene; films where there is a renderer. Returns the files' names.
 
@@ -90,13 +94,13 @@ def write_drives(
     """
     # Matplotlib loads slowly: not before the first drive.
     from gsrain_engine.simulation.metrics.figures import kinematics_figure, write_figure
-    from gsrain_engine.simulation.metrics.report import drive_report
+    from gsrain_engine.simulation.metrics.report import drive_report_page
 
     files.folder.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []
     for run in runs:
         written += _write_run(files, run, scene, renderer)
-    compared = compare(runs)
+    compared = compare_drives(runs)
     table = results_table(compared)
     with whole_file(files.folder / "table.md") as beside:
         beside.write_text(table.markdown, encoding="utf-8")
@@ -104,12 +108,12 @@ def write_drives(
     figures = {files.figure(each.scenario, each.agent): kinematics_figure(each) for each in compared}
     for path, figure in figures.items():
         write_figure(path, figure)
-    write_report(files.folder / "report.html", drive_report(runs, {scene.name: recorded_route(scene)}, settings))
+    write_report(files.folder / "report.html", drive_report_page(runs, {scene.name: recorded_route(scene)}, settings))
     told = [files.folder / "report.html", files.folder / "table.md", files.folder / "table.csv", *figures]
     return [path.name for path in (*told, *written)]
 
 
-def _write_run(files: DriveFiles, run: Run, scene: Scene, renderer: Renderer | None) -> list[Path]:
+def _write_run(files: DriveFiles, run: ScoredRun, scene: Scene, renderer: Renderer | None) -> list[Path]:
     rollout = run.rollout
     assert rollout is not None
     jsonl = files.of(run, ".jsonl")
@@ -122,14 +126,14 @@ def _write_run(files: DriveFiles, run: Run, scene: Scene, renderer: Renderer | N
         written.append(files.of(run, ".xodr"))
     if renderer is not None:
         film = files.of(run, ".mp4")
-        _film(film, DriveVideo(PlayedRollout(rollout, scene), renderer), files.fps)
+        _video(film, RolloutVideo(RolloutPlayback(rollout, scene), renderer), files.fps)
         written.append(film)
     return written
 
 
-def _film(path: Path, video: DriveVideo, fps: float) -> None:
+def _video(path: Path, video: RolloutVideo, fps: float) -> None:
     with progress_bar("Filming", video.count(fps), draws=True) as advance:
-        for _ in film_drive(path, video, fps):
+        for _ in render_rollout_video(path, video, fps):
             advance()
 
 

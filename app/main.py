@@ -14,14 +14,22 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
-from gsrain_engine.plugins import EVALUATIONS, Extension, ExtensionError, extensions
+from gsrain_engine.plugins import EVALUATIONS, Extension, ExtensionError, find_extensions
 from gsrain_engine.scene.files import sentence_of
 
 from .console import Console, console_log, use_any_encoding
-from .options import JsonFileOrScreen, finite, has_display, release, whole_or_else, words_go_to, write_numbers
+from .options import (
+    JsonFileOrScreen,
+    has_display,
+    parse_whole_numbers,
+    reject_non_finite,
+    release_outputs,
+    table_stream,
+    write_numbers,
+)
 
 if TYPE_CHECKING:
-    from gsrain_engine.editor.editor import Session
+    from gsrain_engine.editor.editor import Editor
 
 BAD_INPUT, INTERRUPTED, NOBODY_READS = 2, 130, 141
 
@@ -36,7 +44,7 @@ app = App(
     help="Calibrated rain in captured 3D Gaussian Splatting scenes. Without a command: open the window.",
     version=metadata.version("gsrain"),
     help_format="plaintext",
-    default_parameter=Parameter(validator=finite, converter=whole_or_else),
+    default_parameter=Parameter(validator=reject_non_finite, converter=parse_whole_numbers),
 )
 
 # § `gsrain [SCENE]`: the window.
@@ -56,14 +64,14 @@ def view(
 ) -> None:
     """Open a scene in the window."""
     if scene not in (None, "street") and not Path(str(scene)).exists():
-        from gsrain_engine.scene.open import open_scene
+        from gsrain_engine.scene.open import load_scene
 
-        open_scene(scene)  # says what may have been meant
+        load_scene(scene)  # says what may have been meant
     if not has_display():
         raise OSError("no display: the window can't open here; gsrain render writes pictures and videos without one")
     from ui.window import run_window  # the GUI libraries load only for the window
 
-    def begin() -> "Session":
+    def begin() -> "Editor":
         from gsrain_engine.rain.settings import load_preset
         from ui.workspace import begin_session  # and the engine behind the window
 
@@ -156,7 +164,7 @@ def bench_all(
         render,  # the engine loads only for this
     )
 
-    with redirect_stdout(words_go_to(json)):
+    with redirect_stdout(table_stream(json)):
         numbers = {
             "render": render(scenes=scenes),
             "loading": loading(scenes=scenes),
@@ -245,7 +253,7 @@ def run(arguments: list[str]) -> int:
     try:
         return _run(arguments, errors)
     finally:
-        release()
+        release_outputs()
 
 
 def _run(arguments: list[str], errors: Console) -> int:
@@ -323,7 +331,7 @@ def add_installed_evaluations(evaluations: App, ours: frozenset[str], asked: Seq
     """
     for name in set(evaluations) - ours:  # of an earlier run
         del evaluations[name]
-    for each in extensions(EVALUATIONS):
+    for each in find_extensions(EVALUATIONS):
         if each.name in ours:
             continue
         if list(asked[:1]) == [each.name]:

@@ -16,9 +16,9 @@ from typing import Annotated, Any, TextIO, TypeVar, get_args
 import msgspec
 from cyclopts import Parameter, Token, convert
 
-from gsrain_engine.safe_io.errors import converted
-from gsrain_engine.scene.files import holding, name_problem, shortened, whole_file
-from gsrain_engine.trusted_code import Code, UntrustedCodeError, remember
+from gsrain_engine.safe_io.errors import convert_checked
+from gsrain_engine.scene.files import hold_for_writing, name_problem, shortened, whole_file
+from gsrain_engine.trusted_code import Code, UntrustedCodeError, trust_permanently
 from gsrain_engine.trusted_code import trust as trust_now
 
 from .console import print, print_lines
@@ -45,7 +45,7 @@ SCREEN = Path("-")
 _SIZE = re.compile(r"(\d+)x(\d+)")
 
 
-def finite(_kind: Any, value: Any) -> None:
+def reject_non_finite(_kind: Any, value: Any) -> None:
     """Raise ValueError for NaN and infinity: no option takes them.
 
     `value` is what an option was given, or a dataclass of options.
@@ -53,17 +53,17 @@ def finite(_kind: Any, value: Any) -> None:
     if is_dataclass(value):
         for field in fields(value):
             try:
-                finite(field.type, getattr(value, field.name))
+                reject_non_finite(field.type, getattr(value, field.name))
             except ValueError as error:
                 raise ValueError(f"--{field.name.replace('_', '-')}: {error}") from None
     elif isinstance(value, list | tuple):
         for each in value:
-            finite(_kind, each)
+            reject_non_finite(_kind, each)
     elif isinstance(value, float) and not math.isfinite(value):
         raise ValueError("Expected a finite number.")
 
 
-def whole_or_else(kind: Any, tokens: Sequence[Token]) -> Any:
+def parse_whole_numbers(kind: Any, tokens: Sequence[Token]) -> Any:
     """Turn words into what an option takes, as cyclopts does; but it would round 1.5 where whole numbers are wanted."""
     for token in tokens if int in (kind, *get_args(kind)) else ():
         if "." in token.value:
@@ -80,7 +80,7 @@ def parse_size(text: str, option: str = "--size") -> tuple[int, int]:
     return size
 
 
-def listed(option: str, text: str) -> list[str]:
+def split_list(option: str, text: str) -> list[str]:
     """Split at commas; what stands there twice is taken once. Raises ValueError for an empty word."""
     words = list(dict.fromkeys(word.strip() for word in text.split(",")))
     if not all(words):
@@ -106,7 +106,7 @@ def let_names_lead_outside(allowed: bool) -> None:
         allow_outside(allowed)
 
 
-def words_go_to(file: Path | None) -> TextIO:
+def table_stream(file: Path | None) -> TextIO:
     """Return where tables for people go: standard output, unless that is for the numbers."""
     return sys.stderr if file == SCREEN else sys.stdout
 
@@ -129,7 +129,7 @@ def converted_options(values: Mapping[str, Any], kind: type[_Kind], options: Map
     `options` are those that are not called as their field, by field, without dashes.
     """
     try:
-        return converted(values, kind)
+        return convert_checked(values, kind)
     except msgspec.ValidationError as error:
         said = str(error)
 
@@ -176,17 +176,18 @@ def check_scene_target(output: Path) -> None:
 _held = ExitStack()
 
 
-def hold(*places: Path | None, shared: bool = False) -> None:
+def lock_outputs(*places: Path | None, shared: bool = False) -> None:
     """Have files and folders that a command will write for this process, until the command ends; None is passed by.
 
-    Raises `HeldError`, which names the process, where another one has one of them; `shared` ones may have it together.
+    Raises `PathInUseError`, which names the process, where another one has one of them; `shared` ones may have it
+    together.
     """
     for place in places:
         if place is not None and place != SCREEN:
-            _held.enter_context(holding(place, shared=shared))
+            _held.enter_context(hold_for_writing(place, shared=shared))
 
 
-def release() -> None:
+def release_outputs() -> None:
     """Let others have all that a command has held."""
     _held.close()
 
@@ -223,7 +224,7 @@ def check_page(report: Path | None, json: Path | None, *files: Path | None) -> N
     check_writable(report, numbers, *files)
 
 
-def check_picture(option: str, path: Path | None) -> None:
+def check_image(option: str, path: Path | None) -> None:
     """Raise ValueError for a picture in a format that can't be written; one without an ending becomes a PNG."""
     if path is None or path.suffix == "":
         return
@@ -235,7 +236,7 @@ def check_picture(option: str, path: Path | None) -> None:
         raise ValueError(f"{option} {path}: expected a picture, such as {path.with_suffix('.png')}")
 
 
-def report_beside(output: Path, report: Path | None) -> Path:
+def report_path(output: Path, report: Path | None) -> Path:
     """Return where the report of a run goes: as asked for, else beside its scene."""
     check_ending("--report", report, PAGES)
     return report or output.with_name(f"{shortened(output.name)}.report.html")
@@ -344,7 +345,7 @@ def with_trust(load: Callable[[], _Result], trust: bool) -> _Result:
         if trust:
             trust_now(each.digest for each in error.codes)
         elif _is_allowed(error):
-            remember(error.codes)
+            trust_permanently(error.codes)
         else:
             raise
     return load()

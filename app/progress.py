@@ -6,7 +6,7 @@ from typing import TypeVar
 
 from gsrain_engine.compile_cache import has_any_kernel
 from gsrain_engine.scene.progress import Progress as Step
-from gsrain_engine.scene.progress import finished
+from gsrain_engine.scene.progress import run_to_end
 
 from .console import (
     BarColumn,
@@ -51,4 +51,4 @@ def followed(work: Generator[Step, None, _Result]) -> _Result:
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         shown = bar.add_task("Reading", total=1.0)
-        return finished(work, lambda step: bar.update(shown, completed=step.fraction, description=step.message))
+        return run_to_end(work, lambda step: bar.update(shown, completed=step.fraction, description=step.message))

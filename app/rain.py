@@ -10,16 +10,16 @@ import numpy as np
 from cyclopts import Parameter
 from jaxtyping import Float64, Int64
 
-from gsrain_engine.disdrometer.file_summary import Measured, MeasuredFile, open_measured
+from gsrain_engine.disdrometer.file_summary import MeasuredFile, MeasurementSummary, open_disdrometer_file
 from gsrain_engine.disdrometer.fit import RatesDisagreeError, calibrate_files
 from gsrain_engine.disdrometer.fit_models import FitOptions, FittedCalibration, FittedRow
 from gsrain_engine.disdrometer.fit_plot import check_plot_name, write_plot
-from gsrain_engine.disdrometer.measurement import CountedDrops
+from gsrain_engine.disdrometer.measurement import DisdrometerMeasurement
 from gsrain_engine.disdrometer.netcdf import write_spectra
 from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
 from gsrain_engine.rain.calibration import save_calibration
-from gsrain_engine.rain.settings import Rain, load_preset
-from gsrain_engine.rain.simulation import Rainfall
+from gsrain_engine.rain.settings import RainSettings, load_preset
+from gsrain_engine.rain.simulation import RainSimulation
 
 from .console import Console, Table, print, print_lines
 from .options import RAIN_OPTIONS, JsonFile, check_writable, converted_options, write_numbers
@@ -78,7 +78,7 @@ def calibrate(
     measured: list[MeasuredFile] = []
     with progress_bar("Reading", len(files)) as advance:
         for path in files:
-            measured.append(open_measured(path, described))
+            measured.append(open_disdrometer_file(path, described))
             advance()
     found = [each.measured() for each in measured]
     for each in found:
@@ -110,7 +110,9 @@ def _options(intensities: str | None, **others: float) -> FitOptions:
     return converted_options(values, FitOptions, {"intensities_mm_h": "intensities"})
 
 
-def _numbers(fitted: FittedCalibration, measured: list[MeasuredFile], found: list[Measured]) -> dict[str, Any]:
+def _numbers(
+    fitted: FittedCalibration, measured: list[MeasuredFile], found: list[MeasurementSummary]
+) -> dict[str, Any]:
     check, ratios = fitted.rate_check, fitted.axis_ratios
     velocity = fitted.calibration.velocity
     skipped = [f"{each.path.name}: {reason}" for each in measured for reason in each.reading.skipped]
@@ -229,7 +231,7 @@ def disdrometer(
     if output is not None and output.suffix != ".nc":
         raise ValueError(f"--output {output}: expected a name that ends in .nc")
     check_writable(output, json)
-    rainfall = Rainfall.start(_rain(rain, preset, calibration, closure, seed))
+    rainfall = RainSimulation.start(_rain(rain, preset, calibration, closure, seed))
     instrument = VirtualDisdrometer(rainfall, area)
     counts: list[Int64[np.ndarray, " classes"]] = []
     with progress_bar("Counting drops", len(times) - 1) as advance:
@@ -248,11 +250,11 @@ def disdrometer(
 
 def _rain(
     intensity: float | None, preset: str | None, calibration: str | None, closure: str | None, seed: int | None
-) -> Rain:
-    chosen = load_preset(preset) if preset is not None else Rain(intensity_mm_h=8.5)
+) -> RainSettings:
+    chosen = load_preset(preset) if preset is not None else RainSettings(intensity_mm_h=8.5)
     asked = {"intensity_mm_h": intensity, "calibration": calibration, "closure": closure, "seed": seed}
     values = msgspec.to_builtins(chosen) | {name: value for name, value in asked.items() if value is not None}
-    return converted_options(values, Rain, RAIN_OPTIONS)
+    return converted_options(values, RainSettings, RAIN_OPTIONS)
 
 
 def _times(seconds: float, record: float) -> Float64[np.ndarray, " records_and_one"]:
@@ -266,7 +268,7 @@ def _times(seconds: float, record: float) -> Float64[np.ndarray, " records_and_o
     return np.append(np.arange(max(1, np.ceil(whole))) * record, seconds)
 
 
-def _disdrometer_numbers(counted: CountedDrops) -> dict[str, Any]:
+def _disdrometer_numbers(counted: DisdrometerMeasurement) -> dict[str, Any]:
     state, edges = counted.state, counted.spectra.diameter_edges_mm
     return {
         "requested_mm_h": state.intensity_mm_h,
@@ -288,7 +290,7 @@ def _disdrometer_numbers(counted: CountedDrops) -> dict[str, Any]:
     }
 
 
-def _spectrum(counted: CountedDrops, edges_mm: Float64[np.ndarray, " n_and_one"]) -> dict[str, list[float]]:
+def _spectrum(counted: DisdrometerMeasurement, edges_mm: Float64[np.ndarray, " n_and_one"]) -> dict[str, list[float]]:
     """Drops counted, and drops in the air, by diameter."""
     drops, _ = np.histogram(counted.diameters_mm, edges_mm, weights=counted.counts.sum(axis=0).astype(float))
     in_air, _ = np.histogram(counted.diameters_mm, edges_mm, weights=counted.in_air_m3)
@@ -299,7 +301,7 @@ def _spectrum(counted: CountedDrops, edges_mm: Float64[np.ndarray, " n_and_one"]
     }
 
 
-def _print_disdrometer(counted: CountedDrops) -> None:
+def _print_disdrometer(counted: DisdrometerMeasurement) -> None:
     console, state = Console(highlight=False, soft_wrap=True), counted.state
     asked = f"{state.intensity_mm_h:g} mm/h asked"
     if f"{state.implied_mm_h:.3g}" != f"{state.intensity_mm_h:.3g}":

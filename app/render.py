@@ -13,28 +13,28 @@ from msgspec import structs
 from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.editor.jobs.record import own_path
 from gsrain_engine.editor.viewport.camera import front_camera, home_camera
-from gsrain_engine.rain.keyframes import Weather
-from gsrain_engine.rain.settings import Rain, load_preset
-from gsrain_engine.rain.simulation import Rainfall
-from gsrain_engine.render.export import frame_numbers, record, sequences_of
-from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX, Codec, Recording, outputs
+from gsrain_engine.rain.keyframes import RainKeyframes
+from gsrain_engine.rain.settings import RainSettings, load_preset
+from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.render.export import export_frames, export_sequences, frame_numbers
+from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX, Codec, ExportSettings, export_outputs
 from gsrain_engine.render.object_labels import LabelFormat
-from gsrain_engine.render.renderer import Look, Renderer
+from gsrain_engine.render.renderer import Renderer, RenderMode
 from gsrain_engine.render.sequence import FrameSequence
-from gsrain_engine.safe_io.errors import converted
+from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.scene.camera import Camera, read_camera
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_io import read_camera_path
 from gsrain_engine.scene.objects import scene_objects
-from gsrain_engine.scene.open import open_to_draw
+from gsrain_engine.scene.open import load_sorted_scene
 from gsrain_engine.scene.scene import Scene
 
 from .console import print
-from .options import RAIN_OPTIONS, JsonFile, check_writable, converted_options, hold, parse_size, write_numbers
+from .options import RAIN_OPTIONS, JsonFile, check_writable, converted_options, lock_outputs, parse_size, write_numbers
 from .progress import followed, progress_bar
 from .scene_options import Orientation, TimedPath, timed_path
 
-_MOST_LISTED = 6
+_MAX_LISTED = 6
 
 _FILE_ENDINGS = (".png", ".jpg", ".jpeg", ".exr", ".npy", ".mp4", ".webm", ".json")
 """Of what a recording writes; all else is a folder, though its name may have dots: frames.clear, clip.depth."""
@@ -68,12 +68,12 @@ class RainOptions:
         Parameter(help="Share of the scene's wet colours, 0 clear to 1 soaked; default: as the intensity has it."),
     ] = None
 
-    def for_scene(self, scene: Scene) -> Rain:
+    def for_scene(self, scene: Scene) -> RainSettings:
         """Preset, else the rain saved with the scene, else none; then what was asked for on top."""
         if self.preset is not None:
             rain = load_preset(self.preset)
         else:
-            rain = converted(scene.rain, Rain) if scene.rain is not None else Rain()
+            rain = convert_checked(scene.rain, RainSettings) if scene.rain is not None else RainSettings()
         asked = {
             "intensity_mm_h": self.rain,
             "seed": self.seed,
@@ -86,7 +86,7 @@ class RainOptions:
             "wetness": self.wetness,
         }
         values = msgspec.to_builtins(rain) | {name: value for name, value in asked.items() if value is not None}
-        return converted_options(values, Rain, RAIN_OPTIONS)
+        return converted_options(values, RainSettings, RAIN_OPTIONS)
 
 
 @Parameter(name="*")
@@ -119,7 +119,7 @@ class RecordingOptions:
         Parameter(help="Rate factor, lower is better: 0..51 (h264), 0..63 (vp9, av1); JPEG: 1..100, higher is better."),
     ] = None
 
-    def recording(self, output: Path, size_px: tuple[int, int] | None, *, depth: bool) -> Recording:
+    def recording(self, output: Path, size_px: tuple[int, int] | None, *, depth: bool) -> ExportSettings:
         """Check everything; raises `ValueError` for what is out of bounds or contradicts itself."""
         if not 0.1 <= self.fps <= 1000:
             raise ValueError(f"--fps {self.fps:g}: must be within 0.1..1000")
@@ -138,7 +138,7 @@ class RecordingOptions:
             "codec": self.codec,
             "quality": self.quality,
         }
-        return converted_options(values, Recording, _RECORDING_OPTIONS)
+        return converted_options(values, ExportSettings, _RECORDING_OPTIONS)
 
 
 def render(
@@ -172,7 +172,7 @@ def render(
         Parameter(help="Write 2D and 3D boxes, visibility, instance masks of actors and parked vehicles, with depth."),
     ] = None,
     look: Annotated[
-        Look, Parameter(help="What to show: the picture (splats), or without rain what it is made of.")
+        RenderMode, Parameter(help="What to show: the picture (splats), or without rain what it is made of.")
     ] = "splats",
     wet: Annotated[
         bool,
@@ -191,28 +191,28 @@ def render(
     if frame is not None and camera is not None and asked.is_still:
         raise ValueError(f"--frame {frame}: a still from --camera has no other frame; --time sets its moment")
     check_writable(json)
-    opened = (orientation or Orientation()).of(open_to_draw(scene))
+    opened = (orientation or Orientation()).of(load_sorted_scene(scene))
     if labels is not None and not scene_objects(opened):
         raise ValueError(f"--labels {labels}: scene {opened.name!r} has no actors that labels could be about")
     asked_rain = (rain or RainOptions()).for_scene(opened)
     if wet:
         opened = _made_rainy(opened)
         asked_rain = asked_rain if asked_rain.wetness is not None else structs.replace(asked_rain, wetness=1.0)
-    falling = Rainfall.start(asked_rain, weather=rendered_weather(rain, opened))
+    falling = RainSimulation.start(asked_rain, weather=rendered_weather(rain, opened))
     is_own_path = camera is None and camera_path is None and opened.path is not None
     viewpoint = _viewpoint(opened, camera, camera_path, asked, is_frame=frame is not None)
     timing = _timing(opened, viewpoint, camera_path, asked, speed)
     viewpoint = viewpoint if timing is None else timing.path
-    sequences = sequences_of(asked, opened, falling, viewpoint, in_scene_time=is_own_path)
+    sequences = export_sequences(asked, opened, falling, viewpoint, in_scene_time=is_own_path)
     numbers = _frame_numbers(asked, sequences, duration, frame)
     _check_outputs(asked, list(sequences), labels, json)
-    hold(*outputs(asked, list(sequences)))
+    lock_outputs(*export_outputs(asked, list(sequences)))
     with open_renderer(backend) as renderer:
         report = _record(renderer, asked, sequences, numbers, look)
         labelled = _label(renderer, labels, asked, sequences, numbers[: report["frames"]])
     if timing is not None and timing.line is not None:
         print(f"{camera_path or opened.name}: {timing.line}")
-    written = _listed(outputs(asked, list(sequences)))
+    written = _listed(export_outputs(asked, list(sequences)))
     first_s = next(iter(sequences.values())).time_s(numbers[0])
     sizes = ", ".join(dict.fromkeys(f"{each.width}x{each.height}" for each in sequences.values()))
     print(f"{written}: {report['frames']} of {len(numbers)} frames, {sizes}, {_describe(falling, first_s)}")
@@ -224,7 +224,11 @@ def render(
 
 
 def _record(
-    renderer: Renderer, recording: Recording, sequences: Mapping[str, FrameSequence], numbers: Sequence[int], look: Look
+    renderer: Renderer,
+    recording: ExportSettings,
+    sequences: Mapping[str, FrameSequence],
+    numbers: Sequence[int],
+    look: RenderMode,
 ) -> dict[str, Any]:
     """Record frames; Ctrl-C ends it early and leaves what is there."""
     started, done = time.perf_counter(), 0
@@ -232,7 +236,7 @@ def _record(
     state = first.rainfall.state_at(first.time_s(numbers[0]))
     with progress_bar("Rendering", len(numbers), draws=True) as advance:
         try:
-            for progress in record(renderer, recording, sequences, numbers, look=look):
+            for progress in export_frames(renderer, recording, sequences, numbers, look=look):
                 advance(round(progress.fraction * len(numbers)) - done)
                 done = round(progress.fraction * len(numbers))
         except KeyboardInterrupt:
@@ -254,7 +258,7 @@ def _record(
 def _label(
     renderer: Renderer,
     form: LabelFormat | None,
-    recording: Recording,
+    recording: ExportSettings,
     sequences: Mapping[str, FrameSequence],
     numbers: Sequence[int],
 ) -> list[Path]:
@@ -266,12 +270,12 @@ def _label(
 
 
 def _listed(paths: list[Path]) -> str:
-    if len(paths) <= _MOST_LISTED:
+    if len(paths) <= _MAX_LISTED:
         return " and ".join(map(str, paths))
     return f"{paths[0]} and {len(paths) - 1} more"
 
 
-def _describe(rainfall: Rainfall, first_s: float) -> str:
+def _describe(rainfall: RainSimulation, first_s: float) -> str:
     """Say how it rains: under a weather at the first frame."""
     state, rain = rainfall.state_at(first_s), rainfall.rain
     when = f"first of a weather with {len(rainfall.weather.keys):,} keys: " if rainfall.weather.keys else ""
@@ -291,7 +295,7 @@ def _check(*, duration: float | None, frame: int | None) -> None:
 
 
 def _check_frame(
-    frame: int, sequences: Mapping[str, FrameSequence], recording: Recording, duration: float | None
+    frame: int, sequences: Mapping[str, FrameSequence], recording: ExportSettings, duration: float | None
 ) -> None:
     """Raise ValueError for a frame after the end of the path or drive, unless a longer clip is asked for."""
     lengths = [each.length_s for each in sequences.values()]
@@ -304,9 +308,11 @@ def _check_frame(
         raise ValueError(f"--frame {frame}: there are frames 0 to {count} at {recording.fps:g} frames a second")
 
 
-def _check_outputs(recording: Recording, cameras: Sequence[str], labels: LabelFormat | None, json: Path | None) -> None:
+def _check_outputs(
+    recording: ExportSettings, cameras: Sequence[str], labels: LabelFormat | None, json: Path | None
+) -> None:
     """Raise ValueError for what could not be written once it is rendered."""
-    written = outputs(recording, cameras)
+    written = export_outputs(recording, cameras)
     if labels is not None:
         from gsrain_engine.render.label_export import label_outputs  # and OpenCV, which no picture needs
 
@@ -324,7 +330,7 @@ def _made_rainy(scene: Scene) -> Scene:
 
 
 def _viewpoint(
-    scene: Scene, camera: Path | None, camera_path: Path | None, recording: Recording, *, is_frame: bool
+    scene: Scene, camera: Path | None, camera_path: Path | None, recording: ExportSettings, *, is_frame: bool
 ) -> Camera | CameraPath:
     """What the options ask for, in the world; else the scene's own path, the ego's drive, or a swing around it.
 
@@ -344,7 +350,11 @@ def _viewpoint(
 
 
 def _timing(
-    scene: Scene, viewpoint: Camera | CameraPath, camera_path: Path | None, recording: Recording, speed: float | None
+    scene: Scene,
+    viewpoint: Camera | CameraPath,
+    camera_path: Path | None,
+    recording: ExportSettings,
+    speed: float | None,
 ) -> TimedPath | None:
     """The speed of a camera path; None for anything else: a drive has its own speed, and cameras stand."""
     is_path = camera_path is not None or scene.path is not None
@@ -356,7 +366,7 @@ def _timing(
 
 
 def _frame_numbers(
-    recording: Recording, sequences: Mapping[str, FrameSequence], duration: float | None, frame: int | None
+    recording: ExportSettings, sequences: Mapping[str, FrameSequence], duration: float | None, frame: int | None
 ) -> Sequence[int]:
     if frame is not None:
         _check_frame(frame, sequences, recording, duration)
@@ -378,14 +388,14 @@ def _words(text: str) -> list[str]:
 # § Which weather `gsrain render` takes: the scene's own, less what the options set for the whole clip.
 
 
-def rendered_weather(options: RainOptions | None, scene: Scene) -> Weather | None:
+def rendered_weather(options: RainOptions | None, scene: Scene) -> RainKeyframes | None:
     """Return the weather saved with a scene; --rain and --exposure replace its keys of these, --preset all of it.
 
     Raises `msgspec.ValidationError` where what was saved can't be used.
     """
     if scene.weather is None or (options is not None and options.preset is not None):
         return None
-    weather = converted(scene.weather, Weather)
+    weather = convert_checked(scene.weather, RainKeyframes)
     if options is not None and options.rain is not None:
         weather = weather.without("intensity_mm_h")
     if options is not None and options.exposure is not None:

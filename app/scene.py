@@ -9,22 +9,22 @@ import numpy as np
 from cyclopts import Parameter
 from PIL import Image
 
-from gsrain_engine.datasets.capture import Capture, View, readable_pictures
+from gsrain_engine.datasets.capture import Capture, CaptureFrame, readable_images
 from gsrain_engine.datasets.capture_folder import write_views
-from gsrain_engine.datasets.open_capture import capture_format, hint, open_capture
+from gsrain_engine.datasets.open_capture import capture_format, capture_hint, open_capture
 from gsrain_engine.datasets.pose_check import PoseCheck, check_poses
 from gsrain_engine.datasets.summary import CaptureSummary, contact_sheet, summarized
-from gsrain_engine.disdrometer.file_summary import open_measured
+from gsrain_engine.disdrometer.file_summary import open_disdrometer_file
 from gsrain_engine.disdrometer.spectra import UnknownKindError
 from gsrain_engine.disdrometer.tables import TableColumns, load_columns
 from gsrain_engine.editor.edits.actors import drive_along, drive_along_own_path
 from gsrain_engine.editor.edits.level import level_from_ground, set_camera_height
-from gsrain_engine.editor.viewport.camera import scene_core
-from gsrain_engine.render.images import write_sheet
+from gsrain_engine.editor.viewport.camera import find_scene_core
+from gsrain_engine.render.images import write_image
 from gsrain_engine.scene.camera_path_io import read_camera_path
 from gsrain_engine.scene.formats.registry import unknown_format
 from gsrain_engine.scene.formats.scene_files import INNER_SCENE, names_scene_folder, write_scene
-from gsrain_engine.scene.open import cached_street, open_scene, scene_folder_of
+from gsrain_engine.scene.open import load_scene, load_street, scene_folder_of
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Actor, Layer, Scene, bounds
 from gsrain_engine.scene.transforms import with_wetness_baked
@@ -33,16 +33,16 @@ from .console import Table, print, print_lines, wide_console
 from .options import (
     AllowOutside,
     JsonFile,
-    check_picture,
+    check_image,
     check_scene_folder,
     check_scene_target,
     check_writable,
-    hold,
     let_names_lead_outside,
+    lock_outputs,
     write_numbers,
 )
 from .progress import progress_bar
-from .scene_options import Orientation, marked, marked_text, names_scene, timed_path
+from .scene_options import Orientation, count_flagged, flagged_text, names_scene, timed_path
 
 # § `gsrain info FILE` of a disdrometer's measurements, and the option that says which of a table's columns is what.
 
@@ -70,7 +70,7 @@ def info(
 
     Of a disdrometer's file: instrument, records, drops, rain, what is rejected and why, and how well its rates agree.
     """
-    check_picture("--overlay", overlay)
+    check_image("--overlay", overlay)
     check_writable(overlay, json)
     let_names_lead_outside(allow_outside)
     is_scene, inner = names_scene(scene), scene_folder_of(Path(scene) / INNER_SCENE)
@@ -84,7 +84,7 @@ def info(
         raise ValueError(f"{scene}: --check and --overlay are for captures, and this is none that is known")
     if not is_scene and inner is None and Path(scene).is_dir():
         told = "neither a scene (scene.json, or meta.json of SOG) nor a capture that is known"
-        raise ValueError(f"{scene}: {told}{hint(Path(scene))}")
+        raise ValueError(f"{scene}: {told}{capture_hint(Path(scene))}")
     if columns is not None or (not is_scene and Path(scene).is_file()):
         write_numbers(json, disdrometer_info(Path(scene), columns))
         return
@@ -93,12 +93,12 @@ def info(
 
 def _scene_info(scene: str) -> dict[str, Any]:
     """Print what a scene holds; returns the printed numbers."""
-    opened = open_scene(scene)
+    opened = load_scene(scene)
     rows = [_member(each) for each in opened.members]
     numbers = {
         "scene": opened.name,
         "gaussians": opened.gaussian_count,
-        **marked(opened.members),
+        **count_flagged(opened.members),
         "memory_bytes": sum(row["memory_bytes"] for row in rows),
         "metres_per_unit": opened.metres_per_unit,
         "metres_per_unit_is_assumed": opened.unit_is_assumed,
@@ -112,7 +112,7 @@ def _scene_info(scene: str) -> dict[str, Any]:
 
 
 def _member(member: Layer | Actor) -> dict[str, Any]:
-    gaussians, marks = member.gaussians, marked([member])
+    gaussians, marks = member.gaussians, count_flagged([member])
     low, high = bounds(gaussians) if len(gaussians) else (np.zeros(3), np.zeros(3))
     return {
         "name": member.name,
@@ -129,7 +129,7 @@ def _member(member: Layer | Actor) -> dict[str, Any]:
 
 def _extent(scene: Scene) -> dict[str, Any]:
     """Numbers of the dense core and of the shell around it, in the world (metres, z up)."""
-    core = scene_core(scene)
+    core = find_scene_core(scene)
     low, high = ([round(float(v), 3) for v in corner] for corner in (core.low, core.high))
     numbers: dict[str, Any] = {"core_m": {"minimum": low, "maximum": high}, "shell": None}
     if core.shell is not None:
@@ -143,7 +143,7 @@ def _extent(scene: Scene) -> dict[str, Any]:
 def _print(scene: Scene, numbers: dict[str, Any]) -> None:
     console = wide_console()
     up = ", ".join(f"{v + 0.0:g}" for v in scene.up)  # no -0
-    marks = marked_text({kind: numbers[kind] for kind in ("deleted", "hidden")})
+    marks = flagged_text({kind: numbers[kind] for kind in ("deleted", "hidden")})
     size = f"{numbers['memory_bytes'] / 2**20:.1f} MiB"
     console.print(f"{scene.name}: {numbers['gaussians']:,} Gaussians{marks}, {size}")
     assumed = " (assumed)" if scene.unit_is_assumed else ""
@@ -187,7 +187,7 @@ def capture_info(path: Path, check: bool, overlay: Path | None) -> dict[str, Any
     kind = found.name if found is not None else ""
     _print_capture(summary, kind, checks, check)
     if overlay is not None:
-        write_sheet(overlay, Image.fromarray(contact_sheet(capture)))
+        write_image(overlay, Image.fromarray(contact_sheet(capture)))
         print(f"{overlay}: points and boxes drawn into views")
     numbers = {"capture": summary.name, "format": kind, **asdict(summary)}
     return numbers | ({"checks": [asdict(each) for each in checks]} if check else {})
@@ -202,7 +202,7 @@ def _checked(capture: Capture) -> tuple[Capture, tuple[PoseCheck, ...]]:
             advance(fraction - done)
             done = fraction
 
-        capture = readable_pictures(capture, show)
+        capture = readable_images(capture, show)
         checks = check_poses(capture, lambda fraction: show(1.0 + fraction))
         show(2.0)  # also where there is nothing to check poses by
         return capture, checks
@@ -309,8 +309,8 @@ def convert(
         raise ValueError(f"--wetness {wetness:g}: must be within 0..1")
     check_scene_target(target)
     check_writable(json)
-    scene = (orientation or Orientation()).of(open_scene(source))
-    hold(target)
+    scene = (orientation or Orientation()).of(load_scene(source))
+    lock_outputs(target)
     if level or camera_height is not None:
         scene = level_from_ground(scene)
         up = ", ".join(f"{v:.4g}" for v in scene.up)
@@ -328,7 +328,7 @@ def convert(
         scene = with_wetness_baked(scene, wetness)
     write_scene(scene, target)
     if names_scene_folder(target):
-        print(f"{target}: {scene.gaussian_count:,} Gaussians{marked_text(marked(scene.members))}")
+        print(f"{target}: {scene.gaussian_count:,} Gaussians{flagged_text(count_flagged(scene.members))}")
         write_numbers(json, {"gaussians": scene.gaussian_count, "left_out": 0})
         return
     left_out = [part.left_out.size if part.left_out is not None else 0 for part in scene.parts()]
@@ -369,10 +369,10 @@ def street(
         raise ValueError(f"--width {width}: must be within 16..4096")
     check_scene_folder(directory / "scene")
     check_writable(json, folders=[directory, directory / "images"])
-    scene = cached_street()
+    scene = load_street()
     if rig not in scene.rigs:
         raise ValueError(f"--rig {rig}: the street has {', '.join(scene.rigs)}")
-    hold(directory)
+    lock_outputs(directory)
     write_scene(scene, directory / "scene")
     print(f"{directory / 'scene'}: {scene.gaussian_count:,} Gaussians, rigs {', '.join(scene.rigs)}")
     if moments:
@@ -383,7 +383,7 @@ def street(
     write_numbers(json, {"gaussians": scene.gaussian_count, "views": moments * len(scene.rigs[rig])})
 
 
-def _photographs(scene: Scene, rig: str, moments: int, width: int) -> Iterator[View]:
+def _photographs(scene: Scene, rig: str, moments: int, width: int) -> Iterator[CaptureFrame]:
     """Photograph the mesh with every camera of a rig, at moments spread over the drive."""
     from gsrain_engine.datasets.street import StreetViews  # pyrender and OpenGL load only here
     from gsrain_engine.scene.street.build import street_surfaces
@@ -406,7 +406,7 @@ def columns_of(file: Path | None) -> TableColumns | None:
 def disdrometer_info(file: Path, columns: Path | None) -> dict[str, Any]:
     """Print what a disdrometer file holds; returns the numbers. Raises `ValueError`."""
     try:
-        measured = open_measured(file, columns_of(columns)).measured()
+        measured = open_disdrometer_file(file, columns_of(columns)).measured()
     except UnknownKindError as error:
         if error.kind is not None:
             told = f"neither a scene, nor a capture, nor a disdrometer file; it is {error.kind}"

@@ -9,10 +9,10 @@ from cyclopts import Parameter
 
 from gsrain_engine.editor.edits.level import UNIT_M, Axis, oriented
 from gsrain_engine.scene.camera_path import CameraPath
-from gsrain_engine.scene.camera_path_edit import WALKING_M_S, paced
+from gsrain_engine.scene.camera_path_edit import WALKING_M_S, with_constant_speed
 from gsrain_engine.scene.formats.registry import format_of
 from gsrain_engine.scene.formats.sog import is_sog_folder
-from gsrain_engine.scene.open import is_built_in, scene_folder_of
+from gsrain_engine.scene.open import is_built_in_street, scene_folder_of
 from gsrain_engine.scene.scene import Actor, Layer, Scene
 
 
@@ -45,13 +45,18 @@ class Orientation:
 def names_scene(name: str) -> bool:
     """Whether a name is that of a scene: what could be both, such as a folder with scene.json and pictures, is one."""
     path = Path(name)
-    return is_built_in(name) or scene_folder_of(path) is not None or format_of(path) is not None or is_sog_folder(path)
+    return (
+        is_built_in_street(name)
+        or scene_folder_of(path) is not None
+        or format_of(path) is not None
+        or is_sog_folder(path)
+    )
 
 
 # § How many Gaussians of a scene are marked, for commands that count them.
 
 
-def marked(members: Sequence[Layer | Actor]) -> dict[str, int]:
+def count_flagged(members: Sequence[Layer | Actor]) -> dict[str, int]:
     """Count what is deleted, and what is hidden but not deleted."""
     deleted = hidden = 0
     for member in members:
@@ -62,7 +67,7 @@ def marked(members: Sequence[Layer | Actor]) -> dict[str, int]:
     return {"deleted": deleted, "hidden": hidden}
 
 
-def marked_text(counts: dict[str, int]) -> str:
+def flagged_text(counts: dict[str, int]) -> str:
     """Say so behind a number of Gaussians; nothing where none is marked."""
     said = [f"{count:,} {kind}" for kind, count in counts.items() if count]
     return f" ({', '.join(said)})" if said else ""
@@ -95,10 +100,10 @@ def timed_path(
     if speed_m_s is not None:
         if not _LOWEST <= speed_m_s <= _HIGHEST:
             raise ValueError(f"--speed {speed_m_s:g}: must be within {_LOWEST:g}..{_HIGHEST:g} m/s")
-        return TimedPath(paced(path, speed_m_s / metres_per_unit, is_timed=True), None, speed_m_s, False)
+        return TimedPath(with_constant_speed(path, speed_m_s / metres_per_unit, is_timed=True), None, speed_m_s, False)
     if path.is_timed:
         return TimedPath(path, None, None, False)
-    walked = paced(path, WALKING_M_S / metres_per_unit)
+    walked = with_constant_speed(path, WALKING_M_S / metres_per_unit)
     if is_still:
         line = "photos without times: the camera is at rest (--speed M_S lets it move)"
         return TimedPath(walked, line, 0.0, True)

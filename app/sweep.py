@@ -12,7 +12,7 @@ import msgspec
 from cyclopts import Parameter
 
 from gsrain_engine.backends import Backend
-from gsrain_engine.sweep.executors import DaskCluster, Engine, HereEngine, LocalPool
+from gsrain_engine.sweep.executors import DaskCluster, Executor, LocalPool, SerialExecutor
 from gsrain_engine.sweep.expansion import Job, Shard, jobs_of
 from gsrain_engine.sweep.report import write_tables
 from gsrain_engine.sweep.results import SweepFolder
@@ -21,7 +21,7 @@ from gsrain_engine.sweep.settings import Sweep, load_sweep, sweep_names
 from gsrain_engine.trusted_code import check_trusted
 
 from .console import Console, Table, print
-from .options import JsonFile, Trust, check_writable, hold, with_trust, write_numbers
+from .options import JsonFile, Trust, check_writable, lock_outputs, with_trust, write_numbers
 from .progress import followed
 
 SOME_FAILED, INTERRUPTED = 1, 130
@@ -71,7 +71,7 @@ def sweep(
     share = jobs if shard is None else Shard.parse(shard).of(jobs)
     to_do = [] if summarize_only else folder.to_do(share, retry_failed=retry_failed)
     run = SweepRun(0, 0)
-    hold(folder.path, shared=True)
+    lock_outputs(folder.path, shared=True)
     if not summarize_only:
         with_trust(lambda: check_trusted(sweep, agent_codes(to_do)), trust)
         folder.describe(told, jobs)
@@ -118,10 +118,10 @@ def _check_engine(workers: int | None, dask: str | None, resources: str) -> None
     _resources(resources)
 
 
-def _engine(workers: int | None, dask: str | None, resources: str, stack: ExitStack) -> Engine:
+def _engine(workers: int | None, dask: str | None, resources: str, stack: ExitStack) -> Executor:
     """Choose where to work."""
     if dask is None:
-        return HereEngine() if workers == 0 else LocalPool(workers)
+        return SerialExecutor() if workers == 0 else LocalPool(workers)
     cluster = DaskCluster(dask, _resources(resources))
     stack.callback(cluster.close)
     if cluster.workers == 0:
@@ -168,7 +168,11 @@ def _count(number: int, what: str) -> str:
 
 _COLUMNS = 160
 
-_SHOWN = {"min_ttc_s": "min TTC (s)", "planned_point_collision_rate": "C (points)", "comfort_executed": "S (driven)"}
+_COLUMN_TITLES = {
+    "min_ttc_s": "min TTC (s)",
+    "planned_point_collision_rate": "C (points)",
+    "comfort_executed": "S (driven)",
+}
 
 
 def print_cells(cells: Sequence[Mapping[str, Any]]) -> None:
@@ -177,7 +181,7 @@ def print_cells(cells: Sequence[Mapping[str, Any]]) -> None:
     table = Table(box=None, pad_edge=False)
     for title in [*(["scene"] if several else []), "scenario", "agent"]:
         table.add_column(title, no_wrap=True)
-    for title in ("R (mm/h)", "drives", "collisions", *_SHOWN.values()):
+    for title in ("R (mm/h)", "drives", "collisions", *_COLUMN_TITLES.values()):
         table.add_column(title, justify="right", no_wrap=True)
     for cell in cells:
         collisions = cell["collision_rate"]
@@ -188,7 +192,7 @@ def print_cells(cells: Sequence[Mapping[str, Any]]) -> None:
             f"{cell['intensity_mm_h']:g}",
             f"{cell['runs']}" + (f" + {cell['failed']} failed" if cell["failed"] else ""),
             "-" if collisions is None else f"{cell['collisions']} ({_share(collisions)})",
-            *(_mean(cell["means"].get(name)) for name in _SHOWN),
+            *(_mean(cell["means"].get(name)) for name in _COLUMN_TITLES),
         )
     console = Console(width=_COLUMNS, highlight=False)
     console.print(table)

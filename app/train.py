@@ -13,7 +13,7 @@ from gsrain_engine.editor.jobs.training import require_torch
 from gsrain_engine.evaluation.report import write_report
 from gsrain_engine.recolor.problem import RecolorSettings
 from gsrain_engine.scene.formats.scene_files import write_scene
-from gsrain_engine.scene.open import open_scene
+from gsrain_engine.scene.open import load_scene
 from gsrain_engine.training.settings import TrainingSettings, help_of, load_settings, settings_names
 
 from .console import Console, Table, print
@@ -23,9 +23,9 @@ from .options import (
     check_scene_folder,
     check_writable,
     converted_options,
-    hold,
     let_names_lead_outside,
-    report_beside,
+    lock_outputs,
+    report_path,
     write_numbers,
 )
 from .progress import followed
@@ -75,11 +75,11 @@ def reconstruct(
     let_names_lead_outside(allow_outside)
     settings = _settings(
         config, steps=steps, width_px=width, gaussians=gaussians, density=density, sh_degree=sh_degree, seed=seed,
-        own_body=own_body, device=device, **_kept_apart(held_out),
+        own_body=own_body, device=device, **_parse_held_out(held_out),
     )  # fmt: skip
     check_scene_folder(output)
-    hold(output)
-    page = report_beside(output, report)
+    lock_outputs(output)
+    page = report_path(output, report)
     check_writable(page, json)
     require_torch("gsrain reconstruct")
     # torch takes two seconds to load: only now, that there is something to do.
@@ -111,7 +111,7 @@ def _settings(config: str | None, **options: Any) -> TrainingSettings:
         raise ValueError(f"--{option}: {error}") from None
 
 
-def _kept_apart(text: str | None) -> dict[str, Any]:
+def _parse_held_out(text: str | None) -> dict[str, Any]:
     """Turn "8" or "a,b" into settings."""
     if text is None:
         return {}
@@ -193,16 +193,16 @@ def recolor(
         replace_clear=replace,
     )  # fmt: skip
     check_scene_folder(output)
-    hold(output)
-    page = report_beside(output, report)
+    lock_outputs(output)
+    page = report_path(output, report)
     check_writable(page, json)
     if polish or refine:
         require_torch("--polish" if polish else "--refine")
-    pictures = _pictures(images, capture)
+    pictures = _images(images, capture)
     # Kernels take a second to load: only now, that there is something to do.
     from gsrain_engine.recolor.recolor import recolor_to_capture
 
-    run = followed(recolor_to_capture(open_scene(scene), pictures, options))
+    run = followed(recolor_to_capture(load_scene(scene), pictures, options))
     write_scene(run.scene, output)
     _print_recolor(run, pictures)
     print(f"{output}: {run.scene.gaussian_count:,} Gaussians, {'new' if replace else 'clear and wet'} colours")
@@ -218,7 +218,7 @@ def _options(options: dict[str, Any], colors: dict[str, Any], *, replace_clear: 
     return converted_options(values, RecolorOptions, {"width_px": "width", "memory_mb": "memory"})
 
 
-def _pictures(images: Path, capture: Path | None) -> Capture:
+def _images(images: Path, capture: Path | None) -> Capture:
     if capture is None:
         return open_capture(images)
     from gsrain_engine.datasets.image_override import with_images

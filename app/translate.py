@@ -11,35 +11,35 @@ import numpy as np
 from cyclopts import Parameter
 from jaxtyping import Bool, Float64
 
-from gsrain_engine.appearance.base import ClearView, LeftOut, RainyView, TransferSettings
+from gsrain_engine.appearance.base import ClearView, RainyView, SkippedCounts, TransferSettings
 from gsrain_engine.appearance.finetune.settings import finetuning_help, finetuning_names, load_finetuning
-from gsrain_engine.appearance.finetune.task import TrainingResult, TrainingTask
+from gsrain_engine.appearance.finetune.task import FinetuneResult, FinetuneTask
 from gsrain_engine.appearance.output_folder import (
-    BeforeAndAfter,
+    ContactSheet,
     TransferRecord,
     check_transferred_folder,
     write_transferred,
 )
-from gsrain_engine.appearance.registry import method_of, open_transfer
+from gsrain_engine.appearance.registry import find_method, open_transfer
 from gsrain_engine.appearance.scene_views import OWN_WIDTH_PX, Source, ViewChoice, chosen_cameras, chosen_views
-from gsrain_engine.appearance.wet_look.environment import Surroundings
+from gsrain_engine.appearance.wet_look.environment import ReflectionEnvironment
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.editor.jobs.training import HOW_TO_GET_DIFFUSION, require_torch
 from gsrain_engine.editor.jobs.training import train_transfer as work
 from gsrain_engine.rain.wetness import wetness
-from gsrain_engine.render.images import write_sheet
-from gsrain_engine.scene.open import open_scene
+from gsrain_engine.render.images import write_image
+from gsrain_engine.scene.open import load_scene
 
 from .console import Console, Table, print
 from .options import (
     AllowOutside,
     JsonFile,
     Trust,
-    check_picture,
+    check_image,
     check_writable,
     converted_options,
-    hold,
     let_names_lead_outside,
+    lock_outputs,
     with_trust,
     write_numbers,
 )
@@ -51,7 +51,7 @@ from .scene_options import names_scene
 
 @Parameter(name="*")  # its fields are options of the command, without a prefix
 @dataclass(frozen=True, kw_only=True)
-class ViewOptions:
+class ViewChoiceOptions:
     """Which views."""
 
     views: Annotated[
@@ -138,7 +138,7 @@ class MethodOptions:
 
     def check(self) -> None:
         """Raise ValueError for what would be found out later: a file or torch is missing."""
-        method = method_of(self.method)
+        method = find_method(self.method)
         if method.needs is not None and getattr(self, method.needs) is None:
             raise ValueError(f"--method {self.method} needs --{method.needs}")
         for name in ("weights", "base", "images", "normals_weights", "normals_checkout"):
@@ -153,8 +153,8 @@ class MethodOptions:
             return 1.0 if self.wetness is None else self.wetness
         if self.wetness is not None:
             raise ValueError("--rain and --wetness exclude each other")
-        if not 0 <= self.rain <= _MOST_MM_H:
-            raise ValueError(f"--rain {self.rain:g}: must be within 0..{_MOST_MM_H:g} mm/h")
+        if not 0 <= self.rain <= _MAX_MM_H:
+            raise ValueError(f"--rain {self.rain:g}: must be within 0..{_MAX_MM_H:g} mm/h")
         return wetness(self.rain)
 
 
@@ -164,7 +164,7 @@ def transfer(
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder to write: a capture of rainy pictures.")],
     method: MethodOptions | None = None,
-    views: ViewOptions | None = None,
+    views: ViewChoiceOptions | None = None,
     sheet: Annotated[Path | None, Parameter(help="Also write a picture of some views before and after.")] = None,
     allow_outside: AllowOutside = False,
     json: JsonFile = None,
@@ -174,13 +174,13 @@ def transfer(
     DIR/clear holds the views as they were: another program may change them, and --method images takes what it made.
     """
     let_names_lead_outside(allow_outside)
-    how, where = method or MethodOptions(), views or ViewOptions()
+    how, where = method or MethodOptions(), views or ViewChoiceOptions()
     settings, choice = how.settings, where.choice
     how.check()
-    check_picture("--sheet", sheet)
+    check_image("--sheet", sheet)
     check_writable(sheet, json, folders=[output])
     check_transferred_folder(output)
-    hold(output)
+    lock_outputs(output)
     # Kernels take a second to load: only now, that there is something to do.
     opened = source_views(source, choice, where.capture)
     model = open_transfer(how.method, settings, opened.surroundings)
@@ -200,8 +200,8 @@ def transfer(
 
 def _followed(rainy: Iterator[RainyView], count: int, sheet: Path | None) -> dict[str, Any]:
     """Make the views, with a bar; return the numbers of `--json`."""
-    started, films, pictures = time.perf_counter(), list[float](), BeforeAndAfter(count)
-    made, left_out = 0, LeftOut()
+    started, films, pictures = time.perf_counter(), list[float](), ContactSheet(count)
+    made, left_out = 0, SkippedCounts()
     with progress_bar("Rainy views", count, draws=True) as advance:
         for view in rainy:
             made += 1
@@ -213,7 +213,7 @@ def _followed(rainy: Iterator[RainyView], count: int, sheet: Path | None) -> dic
             advance()
     seconds = time.perf_counter() - started
     if sheet is not None:
-        write_sheet(sheet, pictures.picture())
+        write_image(sheet, pictures.picture())
     return {
         "views": made,
         "seconds": round(seconds, 3),
@@ -225,7 +225,7 @@ def _followed(rainy: Iterator[RainyView], count: int, sheet: Path | None) -> dic
 
 _OPTIONS = {"source": "views", "width_px": "width", "side_px": "side", "tile_px": "tile", "sensors": "cameras"}
 
-_MOST_MM_H = 100.0
+_MAX_MM_H = 100.0
 
 # § What `gsrain transfer` makes rainy: views of a scene, or the pictures of a capture.
 
@@ -236,7 +236,7 @@ class SourceViews:
 
     name: str
     views: Sequence[ClearView]
-    surroundings: Surroundings
+    surroundings: ReflectionEnvironment
     to_world: Float64[np.ndarray, "4 4"]
     """Similarity from the units and axes of the scene or capture to the world."""
     width_px: int
@@ -261,25 +261,25 @@ def source_views(source: str, choice: ViewChoice, capture: Path | None) -> Sourc
 
 def _of_scene(source: str, choice: ViewChoice, capture: Path | None) -> SourceViews:
     from gsrain_engine.appearance.scene_views import scene_views  # kernels take a second to load
-    from gsrain_engine.appearance.wet_look.environment import SceneSurroundings
+    from gsrain_engine.appearance.wet_look.environment import SceneEnvironment
 
     if choice.source == "recorded" and capture is None:
         raise ValueError("--views recorded needs --capture, where the cameras come from")
-    scene = open_scene(source)
+    scene = load_scene(source)
     placed = chosen_cameras(scene, choice, None if capture is None else open_capture(capture), OWN_WIDTH_PX)
     width_px = max(each.camera.width for each in placed)
-    views, around = scene_views(scene, placed), SceneSurroundings(scene)
+    views, around = scene_views(scene, placed), SceneEnvironment(scene)
     return SourceViews(scene.name, views, around, scene.scene_to_world, width_px, lambda name: None)
 
 
 def _of_capture(source: Path, choice: ViewChoice) -> SourceViews:
     from gsrain_engine.appearance.capture_views import capture_views
-    from gsrain_engine.appearance.wet_look.environment import PictureSurroundings
+    from gsrain_engine.appearance.wet_look.environment import ImageEnvironment
 
     most_px = choice.width_px or OWN_WIDTH_PX
     capture = chosen_views(open_capture(source), choice)
     views, width_px = capture_views(capture, most_px), max(min(most_px, view.camera.width) for view in capture)
-    return SourceViews(capture.name, views, PictureSurroundings(), views.to_world, width_px, views.mask)
+    return SourceViews(capture.name, views, ImageEnvironment(), views.to_world, width_px, views.mask)
 
 
 # § `gsrain train-transfer CONFIG -o FOLDER`: fine-tune CycleGAN-Turbo from clear to rainy pictures.
@@ -322,8 +322,8 @@ def train_transfer(
     changes |= {"seed": seed, "clear": _sources(clear), "rainy": _sources(rainy)}
     settings = with_trust(lambda: load_finetuning(config, **changes), trust)
     check_writable(json, folders=[output])
-    hold(output)
-    task = TrainingTask(settings=settings, output=output, resume=resume)
+    lock_outputs(output)
+    task = FinetuneTask(settings=settings, output=output, resume=resume)
     try:
         result = followed(work(task))
     except KeyboardInterrupt:
@@ -340,7 +340,7 @@ def _sources(paths: Sequence[Path] | None) -> list[dict[str, Any]] | None:
     return None if paths is None else [{"path": str(path)} for path in paths]
 
 
-def _print(result: TrainingResult) -> None:
+def _print(result: FinetuneResult) -> None:
     console = Console(width=_COLUMNS, highlight=False)
     pictures = Table("pictures", "look", "in all", "for testing", box=None)
     for path, look, count, tested in result.table:

@@ -26,7 +26,7 @@ from gsrain_engine.scene.files import sentence_of
 from .options import has_display
 
 if TYPE_CHECKING:
-    from gsrain_engine.editor.editor import Session
+    from gsrain_engine.editor.editor import Editor
     from gsrain_engine.scene.scene import Scene
     from ui.workspace import Workspace
 
@@ -88,9 +88,9 @@ class ViewerWindow:
             if request is None:
                 return
 
-    def _begin(self) -> "Session":
+    def _begin(self) -> "Editor":
         """Make the session of the first scene."""
-        from gsrain_engine.editor.editor import Session
+        from gsrain_engine.editor.editor import Editor
         from gsrain_engine.scene.formats.scene_files import read_scene
 
         with self._has_news:
@@ -99,7 +99,7 @@ class ViewerWindow:
                 raise OSError("the program that has opened it is gone")
             first = self._waiting.popleft()
         assert isinstance(first, SetScene)
-        session = Session(read_scene(Path(first.folder)))
+        session = Editor(read_scene(Path(first.folder)))
         self._reply(Reply(number=first.number))
         return session
 
@@ -164,7 +164,7 @@ class ViewerWindow:
             self._is_alone = True
 
 
-def _look_from(session: "Session", request: SetCamera) -> None:
+def _look_from(session: "Editor", request: SetCamera) -> None:
     from gsrain_engine.scene.camera import Camera
 
     session.stop_riding()
@@ -173,7 +173,7 @@ def _look_from(session: "Session", request: SetCamera) -> None:
     session.navigation.look_like(Camera.from_json(request.camera))
 
 
-def _leave(session: "Session") -> None:
+def _leave(session: "Editor") -> None:
     """End without a question."""
     session.files.give_up()
     session.is_leaving = True

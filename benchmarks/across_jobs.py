@@ -43,7 +43,7 @@ def window(folder: Path) -> tuple[float, float]:
     from imgui_bundle import hello_imgui, immapp
 
     from gsrain_engine.editor.drawing.textures import compile_kernels
-    from ui.window import Window
+    from ui.window import MainWindow
 
     found: list[tuple[float, float]] = []
 
@@ -52,7 +52,7 @@ def window(folder: Path) -> tuple[float, float]:
 
         return begin_session(None, None)
 
-    shown = Window(begin)
+    shown = MainWindow(begin)
     parameters = shown.parameters()
     parameters.ini_disable = True
 
@@ -75,11 +75,11 @@ def window(folder: Path) -> tuple[float, float]:
 
 def opened(folder: Path, name: str) -> tuple[float, float]:
     """Open a scene of 1 M Gaussians to be drawn; imports and kernels stand before the clock."""
-    from gsrain_engine.scene.open import open_to_draw
+    from gsrain_engine.scene.open import load_sorted_scene
 
-    open_to_draw(str(folder / "small" / name))
+    load_sorted_scene(str(folder / "small" / name))
     clock = Clock()
-    scene = open_to_draw(str(folder / name))
+    scene = load_sorted_scene(str(folder / name))
     taken = clock.seconds()
     assert scene.gaussian_count == 1_000_000
     return taken
@@ -88,27 +88,27 @@ def opened(folder: Path, name: str) -> tuple[float, float]:
 def saved(folder: Path, name: str) -> tuple[float, float]:
     """Write 1 M Gaussians into a file."""
     from gsrain_engine.scene.formats.scene_files import write_scene
-    from gsrain_engine.scene.open import open_scene
+    from gsrain_engine.scene.open import load_scene
 
-    scene = open_scene(str(folder / "million"))
+    scene = load_scene(str(folder / "million"))
     clock = Clock()
     write_scene(scene, folder / name)
     return clock.seconds()
 
 
 def _street() -> Any:
-    from gsrain_engine.scene.open import open_to_draw
+    from gsrain_engine.scene.open import load_sorted_scene
 
-    return open_to_draw("street")
+    return load_sorted_scene("street")
 
 
 def _sequence(scene: Any) -> Any:
     from gsrain_engine.rain.settings import load_preset
-    from gsrain_engine.rain.simulation import Rainfall
-    from gsrain_engine.render.sequence import FrameSequence, mounted_cameras
+    from gsrain_engine.rain.simulation import RainSimulation
+    from gsrain_engine.render.sequence import FrameSequence, find_rig_cameras
 
-    (camera,) = mounted_cameras(scene, ("waymo_front3/FRONT",))
-    return FrameSequence(scene, Rainfall.start(load_preset("8.5")), camera, *SIZE)
+    (camera,) = find_rig_cameras(scene, ("waymo_front3/FRONT",))
+    return FrameSequence(scene, RainSimulation.start(load_preset("8.5")), camera, *SIZE)
 
 
 def _frames(chosen: Callable[[Any, int], tuple[Any, int]]) -> tuple[float, float]:
@@ -143,11 +143,11 @@ def moved_slider(folder: Path) -> tuple[float, float]:
 
     from msgspec import structs
 
-    from gsrain_engine.rain.simulation import Rainfall
+    from gsrain_engine.rain.simulation import RainSimulation
 
     def moved(street: Any, count: int) -> tuple[Any, int]:
         rain = structs.replace(street.rainfall.rain, intensity_mm_h=2.0 + 0.5 * count)
-        return replace(street, rainfall=Rainfall.start(rain)), 3
+        return replace(street, rainfall=RainSimulation.start(rain)), 3
 
     return _frames(moved)
 
@@ -155,15 +155,17 @@ def moved_slider(folder: Path) -> tuple[float, float]:
 def recorded(folder: Path, name: str) -> tuple[float, float]:
     """Frames of the street in rain, into a file or a folder."""
     from gsrain_engine.backends import open_renderer
-    from gsrain_engine.render.export import record
-    from gsrain_engine.render.export_settings import Recording
+    from gsrain_engine.render.export import export_frames
+    from gsrain_engine.render.export_settings import ExportSettings
 
     sequence = _sequence(_street())
     with open_renderer("cpu") as renderer:
-        for _ in record(renderer, Recording(output=str(folder / f"first-{name}")), {"": sequence}, range(2)):
+        for _ in export_frames(
+            renderer, ExportSettings(output=str(folder / f"first-{name}")), {"": sequence}, range(2)
+        ):
             pass
         clock = Clock()
-        for _ in record(renderer, Recording(output=str(folder / name)), {"": sequence}, range(FRAMES)):
+        for _ in export_frames(renderer, ExportSettings(output=str(folder / name)), {"": sequence}, range(FRAMES)):
             pass
         return clock.seconds(FRAMES)
 
@@ -176,21 +178,21 @@ def recolored(folder: Path) -> tuple[float, float]:
     from gsrain_engine.recolor.problem import RecolorSettings
     from gsrain_engine.recolor.recolor import recolor_scene
     from gsrain_engine.recolor.views import TargetView
-    from gsrain_engine.scene.progress import finished
+    from gsrain_engine.scene.progress import run_to_end
 
     scene = _street()
     views = scene_views(scene, chosen_cameras(scene, ViewChoice(count=8, width_px=480)))
     targets = [TargetView(v.name, v.camera, v.time_s, (v.image**2).astype(np.float32)) for v in views]
-    finished(recolor_scene(scene, targets[:2], targets[4:5], RecolorSettings(iterations=1)))
+    run_to_end(recolor_scene(scene, targets[:2], targets[4:5], RecolorSettings(iterations=1)))
     clock = Clock()
-    finished(recolor_scene(scene, targets[:4] + targets[5:], targets[4:5], RecolorSettings()))
+    run_to_end(recolor_scene(scene, targets[:4] + targets[5:], targets[4:5], RecolorSettings()))
     return clock.seconds()
 
 
 def reconstructed(folder: Path) -> tuple[float, float]:
     """Steps of a training on eight views of the street, 480 x 320, near its beginning."""
     from gsrain_engine.datasets.street import capture_street
-    from gsrain_engine.scene.progress import finished
+    from gsrain_engine.scene.progress import run_to_end
     from gsrain_engine.scene.rig import rig_camera
     from gsrain_engine.training.settings import load_settings
     from gsrain_engine.training.train import start_training
@@ -198,7 +200,7 @@ def reconstructed(folder: Path) -> tuple[float, float]:
     scene, times = _street(), [0.4 * number for number in range(8)]
     cameras = [rig_camera(scene, "waymo_front3", "FRONT", time_s).resized(480, 320) for time_s in times]
     started = start_training(capture_street(cameras, times), load_settings(None, steps=2000), [3])
-    training = finished(started).training
+    training = run_to_end(started).training
     for number in range(5):
         training.step(number)
     clock = Clock()
@@ -222,15 +224,15 @@ def transferred(folder: Path, method: str) -> tuple[float, float]:
 
 def _transfer(scene: Any, method: str) -> Any:
     if method == "wet":
-        from gsrain_engine.appearance.wet_look.environment import SceneSurroundings
+        from gsrain_engine.appearance.wet_look.environment import SceneEnvironment
         from gsrain_engine.appearance.wet_look.settings import WetSettings
         from gsrain_engine.appearance.wet_look.translator import WetTransfer
 
-        return WetTransfer(WetSettings(), SceneSurroundings(scene))
-    from gsrain_engine.appearance.cyclegan_turbo.model import build, tiny
+        return WetTransfer(WetSettings(), SceneEnvironment(scene))
+    from gsrain_engine.appearance.cyclegan_turbo.model import build_random_model, tiny
     from gsrain_engine.appearance.cyclegan_turbo.translator import CycleGanTurboTransfer
 
-    return CycleGanTurboTransfer(build(tiny()))
+    return CycleGanTurboTransfer(build_random_model(tiny()))
 
 
 def began_drive(folder: Path) -> tuple[float, float]:
@@ -260,14 +262,14 @@ def drove(folder: Path, agent: str) -> tuple[float, float]:
 def filmed(folder: Path) -> tuple[float, float]:
     """Pictures of a film of a drive."""
     from gsrain_engine.backends import open_renderer
-    from gsrain_engine.simulation.playback import PlayedRollout
-    from gsrain_engine.simulation.simulation import drive_through
-    from gsrain_engine.simulation.video import DriveVideo
+    from gsrain_engine.simulation.playback import RolloutPlayback
+    from gsrain_engine.simulation.simulation import run_drive
+    from gsrain_engine.simulation.video import RolloutVideo
 
     with _driven("oracle-idm") as (simulation, driver):
-        rollout = drive_through(simulation, driver)
+        rollout = run_drive(simulation, driver)
         with open_renderer("cpu") as renderer:
-            video = DriveVideo(PlayedRollout(rollout, simulation.scene), renderer)
+            video = RolloutVideo(RolloutPlayback(rollout, simulation.scene), renderer)
             for number in range(3):
                 video.picture(0.1 * number)
             clock = Clock()

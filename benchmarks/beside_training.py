@@ -11,12 +11,12 @@ from statistics import median, quantiles
 
 from swap_stall import FrameCost, Turning
 
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.editor.jobs.training import Reconstruction
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.jobs.training import ReconstructionJobKind
 from gsrain_engine.rain.settings import load_preset
-from gsrain_engine.render.hardware import machine
+from gsrain_engine.render.hardware import describe_machine
 from gsrain_engine.render.opengl.context import open_context
-from gsrain_engine.scene.open import open_scene
+from gsrain_engine.scene.open import load_scene
 from gsrain_engine.training.settings import load_settings
 
 
@@ -29,11 +29,11 @@ def main() -> None:
     arguments = parser.parse_args()
     width, height = map(int, arguments.size.split("x"))
     with open_context() as context:
-        session = Session(open_scene("street"), load_preset("8.5"))
+        session = Editor(load_scene("street"), load_preset("8.5"))
         turning = Turning(context, session, "auto", (width, height))
         turning.settle()
         found = {"alone": _summary([turning.frame() for _ in range(arguments.frames)])}
-        session.start_task(Reconstruction(arguments.capture, load_settings("laptop", measured_every=0)))
+        session.start_task(ReconstructionJobKind(arguments.capture, load_settings("laptop", measured_every=0)))
         (job,) = session.jobs
         while job.state == "running" and not job.progress.message.startswith("Step"):
             turning.frame()
@@ -43,7 +43,7 @@ def main() -> None:
         job.cancel()
         session.close()
     context.release()
-    print(json.dumps({"frames": found, "job": steps, "error": job.error, "machine": machine()}, indent=1))
+    print(json.dumps({"frames": found, "job": steps, "error": job.error, "machine": describe_machine()}, indent=1))
     ratio = found["beside training"]["median_ms"] / found["alone"]["median_ms"]
     print(f"a frame beside training takes {ratio:.2f} times as long as alone")
 

@@ -10,10 +10,10 @@ import numba
 import numpy as np
 import torch
 
-from gsrain_engine.malloc_tuning import keep_freed_memory
-from gsrain_engine.render.autodiff.blend import Picture, blend, gather, gather_colors
+from gsrain_engine.malloc_tuning import tune_malloc
+from gsrain_engine.render.autodiff.blend import BlendedImage, blend, blend_backward, blend_colors_backward
 from gsrain_engine.render.autodiff.differentiable import render_gaussians
-from gsrain_engine.render.autodiff.project import TrainedGaussians, colors_back, project_back, project_trained
+from gsrain_engine.render.autodiff.project import TrainedGaussians, project_backward, project_trained, sh_backward
 from gsrain_engine.render.cpu.projection import nearest_first
 from gsrain_engine.render.cpu.tiles import bin_into_tiles
 from gsrain_engine.scene.camera import Camera
@@ -75,18 +75,18 @@ def stages(gaussians: TrainedGaussians, camera: Camera, repeats: int) -> tuple[d
     tiles = bin_into_tiles(splats.shapes, order, camera.width, camera.height)
     outputs = blend(splats.shapes, splats.channels, tiles)
     r = np.random.default_rng(0)
-    pulls = Picture(*(r.standard_normal(shape, np.float32) for shape in ((*size, 3), size, size)))
-    sums = gather(splats.shapes, splats.channels, tiles, outputs, pulls)
-    color_sums = gather_colors(splats.shapes, tiles, pulls[0])
+    pulls = BlendedImage(*(r.standard_normal(shape, np.float32) for shape in ((*size, 3), size, size)))
+    sums = blend_backward(splats.shapes, splats.channels, tiles, outputs, pulls)
+    color_sums = blend_colors_backward(splats.shapes, tiles, pulls[0])
     work: dict[str, Callable[[], object]] = {
         "forward project": lambda: project_trained(gaussians, camera, pose),
         "forward sort": lambda: nearest_first(splats.channels[:, 3]),
         "forward bin": lambda: bin_into_tiles(splats.shapes, order, camera.width, camera.height),
         "forward blend": lambda: blend(splats.shapes, splats.channels, tiles),
-        "backward blend": lambda: gather(splats.shapes, splats.channels, tiles, outputs, pulls),
-        "backward project": lambda: project_back(gaussians, splats, sums, camera, pose),
-        "colors only blend": lambda: gather_colors(splats.shapes, tiles, pulls[0]),
-        "colors only project": lambda: colors_back(gaussians, splats, color_sums, pose),
+        "backward blend": lambda: blend_backward(splats.shapes, splats.channels, tiles, outputs, pulls),
+        "backward project": lambda: project_backward(gaussians, splats, sums, camera, pose),
+        "colors only blend": lambda: blend_colors_backward(splats.shapes, tiles, pulls[0]),
+        "colors only project": lambda: sh_backward(gaussians, splats, color_sums, pose),
     }
     return {name: timed(each, repeats) for name, each in work.items()}, len(tiles.members)
 
@@ -99,7 +99,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=numba.config.NUMBA_NUM_THREADS)
     arguments = parser.parse_args()
     numba.set_num_threads(arguments.threads)
-    keep_freed_memory()
+    tune_malloc()
     gaussians = gaussians_of(arguments.scene)
     camera = Camera.from_fov(*map(int, arguments.size.split("x")), 60.0, np.eye(4))
     rows = whole(gaussians, camera, arguments.repeats)

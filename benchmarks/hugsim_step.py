@@ -15,13 +15,13 @@ from statistics import median
 import msgspec
 
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.render.hardware import machine
+from gsrain_engine.render.hardware import describe_machine
 from gsrain_engine.render.renderer import Renderer
-from gsrain_engine.scene.open import open_to_draw
+from gsrain_engine.scene.open import load_sorted_scene
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.simulation.agents.base import Observation
 from gsrain_engine.simulation.interop.hugsim_agent import HugsimAgent
-from gsrain_engine.simulation.interop.hugsim_protocol import in_hugsim_setting
+from gsrain_engine.simulation.interop.hugsim_protocol import with_hugsim_rig
 from gsrain_engine.simulation.scenario_io import load_scenario
 from gsrain_engine.simulation.simulation import Simulation
 
@@ -47,17 +47,17 @@ def main() -> None:
     parser.add_argument("--backend", default="auto")
     parser.add_argument("--repeats", type=int, default=5)
     arguments = parser.parse_args()
-    scene = open_to_draw(arguments.scene)
+    scene = load_sorted_scene(arguments.scene)
     with open_renderer(arguments.backend) as renderer:
         rows = [_row(name, scene, renderer, arguments.repeats) for name in _KINDS]
-    print(json.dumps({"scene": arguments.scene, "rows": rows, "machine": machine()}, indent=1))
+    print(json.dumps({"scene": arguments.scene, "rows": rows, "machine": describe_machine()}, indent=1))
     for row in rows:
         print(f"{row['sent']}: drawn in {row['draw_ms']:.0f} ms, sent and answered in {row['exchange_ms']:.0f} ms")
 
 
 def _row(name: str, scene: Scene, renderer: Renderer, repeats: int) -> dict[str, str | float]:
     semantic, depth = _KINDS[name]
-    scenario, shown = in_hugsim_setting(load_scenario("stationary-lead"), scene)
+    scenario, shown = with_hugsim_rig(load_scenario("stationary-lead"), scene)
     rainy = msgspec.structs.replace(scenario, rain=msgspec.structs.replace(scenario.rain, intensity_mm_h=8.5))
     with tempfile.TemporaryDirectory() as folder:
         command = shlex.join([sys.executable, "-c", _CLIENT])

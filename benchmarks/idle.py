@@ -11,10 +11,10 @@ import time
 
 from imgui_bundle import hello_imgui, imgui, immapp
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.rain.settings import load_preset
-from gsrain_engine.render.hardware import machine
-from ui.window import Window
+from gsrain_engine.render.hardware import describe_machine
+from ui.window import MainWindow
 from ui.workspace import begin_session
 
 _LONGEST_S = 300.0
@@ -28,23 +28,23 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=20.0)
     arguments = parser.parse_args()
 
-    def begin() -> Session:
+    def begin() -> Editor:
         session = begin_session(arguments.scene, load_preset("8.5"))
         session.clock.playing = False
         return session
 
-    window = Window(begin)
+    window = MainWindow(begin)
     found: dict[str, float] = {}
     watcher = threading.Thread(target=_watch, args=(window, arguments.seconds, found), daemon=True)
     parameters = window.parameters()
     parameters.ini_disable = True
     watcher.start()
     immapp.run(parameters, immapp.AddOnsParams(with_implot=False))
-    print(json.dumps({"scene": arguments.scene, **found, "machine": machine()}, indent=1))
+    print(json.dumps({"scene": arguments.scene, **found, "machine": describe_machine()}, indent=1))
     print(f"idle: {found['share_of_a_core']:.1%} of a core, {found['frames_per_second']:.1f} frames a second")
 
 
-def _watch(window: Window, seconds: float, found: dict[str, float]) -> None:
+def _watch(window: MainWindow, seconds: float, found: dict[str, float]) -> None:
     """Measure from another thread, which the window's own knows nothing of; then close the window."""
     until, quiet_since = time.monotonic() + _LONGEST_S, time.monotonic()
     while time.monotonic() < until and time.monotonic() - quiet_since < _SETTLED_S:

@@ -22,14 +22,14 @@ from torch.nn.attention import SDPBackend, sdpa_kernel
 
 from gsrain_engine.appearance.base import ClearView, RainyView
 from gsrain_engine.appearance.capture_views import capture_views
-from gsrain_engine.appearance.covisibility import neighbours
-from gsrain_engine.appearance.cyclegan_turbo.cross_view_attention import attended
-from gsrain_engine.appearance.cyclegan_turbo.model import CycleGanTurbo, TurboArchitecture, build, tiny
+from gsrain_engine.appearance.covisibility import rank_neighbors
+from gsrain_engine.appearance.cyclegan_turbo.cross_view_attention import chunked_attention
+from gsrain_engine.appearance.cyclegan_turbo.model import CycleGanTurbo, TurboArchitecture, build_random_model, tiny
 from gsrain_engine.appearance.cyclegan_turbo.pretrained import open_model
-from gsrain_engine.appearance.cyclegan_turbo.settings import MutualAttention, RunSettings
+from gsrain_engine.appearance.cyclegan_turbo.settings import CrossViewAttention, RunSettings
 from gsrain_engine.appearance.cyclegan_turbo.translator import CycleGanTurboTransfer
 from gsrain_engine.datasets.street import capture_street
-from gsrain_engine.evaluation.consistency import agreements, pooled
+from gsrain_engine.evaluation.consistency import agreements, pool_errors
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.street.layout import StreetParameters
 
@@ -84,7 +84,7 @@ def trained(views: Sequence[ClearView], iterations: int) -> tuple[CycleGanTurbo,
 
     Returns it with the mean absolute error of the last iterations.
     """
-    model, random = build(small(), normals=False), np.random.default_rng(1)
+    model, random = build_random_model(small(), normals=False), np.random.default_rng(1)
     chosen = [p for name, p in model.named_parameters() if "skip_conv" not in name and not name.startswith("vae_b2a")]
     for parameter in chosen:
         parameter.requires_grad_(True)
@@ -119,13 +119,13 @@ def strengthened(model: CycleGanTurbo, factor: float) -> CycleGanTurbo:
 
 def rows(model: CycleGanTurbo, views: Sequence[ClearView], settings: RunSettings) -> Iterator[dict[str, Any]]:
     """Measure each way to attend on the same pairs of neighbours."""
-    tokens = MutualAttention().px_per_token if settings.side_px else (2, 4, 8, 16, 32)
-    ways: dict[str, MutualAttention | None] = {
+    tokens = CrossViewAttention().px_per_token if settings.side_px else (2, 4, 8, 16, 32)
+    ways: dict[str, CrossViewAttention | None] = {
         "none": None,
-        "outward": MutualAttention(px_per_token=tokens),
-        "together": MutualAttention(order="together", px_per_token=tokens),
+        "outward": CrossViewAttention(px_per_token=tokens),
+        "together": CrossViewAttention(order="together", px_per_token=tokens),
     }
-    pairs = [(i, j) for i, others in enumerate(neighbours(views, 2)) for j in others]
+    pairs = [(i, j) for i, others in enumerate(rank_neighbors(views, 2)) for j in others]
     for name, mutual in ways.items():
         run = RunSettings(side_px=settings.side_px, normals=settings.normals, mutual=mutual)
         started = time.perf_counter()
@@ -133,7 +133,7 @@ def rows(model: CycleGanTurbo, views: Sequence[ClearView], settings: RunSettings
             each.clear.name: each for each in CycleGanTurboTransfer(model, run).transferred(views)
         }
         seconds = time.perf_counter() - started
-        found = pooled(each.everywhere for each in agreements([made[view.name] for view in views], pairs))
+        found = pool_errors(each.everywhere for each in agreements([made[view.name] for view in views], pairs))
         assert found is not None and found.before is not None
         yield {
             "attention": name, "pairs": len(pairs), "pixels": found.pixels, "rmse_clear": round(found.before.rmse, 5),
@@ -149,7 +149,7 @@ def layer_cost(kernel: str, views: int, most_scores: int) -> dict[str, Any]:
     chosen = SDPBackend.MATH if kernel == "math" else SDPBackend.FLASH_ATTENTION
     before, started = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
     with torch.inference_mode(), sdpa_kernel([chosen]):
-        attended(query, key, key, 0.125, most_scores)
+        chunked_attention(query, key, key, 0.125, most_scores)
     took = time.process_time() - started
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     return {
@@ -167,7 +167,7 @@ def main() -> None:
     parser.add_argument("--strengths", type=float, nargs="+", default=(1.0, 40.0, 400.0), help="of its self-attention")
     parser.add_argument("--layer", choices=("flash", "math"), help="measure one layer with this kernel, nothing else")
     parser.add_argument("--views", type=int, default=3, help="whose keys the layer looks at")
-    parser.add_argument("--most-scores", type=int, default=MutualAttention().most_scores)
+    parser.add_argument("--most-scores", type=int, default=CrossViewAttention().most_scores)
     parser.add_argument("--threads", type=int, default=1)
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)

@@ -11,12 +11,12 @@ import msgspec
 import numpy as np
 
 from gsrain_engine.editor.viewport.camera import default_path
-from gsrain_engine.rain.settings import Rain, load_preset
-from gsrain_engine.rain.simulation import Rainfall
+from gsrain_engine.rain.settings import RainSettings, load_preset
+from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import rain_in
+from gsrain_engine.render.draw import rain_frame_of
 from gsrain_engine.render.sequence import FrameSequence
-from gsrain_engine.scene.open import cached_street
+from gsrain_engine.scene.open import load_street
 from gsrain_engine.scene.scene import Scene
 
 SEEDS, INTENSITIES, SIZE = 5, ("1.2", "8.5", "12.0"), (960, 640)
@@ -25,7 +25,7 @@ STREAKS, HAZE = {"haze": False}, {"streaks": False}
 
 def main() -> None:
     """Measure and print."""
-    street = cached_street()
+    street = load_street()
     rows = [measure(street, load_preset(name), seed) for name in INTENSITIES for seed in range(SEEDS)]
     rows.append(measure(street, load_preset("paper"), 0) | {"preset": "paper"})
     advice = StreetStills(street).advice()
@@ -38,7 +38,7 @@ class StreetStills:
     def __init__(self, street: Scene) -> None:
         self._street, self._renderer = street, CpuRenderer()
         path = default_path(street, *SIZE)
-        sequence = FrameSequence(street, Rainfall.start(load_preset("clear")), path, *SIZE, start_s=2.0)
+        sequence = FrameSequence(street, RainSimulation.start(load_preset("clear")), path, *SIZE, start_s=2.0)
         self._shot, self._sky = sequence.shot(0), sequence.sky(self._renderer).color
         self.clear = self._still(load_preset("clear"))
 
@@ -64,23 +64,25 @@ class StreetStills:
         moved = np.abs(rainy.astype(int) - self.clear).max(axis=-1) > 8
         return 100 * float(moved[where].mean())
 
-    def _still(self, rain: Rain) -> np.ndarray:
+    def _still(self, rain: RainSettings) -> np.ndarray:
         shot = self._shot
-        falling = rain_in(self._street, Rainfall.start(rain), self._sky, shot)
+        falling = rain_frame_of(self._street, RainSimulation.start(rain), self._sky, shot)
         self._renderer.draw(self._street.parts(2.0), shot.camera, falling)
         return self._renderer.read().to_uint8()
 
 
-def measure(street: Scene, rain: Rain, seed: int) -> dict[str, float]:
+def measure(street: Scene, rain: RainSettings, seed: int) -> dict[str, float]:
     """Figures of one still, 2 s into the default drive."""
     renderer = CpuRenderer()
     path = default_path(street, *SIZE)
 
     def still(scene: Scene, **fields: object) -> np.ndarray:
-        falling = Rainfall.start(msgspec.structs.replace(rain, seed=seed, **fields))
+        falling = RainSimulation.start(msgspec.structs.replace(rain, seed=seed, **fields))
         sequence = FrameSequence(scene, falling, path, *SIZE, start_s=2.0)
         shot, sky = sequence.shot(0), sequence.sky(renderer)
-        renderer.draw(scene.parts(2.0) if scene.layers else [], shot.camera, rain_in(street, falling, sky.color, shot))
+        renderer.draw(
+            scene.parts(2.0) if scene.layers else [], shot.camera, rain_frame_of(street, falling, sky.color, shot)
+        )
         return renderer.read().rgba
 
     clear, streaked, hazed, both = (still(street, **fields) for fields in ({"intensity_mm_h": 0.0}, STREAKS, HAZE, {}))

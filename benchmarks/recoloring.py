@@ -12,10 +12,10 @@ import msgspec
 import numpy as np
 from matplotlib.figure import Figure
 
-from gsrain_engine.datasets.capture import View
+from gsrain_engine.datasets.capture import CaptureFrame
 from gsrain_engine.evaluation.image_metrics import psnr
-from gsrain_engine.recolor.problem import ColorProblem, RecolorSettings, chosen_pull
-from gsrain_engine.recolor.recolor import SetUp, set_up
+from gsrain_engine.recolor.problem import ColorProblem, RecolorSettings, choose_prior_weight
+from gsrain_engine.recolor.recolor import ProblemInputs, prepare_problem
 from gsrain_engine.recolor.views import TargetView
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.scene.camera import Camera
@@ -37,7 +37,7 @@ Curve = list[tuple[float, float]]
 """Seconds, and mean held-out PSNR in dB."""
 
 
-def known_change(picture: np.ndarray, view: View) -> np.ndarray:
+def known_change(picture: np.ndarray, view: CaptureFrame) -> np.ndarray:
     """Make a picture of the street look otherwise in a known way: darker tones, a dark road, light from a low sun."""
     light = srgb_to_linear(np.clip(picture, 0, 1).astype(np.float64))
     normals = view.normals
@@ -80,9 +80,9 @@ def _drawn(scene: Scene, time_s: float, camera: Camera) -> np.ndarray:
 
 def street(*, mesh: bool = False) -> tuple[Scene, list[TargetView], list[TargetView]]:
     """Return the street without cars that move, thirty views of it, and nine from between those."""
-    from gsrain_engine.scene.open import cached_street
+    from gsrain_engine.scene.open import load_street
 
-    scene = replace(cached_street(), actors=())
+    scene = replace(load_street(), actors=())
     times = np.linspace(0.5, 11.5, MOMENTS)
     between = (times[1:] + times[:-1])[:: (MOMENTS - 1) // HELD_OUT_MOMENTS][:HELD_OUT_MOMENTS] / 2
     taught, held_out = (list(street_views(scene, each.tolist(), mesh=mesh)) for each in (times, between))
@@ -92,7 +92,7 @@ def street(*, mesh: bool = False) -> tuple[Scene, list[TargetView], list[TargetV
 def transferred(scene_path: Path, capture_path: Path) -> tuple[Scene, list[TargetView], list[TargetView]]:
     """Return a reconstructed scene and its photographs in the wet look; every seventh is kept apart."""
     from gsrain_engine.appearance.scene_views import PlacedCamera, scene_view
-    from gsrain_engine.appearance.wet_look.environment import SceneSurroundings
+    from gsrain_engine.appearance.wet_look.environment import SceneEnvironment
     from gsrain_engine.appearance.wet_look.settings import WetSettings
     from gsrain_engine.appearance.wet_look.translator import WetTransfer
     from gsrain_engine.datasets.open_capture import open_capture
@@ -103,7 +103,7 @@ def transferred(scene_path: Path, capture_path: Path) -> tuple[Scene, list[Targe
     targets = list(target_views(scene, open_capture(capture_path), SIZE[0]))
     placed = [PlacedCamera(target.name, target.camera, target.time_s) for target in targets]
     clear = [replace(scene_view(scene, p), image=target.image) for p, target in zip(placed, targets, strict=True)]
-    rainy = WetTransfer(WetSettings(), SceneSurroundings(scene)).transferred(clear)
+    rainy = WetTransfer(WetSettings(), SceneEnvironment(scene)).transferred(clear)
     views = [replace(target, image=each.image) for target, each in zip(targets, rainy, strict=True)]
     kept = set(range(3, len(views), 7))
     taught, held_out = ([view for i, view in enumerate(views) if (i in kept) == out] for out in (False, True))
@@ -126,13 +126,13 @@ def finished_with(steps: Generator[Any, None, Result]) -> Result:
 
 def solved(
     scene: Scene, targets: list[TargetView], held_out: list[TargetView], settings: RecolorSettings
-) -> tuple[Curve, SetUp]:
+) -> tuple[Curve, ProblemInputs]:
     """Recolour; the clock stands while held-out views are measured."""
     started = time.process_time()
-    setup = finished_with(set_up(scene, targets, held_out, settings))
+    setup = finished_with(prepare_problem(scene, targets, held_out, settings))
     problem = setup.problem
     if settings.tikhonov is None:
-        settings = msgspec.structs.replace(settings, tikhonov=finished_with(chosen_pull(problem, settings)))
+        settings = msgspec.structs.replace(settings, tikhonov=finished_with(choose_prior_weight(problem, settings)))
     curve: Curve = [(time.process_time() - started, held_out_psnr(problem, problem.prior))]
     paused = time.process_time() - started - curve[0][0]
     for step in problem.solve(settings):
@@ -142,7 +142,7 @@ def solved(
     return curve, setup
 
 
-def adam(scene: Scene, setup: SetUp, rate: float, steps: int, *, mapped: bool = False) -> Curve:
+def adam(scene: Scene, setup: ProblemInputs, rate: float, steps: int, *, mapped: bool = False) -> Curve:
     """Optimize the same harmonics by Adam, one view a step, each rasterized anew.
 
     Squared error; the rate falls to a tenth. Starts at the clear colours, or at the mapped ones as the solver does.

@@ -16,9 +16,9 @@ import numpy as np
 
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.street import capture_street
-from gsrain_engine.render.hardware import machine
+from gsrain_engine.render.hardware import describe_machine
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.open import cached_street
+from gsrain_engine.scene.open import load_street
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.training.settings import load_settings
 from gsrain_engine.training.task import ReconstructionTask
@@ -33,7 +33,7 @@ RIG = "waymo_front3"
 
 def street_capture(with_depth: bool, camera_count: int) -> Capture:
     """Photograph the street from its rig while it drives."""
-    scene = cached_street()
+    scene = load_street()
     cameras: list[Camera] = []
     times: list[float] = []
     for time_s in np.linspace(0.0, LAST_S[camera_count], VIEWS // camera_count).tolist():
@@ -77,7 +77,7 @@ def main() -> None:
                 steps=arguments.steps,
                 gaussians=arguments.gaussians,
             )
-    print(json.dumps({"results": results, "machine": machine()}, indent=1))
+    print(json.dumps({"results": results, "machine": describe_machine()}, indent=1))
 
 
 if __name__ == "__main__":

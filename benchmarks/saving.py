@@ -15,16 +15,16 @@ from pathlib import Path
 
 import numpy as np
 
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.render.hardware import machine
-from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.render.hardware import describe_machine
+from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.open import random_scene
 
 _PAUSE_S = 0.001
 """Between two calls of `update`, for which a window would draw."""
 
 
-def waited(session: Session, begin: Callable[[], None]) -> dict[str, float]:
+def waited(session: Editor, begin: Callable[[], None]) -> dict[str, float]:
     """Seconds until everything in the background is through, and the longest time between two updates."""
     start = last = time.perf_counter()
     begin()
@@ -38,7 +38,7 @@ def waited(session: Session, begin: Callable[[], None]) -> dict[str, float]:
         time.sleep(_PAUSE_S)
 
 
-def kept(session: Session) -> dict[str, float]:
+def kept(session: Editor) -> dict[str, float]:
     """What an autosave takes whose time has come."""
     session.update(0.0)
     late = time.monotonic() + session.preferences.autosave_s
@@ -57,12 +57,12 @@ def main() -> None:
     with tempfile.TemporaryDirectory(dir=arguments.folder) as folder:
         os.environ["XDG_STATE_HOME"] = os.environ["XDG_CONFIG_HOME"] = folder  # not among a person's own recent files
         home = Path(folder) / "scene"
-        session = Session(random_scene(arguments.scene))
+        session = Editor(random_scene(arguments.scene))
         gaussians = session.scene.members[0].gaussians
         results = {"save for the first time": waited(session, lambda: session.save(home))}
         chosen = np.random.default_rng(0).random(len(gaussians)) < 0.3
         changes = {
-            "marks": {"marks": Marks(deleted=Mask.of(chosen))},
+            "marks": {"marks": SelectionFlags(deleted=BitMask.of(chosen))},
             "colours": {"gaussians": gaussians.with_sh((gaussians.sh * np.float32(0.8)).astype(np.float32))},
         }
         for name, fields in changes.items():
@@ -70,7 +70,7 @@ def main() -> None:
             results[f"autosave after a change of {name}"] = kept(session)
             results[f"save after a change of {name}"] = waited(session, session.files.save)
         session.close()
-    print(json.dumps({"scene": arguments.scene, "results": results, "machine": machine()}, indent=1))
+    print(json.dumps({"scene": arguments.scene, "results": results, "machine": describe_machine()}, indent=1))
 
 
 if __name__ == "__main__":

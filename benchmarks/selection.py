@@ -17,33 +17,33 @@ from gsrain_engine.editor.selection import screen  # noqa: E402
 from gsrain_engine.editor.selection.attributes import (  # noqa: E402
     ATTRIBUTES,
     AttributeHistogram,
-    in_range,
+    select_attribute_range,
 )
 from gsrain_engine.editor.selection.candidates import (  # noqa: E402
-    alike,
     base_color,
-    combined,
+    combine_selection,
     inverted,
+    select_similar_colors,
 )
 from gsrain_engine.editor.selection.screen import (  # noqa: E402
     ALL_THROUGH,
-    Reach,
-    in_picture,
+    DepthMode,
+    select_in_screen_shape,
 )
 from gsrain_engine.editor.selection.volume import (  # noqa: E402
-    Ball,
-    flooded,
-    grown,
+    Sphere,
+    expand,
+    flood_select,
     in_volume,
-    rim,
+    selection_boundary,
 )
 from gsrain_engine.editor.viewport.picking import (  # noqa: E402
-    Picked,
+    PickResult,
     pick,
     pick_point,
 )
-from gsrain_engine.render.draw import Shot  # noqa: E402
-from gsrain_engine.scene.flags import Mask  # noqa: E402
+from gsrain_engine.render.draw import RenderView  # noqa: E402
+from gsrain_engine.scene.flags import BitMask  # noqa: E402
 from gsrain_engine.scene.open import (  # noqa: E402
     random_scene,
     random_scene_camera,
@@ -64,7 +64,7 @@ def least_ms(work: Callable[[], object], repeats: int) -> float:
     return 1000 * min(times)
 
 
-def tools(scene: Scene, shot: Shot) -> dict[str, Callable[[], Mapping[str, Mask]]]:
+def tools(scene: Scene, shot: RenderView) -> dict[str, Callable[[], Mapping[str, BitMask]]]:
     angles = np.linspace(0, 2 * np.pi, 400)
     lasso = [(640 + (300 + 60 * np.sin(9 * a)) * np.cos(a), 400 + 250 * np.sin(a)) for a in angles.tolist()]
     stroke = [(200 + 4 * k, 400 + 100 * np.sin(k / 20)) for k in range(200)]
@@ -76,27 +76,29 @@ def tools(scene: Scene, shot: Shot) -> dict[str, Callable[[], Mapping[str, Mask]
     def rectangle() -> np.ndarray:
         return screen.rectangle((300, 200), (1000, 700), WIDTH, HEIGHT)
 
-    def by_shape(pixels: Callable[[], np.ndarray], reach: Reach = ALL_THROUGH) -> Callable[[], Mapping[str, Mask]]:
-        return lambda: in_picture(scene, shot, pixels(), reach)
+    def by_shape(
+        pixels: Callable[[], np.ndarray], reach: DepthMode = ALL_THROUGH
+    ) -> Callable[[], Mapping[str, BitMask]]:
+        return lambda: select_in_screen_shape(scene, shot, pixels(), reach)
 
-    found: dict[str, Callable[[], Mapping[str, Mask]]] = {
+    found: dict[str, Callable[[], Mapping[str, BitMask]]] = {
         "rectangle": by_shape(rectangle),
         "lasso": by_shape(lambda: screen.polygon(lasso, WIDTH, HEIGHT)),
         "brush": by_shape(lambda: screen.stroke(stroke, 24, WIDTH, HEIGHT)),
-        "rectangle to a depth": by_shape(rectangle, Reach("to a depth", 10.0)),
-        "rectangle touching": by_shape(rectangle, Reach(touching=True)),
-        "rectangle front-most": by_shape(rectangle, Reach("front-most")),
-        "sphere": lambda: in_volume(scene, 0.0, Ball(center, 4.0)),
+        "rectangle to a depth": by_shape(rectangle, DepthMode("to a depth", 10.0)),
+        "rectangle touching": by_shape(rectangle, DepthMode(touching=True)),
+        "rectangle front-most": by_shape(rectangle, DepthMode("front-most")),
+        "sphere": lambda: in_volume(scene, 0.0, Sphere(center, 4.0)),
         "box": lambda: in_volume(scene, 0.0, CropBox(center, (6.0, 4.0, 3.0), 30.0)),
-        "colour pick": lambda: alike(scene, 0.0, color, TOLERANCE),
-        "flood": lambda: flooded(scene, 0.0, picked.key, picked.gaussian, TOLERANCE, REACH),
+        "colour pick": lambda: select_similar_colors(scene, 0.0, color, TOLERANCE),
+        "flood": lambda: flood_select(scene, 0.0, picked.key, picked.gaussian, TOLERANCE, REACH),
     }
     for name in ATTRIBUTES:
-        found[f"range of {name}"] = lambda name=name: in_range(scene, 0.0, shot.camera, name, 0.1, 0.6)
+        found[f"range of {name}"] = lambda name=name: select_attribute_range(scene, 0.0, shot.camera, name, 0.1, 0.6)
     return found
 
 
-def under_the_middle(scene: Scene, shot: Shot) -> Picked:
+def under_the_middle(scene: Scene, shot: RenderView) -> PickResult:
     picked = pick(scene, shot, WIDTH / 2, HEIGHT / 2)
     assert picked is not None, "the random scene fills the picture"
     return picked
@@ -108,7 +110,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     arguments = parser.parse_args()
     scene = random_scene(arguments.scene)
-    shot = Shot(random_scene_camera(scene, WIDTH, HEIGHT))
+    shot = RenderView(random_scene_camera(scene, WIDTH, HEIGHT))
     rows: dict[str, dict[str, float]] = {}
 
     def measure(name: str, work: Callable[[], object], count: int | None = None) -> None:
@@ -120,11 +122,13 @@ def main() -> None:
 
     for name, find in tools(scene, shot).items():
         found = find()
-        measure(name, lambda find=find: combined(scene, find(), "set"), sum(mask.size for mask in found.values()))
-    balled = combined(scene, tools(scene, shot)["sphere"](), "set")
+        measure(
+            name, lambda find=find: combine_selection(scene, find(), "set"), sum(mask.size for mask in found.values())
+        )
+    balled = combine_selection(scene, tools(scene, shot)["sphere"](), "set")
     measure("invert", lambda: inverted(balled))
-    measure("grow", lambda: grown(balled, 0.0, NEAR_M))
-    measure("shrink", lambda: rim(balled, 0.0, NEAR_M))
+    measure("grow", lambda: expand(balled, 0.0, NEAR_M))
+    measure("shrink", lambda: selection_boundary(balled, 0.0, NEAR_M))
     measure("histogram", lambda: AttributeHistogram().of(balled, shot, "hue"))
     measure("pick a point", lambda: pick_point(scene, shot, WIDTH / 2, HEIGHT / 2))
     print(json.dumps({"scene": arguments.scene, "gaussians": scene.gaussian_count, "tools": rows}))

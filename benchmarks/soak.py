@@ -70,10 +70,10 @@ def soak(arguments: Any, folder: Path, samples: list[Sample]) -> list[str]:
     """Open the window and work in it; returns what the program complained of."""
     from soak_person import Person
 
-    from ui.window import Window
+    from ui.window import MainWindow
     from ui.workspace import begin_session
 
-    window = Window(lambda: begin_session(arguments.scenes[0], None))
+    window = MainWindow(lambda: begin_session(arguments.scenes[0], None))
     parameters = window.parameters()
     parameters.ini_disable = True
     parameters.app_window_params.window_geometry.size = (1100, 720)

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.floaters import FloaterRules
 from gsrain_engine.editor.jobs.floaters import FloaterJob
-from gsrain_engine.editor.selection.candidates import combined
-from gsrain_engine.scene.flags import Mask
+from gsrain_engine.editor.selection.candidates import combine_selection
+from gsrain_engine.scene.flags import BitMask
 from ui.commands.registry import ACTIONS
 
 _BY_NAME = {action.name: action for action in ACTIONS}
@@ -24,7 +24,7 @@ _LOOKS = ("depth", "opacity", "splats")
 class Person:
     """Opens scenes, plays, rains, edits, records, starts and stops jobs, saves, and opens again."""
 
-    def __init__(self, session: Session, scenes: list[str], folder: Path, seed: int) -> None:
+    def __init__(self, session: Editor, scenes: list[str], folder: Path, seed: int) -> None:
         self._session, self._scenes, self._folder = session, scenes, folder
         self._random = np.random.default_rng(seed)
         self.cycles = 0
@@ -117,9 +117,9 @@ class Person:
         session = self._session
         for name in ("Hide the selection", "Delete the selection", "Separate the selection"):
             chosen = {
-                each.key: Mask.of(self._random.random(len(each.gaussians)) < 0.02) for each in session.scene.members
+                each.key: BitMask.of(self._random.random(len(each.gaussians)) < 0.02) for each in session.scene.members
             }
-            session.edit("Select", combined, chosen, "set")
+            session.edit("Select", combine_selection, chosen, "set")
             yield from self._frames(2)
             self._do(name)
             yield from self._frames(2)

@@ -17,10 +17,10 @@ import moderngl
 import numpy as np
 
 from gsrain_engine.editor.drawing.live_view import LiveView
-from gsrain_engine.editor.editor import Session, WindowBackend
-from gsrain_engine.editor.viewport_state import StagedScene
+from gsrain_engine.editor.editor import Editor, WindowBackend
+from gsrain_engine.editor.viewport_state import PendingScene
 from gsrain_engine.rain.settings import load_preset
-from gsrain_engine.render.hardware import machine
+from gsrain_engine.render.hardware import describe_machine
 from gsrain_engine.render.opengl.context import open_context
 from gsrain_engine.scene.gaussians import COEFFICIENTS_OF_DEGREE
 from gsrain_engine.scene.open import random_scene, random_scene_camera
@@ -45,7 +45,7 @@ class FrameCost(NamedTuple):
 class Turning:
     """A live view whose camera turns a little each frame."""
 
-    def __init__(self, context: moderngl.Context, session: Session, backend: WindowBackend, size: tuple[int, int]):
+    def __init__(self, context: moderngl.Context, session: Editor, backend: WindowBackend, size: tuple[int, int]):
         self.context, self.session, self.size = context, session, size
         self.view = LiveView(context, session, backend)
 
@@ -86,7 +86,7 @@ def main() -> None:
             with open_context() as context:
                 rows += measured(context, scene, backend, rain, (width, height), budget=arguments.budget)
             context.release()
-    print(json.dumps({"gaussians": scene.gaussian_count, "rows": rows, "machine": machine()}, indent=1))
+    print(json.dumps({"gaussians": scene.gaussian_count, "rows": rows, "machine": describe_machine()}, indent=1))
     worst = max(rows, key=lambda row: float(str(row["work_longest_over_median"])))
     print(
         f"longest frame of a swap over the median one: {worst['wall_longest_over_median']} on the wall, "
@@ -107,7 +107,7 @@ def measured(
     context: moderngl.Context, scene: Scene, backend: WindowBackend, rain: str, size: tuple[int, int], *, budget: bool
 ) -> list[dict[str, object]]:
     """Times of four swaps with one back end and rain."""
-    session = Session(scene, load_preset(rain))
+    session = Editor(scene, load_preset(rain))
     session.clock.playing = False
     session.navigation.look_like(random_scene_camera(scene, *size))
     session.navigation.position = session.navigation.position + _FORWARD_M * session.navigation.forward
@@ -151,7 +151,7 @@ def costs_of_swap(turning: Turning, fields: dict[str, Any] | None) -> list[Frame
         session.undo()
     else:
         changed = session.scene.with_member(session.scene.members[0].key, **fields)
-        session.stage(StagedScene("swap", changed, only_wet_colors="wet_sh" in fields))
+        session.stage(PendingScene("swap", changed, only_wet_colors="wet_sh" in fields))
     costs: list[FrameCost] = []
     until, after = time.perf_counter() + _LONGEST_S, 0
     while after < _AFTER and time.perf_counter() < until:

@@ -13,7 +13,7 @@ from typing import Any
 
 import torch
 
-from gsrain_engine.appearance.cyclegan_turbo.model import ARCHITECTURES, CycleGanTurbo, build
+from gsrain_engine.appearance.cyclegan_turbo.model import ARCHITECTURES, CycleGanTurbo, build_random_model
 from gsrain_engine.appearance.cyclegan_turbo.pretrained import open_model
 from gsrain_engine.appearance.cyclegan_turbo.translator import estimated_seconds, measured_speed
 
@@ -59,7 +59,7 @@ def main() -> None:
 
     def opened() -> CycleGanTurbo:
         named = ARCHITECTURES[arguments.architecture]()
-        model = build(named) if arguments.weights is None else open_model(arguments.weights)
+        model = build_random_model(named) if arguments.weights is None else open_model(arguments.weights)
         return model.to(arguments.device, dtype)
 
     model, opening = timed(opened)

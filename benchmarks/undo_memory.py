@@ -12,10 +12,10 @@ from gsrain_engine.editor.edits import layers
 from gsrain_engine.editor.edits.floaters import FloaterRules, FloaterSearch, select_floaters
 from gsrain_engine.editor.edits.gaussians import CropBox, compact, crop, delete_selected, hide_selected
 from gsrain_engine.editor.edits.level import level_from_ground
-from gsrain_engine.editor.edits.transform import move_member, move_selected, moving
-from gsrain_engine.scene.flags import Mask
+from gsrain_engine.editor.edits.transform import move_member, move_selected, preview_move
+from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.open import random_scene
-from gsrain_engine.scene.scene import Grading, Scene
+from gsrain_engine.scene.scene import ColorGrading, Scene
 
 
 def arrays_of(scene: Scene) -> Iterator[np.ndarray]:
@@ -55,7 +55,7 @@ def main() -> None:
     arguments = parser.parse_args()
     scene = random_scene(arguments.scene)
     key, count = scene.layers[0].key, len(scene.layers[0].gaussians)
-    half = Mask.of(np.random.default_rng(0).random(count) < 0.5)
+    half = BitMask.of(np.random.default_rng(0).random(count) < 0.5)
     selected = scene.with_member(key, marks=replace(scene.layers[0].marks, selected=half))
     deleted = delete_selected(selected)
     two = layers.duplicate(scene, key)
@@ -64,9 +64,9 @@ def main() -> None:
         "hide half": (selected, hide_selected),
         "crop": (scene, lambda each: crop(each, CropBox((0.0, 10.0, 0.0), (8.0, 10.0, 5.0)))),
         "move layer": (scene, lambda each: move_member(each, key, similarity(0.5, 1.5))),
-        "grade layer": (scene, lambda each: each.with_member(key, grading=Grading(exposure_ev=1.0))),
+        "grade layer": (scene, lambda each: each.with_member(key, grading=ColorGrading(exposure_ev=1.0))),
         "duplicate layer": (scene, lambda each: layers.duplicate(each, key)),
-        "frame of dragging half": (selected, lambda each: moving(each, None, similarity())),
+        "frame of dragging half": (selected, lambda each: preview_move(each, None, similarity())),
         "shift half": (selected, lambda each: move_selected(each, similarity())),
         "turn and scale half": (selected, lambda each: move_selected(each, similarity(0.5, 1.5))),
         "separate half": (selected, layers.separate),

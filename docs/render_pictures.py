@@ -8,10 +8,10 @@ from PIL import Image, ImageDraw, ImageFont
 
 from app.main import run
 from gsrain_engine.recolor.wet_scene import wet_scene
-from gsrain_engine.render.renderer import Look
+from gsrain_engine.render.renderer import RenderMode
 from gsrain_engine.scene.formats.scene_files import write_scene
-from gsrain_engine.scene.open import open_scene
-from gsrain_engine.scene.progress import finished
+from gsrain_engine.scene.open import load_scene
+from gsrain_engine.scene.progress import run_to_end
 
 IMAGES = Path(__file__).parent / "images"
 _INTENSITIES_MM_H = ("1.2", "8.5", "12.0")
@@ -40,14 +40,14 @@ def keep(picture: Image.Image, name: str) -> None:
 
 def render_rain(folder: Path) -> None:
     """The street in its wet look, in light, heavy and very heavy rain."""
-    write_scene(finished(wet_scene(open_scene("street"))), folder / "wet")
+    write_scene(run_to_end(wet_scene(load_scene("street"))), folder / "wet")
     for intensity in _INTENSITIES_MM_H:
         keep(still(str(folder / "wet"), folder, "960x640", "--rain", intensity, "--wetness", "1"), f"rain_{intensity}")
 
 
 def render_looks(folder: Path) -> None:
     """All looks of one moment on one sheet, each with its name."""
-    looks = get_args(Look)
+    looks = get_args(RenderMode)
     width, height = 330, 220
     rows = -(-len(looks) // _LOOKS_IN_A_ROW)
     sheet = Image.new("RGB", (width * _LOOKS_IN_A_ROW, height * rows))

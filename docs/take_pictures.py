@@ -15,13 +15,13 @@ from PIL import Image
 from app.scene import street
 from gsrain_engine.compile_cache import use_kernel_cache
 from gsrain_engine.editor.camera_path import path_from_drive
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.rain.keyframes import passing_shower
-from gsrain_engine.scene.open import open_scene
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.rain.keyframes import shower_keyframes
+from gsrain_engine.scene.open import load_scene
 from ui.commands.base import chord
 from ui.panels.registry import BUILT_IN_PANELS
 from ui.tools.registry import TOOLS
-from ui.window import Window
+from ui.window import MainWindow
 
 IMAGES = Path(__file__).parent / "images"
 _SIZE = (1440, 900)
@@ -44,9 +44,9 @@ class Photographer:
     """A window on the street, driven by the test engine, and a camera."""
 
     def __init__(self, folder: Path) -> None:
-        self.session = Session(open_scene("street"))
+        self.session = Editor(load_scene("street"))
         self.session.clock.playing = False
-        self.window = Window(lambda: self.session)
+        self.window = MainWindow(lambda: self.session)
         self._folder = folder
 
     def run(self, script: Callable[[], None]) -> None:
@@ -181,7 +181,7 @@ def picture_pages(camera: Photographer) -> None:
     session.rainy.make(session)
     while session.running_jobs or session.staged is not None:
         camera.frames(1)
-    session.set_weather("A shower that passes", passing_shower(duration_s=12.0, peak_mm_h=13.0))
+    session.set_weather("A shower that passes", shower_keyframes(duration_s=12.0, peak_mm_h=13.0))
     path_from_drive(session, every_s=2.0)
     session.clock.seek(_MOMENT_S)
     session.ride(True)
@@ -197,9 +197,9 @@ def picture_pages(camera: Photographer) -> None:
     camera.ctx.key_press(imgui.Key.f1)
     camera.take("keys")
     camera.ctx.key_press(imgui.Key.escape)
-    session.prefer(theme="light")
+    session.set_preference(theme="light")
     camera.take("window_light")
-    session.prefer(theme="dark")
+    session.set_preference(theme="dark")
 
 
 def picture_wet(camera: Photographer) -> None:
@@ -263,8 +263,8 @@ def picture_drive(camera: Photographer) -> None:
     """Two drives towards a car that stands: one that keeps its speed, and one that brakes, in rain, which plays."""
     session, drives = camera.session, camera.session.drives
     for agent, intensity in (("constant-velocity", 0.0), ("oracle-idm", 8.5)):
-        drives.wanted.wishes = msgspec.structs.replace(
-            drives.wanted.wishes, agent=agent, rain="one intensity", intensity_mm_h=intensity
+        drives.settings.wishes = msgspec.structs.replace(
+            drives.settings.wishes, agent=agent, rain="one intensity", intensity_mm_h=intensity
         )
         drives.start(session)
         while session.running_jobs or drives.is_working:

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from gsrain_engine.api import (
-    Rain,
-    Rainfall,
+    RainSettings,
+    RainSimulation,
     VirtualDisdrometer,
     calibrate,
     load_calibration,
@@ -29,7 +29,7 @@ minutes_s = np.arange(0.0, 301.0, 60.0)
 
 if not files:
     for intensity_mm_h in (1.2, 4.0, 8.5, 12.0):
-        rainfall = Rainfall.start(Rain(intensity_mm_h=intensity_mm_h))
+        rainfall = RainSimulation.start(RainSettings(intensity_mm_h=intensity_mm_h))
         files.append(out / f"spectra_{intensity_mm_h:g}mm_h.nc")
         write_spectra(files[-1], VirtualDisdrometer(rainfall).measure(minutes_s).spectra)
 
@@ -38,6 +38,6 @@ save_calibration(fitted.calibration, out / "calibration.yaml")  # Rain(calibrati
 write_plot(fitted, out / "calibration.png")
 for calibration in (load_calibration("published"), fitted.calibration):
     for intensity_mm_h in (1.2, 8.5):
-        state = Rainfall.start(Rain(intensity_mm_h=intensity_mm_h), calibration).state
+        state = RainSimulation.start(RainSettings(intensity_mm_h=intensity_mm_h), calibration).state
         drops = f"{state.density_m3:5.0f} drops/m3, {state.mean_diameter_mm:.3f} mm on average"
         print(f"{calibration.name:>9} at {intensity_mm_h:g} mm/h: {drops}")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gsrain_engine.api import Rain, Rainfall, VirtualDisdrometer, write_spectra
+from gsrain_engine.api import RainSettings, RainSimulation, VirtualDisdrometer, write_spectra
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 out.mkdir(parents=True, exist_ok=True)
@@ -18,7 +18,7 @@ minutes_s = np.arange(0.0, 301.0, 60.0)
 
 for closure in ("density", "published"):
     for intensity_mm_h in (1.2, 8.5, 12.0):
-        rainfall = Rainfall.start(Rain(intensity_mm_h=intensity_mm_h, closure=closure))
+        rainfall = RainSimulation.start(RainSettings(intensity_mm_h=intensity_mm_h, closure=closure))
         counted = VirtualDisdrometer(rainfall, area_m2=0.5).measure(minutes_s)
         measured = f"{counted.rate_mm_h:.3f} +- {counted.standard_error_mm_h:.3f} mm/h"
         print(f"{closure:9} {intensity_mm_h:4g} mm/h asked, {measured:>21} measured, {counted.drops:9,} drops counted")

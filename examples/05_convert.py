@@ -8,20 +8,29 @@
 import sys
 from pathlib import Path
 
-from gsrain_engine.api import FORMATS, Rain, home_camera, open_renderer, open_scene, psnr, render_still, write_scene
+from gsrain_engine.api import (
+    FORMATS,
+    RainSettings,
+    home_camera,
+    load_scene,
+    open_renderer,
+    psnr,
+    render_image,
+    write_scene,
+)
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
-scene = open_scene(sys.argv[2] if len(sys.argv) > 2 else "street")
+scene = load_scene(sys.argv[2] if len(sys.argv) > 2 else "street")
 camera = home_camera(scene, 480, 320)
 
 with open_renderer() as renderer:
-    original = render_still(renderer, scene, Rain(), camera).over()
+    original = render_image(renderer, scene, RainSettings(), camera).over()
     for each in FORMATS:
         if each.write is None:
             continue
         file = out / f"scene{each.suffix}"
         write_scene(scene, file)  # all layers in one file; a name without a suffix would be a scene folder
-        again = open_scene(file)
-        picture = render_still(renderer, again, Rain(), camera).over()
+        again = load_scene(file)
+        picture = render_image(renderer, again, RainSettings(), camera).over()
         size = file.stat().st_size / again.gaussian_count
         print(f"{file}: {size:.1f} bytes a Gaussian, {psnr(picture, original):.1f} dB")

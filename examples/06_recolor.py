@@ -13,20 +13,20 @@ import numpy as np
 from jaxtyping import Float32
 
 from gsrain_engine.api import (
-    Rain,
+    RainSettings,
     RecolorSettings,
     TargetView,
     ViewChoice,
     chosen_cameras,
-    finished,
     home_camera,
+    load_scene,
     open_renderer,
-    open_scene,
     recolor_scene,
-    render_still,
+    render_image,
+    run_to_end,
     scene_views,
     with_colors,
-    write_picture,
+    write_png,
     write_scene,
 )
 
@@ -37,12 +37,12 @@ def dusk(image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:
 
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
-scene = open_scene(sys.argv[2] if len(sys.argv) > 2 else "street")
+scene = load_scene(sys.argv[2] if len(sys.argv) > 2 else "street")
 views = scene_views(scene, chosen_cameras(scene, ViewChoice(count=8, width_px=240)))
 targets = [TargetView(view.name, view.camera, view.time_s, dusk(view.image)) for view in views]
 
 settings = RecolorSettings(iterations=8, sh_degree=1, exposure=False)  # the look has the same exposure everywhere
-recolored = finished(recolor_scene(scene, targets[:4] + targets[5:], targets[4:5], settings))
+recolored = run_to_end(recolor_scene(scene, targets[:4] + targets[5:], targets[4:5], settings))
 for view in recolored.measured:
     print(f"{view.name}, which was held out: {view.psnr_clear_db:.1f} dB before, {view.psnr_db:.1f} dB now")
 
@@ -50,5 +50,5 @@ at_dusk = with_colors(scene, recolored.colors)  # beside the clear colours: the 
 write_scene(at_dusk, out / "at_dusk")
 with open_renderer() as renderer:
     for wetness in (0.0, 1.0):
-        frame = render_still(renderer, at_dusk, Rain(wetness=wetness), home_camera(scene, 480, 320))
-        write_picture(out / f"dusk_{wetness:g}.png", frame.to_uint8())
+        frame = render_image(renderer, at_dusk, RainSettings(wetness=wetness), home_camera(scene, 480, 320))
+        write_png(out / f"dusk_{wetness:g}.png", frame.to_uint8())

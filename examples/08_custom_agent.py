@@ -15,18 +15,18 @@ from msgspec import structs
 
 from gsrain_engine.api import (
     SPACING_S,
-    Needs,
     Observation,
-    Plan,
     Rig,
-    Run,
+    ScoredRun,
+    SensorRequirements,
     Simulation,
-    compare,
-    drive_through,
+    Trajectory,
+    compare_drives,
     load_scenario,
+    load_scene,
     open_agent,
-    open_scene,
     results_table,
+    run_drive,
     write_rollout,
 )
 
@@ -35,13 +35,13 @@ class TwoSecondsAgent:
     """Keeps two seconds, and four metres, to whoever is ahead in its lane."""
 
     name = "two-seconds"
-    needs = Needs()  # Needs(cameras=("front",)) has pictures drawn, in the rain, into `observation.views`
+    needs = SensorRequirements()  # Needs(cameras=("front",)) has pictures drawn, in the rain, into `observation.views`
 
     def reset(self, seed: int, rig: Rig) -> None:
         """Begin a drive."""
         self._front_m = rig.vehicle.front_m  # of its bumper, from the rear axle
 
-    def plan(self, observation: Observation) -> Plan:
+    def plan(self, observation: Observation) -> Trajectory:
         """Return where to be 0.5, 1.0, ... 3.0 s from now: x forward and y left of the vehicle, in metres."""
         others = [observation.state.from_world(user.box.corners) for user in observation.road_users]
         gaps = [float(box[:, 0].min()) - self._front_m for box in others if np.abs(box[:, 1]).min() < 1.5]
@@ -49,7 +49,7 @@ class TwoSecondsAgent:
         speed_m_s = min(observation.state.speed_m_s, max(gap_m - 4.0, 0.0) / 2.0)
         way = observation.route_ahead(reach_m=60.0, step_m=0.25)  # a point every 25 cm
         reached = speed_m_s * SPACING_S * np.arange(1, 7) / 0.25
-        return Plan(way[np.minimum(reached.round().astype(int), len(way) - 1)], {"gap_m": gap_m})
+        return Trajectory(way[np.minimum(reached.round().astype(int), len(way) - 1)], {"gap_m": gap_m})
 
     def close(self) -> None:
         """Nothing is held."""
@@ -58,11 +58,11 @@ class TwoSecondsAgent:
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 scenario = load_scenario("stationary-lead")
 scenario = structs.replace(scenario, scene=sys.argv[2] if len(sys.argv) > 2 else "street")
-simulation = Simulation(scenario, open_scene(scenario.scene))
+simulation = Simulation(scenario, load_scene(scenario.scene))
 out.mkdir(parents=True, exist_ok=True)
-runs: list[Run] = []
+runs: list[ScoredRun] = []
 for agent in (open_agent("constant-velocity"), TwoSecondsAgent()):
-    rollout = drive_through(simulation, agent)
+    rollout = run_drive(simulation, agent)
     write_rollout(out / f"{agent.name}.jsonl", rollout)  # the window plays it
-    runs.append(Run.of(rollout, simulation.occupied))
-print(results_table(compare(runs)).text)
+    runs.append(ScoredRun.of(rollout, simulation.occupied))
+print(results_table(compare_drives(runs)).text)

@@ -10,7 +10,7 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-from gsrain_engine.api import DriveSweep, Jitter, finish_sweep, finished
+from gsrain_engine.api import DriveSweep, Jitter, run_sweep_and_report, run_to_end
 
 
 def main(out: Path, scene: str) -> None:
@@ -23,7 +23,7 @@ def main(out: Path, scene: str) -> None:
         seeds=2,
         jitter=Jitter(ahead_m=1.0),
     )
-    told = finished(finish_sweep(sweep, out / "sweep"), lambda step: print(step.message))
+    told = run_to_end(run_sweep_and_report(sweep, out / "sweep"), lambda step: print(step.message))
     for cell in told["cells"]:
         print(f"{cell['agent']} at {cell['intensity_mm_h']:g} mm/h: {cell['collisions']} of {cell['runs']} collide")
     for error, count in told["errors"].items():

@@ -1,11 +1,11 @@
 """Closed-loop drives: an agent drives through a scene in the rain, and is measured."""
 
 from gsrain_engine.backends import Backend
-from gsrain_engine.rain.settings import Rain as RainSettings
+from gsrain_engine.rain.settings import RainSettings as RainSettings
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.simulation.agents.base import Agent as Agent
 from gsrain_engine.simulation.metrics.summary import DriveMetrics as DriveMetrics
-from gsrain_engine.simulation.metrics.summary import Run as Run
+from gsrain_engine.simulation.metrics.summary import ScoredRun as Run
 from gsrain_engine.simulation.rollout import Rollout as Rollout
 from gsrain_engine.simulation.rollout_io import read_rollout as read_rollout
 from gsrain_engine.simulation.scenario import Scenario as Scenario

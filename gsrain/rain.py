@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from gsrain_engine.rain.settings import Rain as RainSettings
+from gsrain_engine.rain.settings import RainSettings as RainSettings
 from gsrain_engine.rain.settings import load_preset
-from gsrain_engine.safe_io.errors import converted
+from gsrain_engine.safe_io.errors import convert_checked
 
 if TYPE_CHECKING:
-    from gsrain_engine.disdrometer.measurement import CountedDrops
+    from gsrain_engine.disdrometer.measurement import DisdrometerMeasurement
 
 _FIELDS = {"intensity": "intensity_mm_h", "wind": "wind_m_s", "exposure": "exposure_s", "gusts": "gust_m_s"}
 """Short names, which the units in the docstring go with, and the fields that they set."""
@@ -94,7 +94,7 @@ Rain.register(RainSettings)
 class RainMeasurement:
     """What the virtual disdrometer measured."""
 
-    counted: "CountedDrops"
+    counted: "DisdrometerMeasurement"
     """All that was counted, by drop class; `counted.spectra` is what an instrument would hand over."""
 
     @property
@@ -136,17 +136,19 @@ def measure_rain(rain: RainSettings, seconds: float = 60.0, *, area: float = 0.5
         ValueError: For a time that is not above 0, or an area on which the drop field would repeat.
     """
     from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
-    from gsrain_engine.rain.simulation import Rainfall
+    from gsrain_engine.rain.simulation import RainSimulation
 
     if not 0 < seconds < np.inf:
         raise ValueError(f"seconds {seconds:g}: must be above 0")
-    return RainMeasurement(VirtualDisdrometer(Rainfall.start(rain), area).measure(np.array([0.0, float(seconds)])))
+    return RainMeasurement(
+        VirtualDisdrometer(RainSimulation.start(rain), area).measure(np.array([0.0, float(seconds)]))
+    )
 
 
 def _checked(values: dict[str, Any]) -> RainSettings:
     """Return settings; what is wrong is reported by the short name of the argument."""
     try:
-        return converted(values, RainSettings)
+        return convert_checked(values, RainSettings)
     except ValueError as error:
         message = str(error)
     for short, field in _FIELDS.items():

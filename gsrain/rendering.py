@@ -11,11 +11,12 @@ from typing import Any, Literal
 
 from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.editor.viewport.camera import default_path, home_camera
-from gsrain_engine.rain.settings import Rain as RainSettings
-from gsrain_engine.render.export import film, film_frames
-from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX, Recording
-from gsrain_engine.render.sequence import render_still
-from gsrain_engine.safe_io.errors import converted
+from gsrain_engine.rain.settings import RainSettings as RainSettings
+from gsrain_engine.render.export import film_frames
+from gsrain_engine.render.export import render_video as film
+from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX, ExportSettings
+from gsrain_engine.render.sequence import render_image
+from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.progress import Progress
@@ -63,7 +64,7 @@ class Renderer:
         seen = _still_camera(scene, camera, size, time)
         with self._lock:
             self._check_open()
-            return Image(render_still(self._renderer, scene, rain or DRY, seen, time, with_depth=depth))
+            return Image(render_image(self._renderer, scene, rain or DRY, seen, time, with_depth=depth))
 
     def frames(
         self,
@@ -83,7 +84,7 @@ class Renderer:
             self._check_open()
             seen = path or default_path(scene, *DEFAULT_SIZE_PX)
             made = film_frames(self._renderer, recording, scene, rain or DRY, seen, with_depth=depth)
-        return self._taken(made)
+        return self._accept(made)
 
     def render_video(
         self,
@@ -133,7 +134,7 @@ class Renderer:
     def __repr__(self) -> str:
         return f"<gsrain.Renderer {self.backend}{'' if self._is_open else ', closed'}>"
 
-    def _taken(self, made: Iterator[Any]) -> Iterator[Image]:
+    def _accept(self, made: Iterator[Any]) -> Iterator[Image]:
         while True:
             with self._lock:
                 self._check_open()
@@ -284,12 +285,12 @@ def _recording(
     start: float,
     end: float | None,
     **settings: Any,
-) -> Recording:
+) -> ExportSettings:
     """Return checked settings of a clip; what is wrong is reported by the argument's name."""
     own = None if isinstance(viewpoint, Camera) else DEFAULT_SIZE_PX
     values = {"output": output, "size_px": size or own, "fps": fps, "first_s": start, "last_s": end} | settings
     try:
-        return converted(values, Recording)
+        return convert_checked(values, ExportSettings)
     except ValueError as error:
         message = str(error)
     for field, argument in _ARGUMENTS.items():

@@ -7,20 +7,20 @@ from typing import Any
 import msgspec
 
 from gsrain_engine.appearance.base import TransferSettings
-from gsrain_engine.appearance.registry import method_of
+from gsrain_engine.appearance.registry import find_method
 from gsrain_engine.appearance.scene_views import ViewChoice
 from gsrain_engine.datasets.capture import Capture as Capture
 from gsrain_engine.datasets.capture import CaptureError as CaptureError
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.editor.edits.level import Axis, oriented
-from gsrain_engine.safe_io.errors import converted
+from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.scene.files import SceneFormatError as SceneFormatError
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.gaussians import Gaussians as Gaussians
 from gsrain_engine.scene.gaussians import sh_from_color as sh_from_color
-from gsrain_engine.scene.open import open_scene, open_to_draw
+from gsrain_engine.scene.open import load_scene, load_sorted_scene
 from gsrain_engine.scene.progress import Progress as Progress
-from gsrain_engine.scene.progress import finished
+from gsrain_engine.scene.progress import run_to_end
 from gsrain_engine.scene.scene import Actor as Actor
 from gsrain_engine.scene.scene import Layer as Layer
 from gsrain_engine.scene.scene import Scene as Scene
@@ -47,7 +47,7 @@ def load(
         SceneFormatError: When it can't be read; names the file and the field.
         ValueError: For an axis or a scale that is not allowed.
     """
-    return oriented(open_to_draw(path) if sort else open_scene(path), up, scale)
+    return oriented(load_sorted_scene(path) if sort else load_scene(path), up, scale)
 
 
 def save(scene: Scene, path: Path | str) -> None:
@@ -99,14 +99,14 @@ def wet(
         ValueError: For an unknown method or setting, and where what the method needs is missing.
     """
     from gsrain_engine.editor.jobs.make_rainy import (
-        TransferOrder,
+        TransferRequest,
         rainy_by,  # kernels take a second to load
     )
 
-    row = method_of(method)
+    row = find_method(method)
     given = settings if weights is None else settings | {"weights": weights}
     given = {name: Path(value) if name in _PATHS and isinstance(value, str) else value for name, value in given.items()}
-    chosen: TransferSettings = converted(given, TransferSettings)
+    chosen: TransferSettings = convert_checked(given, TransferSettings)
     for name in _PATHS:
         path: Path | None = getattr(chosen, name)
         if path is not None and not path.exists():
@@ -115,4 +115,4 @@ def wet(
         raise ValueError(f"method {method!r} needs the argument {row.needs}=")
     count = QUICK_VIEWS if views is None and method == "wet" else views
     choice: ViewChoice = msgspec.convert({"count": count}, ViewChoice)
-    return finished(rainy_by(scene, TransferOrder(method, chosen, choice)), progress)
+    return run_to_end(rainy_by(scene, TransferRequest(method, chosen, choice)), progress)

@@ -17,9 +17,9 @@ from types import TracebackType
 from typing import Any, BinaryIO, Literal, cast
 
 from gsrain_engine.editor.jobs.job import temporary_folder, write_copy
-from gsrain_engine.rain.settings import Rain as RainSettings
+from gsrain_engine.rain.settings import RainSettings as RainSettings
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.formats.scene_folder import KnownFiles
+from gsrain_engine.scene.formats.scene_folder import FileCache
 from gsrain_engine.scene.scene import Scene
 
 from .viewer_messages import Close, GetState, Reply, Request, Screenshot, SetCamera, SetRain, SetScene, receive, send
@@ -106,7 +106,7 @@ class Viewer:
         def write(pipe: BinaryIO, folder: Path) -> None:
             place = folder / str(number)
             place.mkdir()
-            send(pipe, SetScene(number=number, folder=str(write_copy(scene, place, KnownFiles()))))
+            send(pipe, SetScene(number=number, folder=str(write_copy(scene, place, FileCache()))))
 
         # The window has read the scene when it replies.
         self._expect(number).add_done_callback(lambda _: self._outbox.put(lambda _, folder: _remove(folder, number)))

@@ -5,7 +5,7 @@ from typing import Any, BinaryIO
 
 import msgspec
 
-from gsrain_engine.rain.settings import Rain as RainSettings
+from gsrain_engine.rain.settings import RainSettings as RainSettings
 
 _LENGTH = struct.Struct(">I")
 _MAX_BYTES = 1 << 24

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from .render.cpu.renderer import CpuRenderer
-from .render.hardware import processor
+from .render.hardware import processor_name
 from .render.opengl.context import NoOpenGLError, check_context, is_software, open_context
 from .render.opengl.renderer import OffscreenRenderer, SplatRenderer
 from .render.renderer import Renderer
 from .scene.camera import Camera
 from .scene.gaussians import Gaussians, sh_from_color
-from .scene.scene import Part
+from .scene.scene import DrawItem
 
 if TYPE_CHECKING:
     from .render.cuda.renderer import CudaRenderer
@@ -65,7 +65,7 @@ def device_of(renderer: Renderer) -> str:
     """Name what executes a renderer's drawing."""
     if isinstance(renderer, SplatRenderer):
         return renderer.context.info["GL_RENDERER"]
-    return getattr(renderer, "device_name", None) or processor()
+    return getattr(renderer, "device_name", None) or processor_name()
 
 
 # § Opens the `cuda` back end where there is a GPU, torch and gsplat; none of them is imported before that.
@@ -103,8 +103,8 @@ def open_cuda_renderer() -> "CudaRenderer":
     return renderer
 
 
-def _one_gaussian() -> Part:
+def _one_gaussian() -> DrawItem:
     f = np.float32
     color = sh_from_color(np.full((1, 3), 0.5, f))
     axes = np.array([[1, 0, 0, 0]], f)
-    return Part(Gaussians(np.array([[0, 0, 2]], f), np.full((1, 3), 0.1, f), axes, np.ones(1, f), color), np.eye(4))
+    return DrawItem(Gaussians(np.array([[0, 0, 2]], f), np.full((1, 3), 0.1, f), axes, np.ones(1, f), color), np.eye(4))

@@ -23,7 +23,7 @@ _SOURCES = _HERE / "raster", _HERE / "rain"
 _FRAME_SOURCES = *_SOURCES, _HERE / "scene"
 """Where all kernels of a frame are."""
 
-_KEPT = 2
+_CACHED_VERSIONS = 2
 
 _UNUSED_S = 3600.0
 """A folder from which no process has started for so long may go; one that still runs compiles again, no more."""
@@ -143,7 +143,7 @@ def _key(version: str, sources: Iterable[Path]) -> str:
 
 def _remove_old(root: Path) -> None:
     used = {folder: folder.stat().st_mtime for folder in root.iterdir() if folder.is_dir()}
-    for folder in sorted(used, key=used.__getitem__, reverse=True)[_KEPT:]:
+    for folder in sorted(used, key=used.__getitem__, reverse=True)[_CACHED_VERSIONS:]:
         if time.time() - used[folder] > _UNUSED_S:
             shutil.rmtree(folder, ignore_errors=True)  # another process may be at it too
 

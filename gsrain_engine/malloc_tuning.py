@@ -11,11 +11,11 @@ _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of glibc's malloc.h
 _LARGEST = 32 << 20
 """Bytes; the most that glibc takes. What is larger still comes from the system and goes back to it."""
 
-_KEPT = 256 << 20
+_RETAINED_BYTES = 256 << 20
 """Bytes."""
 
 
-def keep_freed_memory() -> None:
+def tune_malloc() -> None:
     """Tell malloc to keep what is freed, up to 256 MiB, on Linux with glibc; elsewhere nothing changes.
 
     A frame needs some 30 MB for a while. By default glibc now and then returns them and fetches them again from the
@@ -26,7 +26,7 @@ def keep_freed_memory() -> None:
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # musl has none
     if mallopt is not None:
         mallopt(_MMAP_THRESHOLD, _LARGEST)
-        mallopt(_TRIM_THRESHOLD, _KEPT)
+        mallopt(_TRIM_THRESHOLD, _RETAINED_BYTES)
 
 
 # § Memory that is free goes back to the system once work has ended.
@@ -38,7 +38,7 @@ _ARENA_MAX = -8  # of glibc's malloc.h
 
 
 def use_one_arena() -> None:
-    """Allocate for all threads in one place, which `return_freed_memory` can empty; to be called before threads start.
+    """Allocate for all threads in one place, which `trim_memory` can empty; to be called before threads start.
 
     glibc gives each thread an arena of its own, and never returns the free end of any but the first: a window that
     runs jobs in threads grew from 560 to 770 MB in ten of them, with 140 MB in use.
@@ -48,7 +48,7 @@ def use_one_arena() -> None:
         mallopt(_ARENA_MAX, 1)
 
 
-def return_freed_memory() -> None:
+def trim_memory() -> None:
     """Give memory that was freed back to the system; does nothing where the C library is not glibc.
 
     glibc keeps what lies below something that is still in use: hundreds of megabytes after some large scenes and jobs.
@@ -63,7 +63,7 @@ def _of_glibc(function: str) -> Any:
     return getattr(ctypes.CDLL(None), function, None) if sys.platform == "linux" else None
 
 
-class FreedMemory:
+class MemoryTrimmer:
     """Returns freed memory when work has ended and a second has passed, in a thread."""
 
     def __init__(self, thread: Executor) -> None:
@@ -78,4 +78,4 @@ class FreedMemory:
         """Return memory when it is time. Once a frame."""
         if self._due_s is not None and time.monotonic() > self._due_s:
             self._due_s = None
-            self._thread.submit(return_freed_memory)
+            self._thread.submit(trim_memory)

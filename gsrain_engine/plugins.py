@@ -14,7 +14,7 @@ logger = logging.getLogger("gsrain")
 _Kind = TypeVar("_Kind")
 
 
-class Group(NamedTuple):
+class EntryPointGroup(NamedTuple):
     """Entry points of one kind."""
 
     name: str
@@ -25,21 +25,25 @@ class Group(NamedTuple):
     """What an entry point has to name."""
 
 
-AGENTS = Group("gsrain.agents", "agent", "a callable that takes `AgentOptions` and returns an `Agent`")
+AGENTS = EntryPointGroup("gsrain.agents", "agent", "a callable that takes `AgentOptions` and returns an `Agent`")
 
-CAPTURE_FORMATS = Group("gsrain.capture_formats", "capture format", "a `CaptureFormat`")
+CAPTURE_FORMATS = EntryPointGroup("gsrain.capture_formats", "capture format", "a `CaptureFormat`")
 
-DECODERS = Group("gsrain.decoders", "decoder", "a `Decoder` for what a detector gives")
+DECODERS = EntryPointGroup("gsrain.decoders", "decoder", "a `Decoder` for what a detector gives")
 
-DISDROMETERS = Group("gsrain.disdrometers", "disdrometer format", "a `LogFormat`")
+DISDROMETERS = EntryPointGroup("gsrain.disdrometers", "disdrometer format", "a `LogFormat`")
 
-EVALUATIONS = Group("gsrain.evaluations", "evaluation", "a function whose parameters are the options of a command")
+EVALUATIONS = EntryPointGroup(
+    "gsrain.evaluations", "evaluation", "a function whose parameters are the options of a command"
+)
 
-PANELS = Group("gsrain.panels", "panel", "a `Panel`")
+PANELS = EntryPointGroup("gsrain.panels", "panel", "a `Panel`")
 
-SCENE_FORMATS = Group("gsrain.scene_formats", "scene format", "a `Format`; the entry's name is the suffix, no dot")
+SCENE_FORMATS = EntryPointGroup(
+    "gsrain.scene_formats", "scene format", "a `Format`; the entry's name is the suffix, no dot"
+)
 
-TRANSFERS = Group("gsrain.transfers", "transfer", "a `Method` of the entry's name")
+TRANSFERS = EntryPointGroup("gsrain.transfers", "transfer", "a `TransferMethod` of the entry's name")
 
 GROUPS = (AGENTS, CAPTURE_FORMATS, DECODERS, DISDROMETERS, EVALUATIONS, PANELS, SCENE_FORMATS, TRANSFERS)
 """All that can be added without a change of the program; docs/extending.md has an example of each."""
@@ -53,7 +57,7 @@ class ExtensionError(ValueError):
 class Extension:
     """One entry point of another package. Its name is known at once; its code runs when it is loaded."""
 
-    group: Group
+    group: EntryPointGroup
     name: str
     place: str
     """Module and object: my_package.panels:CLOUDBURST."""
@@ -119,35 +123,35 @@ class Extension:
             return None, error
 
 
-def extensions(group: Group) -> tuple[Extension, ...]:
+def find_extensions(group: EntryPointGroup) -> tuple[Extension, ...]:
     """What installed packages add of one kind, by name; of several with one name the first that is found."""
     return _found(group, tuple(sys.path))
 
 
-def extension(group: Group, name: str) -> Extension | None:
+def find_extension(group: EntryPointGroup, name: str) -> Extension | None:
     """Return the one of that name; None where there is none."""
-    return next((each for each in extensions(group) if each.name == name), None)
+    return next((each for each in find_extensions(group) if each.name == name), None)
 
 
-def loaded(group: Group, kind: type[_Kind]) -> list[tuple[Extension, _Kind]]:
+def load_extensions(group: EntryPointGroup, kind: type[_Kind]) -> list[tuple[Extension, _Kind]]:
     """Load all of one kind; what can't be used is left out, and said once in the log."""
     fit: list[tuple[Extension, _Kind]] = []
-    for each in extensions(group):
+    for each in find_extensions(group):
         try:
             fit.append((each, each.load(kind)))
         except ExtensionError as error:
-            say_once(str(error))
+            warn_once(str(error))
     return fit
 
 
 @lru_cache(maxsize=64)
-def say_once(sentence: str) -> None:
+def warn_once(sentence: str) -> None:
     """Warn in the log about an extension that is left out, the first time."""
     logger.warning("%s; it is left out", sentence)
 
 
 @lru_cache(maxsize=64)
-def _found(group: Group, path: tuple[str, ...]) -> tuple[Extension, ...]:
+def _found(group: EntryPointGroup, path: tuple[str, ...]) -> tuple[Extension, ...]:
     """Search the metadata of all packages on `path`, Python's own; that takes too long for every frame of a window."""
     named: dict[str, Extension] = {}
     for entry in entry_points(group=group.name):

@@ -5,7 +5,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any, TypeVar
 
-from .safe_io.errors import converted
+from .safe_io.errors import convert_checked
 from .safe_io.text_files import read_whole, yaml_values
 
 _Config = TypeVar("_Config")
@@ -21,7 +21,7 @@ def shipped_folder(name: str) -> Path:
     return inside if inside.is_dir() else package.parent / name
 
 
-def shipped_names(folder: str) -> list[str]:
+def shipped_config_names(folder: str) -> list[str]:
     """Names of the shipped files of a folder, in the order of the alphabet."""
     files = (shipped_folder("sample_configs") / folder).iterdir()
     return sorted(file.name.removesuffix(".yaml") for file in files if file.name.endswith(".yaml"))
@@ -37,17 +37,17 @@ def load_config(
 ) -> _Config:
     """Read a file as a type that msgspec knows; `what` it is begins the sentence where it is not found.
 
-    Its fields `files` name files, which count from its own folder (`standing_beside`), but for `known` names. Raises
-    ValueError with the file, the field and what is allowed, OSError where it can't be read.
+    Its fields `files` name files, which count from its own folder (`resolve_from_folder`), but for `known` names.
+    Raises ValueError with the file, the field and what is allowed, OSError where it can't be read.
     """
     data = _data(folder, str(name), what)
     try:
         values = yaml_values(data)
-        if str(name) not in shipped_names(folder):
-            values = _beside(values, Path(name).parent, files, known)
-        return converted(values, kind)
+        if str(name) not in shipped_config_names(folder):
+            values = _resolve_names(values, Path(name).parent, files, known)
+        return convert_checked(values, kind)
     except ValueError as error:
-        where = f"{what} {name}" if str(name) in shipped_names(folder) else name
+        where = f"{what} {name}" if str(name) in shipped_config_names(folder) else name
         raise ValueError(f"{where}: {error}") from None
 
 
@@ -61,7 +61,7 @@ def load_values(
     return {str(key): value for key, value in values.items()}
 
 
-def standing_beside(folder: Path, name: str) -> str:
+def resolve_from_folder(folder: Path, name: str) -> str:
     """Return a name that counts from a folder as it counts from the working folder; as it is if nothing stands there.
 
     A name that goes on behind `.py:` names something in a Python file.
@@ -72,14 +72,14 @@ def standing_beside(folder: Path, name: str) -> str:
     return os.path.normpath(folder / name) if name and is_there else name
 
 
-def _beside(values: Any, folder: Path, files: Collection[str], known: Collection[str]) -> Any:
+def _resolve_names(values: Any, folder: Path, files: Collection[str], known: Collection[str]) -> Any:
     """Return plain values with the names in the fields `files`, at any depth, as they count from the working folder."""
     if isinstance(values, list):
-        return [_beside(each, folder, files, known) for each in values]
+        return [_resolve_names(each, folder, files, known) for each in values]
     if not isinstance(values, dict):
         return values
     return {
-        key: _named(each, folder, files, known) if key in files else _beside(each, folder, files, known)
+        key: _named(each, folder, files, known) if key in files else _resolve_names(each, folder, files, known)
         for key, each in values.items()
     }
 
@@ -88,15 +88,15 @@ def _named(value: Any, folder: Path, files: Collection[str], known: Collection[s
     if isinstance(value, list):
         return [_named(each, folder, files, known) for each in value]
     if isinstance(value, str):
-        return value if value in known else standing_beside(folder, value)
-    return _beside(value, folder, files, known)
+        return value if value in known else resolve_from_folder(folder, value)
+    return _resolve_names(value, folder, files, known)
 
 
 def _data(folder: str, name: str, what: str) -> bytes:
-    if name in shipped_names(folder):
+    if name in shipped_config_names(folder):
         return (shipped_folder("sample_configs") / folder / f"{name}.yaml").read_bytes()
     path = Path(name)
     if not path.exists():
-        known = ", ".join(shipped_names(folder))
+        known = ", ".join(shipped_config_names(folder))
         raise ValueError(f"{what} {name}: no such file, and none of the shipped ones ({known})")
     return read_whole(path)

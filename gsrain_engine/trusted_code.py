@@ -27,7 +27,7 @@ import msgspec
 import platformdirs
 
 from .safe_io.limits import open_file, read_file
-from .scene.files import locked, whole_file
+from .scene.files import lock_path, whole_file
 
 logger = logging.getLogger("gsrain")
 
@@ -166,7 +166,7 @@ def trust(digests: Iterable[str]) -> None:
     _trusted.update(digests)
 
 
-def expect(digests: Mapping[str, str]) -> None:
+def expect_trusted(digests: Mapping[str, str]) -> None:
     """Take over another process's decision: code at these paths runs here if it has these digests."""
     _named_by_files.update(digests)
     trust(digests.values())
@@ -202,14 +202,14 @@ def check_named(named_by: str | Path, path: Path, packages: Sequence[str] = ()) 
         check_trusted(named_by, [read_code(path, packages)])
 
 
-def remember(codes: Iterable[Code]) -> None:
+def trust_permanently(codes: Iterable[Code]) -> None:
     """Allow code for good, and in this process; a log line says so where the answer can't be written down."""
     codes = list(codes)
     trust(each.digest for each in codes)
     path = answers_file()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with locked(path.parent):
+        with lock_path(path.parent):
             known = _remembered() | {each.digest: str(each.path) for each in codes}
             with suppress(FileNotFoundError):
                 path.chmod(0o600)  # the new file keeps the permissions of the old one
@@ -267,7 +267,7 @@ def importable(code: Code) -> Generator[None]:
     """Let the packages of a folder be imported by their names while the block runs; no trace of them stays behind."""
     tops = {name.partition(".")[0] for name in code.files}
     before = {name: sys.modules.pop(name) for name in list(sys.modules) if name.partition(".")[0] in tops}
-    finder = _Finder(code)
+    finder = _CodeFinder(code)
     sys.meta_path.insert(0, finder)
     try:
         yield
@@ -282,14 +282,16 @@ def _serve(code: Code) -> None:
     """Serve the neighbors of a file from now on: a driver may import one when it is asked for a plan."""
     for name in code.files:  # what another file's neighbor of that name was is not this one's
         module = sys.modules.get(name)
-        if module is not None and isinstance(module.__loader__, _Loader):
+        if module is not None and isinstance(module.__loader__, _CodeLoader):
             del sys.modules[name]
-    sys.meta_path[:] = [each for each in sys.meta_path if not (isinstance(each, _Finder) and each.path == code.path)]
+    sys.meta_path[:] = [
+        each for each in sys.meta_path if not (isinstance(each, _CodeFinder) and each.path == code.path)
+    ]
     if set(code.files) != {MAIN}:
-        sys.meta_path.insert(0, _Finder(code))
+        sys.meta_path.insert(0, _CodeFinder(code))
 
 
-class _Finder(importlib.abc.MetaPathFinder):
+class _CodeFinder(importlib.abc.MetaPathFinder):
     """Finds the modules of one program, in memory."""
 
     def __init__(self, code: Code) -> None:
@@ -305,14 +307,14 @@ class _Finder(importlib.abc.MetaPathFinder):
         file = self._files.get(fullname)
         if file is not None:
             origin = str(file.path)
-            loader = _Loader(file)
+            loader = _CodeLoader(file)
             return importlib.util.spec_from_loader(fullname, loader, origin=origin, is_package=file.is_package)
         if fullname in self._folders:  # a folder without __init__.py
-            return importlib.util.spec_from_loader(fullname, _Loader(None), is_package=True)
+            return importlib.util.spec_from_loader(fullname, _CodeLoader(None), is_package=True)
         return None
 
 
-class _Loader(importlib.abc.Loader):
+class _CodeLoader(importlib.abc.Loader):
     """Runs a file from the bytes that were read; bytecode that lies near it is never used."""
 
     def __init__(self, file: CodeFile | None) -> None:

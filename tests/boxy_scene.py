@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gsrain_engine.scene.scene import Actor, Track
+from gsrain_engine.scene.scene import Actor, PoseTrack
 from small_scene import patch, small_scene
 
 NEAR_M, FAR_M = 10.0, 20.0
@@ -14,7 +14,7 @@ SIZE_LWH = (4.0, 2.0, 1.5)
 def flat_car(name, x, y, color, class_name="Car"):
     """A car whose rear is all there is of it, at the middle of its length, standing at a place of the world."""
     rear = patch((0, -1.0, 0.0), np.array([0, 2.0, 0]), np.array([0, 0, 1.5]), 40, color)
-    track = Track(np.zeros(1), np.array([[x, y, 0.0]]), np.array([[1.0, 0, 0, 0]]), np.ones(1, bool))
+    track = PoseTrack(np.zeros(1), np.array([[x, y, 0.0]]), np.array([[1.0, 0, 0, 0]]), np.ones(1, bool))
     return Actor(name, class_name, SIZE_LWH, rear, track)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from gsrain_engine.datasets.capture import Capture, View
+from gsrain_engine.datasets.capture import Capture, CaptureFrame
 from gsrain_engine.scene.geometry import quaternions_from_matrices
 
 IDS = {
@@ -70,7 +70,7 @@ def write_pictures(folder: Path, names: tuple[str, ...] = TWO, size: tuple[int, 
         Image.fromarray(noise).save(folder / name)
 
 
-def cut_rows(capture: Capture) -> tuple[View, ...]:
+def cut_rows(capture: Capture) -> tuple[CaptureFrame, ...]:
     """Views that are each a row higher than the one before, as undistortion by one camera a picture makes them."""
     views = []
     for k, view in enumerate(capture):
@@ -83,7 +83,7 @@ def cut_rows(capture: Capture) -> tuple[View, ...]:
     return tuple(views)
 
 
-def write_undistorted(folder: Path, views: Sequence[View], points_m: np.ndarray) -> None:
+def write_undistorted(folder: Path, views: Sequence[CaptureFrame], points_m: np.ndarray) -> None:
     """Write what image_undistorter makes of photos with a camera each: images/, and a PINHOLE camera a picture."""
     (folder / "images").mkdir(parents=True)
     (folder / "sparse").mkdir()

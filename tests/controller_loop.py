@@ -3,7 +3,7 @@
 import numpy as np
 
 from gsrain_engine.simulation.route import Route
-from gsrain_engine.simulation.vehicle import Vehicle, VehicleState, moved_on
+from gsrain_engine.simulation.vehicle import Vehicle, VehicleState, step_bicycle
 
 CAR = Vehicle()
 STRAIGHT = Route(np.array([[0.0, 0], [500, 0]]))
@@ -30,7 +30,7 @@ def driven(controller, route, speed_m_s, state=None, steps=60, vehicle=CAR):
         along = route.nearest(state.x_m, state.y_m).along_m
         plan = state.from_world(np.array([route.at(along + speed_m_s * 0.5 * k)[:2] for k in range(1, 7)]))
         controls.append(controller.control(vehicle, state, plan, 0.5))
-        state = moved_on(vehicle, state, controls[-1], 0.25)
+        state = step_bicycle(vehicle, state, controls[-1], 0.25)
         states.append(state)
         left.append(route.nearest(state.x_m, state.y_m).left_m)
     return states, np.array(left), np.array(controls)

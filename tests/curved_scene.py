@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gsrain_engine.scene.scene import Track
+from gsrain_engine.scene.scene import PoseTrack
 from small_scene import small_scene
 
 RADIUS_M = 40.0
@@ -16,4 +16,4 @@ def curved_scene():
     turned = times * 5.0 / RADIUS_M
     places = np.stack([RADIUS_M * np.sin(turned), RADIUS_M * (1 - np.cos(turned)), np.full(40, 1.5)], axis=1)
     quaternions = np.stack([np.cos(turned / 2), 0 * turned, 0 * turned, np.sin(turned / 2)], axis=1)
-    return replace(small_scene("curved"), ego=Track(times, places, quaternions, np.ones(40, bool)))
+    return replace(small_scene("curved"), ego=PoseTrack(times, places, quaternions, np.ones(40, bool)))

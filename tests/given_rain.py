@@ -5,14 +5,14 @@ from typing import Literal
 
 import numpy as np
 
-from gsrain_engine.rain.simulation import FallingRain
+from gsrain_engine.rain.simulation import RainFrame
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.geometry import linear_to_srgb
 
 
 @dataclass(frozen=True, eq=False)
-class GivenRain(FallingRain):
-    """A `FallingRain` whose Gaussians are given, not made from drops."""
+class GivenRain(RainFrame):
+    """A `RainFrame` whose Gaussians are given, not made from drops."""
 
     given: Gaussians = Gaussians.empty()  # noqa: RUF009
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from gsrain_engine.datasets.capture import Capture, View
+from gsrain_engine.datasets.capture import Capture, CaptureFrame
 from gsrain_engine.datasets.geometry import nearest_sweep, project_points
 
 
-def edge_agreement(view: View, points: np.ndarray) -> float:
+def edge_agreement(view: CaptureFrame, points: np.ndarray) -> float:
     """Correlation, over points, of lying at an edge in depth and lying at one of the picture (Levinson 2013)."""
     grey = cv2.GaussianBlur(cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 2.0)
     edges = cv2.GaussianBlur(
@@ -27,7 +27,7 @@ def edge_agreement(view: View, points: np.ndarray) -> float:
     return float(np.corrcoef(np.log1p(edges[rows, columns]), jump > 0.01)[0, 1])
 
 
-def agreement_when_turned(capture: Capture, view: View, degrees: float) -> float:
+def agreement_when_turned(capture: Capture, view: CaptureFrame, degrees: float) -> float:
     """The same after the camera was turned about its vertical axis."""
     cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     turn = np.eye(4)

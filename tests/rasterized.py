@@ -9,10 +9,10 @@ from gsrain_engine.render.cpu.projection import project
 from gsrain_engine.render.cpu.tiles import bin_into_tiles
 from gsrain_engine.render.renderer import Frame
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.scene import DrawItem
 
 
-def rasterize(parts: Sequence[Part], camera: Camera, rain: Sequence[np.ndarray | None] | None = None) -> Frame:
+def rasterize(parts: Sequence[DrawItem], camera: Camera, rain: Sequence[np.ndarray | None] | None = None) -> Frame:
     """Premultiplied display colour over nothing, and the expected depth (m), where alpha is over 1e-3."""
     splats = project(parts, camera, rain)
     tiles = bin_into_tiles(splats.shapes, splats.nearest_first(), camera.width, camera.height)

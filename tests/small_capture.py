@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gsrain_engine.datasets.capture import Capture, View
+from gsrain_engine.datasets.capture import Capture, CaptureFrame
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.scene import Scene
 from rasterized import rasterize
@@ -18,14 +18,14 @@ def small_capture(moments: int = 4, width: int = 96, with_depth: bool = True) ->
     return Capture("small street", tuple(views), ego=scene.ego)
 
 
-def _view(scene: Scene, position_m: float, width: int, with_depth: bool) -> View:
+def _view(scene: Scene, position_m: float, width: int, with_depth: bool) -> CaptureFrame:
     # Camera axes (x right, y down, z forward) of one that looks along +x of the world.
     world_to_camera = np.array([[0.0, -1, 0, 0], [0, 0, -1, 1.5], [1, 0, 0, -position_m], [0, 0, 0, 1]])
     height = 2 * width // 3
     camera = Camera(width, height, 0.7 * width, 0.7 * width, width / 2, height / 2, world_to_camera)
     frame = rasterize(scene.parts(), camera)
     depth = np.where(frame.depth < 50, frame.depth, 0).astype(np.float32)
-    return View(
+    return CaptureFrame(
         f"{position_m:.2f}m",
         camera,
         np.clip(np.rint(frame.rgba[..., :3] * 255), 0, 255).astype(np.uint8),

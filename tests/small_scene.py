@@ -3,7 +3,7 @@
 import numpy as np
 
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.scene import Layer, RigCamera, Scene, Track
+from gsrain_engine.scene.scene import Layer, PoseTrack, RigCamera, Scene
 
 AHEAD = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 """Axes of a camera that looks along +x, z up."""
@@ -28,7 +28,7 @@ def patch(origin, u, v, steps, color):
 def small_scene(name="small"):
     """About 1,000 Gaussians, z up, metres; the ego drives 2 m/s for 5 s."""
     times = np.arange(6.0)
-    ego = Track(times, np.stack([2 * times, np.zeros(6), np.full(6, 1.5)], axis=1),
+    ego = PoseTrack(times, np.stack([2 * times, np.zeros(6), np.full(6, 1.5)], axis=1),
                 np.tile([1.0, 0, 0, 0], (6, 1)), np.ones(6, bool))  # fmt: skip
     mount = np.eye(4)
     mount[:3, :3] = AHEAD

@@ -8,12 +8,12 @@ import pytest
 
 from gsrain_engine.simulation.controller_base import ControllerSettings
 from gsrain_engine.simulation.scenario import Scenario, ScenarioUser
-from gsrain_engine.simulation.traffic.models import BehaviourSettings
+from gsrain_engine.simulation.traffic.models import BehaviorSettings
 from gsrain_engine.simulation.traffic.tracks import TrackPoint
 from gsrain_engine.simulation.vehicle import Vehicle
 
 _DOCS = Path(__file__).parents[1] / "docs"
-_BEHAVIOURS = typing.get_args(BehaviourSettings)
+_BEHAVIOURS = typing.get_args(BehaviorSettings)
 
 
 def _text(page: str) -> str:
@@ -38,4 +38,4 @@ def test_the_pages_examples_can_be_read():
     example = _text("driving.md").split("```yaml\n")[1].split("```")[0]
     assert msgspec.yaml.decode(example, type=Scenario).road_users[0].ahead_m == 40
     said = _text("driving.md").split("is `behaviour: ")[1].split("`.")[0]
-    assert msgspec.yaml.decode(said, type=BehaviourSettings).gap_m == 15
+    assert msgspec.yaml.decode(said, type=BehaviorSettings).gap_m == 15

@@ -17,7 +17,7 @@ from PIL import Image
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.scene.camera_path_io import read_camera_path
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
-from gsrain_engine.scene.scene import Layer, Track
+from gsrain_engine.scene.scene import Layer, PoseTrack
 from gsrain_engine.simulation.rollout_io import read_rollout
 from repository import REPOSITORY
 from small_scene import patch, small_scene
@@ -30,7 +30,7 @@ def road(tmp_path_factory):
     """A scene folder with a road long enough to drive on: 80 m, in 8 s, a wall at its end."""
     times = np.arange(9.0)
     way = np.stack([10 * times, np.zeros(9), np.full(9, 1.5)], axis=1)
-    scene = replace(small_scene("road"), ego=Track(times, way, np.tile([1.0, 0, 0, 0], (9, 1)), np.ones(9, bool)))
+    scene = replace(small_scene("road"), ego=PoseTrack(times, way, np.tile([1.0, 0, 0, 0], (9, 1)), np.ones(9, bool)))
     ground = patch((0, -6, 0), np.array([100.0, 0, 0]), np.array([0, 12.0, 0]), 40, (0.35, 0.33, 0.30))
     wall = patch((100, -12, 0), np.array([0, 24.0, 0]), np.array([0, 0, 9.0]), 20, (0.7, 0.45, 0.3))
     folder = tmp_path_factory.mktemp("scene") / "road"

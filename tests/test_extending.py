@@ -13,7 +13,7 @@ from PIL import Image
 from app.doctor import describe, installed_extensions
 from app.main import BAD_INPUT, run
 from extension_package import installed, titled_blocks
-from gsrain_engine.api import Agent, Scenario, Simulation, drive_through, open_agent
+from gsrain_engine.api import Agent, Scenario, Simulation, open_agent, run_drive
 from gsrain_engine.appearance.output_folder import read_transferred
 from gsrain_engine.appearance.registry import usable_methods
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
@@ -92,7 +92,7 @@ def test_a_transfer_is_a_method(rain_lab, scene, tmp_path):
 def test_an_agent_drives(rain_lab, scene):
     scenario = Scenario(name="empty road", scene=str(scene), speed_m_s=8.0, duration_s=2.0)
     agent = open_agent("gentle")
-    rollout = drive_through(Simulation(scenario, read_scene(scene)), agent)
+    rollout = run_drive(Simulation(scenario, read_scene(scene)), agent)
     assert isinstance(agent, Agent) and len(rollout.steps) > 4
     speeds = [step.ego.speed_m_s for step in rollout.steps]
     assert 8.0 == speeds[0] > speeds[-1] > 5.0  # it slows down to 6 m/s

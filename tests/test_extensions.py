@@ -11,14 +11,14 @@ from app.main import BAD_INPUT, run
 from extension_package import installed
 from gsrain_engine import plugins
 from gsrain_engine.appearance.base import TransferSettings
-from gsrain_engine.appearance.registry import method_names, method_of, open_transfer, usable_methods
-from gsrain_engine.appearance.wet_look.environment import PictureSurroundings
+from gsrain_engine.appearance.registry import find_method, method_names, open_transfer, usable_methods
+from gsrain_engine.appearance.wet_look.environment import ImageEnvironment
 from gsrain_engine.datasets.open_capture import capture_format
 from gsrain_engine.disdrometer.open import read_disdrometer
 from gsrain_engine.disdrometer.spectra import DisdrometerFileError
-from gsrain_engine.evaluation.detection.decoders import Layout, decoded
+from gsrain_engine.evaluation.detection.decoders import DecoderInput, decode_outputs
 from gsrain_engine.evaluation.detection.description import DetectorDescription
-from gsrain_engine.plugins import GROUPS, PANELS, ExtensionError, extension
+from gsrain_engine.plugins import GROUPS, PANELS, ExtensionError, find_extension
 from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.formats.registry import writable_suffixes
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
@@ -81,7 +81,7 @@ SETTINGS = TransferSettings()
 def bad_lab(tmp_path_factory):
     """A package whose extensions are all unfit but one."""
     with installed(tmp_path_factory.mktemp("site"), "bad-lab", {"bad_lab.py": MODULE}, ENTRIES):
-        plugins.say_once.cache_clear()
+        plugins.warn_once.cache_clear()
         yield
 
 
@@ -122,7 +122,7 @@ def test_the_dialog_to_save_offers_what_can_be_written(bad_lab):
 
 
 def test_methods_that_can_not_be_used_are_left_out_and_said_once(bad_lab, caplog):
-    assert method_names()[:3] == ("wet", "cyclegan-turbo", "images") and method_of("wet").title == "Wet look"
+    assert method_names()[:3] == ("wet", "cyclegan-turbo", "images") and find_method("wet").title == "Wet look"
     with caplog.at_level(logging.WARNING):
         assert [each.name for each in usable_methods()[3:]] == ["opens-not", "opens-number"]
         told = sorted(message for message in caplog.messages if message.startswith("transfer "))
@@ -137,9 +137,9 @@ def test_methods_that_can_not_be_used_are_left_out_and_said_once(bad_lab, caplog
 
 def test_a_transfer_that_does_not_open_says_so(bad_lab):
     with pytest.raises(ExtensionError, match="opens-not .*bad-lab.*: the magic smoke has left"):
-        open_transfer("opens-not", SETTINGS, PictureSurroundings())
+        open_transfer("opens-not", SETTINGS, ImageEnvironment())
     with pytest.raises(ExtensionError, match="opens a int, which has no name or no method transferred"):
-        open_transfer("opens-number", SETTINGS, PictureSurroundings())
+        open_transfer("opens-number", SETTINGS, ImageEnvironment())
 
 
 @pytest.mark.parametrize(
@@ -151,9 +151,9 @@ def test_a_transfer_that_does_not_open_says_so(bad_lab):
     ],
 )
 def test_a_decoder_that_gives_something_else_is_named(bad_lab, name, says):
-    layout = Layout(DetectorDescription(decode=name), 2, 64, 64)
+    layout = DecoderInput(DetectorDescription(decode=name), 2, 64, 64)
     with pytest.raises(ValueError, match=f"decoder {name} .*bad-lab.*{says}"):
-        decoded([np.zeros((1, 1, 6), np.float32)], layout)
+        decode_outputs([np.zeros((1, 1, 6), np.float32)], layout)
 
 
 def test_logs_that_a_package_fails_on_name_it_and_others_are_as_before(bad_lab, tmp_path, caplog):
@@ -189,7 +189,7 @@ def test_doctor_says_which_can_not_be_used(bad_lab, capsys):
 
 
 def test_without_packages_nothing_is_added():
-    assert extension(PANELS, "smoke") is None
+    assert find_extension(PANELS, "smoke") is None
     assert len({group.name for group in GROUPS}) == len(GROUPS)
     assert method_names() == ("wet", "cyclegan-turbo", "images")
 

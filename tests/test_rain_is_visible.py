@@ -10,11 +10,11 @@ import pytest
 from benchmarks.rain_visibility import StreetStills
 from gsrain_engine.editor.viewport.camera import default_path
 from gsrain_engine.rain.settings import load_preset
-from gsrain_engine.rain.simulation import Rainfall
+from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import rain_in
+from gsrain_engine.render.draw import rain_frame_of
 from gsrain_engine.render.sequence import FrameSequence
-from gsrain_engine.scene.open import cached_street
+from gsrain_engine.scene.open import load_street
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 SEEDS, INTENSITIES = range(5), ("1.2", "8.5", "12.0")
@@ -25,16 +25,18 @@ class Stills:
     """Stills of the street 2 s into the default drive, with the sky looked at once."""
 
     def __init__(self):
-        self.renderer, self.street = CpuRenderer(), cached_street()
+        self.renderer, self.street = CpuRenderer(), load_street()
         path = default_path(self.street, 960, 640)
-        self.sequence = FrameSequence(self.street, Rainfall.start(load_preset("clear")), path, 960, 640, start_s=2.0)
+        self.sequence = FrameSequence(
+            self.street, RainSimulation.start(load_preset("clear")), path, 960, 640, start_s=2.0
+        )
         self.sky = self.sequence.sky(self.renderer).color
         self.shot = self.sequence.shot(0)
         self.clear = self.picture("clear")
 
     def falling(self, preset, **fields):
-        rain = Rainfall.start(msgspec.structs.replace(load_preset(preset), **fields))
-        return rain_in(self.street, rain, self.sky, self.shot)
+        rain = RainSimulation.start(msgspec.structs.replace(load_preset(preset), **fields))
+        return rain_frame_of(self.street, rain, self.sky, self.shot)
 
     def picture(self, preset, **fields):
         self.renderer.draw(self.street.parts(2.0), self.shot.camera, self.falling(preset, **fields))

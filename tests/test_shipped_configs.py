@@ -5,7 +5,7 @@ import pytest
 
 from gsrain_engine.appearance.finetune.settings import load_finetuning
 from gsrain_engine.evaluation.compare_results import load_comparison
-from gsrain_engine.presets import standing_beside
+from gsrain_engine.presets import resolve_from_folder
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.sweep.settings import load_sweep
 
@@ -60,6 +60,6 @@ def test_a_preset_a_comparison_and_a_training_find_what_lies_beside_them(beside)
 
 
 def test_what_does_not_stand_there_stays_what_it_is(beside):
-    assert [standing_beside(beside, name) for name in ("", "a.yaml", "other.py:Mine", "x" * 300)] == [
+    assert [resolve_from_folder(beside, name) for name in ("", "a.yaml", "other.py:Mine", "x" * 300)] == [
         "", "a.yaml", "other.py:Mine", "x" * 300]  # fmt: skip
-    assert standing_beside(beside, str(beside / "near.yaml")) == str(beside / "near.yaml")
+    assert resolve_from_folder(beside, str(beside / "near.yaml")) == str(beside / "near.yaml")

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gsrain_engine.compile_cache import use_kernel_cache
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.scene.scene import Scene
 from ui.commands.base import chord
 from ui.workspace import begin_session
@@ -80,7 +80,7 @@ class Person(Driver):
 
 def first(folder, plant):
     """Everything up to the kill."""
-    person = Person(folder, Session())
+    person = Person(folder, Editor())
     session = person.session
 
     def script():

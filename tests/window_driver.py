@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageGrab
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from small_scene import small_scene
 
 if not (os.environ.get("DISPLAY") or shutil.which("Xvfb")):
@@ -19,16 +19,16 @@ testing = pytest.importorskip("imgui_bundle.immapp.testing")
 imgui = pytest.importorskip("imgui_bundle").imgui
 hello_imgui = pytest.importorskip("imgui_bundle").hello_imgui
 
-from ui.window import Window  # noqa: E402
+from ui.window import MainWindow  # noqa: E402
 
 
 class Driver:
     """A window, and what a hand on mouse and keyboard can do."""
 
     def __init__(self, tmp_path, scene=None, backend="auto"):
-        self.session = Session(scene or small_scene())
+        self.session = Editor(scene or small_scene())
         self.session.clock.playing = False
-        self.window = Window(lambda: self.session, backend)
+        self.window = MainWindow(lambda: self.session, backend)
         self.folder = tmp_path
         self.ctx = None
         self._is_seen = False

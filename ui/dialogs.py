@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from imgui_bundle import ImVec2, imgui
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.notifications import Answer, Question
 
 from .commands.base import chord_name
@@ -18,7 +18,7 @@ from .widgets.fields import SCENE_FOLDERS, ask_where_to_save
 ABOUT_TITLE = "About GSRAIN"
 
 
-def about_page(session: Session) -> None:
+def about_page(session: Editor) -> None:
     if session.view.dialog == "about" and not imgui.is_popup_open(ABOUT_TITLE):
         imgui.open_popup(ABOUT_TITLE)
     imgui.set_next_window_size(ImVec2(30 * imgui.get_font_size(), 0))
@@ -54,7 +54,7 @@ MOUSE_AND_FLIGHT = (
 )
 
 
-def keyboard_page(session: Session) -> None:
+def keyboard_page(session: Editor) -> None:
     if session.view.dialog == "keys" and not imgui.is_popup_open(KEYBOARD_TITLE):
         imgui.open_popup(KEYBOARD_TITLE)
     size = imgui.get_main_viewport().size
@@ -100,7 +100,7 @@ def _group(title: str, rows: list[tuple[str, str]]) -> None:
 _WIDTH_EM = 34.0
 
 
-def draw_questions(session: Session) -> None:
+def draw_questions(session: Editor) -> None:
     """Draw the present question until it is answered, and the dialog for a place where one is wanted."""
     wanted, session.files.place_wanted = session.files.place_wanted, None
     if wanted is not None:
@@ -125,7 +125,7 @@ def draw_questions(session: Session) -> None:
         imgui.progress_bar(progress.fraction, ImVec2(-1, 0), f"{progress.message}: {100 * progress.fraction:.0f} %")
     imgui.spacing()
     imgui.spacing()
-    given = _given(question)
+    given = _clicked_answer(question)
     if given is not None:
         imgui.close_current_popup()
     imgui.end_popup()
@@ -133,7 +133,7 @@ def draw_questions(session: Session) -> None:
         session.questions.answer(given)
 
 
-def _given(question: Question) -> Answer | None:
+def _clicked_answer(question: Question) -> Answer | None:
     """Draw the buttons, from the right edge on; returns the answer of this frame."""
     style = imgui.get_style()
     least = 6 * imgui.get_font_size()
@@ -193,7 +193,7 @@ class CommandPalette:
         self._typed = ""
         self._line = 0
 
-    def draw(self, session: Session) -> None:
+    def draw(self, session: Editor) -> None:
         if session.view.dialog == "commands" and not imgui.is_popup_open(PALETTE_TITLE):
             self._typed, self._line = "", 0
             imgui.open_popup(PALETTE_TITLE)
@@ -250,7 +250,7 @@ def matches(name: str, typed: str) -> bool:
     return all(word in name.lower() for word in typed.lower().split())
 
 
-def _commands(session: Session) -> list[_Command]:
+def _commands(session: Editor) -> list[_Command]:
     tools = [
         _Command(
             f"Tool: {tool.name}",

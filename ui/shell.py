@@ -5,16 +5,16 @@ from datetime import datetime, timedelta
 
 from imgui_bundle import hello_imgui, imgui
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 
-from .commands.base import Action, chord
+from .commands.base import Command, chord
 from .commands.registry import ACTION_GROUPS, ACTIONS
 from .panels.rain import WARNING
 from .tools.registry import TOOLS
 from .widgets.text import label
 
 
-def act_on_keys(session: Session) -> None:
+def act_on_keys(session: Editor) -> None:
     """Do what the keys ask for that were pressed since the last frame."""
     if imgui.get_io().want_text_input:
         return
@@ -31,7 +31,7 @@ def act_on_keys(session: Session) -> None:
 MENUS = ("File", "Edit", "Select", "Scene", "Rain", "Drive", "Timeline", "View", "Help")
 
 
-def draw_menus(session: Session) -> None:
+def draw_menus(session: Editor) -> None:
     for title in MENUS:
         if imgui.begin_menu(title):
             groups = [[action for action in group if action.menu == title] for group in ACTION_GROUPS]
@@ -48,7 +48,7 @@ def draw_menus(session: Session) -> None:
             imgui.end_menu()
 
 
-def _item(session: Session, action: Action) -> None:
+def _item(session: Editor, action: Command) -> None:
     is_on = action.is_on is not None and action.is_on(session)
     keys = action.key_names.split(" or ")[0]
     clicked, _ = imgui.menu_item(action.title(session), keys, is_on, action.is_possible(session))
@@ -58,7 +58,7 @@ def _item(session: Session, action: Action) -> None:
         action.run(session)
 
 
-def _recent(session: Session) -> None:
+def _recent(session: Editor) -> None:
     """Open a scene of last time."""
     if imgui.begin_menu("Open recent", bool(session.files.recent)):
         for path in session.files.recent:
@@ -101,7 +101,7 @@ def bring_to_front(window: hello_imgui.DockableWindow) -> None:
 _NEW = timedelta(seconds=8)
 
 
-def status_bar(session: Session) -> None:
+def status_bar(session: Editor) -> None:
     """Draw the bar's content."""
     state = session.shown_rainfall.state_at(session.clock.time_s)
     selected = sum(each.marks.selected.size for each in session.scene.members if each.marks.selected is not None)
@@ -133,7 +133,7 @@ def status_bar(session: Session) -> None:
     imgui.text_disabled(right)
 
 
-def _newest_record(session: Session) -> str:
+def _newest_record(session: Editor) -> str:
     """Return what has just gone well, as "Exported out.ply"; what went wrong stays over the picture."""
     newest = session.log.lines[-1] if session.log.lines else None
     is_new = newest is not None and newest.level == logging.INFO and datetime.now() - newest.at < _NEW

@@ -6,7 +6,7 @@ from gsrain_engine.editor.preferences import Preferences
 
 _THEMES = {"dark": hello_imgui.ImGuiTheme_.darcula_darker, "light": hello_imgui.ImGuiTheme_.light_rounded}
 
-_LEAST_TAB_PX = 30.0
+_MIN_TAB_PX = 30.0
 """In a narrow window tabs get short before they have to be scrolled."""
 
 _BEHIND_QUESTIONS = (0.0, 0.0, 0.0, 0.45)
@@ -23,7 +23,7 @@ def apply_style(preferences: Preferences) -> None:
     style.window_rounding = 0.0
     style.popup_rounding = 4.0
     style.window_menu_button_position = imgui.Dir.none
-    style.tab_min_width_shrink = _LEAST_TAB_PX
+    style.tab_min_width_shrink = _MIN_TAB_PX
     style.docking_node_has_close_button = False
     style.item_spacing = ImVec2(8, 5)
     style.frame_padding = ImVec2(7, 4)

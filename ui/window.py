@@ -29,17 +29,17 @@ from PIL import Image
 
 from gsrain_engine.editor.preferences import config_folder, load_preferences, state_folder
 from gsrain_engine.malloc_tuning import use_one_arena
-from gsrain_engine.render.opengl.context import LostContextError, check_context, watch, watch_of
-from gsrain_engine.safe_io.text_files import escaped
+from gsrain_engine.render.opengl.context import DeviceLostError, check_context, context_monitor, monitor_context
+from gsrain_engine.safe_io.text_files import escape_invisible
 from gsrain_engine.scene.files import whole_file
 from gsrain_engine.simulation.rollout_io import ROLLOUT_SUFFIXES
 
-from .restart import Left, start_again
+from .restart import RestartState, restart_program
 from .style import apply_style
 from .widgets.text import escape_all_text
 
 if TYPE_CHECKING:
-    from gsrain_engine.editor.editor import Session, WindowBackend
+    from gsrain_engine.editor.editor import Editor, WindowBackend
 
     from .workspace import Workspace
 
@@ -59,7 +59,7 @@ _DRIVER_RESTARTS_S = 5.0
 
 
 def run_window(
-    begin: "Callable[[], Session]",
+    begin: "Callable[[], Editor]",
     backend: "WindowBackend" = "auto",
     on_frame: "Callable[[Workspace], None] | None" = None,
     *,
@@ -68,7 +68,7 @@ def run_window(
     """Open the window and return when it is closed; `begin` makes the session, in a thread of its own.
 
     A window whose graphics context is lost keeps the work and, with `restarts`, begins again, in a process of its own.
-    `on_frame` is called once a frame, as soon as the session is there.
+    `nearest_frame_time` is called once a frame, as soon as the session is there.
 
     Raises `OSError` where the display can't be opened, where its driver fails, and where it can't begin again.
     """
@@ -79,7 +79,7 @@ def run_window(
             raise OSError("the display can't be opened (DISPLAY or WAYLAND_DISPLAY names one that is not there)")
         # hello_imgui asks for its window after this. Drivers that don't know the wish pass it over.
         glfw.window_hint(glfw.CONTEXT_ROBUSTNESS, glfw.LOSE_CONTEXT_ON_RESET)
-    window = Window(begin, backend, on_frame)
+    window = MainWindow(begin, backend, on_frame)
     for ending in _ENDINGS:
         signal.signal(ending, lambda number, _: window.end(number))
     parameters = window.parameters()
@@ -97,17 +97,17 @@ def run_window(
         return
     if window.left.kept is not None:
         logger.error("What was changed is kept for the next window.")
-    if restarts and isinstance(window.failure, LostContextError):
-        start_again(window.left, time.monotonic() - began)
+    if restarts and isinstance(window.failure, DeviceLostError):
+        restart_program(window.left, time.monotonic() - began)
     raise window.failure
 
 
-class Window:
+class MainWindow:
     """An empty window that becomes a workspace."""
 
     def __init__(
         self,
-        begin: "Callable[[], Session]",
+        begin: "Callable[[], Editor]",
         backend: "WindowBackend" = "auto",
         on_frame: "Callable[[Workspace], None] | None" = None,
     ) -> None:
@@ -116,7 +116,7 @@ class Window:
         self._on_frame = on_frame
         self._backend: WindowBackend = backend
         self._context: moderngl.Context | None = None
-        self._session: Session | None = None
+        self._session: Editor | None = None
         self._loader = threading.Thread(target=self._load, name="load the program", daemon=True)
         self.workspace: Workspace | None = None
         self._title = ""
@@ -173,7 +173,7 @@ class Window:
         if self.workspace is not None:
             glfw.set_window_should_close(glfw_utils.glfw_window_hello_imgui(), False)
             self.workspace.session.files.keep()  # a desktop that ends a person's session waits for no answer
-            self.workspace.session.leave()
+            self.workspace.session.request_quit()
 
     def end(self, by: int) -> None:
         """End without a question before the next frame, for a signal; unsaved changes are kept."""
@@ -187,9 +187,9 @@ class Window:
             self._session.files.keep()
 
     @property
-    def left(self) -> Left:
+    def left(self) -> RestartState:
         files = self._session.files if self._session is not None else None
-        return Left(files.recovery.kept, files.source) if files is not None else Left()
+        return RestartState(files.recovery.kept, files.source) if files is not None else RestartState()
 
     def close(self) -> None:
         """Stop everything behind the window. To be called once more does nothing."""
@@ -203,7 +203,7 @@ class Window:
         set_window_icon(glfw_utils.glfw_window_hello_imgui())
         implot.create_context()
         self._context = moderngl.create_context(require=_REQUIRED_VERSION)
-        watch(self._context, glfw.get_proc_address)
+        monitor_context(self._context, glfw.get_proc_address)
         glfw.set_drop_callback(glfw_utils.glfw_window_hello_imgui(), lambda _, paths: self.drop(paths))
         glfw.set_window_close_callback(glfw_utils.glfw_window_hello_imgui(), lambda _: self.ask_to_close())
         self._loader.start()
@@ -245,16 +245,16 @@ class Window:
 
     def _give_up(self, context: moderngl.Context, failure: Exception) -> None:
         """End the window; where its context is lost that is the reason, whatever else has failed."""
-        watcher = watch_of(context)
+        watcher = context_monitor(context)
         is_lost = watcher is not None and watcher.is_lost()
-        self.fail(LostContextError() if is_lost else failure)
+        self.fail(DeviceLostError() if is_lost else failure)
         if watcher is not None:
             watcher.wait_for_driver(_DRIVER_RESTARTS_S)
 
     def _show_title(self, title: str) -> None:
         if title != self._title:
             self._title = title
-            glfw.set_window_title(glfw_utils.glfw_window_hello_imgui(), escaped(title))
+            glfw.set_window_title(glfw_utils.glfw_window_hello_imgui(), escape_invisible(title))
 
     def _draw_viewport(self) -> None:
         if self.workspace is not None:

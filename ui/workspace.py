@@ -7,17 +7,17 @@ import time
 import moderngl
 from imgui_bundle import hello_imgui, imgui
 
-from gsrain_engine.editor.drawing.live_view import LiveView, MosaicPictures
-from gsrain_engine.editor.drawing.textures import CaptureTextures, JobPreviews, KeptTexture
-from gsrain_engine.editor.editor import Session, WindowBackend
-from gsrain_engine.editor.jobs.job import remove_abandoned_folders
-from gsrain_engine.editor.timeline import Pace
-from gsrain_engine.rain.settings import Rain
-from gsrain_engine.render.opengl.context import LostContextError
+from gsrain_engine.editor.drawing.live_view import LiveView, MosaicImages
+from gsrain_engine.editor.drawing.textures import CachedTexture, CaptureTextures, JobPreviews
+from gsrain_engine.editor.editor import Editor, WindowBackend
+from gsrain_engine.editor.jobs.job import remove_abandoned_job_folders
+from gsrain_engine.editor.timeline import FrameClock
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.render.opengl.context import DeviceLostError
 
 from .dialogs import CommandPalette, about_page, draw_questions, keyboard_page
 from .panels.registry import all_panels
-from .restart import left_by_the_last_window
+from .restart import restart_state
 from .shell import act_on_keys, draw_menus, status_bar
 from .style import apply_style
 from .viewport.panel import viewport_panel
@@ -25,7 +25,7 @@ from .widgets.fields import answer_dialogs
 
 logger = logging.getLogger("gsrain")
 
-_STARTED_AGAIN = "The graphics driver has restarted, and so has this window; jobs have ended."
+_RESTARTED = "The graphics driver has restarted, and so has this window; jobs have ended."
 
 _WITH_CHANGES = " What was changed is here, still to be saved; it can't be undone any more."
 
@@ -50,12 +50,12 @@ _WAITING_FPS = 30.0
 """Enough for a bar that moves: what is waited for needs the processor more."""
 
 
-def begin_session(scene: str | None, rain: Rain | None, wet: bool = False) -> Session:
+def begin_session(scene: str | None, rain: RainSettings | None, wet: bool = False) -> Editor:
     """Begin a session that opens a scene in the background, and makes it rainy if asked; none is the built-in street.
 
     After a lost graphics context it goes on with what was open.
     """
-    session, left = Session(rain=rain), left_by_the_last_window()
+    session, left = Editor(rain=rain), restart_state()
     if left is not None and left.kept is not None:
         session.files.go_on_at(left.kept)
     else:
@@ -63,24 +63,24 @@ def begin_session(scene: str | None, rain: Rain | None, wet: bool = False) -> Se
         if wet:
             session.rainy.make_soon()
     if left is not None:
-        session.problem = _STARTED_AGAIN + (_WITH_CHANGES if left.kept is not None else "")
+        session.problem = _RESTARTED + (_WITH_CHANGES if left.kept is not None else "")
     session.files.offer_recovery()
-    threading.Thread(target=remove_abandoned_folders, name="tidy up", daemon=True).start()
+    threading.Thread(target=remove_abandoned_job_folders, name="tidy up", daemon=True).start()
     return session
 
 
 class Workspace:
     """What is drawn into the window once everything is loaded."""
 
-    def __init__(self, session: Session, context: moderngl.Context, backend: WindowBackend) -> None:
+    def __init__(self, session: Editor, context: moderngl.Context, backend: WindowBackend) -> None:
         self.session = session
         self.view = LiveView(context, session, backend)
         self._previews = JobPreviews(context)
-        self._rainy = KeptTexture(context)
+        self._rainy = CachedTexture(context)
         self._captures = CaptureTextures(context)
-        self._mosaic = MosaicPictures(context)
+        self._mosaic = MosaicImages(context)
         self._palette = CommandPalette()
-        self._pace = Pace()
+        self._pace = FrameClock()
         self._capture = session.captures.capture
         self._last_problem = ""
         self._style = session.preferences
@@ -156,7 +156,7 @@ class Workspace:
             textures = self.view.draw(width, height)
             self._captures.draw_points(self.session, self.session.shot(width, height).camera)
             self._mosaic.update(self.session, self.view)
-        except LostContextError:  # the window ends over it before its next frame
+        except DeviceLostError:  # the window ends over it before its next frame
             textures = self.view.last_textures
         except Exception as problem:  # whatever a driver or a scene does: say it once, keep picture and window
             if str(problem) != self._last_problem:

@@ -13,34 +13,34 @@ from PIL import Image
 
 from gsrain_engine.evaluation.consistency import (
     FILM_SHARE,
-    Agreement,
-    ComparedViews,
     PairAgreement,
+    ViewFolder,
+    WarpAgreement,
     WarpError,
     agreements,
-    open_compared,
-    pooled,
+    open_view_folder,
+    pool_errors,
     warped_pair,
 )
-from gsrain_engine.evaluation.consistency_sheet import ShownPair, consistency_sheet
-from gsrain_engine.evaluation.input_fingerprint import stamp
+from gsrain_engine.evaluation.consistency_sheet import SheetPair, consistency_sheet
+from gsrain_engine.evaluation.input_fingerprint import input_fingerprint
 from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, write_report
-from gsrain_engine.render.images import write_sheet
+from gsrain_engine.render.images import write_image
 from gsrain_engine.scene.scene_hash import file_hash
 
 from ..console import Console, Table, bold, print
 from ..options import (
     AllowOutside,
     JsonFileOrScreen,
+    check_image,
     check_page,
-    check_picture,
     let_names_lead_outside,
-    words_go_to,
+    table_stream,
     write_numbers,
 )
 from ..progress import progress_bar
 from .images import perceived_distance
-from .run_facts import run_facts, told_facts, write_beside
+from .run_facts import provenance_lines, run_provenance, write_report_numbers
 
 _COLUMNS = 150
 
@@ -79,9 +79,9 @@ def consistency(
     """
     let_names_lead_outside(allow_outside)
     _check(folders, neighbours, film, sheet_pairs)
-    check_picture("--sheet", sheet)
+    check_image("--sheet", sheet)
     check_page(report, json, sheet)
-    compared = [open_compared(folder, width) for folder in folders]
+    compared = [open_view_folder(folder, width) for folder in folders]
     pairs = compared[0].chosen(neighbours)
     if not pairs and not compared[0].has_poses:
         raise ValueError(f"{folders[0]}: it is not known where its pictures were taken; expected a capture with poses")
@@ -99,23 +99,23 @@ def consistency(
             if not rows:
                 raise ValueError(f"{each.folder}: neighbouring views match in too few pixels to be compared")
             results.append(rows)
-    print_agreements(compared, results, Console(file=words_go_to(json), width=_COLUMNS))
-    numbers = report_of(compared, results, film) | run_facts(_inputs(folders, lpips), ("torch",))
+    print_agreements(compared, results, Console(file=table_stream(json), width=_COLUMNS))
+    numbers = report_of(compared, results, film) | run_provenance(_inputs(folders, lpips), ("torch",))
     if sheet is not None or report is not None:
         drawn = _drawn(compared, own_pairs, film, sheet_pairs)
         if sheet is not None:
-            write_sheet(sheet, Image.fromarray(drawn))
+            write_image(sheet, Image.fromarray(drawn))
             print(f"wrote {sheet}", file=sys.stderr)
         if report is not None:
             write_report(report, consistency_page(numbers, drawn, {"neighbours": neighbours, "LPIPS": lpips or "-"}))
-            beside = write_beside(report, json, numbers)
+            beside = write_report_numbers(report, json, numbers)
             print(f"wrote {report}" + (f", {beside}" if beside else ""), file=sys.stderr)
     write_numbers(json, numbers)
 
 
 def _inputs(folders: Sequence[Path], lpips: str | None) -> dict[str, str]:
     """Hashes over names, sizes and times of what is compared, and of the bytes of a file of weights."""
-    found = {str(folder): stamp(folder) for folder in folders}
+    found = {str(folder): input_fingerprint(folder) for folder in folders}
     return found | {f"LPIPS {lpips}": file_hash(Path(lpips))} if lpips and Path(lpips).is_file() else found
 
 
@@ -131,14 +131,14 @@ def _check(folders: Sequence[Path], neighbours: int, film: float, sheet_pairs: i
 
 
 def _drawn(
-    compared: Sequence[ComparedViews], pairs: Sequence[_Pairs], film: float, most: int
+    compared: Sequence[ViewFolder], pairs: Sequence[_Pairs], film: float, most: int
 ) -> UInt8[np.ndarray, "h w 3"]:
     """Some pairs of each folder, warped, with their errors."""
     count = min(most, len(pairs[0]))
     chosen = [i * len(pairs[0]) // count for i in range(count)]
     shown = [
         [
-            ShownPair(each.title, warped_pair(each.views[own[i][0]], each.views[own[i][1]], film), each.has_clear)
+            SheetPair(each.title, warped_pair(each.views[own[i][0]], each.views[own[i][1]], film), each.has_clear)
             for each, own in zip(compared, pairs, strict=True)
         ]
         for i in chosen
@@ -150,12 +150,12 @@ def _drawn(
 
 _LEVELS = 255
 
-_MOST_ROWS = 40
+_MAX_ROWS = 40
 """Pairs that are printed of each folder; all are in the JSON."""
 
 
 def report_of(
-    compared: Sequence[ComparedViews], results: Sequence[Sequence[PairAgreement]], film: float
+    compared: Sequence[ViewFolder], results: Sequence[Sequence[PairAgreement]], film: float
 ) -> dict[str, Any]:
     """Return the plain values of `--json`: means of each folder and rows of each pair."""
     means: list[dict[str, Any]] = []
@@ -186,11 +186,13 @@ def report_of(
     return {"film_share": film, "means": means, "rows": rows}
 
 
-def _means(rows: Sequence[PairAgreement]) -> tuple[Agreement | None, Agreement | None]:
-    return pooled(row.everywhere for row in rows), pooled(row.outside_film for row in rows if row.outside_film)
+def _means(rows: Sequence[PairAgreement]) -> tuple[WarpAgreement | None, WarpAgreement | None]:
+    return pool_errors(row.everywhere for row in rows), pool_errors(
+        row.outside_film for row in rows if row.outside_film
+    )
 
 
-def _numbers(agreement: Agreement | None) -> dict[str, Any]:
+def _numbers(agreement: WarpAgreement | None) -> dict[str, Any]:
     """Return plain numbers of an agreement, errors in display values of 0..1; null where they are not known."""
     if agreement is None:
         return {"pixels": 0}
@@ -211,7 +213,7 @@ def _numbers(agreement: Agreement | None) -> dict[str, Any]:
 
 
 def print_agreements(
-    compared: Sequence[ComparedViews], results: Sequence[Sequence[PairAgreement]], console: Console
+    compared: Sequence[ViewFolder], results: Sequence[Sequence[PairAgreement]], console: Console
 ) -> None:
     """Print a table of pairs and means, folder by folder."""
     with_lpips = any(row.everywhere.after.lpips is not None for rows in results for row in rows)
@@ -237,7 +239,7 @@ def print_agreements(
             table.add_row(*cells, *_cells(row.everywhere, row.outside_film, with_lpips))
         everywhere, dry = _means(rows)
         if everywhere is not None:
-            mean = f"mean of {len(rows)} pairs" + (f", above the {_MOST_ROWS} worst" if len(rows) > _MOST_ROWS else "")
+            mean = f"mean of {len(rows)} pairs" + (f", above the {_MAX_ROWS} worst" if len(rows) > _MAX_ROWS else "")
             table.add_row(bold(mean), "", "", *_cells(everywhere, dry, with_lpips))
     console.print(table)
     console.print(
@@ -248,12 +250,12 @@ def print_agreements(
 
 def _worst(rows: Sequence[PairAgreement]) -> list[PairAgreement]:
     """All pairs in their order; of many, those whose error is largest."""
-    if len(rows) <= _MOST_ROWS:
+    if len(rows) <= _MAX_ROWS:
         return list(rows)
-    return sorted(rows, key=lambda row: -row.everywhere.after.rmse)[:_MOST_ROWS]
+    return sorted(rows, key=lambda row: -row.everywhere.after.rmse)[:_MAX_ROWS]
 
 
-def _cells(everywhere: Agreement, dry: Agreement | None, with_lpips: bool) -> list[str]:
+def _cells(everywhere: WarpAgreement, dry: WarpAgreement | None, with_lpips: bool) -> list[str]:
     cells = [*_error_cells(everywhere), _ratio(everywhere.contrast_ratio)]
     cells += ["", "", "", ""] if dry is None else [f"{dry.pixels / everywhere.pixels:.0%}", *_error_cells(dry)]
     if with_lpips:
@@ -262,7 +264,7 @@ def _cells(everywhere: Agreement, dry: Agreement | None, with_lpips: bool) -> li
     return cells
 
 
-def _error_cells(agreement: Agreement) -> list[str]:
+def _error_cells(agreement: WarpAgreement) -> list[str]:
     before = "" if agreement.before is None else f"{_LEVELS * agreement.before.rmse:.2f}"
     return [before, f"{_LEVELS * agreement.after.rmse:.2f}", _ratio(agreement.ratio)]
 
@@ -301,7 +303,7 @@ def consistency_page(
     columns = (*_PAGE_COLUMNS, "dry before", "dry after", "dry ratio")
     return RunReport(
         title="Agreement of neighbouring views",
-        settings={**about, **told_facts(numbers)},
+        settings={**about, **provenance_lines(numbers)},
         headlines={f"error after, {_name(each)}": f"{_LEVELS * each['rmse_after']:.2f}" for each in means},
         figures=(ReportFigure("Pairs, warped", sheet, is_photograph=True),),
         tables=(

@@ -20,36 +20,42 @@ from cyclopts import Parameter
 from jaxtyping import Float64, UInt8
 from PIL import Image
 
-from gsrain_engine.appearance.scene_views import PlacedCamera, ViewChoice, chosen_cameras, chosen_views, evenly
+from gsrain_engine.appearance.scene_views import (
+    PlacedCamera,
+    ViewChoice,
+    chosen_cameras,
+    chosen_views,
+    evenly_spaced_indices,
+)
 from gsrain_engine.backends import Backend, open_renderer
-from gsrain_engine.datasets.capture import Capture, View
+from gsrain_engine.datasets.capture import Capture, CaptureFrame
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.datasets.undistort import prepared
+from gsrain_engine.datasets.undistort import undistort_frame
 from gsrain_engine.evaluation.detection.detector import Detector, open_detector
-from gsrain_engine.evaluation.detection.figures import detection_sheet, object_figure, pixels, precision_figure
-from gsrain_engine.evaluation.detection.ground_truth import LEAST_HEIGHT_PX, LEAST_VISIBILITY, read_coco
+from gsrain_engine.evaluation.detection.figures import detection_sheet, figure_pixels, object_figure, precision_figure
+from gsrain_engine.evaluation.detection.ground_truth import MIN_HEIGHT_PX, MIN_VISIBILITY, read_coco
 from gsrain_engine.evaluation.detection.metrics import Robustness
 from gsrain_engine.evaluation.detection.run import (
     FINISHED_FILE,
-    Finished,
-    JudgedFrame,
-    JudgedPicture,
-    Judgement,
-    Memory,
-    Pictures,
-    Row,
-    Trial,
-    judged_pictures,
+    Condition,
+    ConditionRenderer,
+    DetectionResult,
+    EvaluatedFrame,
+    EvaluatedImage,
+    ObjectRow,
+    ResultCache,
+    ResultCacheProtocol,
+    conditions_of,
+    evaluate_images,
+    object_rows,
     recorded_frames,
-    rows_of,
     scene_frames,
-    trials_of,
 )
 from gsrain_engine.evaluation.detection.summary import (
     FOUND_FROM,
     DistanceScore,
-    Spread,
-    WeatherScore,
+    ScoreByIntensity,
+    SeedSpread,
     distance_scores,
     plain,
     robustness_of,
@@ -57,19 +63,19 @@ from gsrain_engine.evaluation.detection.summary import (
     write_csv,
     write_parquet,
 )
-from gsrain_engine.evaluation.input_fingerprint import stamp
+from gsrain_engine.evaluation.input_fingerprint import input_fingerprint
 from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, write_report
-from gsrain_engine.rain.settings import Rain, load_preset
+from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import OVERCAST
 from gsrain_engine.render.renderer import Renderer
-from gsrain_engine.render.sequence import mounted_cameras
-from gsrain_engine.render.sky_color import Sky, sky_color
+from gsrain_engine.render.sequence import find_rig_cameras
+from gsrain_engine.render.sky_color import SkyColor, sky_color
 from gsrain_engine.render.video import SUFFIXES as VIDEO_SUFFIXES
 from gsrain_engine.render.video import VideoWriter
 from gsrain_engine.safe_io.limits import open_file
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.files import whole_file
-from gsrain_engine.scene.open import open_to_draw
+from gsrain_engine.scene.open import load_sorted_scene
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.scene.scene_hash import file_hash, scene_hash
 
@@ -81,15 +87,15 @@ from ..options import (
     check_ending,
     check_writable,
     converted_options,
-    hold,
     let_names_lead_outside,
+    lock_outputs,
     write_numbers,
 )
 from ..progress import followed, progress_bar
 from ..scene_options import names_scene
 from .run_facts import version_of
 
-_MOST_SEEDS, _MOST_FRAMES = 1000, 10_000
+_MAX_SEEDS, _MAX_FRAMES = 1000, 10_000
 
 _COLUMNS = 150
 
@@ -161,7 +167,7 @@ def detection(
     _check(seeds=seeds, frames=frames, width=width, first=first, last=last)
     check_ending("--video", video, VIDEO_SUFFIXES)
     check_writable(video, json, folders=[output])
-    hold(output, video)
+    lock_outputs(output, video)
     detectors = _detectors(detector, description)
     asked = DetectionSource(source, capture, truth, frames, first, last, tuple(_words(cameras)), width, wet)
     rainfall = base_rain(preset, exposure)
@@ -184,7 +190,7 @@ def detection(
                 advance()
     numbers = detection_numbers(recorder.judgements, detectors, detector, renderer.name, prepared, seeds)
     print_scores(numbers.scores, Console(width=_COLUMNS))
-    for sentence in told_not_named(numbers):
+    for sentence in unnamed_object_notes(numbers):
         print(sentence)
     if video is not None:
         print(f"{video}: {recorder.frames} frames")
@@ -222,10 +228,10 @@ def _intensities(text: str) -> tuple[float, ...]:
 
 
 def _check(*, seeds: int, frames: int, width: int, first: float | None, last: float | None) -> None:
-    if not 1 <= seeds <= _MOST_SEEDS:
-        raise ValueError(f"--seeds {seeds}: must be within 1..{_MOST_SEEDS}")
-    if not 1 <= frames <= _MOST_FRAMES:
-        raise ValueError(f"--frames {frames}: must be within 1..{_MOST_FRAMES}")
+    if not 1 <= seeds <= _MAX_SEEDS:
+        raise ValueError(f"--seeds {seeds}: must be within 1..{_MAX_SEEDS}")
+    if not 1 <= frames <= _MAX_FRAMES:
+        raise ValueError(f"--frames {frames}: must be within 1..{_MAX_FRAMES}")
     if not 64 <= width <= 16384:
         raise ValueError(f"--width {width}: must be within 64..16384 px")
     if first is not None and last is not None and not first < last:
@@ -244,23 +250,23 @@ class PreparedSource:
     """Views with what is to be found in them, and what makes their pictures."""
 
     name: str
-    pictures: Pictures
-    frames: list[JudgedFrame]
+    pictures: ConditionRenderer
+    frames: list[EvaluatedFrame]
     frame_rate: float
     """Of a video of them."""
     inputs: dict[str, str]
     """What the pictures follow from, by name: hashes of files, of a capture one of names, sizes and times."""
 
-    def trials(self, intensities_mm_h: tuple[float, ...], seeds: tuple[int, ...]) -> list[Trial]:
+    def trials(self, intensities_mm_h: tuple[float, ...], seeds: tuple[int, ...]) -> list[Condition]:
         """All that each view is shown in."""
         originals = all(frame.original is not None for frame in self.frames)
-        return trials_of(intensities_mm_h, seeds, originals=originals, scene=not self.pictures.is_in_front)
+        return conditions_of(intensities_mm_h, seeds, originals=originals, scene=not self.pictures.is_in_front)
 
     def judged(
-        self, detectors: Sequence[Detector], trials: Sequence[Trial], memory: Memory | None = None
-    ) -> Iterator[JudgedPicture]:
+        self, detectors: Sequence[Detector], trials: Sequence[Condition], memory: ResultCacheProtocol | None = None
+    ) -> Iterator[EvaluatedImage]:
         """Show each view in each trial to each detector, except what the memory knows."""
-        return judged_pictures(self.pictures, detectors, self.frames, trials, memory)
+        return evaluate_images(self.pictures, detectors, self.frames, trials, memory)
 
 
 # § What `gsrain evaluate detection` keeps in its folder while it runs, so that the same command goes on after a stop.
@@ -273,7 +279,7 @@ def opened_memory(
     files: Sequence[Path],
     backend: str,
     is_wet: bool,
-) -> Finished:
+) -> ResultCache:
     """Open the judgements in a folder, and say how many of an earlier run still hold."""
     inputs = {
         "inputs": source.inputs,
@@ -288,7 +294,7 @@ def opened_memory(
         each.name: file_hash(file) + msgspec.json.encode(each.description, order="sorted").decode()
         for each, file in zip(detectors, files, strict=True)
     }
-    memory = Finished(folder / FINISHED_FILE, inputs, used)
+    memory = ResultCache(folder / FINISHED_FILE, inputs, used)
     kept = memory.read(source.frames)
     if kept:
         print(f"{folder / FINISHED_FILE}: {kept} pictures judged before")
@@ -304,8 +310,8 @@ _PACKAGES = ("gsrain", "onnxruntime", "numpy", "numba", "opencv-python-headless"
 class DetectionNumbers:
     """Everything that the command reports."""
 
-    rows: list[Row]
-    scores: list[WeatherScore]
+    rows: list[ObjectRow]
+    scores: list[ScoreByIntensity]
     distances: list[DistanceScore]
     robustness: dict[str, Robustness]
     settings: dict[str, Any]
@@ -327,7 +333,7 @@ class DetectionNumbers:
 
 
 def detection_numbers(
-    judgements: Sequence[Judgement],
+    judgements: Sequence[DetectionResult],
     detectors: Sequence[Detector],
     files: Sequence[Path],
     backend: str,
@@ -335,15 +341,15 @@ def detection_numbers(
     seeds: int,
 ) -> DetectionNumbers:
     """Work out all numbers. Raises ValueError where no view shows anything that could be found."""
-    rows = [row for each in judgements for row in rows_of(each)]
+    rows = [row for each in judgements for row in object_rows(each)]
     not_named = _not_named(judgements)
     if not rows and any(not_named.values()):
         words = "; ".join(f"{name} has no word for {_listed(each)}" for name, each in not_named.items() if each)
         raise ValueError(f"{source.name}: nothing there can be named: {words}")
     if not rows:
         raise ValueError(
-            f"{source.name}: none of {len(source.frames)} views shows an object of {LEAST_HEIGHT_PX:g} px or more, "
-            f"{LEAST_VISIBILITY:.0%} visible; choose others by --frames, --from, --to, --cameras or --width"
+            f"{source.name}: none of {len(source.frames)} views shows an object of {MIN_HEIGHT_PX:g} px or more, "
+            f"{MIN_VISIBILITY:.0%} visible; choose others by --frames, --from, --to, --cameras or --width"
         )
     scored = scores(rows, judgements)
     camera = source.frames[0].shot.camera
@@ -365,15 +371,15 @@ def detection_numbers(
         "rain_before_pictures": source.pictures.is_in_front,
         "least_iou": 0.5,
         "found_from_confidence": FOUND_FROM,
-        "least_height_px": LEAST_HEIGHT_PX,
-        "least_visibility": LEAST_VISIBILITY,
+        "least_height_px": MIN_HEIGHT_PX,
+        "least_visibility": MIN_VISIBILITY,
         "backend": backend,
         "versions": package_versions(),
     }
     return DetectionNumbers(rows, scored, distance_scores(rows), robustness_of(scored), settings, not_named)
 
 
-def _not_named(judgements: Sequence[Judgement]) -> dict[str, dict[str, int]]:
+def _not_named(judgements: Sequence[DetectionResult]) -> dict[str, dict[str, int]]:
     found: dict[str, set[tuple[str, str, str]]] = {each.detector: set() for each in judgements}
     for each in judgements:
         found[each.detector] |= {(each.frame, truth.id, truth.class_name) for truth in each.not_named}
@@ -387,7 +393,7 @@ def _listed(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{name} ({count})" for name, count in counts.items())
 
 
-def told_not_named(numbers: DetectionNumbers) -> list[str]:
+def unnamed_object_notes(numbers: DetectionNumbers) -> list[str]:
     """Return a sentence for each detector that has no word for some of the objects."""
     return [
         f"Not asked of {name}, which has no word for them: {_listed(each)}."
@@ -401,7 +407,7 @@ def package_versions() -> dict[str, str | None]:
     return {name: version_of(name) for name in _PACKAGES}
 
 
-def print_scores(scored: Sequence[WeatherScore], console: Console) -> None:
+def print_scores(scored: Sequence[ScoreByIntensity], console: Console) -> None:
     """Print one line for each detector and weather: means over seeds, and the lowest and highest seed."""
     table = Table("detector", "picture", "mm/h", box=None)
     for title in ("objects", "confidence", "change", f"recall@{FOUND_FROM:g}", "IoU", "flips", "mAP50", "mAP"):
@@ -426,7 +432,7 @@ def print_scores(scored: Sequence[WeatherScore], console: Console) -> None:
     )
 
 
-def _spread(spread: Spread) -> str:
+def _spread(spread: SeedSpread) -> str:
     return f"{spread.mean:.3f} ({spread.low:.3f}..{spread.high:.3f})"
 
 
@@ -460,14 +466,14 @@ class DetectionVideo:
 
     def __init__(self, file: Path | None, fps: float) -> None:
         """`file` is the video, if one is wanted."""
-        self.judgements: list[Judgement] = []
+        self.judgements: list[DetectionResult] = []
         self.samples: list[tuple[str, _Sheet]] = []
         self.frames = 0
         self._file, self._fps = file, fps
         self._video: VideoWriter | None = None
-        self._view: list[JudgedPicture] = []
+        self._view: list[EvaluatedImage] = []
 
-    def take(self, picture: JudgedPicture) -> None:
+    def take(self, picture: EvaluatedImage) -> None:
         """Take the next picture; those of a view come one after the other."""
         self.judgements += picture.judgements.values()
         if self._view and self._view[0].frame is not picture.frame:
@@ -512,9 +518,9 @@ def write_outputs(folder: Path, numbers: DetectionNumbers, samples: list[tuple[s
     with whole_file(folder / "detection.json") as beside:
         beside.write_text(json.dumps(numbers.plain, indent=1) + "\n", encoding="utf-8")
     figures = {
-        "confidence.png": ("Confidence", pixels(object_figure(numbers.rows, "confidence")), _BANDS),
-        "iou.png": ("Overlap of boxes", pixels(object_figure(numbers.rows, "iou")), _BANDS),
-        "precision.png": ("Average precision", pixels(precision_figure(numbers.scores)), _BANDS),
+        "confidence.png": ("Confidence", figure_pixels(object_figure(numbers.rows, "confidence")), _BANDS),
+        "iou.png": ("Overlap of boxes", figure_pixels(object_figure(numbers.rows, "iou")), _BANDS),
+        "precision.png": ("Average precision", figure_pixels(precision_figure(numbers.scores)), _BANDS),
     }
     for name, (_, image, _) in figures.items():
         _write_png(folder / name, image)
@@ -540,7 +546,7 @@ def _report(numbers: DetectionNumbers, figures: list[ReportFigure]) -> RunReport
         title=f"Detection in rain: {settings['source']}",
         settings={name: _output_words(value) for name, value in settings.items()},
         figures=tuple(figures),
-        notes=tuple(told_not_named(numbers)),
+        notes=tuple(unnamed_object_notes(numbers)),
         tables=(_scores_table(numbers), _distance_table(numbers)),
         headlines={
             "objects": str(len(objects)),
@@ -620,14 +626,14 @@ class DetectionSource:
     is_wet: bool
 
 
-def base_rain(preset: str | None, exposure_s: float | None) -> Rain:
+def base_rain(preset: str | None, exposure_s: float | None) -> RainSettings:
     """Everything about the rain but its intensity and its seed."""
-    rain = load_preset(preset) if preset is not None else Rain()
+    rain = load_preset(preset) if preset is not None else RainSettings()
     values = msgspec.to_builtins(rain) | ({} if exposure_s is None else {"exposure_s": exposure_s})
-    return converted_options(values, Rain, RAIN_OPTIONS)
+    return converted_options(values, RainSettings, RAIN_OPTIONS)
 
 
-def opened_source(renderer: Renderer, asked: DetectionSource, rain: Rain) -> PreparedSource:
+def opened_source(renderer: Renderer, asked: DetectionSource, rain: RainSettings) -> PreparedSource:
     """Open what was named. Raises ValueError, which names the option, where something does not fit."""
     if asked.source is None or names_scene(asked.source):
         return _of_scene(renderer, asked, rain)
@@ -638,8 +644,8 @@ def opened_source(renderer: Renderer, asked: DetectionSource, rain: Rain) -> Pre
     return _of_capture(renderer, asked, rain)
 
 
-def _of_scene(renderer: Renderer, asked: DetectionSource, rain: Rain) -> PreparedSource:
-    scene = open_to_draw(asked.source)
+def _of_scene(renderer: Renderer, asked: DetectionSource, rain: RainSettings) -> PreparedSource:
+    scene = load_sorted_scene(asked.source)
     if asked.is_wet:
         from gsrain_engine.recolor.wet_scene import wet_scene  # kernels take a second to load
 
@@ -656,10 +662,12 @@ def _of_scene(renderer: Renderer, asked: DetectionSource, rain: Rain) -> Prepare
         frames = scene_frames(renderer, scene, placed)
     sky = sky_color(renderer, scene, placed[0].camera, placed[0].time_s)
     inputs = {"scene": scene_hash(asked.source)} | _hashes(asked)
-    return PreparedSource(scene.name, Pictures(renderer, scene, rain, sky), frames, _frame_rate(placed), inputs)
+    return PreparedSource(
+        scene.name, ConditionRenderer(renderer, scene, rain, sky), frames, _frame_rate(placed), inputs
+    )
 
 
-def _of_capture(renderer: Renderer, asked: DetectionSource, rain: Rain) -> PreparedSource:
+def _of_capture(renderer: Renderer, asked: DetectionSource, rain: RainSettings) -> PreparedSource:
     capture = _chosen(open_capture(str(asked.source)), asked)
     if not capture.is_metric and capture.has_poses:
         raise ValueError(
@@ -667,21 +675,21 @@ def _of_capture(renderer: Renderer, asked: DetectionSource, rain: Rain) -> Prepa
             "alone, or a reconstruction that was scaled to metres with --capture"
         )
     world = Scene(capture.name, up=capture.up, ego=capture.ego)
-    placed = [_of_view(prepared(view), world, capture, asked.width_px) for view in capture]
+    placed = [_of_view(undistort_frame(view), world, capture, asked.width_px) for view in capture]
     labels = None if asked.truth is None else read_coco(asked.truth)
     frames = recorded_frames(world, placed, capture, labels)
-    pictures = Pictures(renderer, world, rain, Sky(OVERCAST, False), is_in_front=True)
-    inputs = {"capture": stamp(Path(str(asked.source)))} | _hashes(asked)
+    pictures = ConditionRenderer(renderer, world, rain, SkyColor(OVERCAST, False), is_in_front=True)
+    inputs = {"capture": input_fingerprint(Path(str(asked.source)))} | _hashes(asked)
     return PreparedSource(capture.name, pictures, frames, _frame_rate(placed), inputs)
 
 
 def _hashes(asked: DetectionSource) -> dict[str, str]:
     """Of what was named beside the source."""
-    found = {} if asked.capture is None else {"capture": stamp(asked.capture)}
+    found = {} if asked.capture is None else {"capture": input_fingerprint(asked.capture)}
     return found if asked.truth is None else found | {"truth": file_hash(asked.truth)}
 
 
-def _of_view(view: View, world: Scene, capture: Capture, width_px: int) -> PlacedCamera:
+def _of_view(view: CaptureFrame, world: Scene, capture: Capture, width_px: int) -> PlacedCamera:
     """Camera of a taken picture in the world; of one that nobody placed, level over the road."""
     camera = view.camera.moved(world.scene_to_world) if capture.has_poses else _level(view.camera)
     return PlacedCamera(view.name, camera, view.time_s, view.sensor).at_width(width_px)
@@ -699,10 +707,10 @@ def _chosen(capture: Capture, asked: DetectionSource) -> Capture:
     within = [view for view in there if (low is None or view.time_s >= low) and (high is None or view.time_s <= high)]
     if not within:
         raise ValueError(f"--from --to: {capture.name} has no picture between these moments")
-    views: list[View] = []
+    views: list[CaptureFrame] = []
     for sensor in dict.fromkeys(view.sensor for view in within):
         own = [view for view in within if view.sensor == sensor]
-        views += [own[i] for i in evenly(len(own), asked.frames)]
+        views += [own[i] for i in evenly_spaced_indices(len(own), asked.frames)]
     return replace(capture, views=tuple(views))
 
 
@@ -712,7 +720,7 @@ def _placed(scene: Scene, asked: DetectionSource) -> list[PlacedCamera]:
         if asked.cameras:
             raise ValueError(f"--cameras: scene {scene.name!r} has no vehicle with cameras")
         return chosen_cameras(scene, ViewChoice(count=asked.frames, width_px=asked.width_px))
-    mounted = mounted_cameras(scene, asked.cameras or (_front(scene),))
+    mounted = find_rig_cameras(scene, asked.cameras or (_front(scene),))
     placed: list[PlacedCamera] = []
     for time_s in _moments(scene.ego.times, asked):
         for each in mounted:

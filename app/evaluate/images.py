@@ -12,27 +12,27 @@ import numpy as np
 from cyclopts import Parameter
 from jaxtyping import Bool, UInt8
 
-from gsrain_engine.datasets.capture import Capture, View
+from gsrain_engine.datasets.capture import Capture, CaptureFrame
 from gsrain_engine.datasets.capture_folder import capture_without_poses
-from gsrain_engine.datasets.image_override import pictures_below
-from gsrain_engine.datasets.io.images import is_picture, read_labels
+from gsrain_engine.datasets.image_override import find_images
+from gsrain_engine.datasets.io.images import is_image, read_labels
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.evaluation.fid import (
     CONFIDENCE,
     DistributionDistance,
     FeatureCache,
     Interval,
-    compared,
-    picture_hash,
-    seen,
+    distribution_distance,
+    extract_features,
+    image_hash,
 )
 from gsrain_engine.evaluation.fid_features import Extractor, ExtractorChoice
 from gsrain_engine.evaluation.fid_registry import EXTRACTORS, open_extractor
 from gsrain_engine.evaluation.image_metrics import MeanInterval, check_pair, mean_interval
-from gsrain_engine.evaluation.input_fingerprint import stamp
+from gsrain_engine.evaluation.input_fingerprint import input_fingerprint
 from gsrain_engine.evaluation.lpips_weights import ARRAY_SUFFIXES, hash_of, read_lpips_weights, write_arrays
 from gsrain_engine.evaluation.report import ReportTable, RunReport, write_report
-from gsrain_engine.evaluation.report_charts import Comparison, Distance
+from gsrain_engine.evaluation.report_charts import Distance, ImageComparison
 
 from ..console import Console, Table, bold, print
 from ..options import (
@@ -42,19 +42,19 @@ from ..options import (
     check_page,
     check_writable,
     let_names_lead_outside,
-    words_go_to,
+    table_stream,
     write_numbers,
 )
 from ..progress import progress_bar
-from .run_facts import run_facts, set_hash, told_facts, write_beside
+from .run_facts import provenance_lines, run_provenance, set_hash, write_report_numbers
 
 _COLUMNS = 120
 
-_MOST_ROWS = 40
+_MAX_ROWS = 40
 
 Mask = Bool[np.ndarray, "h w"]
 
-Picture = UInt8[np.ndarray, "h w 3"]
+Image = UInt8[np.ndarray, "h w 3"]
 
 
 def images(
@@ -89,7 +89,7 @@ def images(
     check_page(report, json)
     pairs, left_out = _pairs(shown, truth)
     distance = None if lpips is None else perceived_distance(lpips)
-    rows: list[Comparison] = []
+    rows: list[ImageComparison] = []
     shares: list[float] = []
     hashes: list[tuple[str, str]] = []
     with progress_bar("Comparing", len(pairs)) as advance:
@@ -97,23 +97,23 @@ def images(
             mask = b.mask if masks is None else _mask(masks, b)
             pictures = a.image, b.image  # each is read anew
             rows.append(_compared(b.name, *pictures, mask, distance))
-            hashes.append((picture_hash(pictures[0]), picture_hash(pictures[1])))
+            hashes.append((image_hash(pictures[0]), image_hash(pictures[1])))
             shares.append(1.0 if mask is None else float(mask.mean()))
             advance()
     means = {name: mean_interval(values, seed) for name, values in _columns(rows).items()}
-    _print(rows, means, Console(file=words_go_to(json), width=_COLUMNS, highlight=False))
+    _print(rows, means, Console(file=table_stream(json), width=_COLUMNS, highlight=False))
     if left_out:
         print(f"{left_out} pictures have no other of their name, and are left out", file=sys.stderr)
     settings = {"pictures": str(shown), "truth": str(truth), "lpips": lpips, "seed": seed, "left_out": left_out}
-    facts = run_facts(_inputs(hashes, shown, truth, masks), ("scikit-image", "torch"))
+    facts = run_provenance(_inputs(hashes, shown, truth, masks), ("scikit-image", "torch"))
     numbers = {**settings, **facts, "means": _means(means), "rows": _numbers(rows, shares)}
     write_numbers(json, numbers)
     if report is not None:
-        told = {**settings, **told_facts(facts)}
+        told = {**settings, **provenance_lines(facts)}
         write_report(
             report, RunReport(title="Pictures compared", settings=told, comparisons=tuple(rows), held_out=False)
         )
-        beside = write_beside(report, json, numbers)
+        beside = write_report_numbers(report, json, numbers)
         print(f"wrote {report}" + (f", {beside}" if beside else ""), file=sys.stderr)
 
 
@@ -121,10 +121,10 @@ def _inputs(hashes: Sequence[tuple[str, str]], shown: Path, truth: Path, masks: 
     """Hashes of the pictures that were compared, and of the masks' names, sizes and times."""
     first, second = (set_hash(each) for each in zip(*hashes, strict=True))
     found = {f"pictures {shown}": first, f"truth {truth}": second}
-    return found if masks is None else found | {f"masks {masks}": stamp(masks)}
+    return found if masks is None else found | {f"masks {masks}": input_fingerprint(masks)}
 
 
-def _pairs(shown: Path, truth: Path) -> tuple[list[tuple[View, View]], int]:
+def _pairs(shown: Path, truth: Path) -> tuple[list[tuple[CaptureFrame, CaptureFrame]], int]:
     """Return views to compare, and how many pictures have no other; two files are a pair whatever they are called."""
     first, second = _views(shown), _views(truth)
     if _is_one(shown) and _is_one(truth):
@@ -138,45 +138,45 @@ def _pairs(shown: Path, truth: Path) -> tuple[list[tuple[View, View]], int]:
     return pairs, len(first) + len(second) - 2 * len(pairs)
 
 
-def _views(path: Path) -> list[View]:
+def _views(path: Path) -> list[CaptureFrame]:
     return list(capture_without_poses(path, [path]) if _is_one(path) else open_capture(path))
 
 
 def _is_one(path: Path) -> bool:
-    return is_picture(path) and path.is_file()
+    return is_image(path) and path.is_file()
 
 
-def _mask(folder: Path, view: View) -> Mask:
+def _mask(folder: Path, view: CaptureFrame) -> Mask:
     if folder.is_file():
         return read_labels(folder) > 0
-    file = pictures_below(folder).file_of(view.name, view.sensor)
+    file = find_images(folder).file_of(view.name, view.sensor)
     if file is None:
         raise ValueError(f"--masks {folder}: has no mask of {view.name}; expected {view.name}.png")
     return read_labels(file) > 0
 
 
-def _compared(name: str, shown: Picture, truth: Picture, mask: Mask | None, distance: Distance | None) -> Comparison:
+def _compared(name: str, shown: Image, truth: Image, mask: Mask | None, distance: Distance | None) -> ImageComparison:
     a, b = (picture.astype(np.float32) / np.float32(255) for picture in (shown, truth))
     try:
         check_pair(a.shape, b.shape, None if mask is None else mask.shape)
-        return Comparison.measured(name, a, b, mask, distance)
+        return ImageComparison.measured(name, a, b, mask, distance)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
 
 
-def _columns(rows: Sequence[Comparison]) -> dict[str, list[float]]:
+def _columns(rows: Sequence[ImageComparison]) -> dict[str, list[float]]:
     columns = {"psnr_db": [row.psnr_db for row in rows], "ssim": [row.ssim for row in rows]}
     lpips = [row.lpips for row in rows if row.lpips is not None]
     return {**columns, "lpips": lpips} if lpips else columns
 
 
-def _print(rows: Sequence[Comparison], means: dict[str, MeanInterval], console: Console) -> None:
+def _print(rows: Sequence[ImageComparison], means: dict[str, MeanInterval], console: Console) -> None:
     titles = {"psnr_db": "PSNR dB", "ssim": "SSIM", "lpips": "LPIPS"}
     table = Table("picture", *(titles[name] for name in means), box=None)
-    for row in rows if len(rows) <= _MOST_ROWS else sorted(rows, key=lambda row: row.psnr_db)[:_MOST_ROWS]:
+    for row in rows if len(rows) <= _MAX_ROWS else sorted(rows, key=lambda row: row.psnr_db)[:_MAX_ROWS]:
         cells = [f"{row.psnr_db:.2f}", f"{row.ssim:.4f}", *([] if row.lpips is None else [f"{row.lpips:.4f}"])]
         table.add_row(row.name, *cells)
-    told = f"mean of {len(rows)}" + (f", above the {_MOST_ROWS} worst" if len(rows) > _MOST_ROWS else "")
+    told = f"mean of {len(rows)}" + (f", above the {_MAX_ROWS} worst" if len(rows) > _MAX_ROWS else "")
     table.add_row(bold(told), *(bold(f"{each.mean:.4g}") for each in means.values()))
     table.add_row("95 % of such means", *(f"{each.low:.4g} to {each.high:.4g}" for each in means.values()))
     console.print(table)
@@ -186,7 +186,7 @@ def _means(means: dict[str, MeanInterval]) -> dict[str, Any]:
     return {name: {part: _finite(value) for part, value in each._asdict().items()} for name, each in means.items()}
 
 
-def _numbers(rows: Sequence[Comparison], shares: Sequence[float]) -> list[dict[str, Any]]:
+def _numbers(rows: Sequence[ImageComparison], shares: Sequence[float]) -> list[dict[str, Any]]:
     return [
         {
             "name": row.name,
@@ -208,9 +208,9 @@ def _finite(value: float) -> float | None:
 
 _FID_COLUMNS = 200
 
-_LEAST_RESAMPLES, _MOST_RESAMPLES = 20, 10_000
+_MIN_RESAMPLES, _MAX_RESAMPLES = 20, 10_000
 
-_RESAMPLES, _MANY, _LEAST_DEFAULT = 200, 500, 40  # of many pictures each takes seconds, and the values vary less
+_RESAMPLES, _MANY, _MIN_DEFAULT = 200, 500, 40  # of many pictures each takes seconds, and the values vary less
 
 _CAPTION = (
     "low and high: ends of the 95 % interval over pictures drawn again. same: what the distance would be of two sets "
@@ -269,17 +269,17 @@ def fid(
     ]
     sets = [(folder, _opened(folder)) for folder in (real, *fake)]
     most = max(len(capture) for _, capture in sets)
-    times = resamples or max(_RESAMPLES * _MANY // max(most, _MANY), _LEAST_DEFAULT)
+    times = resamples or max(_RESAMPLES * _MANY // max(most, _MANY), _MIN_DEFAULT)
     hashes: dict[str, str] = {}
     rows = [row for each in extractors for row in _rows(each, sets, kept, times, seed, hashes)]
-    _print_fid(rows, Console(file=words_go_to(json), width=_FID_COLUMNS, highlight=False))
+    _print_fid(rows, Console(file=table_stream(json), width=_FID_COLUMNS, highlight=False))
     settings = {"resamples": times, "seed": seed, "confidence": CONFIDENCE}
-    facts = run_facts(hashes, ("torch", "onnxruntime"))
+    facts = run_provenance(hashes, ("torch", "onnxruntime"))
     numbers = {**settings, **facts, "rows": [_fid_numbers(row) for row in rows]}
     write_numbers(json, numbers)
     if report is not None:
-        write_report(report, _page(rows, {**settings, **told_facts(facts)}))
-        beside = write_beside(report, json, numbers)
+        write_report(report, _page(rows, {**settings, **provenance_lines(facts)}))
+        beside = write_report_numbers(report, json, numbers)
         print(f"wrote {report}" + (f", {beside}" if beside else ""), file=sys.stderr)
 
 
@@ -289,8 +289,8 @@ def _check(names: Sequence[str], weights: Path | None, resamples: int | None) ->
             raise ValueError(f"--extractor {name}: expected one of {', '.join(EXTRACTORS)}")
     if weights is not None and len(names) > 1:
         raise ValueError("--weights: belongs to one extractor, several are chosen")
-    if resamples is not None and not _LEAST_RESAMPLES <= resamples <= _MOST_RESAMPLES:
-        raise ValueError(f"--resamples {resamples}: must be within {_LEAST_RESAMPLES}..{_MOST_RESAMPLES}")
+    if resamples is not None and not _MIN_RESAMPLES <= resamples <= _MAX_RESAMPLES:
+        raise ValueError(f"--resamples {resamples}: must be within {_MIN_RESAMPLES}..{_MAX_RESAMPLES}")
 
 
 def _opened(folder: Path) -> Capture:
@@ -317,11 +317,12 @@ def _rows(
 ) -> list[DistributionDistance]:
     """Look at all sets and compare them with the first; hashes of their pixels come into `hashes`."""
     with progress_bar("Looking at pictures", sum(len(capture) for _, capture in sets)) as advance:
-        looked = [seen(str(folder), capture, extractor, cache, advance) for folder, capture in sets]
+        looked = [extract_features(str(folder), capture, extractor, cache, advance) for folder, capture in sets]
     hashes |= {each.name: set_hash(each.hashes) for each in looked}
     with progress_bar("Resampling", 2 * resamples * (len(sets) - 1)) as advance:
         return [
-            compared(extractor, looked[0], each, resamples=resamples, seed=seed, advance=advance) for each in looked[1:]
+            distribution_distance(extractor, looked[0], each, resamples=resamples, seed=seed, advance=advance)
+            for each in looked[1:]
         ]
 
 

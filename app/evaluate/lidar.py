@@ -14,13 +14,13 @@ import numpy as np
 from cyclopts import Parameter
 from PIL import Image
 
-from gsrain_engine.evaluation.input_fingerprint import stamp
-from gsrain_engine.evaluation.lidar.results import Run, RunCounts, Tally, write_figure
-from gsrain_engine.evaluation.lidar.results import runs as lidar_runs
-from gsrain_engine.evaluation.lidar.scan import Answer, Turn, capture_turns, scene_turns, write_sweep
+from gsrain_engine.evaluation.input_fingerprint import input_fingerprint
+from gsrain_engine.evaluation.lidar.results import RainRun, RainRunCounts, ReturnCounts, write_figure
+from gsrain_engine.evaluation.lidar.results import rain_runs as lidar_runs
+from gsrain_engine.evaluation.lidar.scan import Answer, LidarTurn, capture_turns, scene_turns, write_sweep
 from gsrain_engine.evaluation.lidar.sensor import SENSORS, LidarSensor
 from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, write_report
-from gsrain_engine.safe_io.errors import converted
+from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.safe_io.text_files import read_whole, yaml_values
 from gsrain_engine.scene.files import file_word, whole_file
 from gsrain_engine.scene.scene_hash import file_hash, scene_hash
@@ -30,18 +30,18 @@ from ..options import (
     AllowOutside,
     JsonFileOrScreen,
     check_writable,
-    hold,
     let_names_lead_outside,
-    words_go_to,
+    lock_outputs,
+    table_stream,
     write_numbers,
 )
 from ..progress import progress_bar
 from ..scene_options import names_scene
-from .run_facts import run_facts, told_facts
+from .run_facts import provenance_lines, run_provenance
 
 _COLUMNS = 130
 
-_MOST_SEEDS, _MOST_SWEEPS = 1000, 1000
+_MAX_SEEDS, _MAX_SWEEPS = 1000, 1000
 
 
 def lidar(
@@ -85,18 +85,18 @@ def lidar(
     """
     let_names_lead_outside(allow_outside)
     intensities = _intensities(rain)
-    for name, count, most in (("--seeds", seeds, _MOST_SEEDS), ("--sweeps", sweeps, _MOST_SWEEPS)):
+    for name, count, most in (("--seeds", seeds, _MAX_SEEDS), ("--sweeps", sweeps, _MAX_SWEEPS)):
         if not 1 <= count <= most:
             raise ValueError(f"{name} {count}: must be within 1..{most}")
     for name, value, most in (("--reflectance", reflectance, 1.0), ("--full-intensity", full_intensity, 1e6)):
         if value is not None and not 0 < value <= most:
             raise ValueError(f"{name} {value:g}: must be within 0..{most:g}")
     check_writable(output / "lidar.png", output / "report.html", json, folders=[output])
-    hold(output)
+    lock_outputs(output)
     chosen = _sensor(sensor, range_10, least_reflectance)
     count, turns = _turns(source, chosen, sweeps, reflectance, full_intensity, told_range=range_10 is None)
-    by_intensity: dict[float, list[RunCounts]] = {}
-    shown: Run | None = None
+    by_intensity: dict[float, list[RainRunCounts]] = {}
+    shown: RainRun | None = None
     with progress_bar("Raining", count * len(intensities) * seeds) as advance:
         for turn in turns:
             for run in lidar_runs(turn, intensities, range(seeds), answer=answer, wet_road=wet_road):
@@ -109,13 +109,13 @@ def lidar(
     if shown is None:
         raise ValueError(f"{source}: no turn of a lidar came of it")
     write_figure(output / "lidar.png", shown, by_intensity)
-    facts = run_facts(_inputs(source, sensor), ("numba",))
+    facts = run_provenance(_inputs(source, sensor), ("numba",))
     asked = {"source": source, "seeds": list(range(seeds)), "answer": answer, "wet_road": wet_road}
     report = lidar_report(by_intensity, shown.turn.sensor, **asked, **facts)
     write_lidar_table(output / "lidar.csv", report["rows"])
     write_numbers(output / "lidar.json", report)
     write_lidar_page(output / "report.html", output / "lidar.png", by_intensity, report)
-    console = Console(file=words_go_to(json), width=_COLUMNS, highlight=False)
+    console = Console(file=table_stream(json), width=_COLUMNS, highlight=False)
     print_lidar(by_intensity, shown.turn.sensor, console)
     what = "lidar.png, lidar.csv, lidar.json, report.html" + (", sweeps/" if write_sweeps else "")
     console.print(f"wrote {output}: {what}", soft_wrap=True)
@@ -124,18 +124,18 @@ def lidar(
 
 def _inputs(source: str, sensor: str) -> dict[str, str]:
     """Hashes of a scene's bytes, or over names, sizes and times of a capture; of a file of a sensor."""
-    found = {source: scene_hash(source) if names_scene(source) else stamp(Path(source))}
+    found = {source: scene_hash(source) if names_scene(source) else input_fingerprint(Path(source))}
     return found if sensor in SENSORS else found | {sensor: file_hash(Path(sensor))}
 
 
 def _turns(
     source: str, sensor: LidarSensor, count: int, reflectance: float, full: float | None, told_range: bool
-) -> tuple[int, Iterator[Turn]]:
+) -> tuple[int, Iterator[LidarTurn]]:
     """How many turns there are, and the turns."""
     if names_scene(source):
-        from gsrain_engine.scene.open import open_scene
+        from gsrain_engine.scene.open import load_scene
 
-        scene = open_scene(source)
+        scene = load_scene(source)
         if scene.ego is None or not len(scene.ego.times):
             raise ValueError(f"{source}: has no ego vehicle whose roof a lidar could stand on")
         first, last = float(scene.ego.times[0]), float(scene.ego.times[-1])
@@ -148,7 +148,7 @@ def _turns(
     return min(count, len(capture.sweeps)), found
 
 
-def _name(run: Run) -> str:
+def _name(run: RainRun) -> str:
     return f"{file_word(run.turn.name)}_rain{run.state.intensity_mm_h:g}_seed{run.seed}.npz"
 
 
@@ -167,7 +167,7 @@ def _sensor(name: str, range_10: float | None, least_reflectance: float | None) 
             raise ValueError(f"--sensor {name}: expected {', '.join(SENSORS)}, or a YAML file of a sensor")
         data = read_whole(path)
         try:
-            sensor = converted(yaml_values(data), LidarSensor)
+            sensor = convert_checked(yaml_values(data), LidarSensor)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
     if range_10 is not None:
@@ -189,14 +189,14 @@ _COUNTED = ("clear", "kept", "dropped", "masked", "false")
 
 
 def lidar_report(
-    by_intensity: Mapping[float, Sequence[RunCounts]], sensor: LidarSensor, **settings: Any
+    by_intensity: Mapping[float, Sequence[RainRunCounts]], sensor: LidarSensor, **settings: Any
 ) -> dict[str, Any]:
     """Everything as plain values: a row for each turn, intensity and seed."""
     rows = [_row(run) for runs in by_intensity.values() for run in runs]
     return {**settings, "sensor": msgspec.to_builtins(sensor), "rows": rows}
 
 
-def _row(run: RunCounts) -> dict[str, Any]:
+def _row(run: RainRunCounts) -> dict[str, Any]:
     tally = run.tally
     return {
         "intensity_mm_h": run.state.intensity_mm_h,
@@ -213,7 +213,7 @@ def _row(run: RunCounts) -> dict[str, Any]:
     }
 
 
-def _by_range(tally: Tally) -> list[dict[str, Any]]:
+def _by_range(tally: ReturnCounts) -> list[dict[str, Any]]:
     ends = zip(tally.edges_m[:-1].tolist(), tally.edges_m[1:].tolist(), strict=True)
     return [
         {"from_m": start, "to_m": None if math.isinf(end) else end}
@@ -235,7 +235,7 @@ def write_lidar_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         beside.write_text(text.getvalue(), encoding="utf-8")
 
 
-def print_lidar(by_intensity: Mapping[float, Sequence[RunCounts]], sensor: LidarSensor, console: Console) -> None:
+def print_lidar(by_intensity: Mapping[float, Sequence[RainRunCounts]], sensor: LidarSensor, console: Console) -> None:
     """Print means over seeds and turns, with their spread, and the shares that are kept by range."""
     table = Table("mm/h", "beta 1/km", "wetness", "clear", "kept", "too weak", "behind a drop", "drops", box=None)
     table.add_column("noise mm")
@@ -256,7 +256,7 @@ def print_lidar(by_intensity: Mapping[float, Sequence[RunCounts]], sensor: Lidar
     first = next(iter(by_intensity.values()))
     runs_each, just = len(first), sum(run.at_threshold for run in first)
     console.print(f"Means of {runs_each} runs each, with the least and the most of them. Kept returns by range:")
-    console.print(_kept_by_range(by_intensity))
+    console.print(_return_share_by_range(by_intensity))
     if just:
         console.print(
             f"{just / runs_each:,.0f} clear returns are fainter than what is just detected: they are taken to be at "
@@ -265,7 +265,7 @@ def print_lidar(by_intensity: Mapping[float, Sequence[RunCounts]], sensor: Lidar
         )
 
 
-def _kept_by_range(by_intensity: Mapping[float, Sequence[RunCounts]]) -> Table:
+def _return_share_by_range(by_intensity: Mapping[float, Sequence[RainRunCounts]]) -> Table:
     """Shares of the clear returns; bins that few of these are in are left out."""
     sums = {
         intensity: [np.sum([getattr(run.tally, name) for run in runs], axis=0) for name in ("kept", "clear")]
@@ -295,12 +295,12 @@ _NOTES = (
 
 
 def write_lidar_page(
-    file: Path, figure: Path, by_intensity: Mapping[float, Sequence[RunCounts]], report: Mapping[str, Any]
+    file: Path, figure: Path, by_intensity: Mapping[float, Sequence[RainRunCounts]], report: Mapping[str, Any]
 ) -> None:
     """Write the page; `report` is what `lidar_report` gives, `figure` the picture to show first."""
     with Image.open(figure) as opened:
         pixels = np.asarray(opened.convert("RGB"))
-    told = told_facts(report)
+    told = provenance_lines(report)
     settings = {name: value for name, value in report.items() if name not in ("sensor", "rows", "versions", "inputs")}
     settings |= told
     runs = len(next(iter(by_intensity.values())))
@@ -317,7 +317,7 @@ def write_lidar_page(
     )
 
 
-def _totals(by_intensity: Mapping[float, Sequence[RunCounts]]) -> ReportTable:
+def _totals(by_intensity: Mapping[float, Sequence[RainRunCounts]]) -> ReportTable:
     rows: list[tuple[str | float | None, ...]] = []
     for intensity, runs in by_intensity.items():
         clear, kept, dropped, masked, false = (
@@ -336,7 +336,7 @@ def _totals(by_intensity: Mapping[float, Sequence[RunCounts]]) -> ReportTable:
     return ReportTable("Returns", columns, tuple(rows), decimals=2, caption="Means of the runs of each intensity.")
 
 
-def _page_by_range(by_intensity: Mapping[float, Sequence[RunCounts]]) -> ReportTable:
+def _page_by_range(by_intensity: Mapping[float, Sequence[RainRunCounts]]) -> ReportTable:
     edges = next(iter(by_intensity.values()))[0].tally.edges_m.tolist()
     ends = [f"{a:g}-{b:g} m" if math.isfinite(b) else f"> {a:g} m" for a, b in pairwise(edges)]
     rows: list[tuple[str | float | None, ...]] = []

@@ -13,13 +13,13 @@ from ..options import write_numbers
 _DIGITS = 16
 
 
-def run_facts(inputs: Mapping[str, str], packages: Iterable[str] = ()) -> dict[str, Any]:
+def run_provenance(inputs: Mapping[str, str], packages: Iterable[str] = ()) -> dict[str, Any]:
     """Return what a file of numbers says of its origin: `inputs` are hashes by name, packages those that matter."""
     versions = {name: version_of(name) for name in ("gsrain", "numpy", *packages)}
     return {"command": shlex.join(["gsrain", *sys.argv[1:]]), "versions": versions, "inputs": dict(inputs)}
 
 
-def told_facts(facts: Mapping[str, Any]) -> dict[str, str]:
+def provenance_lines(facts: Mapping[str, Any]) -> dict[str, str]:
     """Return the same for a page: a line each."""
     versions = ", ".join(f"{name} {version}" for name, version in facts["versions"].items() if version is not None)
     hashes = {f"hash of {name}": str(value) for name, value in facts["inputs"].items()}
@@ -39,7 +39,7 @@ def set_hash(hashes: Iterable[str]) -> str:
     return hashlib.sha256("\n".join(hashes).encode()).hexdigest()[:_DIGITS]
 
 
-def write_beside(report: Path | None, asked: Path | None, numbers: Mapping[str, Any]) -> Path | None:
+def write_report_numbers(report: Path | None, asked: Path | None, numbers: Mapping[str, Any]) -> Path | None:
     """Write numbers beside a page, as JSON of its name, where nobody asked for them elsewhere; returns the file."""
     if report is None or asked is not None:
         return None

@@ -10,17 +10,23 @@ from typing import Annotated, Any, Literal
 from cyclopts import Parameter
 
 from gsrain_engine.datasets.rainsense import RainSequence, find_rain_sequences
-from gsrain_engine.evaluation.real_rain import Comparison, Measured, above_horizon, compare, evenly_chosen
+from gsrain_engine.evaluation.real_rain import (
+    FrameStatistics,
+    RealRainComparison,
+    above_horizon,
+    compare_with_real_rain,
+    evenly_chosen,
+)
 from gsrain_engine.evaluation.streaks import ANGLE_EDGES_DEG, LENGTH_EDGES_PX, Window
-from gsrain_engine.rain.settings import Rain
+from gsrain_engine.rain.settings import RainSettings
 
 from ..console import Console, Table
-from ..options import JsonFileOrScreen, check_writable, converted_options, words_go_to, write_numbers
+from ..options import JsonFileOrScreen, check_writable, converted_options, table_stream, write_numbers
 from ..progress import progress_bar
 
 _OPTIONS = {"intensity_mm_h": "rain", "aperture_mm": "aperture", "rain_light": "light"}
 
-_LEAST_FRAMES, _MOST_FRAMES = 5, 200
+_MIN_FRAMES, _MAX_FRAMES = 5, 200
 
 _COLUMNS = 130
 
@@ -50,23 +56,25 @@ def streaks(
     json: JsonFileOrScreen = None,
 ) -> None:
     """Measure rain streaks in the frames of a still camera, and in our rain before the same background."""
-    if not _LEAST_FRAMES <= frames <= _MOST_FRAMES:
-        raise ValueError(f"--frames {frames}: must be within {_LEAST_FRAMES}..{_MOST_FRAMES}")
+    if not _MIN_FRAMES <= frames <= _MAX_FRAMES:
+        raise ValueError(f"--frames {frames}: must be within {_MIN_FRAMES}..{_MAX_FRAMES}")
     check_writable(json)
     exposures = _exposures(exposure)
     part = _window(window) if window is not None else None
     sequences = _long_enough(real)
     knobs = {"rain_light": light, "streak_gain": streak_gain, "aperture_mm": aperture, "seed": seed}
-    rows: list[Comparison] = []
+    rows: list[RealRainComparison] = []
     with progress_bar("Measuring", len(sequences)) as advance:
         for sequence in sequences:
             labelled = sequence.intensity_mm_h
-            ours = converted_options({"intensity_mm_h": labelled if rain is None else rain, **knobs}, Rain, _OPTIONS)
+            ours = converted_options(
+                {"intensity_mm_h": labelled if rain is None else rain, **knobs}, RainSettings, _OPTIONS
+            )
             numbers = evenly_chosen(sequence, frames)
-            rows.append(compare(sequence, ours, exposures, numbers, part or above_horizon(sequence)))
+            rows.append(compare_with_real_rain(sequence, ours, exposures, numbers, part or above_horizon(sequence)))
             advance()
     report = _report(rows, frames=frames, **knobs)
-    _print(rows, Console(file=words_go_to(json), width=_COLUMNS))
+    _print(rows, Console(file=table_stream(json), width=_COLUMNS))
     write_numbers(json, report)
 
 
@@ -88,15 +96,15 @@ def _window(text: str) -> Window:
 def _long_enough(folder: Path) -> list[RainSequence]:
     found = find_rain_sequences(folder)
     for sequence in found:
-        if len(sequence) < _LEAST_FRAMES:
+        if len(sequence) < _MIN_FRAMES:
             _log.warning("%s: %d frames, left out", sequence.name, len(sequence))
-    kept = [sequence for sequence in found if len(sequence) >= _LEAST_FRAMES]
+    kept = [sequence for sequence in found if len(sequence) >= _MIN_FRAMES]
     if not kept:
-        raise ValueError(f"{folder}: no sequence of {_LEAST_FRAMES} frames or more, which a temporal median needs")
+        raise ValueError(f"{folder}: no sequence of {_MIN_FRAMES} frames or more, which a temporal median needs")
     return kept
 
 
-def _report(rows: list[Comparison], **settings: Any) -> dict[str, Any]:
+def _report(rows: list[RealRainComparison], **settings: Any) -> dict[str, Any]:
     edges = {"length_edges_px": list(LENGTH_EDGES_PX), "angle_edges_deg": list(ANGLE_EDGES_DEG)}
     return _finite({**settings, **edges, "rows": [asdict(r) for r in rows]})
 
@@ -110,7 +118,7 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def _print(rows: list[Comparison], console: Console) -> None:
+def _print(rows: list[RealRainComparison], console: Console) -> None:
     table = Table("mm/h", "rain", "T ms", "std", "> 8", "< -8", "streaks", "a Mpx", box=None)
     for title in ("angle deg", "length px", "width px", "rise", "told T ms"):
         table.add_column(title)
@@ -122,7 +130,7 @@ def _print(rows: list[Comparison], console: Console) -> None:
     console.print("Streaks before backgrounds of grey 32 to 64: medians, with what 10 and 90 % lie below.")
 
 
-def _add(table: Table, intensity: str, whose: str, measured: Measured) -> None:
+def _add(table: Table, intensity: str, whose: str, measured: FrameStatistics) -> None:
     residual, streak = measured.residual, measured.streak
     table.add_row(
         intensity,

@@ -11,34 +11,34 @@ import msgspec
 from cyclopts import Parameter
 from PIL import Image
 
-from gsrain_engine.appearance.registry import method_of
+from gsrain_engine.appearance.registry import find_method
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.editor.jobs.training import HOW_TO_GET_DIFFUSION, require_torch
 from gsrain_engine.evaluation.compare_results import (
     CLEAR,
     SHIPPED,
     ComparedMethod,
-    Comparison,
-    comma_separated,
+    TransferComparison,
+    comparison_csv,
     load_comparison,
-    markdown,
-    plain,
+    markdown_table,
+    plain_row,
 )
 from gsrain_engine.evaluation.compare_translators import (
     ComparedSource,
     ComparisonResult,
     capture_source,
     check_methods,
-    held_out_pictures,
-    real_pictures,
+    held_out_images,
+    real_images,
     run_comparison,
 )
 from gsrain_engine.evaluation.fid import FeatureCache
 from gsrain_engine.evaluation.fid_features import Extractor, ExtractorChoice
 from gsrain_engine.evaluation.fid_registry import open_extractor
-from gsrain_engine.evaluation.input_fingerprint import stamp
+from gsrain_engine.evaluation.input_fingerprint import input_fingerprint
 from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, write_report
-from gsrain_engine.presets import shipped_names
+from gsrain_engine.presets import shipped_config_names
 from gsrain_engine.scene.files import whole_file
 from gsrain_engine.scene.scene_hash import scene_hash
 
@@ -48,22 +48,22 @@ from ..options import (
     JsonFileOrScreen,
     Trust,
     check_writable,
-    hold,
     let_names_lead_outside,
+    lock_outputs,
+    table_stream,
     with_trust,
-    words_go_to,
     write_numbers,
 )
 from ..progress import followed
 from ..scene_options import names_scene
-from .run_facts import run_facts, told_facts
+from .run_facts import provenance_lines, run_provenance
 
 _COLUMNS = 160
 
 
 def transfers(
     comparison: Annotated[
-        str, Parameter(help=f"YAML file, or a shipped comparison: {', '.join(shipped_names(SHIPPED))}.")
+        str, Parameter(help=f"YAML file, or a shipped comparison: {', '.join(shipped_config_names(SHIPPED))}.")
     ],
     /,
     *,
@@ -86,9 +86,9 @@ def transfers(
     names = tuple(name.strip() for name in only.split(",") if name.strip())
     told = told.only(names) if names else told
     check_writable(output / "table.md", json, folders=[output, *(output / each.name for each in told.methods)])
-    hold(output)
+    lock_outputs(output)
     for each in told.methods:
-        if each.method != CLEAR and method_of(each.method).needs_torch:
+        if each.method != CLEAR and find_method(each.method).needs_torch:
             require_torch(f"method {each.name!r}", HOW_TO_GET_DIFFUSION)
     check_methods(told, output)
     extractor = _extractor(ExtractorChoice(name=told.extractor, weights=told.extractor_weights, device=device))
@@ -96,7 +96,7 @@ def transfers(
     result = followed(run_comparison(told, source, real, extractor, FeatureCache(), output))
     numbers = _numbers(comparison, told, source, real, result)
     _write(output, numbers, result, told, source, real)
-    print_transfers(result, Console(file=words_go_to(json), width=_COLUMNS, highlight=False))
+    print_transfers(result, Console(file=table_stream(json), width=_COLUMNS, highlight=False))
     print(f"wrote {output}: table.md, table.csv, table.json, figure.png, report.html", file=sys.stderr)
     write_numbers(json, numbers)
 
@@ -108,17 +108,17 @@ def _extractor(choice: ExtractorChoice) -> Extractor:
         raise ValueError(f"extractor {choice.name} needs {error.name}: pip install 'gsrain[evaluate]'") from None
 
 
-def _opened(told: Comparison) -> tuple[ComparedSource, Capture]:
+def _opened(told: TransferComparison) -> tuple[ComparedSource, Capture]:
     if told.pictures is not None:
-        return held_out_pictures(told.pictures, told.width_px)
+        return held_out_images(told.pictures, told.width_px)
     assert told.source is not None
-    real = real_pictures(told.real, told.width_px)
+    real = real_images(told.real, told.width_px)
     choice = msgspec.structs.replace(told.views, width_px=told.width_px)
     if names_scene(told.source):
         from ..translate import source_views  # kernels take a second to load
 
         opened = source_views(told.source, choice, told.capture)
-        stamps = "-".join(stamp(Path(each)) for each in (told.source, told.capture) if each is not None)
+        stamps = "-".join(input_fingerprint(Path(each)) for each in (told.source, told.capture) if each is not None)
         return ComparedSource(
             opened.name, opened.views, opened.surroundings, opened.to_world, opened.mask, True, stamps
         ), real
@@ -126,10 +126,10 @@ def _opened(told: Comparison) -> tuple[ComparedSource, Capture]:
     from gsrain_engine.datasets.open_capture import open_capture
 
     capture = chosen_views(open_capture(told.source), choice)
-    return capture_source(capture, told.width_px, stamp(Path(told.source))), real
+    return capture_source(capture, told.width_px, input_fingerprint(Path(told.source))), real
 
 
-def _inputs(told: Comparison, source: ComparedSource) -> dict[str, str]:
+def _inputs(told: TransferComparison, source: ComparedSource) -> dict[str, str]:
     """Hash of a scene's bytes; for all else those over names, sizes and times of the files."""
     is_scene = told.source is not None and names_scene(told.source)
     found = {"clear views": scene_hash(told.source) if is_scene else source.stamp}
@@ -138,15 +138,15 @@ def _inputs(told: Comparison, source: ComparedSource) -> dict[str, str]:
     files |= {"capture": told.capture, "weights of the extractor": told.extractor_weights}
     for each in told.methods:
         files |= {f"{name} of {each.name}": getattr(each, name) for name in ("weights", "images", "base")}
-    return found | {name: stamp(path) for name, path in files.items() if path is not None}
+    return found | {name: input_fingerprint(path) for name, path in files.items() if path is not None}
 
 
 def _numbers(
-    name: str, told: Comparison, source: ComparedSource, real: Capture, result: ComparisonResult
+    name: str, told: TransferComparison, source: ComparedSource, real: Capture, result: ComparisonResult
 ) -> dict[str, Any]:
     return {
         "gsrain": version("gsrain"),
-        **run_facts(_inputs(told, source), ("torch", "diffusers", "onnxruntime")),
+        **run_provenance(_inputs(told, source), ("torch", "diffusers", "onnxruntime")),
         "comparison": name,
         "source": source.name,
         "views": len(source.views),
@@ -156,7 +156,7 @@ def _numbers(
         "shown": list(result.shown),
         "kept": list(result.kept),
         "notes": list(result.notes),
-        "rows": [plain(row) for row in result.rows],
+        "rows": [plain_row(row) for row in result.rows],
         "settings": msgspec.to_builtins(told, enc_hook=str),
     }
 
@@ -165,13 +165,13 @@ def _write(
     output: Path,
     numbers: dict[str, Any],
     result: ComparisonResult,
-    told: Comparison,
+    told: TransferComparison,
     source: ComparedSource,
     real: Capture,
 ) -> None:
     texts = {
-        "table.md": markdown(result.rows),
-        "table.csv": comma_separated(result.rows),
+        "table.md": markdown_table(result.rows),
+        "table.csv": comparison_csv(result.rows),
         "table.json": json_text.dumps(numbers, indent=1) + "\n",
     }
     for name, text in texts.items():
@@ -179,7 +179,7 @@ def _write(
             beside.write_text(text, encoding="utf-8")
     with whole_file(output / "figure.png") as beside:
         Image.fromarray(result.figure).save(beside, "png")
-    facts = {"views": f"{len(source.views)} of {source.name}", "real pictures": len(real), **told_facts(numbers)}
+    facts = {"views": f"{len(source.views)} of {source.name}", "real pictures": len(real), **provenance_lines(numbers)}
     write_report(output / "report.html", transfers_page(result, told, facts))
 
 
@@ -188,7 +188,7 @@ def _write(
 _WITHOUT_CAMERAS = "Nobody knows where these pictures were taken: whether views agree with each other is not measured."
 
 
-def transfers_page(result: ComparisonResult, told: Comparison, facts: Mapping[str, object]) -> RunReport:
+def transfers_page(result: ComparisonResult, told: TransferComparison, facts: Mapping[str, object]) -> RunReport:
     """Lay out the page of a comparison; `facts` come first among its settings."""
     rows, distance = result.rows, result.rows[0].distance
     caption = (

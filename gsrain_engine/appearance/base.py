@@ -44,7 +44,7 @@ class ClearView:
     @property
     def has_surfaces(self) -> bool:
         """Whether it is known what is where: else road, car and wall can't be told apart."""
-        return self.known_share >= _LEAST_KNOWN and self.has_depth
+        return self.known_share >= _MIN_KNOWN and self.has_depth
 
     @property
     def has_depth(self) -> bool:
@@ -71,7 +71,7 @@ class RainyView:
     """What the transfer could not do for this view and why, as the end of a sentence; empty where it did all."""
 
 
-class LeftOut:
+class SkippedCounts:
     """Counts what a transfer could not do, over all views."""
 
     def __init__(self) -> None:
@@ -109,7 +109,7 @@ class Transfer(Protocol):
         ...
 
 
-_LEAST_KNOWN = 0.5
+_MIN_KNOWN = 0.5
 """Of the depth below the sky: a lidar's beams reach 0.7 and more, a few thousand triangulated points 0.2 to 0.4."""
 
 # § What a person can choose about a transfer.

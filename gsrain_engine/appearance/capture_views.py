@@ -6,27 +6,27 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
-from ..datasets.capture import EGO_HEIGHT_M, Capture, Sweep, View
+from ..datasets.capture import EGO_HEIGHT_M, Capture, CaptureFrame, LidarSweep
 from ..datasets.completed_depth import completed_depth
-from ..datasets.depth_maps import measured_depths, road_depth, road_drop, static_sweeps
+from ..datasets.depth_maps import camera_height_above_road, measured_depths, road_depth, static_sweeps
 from ..datasets.geometry import lidar_depth
-from ..datasets.sky_masks import sure_sky
-from ..datasets.undistort import prepared
+from ..datasets.sky_masks import certain_sky
+from ..datasets.undistort import undistort_frame
 from ..scene.scene import rotation_to_z_up
 from .base import ClearView
-from .guess_geometry import guided, vehicle_pixels
+from .guess_geometry import color_guided_filter, vehicle_pixels
 from .normals import normals_from_depth
-from .scene_views import KeptViews
+from .scene_views import CachedViews
 
 
-class CaptureViews(KeptViews):
+class CaptureViews(CachedViews):
     """Views of a capture in the world (metres, z up), each worked out when it is asked for; the last few are kept."""
 
     def __init__(self, capture: Capture, width_px: int) -> None:
         """Take a capture; nothing is read before it is asked for. Wider pictures are made smaller."""
         super().__init__(len(capture), self._view)
         self._capture = capture
-        self._straight = [prepared(view, min(width_px, view.camera.width)) for view in capture]
+        self._straight = [undistort_frame(view, min(width_px, view.camera.width)) for view in capture]
         self._surfaces = CaptureSurfaces(capture)
         self._has_poses = capture.has_poses and not _stand_at_one_place(capture)
 
@@ -108,7 +108,7 @@ class CaptureSurfaces:
     def __init__(self, capture: Capture) -> None:
         """Take a capture, whose lidar and points are read when they are needed."""
         self._capture = capture
-        self._last: tuple[View, Float32[np.ndarray, "_ _"]] | None = None
+        self._last: tuple[CaptureFrame, Float32[np.ndarray, "_ _"]] | None = None
 
     @property
     def metres_per_unit(self) -> float:
@@ -117,27 +117,27 @@ class CaptureSurfaces:
             return 1.0
         return EGO_HEIGHT_M / self._drop
 
-    def sky(self, view: View) -> Float32[np.ndarray, "h w"]:
+    def sky(self, view: CaptureFrame) -> Float32[np.ndarray, "h w"]:
         """Share of sky in each pixel of a view without distortion: as the capture says, else what is surely sky.
 
-        The edge of what `sure_sky` finds follows leaves and wires: it is feathered along the picture's own edges. Where
-        a lidar measured something no sky is.
+        The edge of what `certain_sky` finds follows leaves and wires: it is feathered along the picture's own edges.
+        Where a lidar measured something no sky is.
         """
         own = view.sky
         if own is not None:
             return own.astype(np.float32)
-        sure = sure_sky(view.image).pixels
+        sure = certain_sky(view.image).pixels
         if self._capture.sweeps:
             sure = sure & ~_near(self._measured(view), _AT_BEAM)
         return _feathered(sure, view.image)
 
-    def known_share(self, view: View, sky: Bool[np.ndarray, "h w"]) -> float:
+    def known_share(self, view: CaptureFrame, sky: Bool[np.ndarray, "h w"]) -> float:
         """Part of a view below its sky that was measured, or lies next to what was: other depth is a guess."""
         if view.depth_source is not None:
             return 1.0
         return float(_near(self._measured(view), _BEAMS)[~sky].mean()) if not sky.all() else 0.0
 
-    def depth(self, view: View, sky: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    def depth(self, view: CaptureFrame, sky: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
         """Depth along the view axis in the capture's unit; 0 in the sky, and in views of which nothing was measured.
 
         Lidar and points are made dense, see `completed_depth`; what is guessed far from them follows the picture's
@@ -152,13 +152,13 @@ class CaptureSurfaces:
         road = None if self._drop is None else road_depth(view.camera, self._drop, self._capture.up)
         return _along_edges(completed_depth(measured, sky, road), measured, view.image)
 
-    def _measured(self, view: View) -> Float32[np.ndarray, "h w"]:
+    def _measured(self, view: CaptureFrame) -> Float32[np.ndarray, "h w"]:
         """Sparse depth: of the static scene at any time, and of what moves at the view's own; the last one stays."""
         if self._last is None or self._last[0] is not view:
             self._last = (view, self._newly_measured(view))
         return self._last[1]
 
-    def _newly_measured(self, view: View) -> Float32[np.ndarray, "h w"]:
+    def _newly_measured(self, view: CaptureFrame) -> Float32[np.ndarray, "h w"]:
         static = measured_depths(self._capture, [view], self._static)[0]
         if not self._capture.sweeps or view.depth_source is not None:
             return static
@@ -167,7 +167,7 @@ class CaptureSurfaces:
         return np.where(nearer, now, static)
 
     @cached_property
-    def _static(self) -> tuple[Sweep, ...]:
+    def _static(self) -> tuple[LidarSweep, ...]:
         return static_sweeps(self._capture)
 
     @cached_property
@@ -176,7 +176,7 @@ class CaptureSurfaces:
         points = self._capture.points_m
         if self._capture.sweeps or points is None or not len(points):
             return None
-        return road_drop(points, self._capture.views, self._capture.up)
+        return camera_height_above_road(points, self._capture.views, self._capture.up)
 
 
 def _near(depth: Float32[np.ndarray, "h w"], share: float) -> Bool[np.ndarray, "h w"]:
@@ -192,7 +192,7 @@ def _feathered(sky: Bool[np.ndarray, "h w"], image: UInt8[np.ndarray, "h w 3"]) 
     flags = sky.astype(np.uint8)
     edge = cv2.dilate(flags, window) > cv2.erode(flags, window)
     guide = image.astype(np.float32) / np.float32(255)
-    share = guided(sky.astype(np.float32), guide, np.ones_like(sky), radius, _SKY_SPREAD)
+    share = color_guided_filter(sky.astype(np.float32), guide, np.ones_like(sky), radius, _SKY_SPREAD)
     # The fit is a little flat: its middle part is stretched to the whole range.
     return (np.where(edge, np.clip((share - 0.1) / 0.8, 0, 1), sky) * _between_twigs(guide)).astype(np.float32)
 
@@ -216,6 +216,6 @@ def _along_edges(
         return depth
     inverse = np.where(depth > 0, 1 / np.where(depth > 0, depth, 1), 0).astype(np.float32)
     guide = image.astype(np.float32) / np.float32(255)
-    smooth = guided(inverse, guide, depth > 0, radius, _GUESS_SPREAD)
+    smooth = color_guided_filter(inverse, guide, depth > 0, radius, _GUESS_SPREAD)
     bounded = np.clip(smooth, inverse[depth > 0].min(), inverse.max())
     return np.where(guessed, 1 / np.where(guessed, bounded, 1), depth).astype(np.float32)

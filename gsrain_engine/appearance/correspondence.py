@@ -22,7 +22,7 @@ _NOWHERE = -1.0
 _ROUNDING_PX = 1e-6
 
 
-class Outcome(IntEnum):
+class MatchOutcome(IntEnum):
     """What became of a pixel."""
 
     MATCHED = 0
@@ -53,7 +53,7 @@ class Correspondence:
     @property
     def valid(self) -> Bool[np.ndarray, "h w"]:
         """Which pixels have a place in the other picture that shows the same."""
-        return self.outcome == Outcome.MATCHED
+        return self.outcome == MatchOutcome.MATCHED
 
     def at(
         self, height: int, width: int
@@ -110,15 +110,15 @@ def correspondence(of: ClearView, to: ClearView, tolerance: Tolerance | None = N
     safe = np.where(inside[..., None], places, 0.5).astype(np.float32)
     seen = there.at(safe)
 
-    outcome = np.full(of.depth.shape, Outcome.MATCHED, np.uint8)
-    outcome[inside & ~seen.agrees(depth, here.is_sky, tolerance)] = Outcome.HIDDEN
+    outcome = np.full(of.depth.shape, MatchOutcome.MATCHED, np.uint8)
+    outcome[inside & ~seen.agrees(depth, here.is_sky, tolerance)] = MatchOutcome.HIDDEN
     if tolerance.edges:
-        outcome[here.edges | (inside & seen.edge)] = Outcome.EDGE
+        outcome[here.edges | (inside & seen.edge)] = MatchOutcome.EDGE
     if abs(of.time_s - to.time_s) > _SAME_MOMENT_S:
-        outcome[(of.vehicles > _SHARE) | (inside & _share_at(to.vehicles, safe))] = Outcome.MOVING
-    outcome[inside & ~seen.known] = Outcome.UNKNOWN
-    outcome[~inside] = Outcome.OUTSIDE
-    outcome[~here.known] = Outcome.UNKNOWN
+        outcome[(of.vehicles > _SHARE) | (inside & _share_at(to.vehicles, safe))] = MatchOutcome.MOVING
+    outcome[inside & ~seen.known] = MatchOutcome.UNKNOWN
+    outcome[~inside] = MatchOutcome.OUTSIDE
+    outcome[~here.known] = MatchOutcome.UNKNOWN
     shown = np.where(in_front[..., None], np.clip(places, -1e6, 1e6), _NOWHERE)
     return Correspondence(shown.astype(np.float32), outcome, (height, width))
 
@@ -147,7 +147,7 @@ next, is the edge of something."""
 _SPARSE = 0.25
 """Depth that fewer pixels than this share have was measured by a lidar, and not filled in."""
 
-_MOST_REACH_PX = 12
+_MAX_REACH_PX = 12
 
 _SPARSE_SHARE = 0.1
 """Of the distance, by which nearest lidar points around a pixel may differ from the pixel."""
@@ -156,7 +156,7 @@ _FAR = 1e9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
+class DepthSample:
     """What a view knows about places in its picture."""
 
     depth: Float64[np.ndarray, "h w"]
@@ -195,28 +195,28 @@ class DepthLookup:
         else:
             self.edges = _bends(self.inverse_depth, self.known)
 
-    def at(self, places: Float32[np.ndarray, "h2 w2 2"]) -> Seen:
+    def at(self, places: Float32[np.ndarray, "h2 w2 2"]) -> DepthSample:
         """Look up places inside the picture, at least half a pixel from its border."""
         return self._sparse_at(places) if self.is_sparse else self._dense_at(places)
 
-    def _dense_at(self, places: Float32[np.ndarray, "h2 w2 2"]) -> Seen:
+    def _dense_at(self, places: Float32[np.ndarray, "h2 w2 2"]) -> DepthSample:
         maps = np.stack([self.inverse_depth, self.known, self.is_sky, self.edges], axis=2).astype(np.float32)
         inverse, known, sky, edge = np.moveaxis(sampled(maps, places), 2, 0)
         with np.errstate(divide="ignore"):
             depth = 1.0 / inverse.astype(np.float64)
-        return Seen(depth, known > 0.999, sky > 0.999, edge > 0.001, 0.0)
+        return DepthSample(depth, known > 0.999, sky > 0.999, edge > 0.001, 0.0)
 
-    def _sparse_at(self, places: Float32[np.ndarray, "h2 w2 2"]) -> Seen:
+    def _sparse_at(self, places: Float32[np.ndarray, "h2 w2 2"]) -> DepthSample:
         columns, rows = np.moveaxis(places.astype(np.int64), 2, 0)
         sky = self.is_sky[rows, columns]
         nearest = self._nearest[rows, columns]
         depth = np.where(nearest < _FAR, nearest, np.inf)
-        return Seen(depth, sky | (nearest < _FAR), sky, np.zeros(sky.shape, bool), _SPARSE_SHARE)
+        return DepthSample(depth, sky | (nearest < _FAR), sky, np.zeros(sky.shape, bool), _SPARSE_SHARE)
 
 
 def _nearest_around(depth: Float32[np.ndarray, "h w"], density: float) -> Float64[np.ndarray, "h w"]:
     """Smallest depth in a window that holds about four measured pixels."""
-    reach = min(int(np.ceil(1 / np.sqrt(density))), _MOST_REACH_PX)
+    reach = min(int(np.ceil(1 / np.sqrt(density))), _MAX_REACH_PX)
     size = 2 * reach + 1
     return cv2.erode(depth.astype(np.float32), np.ones((size, size), np.uint8)).astype(np.float64)
 
@@ -278,12 +278,12 @@ def sampled(
 
 # § Colours of what becomes of a pixel when it is looked for in another view: of the picture, and of its legend.
 
-COLORS: dict[Outcome, tuple[float, float, float]] = {
-    Outcome.MATCHED: (0.25, 0.8, 0.45),
-    Outcome.HIDDEN: (0.9, 0.25, 0.25),
-    Outcome.EDGE: (0.95, 0.75, 0.2),
-    Outcome.MOVING: (0.65, 0.4, 0.95),
-    Outcome.UNKNOWN: (0.55, 0.57, 0.62),
-    Outcome.OUTSIDE: (0.0, 0.0, 0.0),
+COLORS: dict[MatchOutcome, tuple[float, float, float]] = {
+    MatchOutcome.MATCHED: (0.25, 0.8, 0.45),
+    MatchOutcome.HIDDEN: (0.9, 0.25, 0.25),
+    MatchOutcome.EDGE: (0.95, 0.75, 0.2),
+    MatchOutcome.MOVING: (0.65, 0.4, 0.95),
+    MatchOutcome.UNKNOWN: (0.55, 0.57, 0.62),
+    MatchOutcome.OUTSIDE: (0.0, 0.0, 0.0),
 }
 """Display colours of 0..1, in the order of the legend."""

@@ -19,11 +19,11 @@ _LOOKUP_PX = 96
 _AGREES = 0.1
 """Share of the distance by which a point and the coarse depth around it may differ."""
 
-_LEAST_SHARE, _LEAST_SURFACES = 0.05, 0.02
+_MIN_SHARE, _MIN_SURFACES = 0.05, 0.02
 """Views that share less than this of the picture, or of it below the sky, are no neighbours: all skies are alike. The
 cameras of rigs share 0.06 to 0.2."""
 
-_SAME_PLACE, _LEAST_ALIKE = 1e-6, 0.6
+_SAME_PLACE, _MIN_ALIKE = 1e-6, 0.6
 """Difference of poses up to which a camera did not move, and correlation of edges from which two pictures then show the
 same place: those of a camera at rest in rain have 0.9, of one drive a second later 0.5, of unrelated streets 0.1."""
 
@@ -35,7 +35,7 @@ _FAR_M = 1e4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Sketch:
+class _CoarseView:
     """What is kept of a view while the others are looked at."""
 
     camera: Camera
@@ -54,7 +54,7 @@ class _Sketch:
     has_pose: bool
 
 
-def neighbours(views: Sequence[ClearView], count: int) -> list[tuple[int, ...]]:
+def rank_neighbors(views: Sequence[ClearView], count: int) -> list[tuple[int, ...]]:
     """Return for each view the others, at most `count`, that show most of its picture, the best first.
 
     Views whose pose is not known have none, and views that share little but the sky are none. Neighbours in time
@@ -78,7 +78,7 @@ def neighbours(views: Sequence[ClearView], count: int) -> list[tuple[int, ...]]:
     return chosen
 
 
-def _sketched(view: ClearView) -> _Sketch:
+def _sketched(view: ClearView) -> _CoarseView:
     camera = view.camera
     depth = _far_sky(view)
     v, u = _places_tried(depth)
@@ -88,7 +88,7 @@ def _sketched(view: ClearView) -> _Sketch:
     every = max(camera.width // _LOOKUP_PX, 1)
     small = np.ascontiguousarray(depth[every // 2 :: every, every // 2 :: every])
     edges = _edges(view.image)
-    return _Sketch(camera, view.sensor, view.time_s, points[z > 0], z[z > 0], len(z), small, edges, view.has_pose)
+    return _CoarseView(camera, view.sensor, view.time_s, points[z > 0], z[z > 0], len(z), small, edges, view.has_pose)
 
 
 def _edges(image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, " k"]:
@@ -117,18 +117,18 @@ def _far_sky(view: ClearView) -> Float32[np.ndarray, "h w"]:
     return np.where(view.sky > 0.5, _FAR_M, np.where(known, view.depth, 0)).astype(np.float32)
 
 
-def _share(of: _Sketch, to: _Sketch) -> float:
+def _share(of: _CoarseView, to: _CoarseView) -> float:
     """Share of a view's picture that another one shows too; 0 where it can't be known, or is next to nothing."""
     if not (of.has_pose and to.has_pose and of.depth.any() and to.depth.any()):
         return 0.0
     moved = np.abs(of.camera.world_to_camera - to.camera.world_to_camera).max()
-    if moved <= _SAME_PLACE and float(of.edges @ to.edges) < _LEAST_ALIKE:
+    if moved <= _SAME_PLACE and float(of.edges @ to.edges) < _MIN_ALIKE:
         return 0.0  # the pose of both is a stand-in for one that nobody knows
-    share, surfaces = _share_seen(of, to)
-    return share if share >= _LEAST_SHARE and surfaces >= _LEAST_SURFACES else 0.0
+    share, surfaces = _visible_share(of, to)
+    return share if share >= _MIN_SHARE and surfaces >= _MIN_SURFACES else 0.0
 
 
-def _share_seen(of: _Sketch, to: _Sketch) -> tuple[float, float]:
+def _visible_share(of: _CoarseView, to: _CoarseView) -> tuple[float, float]:
     """Share of a view's picture that another one shows too, and that without the sky.
 
     What the other shows larger or smaller counts by that ratio.
@@ -140,13 +140,13 @@ def _share_seen(of: _Sketch, to: _Sketch) -> tuple[float, float]:
     u = (camera.fx * x / divisor + camera.cx) / camera.width
     v = (camera.fy * y / divisor + camera.cy) / camera.height
     inside = ahead & (u >= 0) & (u < 1) & (v >= 0) & (v < 1)
-    seen = _is_seen(to.depth, u[inside], v[inside], z[inside])
+    seen = _is_unoccluded(to.depth, u[inside], v[inside], z[inside])
     larger = (camera.fx / z[inside][seen]) / (of.camera.fx / of.distances[inside][seen])
     each = np.minimum(larger, 1 / larger) / max(of.tried, 1)
     return float(each.sum()), float(each[of.distances[inside][seen] <= 0.5 * _FAR_M].sum())
 
 
-def _is_seen(
+def _is_unoccluded(
     depth: Float32[np.ndarray, "h w"],
     u: Float64[np.ndarray, " n"],
     v: Float64[np.ndarray, " n"],

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from ..datasets.capture import TrackedBox, View
+from ..datasets.capture import CaptureFrame, TrackedBox
 from ..datasets.masks import box_outline, pixel_rays
 from ..scene.objects import is_vehicle
 from ..scene.street.layout import Label
@@ -18,7 +18,7 @@ _WHEELS_M = 0.15
 
 
 def vehicle_pixels(
-    view: View, boxes: Sequence[TrackedBox], depth: Float32[np.ndarray, "h w"]
+    view: CaptureFrame, boxes: Sequence[TrackedBox], depth: Float32[np.ndarray, "h w"]
 ) -> Bool[np.ndarray, "h w"]:
     """Which pixels show vehicles; none where neither labels (the street's classes) nor boxes tell.
 
@@ -40,7 +40,7 @@ def vehicle_pixels(
     return shown
 
 
-def _in_box(view: View, box: TrackedBox, depth: Float32[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+def _in_box(view: CaptureFrame, box: TrackedBox, depth: Float32[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     """Which pixels' surfaces lie in a box at the view's time, or may lie in it."""
     pose = box.track.pose(view.time_s)
     assert pose is not None  # it has an outline
@@ -55,7 +55,7 @@ def _in_box(view: View, box: TrackedBox, depth: Float32[np.ndarray, "h w"]) -> B
 # § Smooths values along the edges of a picture: a guided filter (He, Sun and Tang 2013), where values are known.
 
 
-def guided(
+def color_guided_filter(
     values: Float32[np.ndarray, "h w"],
     guide: Float32[np.ndarray, "h w 3"],
     known: Bool[np.ndarray, "h w"],

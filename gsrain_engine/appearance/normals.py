@@ -97,7 +97,7 @@ _LUMA = np.array([0.299, 0.587, 0.114])
 """Rec. 601, as in Pillow's mode L."""
 
 
-def grey_guide(
+def normals_to_gray(
     normals: Float[np.ndarray, "h w 3"], camera: Camera, kind: GuideKind = "up"
 ) -> Float32[np.ndarray, "h w"]:
     """Return the guide of unit world normals (z up) towards the eye; 0 where they are 0: unknown surfaces and the sky.

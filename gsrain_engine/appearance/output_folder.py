@@ -13,25 +13,25 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 from PIL import Image, ImageDraw
 
-from ..datasets.capture import Capture, CaptureError, View
+from ..datasets.capture import Capture, CaptureError, CaptureFrame
 from ..datasets.capture_folder import read_capture_folder, write_cameras, write_view, write_world
-from ..datasets.image_override import flat_name, pictures_below, sized_picture
+from ..datasets.image_override import find_images, flat_name, sized_image
 from ..datasets.io.images import read_color, read_labels
-from ..safe_io.text_files import json_values, printable, read_whole
+from ..safe_io.text_files import json_values, printable_line, read_whole
 from ..scene.files import shortened, whole_folder
-from .base import ClearView, LeftOut, RainyView
+from .base import ClearView, RainyView, SkippedCounts
 
 logger = logging.getLogger("gsrain")
 
 
-class PictureStandIn:
+class PrecomputedTransfer:
     """A `Transfer` that reads pictures from a folder, matched by the views' names."""
 
     name = "images"
 
     def __init__(self, folder: Path) -> None:
         """Look for the pictures; raises `CaptureError` where there is no such folder."""
-        self._pictures = pictures_below(folder)
+        self._pictures = find_images(folder)
 
     def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
         """Read the picture of each view, resized to the view's size.
@@ -47,7 +47,7 @@ class PictureStandIn:
                 missing.append(view.name)
                 continue
             size = (view.camera.width, view.camera.height)
-            yield RainyView(view, sized_picture(file, size).astype(np.float32) / np.float32(255))
+            yield RainyView(view, sized_image(file, size).astype(np.float32) / np.float32(255))
         folder = self._pictures.folder
         if len(missing) == len(named):
             raise CaptureError(f"--images {folder}: has no picture of a view; expected {named[0][0]}.png, for one")
@@ -126,7 +126,7 @@ def write_transferred(
     folder.parent.mkdir(parents=True, exist_ok=True)
     names: set[str] = set()
     rows: list[dict[str, Any]] = []
-    left_out, has_poses = LeftOut(), False
+    left_out, has_poses = SkippedCounts(), False
     with whole_folder(folder) as beside:
         (beside / _CLEAR).mkdir()
         for rainy in views:
@@ -193,11 +193,11 @@ class TransferredViews(Sequence[RainyView]):
         return RainyView(clear, image, _share(film, nothing) if film.is_file() else None)
 
 
-def _view(rainy: RainyView, record: TransferRecord, mask: Bool[np.ndarray, "h w"] | None) -> View:
+def _view(rainy: RainyView, record: TransferRecord, mask: Bool[np.ndarray, "h w"] | None) -> CaptureFrame:
     """The rainy picture as a view in the scene's or capture's own units and axes."""
     clear, scale = rainy.clear, record.metres_per_unit
     from_world = np.linalg.inv(record.to_world)
-    return View(
+    return CaptureFrame(
         flat_name(clear.name),
         clear.camera.moved(from_world),
         _bytes(rainy.image),
@@ -279,12 +279,12 @@ def read_record(folder: Path) -> TransferRecord:
         is_bounded = to_world.shape == (4, 4) and bool((np.abs(to_world) <= _LARGEST).all())  # so nothing overflows
         if not is_bounded or np.linalg.det(to_world[:3, :3]) <= 0:
             raise CaptureError(f"{file}: to_world must be a similarity, 4x4 numbers within {_LARGEST:g}")
-        notes = tuple(printable(str(each)) for each in list(values.get("notes", ())))
+        notes = tuple(printable_line(str(each)) for each in list(values.get("notes", ())))
         return TransferRecord(str(values["method"]), str(values["made_of"]), dict(values["settings"]), to_world, notes)
     except (OSError, KeyError, TypeError, ValueError, OverflowError) as error:
         if isinstance(error, CaptureError):
             raise
-        raise CaptureError(f"{file}: not the record of a transfer ({printable(error)})") from None
+        raise CaptureError(f"{file}: not the record of a transfer ({printable_line(error)})") from None
 
 
 # § Some views before and after a transfer, side by side in one picture.
@@ -294,20 +294,20 @@ _MARGIN_PX, _LINE_PX = 8, 16
 _PAPER, _INK = (24, 26, 28), (220, 222, 224)
 
 
-class BeforeAndAfter:
+class ContactSheet:
     """Collects views, evenly over all that come by, and draws them: a row each, clear on the left."""
 
     def __init__(self, count: int, at_most: int = 6, width_px: int = 640) -> None:
         """Take how many views will come, how many of them are shown, and how wide each picture is."""
         self._wanted = set(np.linspace(0, count - 1, min(at_most, count)).round().astype(int).tolist())
         self._width = width_px
-        self._seen = 0
+        self._camera_panel = 0
         self._rows: list[tuple[str, list[UInt8[np.ndarray, "_ _ 3"]]]] = []
 
     def add(self, view: RainyView) -> None:
-        if self._seen in self._wanted:
+        if self._camera_panel in self._wanted:
             self._rows.append((view.clear.name, [self._sized(view.clear.image), self._sized(view.image)]))
-        self._seen += 1
+        self._camera_panel += 1
 
     def picture(self) -> Image.Image:
         heights = [_LINE_PX + max(each.shape[0] for each in pictures) + _MARGIN_PX for _, pictures in self._rows]

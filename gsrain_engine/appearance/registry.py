@@ -4,22 +4,22 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from ..plugins import TRANSFERS, Extension, ExtensionError, extension, extensions, say_once
+from ..plugins import TRANSFERS, Extension, ExtensionError, find_extension, find_extensions, warn_once
 from .base import Transfer, TransferSettings
 
 if TYPE_CHECKING:
-    from .wet_look.environment import Surroundings
+    from .wet_look.environment import ReflectionEnvironment
 
 
 @dataclass(frozen=True, slots=True)
-class Method:
+class TransferMethod:
     """One transfer in the table."""
 
     name: str
     title: str
     """For a person to read."""
     help: str
-    opens: Callable[[TransferSettings, "Surroundings"], Transfer]
+    opens: Callable[[TransferSettings, "ReflectionEnvironment"], Transfer]
     needs_torch: bool = False
     needs: str | None = None
     """Field of the settings without which it can't be opened."""
@@ -27,7 +27,7 @@ class Method:
     """Fields of the settings that concern it, in the order in which a panel shows them."""
 
 
-def open_transfer(name: str, settings: TransferSettings, surroundings: "Surroundings") -> Transfer:
+def open_transfer(name: str, settings: TransferSettings, surroundings: "ReflectionEnvironment") -> Transfer:
     """Make a transfer ready.
 
     Args:
@@ -38,13 +38,13 @@ def open_transfer(name: str, settings: TransferSettings, surroundings: "Surround
     Raises:
         ValueError: For another name, and where the settings lack what the method needs.
     """
-    method = method_of(name)
+    method = find_method(name)
     if method.needs is not None and getattr(settings, method.needs) is None:
         raise ValueError(f"--method {name} needs --{method.needs}")
     return method.opens(settings, surroundings)
 
 
-def method_of(name: str) -> Method:
+def find_method(name: str) -> TransferMethod:
     """Find a method by its name; raises ValueError, which lists what there is, for another one.
 
     And `ExtensionError`, which is one, for a method of an installed package that can't be used.
@@ -52,7 +52,7 @@ def method_of(name: str) -> Method:
     for each in METHODS:
         if each.name == name:
             return each
-    if (installed := extension(TRANSFERS, name)) is not None:
+    if (installed := find_extension(TRANSFERS, name)) is not None:
         return _installed(installed)
     raise ValueError(f"no transfer method {name!r}, only {', '.join(method_names())}")
 
@@ -60,29 +60,29 @@ def method_of(name: str) -> Method:
 def method_names() -> tuple[str, ...]:
     """Names of all methods, ours first."""
     ours = tuple(each.name for each in METHODS)
-    return (*ours, *(each.name for each in extensions(TRANSFERS) if each.name not in ours))
+    return (*ours, *(each.name for each in find_extensions(TRANSFERS) if each.name not in ours))
 
 
-def usable_methods() -> tuple[Method, ...]:
+def usable_methods() -> tuple[TransferMethod, ...]:
     """All methods, ours first; those of installed packages that can't be used are left out, and named in the log."""
-    usable: list[Method] = []
+    usable: list[TransferMethod] = []
     for name in method_names():
         try:
-            usable.append(method_of(name))
+            usable.append(find_method(name))
         except ExtensionError as error:
-            say_once(str(error))
+            warn_once(str(error))
     return tuple(usable)
 
 
-def _installed(extension: Extension) -> Method:
+def _installed(extension: Extension) -> TransferMethod:
     """Return the row of another package; what it opens is looked at, and fails in one sentence."""
-    row = extension.load(Method)
+    row = extension.load(TransferMethod)
     if row.name != extension.name:
         raise extension.unfit(f"calls itself {row.name}")
     if unknown := sorted({*row.uses, *filter(None, [row.needs])} - set(TransferSettings.__struct_fields__)):
         raise extension.unfit(f"there is no setting {unknown[0]} of a transfer")
 
-    def opens(settings: TransferSettings, surroundings: "Surroundings") -> Transfer:
+    def opens(settings: TransferSettings, surroundings: "ReflectionEnvironment") -> Transfer:
         try:
             transfer = row.opens(settings, surroundings)
         except Exception as error:  # it is code of others: its words are the reason
@@ -98,35 +98,36 @@ def _is_transfer(made: object) -> bool:
     return isinstance(made, Transfer)
 
 
-def _wet(settings: TransferSettings, surroundings: "Surroundings") -> Transfer:
+def _wet(settings: TransferSettings, surroundings: "ReflectionEnvironment") -> Transfer:
     from .wet_look.settings import WetSettings
     from .wet_look.translator import WetTransfer
 
     return WetTransfer(WetSettings(wetness=settings.wetness, seed=settings.seed), surroundings)
 
 
-def _cyclegan_turbo(settings: TransferSettings, surroundings: "Surroundings") -> Transfer:
+def _cyclegan_turbo(settings: TransferSettings, surroundings: "ReflectionEnvironment") -> Transfer:
     from .cyclegan_turbo.translator import open_cyclegan_turbo  # torch is an extra
 
     return open_cyclegan_turbo(settings)
 
 
-def _images(settings: TransferSettings, surroundings: "Surroundings") -> Transfer:
-    from .output_folder import PictureStandIn
+def _images(settings: TransferSettings, surroundings: "ReflectionEnvironment") -> Transfer:
+    from .output_folder import PrecomputedTransfer
 
     assert settings.images is not None
-    return PictureStandIn(settings.images)
+    return PrecomputedTransfer(settings.images)
 
 
 METHODS = (
-    Method("wet", "Wet look", "Computed from light, depth and normals; needs no weights.", _wet, uses=("seed",)),
-    Method(
+    TransferMethod("wet", "Wet look", "Computed from light, depth and normals; needs no weights.", _wet,
+                   uses=("seed",)),
+    TransferMethod(
         "cyclegan-turbo", "CycleGAN-Turbo", "The paper's diffusion model; needs its weights and torch.",
         _cyclegan_turbo, needs_torch=True,
         uses=("weights", "base", "normals", "normals_weights", "normals_checkout", "guide", "mutual_attention",
               "neighbours", "side_px", "tile_px", "precision", "device"),
     ),
-    Method(
+    TransferMethod(
         "images", "Pictures", "Pictures that another program has made of the same views.", _images, needs="images",
         uses=("images",),
     ),

@@ -11,12 +11,12 @@ from msgspec import Meta, Struct
 
 from ..datasets.capture import Capture
 from ..datasets.geometry import scaled_camera
-from ..datasets.undistort import prepared
-from ..render.cpu.compositing import expected, view_weights
+from ..datasets.undistort import undistort_frame
+from ..render.cpu.compositing import color_operator, expected
 from ..scene.camera import Camera, look_at
 from ..scene.camera_path import CameraPath
 from ..scene.objects import is_vehicle
-from ..scene.scene import Actor, Layer, Part, RigCamera, Scene
+from ..scene.scene import Actor, DrawItem, Layer, RigCamera, Scene
 from .base import ClearView
 from .normals import normals_from_depth, view_rays
 
@@ -61,12 +61,12 @@ def scene_views(scene: Scene, placed: Sequence[PlacedCamera], width_px: int | No
     of the scene is, above the horizon, there is sky if the scene has no sky of its own.
     """
     at_width = [each.at_width(width_px) for each in placed]
-    return KeptViews(len(at_width), lambda i: scene_view(scene, at_width[i]))
+    return CachedViews(len(at_width), lambda i: scene_view(scene, at_width[i]))
 
 
 def scene_view(scene: Scene, placed: PlacedCamera) -> ClearView:
-    camera, shown = placed.camera, _shown(scene, placed.time_s)
-    view = view_weights(shown.parts, camera)
+    camera, shown = placed.camera, _visible_items(scene, placed.time_s)
+    view = color_operator(shown.parts, camera)
     own, colors = view.splats.indices, view.splats.colors
     sky, vehicle = shown.is_sky[own].astype(np.float32), shown.is_vehicle[own].astype(np.float32)
     painted = view.blend(np.concatenate([colors[:, :3], ((1 - sky) * colors[:, 3])[:, None]], axis=1))
@@ -84,17 +84,17 @@ def scene_view(scene: Scene, placed: PlacedCamera) -> ClearView:
     )  # fmt: skip
 
 
-class _Shown(NamedTuple):
+class _VisibleItems(NamedTuple):
     """What can be seen at a time, and what kind of thing each Gaussian of it is."""
 
-    parts: list[Part]
+    parts: list[DrawItem]
     is_sky: Bool[np.ndarray, " n"]
     is_vehicle: Bool[np.ndarray, " n"]
     has_sky: bool
 
 
-def _shown(scene: Scene, time_s: float) -> _Shown:
-    parts: list[Part] = []
+def _visible_items(scene: Scene, time_s: float) -> _VisibleItems:
+    parts: list[DrawItem] = []
     sky, vehicle = [np.zeros(0, np.bool_)], [np.zeros(0, np.bool_)]
     for member in scene.members:
         part = scene.part(member, time_s) if member.visible else None
@@ -103,7 +103,7 @@ def _shown(scene: Scene, time_s: float) -> _Shown:
             sky.append(np.full(len(member.gaussians), isinstance(member, Layer) and member.kind == "sky"))
             vehicle.append(_is_body(member, scene.metres_per_unit))
     is_sky = np.concatenate(sky)
-    return _Shown(parts, is_sky, np.concatenate(vehicle), bool(is_sky.any()))
+    return _VisibleItems(parts, is_sky, np.concatenate(vehicle), bool(is_sky.any()))
 
 
 def _is_body(member: Layer | Actor, metres_per_unit: float) -> Bool[np.ndarray, " n"]:
@@ -137,10 +137,10 @@ def _under_open_sky(
 
 Source = Literal["auto", "recorded", "rig", "path", "around"]
 
-USUAL_COUNT = 24
+DEFAULT_COUNT = 24
 """Views where a person says nothing: enough for a street of 100 m."""
 
-USUAL_PIXELS = 480 * 320
+DEFAULT_PIXELS = 480 * 320
 """Size of a picture, whatever its shape, of a quick look: where no width is asked for."""
 
 OWN_WIDTH_PX = 960
@@ -213,14 +213,14 @@ def chosen_cameras(
     if source == "recorded":
         placed = _recorded(scene, choice, capture)
     elif source == "rig":
-        placed = along_the_way(scene, choice.count or USUAL_COUNT, choice.sensors)
+        placed = views_along_drive(scene, choice.count or DEFAULT_COUNT, choice.sensors)
     elif source == "path":
-        placed = _on_the_path(scene, choice.count or USUAL_COUNT)
+        placed = _on_the_path(scene, choice.count or DEFAULT_COUNT)
     else:
-        placed = around_the_middle(scene, choice.count or USUAL_COUNT)
+        placed = views_around_center(scene, choice.count or DEFAULT_COUNT)
     if choice.width_px is None and own_width_px is not None:
         return [each.at_width(min(own_width_px, each.camera.width)) for each in placed]
-    return [each.at_width(choice.width_px or _usual_width(each)) for each in placed]
+    return [each.at_width(choice.width_px or _default_width(each)) for each in placed]
 
 
 def _best(scene: Scene, capture: Capture | None) -> Source:
@@ -237,7 +237,7 @@ def chosen_views(capture: Capture, choice: ViewChoice) -> Capture:
     if not wanted:
         there = ", ".join(filter(None, capture.sensors)) or "one without a name"
         raise ValueError(f"{capture.name}: has no camera {', '.join(choice.sensors)}, only {there}")
-    return replace(capture, views=tuple(wanted[i] for i in evenly(len(wanted), choice.count)))
+    return replace(capture, views=tuple(wanted[i] for i in evenly_spaced_indices(len(wanted), choice.count)))
 
 
 def _recorded(scene: Scene, choice: ViewChoice, capture: Capture | None) -> list[PlacedCamera]:
@@ -247,7 +247,7 @@ def _recorded(scene: Scene, choice: ViewChoice, capture: Capture | None) -> list
         raise ValueError(f"{capture.name}: has pictures, but not where their cameras stood")
     to_world = scene.scene_to_world
     return [
-        PlacedCamera(view.name, prepared(view).camera.moved(to_world), view.time_s, view.sensor)
+        PlacedCamera(view.name, undistort_frame(view).camera.moved(to_world), view.time_s, view.sensor)
         for view in chosen_views(capture, choice)
     ]
 
@@ -268,23 +268,23 @@ def _evenly_timed(path: CameraPath, count: int) -> list[float]:
     return np.linspace(path.start_s, path.end_s, count, endpoint=not path.loop).tolist()
 
 
-def evenly(there: int, count: int | None) -> Sequence[int]:
+def evenly_spaced_indices(there: int, count: int | None) -> Sequence[int]:
     """Indices of so many out of all there are, evenly spread; all where no more are there."""
     if count is None or count >= there:
         return range(there)
     return np.floor((np.arange(count) + 0.5) * there / count).astype(int).tolist()
 
 
-def _usual_width(placed: PlacedCamera) -> int:
+def _default_width(placed: PlacedCamera) -> int:
     """Width at which a picture has the usual number of pixels; never more than its own."""
     width, height = placed.camera.width, placed.camera.height
-    return min(width, max(1, round(width * np.sqrt(USUAL_PIXELS / (width * height)))))
+    return min(width, max(1, round(width * np.sqrt(DEFAULT_PIXELS / (width * height)))))
 
 
 # § Views from the ego vehicle's rig, spread over the way it drives. World frame (metres, z up).
 
 
-def along_the_way(scene: Scene, count: int, sensors: Sequence[str] = ()) -> list[PlacedCamera]:
+def views_along_drive(scene: Scene, count: int, sensors: Sequence[str] = ()) -> list[PlacedCamera]:
     """Spread views over the way driven: the camera that looks forward at every other one, the others in turn between.
 
     Args:
@@ -340,7 +340,7 @@ _RING = 2.2
 """Distance of the ring from the middle, in half diagonals of what is seen."""
 
 
-def around_the_middle(scene: Scene, count: int) -> list[PlacedCamera]:
+def views_around_center(scene: Scene, count: int) -> list[PlacedCamera]:
     """Look outwards from the middle and inwards from a ring, in turn: one of the two suits a street, one an object."""
     middle, reach = _robust_extent(scene)
     placed: list[PlacedCamera] = []
@@ -375,14 +375,14 @@ def _robust_extent(scene: Scene) -> tuple[Float[np.ndarray, "3"], float]:
 
 # § Views that are worked out when they are asked for, and kept for a while: neighbours are asked for again.
 
-KEPT = 6
+CACHED_VIEWS = 6
 """Views that stay in memory, 36 bytes a pixel each."""
 
 
-class KeptViews(Sequence[ClearView]):
+class CachedViews(Sequence[ClearView]):
     """A sequence of views, each made by a function of its index; the last few that were asked for stay."""
 
-    def __init__(self, count: int, make: Callable[[int], ClearView], kept: int = KEPT) -> None:
+    def __init__(self, count: int, make: Callable[[int], ClearView], kept: int = CACHED_VIEWS) -> None:
         self._count, self._make, self._room = count, make, kept
         self._kept: OrderedDict[int, ClearView] = OrderedDict()
 
@@ -392,11 +392,11 @@ class KeptViews(Sequence[ClearView]):
     @overload
     def __getitem__(self, index: int) -> ClearView: ...
     @overload
-    def __getitem__(self, index: slice) -> "KeptViews": ...
-    def __getitem__(self, index: int | slice) -> "ClearView | KeptViews":
+    def __getitem__(self, index: slice) -> "CachedViews": ...
+    def __getitem__(self, index: int | slice) -> "ClearView | CachedViews":
         if isinstance(index, slice):
             chosen = range(self._count)[index]
-            return KeptViews(len(chosen), lambda i: self[chosen[i]], 0)  # this one keeps them already
+            return CachedViews(len(chosen), lambda i: self[chosen[i]], 0)  # this one keeps them already
         index = range(self._count)[index]
         view = self._kept.pop(index, None) or self._make(index)
         self._kept[index] = view

@@ -12,9 +12,9 @@ from typing import Any
 import msgspec
 
 from ..safe_io.limits import read_file
-from .capture import Capture, CaptureError, some_names
+from .capture import Capture, CaptureError, abbreviated_names
 from .capture_folder import capture_without_poses
-from .io.images import pictures_in
+from .io.images import images_in
 
 _NAME = re.compile(r"[0-9a-f]{8}-[0-9a-f]{8}(-\d{7})?")
 
@@ -25,10 +25,10 @@ _FOLDERS_UP = 4
 _FIRST = 20
 """Pictures of a folder that tell its kind by their names."""
 
-_MOST_LABEL_FILES = 200_000
+_MAX_LABEL_FILES = 200_000
 
 
-class _Labelled(msgspec.Struct):
+class _LabeledFrame(msgspec.Struct):
     """What of a frame's labels is used; the boxes are passed by without being built."""
 
     name: str
@@ -37,7 +37,7 @@ class _Labelled(msgspec.Struct):
 
 def recognizes_bdd100k(path: Path) -> bool:
     """Whether most of the first pictures in a folder, or in a usual one below it, are named as those of BDD-100K."""
-    return any(_holds_frames(pictures_in(folder)[:_FIRST]) for folder in _image_folders(path))
+    return any(_holds_frames(images_in(folder)[:_FIRST]) for folder in _image_folders(path))
 
 
 def _holds_frames(files: list[Path]) -> bool:
@@ -50,14 +50,14 @@ def read_bdd100k(path: Path) -> Capture:
     Pictures with other names, broken frames and label files are left out, counted and named. Raises `CaptureError`
     where no frame is whole.
     """
-    pictures = [file for folder in _image_folders(path) for file in pictures_in(folder)]
+    pictures = [file for folder in _image_folders(path) for file in images_in(folder)]
     files = [file for file in pictures if _is_frame(file)]
     others = [file.name for file in pictures if not _is_frame(file)]
     problems: list[str] = []
     if others:
         problems.append(
             f"{len(others)} of {len(pictures)} pictures are left out, for they are not named as frames of BDD-100K "
-            f"(0000f77c-6257be58.jpg): {some_names(others)}."
+            f"(0000f77c-6257be58.jpg): {abbreviated_names(others)}."
         )
     attributes = _attributes(path, {file.stem for file in files}, problems)
     return capture_without_poses(path, files, attributes, problems)
@@ -85,7 +85,7 @@ def _attributes(path: Path, wanted: set[str], problems: list[str]) -> dict[str, 
         except CaptureError as error:
             broken.append(str(error))
     if broken:
-        problems.append(f"{len(broken)} label files are left out: {some_names(broken)}.")
+        problems.append(f"{len(broken)} label files are left out: {abbreviated_names(broken)}.")
     return found
 
 
@@ -93,16 +93,16 @@ def _label_files(path: Path, wanted: set[str]) -> list[Path]:
     for base in (path, *path.resolve().parents[:_FOLDERS_UP]):
         folder = base / "labels"
         if folder.is_dir():
-            files = sorted(folder.rglob("*.json"))[:_MOST_LABEL_FILES]
+            files = sorted(folder.rglob("*.json"))[:_MAX_LABEL_FILES]
             return [file for file in files if not _NAME.fullmatch(file.stem) or file.stem in wanted]
         if lists := sorted([*base.glob("bdd100k_labels*.json"), *base.glob("det_*.json")]):
             return lists
     return []
 
 
-def _rows(file: Path) -> Iterable[_Labelled]:
+def _rows(file: Path) -> Iterable[_LabeledFrame]:
     try:
-        rows = msgspec.json.decode(read_file(file), type=list[_Labelled] | _Labelled)
+        rows = msgspec.json.decode(read_file(file), type=list[_LabeledFrame] | _LabeledFrame)
     except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise CaptureError(f"{file}: no label file of BDD-100K ({error})") from None
     return rows if isinstance(rows, list) else [rows]

@@ -12,9 +12,9 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Shaped, UInt8
 
-from ..safe_io.text_files import printable
+from ..safe_io.text_files import printable_line
 from ..scene.camera import Camera
-from ..scene.scene import Track
+from ..scene.scene import PoseTrack
 
 EGO_HEIGHT_M = 1.5
 """Height of the ego frame's origin above the road in captures and scenes: a sensor on a car, as the paper has it."""
@@ -27,7 +27,7 @@ class CaptureError(ValueError):
     """A capture can't be read, or a file of it; the message names the file and what is wrong."""
 
     def __init__(self, message: str) -> None:
-        super().__init__(printable(message, _LONGEST))
+        super().__init__(printable_line(message, _LONGEST))
 
 
 Source = Shaped[np.ndarray, "..."] | Callable[[], Shaped[np.ndarray, "..."]]
@@ -48,7 +48,7 @@ class Lens:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class CaptureFrame:
     """One picture of a capture, with its camera in the capture's world."""
 
     name: str
@@ -99,7 +99,7 @@ class View:
         """Which pixels show the sky."""
         return self._read("sky", self.sky_source)
 
-    def held(self) -> "View":
+    def held(self) -> "CaptureFrame":
         """Return the view with its arrays in memory; raises `CaptureError` as reading them does."""
         names = ("image", "depth", "normals", "labels", "mask", "sky")
         return replace(self, **{f"{name}_source": getattr(self, name) for name in names})
@@ -118,7 +118,7 @@ class View:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sweep:
+class LidarSweep:
     """Points that a lidar measured, in the capture's world."""
 
     time_s: float
@@ -137,7 +137,7 @@ class TrackedBox:
     class_name: str
     size_lwh: tuple[float, float, float]
     """Metres."""
-    track: Track
+    track: PoseTrack
     """Object to the capture's world."""
 
 
@@ -150,14 +150,14 @@ class Capture:
     """
 
     name: str
-    views: tuple[View, ...]
+    views: tuple[CaptureFrame, ...]
     points_m: Float64[np.ndarray, "p 3"] | None = None
     """Points on surfaces (COLMAP) in the world, where the data set has them."""
     point_colors: UInt8[np.ndarray, "p 3"] | None = None
     """Display colour of each point."""
-    sweeps: tuple[Sweep, ...] = ()
+    sweeps: tuple[LidarSweep, ...] = ()
     boxes: tuple[TrackedBox, ...] = ()
-    ego: Track | None = None
+    ego: PoseTrack | None = None
     """Where the vehicle drives: x forward, y left, z up, origin `EGO_HEIGHT_M` above the road."""
     is_metric: bool = True
     """Whether lengths are metres; else their unit is unknown."""
@@ -179,15 +179,15 @@ class Capture:
                 raise CaptureError(
                     f"capture {self.name!r}: {name!r} can't be the name of a view, which files are called by"
                 )
-        object.__setattr__(self, "problems", tuple(printable(each, _LONGEST) for each in self.problems))
+        object.__setattr__(self, "problems", tuple(printable_line(each, _LONGEST) for each in self.problems))
 
     def __len__(self) -> int:
         return len(self.views)
 
-    def __iter__(self) -> Iterator[View]:
+    def __iter__(self) -> Iterator[CaptureFrame]:
         return iter(self.views)
 
-    def __getitem__(self, index: int) -> View:
+    def __getitem__(self, index: int) -> CaptureFrame:
         return self.views[index]
 
     @property
@@ -251,12 +251,12 @@ def _apart(names: Sequence[str]) -> list[str]:
 # § A capture without the pictures that can't be read: found by reading each once.
 
 
-def readable_pictures(capture: Capture, on_progress: Callable[[float], None] | None = None) -> Capture:
+def readable_images(capture: Capture, on_progress: Callable[[float], None] | None = None) -> Capture:
     """Leave out the views whose pictures can't be read, and name them in the capture's problems.
 
     Raises `CaptureError` where none is left.
     """
-    kept: list[View] = []
+    kept: list[CaptureFrame] = []
     broken: list[str] = []
     for k, view in enumerate(capture):
         try:
@@ -274,13 +274,13 @@ def readable_pictures(capture: Capture, on_progress: Callable[[float], None] | N
 
 # § Many names in one sentence: what is wrong with several files or views, without a page of lines.
 
-_AT_MOST = 3
+_MAX_NAMES = 3
 
 
-def some_names(names: Sequence[str]) -> str:
+def abbreviated_names(names: Sequence[str]) -> str:
     """Return the first few names and how many there are more: "a, b, c and 4 more"."""
-    more = len(names) - _AT_MOST
-    return ", ".join(names[:_AT_MOST]) + (f" and {more} more" if more > 0 else "")
+    more = len(names) - _MAX_NAMES
+    return ", ".join(names[:_MAX_NAMES]) + (f" and {more} more" if more > 0 else "")
 
 
 # § Names of files that stand in files of captures: none may lead out of the capture's folder, unless that is allowed.

@@ -20,10 +20,10 @@ from PIL import Image
 
 from ..scene.camera import DEFAULT_EXPOSURE_S, Camera
 from ..scene.files import SceneFormatError
-from .capture import Capture, CaptureError, Lens, View, check_inside, some_names
+from .capture import Capture, CaptureError, CaptureFrame, Lens, abbreviated_names, check_inside
 from .io.arrays import read_floats, read_json_object, read_json_rows
-from .io.images import CONVERT, picture_size, pictures_in, read_color, read_labels, read_mask, unread_pictures_in
-from .layout_hints import nearest_kind
+from .io.images import CONVERT, image_size, images_in, read_color, read_labels, read_mask, unread_images_in
+from .layout_hints import nearest_layout
 
 CAMERAS, WORLD = "cameras.json", "world.json"
 
@@ -49,7 +49,7 @@ _OTHER_PIXELS: dict[str, tuple[str, Callable[[Path], np.ndarray]]] = {
 _ENDINGS = ("png", *(ending for ending, _ in _OTHER_PIXELS.values()))
 
 
-def write_views(folder: Path, views: Iterable[View]) -> Iterator[View]:
+def write_views(folder: Path, views: Iterable[CaptureFrame]) -> Iterator[CaptureFrame]:
     """Write views as they come, and yield each when it is on the disk; the cameras' file comes last."""
     folder.mkdir(parents=True, exist_ok=True)
     rows: list[dict[str, Any]] = []
@@ -59,7 +59,7 @@ def write_views(folder: Path, views: Iterable[View]) -> Iterator[View]:
     write_cameras(folder, rows)
 
 
-def write_view(folder: Path, view: View) -> dict[str, Any]:
+def write_view(folder: Path, view: CaptureFrame) -> dict[str, Any]:
     """Write the pixels of one view; returns its row of the cameras' file."""
     Image.fromarray(view.image).save(folder / f"{view.name}.png")
     if view.depth is not None:
@@ -88,7 +88,7 @@ def read_capture_folder(path: Path) -> Capture:
     """Read a folder back as it was written; pictures that are missing or broken are left out and named."""
     folder = _folder(path) or path
     file = folder / CAMERAS
-    views: list[View] = []
+    views: list[CaptureFrame] = []
     problems: list[str] = []
     rows = read_json_rows(file)
     check_inside(folder, (f"{row.get('name')}.{ending}" for row in rows for ending in _ENDINGS), file)
@@ -129,7 +129,7 @@ def _world(file: Path) -> tuple[tuple[float, float, float], bool, bool]:
     return (x, y, z), is_metric, has_poses
 
 
-def _record(view: View) -> dict[str, Any]:
+def _record(view: CaptureFrame) -> dict[str, Any]:
     values: dict[str, Any] = {"name": view.name, "time_s": view.time_s, **view.camera.to_json()}
     if view.camera.exposure_s != DEFAULT_EXPOSURE_S:
         values["exposure_s"] = view.camera.exposure_s
@@ -142,13 +142,13 @@ def _record(view: View) -> dict[str, Any]:
     return values
 
 
-def _view(folder: Path, values: dict[str, Any], where: str) -> View:
+def _view(folder: Path, values: dict[str, Any], where: str) -> CaptureFrame:
     name = values.get("name")
     if not isinstance(name, str) or not name:
         raise SceneFormatError(where, "has no name")
     camera = Camera.from_json(values, f"{where} ({name})")
     picture = folder / f"{name}.png"
-    size = picture_size(picture)
+    size = image_size(picture)
     if size != (camera.width, camera.height):
         raise CaptureError(f"{picture}: is {size[0]}x{size[1]} px, its camera says {camera.width}x{camera.height}")
     others = {
@@ -156,7 +156,7 @@ def _view(folder: Path, values: dict[str, Any], where: str) -> View:
         for pixels, (suffix, read) in _OTHER_PIXELS.items()
         if (folder / f"{name}.{suffix}").is_file()
     }
-    return View(
+    return CaptureFrame(
         name,
         camera,
         partial(read_color, picture),
@@ -211,18 +211,18 @@ NO_POSES = (
 
 def recognizes_image_folder(path: Path) -> bool:
     """Whether a folder, or the folder `images` in it, holds pictures."""
-    return bool(pictures_in(_image_folder(path)))
+    return bool(images_in(_image_folder(path)))
 
 
 def read_image_folder(path: Path) -> Capture:
     """Read a folder of pictures; broken ones are left out and named. Raises `CaptureError` where none is whole."""
-    near = nearest_kind(path)
+    near = nearest_layout(path)
     problems = [] if near is None else [f"Read as pictures alone: nearest to the folder is {near}."]
-    unread = unread_pictures_in(_image_folder(path))
+    unread = unread_images_in(_image_folder(path))
     if unread:
         count = f"{len(unread)} more pictures are" if len(unread) > 1 else "1 more picture is"
-        problems.append(f"{count} left out, {CONVERT}: {some_names([file.name for file in unread])}.")
-    return capture_without_poses(path, pictures_in(_image_folder(path)), problems=problems)
+        problems.append(f"{count} left out, {CONVERT}: {abbreviated_names([file.name for file in unread])}.")
+    return capture_without_poses(path, images_in(_image_folder(path)), problems=problems)
 
 
 def capture_without_poses(
@@ -234,20 +234,20 @@ def capture_without_poses(
     """Views that all stand at the origin, look along +x, and know nothing of each other; `attributes` by file stem."""
     attributes = attributes or {}
     stems = Counter(file.stem for file in files)
-    views: list[View] = []
+    views: list[CaptureFrame] = []
     broken: list[str] = []
     for file in files:
         try:
-            camera = camera_without_calibration(*picture_size(file, upright=True))
+            camera = camera_without_calibration(*image_size(file, upright=True))
         except CaptureError as error:
             broken.append(str(error))
         else:
             name = file.stem if stems[file.stem] == 1 else file.name
             known = dict(attributes.get(file.stem, {}))
-            views.append(View(name, camera, partial(read_color, file, True), attributes=known))
+            views.append(CaptureFrame(name, camera, partial(read_color, file, True), attributes=known))
     if not views:
         raise CaptureError(f"{path}: no picture in it can be read" + (f" ({broken[0]})" if broken else ""))
-    left_out = [f"{len(broken)} of {len(files)} pictures are left out: {some_names(broken)}."] if broken else []
+    left_out = [f"{len(broken)} of {len(files)} pictures are left out: {abbreviated_names(broken)}."] if broken else []
     told = (NO_POSES, *problems, *left_out)
     return Capture(path.resolve().name, tuple(views), is_metric=False, has_poses=False, problems=told)
 
@@ -261,4 +261,4 @@ def camera_without_calibration(width: int, height: int) -> Camera:
 
 def _image_folder(path: Path) -> Path:
     """Where the pictures lie: directly in the folder, else in `images` below it."""
-    return path if pictures_in(path) else path / "images"
+    return path if images_in(path) else path / "images"

@@ -13,9 +13,18 @@ from jaxtyping import Float64, UInt8
 
 from ..safe_io.limits import open_file, read_file
 from ..scene.camera import Camera
-from .capture import Capture, CaptureError, Lens, View, check_inside, sensor_names, some_names, view_names
-from .geometry import camera_of_picture, checked_camera, rigid_from_quaternion, up_of_cameras
-from .io.images import picture_size, read_color, read_mask
+from .capture import (
+    Capture,
+    CaptureError,
+    CaptureFrame,
+    Lens,
+    abbreviated_names,
+    check_inside,
+    sensor_names,
+    view_names,
+)
+from .geometry import camera_of_image, checked_camera, estimate_up_direction, rigid_from_quaternion
+from .io.images import image_size, read_color, read_mask
 
 # § What a COLMAP model holds, as plain values: its cameras, its registered images, its points.
 
@@ -47,7 +56,7 @@ _CAMERA, _IMAGE, _POINT = struct.Struct("<IiQQ"), struct.Struct("<I7dI"), struct
 
 _COUNT = struct.Struct("<Q")
 
-_SEEN_BYTES, _TRACK_BYTES = 24, 8
+_OBSERVATION_BYTES, _TRACK_BYTES = 24, 8
 
 _LONGEST_NAME = 4096
 
@@ -113,7 +122,7 @@ def read_colmap_binary(folder: Path) -> ColmapModel:
     return ColmapModel(_cameras(folder / "cameras.bin"), _images(folder / "images.bin"), points, colors)
 
 
-class _Bytes:
+class _ByteCursor:
     """A file's bytes and how far they are read; whatever is asked for is checked against what is left."""
 
     def __init__(self, file: Path) -> None:
@@ -151,7 +160,7 @@ class _Bytes:
 
 
 def _cameras(file: Path) -> dict[int, ColmapCamera]:
-    data = _Bytes(file)
+    data = _ByteCursor(file)
     cameras: dict[int, ColmapCamera] = {}
     for _ in range(data.count(_CAMERA.size)):
         id_, model, width, height = data.take(_CAMERA)
@@ -163,19 +172,19 @@ def _cameras(file: Path) -> dict[int, ColmapCamera]:
 
 
 def _images(file: Path) -> tuple[ColmapImage, ...]:
-    data = _Bytes(file)
+    data = _ByteCursor(file)
     images: list[ColmapImage] = []
     for _ in range(data.count(_IMAGE.size + 1 + _COUNT.size)):
         _, qw, qx, qy, qz, tx, ty, tz, camera_id = data.take(_IMAGE)
         images.append(ColmapImage(data.name(), camera_id, (qw, qx, qy, qz), (tx, ty, tz)))
-        data.skip(data.count(_SEEN_BYTES) * _SEEN_BYTES)
+        data.skip(data.count(_OBSERVATION_BYTES) * _OBSERVATION_BYTES)
     return tuple(images)
 
 
 def _points(file: Path) -> tuple[Float64[np.ndarray, "p 3"], UInt8[np.ndarray, "p 3"]]:
     if not file.is_file():
         return np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
-    data = _Bytes(file)
+    data = _ByteCursor(file)
     count = data.count(_POINT.size)
     points, colors = np.empty((count, 3)), np.empty((count, 3), np.uint8)
     for k in range(count):
@@ -220,7 +229,7 @@ def read_colmap(path: Path) -> Capture:
     model = _read_model(model_folder)
     if not model.images:
         raise CaptureError(f"{model_folder}: the model has no registered image")
-    unread = some_names([str(each) for each in others])
+    unread = abbreviated_names([str(each) for each in others])
     problems = [f"Of several models {model_folder} is the largest; unread: {unread}."] if others else []
     names_file = model_folder / ("images.bin" if (model_folder / "images.bin").is_file() else "images.txt")
     folder = _image_folder(path, model_folder, model, names_file)
@@ -229,7 +238,7 @@ def read_colmap(path: Path) -> Capture:
     check_inside(folder.parent, (str(mask) for mask in masks if mask is not None), names_file)
     images = sorted(model.images, key=lambda image: image.name)
     pictures = [image.name for image in images]
-    views: list[View] = []
+    views: list[CaptureFrame] = []
     left_out: list[str] = []
     for image, name, sensor in zip(images, view_names(pictures), sensor_names(pictures), strict=True):
         try:
@@ -238,7 +247,9 @@ def read_colmap(path: Path) -> Capture:
             left_out.append(str(error))
     if not views:
         raise CaptureError(f"{model_folder}: none of its {len(images)} images can be used ({left_out[0]})")
-    problems += [f"{len(left_out)} of {len(images)} images are left out: {some_names(left_out)}."] if left_out else []
+    problems += (
+        [f"{len(left_out)} of {len(images)} images are left out: {abbreviated_names(left_out)}."] if left_out else []
+    )
     finite = np.isfinite(model.points).all(axis=1)
     return Capture(
         path.resolve().name,
@@ -246,21 +257,21 @@ def read_colmap(path: Path) -> Capture:
         points_m=model.points[finite] if finite.any() else None,
         point_colors=model.colors[finite] if finite.any() else None,
         is_metric=False,
-        up=up_of_cameras([view.camera for view in views]),
+        up=estimate_up_direction([view.camera for view in views]),
         problems=tuple(problems),
     )
 
 
-def _view(model: ColmapModel, image: ColmapImage, folder: Path, name: str, sensor: str) -> View:
+def _view(model: ColmapModel, image: ColmapImage, folder: Path, name: str, sensor: str) -> CaptureFrame:
     if image.camera_id not in model.cameras:
         raise CaptureError(f"image {image.name!r} was taken by camera {image.camera_id}, which the model lacks")
     taken_by = model.cameras[image.camera_id]
     file = folder / image.name
     lens = taken_by.lens()  # what OpenCV lacks has no focal length to look for, either
     camera = checked_camera(taken_by.pinhole(_pose(image)), f"camera {taken_by.id} or the pose of {image.name!r}")
-    camera = camera_of_picture(camera, picture_size(file), str(file))
+    camera = camera_of_image(camera, image_size(file), str(file))
     mask = _mask_file(folder, image.name)
-    return View(
+    return CaptureFrame(
         name,
         camera,
         partial(read_color, file),

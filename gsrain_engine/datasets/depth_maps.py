@@ -8,15 +8,15 @@ from jaxtyping import Bool, Float32, Float64
 from scipy.spatial import KDTree
 
 from ..scene.camera import Camera
-from .capture import Capture, Sweep, TrackedBox, View
+from .capture import Capture, CaptureFrame, LidarSweep, TrackedBox
 from .completed_depth import completed_depth
 from .geometry import lidar_depth
-from .masks import inside_box, moving_boxes, pixel_rays
+from .masks import moving_boxes, pixel_rays, points_in_box
 from .sky_masks import sky_masks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class KnownDepth:
+class DepthPriors:
     """Pictures of the depth along the view axis, one a view, and of the sky."""
 
     measured: tuple[Float32[np.ndarray, "_ _"], ...]
@@ -31,44 +31,44 @@ class KnownDepth:
         known = np.concatenate([np.zeros(0, np.float32), *(depth[depth > 0] for depth in self.measured)])
         return float(np.median(known)) if len(known) else 0.0
 
-    def of(self, indices: Iterable[int]) -> "KnownDepth":
+    def of(self, indices: Iterable[int]) -> "DepthPriors":
         chosen = list(indices)
-        return KnownDepth(*(tuple(all_[i] for i in chosen) for all_ in (self.measured, self.completed, self.skies)))
+        return DepthPriors(*(tuple(all_[i] for i in chosen) for all_ in (self.measured, self.completed, self.skies)))
 
 
-def known_depth(capture: Capture, views: Sequence[View]) -> KnownDepth:
+def depth_priors(capture: Capture, views: Sequence[CaptureFrame]) -> DepthPriors:
     """Find out what the capture tells of some of its views, without distortion."""
     measured = measured_depths(capture, views)
     skies = sky_masks(views, measured, capture.up)
     completed = completed_depths(capture, views, measured, skies)
-    return KnownDepth(tuple(measured), tuple(completed), tuple(skies))
+    return DepthPriors(tuple(measured), tuple(completed), tuple(skies))
 
 
 # § What a capture knows of the distance to the static scene: depth pictures, lidar, or points on surfaces.
 
-_MOST_SWEEPS = 9
+_MAX_SWEEPS = 9
 """So many sweeps, the nearest in time, tell a view's depth: more find more, until poses drift."""
 
 _MARGIN_M = 0.15
 
 
-def static_sweeps(capture: Capture, moving: Sequence[TrackedBox] | None = None) -> tuple[Sweep, ...]:
+def static_sweeps(capture: Capture, moving: Sequence[TrackedBox] | None = None) -> tuple[LidarSweep, ...]:
     """Return the lidar sweeps without the points on what moves, which would lie elsewhere in every view."""
     moving = moving_boxes(capture) if moving is None else moving
     return tuple(_without(sweep, moving) for sweep in capture.sweeps)
 
 
-def _without(sweep: Sweep, moving: Sequence[TrackedBox]) -> Sweep:
+def _without(sweep: LidarSweep, moving: Sequence[TrackedBox]) -> LidarSweep:
     points = sweep.points_m.astype(np.float64)
     static = np.ones(len(points), np.bool_)
     for box in moving:
-        static &= ~inside_box(points, box, sweep.time_s, _MARGIN_M)
+        static &= ~points_in_box(points, box, sweep.time_s, _MARGIN_M)
     kept = None if sweep.intensities is None else sweep.intensities[static]
     return replace(sweep, points_m=sweep.points_m[static], intensities=kept)
 
 
 def measured_depths(
-    capture: Capture, views: Sequence[View], sweeps: Sequence[Sweep] | None = None
+    capture: Capture, views: Sequence[CaptureFrame], sweeps: Sequence[LidarSweep] | None = None
 ) -> list[Float32[np.ndarray, "_ _"]]:
     """Depth along the view axis in each view, 0 where nothing was measured.
 
@@ -77,12 +77,12 @@ def measured_depths(
     """
     sweeps = static_sweeps(capture) if sweeps is None else sweeps
     if not sweeps and capture.points_m is not None and len(capture.points_m):
-        sweeps = (Sweep(0.0, capture.points_m.astype(np.float32), np.zeros(3)),)
+        sweeps = (LidarSweep(0.0, capture.points_m.astype(np.float32), np.zeros(3)),)
     depths: list[Float32[np.ndarray, "_ _"]] = []
     for view in views:
         own = view.depth
         if own is None and sweeps:
-            nearest = sorted(sweeps, key=lambda sweep: abs(sweep.time_s - view.time_s))[:_MOST_SWEEPS]
+            nearest = sorted(sweeps, key=lambda sweep: abs(sweep.time_s - view.time_s))[:_MAX_SWEEPS]
             own = lidar_depth(view, nearest)
         depths.append(np.zeros((view.camera.height, view.camera.width), np.float32) if own is None else own)
     return depths
@@ -90,7 +90,7 @@ def measured_depths(
 
 def completed_depths(
     capture: Capture,
-    views: Sequence[View],
+    views: Sequence[CaptureFrame],
     measured: Sequence[Float32[np.ndarray, "_ _"]],
     skies: Sequence[Bool[np.ndarray, "_ _"]] | None = None,
 ) -> list[Float32[np.ndarray, "_ _"]]:
@@ -102,7 +102,7 @@ def completed_depths(
     """
     drop = None
     if not capture.sweeps and capture.points_m is not None and len(capture.points_m):
-        drop = road_drop(capture.points_m, views, capture.up)
+        drop = camera_height_above_road(capture.points_m, views, capture.up)
     completed: list[Float32[np.ndarray, "_ _"]] = []
     for view, depth, sky in zip(views, measured, skies or [None] * len(views), strict=True):
         if view.depth_source is not None:  # a depth camera, or a mesh: it tells all there is
@@ -118,11 +118,11 @@ def completed_depths(
 _LOWEST = 0.03
 """Part of the points near the cameras that lie under the road: errors of triangulation."""
 
-_LEAST_POINTS = 50
+_MIN_POINTS = 50
 
 
-def road_drop(
-    points: Float64[np.ndarray, "p 3"], views: Sequence[View], up: tuple[float, float, float]
+def camera_height_above_road(
+    points: Float64[np.ndarray, "p 3"], views: Sequence[CaptureFrame], up: tuple[float, float, float]
 ) -> float | None:
     """How far the road lies under the cameras, in the world's unit: as deep as the lowest points near them.
 
@@ -132,7 +132,7 @@ def road_drop(
     distance, nearest = KDTree(eyes).query(points)
     near = distance <= 2 * np.median(distance)
     below = (eyes[nearest] - points)[near] @ (np.array(up) / np.linalg.norm(up))
-    if len(below) < _LEAST_POINTS:
+    if len(below) < _MIN_POINTS:
         return None
     drop = float(np.quantile(below, 1 - _LOWEST))
     return drop if drop > 0 else None

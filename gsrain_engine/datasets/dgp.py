@@ -14,11 +14,11 @@ import numpy as np
 from jaxtyping import Float64
 
 from ..scene.camera import Camera
-from .capture import Capture, CaptureError, Lens, View, check_inside
-from .driving_log import DrivingRecord, Scan
-from .geometry import BoxSample, inverse, named_pose, opencv_camera, transformed
+from .capture import Capture, CaptureError, CaptureFrame, Lens, check_inside
+from .driving_log import DrivingLog, LidarScan
+from .geometry import BoxSample, invert_pose, named_pose, opencv_camera, transform_points
 from .io.arrays import WRONG_VALUES, read_json_object, read_npz, what_is_wrong
-from .io.images import picture_size, read_color
+from .io.images import image_size, read_color
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +85,7 @@ def read_dgp(path: Path) -> Capture:
     problems: list[str] = []
     file = _scene_of(path, problems)
     try:
-        return _Scene.opened(file, problems).capture()
+        return _DgpScene.opened(file, problems).capture()
     except CaptureError:
         raise
     except WRONG_VALUES as error:
@@ -134,20 +134,20 @@ def _some(names: list[str]) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class _Scene:
+class _DgpScene:
     """One scene file: its data by key, and its samples."""
 
     file: Path
     data: dict[str, dict[str, Any]]
     samples: list[dict[str, Any]]
-    record: DrivingRecord
+    record: DrivingLog
     camera_stamps: list[tuple[float, Float64[np.ndarray, "4 4"], str]] = field(
         default_factory=list[tuple[float, Float64[np.ndarray, "4 4"], str]]
     )
     """Vehicle to world at the time of each picture, and whose picture it is."""
 
     @classmethod
-    def opened(cls, file: Path, problems: list[str]) -> "_Scene":
+    def opened(cls, file: Path, problems: list[str]) -> "_DgpScene":
         values = read_json_object(file)
         try:
             data = {str(datum["key"]): datum for datum in values["data"]}
@@ -155,12 +155,12 @@ class _Scene:
         except WRONG_VALUES as error:
             raise CaptureError(f"{file}: {what_is_wrong(error)}") from None
         check_inside(file.parent, _named_files(values, data, samples), file)
-        record = DrivingRecord(str(values.get("name") or file.parent.name), road_m=0.0, problems=problems)
+        record = DrivingLog(str(values.get("name") or file.parent.name), road_m=0.0, problems=problems)
         return cls(file, data, samples, record)
 
     def capture(self) -> Capture:
         classes = self._classes()
-        lidars: list[_Lidar] = []
+        lidars: list[_DgpLidar] = []
         for number, sample in enumerate(self.samples):
             rig = read_dgp_calibration(self.file.parent / "calibration" / f"{sample.get('calibration_key')}.json")
             for key in sample.get("datum_keys", ()):
@@ -172,10 +172,10 @@ class _Scene:
                         raise ValueError("it is not in the calibration")
                     if "image" in datum["datum"]:
                         self.record.views.append(self._view(datum, rig[name], number))
-                        vehicle = _pose(datum) @ inverse(rig[name].to_vehicle)
+                        vehicle = _pose(datum) @ invert_pose(rig[name].to_vehicle)
                         self.camera_stamps.append((_seconds(datum), vehicle, name))
                     elif "point_cloud" in datum["datum"]:
-                        lidar = _Lidar(name, datum["datum"]["point_cloud"], _seconds(datum), _pose(datum), rig[name])
+                        lidar = _DgpLidar(name, datum["datum"]["point_cloud"], _seconds(datum), _pose(datum), rig[name])
                         lidars.append(lidar)
                         self._boxes(lidar, classes)
                 except WRONG_VALUES as error:
@@ -202,18 +202,18 @@ class _Scene:
             self.record.problems.append(f"names of classes are not known: {what_is_wrong(error)}")
             return {}
 
-    def _view(self, datum: dict[str, Any], sensor: DgpSensor, number: int) -> View:
+    def _view(self, datum: dict[str, Any], sensor: DgpSensor, number: int) -> CaptureFrame:
         image, name = datum["datum"]["image"], str(datum["id"]["name"])
         file = self.file.parent / image["filename"]
-        width, height = picture_size(file)
+        width, height = image_size(file)
         if (width, height) != (image["width"], image["height"]):
             raise ValueError(f"{file.name} has {width}x{height} px, expected {image['width']}x{image['height']}")
-        camera = sensor.camera(width, height, inverse(_pose(datum)))
-        return View(
+        camera = sensor.camera(width, height, invert_pose(_pose(datum)))
+        return CaptureFrame(
             f"{number:04d}_{name}", camera, partial(read_color, file), _seconds(datum), name, sensor.lens_distortion()
         )
 
-    def _boxes(self, lidar: "_Lidar", classes: dict[int, str]) -> None:
+    def _boxes(self, lidar: "_DgpLidar", classes: dict[int, str]) -> None:
         named = lidar.cloud.get("annotations", {}).get(_BOXES_3D)
         if named is None:
             return
@@ -230,7 +230,7 @@ class _Scene:
             else:
                 self.record.boxes.append(sample)
 
-    def _scans(self, lidars: list["_Lidar"]) -> Iterator[Scan]:
+    def _scans(self, lidars: list["_DgpLidar"]) -> Iterator[LidarScan]:
         for lidar in lidars:
             try:
                 yield lidar.scan(self.file.parent)
@@ -239,7 +239,7 @@ class _Scene:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Lidar:
+class _DgpLidar:
     """A point cloud of a sample."""
 
     name: str
@@ -250,19 +250,19 @@ class _Lidar:
 
     @property
     def vehicle_to_world(self) -> Float64[np.ndarray, "4 4"]:
-        return self.to_world @ inverse(self.sensor.to_vehicle)
+        return self.to_world @ invert_pose(self.sensor.to_vehicle)
 
-    def scan(self, folder: Path) -> Scan:
+    def scan(self, folder: Path) -> LidarScan:
         file, fields = folder / str(self.cloud["filename"]), [str(name) for name in self.cloud["point_format"]]
         rows = np.asarray(read_npz(file, "data"), np.float64)
         if rows.ndim != 2 or rows.shape[1] != len(fields):
             raise ValueError(f"an array of {rows.shape}, expected a column for each of {' '.join(fields)}")
         to_vehicle = self.sensor.to_vehicle
-        points = transformed(to_vehicle, rows[:, [fields.index(axis) for axis in "XYZ"]])
+        points = transform_points(to_vehicle, rows[:, [fields.index(axis) for axis in "XYZ"]])
         intensity = next((fields.index(name) for name in ("I", "INTENSITY") if name in fields), None)
         with np.errstate(over="ignore"):
             light = None if intensity is None else rows[:, intensity].astype(np.float32)
-        return Scan(self.time_s, self.vehicle_to_world, points, to_vehicle[:3, 3], light)
+        return LidarScan(self.time_s, self.vehicle_to_world, points, to_vehicle[:3, 3], light)
 
 
 def _named_files(

@@ -10,20 +10,20 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64
 
 from ..scene.geometry import quaternions_from_matrices
-from ..scene.scene import Track
-from .capture import EGO_HEIGHT_M, Capture, CaptureError, Sweep, View
-from .geometry import BoxSample, moved_to, road_height, tracked_boxes, transformed
+from ..scene.scene import PoseTrack
+from .capture import EGO_HEIGHT_M, Capture, CaptureError, CaptureFrame, LidarSweep
+from .geometry import BoxSample, road_height, tracked_boxes, transform_points, translation_pose
 
-MOST_POINTS = 24_000_000
+MAX_POINTS = 24_000_000
 """Lidar points that a capture holds (0.4 GB); of longer drives every k-th is kept."""
 
 _FARTHEST_M = 1e5
 
-_ROAD_SCANS, _PROBLEMS_TOLD, _FEWER = 8, 24, 0.9
+_ROAD_SCANS, _PROBLEMS_LISTED, _FEWER = 8, 24, 0.9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scan:
+class LidarScan:
     """One turn of a lidar, in the frame of the vehicle (x forward, y left, z up, metres)."""
 
     time_s: float
@@ -40,19 +40,19 @@ class Scan:
 
 
 @dataclass(slots=True, eq=False)
-class DrivingRecord:
+class DrivingLog:
     """A drive in the data set's own world (metres, z up) and clock (seconds)."""
 
     name: str
     road_m: float
     """Height of the road in the vehicle's frame, as the data set says."""
-    views: list[View] = field(default_factory=list[View])
+    views: list[CaptureFrame] = field(default_factory=list[CaptureFrame])
     """With times of the data set's clock and cameras of its world."""
     stamps: list[tuple[float, Float64[np.ndarray, "4 4"]]] = field(
         default_factory=list[tuple[float, Float64[np.ndarray, "4 4"]]]
     )
     """Where the vehicle was: time, vehicle to world."""
-    scans: Iterable[Scan] = ()
+    scans: Iterable[LidarScan] = ()
     scan_count: int = 0
     boxes: list[BoxSample] = field(default_factory=list[BoxSample])
     box_times_s: list[float] = field(default_factory=list[float])
@@ -69,11 +69,11 @@ class DrivingRecord:
         scans = iter(self.scans)
         first = [scan for _, scan in zip(range(_ROAD_SCANS), scans, strict=False)]
         road_m = road_height((scan.points_m for scan in first), self.road_m)
-        above_road = moved_to(np.array([0.0, 0.0, road_m + EGO_HEIGHT_M]))
+        above_road = translation_pose(np.array([0.0, 0.0, road_m + EGO_HEIGHT_M]))
         ego = np.stack([pose @ above_road for _, pose in stamps])
-        shift = moved_to(-ego[0, :3, 3])
+        shift = translation_pose(-ego[0, :3, 3])
         start = min(view.time_s for view in self.views)
-        self._name_missing_pictures()
+        self._name_missing_images()
         boxes = tracked_boxes(self.boxes, self.box_times_s or [box.time_s for box in self.boxes])
         sweeps = tuple(_sweeps(chain(first, scans), self._stride(first), shift, start))
         return Capture(
@@ -81,13 +81,13 @@ class DrivingRecord:
             tuple(replace(v, camera=v.camera.moved(shift), time_s=_since(start, v.time_s)) for v in self.views),
             sweeps=sweeps,
             boxes=tuple(replace(box, track=_later(box.track.moved(shift), start)) for box in boxes),
-            ego=Track(
+            ego=PoseTrack(
                 np.array([_since(start, time) for time, _ in stamps]),
                 (ego[:, :3, 3] + shift[:3, 3]),
                 quaternions_from_matrices(ego[:, :3, :3]),
                 np.ones(len(stamps), np.bool_),
             ),
-            problems=_told(self.problems),
+            problems=_shortened_list(self.problems),
         )
 
     def _leave_out_timeless(self) -> None:
@@ -95,31 +95,33 @@ class DrivingRecord:
         self.views = [view for view in self.views if isfinite(view.time_s)]
         self.stamps = [stamp for stamp in self.stamps if isfinite(stamp[0])]
 
-    def _name_missing_pictures(self) -> None:
+    def _name_missing_images(self) -> None:
         counted = Counter(view.sensor for view in self.views)
         most = max(counted.values())
         for sensor, count in counted.items():
             if count < _FEWER * most:
                 self.problems.append(f"{sensor} has pictures of {count} moments, another camera of {most}")
 
-    def _stride(self, first: Sequence[Scan]) -> int:
+    def _stride(self, first: Sequence[LidarScan]) -> int:
         each = float(np.mean([len(scan.points_m) for scan in first])) if first else 0.0
-        stride = max(int(np.ceil(each * self.scan_count / MOST_POINTS)), 1)
+        stride = max(int(np.ceil(each * self.scan_count / MAX_POINTS)), 1)
         if stride > 1:
             self.problems.append(f"the lidar is too long a record for the memory: 1 of {stride} points is kept")
         return stride
 
 
-def _sweeps(scans: Iterable[Scan], stride: int, shift: Float64[np.ndarray, "4 4"], start_s: float) -> Iterator[Sweep]:
+def _sweeps(
+    scans: Iterable[LidarScan], stride: int, shift: Float64[np.ndarray, "4 4"], start_s: float
+) -> Iterator[LidarSweep]:
     for scan in scans:
         to_world = shift @ scan.vehicle_to_world
-        points = transformed(to_world, scan.points_m[::stride].astype(np.float64)).astype(np.float32)
-        origin = transformed(to_world, scan.origin_m[None])[0]
+        points = transform_points(to_world, scan.points_m[::stride].astype(np.float64)).astype(np.float32)
+        origin = transform_points(to_world, scan.origin_m[None])[0]
         intensities = None if scan.intensities is None else np.ascontiguousarray(scan.intensities[::stride])
-        yield Sweep(_since(start_s, scan.time_s), points, origin, intensities)
+        yield LidarSweep(_since(start_s, scan.time_s), points, origin, intensities)
 
 
-def _later(track: Track, start_s: float) -> Track:
+def _later(track: PoseTrack, start_s: float) -> PoseTrack:
     return replace(track, times=np.round(track.times - start_s, 6))
 
 
@@ -128,10 +130,10 @@ def _since(start_s: float, time_s: float) -> float:
     return round(time_s - start_s, 6)
 
 
-def _told(problems: Sequence[str]) -> tuple[str, ...]:
+def _shortened_list(problems: Sequence[str]) -> tuple[str, ...]:
     """Some of many: a download without its pictures has one problem for each."""
-    more = len(problems) - _PROBLEMS_TOLD
-    return (*problems[:_PROBLEMS_TOLD], f"and {more} more problems like these") if more > 1 else tuple(problems)
+    more = len(problems) - _PROBLEMS_LISTED
+    return (*problems[:_PROBLEMS_LISTED], f"and {more} more problems like these") if more > 1 else tuple(problems)
 
 
 def _because(problems: Sequence[str]) -> str:

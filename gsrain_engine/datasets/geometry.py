@@ -12,8 +12,8 @@ from jaxtyping import Bool, Float, Float32, Float64
 from ..scene.camera import Camera
 from ..scene.files import SceneFormatError
 from ..scene.geometry import matrices_from_quaternions, quaternions_from_matrices
-from ..scene.scene import Track
-from .capture import CaptureError, Lens, Sweep, TrackedBox, View
+from ..scene.scene import PoseTrack
+from .capture import CaptureError, CaptureFrame, Lens, LidarSweep, TrackedBox
 
 OPENCV_FROM_VEHICLE_AXES: Float64[np.ndarray, "4 4"] = np.array(
     [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
@@ -23,15 +23,15 @@ OPENCV_FROM_VEHICLE_AXES: Float64[np.ndarray, "4 4"] = np.array(
 _NOT_RIGID, _FARTHEST_M = 1e-2, 1e9
 
 
-def rigid(rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
+def rigid_pose(rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation, translation
     return matrix
 
 
-def moved_to(translation: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
+def translation_pose(translation: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
     """Pose without a turn."""
-    return rigid(np.eye(3), translation)
+    return rigid_pose(np.eye(3), translation)
 
 
 def rigid_from_quaternion(quaternion_wxyz: Any, translation: Any) -> Float64[np.ndarray, "4 4"]:
@@ -43,7 +43,7 @@ def rigid_from_quaternion(quaternion_wxyz: Any, translation: Any) -> Float64[np.
     length = np.linalg.norm(turn) if in_bounds else 0.0
     if not length > 1e-6:
         raise ValueError("the numbers of a pose must be finite, its place on this planet and its quaternion not zero")
-    return rigid(matrices_from_quaternions(turn / length), place)
+    return rigid_pose(matrices_from_quaternions(turn / length), place)
 
 
 def rigid_from_numbers(values: Any) -> Float64[np.ndarray, "4 4"]:
@@ -64,10 +64,10 @@ def rigid_from_numbers(values: Any) -> Float64[np.ndarray, "4 4"]:
         or np.linalg.det(rotation) < 0
     ):
         raise ValueError("a pose must be a rotation without scale or mirroring")
-    return rigid(matrices_from_quaternions(quaternions_from_matrices(rotation)), rows[:, 3])
+    return rigid_pose(matrices_from_quaternions(quaternions_from_matrices(rotation)), rows[:, 3])
 
 
-def inverse(pose: Float[np.ndarray, "*n 4 4"]) -> Float64[np.ndarray, "*n 4 4"]:
+def invert_pose(pose: Float[np.ndarray, "*n 4 4"]) -> Float64[np.ndarray, "*n 4 4"]:
     rotation = np.swapaxes(pose[..., :3, :3], -1, -2)
     matrix = np.zeros(pose.shape)
     matrix[..., :3, :3] = rotation
@@ -77,7 +77,7 @@ def inverse(pose: Float[np.ndarray, "*n 4 4"]) -> Float64[np.ndarray, "*n 4 4"]:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # what is no number stays none, and is refused by who takes the points
-def transformed(pose: Float[np.ndarray, "4 4"], points_m: Float[np.ndarray, "p 3"]) -> Float64[np.ndarray, "p 3"]:
+def transform_points(pose: Float[np.ndarray, "4 4"], points_m: Float[np.ndarray, "p 3"]) -> Float64[np.ndarray, "p 3"]:
     return points_m @ pose[:3, :3].T + pose[:3, 3]
 
 
@@ -195,7 +195,7 @@ def scaled_camera(camera: Camera, width: int, height: int) -> Camera:
     )
 
 
-def camera_of_picture(camera: Camera, size: tuple[int, int], picture: str) -> Camera:
+def camera_of_image(camera: Camera, size: tuple[int, int], picture: str) -> Camera:
     """Fit a calibration to a picture that was scaled after it; `CaptureError` where the sides' ratio differs."""
     width, height = size
     if (width, height) == (camera.width, camera.height):
@@ -220,7 +220,7 @@ def checked_camera(camera: Camera, what: str) -> Camera:
 
 _NEAR_M, _LANE_M, _OWN_LENGTH_M, _OWN_WIDTH_M = 15.0, 4.0, 2.0, 1.2
 
-_SLACK_M, _BIN_M, _LEAST = 1.0, 0.05, 50
+_SLACK_M, _BIN_M, _MINIMUMS = 1.0, 0.05, 50
 
 
 def road_height(clouds: Iterable[Float[np.ndarray, "_ 3"]], expected_m: float) -> float:
@@ -232,7 +232,7 @@ def road_height(clouds: Iterable[Float[np.ndarray, "_ 3"]], expected_m: float) -
     """
     near = [_near_road(cloud, expected_m) for cloud in clouds]
     points = np.concatenate(near) if near else np.zeros((0, 3))
-    if len(points) < _LEAST:
+    if len(points) < _MINIMUMS:
         return expected_m
     count, edges = np.histogram(points[:, 2], np.arange(-_SLACK_M, _SLACK_M + _BIN_M, _BIN_M) + expected_m)
     layer = edges[int(np.argmax(count >= 0.5 * count.max()))] + _BIN_M
@@ -240,7 +240,7 @@ def road_height(clouds: Iterable[Float[np.ndarray, "_ 3"]], expected_m: float) -
     plane, width = np.array([layer, 0.0, 0.0]), 0.3
     for _ in range(4):
         inside = np.abs(points[:, 2] - design @ plane) < width
-        if np.count_nonzero(inside) < _LEAST:
+        if np.count_nonzero(inside) < _MINIMUMS:
             break
         plane = np.linalg.lstsq(design[inside], points[inside, 2], rcond=None)[0]
         width = max(width / 1.5, 0.1)
@@ -266,7 +266,7 @@ _STEEPEST_DRIVE = 0.5
 """Cosine between a way and the pictures' up from which on the way itself is up: a lift or a drone, not a road."""
 
 
-def up_of_cameras(cameras: Sequence[Camera]) -> tuple[float, float, float]:
+def estimate_up_direction(cameras: Sequence[Camera]) -> tuple[float, float, float]:
     """Estimate the unit upward direction in the world's axes.
 
     People and cars hold cameras so that the picture's rows are level: up is what is most square to all right axes.
@@ -307,7 +307,7 @@ _NEARER_PART, _NEARER_M = 0.05, 0.3
 _NEAREST_M = 0.1
 
 
-def lidar_depth(view: View, sweeps: Sequence[Sweep]) -> Float32[np.ndarray, "h w"]:
+def lidar_depth(view: CaptureFrame, sweeps: Sequence[LidarSweep]) -> Float32[np.ndarray, "h w"]:
     """Metres along the view axis where points fall, the nearest of a pixel; 0 elsewhere. A lens is taken into account.
 
     The lidar stands elsewhere than the camera and sees past things that hide what is behind: a point with nearer
@@ -318,13 +318,15 @@ def lidar_depth(view: View, sweeps: Sequence[Sweep]) -> Float32[np.ndarray, "h w
     return np.where(np.isfinite(nearest), nearest, 0).astype(np.float32)
 
 
-def point_depth(view: View, points: Float[np.ndarray, "p 3"]) -> Float32[np.ndarray, "h w"]:
+def point_depth(view: CaptureFrame, points: Float[np.ndarray, "p 3"]) -> Float32[np.ndarray, "h w"]:
     """Depth along the view axis, in the world's unit, of the nearest point in each pixel; 0 where there is none."""
     nearest = _nearest(view, [points], 0.0)
     return np.where(np.isfinite(nearest), nearest, 0).astype(np.float32)
 
 
-def _nearest(view: View, clouds: Sequence[Float[np.ndarray, "_ 3"]], from_depth: float) -> Float32[np.ndarray, "h w"]:
+def _nearest(
+    view: CaptureFrame, clouds: Sequence[Float[np.ndarray, "_ 3"]], from_depth: float
+) -> Float32[np.ndarray, "h w"]:
     size = (view.camera.height, view.camera.width)
     nearest = np.full(size, np.inf, np.float32)
     for cloud in clouds:
@@ -345,11 +347,11 @@ def pixels_inside(
     return whole[:, 1], whole[:, 0], inside
 
 
-def nearest_sweep(view: View, sweeps: Sequence[Sweep]) -> Sweep | None:
+def nearest_sweep(view: CaptureFrame, sweeps: Sequence[LidarSweep]) -> LidarSweep | None:
     return min(sweeps, key=lambda sweep: abs(sweep.time_s - view.time_s), default=None)
 
 
-def _hidden(nearest: Float32[np.ndarray, "h w"], view: View) -> Bool[np.ndarray, "h w"]:
+def _hidden(nearest: Float32[np.ndarray, "h w"], view: CaptureFrame) -> Bool[np.ndarray, "h w"]:
     """Which points have nearer ones in three of the four quadrants; the own row, where a road's points mix, is none."""
     across, up = np.tan(np.radians(BEAM_GAP_DEG))
     columns = max(round(view.camera.fx * across), 1) + 1
@@ -430,7 +432,7 @@ def _tracked(found: dict[int, BoxSample], stamps: Float64[np.ndarray, " t"]) -> 
     matrices = np.stack([pose for _, pose, _ in rows])
     quaternions = quaternions_from_matrices(matrices[:, :3, :3])
     valid = np.array([present for _, _, present in rows])
-    track = Track(np.array([time for time, _, _ in rows]), matrices[:, :3, 3].copy(), quaternions, valid)
+    track = PoseTrack(np.array([time for time, _, _ in rows]), matrices[:, :3, 3].copy(), quaternions, valid)
     length, width, height = np.median([each.size_lwh for each in found.values()], axis=0).tolist()
     first = next(iter(found.values()))
     return TrackedBox(first.id, first.class_name, (length, width, height), track)

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import UInt8
 
 from ..scene.files import shortened
-from .capture import Capture, CaptureError, View
+from .capture import Capture, CaptureError, CaptureFrame
 from .capture_folder import read_capture_folder, recognizes_capture_folder
-from .io.images import SUFFIXES, picture_size, read_color
-from .undistort import prepared
+from .io.images import SUFFIXES, image_size, read_color
+from .undistort import undistort_frame
 
 _MAX_NAME_BYTES = 200
 """Of a view's file without the endings that its depth, normals and masks add."""
@@ -22,7 +22,7 @@ _PROPORTIONS = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class OtherPictures:
+class ImageOverride:
     """Pictures in a folder, by their names in it: NAME, SENSOR/NAME."""
 
     folder: Path
@@ -62,7 +62,7 @@ def _plain(name: str) -> PurePosixPath:
     return path.with_suffix("") if path.suffix.lower() in SUFFIXES else path
 
 
-def pictures_below(folder: Path) -> OtherPictures:
+def find_images(folder: Path) -> ImageOverride:
     """Look for pictures in a folder and below; of one with cameras (a transfer's), the views' own alone.
 
     Raises `CaptureError` where there is no such folder.
@@ -74,9 +74,9 @@ def pictures_below(folder: Path) -> OtherPictures:
         where = folder if (folder / f"{views[0].name}.png").is_file() else folder / "images"
         files = {view.name: where / f"{view.name}.png" for view in views}
         sizes = {view.name: (view.camera.width, view.camera.height) for view in views if view.lens is None}
-        return OtherPictures(folder, files, sizes)
+        return ImageOverride(folder, files, sizes)
     found = sorted(file for file in folder.rglob("*") if file.suffix.lower() in SUFFIXES)
-    return OtherPictures(folder, {file.relative_to(folder).with_suffix("").as_posix(): file for file in found}, {})
+    return ImageOverride(folder, {file.relative_to(folder).with_suffix("").as_posix(): file for file in found}, {})
 
 
 def with_images(capture: Capture, folder: Path) -> Capture:
@@ -86,7 +86,7 @@ def with_images(capture: Capture, folder: Path) -> Capture:
     the views then, which get their size. Views without a picture are left out, and named among the problems, as are
     pictures without a view. Raises `CaptureError` where the folder has a picture of no view.
     """
-    pictures = pictures_below(folder)
+    pictures = find_images(folder)
     views = tuple(_with_file(view, file, pictures) for view in capture if (file := _file(pictures, view)) is not None)
     if not views:
         raise CaptureError(f"--images {folder}: has no picture of a view; expected {capture[0].name}.png, for one")
@@ -100,25 +100,25 @@ def with_images(capture: Capture, folder: Path) -> Capture:
     return replace(capture, views=views, problems=(*capture.problems, *told))
 
 
-def _file(pictures: OtherPictures, view: View) -> Path | None:
+def _file(pictures: ImageOverride, view: CaptureFrame) -> Path | None:
     return pictures.file_of(view.name, view.sensor)
 
 
-def _with_file(view: View, file: Path, pictures: OtherPictures) -> View:
+def _with_file(view: CaptureFrame, file: Path, pictures: ImageOverride) -> CaptureFrame:
     width = pictures.straight_width(view.name, view.sensor)
-    view = view if width is None else prepared(view, width)
+    view = view if width is None else undistort_frame(view, width)
     size = (view.camera.width, view.camera.height)
-    return replace(view, image_source=lambda: sized_picture(file, size))
+    return replace(view, image_source=lambda: sized_image(file, size))
 
 
 def check_proportions(file: Path, size: tuple[int, int]) -> None:
     """Raise `CaptureError` for a picture that can't be one of a view so large (width, height), or is broken."""
-    width, height = picture_size(file)
+    width, height = image_size(file)
     if abs(width * size[1] / (height * size[0]) - 1) > _PROPORTIONS:
         raise CaptureError(f"{file}: is {width}x{height} px, its view is {size[0]}x{size[1]}: other proportions")
 
 
-def sized_picture(file: Path, size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
+def sized_image(file: Path, size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
     """Read a picture as display colour and bring it to a size (width, height); `CaptureError` where it can't be."""
     check_proportions(file, size)
     pixels = read_color(file)

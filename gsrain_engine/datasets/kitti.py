@@ -14,19 +14,19 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from ..safe_io.limits import read_file
-from .capture import Capture, CaptureError, View, some_names
-from .driving_log import DrivingRecord, Scan
+from .capture import Capture, CaptureError, CaptureFrame, abbreviated_names
+from .driving_log import DrivingLog, LidarScan
 from .geometry import (
     OPENCV_FROM_VEHICLE_AXES,
     BoxSample,
-    inverse,
-    moved_to,
+    invert_pose,
     opencv_camera_of_matrix,
-    rigid,
     rigid_from_numbers,
-    transformed,
+    rigid_pose,
+    transform_points,
+    translation_pose,
 )
-from .io.images import picture_size, pictures_in, read_color
+from .io.images import image_size, images_in, read_color
 
 Calibration = dict[str, Float64[np.ndarray, " _"]]
 """Numbers of each line of a file, by its name."""
@@ -87,13 +87,13 @@ class KittiCamera:
     @property
     def from_first(self) -> Float64[np.ndarray, "4 4"]:
         """First camera to this one: a shift along the baseline."""
-        return moved_to(np.linalg.solve(self.projection[:, :3], self.projection[:, 3]))
+        return translation_pose(np.linalg.solve(self.projection[:, :3], self.projection[:, 3]))
 
-    def view(self, file: Path, name: str, time_s: float, world_to_first: Float64[np.ndarray, "4 4"]) -> View:
+    def view(self, file: Path, name: str, time_s: float, world_to_first: Float64[np.ndarray, "4 4"]) -> CaptureFrame:
         """One picture, with a lens that rectification has straightened; raises `CaptureError` or ValueError."""
         pose = self.from_first @ world_to_first
-        camera = opencv_camera_of_matrix(self.projection, picture_size(file), pose)
-        return View(name, camera, partial(read_color, file), time_s, self.name)
+        camera = opencv_camera_of_matrix(self.projection, image_size(file), pose)
+        return CaptureFrame(name, camera, partial(read_color, file), time_s, self.name)
 
 
 def read_velodyne(file: Path) -> tuple[Float32[np.ndarray, "p 3"], Float32[np.ndarray, " p"]]:
@@ -114,9 +114,9 @@ def read_velodyne(file: Path) -> tuple[Float32[np.ndarray, "p 3"], Float32[np.nd
 # first
 # camera's. It is as level as that camera stood on the road.
 
-_COLOR, _GREY = ("image_2", "image_3"), ("image_0", "image_1")
+_COLOR, _GRAY = ("image_2", "image_3"), ("image_0", "image_1")
 
-_TO_VEHICLE = inverse(OPENCV_FROM_VEHICLE_AXES)
+_TO_VEHICLE = invert_pose(OPENCV_FROM_VEHICLE_AXES)
 
 
 def recognizes_kitti_odometry(path: Path) -> bool:
@@ -127,15 +127,15 @@ def recognizes_kitti_odometry(path: Path) -> bool:
 def read_kitti_odometry(path: Path) -> Capture:
     """Read a sequence; of the data set the first one with poses. Raises `CaptureError`."""
     if _is_sequence(path):
-        return _read(path, DrivingRecord(path.name, road_m=-CAMERA_HEIGHT_M))
+        return _read(path, DrivingLog(path.name, road_m=-CAMERA_HEIGHT_M))
     found = [each for each in _sequences(path) if _is_sequence(each)]
     posed = [each for each in found if _pose_file(each).is_file()]
     if not posed:
         raise CaptureError(f"{path}: no sequence of KITTI odometry with poses in it (sequences/00, poses/00.txt)")
-    record = DrivingRecord(posed[0].name, road_m=-CAMERA_HEIGHT_M)
+    record = DrivingLog(posed[0].name, road_m=-CAMERA_HEIGHT_M)
     others = [str(each) for each in found if each != posed[0]]
     if others:
-        record.problems.append(f"sequence {posed[0].name} is read; the others here: {some_names(others)}")
+        record.problems.append(f"sequence {posed[0].name} is read; the others here: {abbreviated_names(others)}")
     return _read(posed[0], record)
 
 
@@ -152,14 +152,14 @@ def _pose_file(sequence: Path) -> Path:
     return beside if beside.is_file() else sequence.parent.parent / "poses" / f"{sequence.name}.txt"
 
 
-def _read(folder: Path, record: DrivingRecord) -> Capture:
+def _read(folder: Path, record: DrivingLog) -> Capture:
     times = _times(folder / "times.txt")
     poses = _poses(_pose_file(folder), record.problems)
     known = [number for number in range(len(times)) if number in poses]
     in_world = {number: _TO_VEHICLE @ poses[number] for number in known}
     record.stamps = [(times[number], in_world[number] @ OPENCV_FROM_VEHICLE_AXES) for number in known]
     calibration = read_calibration(folder / "calib.txt")
-    _pictures(folder, record, calibration, times, in_world)
+    _images(folder, record, calibration, times, in_world)
     files = sorted((folder / "velodyne").glob("*.bin"))
     if files:
         try:
@@ -192,36 +192,36 @@ def _poses(file: Path, problems: list[str]) -> dict[int, Float64[np.ndarray, "4 
     return poses
 
 
-def _pictures(
+def _images(
     folder: Path,
-    record: DrivingRecord,
+    record: DrivingLog,
     calibration: Calibration,
     times: list[float],
     in_world: dict[int, Float64[np.ndarray, "4 4"]],
 ) -> None:
     present = [name for name in _COLOR if (folder / name).is_dir()]
-    for sensor in present or [name for name in _GREY if (folder / name).is_dir()]:
+    for sensor in present or [name for name in _GRAY if (folder / name).is_dir()]:
         try:
             numbers = numbers_of(calibration, f"P{sensor[-1]}", 12, folder / "calib.txt")
             camera = KittiCamera(sensor, numbers.reshape(3, 4))
         except (CaptureError, ValueError) as error:
             record.problems.append(f"{sensor} left out: {error}")
             continue
-        for file in pictures_in(folder / sensor):
+        for file in images_in(folder / sensor):
             number = int(file.stem) if file.stem.isdecimal() else -1
             try:
                 if number not in in_world:
                     raise ValueError("its pose or its time is not known")
                 name = f"{number:04d}_{sensor}"
-                record.views.append(camera.view(file, name, times[number], inverse(in_world[number])))
+                record.views.append(camera.view(file, name, times[number], invert_pose(in_world[number])))
             except (CaptureError, ValueError) as error:
                 record.problems.append(f"{sensor}/{file.name} left out: {error}")
     record.views.sort(key=lambda view: view.name)
 
 
 def _scans(
-    files: list[Path], record: DrivingRecord, times: dict[int, float], to_vehicle: Float64[np.ndarray, "4 4"]
-) -> Iterator[Scan]:
+    files: list[Path], record: DrivingLog, times: dict[int, float], to_vehicle: Float64[np.ndarray, "4 4"]
+) -> Iterator[LidarScan]:
     places = dict(record.stamps)
     for file in files:
         try:
@@ -229,7 +229,7 @@ def _scans(
             if time is None or time not in places:
                 raise ValueError("its pose or its time is not known")
             points, light = read_velodyne(file)
-            yield Scan(time, places[time], transformed(to_vehicle, points), to_vehicle[:3, 3], light)
+            yield LidarScan(time, places[time], transform_points(to_vehicle, points), to_vehicle[:3, 3], light)
         except (CaptureError, ValueError) as error:
             record.problems.append(f"velodyne/{file.name} left out: {error}")
 
@@ -267,7 +267,7 @@ def oxts_poses(records: Sequence[OxtsRecord]) -> list[Float64[np.ndarray, "4 4"]
         return []
     scale = np.cos(np.radians(records[0][0])) * _EARTH_RADIUS_M
     places = [_mercator(record, scale) for record in records]
-    return [rigid(_turn(record[3:]), place - places[0]) for record, place in zip(records, places, strict=True)]
+    return [rigid_pose(_turn(record[3:]), place - places[0]) for record, place in zip(records, places, strict=True)]
 
 
 def _mercator(record: OxtsRecord, scale_m: float) -> Float64[np.ndarray, "3"]:
@@ -323,7 +323,7 @@ def _pose(item: ElementTree.Element, height: float) -> Float64[np.ndarray, "4 4"
     x, y, z, turn = (_number(item, name) for name in ("tx", "ty", "tz", "rz"))
     cosine, sine = np.cos(turn), np.sin(turn)
     rotation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-    return rigid(rotation, np.array([x, y, z + height / 2]))
+    return rigid_pose(rotation, np.array([x, y, z + height / 2]))
 
 
 def _number(item: ElementTree.Element, name: str) -> float:
@@ -337,7 +337,7 @@ def _number(item: ElementTree.Element, name: str) -> float:
 #
 # The vehicle's frame is that of the inertial unit (x forward, y left, z up); the world x east, y north, z up.
 
-_CAMERAS, _GREY_CAMERAS = ("image_02", "image_03"), ("image_00", "image_01")
+_CAMERAS, _GRAY_CAMERAS = ("image_02", "image_03"), ("image_00", "image_01")
 
 _CALIBRATIONS = ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt", "calib_imu_to_velo.txt")
 
@@ -358,33 +358,33 @@ def read_kitti_raw(path: Path) -> Capture:
             raise CaptureError(f"{path}: no drive of KITTI in it (YYYY_MM_DD_drive_NNNN_sync/oxts)")
         if drives[1:]:
             others = [each.name for each in drives[1:]]
-            problems.append(f"{drives[0].name} is read; the others here: {some_names(others)}")
+            problems.append(f"{drives[0].name} is read; the others here: {abbreviated_names(others)}")
         path = drives[0]
     if path.name.endswith("_extract"):
         raise CaptureError(f"{path}: these pictures are not rectified; take the synced and rectified drive (_sync)")
-    return _Drive(path, problems).capture()
+    return _KittiDrive(path, problems).capture()
 
 
 def _is_drive(path: Path) -> bool:
-    return (path / "oxts" / "data").is_dir() and any((path / name).is_dir() for name in (*_CAMERAS, *_GREY_CAMERAS))
+    return (path / "oxts" / "data").is_dir() and any((path / name).is_dir() for name in (*_CAMERAS, *_GRAY_CAMERAS))
 
 
 def _drives(day: Path) -> list[Path]:
     return sorted(each for each in day.glob("*_drive_*") if _is_drive(each))
 
 
-class _Drive:
+class _KittiDrive:
     """What is read of one drive, by picture numbers."""
 
     def __init__(self, folder: Path, problems: list[str]) -> None:
         self.folder = folder
-        self.record = DrivingRecord(folder.name, road_m=-IMU_HEIGHT_M, problems=problems)
+        self.record = DrivingLog(folder.name, road_m=-IMU_HEIGHT_M, problems=problems)
         day = folder if (folder / _CALIBRATIONS[0]).is_file() else folder.parent
         cam_to_cam, velo_to_cam, imu_to_velo = (read_calibration(day / name) for name in _CALIBRATIONS)
         self._projections, self._cam_file = cam_to_cam, day / _CALIBRATIONS[0]
         rectify = _rigid(numbers_of(cam_to_cam, "R_rect_00", 9, self._cam_file), np.zeros(3), self._cam_file)
-        self.lidar_to_first = rectify @ _given(velo_to_cam, day / _CALIBRATIONS[1])
-        self.imu_to_lidar = _given(imu_to_velo, day / _CALIBRATIONS[2])
+        self.lidar_to_first = rectify @ _pose_of_lines(velo_to_cam, day / _CALIBRATIONS[1])
+        self.imu_to_lidar = _pose_of_lines(imu_to_velo, day / _CALIBRATIONS[2])
         self.poses = self._oxts()
 
     def capture(self) -> Capture:
@@ -420,19 +420,19 @@ class _Drive:
 
     def _pictures(self) -> None:
         present = [name for name in _CAMERAS if (self.folder / name).is_dir()]
-        for sensor in present or [name for name in _GREY_CAMERAS if (self.folder / name).is_dir()]:
+        for sensor in present or [name for name in _GRAY_CAMERAS if (self.folder / name).is_dir()]:
             try:
                 numbers = numbers_of(self._projections, f"P_rect_{sensor[-2:]}", 12, self._cam_file)
                 camera, times = KittiCamera(sensor, numbers.reshape(3, 4)), self._times(sensor)
             except (CaptureError, ValueError) as error:
                 self.record.problems.append(f"{sensor} left out: {error}")
                 continue
-            for file in pictures_in(self.folder / sensor / "data"):
+            for file in images_in(self.folder / sensor / "data"):
                 try:
                     number = _frame_number(file)
                     if number not in self.poses or number not in times:
                         raise ValueError("the place or the time of the vehicle is not known")
-                    world_to_first = self.lidar_to_first @ self.imu_to_lidar @ inverse(self.poses[number])
+                    world_to_first = self.lidar_to_first @ self.imu_to_lidar @ invert_pose(self.poses[number])
                     view = camera.view(file, f"{number:04d}_{sensor}", times[number], world_to_first)
                     self.record.views.append(view)
                 except (CaptureError, ValueError) as error:
@@ -451,7 +451,7 @@ class _Drive:
             for number, to_lidar in enumerate(each.centers_to_lidar, each.first_frame):
                 if number not in self.poses or number not in times:
                     continue
-                to_world = self.poses[number] @ inverse(self.imu_to_lidar) @ to_lidar
+                to_world = self.poses[number] @ invert_pose(self.imu_to_lidar) @ to_lidar
                 try:
                     sample = BoxSample(str(name), each.class_name, times[number], each.size_lwh, to_world)
                 except ValueError as error:
@@ -459,21 +459,21 @@ class _Drive:
                     break
                 self.record.boxes.append(sample)
 
-    def _scans(self, files: list[Path], times: dict[int, float]) -> Iterator[Scan]:
-        to_vehicle = inverse(self.imu_to_lidar)
+    def _scans(self, files: list[Path], times: dict[int, float]) -> Iterator[LidarScan]:
+        to_vehicle = invert_pose(self.imu_to_lidar)
         for file in files:
             try:
                 number = _frame_number(file)
                 if number not in self.poses or number not in times:
                     raise ValueError("the place or the time of the vehicle is not known")
                 points, light = read_velodyne(file)
-                placed = transformed(to_vehicle, points)
-                yield Scan(times[number], self.poses[number], placed, to_vehicle[:3, 3], light)
+                placed = transform_points(to_vehicle, points)
+                yield LidarScan(times[number], self.poses[number], placed, to_vehicle[:3, 3], light)
             except (CaptureError, ValueError) as error:
                 self.record.problems.append(f"velodyne_points/{file.name} left out: {error}")
 
 
-def _given(values: Calibration, file: Path) -> Float64[np.ndarray, "4 4"]:
+def _pose_of_lines(values: Calibration, file: Path) -> Float64[np.ndarray, "4 4"]:
     """Pose of the lines R and T."""
     return _rigid(numbers_of(values, "R", 9, file), numbers_of(values, "T", 3, file), file)
 

@@ -6,15 +6,15 @@ from itertools import islice
 from pathlib import Path
 
 from ..scene.formats.scene_files import scene_files_in
-from .capture import some_names
-from .io.images import CONVERT, pictures_in, unread_pictures_in
+from .capture import abbreviated_names
+from .io.images import CONVERT, images_in, unread_images_in
 
 _LOOKED_AT = 200
 """Entries of a folder that a pattern is held against: what is not among them is not looked for any longer."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Part:
+class _CapturePart:
     """Something that captures of a kind have: a name for people, and patterns of paths, of which one is enough."""
 
     name: str
@@ -24,14 +24,14 @@ class _Part:
 
 
 @dataclass(frozen=True, slots=True)
-class _Kind:
+class _CaptureKind:
     name: str
-    parts: tuple[_Part, ...]
+    parts: tuple[_CapturePart, ...]
     advice: str = ""
 
 
-def _pictures(*folders: str) -> _Part:
-    return _Part(
+def _images(*folders: str) -> _CapturePart:
+    return _CapturePart(
         "pictures", tuple(f"{folder}*.{ending}" for folder in folders for ending in ("png", "jpg", "jpeg")), False
     )
 
@@ -41,103 +41,108 @@ _MODELS = ("", "0/", "sparse/", "sparse/*/", "colmap/sparse/*/")
 _DRIVES = ("", "*_drive_*/", "*/*_drive_*/")
 
 _KINDS = (
-    _Kind(
+    _CaptureKind(
         "KITTI raw",
         (
-            _Part("image_02", tuple(f"{d}image_0[0-3]/data" for d in _DRIVES)),
-            _Part("oxts", tuple(f"{d}oxts/data" for d in _DRIVES)),
-            _Part(
+            _CapturePart("image_02", tuple(f"{d}image_0[0-3]/data" for d in _DRIVES)),
+            _CapturePart("oxts", tuple(f"{d}oxts/data" for d in _DRIVES)),
+            _CapturePart(
                 "calib_cam_to_cam.txt", ("calib_cam_to_cam.txt", "*/calib_cam_to_cam.txt", "../calib_cam_to_cam.txt")
             ),
         ),
     ),
-    _Kind(
+    _CaptureKind(
         "KITTI object detection",
         (
-            _Part("image_2", ("image_2", "training/image_2")),
-            _Part("calib", ("calib/[0-9]*.txt", "training/calib/[0-9]*.txt")),
-            _Part("label_2", ("label_2", "training/label_2")),
-            _Part("poses", ("poses.txt",)),
+            _CapturePart("image_2", ("image_2", "training/image_2")),
+            _CapturePart("calib", ("calib/[0-9]*.txt", "training/calib/[0-9]*.txt")),
+            _CapturePart("label_2", ("label_2", "training/label_2")),
+            _CapturePart("poses", ("poses.txt",)),
         ),
         "it has single pictures and no drives; give its folder image_2",
     ),
-    _Kind(
+    _CaptureKind(
         "KITTI odometry",
         (
-            _Part("calib.txt", ("calib.txt", "sequences/*/calib.txt")),
-            _Part("times.txt", ("times.txt", "sequences/*/times.txt")),
-            _Part("image_2", ("image_[0-3]", "sequences/*/image_[0-3]")),
-            _Part("poses", ("poses.txt", "poses/*.txt", "../../poses/*.txt")),
+            _CapturePart("calib.txt", ("calib.txt", "sequences/*/calib.txt")),
+            _CapturePart("times.txt", ("times.txt", "sequences/*/times.txt")),
+            _CapturePart("image_2", ("image_[0-3]", "sequences/*/image_[0-3]")),
+            _CapturePart("poses", ("poses.txt", "poses/*.txt", "../../poses/*.txt")),
         ),
     ),
-    _Kind(
+    _CaptureKind(
         "nuScenes",
         (
-            _Part("v1.0-*/sample_data.json", ("v1.0-*/sample_data.json", "sample_data.json")),
-            _Part("v1.0-*/ego_pose.json", ("v1.0-*/ego_pose.json", "ego_pose.json")),
-            _Part("samples", ("samples", "../samples")),
+            _CapturePart("v1.0-*/sample_data.json", ("v1.0-*/sample_data.json", "sample_data.json")),
+            _CapturePart("v1.0-*/ego_pose.json", ("v1.0-*/ego_pose.json", "ego_pose.json")),
+            _CapturePart("samples", ("samples", "../samples")),
         ),
         "MMDetection3D's info file (.pkl) in the same folder would do, too",
     ),
-    _Kind(
+    _CaptureKind(
         "DGP",
         (
-            _Part("scene_*.json", ("scene_*.json", "*/scene_*.json")),
-            _Part("calibration", ("calibration", "*/calibration")),
+            _CapturePart("scene_*.json", ("scene_*.json", "*/scene_*.json")),
+            _CapturePart("calibration", ("calibration", "*/calibration")),
         ),
     ),
-    _Kind(
+    _CaptureKind(
         "Waymo Perception v2",
         (
-            _Part("camera_image", ("camera_image", "*/camera_image")),
-            _Part("camera_calibration", ("camera_calibration", "*/camera_calibration")),
-            _Part("vehicle_pose", ("vehicle_pose", "*/vehicle_pose")),
+            _CapturePart("camera_image", ("camera_image", "*/camera_image")),
+            _CapturePart("camera_calibration", ("camera_calibration", "*/camera_calibration")),
+            _CapturePart("vehicle_pose", ("vehicle_pose", "*/vehicle_pose")),
         ),
     ),
-    _Kind(
+    _CaptureKind(
         "RainSense",
         (
-            _Part(
+            _CapturePart(
                 "context/rainfall_intensity.txt", ("context/rainfall_intensity.txt", "*/context/rainfall_intensity.txt")
             ),
-            _Part("context", ("context", "*/context")),
+            _CapturePart("context", ("context", "*/context")),
         ),
     ),
-    _Kind(
+    _CaptureKind(
         "nerfstudio",
         (
-            _Part("transforms.json", ("transforms.json", "transforms_train.json")),
-            _Part("other transforms", ("transforms*.json", "*/transforms*.json")),
+            _CapturePart("transforms.json", ("transforms.json", "transforms_train.json")),
+            _CapturePart("other transforms", ("transforms*.json", "*/transforms*.json")),
         ),
     ),
-    _Kind(
+    _CaptureKind(
         "COLMAP",
         (
-            _Part("cameras.bin", tuple(f"{m}cameras.{e}" for m in _MODELS for e in ("bin", "txt"))),
-            _Part("images.bin", tuple(f"{m}images.{e}" for m in _MODELS for e in ("bin", "txt"))),
-            _Part("points3D.bin", tuple(f"{m}points3D.{e}" for m in _MODELS for e in ("bin", "txt"))),
-            _Part("sparse", ("sparse/*", "colmap/sparse/*", "*/sparse/*")),
-            _Part("database.db", ("database.db", "*/database.db")),
+            _CapturePart("cameras.bin", tuple(f"{m}cameras.{e}" for m in _MODELS for e in ("bin", "txt"))),
+            _CapturePart("images.bin", tuple(f"{m}images.{e}" for m in _MODELS for e in ("bin", "txt"))),
+            _CapturePart("points3D.bin", tuple(f"{m}points3D.{e}" for m in _MODELS for e in ("bin", "txt"))),
+            _CapturePart("sparse", ("sparse/*", "colmap/sparse/*", "*/sparse/*")),
+            _CapturePart("database.db", ("database.db", "*/database.db")),
         ),
         "COLMAP's mapper writes sparse/0 with cameras.bin and images.bin",
     ),
-    _Kind(
+    _CaptureKind(
         "3D Gaussian Splatting",
         (
-            _Part("point_cloud/iteration_*/point_cloud.ply", ("point_cloud/iteration_*/point_cloud.ply",)),
-            _Part("cfg_args", ("cfg_args",)),
+            _CapturePart("point_cloud/iteration_*/point_cloud.ply", ("point_cloud/iteration_*/point_cloud.ply",)),
+            _CapturePart("cfg_args", ("cfg_args",)),
         ),
         "that is a trained scene: give point_cloud/iteration_*/point_cloud.ply, and its cameras.json as a camera path",
     ),
-    _Kind("capture folder", (_Part("cameras.json", ("cameras.json", "images/cameras.json")), _pictures("", "images/"))),
-    _Kind("SOG", (_Part("meta.json", ("meta.json",)), _Part("its pictures (*.webp)", ("*.webp",), False))),
+    _CaptureKind(
+        "capture folder",
+        (_CapturePart("cameras.json", ("cameras.json", "images/cameras.json")), _images("", "images/")),
+    ),
+    _CaptureKind(
+        "SOG", (_CapturePart("meta.json", ("meta.json",)), _CapturePart("its pictures (*.webp)", ("*.webp",), False))
+    ),
 )
 
 _OPTIONAL = frozenset({"points3D.bin", "sparse", "database.db", "other transforms", "label_2", "cfg_args", "context"})
 """Parts that tell a kind and that nothing needs."""
 
 
-def nearest_kind(path: Path) -> str | None:
+def nearest_layout(path: Path) -> str | None:
     """Say which kind a folder is nearest to, and what it lacks ("KITTI raw without oxts"); None where nothing tells.
 
     For a file it is None: its name says what it should be.
@@ -147,7 +152,7 @@ def nearest_kind(path: Path) -> str | None:
     scenes = scene_files_in(path)
     if scenes and not scenes[0].endswith(".ply"):  # a .ply may be the point cloud of a capture
         return f"a folder of scenes (give one of the files in it: {', '.join(scenes)})"
-    best: tuple[float, _Kind, list[str]] | None = None
+    best: tuple[float, _CaptureKind, list[str]] | None = None
     for kind in _KINDS:
         there = [part for part in kind.parts if any(_is_there(path, pattern) for pattern in part.patterns)]
         if not any(part.is_clue for part in there):
@@ -159,8 +164,10 @@ def nearest_kind(path: Path) -> str | None:
     if best is None and scenes:
         return f"a folder of scenes (give one of the files in it: {', '.join(scenes)})"
     if best is None:
-        unread = [] if pictures_in(path) else unread_pictures_in(path) or unread_pictures_in(path / "images")
-        return f"a folder of pictures {CONVERT}: {some_names([file.name for file in unread])}" if unread else None
+        unread = [] if images_in(path) else unread_images_in(path) or unread_images_in(path / "images")
+        return (
+            f"a folder of pictures {CONVERT}: {abbreviated_names([file.name for file in unread])}" if unread else None
+        )
     _, kind, missing = best
     lacks = f" without {_and(missing)}" if missing else ""
     return f"{kind.name}{lacks}" + (f" ({kind.advice})" if kind.advice else "")

@@ -12,12 +12,12 @@ from PIL import Image
 from ..safe_io.limits import open_file
 from ..scene.camera import Camera
 from ..scene.geometry import before_camera, box_corners
-from .capture import Capture, CaptureError, TrackedBox, View
+from .capture import Capture, CaptureError, CaptureFrame, TrackedBox
 
 MOVING_M_S = 0.5
 """Mean speed from which a thing counts as moving."""
 
-_LEAST_WAY_M = 0.4
+_MIN_TRAVEL_M = 0.4
 """Annotations jitter: what has come less far than this over the capture has stood."""
 
 _MOVERS = ("car", "truck", "van", "bus", "vehicle", "trailer", "tram", "train", "cycl", "bike", "motor", "rider")
@@ -31,7 +31,7 @@ def can_move(box: TrackedBox) -> bool:
     return any(word in name for word in _MOVERS + _PEOPLE)
 
 
-def moves(box: TrackedBox) -> bool:
+def is_moving(box: TrackedBox) -> bool:
     """Whether it has come far enough over the capture; what can move and was seen only once is taken to."""
     there = np.flatnonzero(box.track.valid) if len(box.track.times) > 1 else np.zeros(0, np.int64)
     if len(there) < 2:
@@ -39,15 +39,15 @@ def moves(box: TrackedBox) -> bool:
     places, times = box.track.positions[there], box.track.times[there]
     way = float(np.linalg.norm(places - places[0], axis=1).max())
     speed = float(np.linalg.norm(places[-1] - places[0])) / max(float(times[-1] - times[0]), 1e-6)
-    return way > _LEAST_WAY_M and max(speed, way / max(float(np.ptp(times)), 1e-6)) >= MOVING_M_S
+    return way > _MIN_TRAVEL_M and max(speed, way / max(float(np.ptp(times)), 1e-6)) >= MOVING_M_S
 
 
 def moving_boxes(capture: Capture) -> tuple[TrackedBox, ...]:
     """The boxes of a capture that move; the others are part of the static scene."""
-    return tuple(box for box in capture.boxes if moves(box))
+    return tuple(box for box in capture.boxes if is_moving(box))
 
 
-def inside_box(
+def points_in_box(
     points_m: Float64[np.ndarray, "p 3"], box: TrackedBox, time_s: float, margin_m: float = 0.0
 ) -> Bool[np.ndarray, " p"]:
     """Which points in the capture's world lie in a box at a time; none while it is not there."""
@@ -60,7 +60,7 @@ def inside_box(
 
 
 def static_mask(
-    view: View, moving: Sequence[TrackedBox], margin_m: float = 0.3, dilation: float = 0.004
+    view: CaptureFrame, moving: Sequence[TrackedBox], margin_m: float = 0.3, dilation: float = 0.004
 ) -> Bool[np.ndarray, "h w"]:
     """Which pixels show the static scene: the view's own mask without the moving boxes as they are at its time.
 
@@ -81,7 +81,7 @@ def static_mask(
     return (covered == 0) if own is None else own & (covered == 0)
 
 
-def box_outline(view: View, box: TrackedBox, margin_m: float = 0.0) -> Float64[np.ndarray, "c 2"]:
+def box_outline(view: CaptureFrame, box: TrackedBox, margin_m: float = 0.0) -> Float64[np.ndarray, "c 2"]:
     """Convex outline of a box in pixels, as a view without distortion sees it; no corners where it does not."""
     pose = box.track.pose(view.time_s)
     if pose is None:
@@ -116,7 +116,9 @@ def read_camera_masks(folder: Path | str) -> dict[str, Bool[np.ndarray, "_ _"]]:
     return masks
 
 
-def with_camera_masks(views: Iterable[View], masks: dict[str, Bool[np.ndarray, "_ _"]]) -> tuple[View, ...]:
+def with_camera_masks(
+    views: Iterable[CaptureFrame], masks: dict[str, Bool[np.ndarray, "_ _"]]
+) -> tuple[CaptureFrame, ...]:
     """Put each camera's mask into its views, scaled to their size, on top of the mask that they have.
 
     In a capture of one camera without a name, the only mask is meant for it.
@@ -129,7 +131,7 @@ def with_camera_masks(views: Iterable[View], masks: dict[str, Bool[np.ndarray, "
     )
 
 
-def _both(view: View, mask: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "h w"]:
+def _both(view: CaptureFrame, mask: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "h w"]:
     size = (view.camera.width, view.camera.height)
     scaled = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
     return scaled if view.mask is None else scaled & view.mask

@@ -9,10 +9,19 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
 from ..scene.camera import Camera
-from .capture import Capture, CaptureError, Lens, View, check_inside, sensor_names, some_names, view_names
-from .geometry import camera_of_picture, checked_camera, inverse, rigid_from_numbers, up_of_cameras
+from .capture import (
+    Capture,
+    CaptureError,
+    CaptureFrame,
+    Lens,
+    abbreviated_names,
+    check_inside,
+    sensor_names,
+    view_names,
+)
+from .geometry import camera_of_image, checked_camera, estimate_up_direction, invert_pose, rigid_from_numbers
 from .io.arrays import read_floats, read_json_object, what_is_wrong
-from .io.images import SUFFIXES, picture_size, read_color, read_mask, read_stored
+from .io.images import SUFFIXES, image_size, read_color, read_mask, read_stored
 from .io.records import read_point_ply
 
 TRANSFORMS = ("transforms.json", "transforms_train.json")
@@ -59,7 +68,7 @@ def read_nerfstudio(path: Path) -> Capture:
     merged: list[dict[str, Any]] = sorted(({**once, **frame} for frame in frames), key=_file_path)
     pictures = [_file_path(frame) for frame in merged]
     check_inside(file.parent, _named_files(file, merged), file)
-    views: list[View] = []
+    views: list[CaptureFrame] = []
     problems: list[str] = []
     for frame, name, sensor in zip(merged, view_names(pictures), sensor_names(pictures), strict=True):
         try:
@@ -70,7 +79,9 @@ def read_nerfstudio(path: Path) -> Capture:
             problems.append(f"{file}, frame {name}: {what_is_wrong(error)}")
     if not views:
         raise CaptureError(f"{file}: none of its {len(frames)} frames can be used ({problems[0]})")
-    summed = [f"{len(problems)} of {len(frames)} frames are left out: {some_names(problems)}."] if problems else []
+    summed = (
+        [f"{len(problems)} of {len(frames)} frames are left out: {abbreviated_names(problems)}."] if problems else []
+    )
     points, colors = _points(file, shared, summed)
     return Capture(
         file.resolve().parent.name,
@@ -78,7 +89,7 @@ def read_nerfstudio(path: Path) -> Capture:
         points_m=points,
         point_colors=colors,
         is_metric=any(view.depth_source is not None for view in views),
-        up=up_of_cameras([view.camera for view in views]),
+        up=estimate_up_direction([view.camera for view in views]),
         problems=tuple(summed),
     )
 
@@ -87,20 +98,20 @@ def _named_files(file: Path, frames: list[dict[str, Any]]) -> Iterator[str]:
     """Every name of a file that the frames hold, pictures with the ending that Blender leaves out."""
     for frame in frames:
         yield _file_path(frame)
-        yield str(_picture(file, _file_path(frame)))
+        yield str(_image(file, _file_path(frame)))
         yield from (str(frame[key]) for key in ("mask_path", *_DEPTH_PATHS, "ply_file_path") if frame.get(key))
 
 
-def _view(file: Path, frame: dict[str, Any], name: str, sensor: str) -> View:
-    picture = _picture(file, str(frame["file_path"]))
-    size = picture_size(picture)
-    pose = inverse(rigid_from_numbers(frame["transform_matrix"]) @ _OPENCV_FROM_OPENGL)
+def _view(file: Path, frame: dict[str, Any], name: str, sensor: str) -> CaptureFrame:
+    picture = _image(file, str(frame["file_path"]))
+    size = image_size(picture)
+    pose = invert_pose(rigid_from_numbers(frame["transform_matrix"]) @ _OPENCV_FROM_OPENGL)
     camera = checked_camera(_camera(frame, size, pose), f"{file}, frame {name}")
     mask, depth = frame.get("mask_path"), frame.get("depth_file_path", frame.get("depth_path"))
     unit = float(frame.get("depth_unit_scale_factor", frame.get("integer_depth_scale", _DEPTH_UNIT_M)))
-    return View(
+    return CaptureFrame(
         name,
-        camera_of_picture(camera, size, str(picture)),
+        camera_of_image(camera, size, str(picture)),
         partial(read_color, picture),
         sensor=sensor,
         lens=_lens(frame),
@@ -113,7 +124,7 @@ def _file_path(frame: dict[str, Any]) -> str:
     return str(frame.get("file_path", "unnamed"))
 
 
-def _picture(file: Path, name: str) -> Path:
+def _image(file: Path, name: str) -> Path:
     """The picture that a frame names; Blender leaves its suffix out."""
     named = file.parent / name
     guesses = (named, *(named.with_name(named.name + suffix) for suffix in SUFFIXES))

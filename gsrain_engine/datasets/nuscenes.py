@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from ..safe_io.limits import read_file
-from .capture import Capture, CaptureError, View, check_inside
-from .driving_log import DrivingRecord, Scan
-from .geometry import BoxSample, inverse, opencv_camera_of_matrix, rigid_from_quaternion, transformed
-from .io.images import picture_size, read_color
+from .capture import Capture, CaptureError, CaptureFrame, check_inside
+from .driving_log import DrivingLog, LidarScan
+from .geometry import BoxSample, invert_pose, opencv_camera_of_matrix, rigid_from_quaternion, transform_points
+from .io.images import image_size, read_color
 
 _LIDAR_COLUMNS = 5
 """x y z intensity ring, float32."""
@@ -53,7 +53,7 @@ def read_nuscenes(path: Path, key_frames_only: bool = True) -> Capture:
             by_scene[of_scene[each.sample_token]].append(each)
     chosen = scenes[wanted] if wanted else _first_there(folder, scenes, by_scene)
     tables.read_poses()
-    drive = _Scene(tables, folder.parent, chosen, DrivingRecord(chosen.name, road_m=0.0))
+    drive = _SceneReader(tables, folder.parent, chosen, DrivingLog(chosen.name, road_m=0.0))
     others = sorted(name for name in scenes if name != chosen.name)
     if wanted is None and others:
         drive.record.problems.append(
@@ -76,7 +76,7 @@ def _tables_in(path: Path) -> Path | None:
 # height.
 
 
-class Scene(msgspec.Struct, frozen=True, gc=False):
+class NuScenesScene(msgspec.Struct, frozen=True, gc=False):
     """20 seconds of a drive."""
 
     token: str
@@ -95,7 +95,9 @@ class SampleData(msgspec.Struct, frozen=True, gc=False):
     is_key_frame: bool
 
 
-def _first_there(folder: Path, scenes: dict[str, Scene], by_scene: dict[str, list[SampleData]]) -> Scene:
+def _first_there(
+    folder: Path, scenes: dict[str, NuScenesScene], by_scene: dict[str, list[SampleData]]
+) -> NuScenesScene:
     """First scene, by name, of which pictures are there (a download may hold a part of the data set)."""
     for name in sorted(scenes):
         if any((folder.parent / each.filename).is_file() for each in by_scene[scenes[name].token][:50]):
@@ -115,7 +117,7 @@ class Sample(msgspec.Struct, frozen=True, gc=False):
     scene_token: str
 
 
-class Placed(msgspec.Struct, frozen=True, gc=False):
+class EgoPose(msgspec.Struct, frozen=True, gc=False):
     """An ego pose: vehicle to world."""
 
     token: str
@@ -159,8 +161,8 @@ class NuScenesTables:
     folder: Path
 
     @cached_property
-    def scenes(self) -> dict[str, Scene]:
-        return self._rows("scene", Scene)
+    def scenes(self) -> dict[str, NuScenesScene]:
+        return self._rows("scene", NuScenesScene)
 
     @cached_property
     def samples(self) -> dict[str, Sample]:
@@ -172,8 +174,8 @@ class NuScenesTables:
         return self._rows("sample_data", SampleData)
 
     @cached_property
-    def ego_poses(self) -> dict[str, Placed]:
-        return self._rows("ego_pose", Placed)
+    def ego_poses(self) -> dict[str, EgoPose]:
+        return self._rows("ego_pose", EgoPose)
 
     @cached_property
     def calibrated_sensors(self) -> dict[str, CalibratedSensor]:
@@ -213,11 +215,11 @@ class NuScenesTables:
 
 
 @dataclass(frozen=True, slots=True)
-class _Scene:
+class _SceneReader:
     tables: NuScenesTables
     root: Path
-    scene: Scene
-    record: DrivingRecord
+    scene: NuScenesScene
+    record: DrivingLog
 
     def capture(self, data: list[SampleData]) -> Capture:
         check_inside(self.root, (each.filename for each in data), self.root)
@@ -285,22 +287,22 @@ class _Scene:
         calibrated = self.tables.calibrated_sensors[each.calibrated_sensor_token]
         return rigid_from_quaternion(calibrated.rotation, calibrated.translation)
 
-    def _view(self, each: SampleData, channel: str, number: int) -> View:
+    def _view(self, each: SampleData, channel: str, number: int) -> CaptureFrame:
         file = self.root / each.filename
-        width, height = picture_size(file)
+        width, height = image_size(file)
         matrix = np.asarray(self.tables.calibrated_sensors[each.calibrated_sensor_token].camera_intrinsic, np.float64)
         to_world = self._vehicle(each) @ self._to_vehicle(each)
-        camera = opencv_camera_of_matrix(matrix, (width, height), inverse(to_world))
+        camera = opencv_camera_of_matrix(matrix, (width, height), invert_pose(to_world))
         name = f"{number:04d}_{channel}" if each.is_key_frame else f"{number:04d}_{channel}_{each.timestamp}"
-        return View(name, camera, partial(read_color, file), each.timestamp * _US, channel)
+        return CaptureFrame(name, camera, partial(read_color, file), each.timestamp * _US, channel)
 
-    def _scans(self, lidars: list[SampleData]) -> Iterator[Scan]:
+    def _scans(self, lidars: list[SampleData]) -> Iterator[LidarScan]:
         for each in lidars:
             try:
                 to_vehicle = self._to_vehicle(each)
                 points, light = read_nuscenes_points(self.root / each.filename)
-                placed = transformed(to_vehicle, points)
-                yield Scan(each.timestamp * _US, self._vehicle(each), placed, to_vehicle[:3, 3], light)
+                placed = transform_points(to_vehicle, points)
+                yield LidarScan(each.timestamp * _US, self._vehicle(each), placed, to_vehicle[:3, 3], light)
             except (CaptureError, ValueError) as error:
                 self._left_out(each, str(error))
 

@@ -14,19 +14,19 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from .capture import Capture, CaptureError, View, check_inside
-from .driving_log import DrivingRecord, Scan
+from .capture import Capture, CaptureError, CaptureFrame, check_inside
+from .driving_log import DrivingLog, LidarScan
 from .geometry import (
     BoxSample,
-    inverse,
+    invert_pose,
     opencv_camera_of_matrix,
-    rigid,
     rigid_from_numbers,
     rigid_from_quaternion,
-    transformed,
+    rigid_pose,
+    transform_points,
 )
 from .io.arrays import WRONG_VALUES, what_is_wrong
-from .io.images import picture_size, pictures_in, read_color
+from .io.images import image_size, images_in, read_color
 from .io.safe_pickle import read_pickle
 from .nuscenes import read_nuscenes_points
 
@@ -41,7 +41,7 @@ def recognizes_nuscenes_infos(path: Path) -> bool:
         return path.is_file()
     if path.is_dir():
         return bool(list(path.glob("*.pkl"))) and (
-            (path / "samples").is_dir() or any(_CAMERA.search(file.name) for file in pictures_in(path))
+            (path / "samples").is_dir() or any(_CAMERA.search(file.name) for file in images_in(path))
         )
     return path.parent.suffix == ".pkl" and path.name.isdecimal() and path.parent.is_file()
 
@@ -65,7 +65,7 @@ def read_nuscenes_infos(path: Path) -> Capture:
     if len(drives) > 1 and path.parent.suffix != ".pkl":
         problems.append(f"drive 0 is read of {len(drives)}; open another as {file}/1")
     name = f"{file.stem}_{number}" if len(drives) > 1 else file.stem
-    return _capture(file.parent, drives[number], DrivingRecord(name, road_m=0.0, problems=problems))
+    return _capture(file.parent, drives[number], DrivingLog(name, road_m=0.0, problems=problems))
 
 
 # § Rows of MMDetection3D's info files, of both layouts, as one kind of value.
@@ -109,7 +109,7 @@ def _drives(infos: list[Info]) -> list[list[Info]]:
     return drives
 
 
-def _capture(folder: Path, infos: list[Info], record: DrivingRecord) -> Capture:
+def _capture(folder: Path, infos: list[Info], record: DrivingLog) -> Capture:
     named = [(each.file, each.channel) for info in infos for each in info.cameras]
     named += [(info.lidar_file, "LIDAR_TOP") for info in infos if info.lidar_file]
     check_inside(folder, (str(found) for name, sensor in named if (found := _found(folder, name, sensor))), folder)
@@ -145,20 +145,22 @@ def _has_old_boxes(folder: Path, infos: list[Info]) -> bool:
     return False
 
 
-def _view(folder: Path, camera: InfoCamera, number: int) -> View:
+def _view(folder: Path, camera: InfoCamera, number: int) -> CaptureFrame:
     file = _find(folder, camera.file, camera.channel)
-    shape = opencv_camera_of_matrix(camera.matrix, picture_size(file), inverse(camera.camera_to_world))
-    return View(f"{number:04d}_{camera.channel}", shape, partial(read_color, file), camera.time_s, camera.channel)
+    shape = opencv_camera_of_matrix(camera.matrix, image_size(file), invert_pose(camera.camera_to_world))
+    return CaptureFrame(
+        f"{number:04d}_{camera.channel}", shape, partial(read_color, file), camera.time_s, camera.channel
+    )
 
 
-def _scans(folder: Path, infos: list[Info], problems: list[str]) -> Iterator[Scan]:
+def _scans(folder: Path, infos: list[Info], problems: list[str]) -> Iterator[LidarScan]:
     for info in infos:
         if not info.lidar_file:
             continue
         try:
             points, light = read_nuscenes_points(_find(folder, info.lidar_file, "LIDAR_TOP"), info.lidar_columns)
-            placed = transformed(info.lidar_to_vehicle, points)
-            yield Scan(info.time_s, info.vehicle_to_world, placed, info.lidar_to_vehicle[:3, 3], light)
+            placed = transform_points(info.lidar_to_vehicle, points)
+            yield LidarScan(info.time_s, info.vehicle_to_world, placed, info.lidar_to_vehicle[:3, 3], light)
         except (CaptureError, ValueError) as error:
             problems.append(f"{info.lidar_file} left out: {what_is_wrong(error)}")
 
@@ -222,7 +224,7 @@ def _info_of_1_x(row: Any, names: Mapping[int, str]) -> Info:
             float(each.get("timestamp", row["timestamp"])),
             np.asarray(each["cam2img"], np.float64),
             # Of the lidar's time: this holds what the vehicle moved between the two, cam2ego doesn't.
-            to_world @ to_vehicle @ inverse(rigid_from_numbers(each["lidar2cam"])),
+            to_world @ to_vehicle @ invert_pose(rigid_from_numbers(each["lidar2cam"])),
         )
         for channel, each in row.get("images", {}).items()
         if each.get("img_path")
@@ -267,7 +269,7 @@ def boxes_in_lidar(
         length, width, angle = (second, first, -turn - np.pi / 2) if old else (first, second, turn)
         cosine, sine = np.cos(angle), np.sin(angle)
         rotation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-        found.append(((length, width, height), rigid(rotation, np.array([x, y, z]))))
+        found.append(((length, width, height), rigid_pose(rotation, np.array([x, y, z]))))
     return found
 
 

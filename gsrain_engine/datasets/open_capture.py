@@ -5,17 +5,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ..plugins import CAPTURE_FORMATS, Extension, loaded, say_once
+from ..plugins import CAPTURE_FORMATS, Extension, load_extensions, warn_once
 from ..safe_io.limits import kind_of_file
 from ..scene.formats.registry import format_of
 from .bdd100k import read_bdd100k, recognizes_bdd100k
-from .capture import Capture, CaptureError, OutsideError, outside_allowed, some_names
+from .capture import Capture, CaptureError, OutsideError, abbreviated_names, outside_allowed
 from .capture_folder import read_capture_folder, read_image_folder, recognizes_capture_folder, recognizes_image_folder
 from .colmap import read_colmap, recognizes_colmap
 from .dgp import read_dgp, recognizes_dgp
 from .io.arrays import WRONG_VALUES, what_is_wrong
 from .kitti import read_kitti_odometry, read_kitti_raw, recognizes_kitti_odometry, recognizes_kitti_raw
-from .layout_hints import nearest_kind
+from .layout_hints import nearest_layout
 from .nerfstudio import read_nerfstudio, recognizes_nerfstudio
 from .nuscenes import read_nuscenes, recognizes_nuscenes
 from .nuscenes_infos import read_nuscenes_infos, recognizes_nuscenes_infos
@@ -105,16 +105,16 @@ def _why_not(path: Path) -> str:
     if kind is not None:
         return f"not a capture; it is {kind}"
     known = ", ".join(each.name for each in _formats())
-    return f"not a capture that is known{hint(path)}; expected one of {known}"
+    return f"not a capture that is known{capture_hint(path)}; expected one of {known}"
 
 
-def hint(path: Path) -> str:
+def capture_hint(path: Path) -> str:
     """End a refusal of a folder: captures below it, the kind that it is nearest to, or folders of pictures below it."""
     posed, pictures = captures_below(path)
-    near = None if posed else nearest_kind(path)
+    near = None if posed else nearest_layout(path)
     if near is not None:
         return f"; nearest is {near}"
-    below = some_names([f"{name} ({kind})" for name, kind in posed or pictures])
+    below = abbreviated_names([f"{name} ({kind})" for name, kind in posed or pictures])
     return f"; give a folder in it: {below}" if below else ""
 
 
@@ -144,7 +144,7 @@ def _folders_in(folder: Path) -> list[Path]:
 def _formats() -> tuple[CaptureFormat, ...]:
     """Ours and those of installed packages, which come before folders that only hold pictures."""
     *ours, pictures = FORMATS
-    return (*ours, *(_guarded(*each) for each in loaded(CAPTURE_FORMATS, CaptureFormat)), pictures)
+    return (*ours, *(_guarded(*each) for each in load_extensions(CAPTURE_FORMATS, CaptureFormat)), pictures)
 
 
 def _guarded(extension: Extension, row: CaptureFormat) -> CaptureFormat:
@@ -156,7 +156,7 @@ def _guarded(extension: Extension, row: CaptureFormat) -> CaptureFormat:
         except OSError:
             raise
         except Exception as error:  # whatever others raise
-            say_once(str(extension.unfit(error)))
+            warn_once(str(extension.unfit(error)))
             return False
 
     return replace(row, recognizes=recognizes)

@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from . import pose_fit
-from .capture import Capture, CaptureError, View
-from .geometry import inverse, nearest_sweep
-from .pose_fit import EdgePicture, EpipolarFit, Features, Matches
+from .capture import Capture, CaptureError, CaptureFrame
+from .geometry import invert_pose, nearest_sweep
+from .pose_fit import EdgeImage, EpipolarFit, FeatureMatches, ImageFeatures
 
 # § What a check of poses found, and how it is judged.
 
@@ -43,12 +43,12 @@ class PoseCheck:
 
 def check_by_lidar(capture: Capture, sensor: str) -> PoseCheck | None:
     """Check one camera; None where no sweep is near its times."""
-    seen = _seen(capture, [view for view in capture if view.sensor == sensor])
+    seen = _sweep_pairs(capture, [view for view in capture if view.sensor == sensor])
     if not seen:
         return None
     figure = _stands_out(seen, [each.view.camera.world_to_camera for each in seen])
     others = {other.told: _stands_out(seen, other.poses) for other in hypotheses(capture, [each.view for each in seen])}
-    verdict, why = judged(figure, STANDS_OUT, others, STANDS_OUT + 2 / np.sqrt(len(seen)))
+    verdict, why = pose_check_result(figure, STANDS_OUT, others, STANDS_OUT + 2 / np.sqrt(len(seen)))
     told = (
         f"{sensor or 'the camera'}: edges in the lidar's depth meet edges of the pictures {figure:.1f} standard "
         f"deviations better than under turned poses (expected over {STANDS_OUT:g}; views: {len(seen)}){why}"
@@ -68,8 +68,8 @@ def check_by_matches(capture: Capture, sensor: str) -> PoseCheck | None:
     fits = _fits(pairs, [view.camera.world_to_camera for view in views])
     explained = _explained(pairs, fits)
     others = {other.told: _explained(pairs, _fits(pairs, other.poses)) for other in hypotheses(capture, views)}
-    verdict, why = judged(explained, EXPLAINED, others, EXPLAINED)
-    smaller = min(pose_fit.EPIPOLAR_WIDTH_PX, views[0].camera.width) / views[0].camera.width
+    verdict, why = pose_check_result(explained, EXPLAINED, others, EXPLAINED)
+    smaller = min(pose_fit.MATCH_WIDTH_PX, views[0].camera.width) / views[0].camera.width
     error_px = float(np.median([each.median_px for each in fits])) / smaller
     points = sum(len(pair.found.first) for pair in pairs)
     told = (
@@ -107,30 +107,30 @@ _WITHIN_S = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
-    view: View
-    edges: EdgePicture
+class _SweepPair:
+    view: CaptureFrame
+    edges: EdgeImage
     depth_edges: Float64[np.ndarray, "e 3"]
 
 
-def _stands_out(seen: Sequence[_Seen], poses: Sequence[Float64[np.ndarray, "4 4"]]) -> float:
+def _stands_out(seen: Sequence[_SweepPair], poses: Sequence[Float64[np.ndarray, "4 4"]]) -> float:
     """Mean fit of world-to-camera poses; a view into which hardly any point falls counts as 0."""
     fits = [
-        pose_fit.fit_lidar(each.edges, each.depth_edges, replace(each.edges.view.camera, world_to_camera=pose))
+        pose_fit.lidar_edge_fit(each.edges, each.depth_edges, replace(each.edges.view.camera, world_to_camera=pose))
         for each, pose in zip(seen, poses, strict=True)
     ]
     return float(np.mean(np.nan_to_num(fits, nan=0.0)))
 
 
-def _seen(capture: Capture, views: Sequence[View]) -> list[_Seen]:
+def _sweep_pairs(capture: Capture, views: Sequence[CaptureFrame]) -> list[_SweepPair]:
     """Some views over the drive with the sweep nearest in time; broken pictures are another check's finding."""
-    seen: list[_Seen] = []
-    for view in spread(views, _VIEWS):
+    seen: list[_SweepPair] = []
+    for view in evenly_spread(views, _VIEWS):
         sweep = nearest_sweep(view, capture.sweeps)
         if sweep is None or abs(sweep.time_s - view.time_s) > _WITHIN_S:
             continue
         try:
-            seen.append(_Seen(view, pose_fit.edge_picture(view), pose_fit.depth_edges(sweep)))
+            seen.append(_SweepPair(view, pose_fit.edge_image(view), pose_fit.depth_edges(sweep)))
         except CaptureError:
             continue
     return seen
@@ -145,49 +145,49 @@ _STRIDES = (1, 2, 4, 8)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Pair:
-    views: tuple[View, View]
-    found: Matches
+class _ImagePair:
+    views: tuple[CaptureFrame, CaptureFrame]
+    found: FeatureMatches
 
 
-def _fits(pairs: Sequence[_Pair], poses: Sequence[Float64[np.ndarray, "4 4"]]) -> list[EpipolarFit]:
+def _fits(pairs: Sequence[_ImagePair], poses: Sequence[Float64[np.ndarray, "4 4"]]) -> list[EpipolarFit]:
     """How poses explain the pairs; two poses a pair, in their order."""
-    return [pose_fit.fit_epipolar(pair.found, (poses[2 * k], poses[2 * k + 1])) for k, pair in enumerate(pairs)]
+    return [pose_fit.epipolar_fit(pair.found, (poses[2 * k], poses[2 * k + 1])) for k, pair in enumerate(pairs)]
 
 
-def _explained(pairs: Sequence[_Pair], fits: Sequence[EpipolarFit]) -> float:
+def _explained(pairs: Sequence[_ImagePair], fits: Sequence[EpipolarFit]) -> float:
     return float(np.average([each.explained for each in fits], weights=[len(pair.found.first) for pair in pairs]))
 
 
-def _matched_pairs(views: Sequence[View]) -> list[_Pair]:
+def _matched_pairs(views: Sequence[CaptureFrame]) -> list[_ImagePair]:
     """Match some views, spread over the row, with their neighbours; where the camera stood still, with later ones."""
     seen = lru_cache(maxsize=None)(_features)
-    starts = spread(range(len(views) - 1), _PAIRS)
+    starts = evenly_spread(range(len(views) - 1), _PAIRS)
     found = (_matched_with_a_later_one(views, start, seen) for start in starts)
     return [pair for pair in found if pair is not None]
 
 
 def _matched_with_a_later_one(
-    views: Sequence[View], start: int, seen: Callable[[View], Features | None]
-) -> _Pair | None:
+    views: Sequence[CaptureFrame], start: int, seen: Callable[[CaptureFrame], ImageFeatures | None]
+) -> _ImagePair | None:
     for later in (start + stride for stride in _STRIDES if start + stride < len(views)):
         if _at_one_place(views[start], views[later]):
             continue
         first, second = seen(views[start]), seen(views[later])
-        found = None if first is None or second is None else pose_fit.matches(first, second)
+        found = None if first is None or second is None else pose_fit.match_features(first, second)
         if found is not None:
-            return _Pair((views[start], views[later]), found)
+            return _ImagePair((views[start], views[later]), found)
     return None
 
 
-def _at_one_place(first: View, second: View) -> bool:
+def _at_one_place(first: CaptureFrame, second: CaptureFrame) -> bool:
     """Whether a camera stood still: then there is no epipolar geometry, and what moves in the picture moves itself."""
     return bool(np.allclose(first.camera.position, second.camera.position, rtol=0, atol=1e-9))
 
 
-def _features(view: View) -> Features | None:
+def _features(view: CaptureFrame) -> ImageFeatures | None:
     try:
-        return pose_fit.features(view)
+        return pose_fit.find_features(view)
     except CaptureError:
         return None  # a broken picture is somebody else's finding
 
@@ -207,21 +207,22 @@ class Hypothesis:
     """World to camera of the views asked for, if that is so."""
 
 
-def hypotheses(capture: Capture, views: Sequence[View]) -> list[Hypothesis]:
+def hypotheses(capture: Capture, views: Sequence[CaptureFrame]) -> list[Hypothesis]:
     """Usual mistakes for some views of one camera: inverted, other axes, the poses of another camera of the rig."""
     given = [view.camera.world_to_camera for view in views]
     usual = [
-        Hypothesis("the matrices are camera to world, not world to camera", tuple(inverse(pose) for pose in given)),
+        Hypothesis("the matrices are camera to world, not world to camera", tuple(invert_pose(pose) for pose in given)),
         Hypothesis("the camera axes are OpenGL's (y up, z backward)", tuple(_FLIPPED @ pose for pose in given)),
         Hypothesis(
-            "the matrices are camera to world, with OpenGL's axes", tuple(inverse(pose @ _FLIPPED) for pose in given)
+            "the matrices are camera to world, with OpenGL's axes",
+            tuple(invert_pose(pose @ _FLIPPED) for pose in given),
         ),
     ]
     others = [sensor for sensor in capture.sensors if sensor != views[0].sensor]
     return usual + [Hypothesis(f"the poses are those of {o}", _poses_of(capture, o, views)) for o in others]
 
 
-def _poses_of(capture: Capture, sensor: str, views: Sequence[View]) -> tuple[Float64[np.ndarray, "4 4"], ...]:
+def _poses_of(capture: Capture, sensor: str, views: Sequence[CaptureFrame]) -> tuple[Float64[np.ndarray, "4 4"], ...]:
     """Poses of another camera at the times of some views; where times don't tell, at their places in the row."""
     own, other = ([v for v in capture if v.sensor == each] for each in (views[0].sensor, sensor))
     places = {view.name: k for k, view in enumerate(own)}
@@ -235,7 +236,9 @@ def _poses_of(capture: Capture, sensor: str, views: Sequence[View]) -> tuple[Flo
 _Each = TypeVar("_Each")
 
 
-def judged(figure: float, expected: float, others: Mapping[str, float], convincing: float) -> tuple[Verdict, str]:
+def pose_check_result(
+    figure: float, expected: float, others: Mapping[str, float], convincing: float
+) -> tuple[Verdict, str]:
     """Whether poses fit, and the end of the sentence: which of the usual mistakes explains it if they don't.
 
     `others` are the figures under each mistake; one that reaches `convincing` is believed.
@@ -248,7 +251,7 @@ def judged(figure: float, expected: float, others: Mapping[str, float], convinci
     return "doubtful", ": the poses or the calibration are wrong, and no usual mistake explains it."
 
 
-def spread(row: Sequence[_Each], at_most: int) -> list[_Each]:
+def evenly_spread(row: Sequence[_Each], at_most: int) -> list[_Each]:
     """Choose some of a row, evenly."""
     if not row:
         return []

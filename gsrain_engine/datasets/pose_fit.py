@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
 from ..scene.camera import Camera
-from .capture import Sweep, View
+from .capture import CaptureFrame, LidarSweep
 from .geometry import intrinsics, pixels_inside, project_points
-from .undistort import prepared
+from .undistort import undistort_frame
 
-EPIPOLAR_WIDTH_PX = 800
+MATCH_WIDTH_PX = 800
 """Features are sought in pictures of this width; errors are told in pixels of it."""
 
 WITHIN_PX = 2.0
@@ -32,7 +32,7 @@ _PARALLAX_RAD = 2e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Matches:
+class FeatureMatches:
     """Features that two pictures of a moving camera share, as far as they agree with any two-view geometry at all."""
 
     first: Float64[np.ndarray, "m 2"]
@@ -53,29 +53,29 @@ class EpipolarFit:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Features:
+class ImageFeatures:
     """What is easily found again in a picture."""
 
-    view: View
+    view: CaptureFrame
     """Straight lines, `WIDTH_PX` wide."""
     pixels: Float64[np.ndarray, "f 2"]
     """First centre at (0.5, 0.5)."""
     described: Float32[np.ndarray, "f 128"]
 
 
-def features(view: View) -> Features:
+def find_features(view: CaptureFrame) -> ImageFeatures:
     """Prepare a view and find its SIFT features. Raises `CaptureError` where its picture can't be read."""
-    straight = prepared(view, min(EPIPOLAR_WIDTH_PX, view.camera.width))
+    straight = undistort_frame(view, min(MATCH_WIDTH_PX, view.camera.width))
     mask = straight.mask
     grey = cv2.cvtColor(straight.image, cv2.COLOR_RGB2GRAY)
     usable = None if mask is None else mask.astype(np.uint8)
     described: Any
     points, described = cv2.SIFT.create(nfeatures=_FEATURES).detectAndCompute(grey, usable)
     pixels = np.array([point.pt for point in points], np.float64).reshape(-1, 2) + 0.5
-    return Features(straight, pixels, np.zeros((0, 128), np.float32) if described is None else described)
+    return ImageFeatures(straight, pixels, np.zeros((0, 128), np.float32) if described is None else described)
 
 
-def matches(first: Features, second: Features) -> Matches | None:
+def match_features(first: ImageFeatures, second: ImageFeatures) -> FeatureMatches | None:
     """Match two views' features; None where too few agree, or nothing moved between them.
 
     What stands still in the picture, such as the car's own bonnet, is left out.
@@ -90,10 +90,12 @@ def matches(first: Features, second: Features) -> Matches | None:
     kept = np.zeros(len(a), np.bool_) if agree is None else agree.ravel() > 0
     if np.count_nonzero(kept) < _FEWEST:
         return None
-    return Matches(a[kept], b[kept], (first.view.camera, second.view.camera))
+    return FeatureMatches(a[kept], b[kept], (first.view.camera, second.view.camera))
 
 
-def fit_epipolar(found: Matches, poses: tuple[Float64[np.ndarray, "4 4"], Float64[np.ndarray, "4 4"]]) -> EpipolarFit:
+def epipolar_fit(
+    found: FeatureMatches, poses: tuple[Float64[np.ndarray, "4 4"], Float64[np.ndarray, "4 4"]]
+) -> EpipolarFit:
     """How world-to-camera poses explain the matches (symmetric epipolar distance; Hartley and Zisserman, 11.4)."""
     relative = poses[1] @ np.linalg.inv(poses[0])
     turn, shift = relative[:3, :3], relative[:3, 3]
@@ -149,7 +151,7 @@ def _pairs(first: Float32[np.ndarray, "f 128"], second: Float32[np.ndarray, "g 1
 
 # § How well a lidar's depth edges meet a picture's edges under a pose (after Levinson and Thrun 2013).
 
-LIDAR_WIDTH_PX = 640
+EDGE_WIDTH_PX = 640
 """Pictures are looked at in this width: far edges of a lidar with 32 beams are no finer."""
 
 _CELL_DEG = (0.4, 1.4)
@@ -166,26 +168,26 @@ _FEWEST_POINTS = 40
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EdgePicture:
+class EdgeImage:
     """A picture's edges, ready to be met."""
 
-    view: View
+    view: CaptureFrame
     """Straight lines, `WIDTH_PX` wide."""
     clearness: Float32[np.ndarray, "h w"]
     """How many times steeper the colour is here than around: leaves are steep all over and hide no edge for that."""
 
 
-def edge_picture(view: View) -> EdgePicture:
+def edge_image(view: CaptureFrame) -> EdgeImage:
     """Find a view's edges across. Raises `CaptureError` where its picture can't be read."""
-    straight = prepared(view, min(LIDAR_WIDTH_PX, view.camera.width)).held()
+    straight = undistort_frame(view, min(EDGE_WIDTH_PX, view.camera.width)).held()
     lab = cv2.cvtColor(straight.image, cv2.COLOR_RGB2LAB).astype(np.float32)
     steep = cv2.Sobel(cv2.GaussianBlur(lab, (0, 0), _BLUR_PX), cv2.CV_32F, 1, 0, ksize=3)
     steep = cv2.dilate(np.linalg.norm(steep, axis=2), np.ones((3, 5)))
     around = cv2.blur(steep, (_AROUND_PX, _AROUND_PX)) + 2.0
-    return EdgePicture(straight, np.minimum(steep / around, _CLEAREST).astype(np.float32))
+    return EdgeImage(straight, np.minimum(steep / around, _CLEAREST).astype(np.float32))
 
 
-def depth_edges(sweep: Sweep) -> Float64[np.ndarray, "e 3"]:
+def depth_edges(sweep: LidarSweep) -> Float64[np.ndarray, "e 3"]:
     """Points of a sweep beside which, as the lidar saw it, lies something much farther away, or only sky (world)."""
     rays = sweep.points_m.astype(np.float64) - sweep.origin_m
     ranges = np.linalg.norm(rays, axis=1)
@@ -210,7 +212,7 @@ def depth_edges(sweep: Sweep) -> Float64[np.ndarray, "e 3"]:
     return points[cells[edge & (cells >= 0)]].astype(np.float64)
 
 
-def _met(edges: EdgePicture, points: Float64[np.ndarray, "e 3"], camera: Camera) -> tuple[float, int]:
+def _met(edges: EdgeImage, points: Float64[np.ndarray, "e 3"], camera: Camera) -> tuple[float, int]:
     """Mean clearness of the picture's edges at the points under a camera, and how many fall into the picture."""
     pixels, _ = project_points(points, camera)
     rows, columns, inside = pixels_inside(pixels, edges.clearness.shape)
@@ -218,7 +220,7 @@ def _met(edges: EdgePicture, points: Float64[np.ndarray, "e 3"], camera: Camera)
     return (float(edges.clearness[rows[inside], columns[inside]].mean()) if count else 0.0), count
 
 
-def fit_lidar(edges: EdgePicture, points: Float64[np.ndarray, "e 3"], camera: Camera) -> float:
+def lidar_edge_fit(edges: EdgeImage, points: Float64[np.ndarray, "e 3"], camera: Camera) -> float:
     """How far a pose stands out from itself turned by some degrees, in standard deviations; NaN where nothing falls in.
 
     A true pose stands out by 2 to 8, a wrong one by 0 on average and hardly by more than 2.

@@ -16,9 +16,9 @@ from jaxtyping import Float64, UInt8
 
 from ..safe_io.limits import read_file
 from ..scene.camera import Camera, look_at
-from .capture import Capture, CaptureError, Lens, Sweep, TrackedBox, View, some_names
-from .geometry import BoxSample, opencv_camera, rigid, tracked_boxes, transformed
-from .io.images import picture_size
+from .capture import Capture, CaptureError, CaptureFrame, Lens, LidarSweep, TrackedBox, abbreviated_names
+from .geometry import BoxSample, opencv_camera, rigid_pose, tracked_boxes, transform_points
+from .io.images import image_size
 
 _INTENSITY = "context/rainfall_intensity.txt"
 
@@ -28,7 +28,7 @@ _LABEL_WORDS = 15
 
 _FARTHEST_M = 1e6
 
-_NOTED_SKEW, _MOST_SKEWED = 0.005, 0.1
+_NOTED_SKEW, _MAX_SKEWED = 0.005, 0.1
 
 RAIN = "rain_mm_h"
 """The attribute of each view that says how hard it rained."""
@@ -82,7 +82,7 @@ class RainSequence:
         """Read one picture as display colour (RGB). Raises ValueError where it is broken or of another size."""
         return np.ascontiguousarray(self._read(number, cv2.IMREAD_COLOR)[..., ::-1])
 
-    def grey(self, number: int) -> UInt8[np.ndarray, "h w"]:
+    def gray_image(self, number: int) -> UInt8[np.ndarray, "h w"]:
         """Read one picture's luma. Raises as `picture` does."""
         return self._read(number, cv2.IMREAD_GRAYSCALE)
 
@@ -91,7 +91,8 @@ class RainSequence:
         chosen = range(len(self)) if numbers is None else numbers
         lens = Lens("opencv", tuple(self.distortion.tolist()))
         views = (
-            View(self.images[k].stem, self.camera, partial(self.picture, k), self.times_s[k], lens=lens) for k in chosen
+            CaptureFrame(self.images[k].stem, self.camera, partial(self.picture, k), self.times_s[k], lens=lens)
+            for k in chosen
         )
         return Capture(self.name, tuple(views))
 
@@ -132,13 +133,15 @@ def _with_rain(capture: Capture, sequence: RainSequence) -> Capture:
     return replace(capture, views=tuple(replace(view, attributes=rain) for view in capture))
 
 
-def _sweeps(folder: Path, sequence: RainSequence, times: dict[int, float], problems: list[str]) -> tuple[Sweep, ...]:
+def _sweeps(
+    folder: Path, sequence: RainSequence, times: dict[int, float], problems: list[str]
+) -> tuple[LidarSweep, ...]:
     """Lidar frames of the pictures' numbers, in the world of the camera."""
     files = sorted((folder / "lidar").glob("frame_*.csv"))
     if not files:
         return ()
     broken: list[str] = []
-    sweeps: list[Sweep] = []
+    sweeps: list[LidarSweep] = []
     file = folder / "context" / "calib_lid_to_cam.txt"
     try:
         to_world = sequence.camera.camera_to_world @ _lidar_to_camera(file, problems)
@@ -154,7 +157,7 @@ def _sweeps(folder: Path, sequence: RainSequence, times: dict[int, float], probl
         except CaptureError as error:
             broken.append(str(error))
     if broken:
-        problems.append(f"{len(broken)} of {len(files)} lidar frames are left out: {some_names(broken)}.")
+        problems.append(f"{len(broken)} of {len(files)} lidar frames are left out: {abbreviated_names(broken)}.")
     return tuple(sweeps)
 
 
@@ -165,25 +168,25 @@ def _lidar_to_camera(file: Path, problems: list[str]) -> Float64[np.ndarray, "4 
         raise CaptureError(f"{file}: must hold a rotation and a translation on this planet")
     left, stretch, right = np.linalg.svd(matrix[:3, :3])
     off = float(np.abs(stretch - 1).max())
-    if not off < _MOST_SKEWED or np.linalg.det(left @ right) < 0:
+    if not off < _MAX_SKEWED or np.linalg.det(left @ right) < 0:
         raise CaptureError(f"{file}: must hold a rotation and a translation (it stretches by {off:.1%})")
     if off > _NOTED_SKEW:
         problems.append(
             f"{file} holds no exact rotation (it stretches by {off:.1%}); the nearest one is used, and points may lie "
             "some pixels beside what they belong to."
         )
-    return rigid(left @ right, matrix[:3, 3])
+    return rigid_pose(left @ right, matrix[:3, 3])
 
 
-def _sweep(file: Path, time_s: float, to_world: Float64[np.ndarray, "4 4"]) -> Sweep:
+def _sweep(file: Path, time_s: float, to_world: Float64[np.ndarray, "4 4"]) -> LidarSweep:
     try:
         rows = [line.split(",") for line in read_file(file).decode("utf-8").splitlines()[1:] if line.strip()]
         table = np.array(rows, np.float64).reshape(-1, 4)
     except (OSError, ValueError) as error:
         raise CaptureError(f"{file}: no table of X, Y, Z, Reflectivity ({error})") from None
     table = table[(np.abs(table) < _FARTHEST_M).all(axis=1)]
-    points = transformed(to_world, table[:, :3]).astype(np.float32)
-    return Sweep(time_s, points, to_world[:3, 3].copy(), table[:, 3].astype(np.float32))
+    points = transform_points(to_world, table[:, :3]).astype(np.float32)
+    return LidarSweep(time_s, points, to_world[:3, 3].copy(), table[:, 3].astype(np.float32))
 
 
 def _boxes(
@@ -195,15 +198,15 @@ def _boxes(
     broken: list[str] = []
     for file in files:
         try:
-            samples += _labelled(file, sequence, times[_number(file)])
+            samples += _labeled(file, sequence, times[_number(file)])
         except (OSError, ValueError) as error:
             broken.append(f"{file}: {error}")
     if broken:
-        problems.append(f"{len(broken)} of {len(files)} label files are left out: {some_names(broken)}.")
+        problems.append(f"{len(broken)} of {len(files)} label files are left out: {abbreviated_names(broken)}.")
     return tracked_boxes(samples, [times[_number(file)] for file in files])
 
 
-def _labelled(file: Path, sequence: RainSequence, time_s: float) -> list[BoxSample]:
+def _labeled(file: Path, sequence: RainSequence, time_s: float) -> list[BoxSample]:
     samples: list[BoxSample] = []
     for row, line in enumerate(read_file(file).decode("utf-8").splitlines()):
         words = line.split()
@@ -216,8 +219,8 @@ def _labelled(file: Path, sequence: RainSequence, time_s: float) -> list[BoxSamp
             raise ValueError(f"line {row + 1} has a place that is none")
         about_y = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
         # KITTI: the thing's length lies along its own x, which the turn leads to the camera's axes; y is down.
-        object_axes = rigid(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), np.zeros(3))
-        bottom = rigid(about_y, np.array([x, y, z])) @ object_axes
+        object_axes = rigid_pose(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), np.zeros(3))
+        bottom = rigid_pose(about_y, np.array([x, y, z])) @ object_axes
         bottom[:3, 3] += bottom[:3, 2] * (height / 2)
         pose = sequence.camera.camera_to_world @ bottom
         samples.append(BoxSample(f"{file.stem}-{row}", words[0], time_s, (length, width, height), pose))
@@ -285,7 +288,7 @@ def read_numbers(file: Path, count: int) -> list[float]:
 
 def _decoded(file: Path, mode: int) -> UInt8[np.ndarray, "..."]:
     """Decode a picture by OpenCV, as RainSense's own tools do; `CaptureError` where it is broken, or cut off."""
-    picture_size(file)  # a bomb, or a file of another kind, is refused before
+    image_size(file)  # a bomb, or a file of another kind, is refused before
     try:
         picture = cv2.imdecode(np.frombuffer(read_file(file), np.uint8), mode)
     except cv2.error:

@@ -1,6 +1,6 @@
 """Finds the pixels of views that show the sky: from the data set where it tells, else by colour, place and lidar.
 
-`sure_sky` needs nothing but one picture, and marks only what is surely sky.
+`certain_sky` needs nothing but one picture, and marks only what is surely sky.
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int64, UInt8
 from scipy.ndimage import binary_dilation
 
-from .capture import View
+from .capture import CaptureFrame
 from .masks import elevations
 
 _LOWEST = float(np.sin(np.radians(1.0)))
@@ -22,10 +22,10 @@ _SMOOTH = 0.03
 
 _BRIGHT, _DARKEST, _BLUE = 0.62, 0.2, 0.03
 
-_LEAST_OF_BRIGHTEST = 0.5
+_MIN_OF_BRIGHTEST = 0.5
 """A sky is at least so bright, beside the brightest twentieth of what is above the horizon."""
 
-_LEAST_PART = 0.004
+_MIN_PART = 0.004
 """Of a picture that a patch of sky must fill unless it touches the upper edge."""
 
 _LIKELY = 0.75
@@ -33,7 +33,7 @@ _LIKELY = 0.75
 _BINS = 12
 
 _WIDTH = 320
-"""Pixels across the small picture in which `sure_sky` looks; the numbers below are of it, colours in CIELAB."""
+"""Pixels across the small picture in which `certain_sky` looks; the numbers below are of it, colours in CIELAB."""
 
 _EVEN, _SOFT = 1.5, 3.5
 """Steps of colour a pixel up to which a place is even, and up to which it may belong to one sky: clouds have no hard
@@ -46,7 +46,7 @@ b* and lightness of a sky at sunset."""
 _SMALLEST = 0.003
 """Share of the picture from which a patch may be sky by itself."""
 
-_TOP, _LEAST_TOP = 0.02, 0.02
+_TOP, _MIN_TOP = 0.02, 0.02
 """Part of the picture's height that counts as its upper edge, and part of the edge that a sky fills."""
 
 _LOWEST_ROW = 0.75
@@ -69,7 +69,7 @@ _COOL, _SUNLIT_WALL = 3.0, 10.0
 _SURE = (0.3, 0.9)
 """Sum of these from which a patch may be sky, and from which it is."""
 
-_LEAST_SURENESS = 0.5
+_MIN_SURENESS = 0.5
 
 _WIRE, _WIRES = 8, 3
 """Pixels across a wire with its blur, which may part a sky in two, and so many of them one under the other."""
@@ -90,7 +90,7 @@ _AMIDST, _SPREAD_PX, _BLUE_ROUNDS, _PALE_ROUNDS, _GAP_DISTANCE, _RIM_DISTANCE = 
 counted, how often, and how near its colour must be; the same for the rim that the smoothing took."""
 
 
-class SureSky(NamedTuple):
+class CertainSky(NamedTuple):
     """The part of a picture that is surely sky."""
 
     pixels: Bool[np.ndarray, "h w"]
@@ -99,7 +99,7 @@ class SureSky(NamedTuple):
 
 
 def sky_masks(
-    views: Sequence[View],
+    views: Sequence[CaptureFrame],
     depths_m: Sequence[Float32[np.ndarray, "_ _"]],
     up: tuple[float, float, float] = (0.0, 0.0, 1.0),
 ) -> list[Bool[np.ndarray, "_ _"]]:
@@ -136,7 +136,7 @@ def sky_masks(
     ]
 
 
-def sure_sky(image: UInt8[np.ndarray, "h w 3"]) -> SureSky:
+def certain_sky(image: UInt8[np.ndarray, "h w 3"]) -> CertainSky:
     """Mark the sky of a picture of which nothing else is known; where it is not sure, nothing is marked.
 
     A sky hangs together with the upper edge over soft steps of colour, clouds with the blue around them, is even and
@@ -157,16 +157,16 @@ def sure_sky(image: UInt8[np.ndarray, "h w 3"]) -> SureSky:
     parts = cv2.connectedComponents(cv2.morphologyEx(joined, cv2.MORPH_OPEN, window), connectivity=4)
     labels = np.asarray(parts[1], np.int64)
     likely = _from_the_upper_edge(labels, parts[0])
-    rest = _Rest.of(soft[~np.isin(labels, likely)])
+    rest = _NotSky.of(soft[~np.isin(labels, likely)])
     sky, total = np.zeros(labels.shape, np.bool_), 0.0
     for label in likely:
         patch = labels == label
         sureness = _sureness(patch, lab, soft, step, rest)
-        if sureness >= _LEAST_SURENESS:
+        if sureness >= _MIN_SURENESS:
             sky |= patch
             total += sureness * float(np.count_nonzero(patch))
     if not sky.any():
-        return SureSky(np.zeros((height, width), np.bool_), 0.0)
+        return CertainSky(np.zeros((height, width), np.bool_), 0.0)
     tone = np.median(lab[sky], axis=0)
     for label in likely:  # what a pole parts from a sure sky
         patch = labels == label
@@ -182,15 +182,17 @@ def sure_sky(image: UInt8[np.ndarray, "h w 3"]) -> SureSky:
             patch = labels == label
             sureness = _sureness(patch, lab, soft, step, rest)
             color = np.median(lab[patch], axis=0) - np.median(lab[sky], axis=0)
-            if sureness >= _LEAST_SURENESS and np.linalg.norm(color) < _GAP_DISTANCE:
+            if sureness >= _MIN_SURENESS and np.linalg.norm(color) < _GAP_DISTANCE:
                 sky |= patch
                 total += sureness * float(np.count_nonzero(patch))
     sureness = total / float(np.count_nonzero(sky))
     sky = _with_gaps_and_rim(sky, lab)
-    return SureSky(cv2.resize(sky.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5, sureness)
+    return CertainSky(
+        cv2.resize(sky.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5, sureness
+    )
 
 
-class _Rest(NamedTuple):
+class _NotSky(NamedTuple):
     """All of a picture that can't be its sky."""
 
     brightest: float
@@ -199,7 +201,7 @@ class _Rest(NamedTuple):
     """Its median b* where that is blue, else 0: what stands in the shade is lit by the sky."""
 
     @classmethod
-    def of(cls, lab: Float32[np.ndarray, "n 3"]) -> "_Rest":
+    def of(cls, lab: Float32[np.ndarray, "n 3"]) -> "_NotSky":
         if not len(lab):
             return cls(0.0, 0.0)
         return cls(float(np.quantile(lab[:, 0], 0.9)), min(float(np.median(lab[:, 2])), 0.0))
@@ -229,9 +231,7 @@ def _from_the_upper_edge(labels: Int64[np.ndarray, "h w"], count: int) -> list[i
     return [
         label
         for label in np.unique(labels[:rows]).tolist()
-        if label
-        and sizes[label] >= _SMALLEST * labels.size
-        and (labels[:rows] == label).any(axis=0).mean() >= _LEAST_TOP
+        if label and sizes[label] >= _SMALLEST * labels.size and (labels[:rows] == label).any(axis=0).mean() >= _MIN_TOP
     ]
 
 
@@ -254,7 +254,7 @@ def _sureness(
     lab: Float32[np.ndarray, "h w 3"],
     soft: Float32[np.ndarray, "h w 3"],
     step: Float32[np.ndarray, "h w"],
-    rest: _Rest,
+    rest: _NotSky,
 ) -> float:
     """Rate a patch at the upper edge from 0 to 1: evenness and extent are conditions, blueness and light add up."""
     if not _is_even(patch, lab, soft, step):
@@ -328,15 +328,15 @@ def _first_guess(image: UInt8[np.ndarray, "h w 3"], chance: Bool[np.ndarray, "h 
     bright = color.mean(axis=2)
     mean = cv2.blur(bright, (5, 5))
     spread = np.sqrt(np.maximum(cv2.blur(bright * bright, (5, 5)) - mean * mean, 0))
-    darkest = max(_DARKEST, _LEAST_OF_BRIGHTEST * float(np.quantile(bright[chance], 0.95))) if chance.any() else 1.0
+    darkest = max(_DARKEST, _MIN_OF_BRIGHTEST * float(np.quantile(bright[chance], 0.95))) if chance.any() else 1.0
     blue = (color[..., 2] - color[..., 0] > _BLUE) & (color[..., 2] >= color[..., 1]) & (bright > darkest)
     candidates = chance & (spread < _SMOOTH) & ((bright > _BRIGHT) | blue)
     count, patches = cv2.connectedComponents(candidates.astype(np.uint8), connectivity=4)
     sizes = np.bincount(patches.ravel(), minlength=count)
-    large = sizes >= _LEAST_PART * chance.size
+    large = sizes >= _MIN_PART * chance.size
     touching = np.zeros(count, np.bool_)
     touching[np.unique(patches[0])] = True
-    counts = large | (touching & (sizes >= 0.1 * _LEAST_PART * chance.size))
+    counts = large | (touching & (sizes >= 0.1 * _MIN_PART * chance.size))
     counts[0] = False
     return counts[patches]
 

@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
 
 from ..scene.camera import Camera
-from ..scene.street.build import Daylight, StreetSurfaces, lead_track, shown_colors, street_surfaces
+from ..scene.street.build import Daylight, StreetSurfaces, displayed_colors, lead_track, street_surfaces
 from ..scene.street.layout import Label, StreetParameters
 from ..scene.street.mesh import Quads
-from .capture import Capture, View
+from .capture import Capture, CaptureFrame
 
 NEAR_M, FAR_M = 0.2, 2500.0
 
@@ -177,7 +177,7 @@ class StreetMesh:
         for corner in range(4):
             towards = quads.corners[:, corner] - eye
             towards = towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-6)
-            colors[:, corner, :3] = shown_colors(quads, self.light, matte[:, corner], towards)
+            colors[:, corner, :3] = displayed_colors(quads, self.light, matte[:, corner], towards)
         colors[..., 3] = np.where(quads.opacity < _OPAQUE, quads.opacity, 1)[:, None]
         return colors
 
@@ -229,7 +229,7 @@ class StreetViews:
         self._normals = np.concatenate([street.quads.normals, lead.quads.normals, nothing])
         self._labels = np.concatenate([street.quads.labels, lead.quads.labels, np.zeros(1, np.uint8)])
 
-    def view(self, camera: Camera, time_s: float, name: str) -> View:
+    def view(self, camera: Camera, time_s: float, name: str) -> CaptureFrame:
         """Photograph the street at a time, with everything that is known about each pixel."""
         pose = self._track.pose(time_s) if self._track is not None else None
         image = self._image(camera, pose)
@@ -241,7 +241,7 @@ class StreetViews:
         if pose is not None:  # of what is not the street, the lead car is all that has a normal
             normal = np.where(mask[..., None], normal, normal @ pose[:3, :3].T.astype(np.float32))
         away = np.sum(normal * _rays(camera), axis=2, keepdims=True) > 0
-        return View(
+        return CaptureFrame(
             name=name,
             camera=camera,
             image_source=image,

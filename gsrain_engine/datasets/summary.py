@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
 from ..scene.camera import Camera
-from .capture import Capture, TrackedBox, View
+from .capture import Capture, CaptureFrame, TrackedBox
 from .geometry import lidar_depth, nearest_sweep, point_depth
-from .undistort import prepared
+from .undistort import undistort_frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +97,7 @@ def summarized(capture: Capture) -> CaptureSummary:
     )
 
 
-def _sensor(views: list[View]) -> SensorSummary:
+def _sensor(views: list[CaptureFrame]) -> SensorSummary:
     view = views[0]
     camera = view.camera
     edges = np.arctan([camera.cx / camera.fx, (camera.width - camera.cx) / camera.fx])
@@ -140,12 +140,12 @@ _CAPTION_PX = 22
 _GAP_PX = 4
 
 
-def overlay(capture: Capture, view: View, width: int = 960) -> UInt8[np.ndarray, "h w 3"]:
+def overlay(capture: Capture, view: CaptureFrame, width: int = 960) -> UInt8[np.ndarray, "h w 3"]:
     """One view with straight lines, the points that it should see (near red, far blue) and the boxes of its time.
 
     Points are those of the lidar sweep nearest in time, else the capture's own.
     """
-    straight = prepared(view, width)
+    straight = undistort_frame(view, width)
     picture = np.ascontiguousarray(straight.image)
     _draw_points(picture, _depth(capture, view, straight))
     for box in capture.boxes:
@@ -169,10 +169,10 @@ def contact_sheet(capture: Capture, at_most: int = 12, tile_width: int = 640) ->
     return np.asarray(np.concatenate(rows), np.uint8)
 
 
-def chosen_views(capture: Capture, at_most: int) -> list[View]:
+def chosen_views(capture: Capture, at_most: int) -> list[CaptureFrame]:
     """Views that stand for a capture: of each camera as many as fit, spread evenly over the drive."""
     each = max(at_most // len(capture.sensors), 1)
-    chosen: list[View] = []
+    chosen: list[CaptureFrame] = []
     for sensor in capture.sensors:
         taken = [view for view in capture if view.sensor == sensor]
         places = np.linspace(0, len(taken) - 1, min(each, len(taken))) if each > 1 else np.array([len(taken) // 2])
@@ -180,7 +180,7 @@ def chosen_views(capture: Capture, at_most: int) -> list[View]:
     return chosen[:at_most]
 
 
-def _depth(capture: Capture, view: View, straight: View) -> Float32[np.ndarray, "h w"]:
+def _depth(capture: Capture, view: CaptureFrame, straight: CaptureFrame) -> Float32[np.ndarray, "h w"]:
     sweep = nearest_sweep(view, capture.sweeps)
     if sweep is not None:
         return lidar_depth(straight, [sweep])

@@ -8,16 +8,16 @@ import numpy as np
 from jaxtyping import Bool, Float32, Shaped, UInt8
 
 from ..scene.camera import Camera
-from .capture import Lens, View
+from .capture import CaptureFrame, Lens
 from .geometry import intrinsics, largest_tangent, scaled_camera
 
-_LENSES_KEPT = 8
+_CACHED_LENSES = 8
 """Maps of so many lenses stay in memory, 8 bytes a pixel each: a rig's cameras."""
 
-_AT_CENTRES = ("depth", "normals", "labels", "sky")
+_AT_CENTERS = ("depth", "normals", "labels", "sky")
 
 
-def prepared(view: View, width: int | None = None) -> View:
+def undistort_frame(view: CaptureFrame, width: int | None = None) -> CaptureFrame:
     """Undistort a view (OpenCV) and bring it to a width, keeping its proportions; nothing is read before it is asked.
 
     Colour is averaged over area; depth, normals, labels and sky are those at the pixel's centre. The mask is True where
@@ -32,7 +32,7 @@ def prepared(view: View, width: int | None = None) -> View:
         return view
     at_centres = {
         f"{name}_source": partial(_nearest, view, camera, name)
-        for name in _AT_CENTRES
+        for name in _AT_CENTERS
         if getattr(view, f"{name}_source") is not None
     }
     needs_mask = view.lens is not None or view.mask_source is not None
@@ -46,7 +46,7 @@ def prepared(view: View, width: int | None = None) -> View:
     )
 
 
-def _color(view: View, camera: Camera) -> UInt8[np.ndarray, "h w 3"]:
+def _color(view: CaptureFrame, camera: Camera) -> UInt8[np.ndarray, "h w 3"]:
     straight = view.image
     if view.lens is not None:
         columns, rows = _lens_map(_key(view.camera), view.lens)
@@ -54,7 +54,7 @@ def _color(view: View, camera: Camera) -> UInt8[np.ndarray, "h w 3"]:
     return np.asarray(_resized(straight, camera), np.uint8)
 
 
-def _mask(view: View, camera: Camera) -> Bool[np.ndarray, "h w"]:
+def _mask(view: CaptureFrame, camera: Camera) -> Bool[np.ndarray, "h w"]:
     size = (view.camera.height, view.camera.width)
     allowed = view.mask
     usable = np.ones(size, np.float32) if allowed is None else allowed.astype(np.float32)
@@ -73,7 +73,7 @@ def _resized(pixels: Shaped[np.ndarray, "h w ..."], camera: Camera) -> Shaped[np
     )
 
 
-def _nearest(view: View, camera: Camera, name: str) -> Shaped[np.ndarray, "h w ..."]:
+def _nearest(view: CaptureFrame, camera: Camera, name: str) -> Shaped[np.ndarray, "h w ..."]:
     """Take each pixel's value from where its centre lies in the original; 0 where the lens never looked."""
     pixels = getattr(view, name)
     columns, rows = _source_pixels(view, camera)
@@ -83,7 +83,7 @@ def _nearest(view: View, camera: Camera, name: str) -> Shaped[np.ndarray, "h w .
     return taken
 
 
-def _source_pixels(view: View, camera: Camera) -> tuple[Shaped[np.ndarray, "h w"], Shaped[np.ndarray, "h w"]]:
+def _source_pixels(view: CaptureFrame, camera: Camera) -> tuple[Shaped[np.ndarray, "h w"], Shaped[np.ndarray, "h w"]]:
     """Column and row in the original picture of each pixel of a camera that stands where the view's does."""
     if view.lens is not None:
         columns, rows = _bending_map(_key(view.camera), view.lens, _key(camera))
@@ -102,7 +102,7 @@ def _key(camera: Camera) -> _Key:
     return camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
 
 
-@lru_cache(maxsize=_LENSES_KEPT)
+@lru_cache(maxsize=_CACHED_LENSES)
 def _lens_map(key: _Key, lens: Lens) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
     return _bending_map(key, lens, key)
 

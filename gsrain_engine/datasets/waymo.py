@@ -11,9 +11,9 @@ from jaxtyping import Float32, Float64, UInt8
 from numba import njit
 
 from ..scene.camera import DEFAULT_EXPOSURE_S, Camera
-from .capture import CaptureError, Lens, View
-from .geometry import OPENCV_FROM_VEHICLE_AXES, inverse, rigid
-from .io.images import opened_picture
+from .capture import CaptureError, CaptureFrame, Lens
+from .geometry import OPENCV_FROM_VEHICLE_AXES, invert_pose, rigid_pose
+from .io.images import opened_image
 
 CAMERAS = {
     1: "FRONT",
@@ -57,19 +57,19 @@ class WaymoCamera:
         time_s: float,
         shutter_s: float,
         jpeg: Callable[[], bytes],
-    ) -> View:
+    ) -> CaptureFrame:
         """One picture: taken from where the vehicle was then. A shutter time that can't be is the default one."""
-        to_world = vehicle_to_world @ self.to_vehicle @ inverse(OPENCV_FROM_VEHICLE_AXES)
+        to_world = vehicle_to_world @ self.to_vehicle @ invert_pose(OPENCV_FROM_VEHICLE_AXES)
         fx, fy, cx, cy = self.intrinsics[:4]
         exposure = shutter_s if 0 < shutter_s <= _LONGEST_EXPOSURE_S else DEFAULT_EXPOSURE_S
-        camera = Camera(self.width, self.height, fx, fy, cx, cy, inverse(to_world), exposure)
+        camera = Camera(self.width, self.height, fx, fy, cx, cy, invert_pose(to_world), exposure)
         lens = Lens("opencv", self.intrinsics[4:]) if any(self.intrinsics[4:]) else None
-        return View(name, camera, lambda: decoded(jpeg(), name), time_s, self.name, lens)
+        return CaptureFrame(name, camera, lambda: decoded(jpeg(), name), time_s, self.name, lens)
 
 
 def check_jpeg(content: bytes, size: tuple[int, int]) -> None:
     """Raise ValueError unless bytes look like a whole JPEG of a width and height."""
-    with opened_picture(content, "its picture") as picture:
+    with opened_image(content, "its picture") as picture:
         found = picture.size
     if found != size:
         raise ValueError(f"a picture of {found[0]}x{found[1]} px, its calibration says {size[0]}x{size[1]}")
@@ -79,7 +79,7 @@ def check_jpeg(content: bytes, size: tuple[int, int]) -> None:
 
 def decoded(content: bytes, name: str) -> UInt8[np.ndarray, "h w 3"]:
     """Decode a JPEG. Raises `CaptureError` where it is damaged."""
-    with opened_picture(content, name) as picture:
+    with opened_image(content, name) as picture:
         return np.array(picture.convert("RGB"), np.uint8)
 
 
@@ -87,7 +87,7 @@ def heading_pose(center_m: Sequence[float], heading_rad: float) -> Float64[np.nd
     """Pose of an upright box in the vehicle's frame."""
     cosine, sine = np.cos(heading_rad), np.sin(heading_rad)
     turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-    return rigid(turn, np.asarray(center_m, np.float64))
+    return rigid_pose(turn, np.asarray(center_m, np.float64))
 
 
 # § Waymo's range images turned into points. Facts: RangeImage in dataset.proto and v2/perception/lidar.py there.
@@ -123,7 +123,7 @@ class WaymoLaser:
         yaw = np.pi - 2 * np.pi * (np.arange(width) + 0.5) / width - turned
         pitch = self._row_pitches(height)
         poses = np.zeros((0, 0, 6), np.float32) if pixel_poses is None else np.ascontiguousarray(pixel_poses)
-        back = inverse(vehicle_to_world)
+        back = invert_pose(vehicle_to_world)
         points = _points(np.ascontiguousarray(ranges), pitch, yaw, self.to_vehicle, poses, back)
         seen = ranges[..., 0] > 0
         light = ranges[..., 1][seen] if ranges.shape[2] > 1 else np.zeros(len(points), np.float32)

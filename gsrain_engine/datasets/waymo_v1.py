@@ -11,14 +11,14 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from .capture import Capture, CaptureError
-from .driving_log import DrivingRecord, Scan
+from .driving_log import DrivingLog, LidarScan
 from .geometry import BoxSample, rigid_from_numbers
 from .io.records import TFRecord, records_in
 from .waymo import CAMERAS, CLASSES, LASERS, WaymoCamera, WaymoLaser, check_jpeg, heading_pose, parsed
 
 _US = 1e-6
 
-_MOST_NUMBERS = 64 * 4000 * 6
+_MAX_NUMBERS = 64 * 4000 * 6
 
 _SUFFIXES = (".tfrecord", ".tfrecords")
 
@@ -32,7 +32,7 @@ def read_waymo_records(path: Path) -> Capture:
     files = [path] if path.is_file() else _files_in(path)
     if not files:
         raise CaptureError(f"{path}: no .tfrecord in it")
-    segment = _Segment(DrivingRecord(files[0].stem, road_m=0.0))
+    segment = _RecordSegment(DrivingLog(files[0].stem, road_m=0.0))
     if files[1:]:
         segment.record.problems.append(f"{files[0].name} is read; open one of the other {len(files) - 1} by its name")
     return segment.capture(files[0])
@@ -44,8 +44,8 @@ def _files_in(folder: Path) -> list[Path]:
 
 
 @dataclass(slots=True)
-class _Segment:
-    record: DrivingRecord
+class _RecordSegment:
+    record: DrivingLog
     name: str = ""
     frames: list[tuple[TFRecord, float, Float64[np.ndarray, "4 4"]]] = field(
         default_factory=list[tuple[TFRecord, float, Float64[np.ndarray, "4 4"]]]
@@ -127,7 +127,7 @@ class _Segment:
             else:
                 self.record.boxes.append(sample)
 
-    def _scans(self) -> Iterator[Scan]:
+    def _scans(self) -> Iterator[LidarScan]:
         for number, (place, time, pose) in enumerate(self.frames if self.with_lidar else ()):
             clouds: list[Float64[np.ndarray, "p 3"]] = []
             lights: list[Float32[np.ndarray, " p"]] = []
@@ -141,7 +141,7 @@ class _Segment:
                     self.record.problems.append(f"lidar {named} of frame {number} left out: {error}")
             if clouds:
                 top = self.lasers.get(1) or next(iter(self.lasers.values()))
-                yield Scan(time, pose, np.concatenate(clouds), top.to_vehicle[:3, 3], np.concatenate(lights))
+                yield LidarScan(time, pose, np.concatenate(clouds), top.to_vehicle[:3, 3], np.concatenate(lights))
 
     def _returns(
         self, laser: Any, pose: Float64[np.ndarray, "4 4"]
@@ -177,7 +177,7 @@ def _laser(calibration: Any) -> WaymoLaser:
 def _matrix(compressed: bytes) -> Float32[np.ndarray, "h w c"]:
     """A serialized MatrixFloat under zlib; ValueError where sizes disagree."""
     unpacker = zlib.decompressobj()
-    content = unpacker.decompress(compressed, _MOST_NUMBERS * 4 + 64)
+    content = unpacker.decompress(compressed, _MAX_NUMBERS * 4 + 64)
     if not unpacker.eof:
         raise ValueError("a range image larger than any lidar's")
     matrix = parsed("MatrixFloat", content)

@@ -14,8 +14,8 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from .capture import Capture, CaptureError, some_names
-from .driving_log import DrivingRecord, Scan
+from .capture import Capture, CaptureError, abbreviated_names
+from .driving_log import DrivingLog, LidarScan
 from .geometry import BoxSample, rigid_from_numbers
 from .io.arrays import WRONG_VALUES, what_is_wrong
 from .io.records import ParquetFile
@@ -42,7 +42,7 @@ def read_waymo_tables(path: Path) -> Capture:
     """Read one segment: that of a file, the named one (WAYMO/SEGMENT), or the first. Raises `CaptureError`."""
     problems: list[str] = []
     if path.is_file():
-        return _Segment.opened(path.parent.parent, path.stem, problems).capture()
+        return _TableSegment.opened(path.parent.parent, path.stem, problems).capture()
     if _roots(path):
         root = _roots(path)[0]
         segments = [file.stem for file in sorted((root / "camera_image").glob("*.parquet"))]
@@ -50,10 +50,10 @@ def read_waymo_tables(path: Path) -> Capture:
             raise CaptureError(f"{root / 'camera_image'}: no .parquet in it")
         if segments[1:]:
             problems.append(f"{segments[0]} is read; open one of the other {len(segments) - 1} as {path / segments[1]}")
-        return _Segment.opened(root, segments[0], problems).capture()
+        return _TableSegment.opened(root, segments[0], problems).capture()
     for root in _roots(path.parent):
         if _files(root, path.name):
-            return _Segment.opened(root, path.name, problems).capture()
+            return _TableSegment.opened(root, path.name, problems).capture()
     raise CaptureError(f"{path}: no Parquet files of Waymo Perception in it")
 
 
@@ -68,18 +68,18 @@ def _files(root: Path, segment: str) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class _Segment:
+class _TableSegment:
     root: Path
     segment: str
-    record: DrivingRecord
+    record: DrivingLog
     poses: dict[int, Float64[np.ndarray, "4 4"]]
     """Vehicle to world of each frame, by its time stamp."""
 
     @classmethod
-    def opened(cls, root: Path, segment: str, problems: list[str]) -> "_Segment":
+    def opened(cls, root: Path, segment: str, problems: list[str]) -> "_TableSegment":
         poses, wrong = vehicle_poses(root / "vehicle_pose" / f"{segment}.parquet")
         problems += wrong
-        return cls(root, segment, DrivingRecord(segment, road_m=0.0, problems=problems), poses)
+        return cls(root, segment, DrivingLog(segment, road_m=0.0, problems=problems), poses)
 
     def capture(self) -> Capture:
         self._pictures()
@@ -105,7 +105,7 @@ class _Segment:
 
     def _left_out(self, what: dict[str, list[str]]) -> None:
         """Say each reason once, with the things that it hit."""
-        self.record.problems.extend(f"{some_names(names)} left out: {why}" for why, names in what.items())
+        self.record.problems.extend(f"{abbreviated_names(names)} left out: {why}" for why, names in what.items())
 
     def _pictures(self) -> None:
         cameras = self._cameras()
@@ -223,7 +223,7 @@ class WaymoTableLidar:
                 self.problems.append(f"lidar {LASERS.get(row[_LASER])} left out: {what_is_wrong(error)}")
         return lasers
 
-    def scans(self, lasers: dict[int, WaymoLaser]) -> Iterator[Scan]:
+    def scans(self, lasers: dict[int, WaymoLaser]) -> Iterator[LidarScan]:
         """One scan of all lidars for each frame, in the order of the file."""
         pixel_poses = _PixelPoses(self._file("lidar_pose"))
         top = lasers.get(1) or next(iter(lasers.values()))
@@ -250,10 +250,10 @@ class WaymoTableLidar:
                         wrong[what_is_wrong(error)].append(f"lidar {LASERS.get(row[_LASER])} at {time}")
                 if clouds:
                     points, light = np.concatenate(clouds), np.concatenate(lights)
-                    yield Scan(time * _US, self.poses[time], points, top.to_vehicle[:3, 3], light)
+                    yield LidarScan(time * _US, self.poses[time], points, top.to_vehicle[:3, 3], light)
         except CaptureError as error:
             self.problems.append(f"the rest of the lidar left out: {error}")
-        self.problems.extend(f"{some_names(names)} left out: {why}" for why, names in wrong.items())
+        self.problems.extend(f"{abbreviated_names(names)} left out: {why}" for why, names in wrong.items())
 
     def _file(self, component: str) -> ParquetFile:
         return ParquetFile(self.root / component / f"{self.segment}.parquet")

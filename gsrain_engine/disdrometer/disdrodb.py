@@ -7,11 +7,11 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float64, Int64, Shaped
 
-from ..safe_io.text_files import printable
+from ..safe_io.text_files import printable_line
 from . import two_dvd
 from .instruments import PARSIVEL, THIES, Instrument
 from .netcdf import in_m_s, in_mm, record_seconds, record_times, reported_rates, usable_records
-from .spectra import MOST_COUNTS, DisdrometerFileError, DropSpectra, Reading, no_record_left
+from .spectra import MAX_COUNTS, DisdrometerFileError, DisdrometerReading, DropSpectra, no_record_left
 
 _PRODUCT, _ROLLED, _SENSOR = "disdrodb_product", "disdrodb_rolled_product", "sensor_name"
 
@@ -44,7 +44,7 @@ def is_disdrodb(dataset: xr.Dataset) -> bool:
     )
 
 
-def read_disdrodb(path: Path, dataset: xr.Dataset) -> Reading:
+def read_disdrodb(path: Path, dataset: xr.Dataset) -> DisdrometerReading:
     """Read a product; of sums that roll on, only those without a common moment.
 
     What a product leaves out at the ends of a Parsivel's or a Thies's classes is put back, without drops. The rates of
@@ -58,7 +58,7 @@ def read_disdrodb(path: Path, dataset: xr.Dataset) -> Reading:
         raise DisdrometerFileError(
             path, f"{name} has the dimensions {', '.join(map(str, dataset[name].dims))}, not {', '.join(dims)}"
         )
-    if dataset[name].size > MOST_COUNTS:
+    if dataset[name].size > MAX_COUNTS:
         raise DisdrometerFileError(path, f"{dataset.sizes['time']} spectra: split the file by days")
     if dataset.sizes["time"] == 0:
         raise DisdrometerFileError(path, no_record_left(()))
@@ -87,7 +87,7 @@ def _reading(
     seconds: Float64[np.ndarray, " records"],
     reported_mm_h: Float64[np.ndarray, " records"],
     skipped: list[str],
-) -> Reading:
+) -> DisdrometerReading:
     sensor = str(dataset.attrs[_SENSOR])
     kind = sensor.upper().replace("-", "").removeprefix("OTT_").removeprefix("THIES_")
     diameters = _edges(path, dataset, _DIAMETER, in_mm, _LARGEST_MM)
@@ -104,7 +104,7 @@ def _reading(
     if maker is not None or kind not in _OTHERS:
         known = ", ".join((*_MAKERS, *_OTHERS))
         needed = "has no fall speeds" if maker is not None else f"is none whose area is known ({known})"
-        raise DisdrometerFileError(path, f"{_SENSOR} {printable(sensor, 60)} {needed}")
+        raise DisdrometerFileError(path, f"{_SENSOR} {printable_line(sensor, 60)} {needed}")
     name, area_m2 = _OTHERS[kind]
     area = np.full(len(diameters) - 1, area_m2)
     if velocities is not None:
@@ -122,7 +122,7 @@ def _reading(
         area_m2=area,
         reported_mm_h=reported_mm_h,
     )
-    return Reading(spectra=spectra, skipped=tuple(skipped))
+    return DisdrometerReading(spectra=spectra, skipped=tuple(skipped))
 
 
 def _edges(
@@ -143,7 +143,7 @@ def _edges(
         )
         if values is None:
             raise DisdrometerFileError(
-                path, f"{name} is in {printable(dataset[name].attrs['units'], 40)}, not in mm or m/s"
+                path, f"{name} is in {printable_line(dataset[name].attrs['units'], 40)}, not in mm or m/s"
             )
         bounds.append(values)
     lower, upper = bounds

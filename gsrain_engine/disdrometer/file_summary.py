@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from ..safe_io.text_files import printable
-from .filter import QualityReport, keep_trusted
+from ..safe_io.text_files import printable_line
+from .filter import QualityControlReport, apply_quality_control
 from .measurement import INSTRUMENT as VIRTUAL_INSTRUMENT
 from .open import read_disdrometer
-from .spectra import DropSpectra, Reading
+from .spectra import DisdrometerReading, DropSpectra
 from .tables import TableColumns
 
 LOWEST_CHECKED_MM_H = 0.5
@@ -98,7 +98,7 @@ def check_rates(measured: Sequence[DropSpectra]) -> RateCheck | None:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Measured:
+class MeasurementSummary:
     """A disdrometer file in numbers: small, unlike its spectra."""
 
     file: str
@@ -121,7 +121,7 @@ class Measured:
     records_without_drops: int
     records_with_few_drops: int
     """That hold drops, but fewer than 10 that can be trusted."""
-    quality: QualityReport
+    quality: QualityControlReport
     rate_check: RateCheck | None
     """Of all drops: it decides whether the rates agree."""
     used_rate_check: RateCheck | None
@@ -136,14 +136,14 @@ class Measured:
             if self.reported_rain_mm is None
             else f"{self.reported_rain_mm:.4g} mm by its own rate"
         )
-        quality, instrument = self.quality, printable(self.instrument, _LONGEST_NAME)
+        quality, instrument = self.quality, printable_line(self.instrument, _LONGEST_NAME)
         lines = [
-            f"{printable(self.file)}: {instrument}, {self.records:,} records of {self.seconds:g} s{span}",
+            f"{printable_line(self.file)}: {instrument}, {self.records:,} records of {self.seconds:g} s{span}",
             f"  {self.drops:,.0f} drops, {self.rain_mm:.4g} mm of rain; {own}",
             f"  used: {quality.records_kept:,} records with {quality.drops_kept:,.0f} drops; rejected: "
             + (", ".join(f"{count:,} {what}" for what, count in self._rejected if count) or "nothing"),
         ]
-        lines += [f"  {count:,} unreadable: {printable(reason)}" for reason, count in self.skipped[:_REASONS]]
+        lines += [f"  {count:,} unreadable: {printable_line(reason)}" for reason, count in self.skipped[:_REASONS]]
         if len(self.skipped) > _REASONS:
             lines.append(f"  {sum(count for _, count in self.skipped[_REASONS:]):,} unreadable for other reasons")
         lines += [
@@ -211,11 +211,11 @@ class MeasuredFile:
     """A disdrometer file: as it is, and what can be trusted in it."""
 
     path: Path
-    reading: Reading
+    reading: DisdrometerReading
     trusted: DropSpectra
-    quality: QualityReport
+    quality: QualityControlReport
 
-    def measured(self) -> Measured:
+    def measured(self) -> MeasurementSummary:
         spectra = self.reading.spectra
         times = spectra.times[~np.isnat(spectra.times)].astype("datetime64[s]")
         reports = np.isfinite(spectra.reported_mm_h)
@@ -224,7 +224,7 @@ class MeasuredFile:
         dry = min(int((drops == 0).sum()), rejected)  # of simulated drops none is rejected, dry records neither
         rain_mm = spectra.rate_mm_h * spectra.seconds / 3600
         reported_mm = spectra.reported_mm_h * spectra.seconds / 3600
-        return Measured(
+        return MeasurementSummary(
             file=self.path.name,
             instrument=spectra.instrument,
             records=len(spectra),
@@ -243,16 +243,16 @@ class MeasuredFile:
         )
 
 
-def open_measured(path: Path, columns: TableColumns | None = None) -> MeasuredFile:
+def open_disdrometer_file(path: Path, columns: TableColumns | None = None) -> MeasuredFile:
     """Read a file and mask what can't be trusted; of simulated drops, all can. Raises `DisdrometerFileError`.
 
     `columns` describe a table of text whose header doesn't tell them.
     """
     reading = read_disdrometer(path, columns)
     if reading.spectra.instrument == VIRTUAL_INSTRUMENT:
-        trusted, quality = keep_trusted(reading.spectra, smallest_mm=0, speed_tolerance=np.inf, fewest_drops=0)
+        trusted, quality = apply_quality_control(reading.spectra, smallest_mm=0, speed_tolerance=np.inf, fewest_drops=0)
     else:
-        trusted, quality = keep_trusted(reading.spectra)
+        trusted, quality = apply_quality_control(reading.spectra)
     return MeasuredFile(path=path, reading=reading, trusted=trusted, quality=quality)
 
 

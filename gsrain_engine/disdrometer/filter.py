@@ -37,7 +37,7 @@ class MaskReport:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class QualityReport:
+class QualityControlReport:
     """What quality control kept and removed; drops and records add up."""
 
     drops: float
@@ -67,14 +67,14 @@ class _Mask:
     """None where the mask needs fall speeds and there are none."""
 
 
-def keep_trusted(
+def apply_quality_control(
     spectra: DropSpectra,
     *,
     smallest_mm: float = 0.25,
     speed_tolerance: float = 0.6,
     fewest_drops: float = 10,
     classes: Bool[np.ndarray, "diameters velocities"] | None = None,
-) -> tuple[DropSpectra, QualityReport]:
+) -> tuple[DropSpectra, QualityControlReport]:
     """Remove the drops that can't be rain seen whole, then the records with too few drops left.
 
     In this order: drops below `smallest_mm`; margin fallers, cut by the rim of the light sheet so that they look too
@@ -103,7 +103,7 @@ def keep_trusted(
         drops=float(by_record[~enough].sum()),
         records=int((~enough).sum()),
     )
-    report = QualityReport(
+    report = QualityControlReport(
         drops=float(counts.sum()),
         drops_kept=float(by_record[enough].sum()),
         records=len(spectra),
@@ -171,7 +171,7 @@ def _rows(lines: list[str]) -> list[list[str]]:
 LARGEST_FILE = 256 * 2**20
 """Bytes, after inflation: about two months of a Parsivel's minutes as text."""
 
-MOST_LINES = 8_000_000
+MAX_LINES = 8_000_000
 """Of text: a telegram has a line a field, and some hundred bytes in each three or four."""
 
 _GZIP_MAGIC = b"\x1f\x8b"
@@ -184,7 +184,7 @@ _TEXT_CONTROLS = b"\t\n\v\f\r\x02\x03\x04\x1a"  # telegrams begin with STX and e
 
 
 @dataclass(frozen=True, slots=True)
-class Contents:
+class FileContents:
     """A file in memory."""
 
     path: Path
@@ -201,13 +201,13 @@ class Contents:
     @property
     def lines(self) -> list[str]:
         """Lines of text without their ends; Latin-1, which every byte is valid in."""
-        if self.data.count(b"\n") > MOST_LINES:
-            raise DisdrometerFileError(self.path, f"the file holds more than {MOST_LINES:,} lines: split it by days")
+        if self.data.count(b"\n") > MAX_LINES:
+            raise DisdrometerFileError(self.path, f"the file holds more than {MAX_LINES:,} lines: split it by days")
         text = self.data.decode("latin-1").removeprefix("\u00ef\u00bb\u00bf")
         return [line.rstrip("\r") for line in text.split("\n")]
 
 
-def read_contents(path: Path) -> Contents:
+def read_contents(path: Path) -> FileContents:
     """Read a whole file, inflating gzip.
 
     Raises `DisdrometerFileError` where the file is absent, empty, larger than `LARGEST_FILE`, or its gzip stream
@@ -226,7 +226,7 @@ def read_contents(path: Path) -> Contents:
         raise DisdrometerFileError(path, "the file is empty")
     if len(data) > LARGEST_FILE:
         raise _too_large(path)
-    return Contents(path, data, cut_off)
+    return FileContents(path, data, cut_off)
 
 
 def _too_large(path: Path) -> DisdrometerFileError:

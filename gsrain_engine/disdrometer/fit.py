@@ -12,19 +12,19 @@ from jaxtyping import Float64
 
 from ..rain.calibration import Calibration, Interval, Provenance, SourceFile, VelocityFit, save_calibration
 from ..rain.properties import DropSizes, flux_mm_h
-from ..rain.settings import Rain
+from ..rain.settings import RainSettings
 from ..safe_io.limits import open_file
-from ..safe_io.text_files import printable
-from .file_summary import MeasuredFile, check_rates, open_measured
+from ..safe_io.text_files import printable_line
+from .file_summary import MeasuredFile, check_rates, open_disdrometer_file
 from .fit_models import (
     ENOUGH_DROPS,
     FEWEST_MINUTES,
     NO_RAIN,
-    BinFit,
     ClassSpeeds,
     FitOptions,
     FittedCalibration,
     FittedRow,
+    IntensityBinFit,
     Minutes,
     assumed_velocity,
     fit_axis_ratio,
@@ -32,13 +32,13 @@ from .fit_models import (
     fit_velocity,
     fitted_classes,
     fitted_speeds,
-    interval,
+    percentile_interval,
     resampling_weights,
-    rounded,
+    round_significant,
     speed_weights,
     sum_minutes,
 )
-from .fit_models import MIN_DROPS_PER_BIN as FEWEST_DROPS_A_ROW
+from .fit_models import MIN_BIN_DROPS as FEWEST_DROPS_A_ROW
 from .spectra import DropSpectra, SingleDrops
 from .tables import TableColumns
 
@@ -94,7 +94,7 @@ def fit_calibration(
     )
 
 
-def _with_rates(fit: BinFit, velocity: VelocityFit) -> FittedRow:
+def _with_rates(fit: IntensityBinFit, velocity: VelocityFit) -> FittedRow:
     moments = DropSizes(float(fit.moments.shape[0]), float(fit.moments.scale_mm[0]))
     return FittedRow(
         middle_mm_h=fit.middle_mm_h,
@@ -136,12 +136,12 @@ def _velocity_confidence(
     whole = minutes.speed_sum[:, fitted].sum(axis=0) / counted[fitted]
     means = np.where(drops > 0, speeds / np.maximum(drops, 1), whole)
     a, b, c = np.polyfit(diameters_mm[fitted], means.T, 2, w=speed_weights(counted[fitted]))
-    return interval(a), interval(b), interval(c)
+    return percentile_interval(a), percentile_interval(b), percentile_interval(c)
 
 
 def _rounded(velocity: VelocityFit) -> VelocityFit:
-    a, b, c = (rounded(value) for value in velocity.coefficients)
-    return VelocityFit(coefficients=(a, b, c), r2=None if velocity.r2 is None else rounded(velocity.r2))
+    a, b, c = (round_significant(value) for value in velocity.coefficients)
+    return VelocityFit(coefficients=(a, b, c), r2=None if velocity.r2 is None else round_significant(velocity.r2))
 
 
 # § From disdrometer files to a calibration with its provenance.
@@ -162,8 +162,8 @@ def calibrate(
     columns: TableColumns | None = None,
     force: bool = False,
 ) -> FittedCalibration:
-    """Read files of one instrument and fit a calibration; raises as `open_measured` and `calibrate_files` do."""
-    files = [open_measured(Path(path), columns) for path in paths]
+    """Read files of one instrument and fit a calibration; raises as `open_disdrometer_file` does."""
+    files = [open_disdrometer_file(Path(path), columns) for path in paths]
     return calibrate_files(files, name=name, options=options, force=force)
 
 
@@ -179,11 +179,11 @@ def calibrate_files(
     options = options or FitOptions()
     instruments = list(dict.fromkeys(each.trusted.instrument for each in files))
     if len(instruments) > 1:
-        raise ValueError(f"files of {printable(' and '.join(instruments))}: calibrate each instrument by itself")
+        raise ValueError(f"files of {printable_line(' and '.join(instruments))}: calibrate each instrument by itself")
     disagreement = rates_problem(files)
     if disagreement is not None and not force:
         raise RatesDisagreeError(f"{disagreement}. Is it rain, and are these its classes?")
-    names = ", ".join(printable(each.path.name) for each in files)
+    names = ", ".join(printable_line(each.path.name) for each in files)
     try:
         fitted = fit_calibration(
             [each.trusted for each in files],
@@ -201,7 +201,7 @@ def calibrate_files(
 
 def rain_as_measured(
     paths: Sequence[Path | str], intensity_mm_h: float | None = None, *, save_to: Path | str | None = None
-) -> Rain:
+) -> RainSettings:
     """Fit a calibration to files of one instrument, save it, and return rain that falls by it.
 
     Args:
@@ -225,7 +225,7 @@ def rain_as_measured(
         if not len(wet):
             raise ValueError(f"{files[0]}: no minute has {WET_MINUTE_MM_H:g} mm/h or more; give an intensity")
         intensity_mm_h = float(wet.mean())
-    return Rain(intensity_mm_h=intensity_mm_h, calibration=str(save_to))
+    return RainSettings(intensity_mm_h=intensity_mm_h, calibration=str(save_to))
 
 
 def rates_problem(files: Sequence[MeasuredFile]) -> str | None:
@@ -235,7 +235,7 @@ def rates_problem(files: Sequence[MeasuredFile]) -> str | None:
         if check is not None and check.problem is not None:
             used = check_rates([each.trusted])
             left = f"; of the drops that would be used: {used.figures}" if used is not None else ""
-            return f"{printable(each.path.name)}: {check.problem}{left}"
+            return f"{printable_line(each.path.name)}: {check.problem}{left}"
     together = check_rates([each.reading.spectra for each in files])
     problem = None if together is None else together.problem
     return None if problem is None else f"{len(files)} files together: {problem}"

@@ -154,7 +154,7 @@ def _scoring_step(
 
 # § Fall speed over diameter (paper, eq. 9): a quadratic through the mean speed of each diameter class.
 
-MIN_DROPS_PER_CLASS = 10
+MIN_SPEED_DROPS = 10
 """A class with fewer drops doesn't tell a mean speed."""
 
 _DROPS_M_S = 0.8
@@ -168,7 +168,7 @@ def fitted_speeds(
     diameters_mm: Float64[np.ndarray, " classes"], drops: Float64[np.ndarray, " classes"]
 ) -> Bool[np.ndarray, " classes"]:
     """Classes that the quadratic goes through: at least `FEWEST_DROPS` drops, none larger than rain has."""
-    return (drops >= MIN_DROPS_PER_CLASS) & (diameters_mm < LARGEST_MM)
+    return (drops >= MIN_SPEED_DROPS) & (diameters_mm < LARGEST_MM)
 
 
 def speed_weights(drops: Float64[np.ndarray, " classes"]) -> Float64[np.ndarray, " classes"]:
@@ -188,8 +188,7 @@ def fit_velocity(
     used = fitted_speeds(diameters_mm, drops)
     if used.sum() < 4:
         raise ValueError(
-            f"fall speed: {used.sum()} diameter classes with at least {MIN_DROPS_PER_CLASS} drops, "
-            "expected four or more"
+            f"fall speed: {used.sum()} diameter classes with at least {MIN_SPEED_DROPS} drops, expected four or more"
         )
     d, v, w = diameters_mm[used], mean_speeds_m_s[used], speed_weights(drops[used])
     coefficients = np.polyfit(d, v, 2, w=w)
@@ -273,13 +272,13 @@ def resampling_weights(minutes: int, resamples: int, generator: np.random.Genera
     return generator.multinomial(minutes, np.full(minutes, 1 / minutes), size=resamples).astype(np.float64)
 
 
-def interval(values: Float64[np.ndarray, " resamples"]) -> Interval:
+def percentile_interval(values: Float64[np.ndarray, " resamples"]) -> Interval:
     """The middle 95 %, to four digits."""
     low, high = np.quantile(values, _TAILS)
-    return rounded(low), rounded(high)
+    return round_significant(low), round_significant(high)
 
 
-def rounded(value: float) -> float:
+def round_significant(value: float) -> float:
     """Four digits: more than any of these numbers is worth."""
     return float(f"{value:.4g}")
 
@@ -360,18 +359,18 @@ def _minute_of_record(spectra: DropSpectra) -> tuple[Int64[np.ndarray, " records
 
 # § Rows of a calibration: minutes of like intensity, and the drops in a cubic metre of them.
 
-MIN_DROPS_PER_BIN = 500
+MIN_BIN_DROPS = 500
 
 ENOUGH_DROPS = 5000
 """A bin takes five minutes and 500 drops, or 5000 drops: then even one minute has a spectrum of its own."""
 
 NO_RAIN = "no rain"
 
-_LEAST_OF_A_CLASS = 50
+_MIN_OF_A_CLASS = 50
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class BinFit:
+class IntensityBinFit:
     """A row before the fall speed is known."""
 
     middle_mm_h: float
@@ -388,14 +387,14 @@ def fitted_classes(minutes: Minutes, edges_mm: Float64[np.ndarray, " d_and_one"]
 
     Raises `ValueError` when fewer than three are left.
     """
-    counted = minutes.drops.sum(axis=0) >= _LEAST_OF_A_CLASS
+    counted = minutes.drops.sum(axis=0) >= _MIN_OF_A_CLASS
     open_to_fit = (edges_mm[:-1] >= max(smallest_mm, SMALLEST_MM) - 1e-9) & (edges_mm[1:] <= LARGEST_MM + 1e-9)
     first = np.flatnonzero(counted & open_to_fit)
     last = np.flatnonzero(open_to_fit)
     if not first.size or last[-1] - first[0] < 2:
         raise ValueError(
             f"too few drops to fit: {minutes.drops.sum():,.0f} can be trusted; expected three diameter classes within "
-            f"{max(smallest_mm, SMALLEST_MM):g}..{LARGEST_MM:g} mm, the first with {_LEAST_OF_A_CLASS} drops or more"
+            f"{max(smallest_mm, SMALLEST_MM):g}..{LARGEST_MM:g} mm, the first with {_MIN_OF_A_CLASS} drops or more"
         )
     return slice(int(first[0]), int(last[-1]) + 1)
 
@@ -431,10 +430,10 @@ class FitOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 def fit_rows(
     minutes: Minutes, edges_mm: Float64[np.ndarray, " d_and_one"], classes: slice, options: FitOptions
-) -> tuple[list[BinFit], list[str]]:
+) -> tuple[list[IntensityBinFit], list[str]]:
     """Fit a row for each bin with enough drops; for each other bin, a sentence that says why not."""
     generator = np.random.default_rng(options.seed)
-    fits: list[BinFit] = []
+    fits: list[IntensityBinFit] = []
     passed_over: list[str] = []
     for middle in sorted(set(options.intensities_mm_h)):
         picked = np.abs(minutes.rate_mm_h - middle) <= options.half_width * middle
@@ -452,7 +451,7 @@ def fit_rows(
 def _why_not(minutes: Minutes, classes: slice, picked: Bool[np.ndarray, " minutes"]) -> str:
     by_class = minutes.drops[picked, classes].sum(axis=0)
     count, drops = int(picked.sum()), int(by_class.sum())
-    if drops < MIN_DROPS_PER_BIN or (count < FEWEST_MINUTES and drops < ENOUGH_DROPS):
+    if drops < MIN_BIN_DROPS or (count < FEWEST_MINUTES and drops < ENOUGH_DROPS):
         return f"{count} minutes with {drops} drops" if count else NO_RAIN
     if np.count_nonzero(by_class) < 3:
         return f"{drops} drops in fewer than three diameter classes"
@@ -467,7 +466,7 @@ def _fit_bin(
     middle_mm_h: float,
     resamples: int,
     generator: np.random.Generator,
-) -> BinFit:
+) -> IntensityBinFit:
     seconds, in_air = minutes.seconds[picked], minutes.density_seconds[picked]
     edges = edges_mm[classes.start : classes.stop + 1]
     density = in_air.sum(axis=0) / seconds.sum()
@@ -480,17 +479,17 @@ def _fit_bin(
         densities = densities[(densities > 0).sum(axis=1) >= 3]
         others = fit_by_likelihood(densities, edges)
         confidence = RowConfidence(
-            density_m3=interval(_whole_density(densities, others, edges)),
-            shape=interval(others.shape),
-            scale_mm=interval(others.scale_mm),
+            density_m3=percentile_interval(_whole_density(densities, others, edges)),
+            shape=percentile_interval(others.shape),
+            scale_mm=percentile_interval(others.scale_mm),
         )
-    return BinFit(
+    return IntensityBinFit(
         middle_mm_h=middle_mm_h,
         row=CalibrationRow(
-            intensity_mm_h=rounded(float(minutes.rate_mm_h[picked] @ seconds / seconds.sum())),
-            density_m3=rounded(number[0]),
-            shape=rounded(laws.shape[0]),
-            scale_mm=rounded(laws.scale_mm[0]),
+            intensity_mm_h=round_significant(float(minutes.rate_mm_h[picked] @ seconds / seconds.sum())),
+            density_m3=round_significant(number[0]),
+            shape=round_significant(laws.shape[0]),
+            scale_mm=round_significant(laws.scale_mm[0]),
             confidence=confidence,
         ),
         picked=picked,

@@ -21,7 +21,7 @@ from .fit_models import AxisRatios, FittedCalibration, FittedRow
 
 _SIZE_INCHES, _DPI = (13.0, 7.6), 150
 
-_MOST_SPECTRA = 6
+_MAX_SPECTRA = 6
 
 _INK, _FIT, _OTHER, _FAINT = "#222222", "#c4442b", "#2b6cb0", "#9aa3ad"
 
@@ -106,7 +106,7 @@ def _law(each: FittedRow, d: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "
 
 def _spread(rows: tuple[FittedRow, ...]) -> list[FittedRow]:
     """A few rows, from the first to the last: more spectra than that can't be told apart."""
-    picked = np.unique(np.rint(np.linspace(0, len(rows) - 1, min(len(rows), _MOST_SPECTRA))).astype(int))
+    picked = np.unique(np.rint(np.linspace(0, len(rows) - 1, min(len(rows), _MAX_SPECTRA))).astype(int))
     return [rows[i] for i in picked]
 
 

@@ -11,7 +11,7 @@ import sys
 LARGEST_DATASET = 2 * 2**30
 """Bytes of all variables once unpacked."""
 
-_LEAST_S, _PER_BYTE_S = 30.0, 1e-7
+_MIN_S, _PER_BYTE_S = 30.0, 1e-7
 """How long the trial may take: to load the libraries, and for a file's bytes."""
 
 
@@ -22,7 +22,7 @@ def passes_trial(data: bytes) -> bool:
     try:
         tried = subprocess.run(
             [sys.executable, "-P", __file__], input=data, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-            timeout=_LEAST_S + _PER_BYTE_S * len(data), check=False,
+            timeout=_MIN_S + _PER_BYTE_S * len(data), check=False,
         )  # fmt: skip
     except subprocess.TimeoutExpired:
         return False

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64, Shaped
 
 from ..rain.calibration import atlas_velocity
-from .spectra import DropSpectra, Reading, Record
+from .spectra import DisdrometerReading, DropSpectra, SpectrumRecord
 
 logger = logging.getLogger("gsrain")
 
@@ -33,7 +33,9 @@ class Instrument:
         """Number of diameter and of fall-speed classes."""
         return len(self.diameter_edges_mm) - 1, len(self.velocity_edges_m_s) - 1
 
-    def reading_of(self, path: Path, records: list[Record], written: Order, skipped: list[str]) -> Reading:
+    def reading_of(
+        self, path: Path, records: list[SpectrumRecord], written: Order, skipped: list[str]
+    ) -> DisdrometerReading:
         """Spectra of records whose counts run in the maker's order, unless the rain rate says otherwise."""
         return self.reading(
             path,
@@ -54,8 +56,8 @@ class Instrument:
         seconds: Float64[np.ndarray, " records"],
         reported_mm_h: Float64[np.ndarray, " records"],
         skipped: list[str],
-    ) -> Reading:
-        arranged, order = arrange(
+    ) -> DisdrometerReading:
+        arranged, order = arrange_spectrum(
             counts,
             written,
             diameter_edges_mm=self.diameter_edges_mm,
@@ -76,7 +78,7 @@ class Instrument:
             area_m2=self.area_m2,
             reported_mm_h=reported_mm_h,
         )
-        return Reading(spectra=spectra, skipped=tuple(skipped))
+        return DisdrometerReading(spectra=spectra, skipped=tuple(skipped))
 
 
 # § Classes and measuring area of the OTT Parsivel (Parsivel2 manual, appendix C: 32 diameters, 32 fall speeds).
@@ -126,7 +128,7 @@ _WORST_RATIO = 3.0
 _ENOUGH_DROPS = 50
 
 
-def arrange(
+def arrange_spectrum(
     counts: Float64[np.ndarray, "records classes"],
     written: Order,
     *,

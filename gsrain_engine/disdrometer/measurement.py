@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from ..rain.properties import LARGEST_MM, SMALLEST_MM, RainState
+from ..rain.properties import LARGEST_MM, SMALLEST_MM, RainProperties
 from .spectra import DropSpectra
 
 INSTRUMENT = "GSRAIN virtual disdrometer"
@@ -21,10 +21,10 @@ _MM_PER_M, _SECONDS_PER_HOUR = 1e3, 3600
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class CountedDrops:
+class DisdrometerMeasurement:
     """Drops of each class of the field, record by record. All drops of a class are alike in size and speed."""
 
-    state: RainState
+    state: RainProperties
     """The rain that was asked for."""
     times_s: Float64[np.ndarray, " records_and_one"]
     """Simulated time; a record goes from each to the next."""

@@ -11,14 +11,14 @@ from jaxtyping import Bool, Float64, Shaped
 from ..scene.files import whole_file
 from .instruments import PARSIVEL, THIES, Instrument
 from .spectra import (
-    MOST_COUNTS,
-    MOST_DROPS,
+    MAX_COUNTS,
+    MAX_DROPS,
     DisdrometerFileError,
+    DisdrometerReading,
     DropSpectra,
-    Reading,
     UnknownKindError,
+    median_step_s,
     no_record_left,
-    usual_step_s,
 )
 
 _MM_H = {"mm/h": 1.0, "mm/s": 3600.0, "m/s": 3.6e6, "kg/m2/s": 3600.0}
@@ -86,7 +86,7 @@ def record_seconds(
     dataset: xr.Dataset, dimension: str, times: Shaped[np.ndarray, " records"]
 ) -> Float64[np.ndarray, " records"]:
     """Length of each record in s: what the file says, else the usual step from one to the next."""
-    step = usual_step_s(list(np.sort(times)))
+    step = median_step_s(list(np.sort(times)))
     for name in _INTERVALS:
         if name in dataset and dataset[name].dims in ((), (dimension,)):
             stated = dataset[name].to_numpy().astype(np.float64)
@@ -99,7 +99,7 @@ def usable_records(
     counts: Float64[np.ndarray, "records classes"], times: Shaped[np.ndarray, " records"]
 ) -> tuple[Bool[np.ndarray, " records"], list[str]]:
     """Which records have counts that are all numbers from 0 on, and a sentence for each of the others."""
-    good = (counts >= 0) & (counts <= MOST_DROPS)
+    good = (counts >= 0) & (counts <= MAX_DROPS)
     usable = np.asarray(good.all(axis=1))
     wrong = "drop counts are missing, negative or beyond any rain"
     skipped = [
@@ -166,7 +166,7 @@ def is_gsrain_spectra(dataset: xr.Dataset) -> bool:
     return FORMAT_ATTRIBUTE in dataset.attrs
 
 
-def read_gsrain_spectra(path: Path, dataset: xr.Dataset) -> Reading:
+def read_gsrain_spectra(path: Path, dataset: xr.Dataset) -> DisdrometerReading:
     """Read what `write_spectra` wrote. Raises `DisdrometerFileError` where an array is missing or can't be right."""
     version = dataset.attrs[FORMAT_ATTRIBUTE]
     if version != _VERSION:
@@ -175,7 +175,7 @@ def read_gsrain_spectra(path: Path, dataset: xr.Dataset) -> Reading:
     if missing:
         raise DisdrometerFileError(path, f"{missing[0]} is missing")
     try:
-        return Reading(spectra=_spectra(dataset))
+        return DisdrometerReading(spectra=_spectra(dataset))
     except ValueError as error:
         raise DisdrometerFileError(path, str(error)) from None
 
@@ -236,7 +236,7 @@ class _Axes(NamedTuple):
     velocity: str
 
 
-def read_instrument_spectra(path: Path, dataset: xr.Dataset) -> Reading:
+def read_instrument_spectra(path: Path, dataset: xr.Dataset) -> DisdrometerReading:
     """Read the variable with time, diameter and fall speed as its dimensions, in whichever order.
 
     The instrument is told by its classes, Parsivel's or Thies's: with them comes its measuring area. Raises
@@ -245,7 +245,7 @@ def read_instrument_spectra(path: Path, dataset: xr.Dataset) -> Reading:
     """
     axes = _axes(path, dataset)
     spectrum = dataset[axes.variable].transpose(axes.time, axes.diameter, axes.velocity)
-    if spectrum.size > MOST_COUNTS:
+    if spectrum.size > MAX_COUNTS:
         raise DisdrometerFileError(path, f"{spectrum.shape[0]} spectra: split the file by days")
     if spectrum.shape[0] == 0:
         raise DisdrometerFileError(path, no_record_left(()))

@@ -46,12 +46,12 @@ def with_whole_records(data: bytes) -> tuple[bytes, int, int]:
 def record_layout(data: bytes) -> RecordLayout:
     """Read the header; raises `ValueError` where it is cut off or damaged."""
     try:
-        return _Header(data).layout()
+        return _NetcdfHeader(data).layout()
     except (struct.error, KeyError, IndexError, OverflowError):
         raise ValueError("its header is cut off or damaged") from None
 
 
-class _Header:
+class _NetcdfHeader:
     """A cursor over the header."""
 
     def __init__(self, data: bytes):

@@ -8,10 +8,10 @@ from pathlib import Path
 import h5py
 import xarray as xr
 
-from ..plugins import DISDROMETERS, Extension, ExtensionError, loaded
+from ..plugins import DISDROMETERS, Extension, ExtensionError, load_extensions
 from ..safe_io.limits import kind_of_bytes
 from .disdrodb import is_disdrodb, read_disdrodb
-from .filter import Contents, is_class_mask, read_contents
+from .filter import FileContents, is_class_mask, read_contents
 from .hdf5_trial import LARGEST_DATASET, passes_trial
 from .netcdf import is_gsrain_spectra, read_gsrain_spectra, read_instrument_spectra
 from .netcdf_repair import with_whole_records
@@ -23,7 +23,7 @@ from .parsivel import (
     read_parsivel_log,
     read_parsivel_telegrams,
 )
-from .spectra import DisdrometerFileError, Reading, SingleDrops, UnknownKindError
+from .spectra import DisdrometerFileError, DisdrometerReading, SingleDrops, UnknownKindError
 from .tables import (
     TableColumns,
     is_minute_table,
@@ -43,7 +43,7 @@ from .two_dvd import (
     read_two_dvd_minutes,
 )
 
-__all__ = ["DisdrometerFileError", "Reading", "SingleDrops", "UnknownKindError", "read_disdrometer"]
+__all__ = ["DisdrometerFileError", "DisdrometerReading", "SingleDrops", "UnknownKindError", "read_disdrometer"]
 
 _TEXTS = (
     (is_parsivel_telegrams, read_parsivel_telegrams),
@@ -53,7 +53,7 @@ _TEXTS = (
 )
 
 
-def read_disdrometer(path: Path, columns: TableColumns | None = None) -> Reading:
+def read_disdrometer(path: Path, columns: TableColumns | None = None) -> DisdrometerReading:
     """Read a disdrometer file: OTT Parsivel, Thies LNM, Joss-Waldvogel, 2DVD, APU, RainSense's intensity; gzip or not.
 
     A table of text is read by its `columns` where they are given. Records that can't be used are left out and named in
@@ -74,13 +74,13 @@ def read_disdrometer(path: Path, columns: TableColumns | None = None) -> Reading
     return _with_cut(_read_text(path, contents), contents)
 
 
-def _with_cut(reading: Reading, contents: Contents) -> Reading:
+def _with_cut(reading: DisdrometerReading, contents: FileContents) -> DisdrometerReading:
     if contents.cut_off:
         return replace(reading, skipped=(*reading.skipped, "end of file: the gzip stream is cut off"))
     return reading
 
 
-def _read_text(path: Path, contents: Contents) -> Reading:
+def _read_text(path: Path, contents: FileContents) -> DisdrometerReading:
     lines = contents.lines
     dialect = parsivel_log_dialect(lines)
     if dialect is not None:
@@ -101,7 +101,7 @@ def _read_text(path: Path, contents: Contents) -> Reading:
     raise _unknown_kind(contents, "line 1")
 
 
-def _unknown_kind(contents: Contents, where: str) -> UnknownKindError:
+def _unknown_kind(contents: FileContents, where: str) -> UnknownKindError:
     """Name the kind that the file is of, where its first bytes say it; else the kinds that can be read."""
     path = contents.path
     kind = kind_of_bytes(contents.data, path.suffix.lower())
@@ -120,7 +120,7 @@ def is_netcdf(data: bytes) -> bool:
     return data.startswith((*_CLASSIC, _HDF5))
 
 
-def read_netcdf(path: Path, data: bytes) -> Reading:
+def read_netcdf(path: Path, data: bytes) -> DisdrometerReading:
     """Read single drops (2DVD), drops by diameter (Joss-Waldvogel), or spectra of diameter and fall speed.
 
     A classic file that ends too early gives its whole records. Raises `DisdrometerFileError` where the file is damaged,
@@ -140,7 +140,7 @@ def read_netcdf(path: Path, data: bytes) -> Reading:
     return replace(reading, skipped=(*reading.skipped, lost)) if lost else reading
 
 
-def _read(path: Path, dataset: xr.Dataset) -> Reading:
+def _read(path: Path, dataset: xr.Dataset) -> DisdrometerReading:
     if is_gsrain_spectra(dataset):
         return read_gsrain_spectra(path, dataset)
     if is_two_dvd(dataset):
@@ -203,25 +203,25 @@ class LogFormat:
 
     recognizes: Callable[[list[str]], bool]
     """Whether lines look like this kind: quick, and without an exception."""
-    read: Callable[[Path, list[str]], Reading]
+    read: Callable[[Path, list[str]], DisdrometerReading]
     """Read them; raises `DisdrometerFileError` where no record can be used."""
 
 
-def read_by_packages(path: Path, lines: list[str]) -> Reading | None:
+def read_by_packages(path: Path, lines: list[str]) -> DisdrometerReading | None:
     """Read lines by the first installed package that knows them; None where none does.
 
     Raises `DisdrometerFileError` where that fails.
     """
-    for extension, kind in loaded(DISDROMETERS, LogFormat):
+    for extension, kind in load_extensions(DISDROMETERS, LogFormat):
         reading = _read_installed(path, lines, extension, kind)
         if reading is not None:
             return reading
     return None
 
 
-def _read_installed(path: Path, lines: list[str], extension: Extension, kind: LogFormat) -> Reading | None:
+def _read_installed(path: Path, lines: list[str], extension: Extension, kind: LogFormat) -> DisdrometerReading | None:
     try:
-        return extension.expect(kind.read(path, lines), Reading, "reads") if kind.recognizes(lines) else None
+        return extension.expect(kind.read(path, lines), DisdrometerReading, "reads") if kind.recognizes(lines) else None
     except (DisdrometerFileError, OSError, MemoryError):
         raise
     except ExtensionError as error:

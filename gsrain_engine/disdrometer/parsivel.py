@@ -10,7 +10,17 @@ import numpy as np
 from jaxtyping import Float64
 
 from .instruments import CLASSES, PARSIVEL
-from .spectra import DisdrometerFileError, Reading, Record, RecordError, drop_counts, gather, interval_s, rain_rate, utc
+from .spectra import (
+    DisdrometerFileError,
+    DisdrometerReading,
+    RecordError,
+    SpectrumRecord,
+    parse_drop_counts,
+    parse_interval_s,
+    parse_rain_rate,
+    parse_records,
+    parse_utc,
+)
 
 _COUNTS = CLASSES * CLASSES
 
@@ -48,13 +58,13 @@ def is_parsivel_asdo(lines: list[str]) -> bool:
     return any(_OPEN in line for line in lines[:_LOOK_AHEAD])
 
 
-def read_parsivel_asdo(path: Path, lines: list[str]) -> Reading:
+def read_parsivel_asdo(path: Path, lines: list[str]) -> DisdrometerReading:
     """Read an ASDO file; where it has no header, date, time and rain rate come first.
 
     Raises `DisdrometerFileError` where no record can be used, or where its header has no rain rate or changes.
     """
     columns = _columns_of(path, lines)
-    records, skipped = gather(path, _records(path, lines, columns), lambda line: _record(line, columns))
+    records, skipped = parse_records(path, _records(path, lines, columns), lambda line: _record(line, columns))
     return PARSIVEL.reading_of(path, records, "velocities first", skipped)
 
 
@@ -99,7 +109,7 @@ def _records(path: Path, lines: list[str], columns: _Columns) -> Iterator[tuple[
         yield f"line {i + 1}", line
 
 
-def _record(line: str, columns: _Columns) -> Record:
+def _record(line: str, columns: _Columns) -> SpectrumRecord:
     """Chosen columns;<SPECTRUM>counts, none for 0</SPECTRUM>, or ZERO for all."""
     head, opened, rest = line.partition(_OPEN)
     spectrum, closed, _ = rest.partition(_CLOSE)
@@ -112,11 +122,13 @@ def _record(line: str, columns: _Columns) -> Record:
     rate = values[columns.rate]
     separator = max(";,\t", key=spectrum.count)
     counts = [value.strip() or "0" for value in spectrum.removesuffix(separator).split(separator)]
-    return Record(
-        time=utc(f"{values[columns.date]} {values[columns.time]}", *(f"{form} %H:%M:%S" for form in columns.dates)),
+    return SpectrumRecord(
+        time=parse_utc(
+            f"{values[columns.date]} {values[columns.time]}", *(f"{form} %H:%M:%S" for form in columns.dates)
+        ),
         seconds=float("nan"),
-        reported_mm_h=rain_rate(rate if columns.separator == "," else rate.replace(",", ".")),
-        counts=np.zeros(_COUNTS) if spectrum.strip() == "ZERO" else drop_counts(counts, _COUNTS),
+        reported_mm_h=parse_rain_rate(rate if columns.separator == "," else rate.replace(",", ".")),
+        counts=np.zeros(_COUNTS) if spectrum.strip() == "ZERO" else parse_drop_counts(counts, _COUNTS),
     )
 
 
@@ -131,7 +143,7 @@ class Dialect:
 
     marks: re.Pattern[str]
     """Found in a line that only this kind of log has."""
-    parse: Callable[[str], Record]
+    parse: Callable[[str], SpectrumRecord]
     """Raises `RecordError` where the line can't be used."""
 
 
@@ -142,9 +154,9 @@ def parsivel_log_dialect(lines: list[str]) -> Dialect | None:
     return next(found, None)
 
 
-def read_parsivel_log(path: Path, lines: list[str], dialect: Dialect) -> Reading:
+def read_parsivel_log(path: Path, lines: list[str], dialect: Dialect) -> DisdrometerReading:
     """Read a log of this dialect; raises `DisdrometerFileError` where no record can be used."""
-    records, skipped = gather(path, _log_records(lines), dialect.parse)
+    records, skipped = parse_records(path, _log_records(lines), dialect.parse)
     return PARSIVEL.reading_of(path, records, "velocities first", skipped)
 
 
@@ -156,7 +168,7 @@ def _log_records(lines: list[str]) -> Iterator[tuple[str, str]]:
 
 def parsivel_counts(text: str, separator: str) -> Float64[np.ndarray, " 1024"]:
     """Counts of one spectrum, with or without a separator at the end."""
-    return drop_counts(text.strip().removesuffix(separator).split(separator), _COUNTS)
+    return parse_drop_counts(text.strip().removesuffix(separator).split(separator), _COUNTS)
 
 
 def _fields(line: str, at_least: int) -> list[str]:
@@ -169,18 +181,18 @@ def _fields(line: str, at_least: int) -> list[str]:
     return values
 
 
-def _locarno(line: str) -> Record:
+def _locarno(line: str) -> SpectrumRecord:
     """id, lat, lon, time, logger T, logger V, rate, ..., "32 N(D)", "32 v(D)", "1024 counts"."""
     values = _fields(line, 23)
-    return Record(
-        time=utc(values[3], "%d-%m-%Y %H:%M:%S"),
+    return SpectrumRecord(
+        time=parse_utc(values[3], "%d-%m-%Y %H:%M:%S"),
         seconds=float("nan"),
-        reported_mm_h=rain_rate(values[6]),
+        reported_mm_h=parse_rain_rate(values[6]),
         counts=parsivel_counts(values[22], ","),
     )
 
 
-def _station(line: str) -> Record:
+def _station(line: str) -> SpectrumRecord:
     """time; rate; ...; interval (6); ...; 32 N(D); 32 v(D); 1024 counts, joined by ; or by /."""
     values = line.strip().split(";")
     if not re.match(r"\d{14}", values[0]):
@@ -189,10 +201,10 @@ def _station(line: str) -> Record:
         raise RecordError(f"{len(values)} fields instead of at least 83: the record is cut off")
     slashed = "/" in values[82]
     counts = values[82].removesuffix("R").removesuffix("/") if slashed else ";".join(values[82:])
-    return Record(
-        time=utc(values[0], "%Y%m%d%H%M%S", "%Y%m%d%H%M%S.%f"),
-        seconds=interval_s(values[6]),
-        reported_mm_h=rain_rate(values[1]),
+    return SpectrumRecord(
+        time=parse_utc(values[0], "%Y%m%d%H%M%S", "%Y%m%d%H%M%S.%f"),
+        seconds=parse_interval_s(values[6]),
+        reported_mm_h=parse_rain_rate(values[1]),
         counts=parsivel_counts(counts, "/" if slashed else ";"),
     )
 
@@ -216,9 +228,9 @@ def is_parsivel_telegrams(lines: list[str]) -> bool:
     return any(re.match(r"^01:\d+\.\d+\s*$", line) for line in lines[:200])
 
 
-def read_parsivel_telegrams(path: Path, lines: list[str]) -> Reading:
+def read_parsivel_telegrams(path: Path, lines: list[str]) -> DisdrometerReading:
     """Read telegrams that begin with field 01; raises `DisdrometerFileError` where none is whole."""
-    records, skipped = gather(path, _telegrams(lines), _telegram_record)
+    records, skipped = parse_records(path, _telegrams(lines), _telegram_record)
     return PARSIVEL.reading_of(path, records, "velocities first", skipped)
 
 
@@ -231,14 +243,14 @@ def _telegrams(lines: list[str]) -> Iterator[tuple[str, str]]:
             start = i
 
 
-def _telegram_record(telegram: str) -> Record:
+def _telegram_record(telegram: str) -> SpectrumRecord:
     fields = {match[1]: match[2] for line in telegram.split("\n") if (match := _FIELD.match(line))}
     for field, name in _NEEDED.items():
         if field not in fields:
             raise RecordError(f"field {field} ({name}) is missing: the telegram is cut off")
-    return Record(
-        time=utc(f"{fields['21'].strip()} {fields['20'].strip()}", "%d.%m.%Y %H:%M:%S", "%d.%m.%y %H:%M:%S"),
-        seconds=interval_s(fields["09"]),
-        reported_mm_h=rain_rate(fields["01"]),
+    return SpectrumRecord(
+        time=parse_utc(f"{fields['21'].strip()} {fields['20'].strip()}", "%d.%m.%Y %H:%M:%S", "%d.%m.%y %H:%M:%S"),
+        seconds=parse_interval_s(fields["09"]),
+        reported_mm_h=parse_rain_rate(fields["01"]),
         counts=parsivel_counts(fields["93"], ";"),
     )

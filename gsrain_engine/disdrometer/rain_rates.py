@@ -5,15 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from ..rain.keyframes import HEAVIEST_MM_H, LONGEST_S, Weather, from_series
-from .spectra import Reading
+from ..rain.keyframes import HEAVIEST_MM_H, LONGEST_S, RainKeyframes, keyframes_from_series
+from .spectra import DisdrometerReading
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class MeasuredWeather:
+class MeasuredKeyframes:
     """A weather from a file, and what had to be done to its series."""
 
-    weather: Weather
+    weather: RainKeyframes
     records: int
     """That were taken."""
     left_out: int
@@ -33,7 +33,9 @@ class MeasuredWeather:
         return "; ".join(words)
 
 
-def from_spectra(reading: Reading, *, speed_up: float = 1.0, start_s: float = 0.0) -> MeasuredWeather:
+def keyframes_from_spectra(
+    reading: DisdrometerReading, *, speed_up: float = 1.0, start_s: float = 0.0
+) -> MeasuredKeyframes:
     """Return the rates of a disdrometer's records as keys of the intensity, each in the middle of its record.
 
     The rate is the instrument's own, else that of the drops it counted. The first key stands at `start_s`; time goes
@@ -46,8 +48,8 @@ def from_spectra(reading: Reading, *, speed_up: float = 1.0, start_s: float = 0.
     spectra = reading.spectra
     rates = np.where(np.isfinite(spectra.reported_mm_h), spectra.reported_mm_h, spectra.rate_mm_h)
     if len(spectra) == 1 and np.isnat(spectra.times[0]) and np.isfinite(rates[0]):
-        weather = from_series(np.array([start_s]), rates)
-        return MeasuredWeather(weather=weather, records=1, left_out=0, cut_off=int(rates[0] > 100), duration_s=0.0)
+        weather = keyframes_from_series(np.array([start_s]), rates)
+        return MeasuredKeyframes(weather=weather, records=1, left_out=0, cut_off=int(rates[0] > 100), duration_s=0.0)
     usable = ~np.isnat(spectra.times) & np.isfinite(rates) & (rates >= 0)
     if not usable.any():
         raise ValueError(f"{spectra.instrument}: no record has a time and a rain rate")
@@ -61,8 +63,8 @@ def from_spectra(reading: Reading, *, speed_up: float = 1.0, start_s: float = 0.
             f"{spectra.instrument}: records over {times[-1]:.3g} s, a weather lasts {LONGEST_S:g} s at most: one "
             "of them has a wrong time, or the file is to be split"
         )
-    return MeasuredWeather(
-        weather=from_series(times, rates),
+    return MeasuredKeyframes(
+        weather=keyframes_from_series(times, rates),
         records=len(times),
         left_out=len(spectra) - len(times),
         cut_off=int(np.sum(rates > HEAVIEST_MM_H)),

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float64, Shaped
 
-from ..safe_io.text_files import printable
+from ..safe_io.text_files import printable_line
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -91,7 +91,7 @@ class DisdrometerFileError(ValueError):
     """A file from which no record can be taken, in one sentence: which file, which record, and why."""
 
     def __init__(self, path: Path, reason: str):
-        super().__init__(f"{path}: {printable(reason)}")
+        super().__init__(f"{path}: {printable_line(reason)}")
 
 
 KNOWN_KINDS = (
@@ -110,7 +110,7 @@ class UnknownKindError(DisdrometerFileError):
 
     def __init__(self, path: Path, what: str, kind: str | None = None):
         other = "of any other table of text say which column is what, by --columns FILE.yaml"
-        known = f"{printable(what)}; known are {KNOWN_KINDS}; {other}"
+        known = f"{printable_line(what)}; known are {KNOWN_KINDS}; {other}"
         self.problem = known if kind is None else f"not a disdrometer file; it is {kind}"
         self.kind = kind
         ValueError.__init__(self, f"{path}: {self.problem}")
@@ -134,7 +134,7 @@ class SingleDrops:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Reading:
+class DisdrometerReading:
     """One file, read."""
 
     spectra: DropSpectra
@@ -146,13 +146,13 @@ class Reading:
 
 # § Records of a disdrometer's log, one by one: numbers and times from text, and what makes spectra of them.
 
-MOST_COUNTS = 2**27
+MAX_COUNTS = 2**27
 """Numbers in all spectra of one file: 1 GiB, or three months of a Parsivel's minutes."""
 
 FACTORY_SECONDS = 60.0
 """Length of a record where the file neither states nor shows it: what the makers set."""
 
-MOST_DROPS = 1e9
+MAX_DROPS = 1e9
 """In one class of one record: more is damage, not rain."""
 
 LONGEST_RECORD_S = 3600.0
@@ -167,7 +167,7 @@ class RecordError(ValueError):
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Record:
+class SpectrumRecord:
     """One spectrum as its file writes it."""
 
     time: np.datetime64
@@ -180,15 +180,15 @@ class Record:
     """In the order of the file."""
 
 
-def gather(
-    path: Path, numbered: Iterable[tuple[str, str]], parse: Callable[[str], Record]
-) -> tuple[list[Record], list[str]]:
+def parse_records(
+    path: Path, numbered: Iterable[tuple[str, str]], parse: Callable[[str], SpectrumRecord]
+) -> tuple[list[SpectrumRecord], list[str]]:
     """Parse each record; those that can't be used become sentences.
 
     `numbered` says where a record stands ("line 7") and its text. Returns the records in order of time, each with
     its length. Raises `DisdrometerFileError` where none is left or where they are more than memory allows.
     """
-    records: list[Record] = []
+    records: list[SpectrumRecord] = []
     skipped: list[str] = []
     last: tuple[np.datetime64, str] | None = None
     size = 0
@@ -202,7 +202,7 @@ def gather(
             continue
         last = (record.time, text)
         size += len(record.counts)
-        if size > MOST_COUNTS:
+        if size > MAX_COUNTS:
             raise DisdrometerFileError(path, f"{where}: more than {len(records)} spectra: split the file by days")
         records.append(record)
     if not records:
@@ -218,21 +218,21 @@ def no_record_left(skipped: Sequence[str]) -> str:
     return f"no record can be used: {skipped[0]}{more}"
 
 
-def usual_step_s(times: Sequence[np.datetime64]) -> float:
+def median_step_s(times: Sequence[np.datetime64]) -> float:
     """Usual time from one record to the next in s; `FACTORY_SECONDS` where none shows."""
     steps = [float((later - earlier) / np.timedelta64(1, "s")) for earlier, later in pairwise(times)]
     near = [step for step in steps if 0 < step <= LONGEST_RECORD_S]
     return float(np.median(near)) if near else FACTORY_SECONDS
 
 
-def _with_seconds(records: list[Record]) -> list[Record]:
+def _with_seconds(records: list[SpectrumRecord]) -> list[SpectrumRecord]:
     if not any(np.isnan(record.seconds) for record in records):
         return records
-    step = usual_step_s([record.time for record in records])
+    step = median_step_s([record.time for record in records])
     return [replace(record, seconds=step) if np.isnan(record.seconds) else record for record in records]
 
 
-def drop_counts(values: Sequence[str], expected: int) -> Float64[np.ndarray, " classes"]:
+def parse_drop_counts(values: Sequence[str], expected: int) -> Float64[np.ndarray, " classes"]:
     """Counts of drops as numbers; raises `RecordError` where one is missing, negative or not a number."""
     if len(values) != expected:
         raise RecordError(f"{len(values)} drop counts instead of {expected}: the record is cut off or damaged")
@@ -241,17 +241,17 @@ def drop_counts(values: Sequence[str], expected: int) -> Float64[np.ndarray, " c
     except ValueError:
         wrong = next(i for i, value in enumerate(values) if not _is_number(value))
         raise RecordError(f"drop count {wrong + 1} is {values[wrong]!r}, not a number") from None
-    bad = np.flatnonzero(~((counts >= 0) & (counts <= MOST_DROPS)))
+    bad = np.flatnonzero(~((counts >= 0) & (counts <= MAX_DROPS)))
     if bad.size:
         raise RecordError(f"drop count {bad[0] + 1} is {values[bad[0]]}")
     return counts
 
 
-def rain_rate(text: str) -> float:
+def parse_rain_rate(text: str) -> float:
     """Rate in mm/h; NaN where a logger wrote NAN or nothing. Raises `RecordError` where it is no rate."""
     if text.strip(' "').upper() in ("", "NAN", "NA"):
         return float("nan")
-    rate = number(text, "rain rate")
+    rate = parse_number(text, "rain rate")
     if rate in _NO_RATES:
         return float("nan")
     if not 0 <= rate < float("inf"):
@@ -259,15 +259,15 @@ def rain_rate(text: str) -> float:
     return rate
 
 
-def interval_s(text: str) -> float:
+def parse_interval_s(text: str) -> float:
     """Length of a record in s; raises `RecordError` where it is not 1 s to an hour."""
-    seconds = number(text, "sample interval")
+    seconds = parse_number(text, "sample interval")
     if not 1 <= seconds <= LONGEST_RECORD_S:
         raise RecordError(f"sample interval is {text.strip()[:40]} s, not 1 to {LONGEST_RECORD_S:g}")
     return seconds
 
 
-def number(text: str, what: str) -> float:
+def parse_number(text: str, what: str) -> float:
     """Number from text; raises `RecordError` that says what isn't one."""
     try:
         return float(text)
@@ -275,7 +275,7 @@ def number(text: str, what: str) -> float:
         raise RecordError(f"{what} {text.strip()[:40]!r} is not a number") from None
 
 
-def utc(text: str, *formats: str) -> np.datetime64:
+def parse_utc(text: str, *formats: str) -> np.datetime64:
     """Time in UTC from text in the first of these formats that fits; raises `RecordError`."""
     for pattern in formats:
         try:

@@ -14,22 +14,22 @@ from jaxtyping import Float64
 from msgspec import Meta
 
 from ..rain.calibration import atlas_velocity
-from ..safe_io.errors import converted
-from ..safe_io.text_files import printable, read_whole, yaml_values
+from ..safe_io.errors import convert_checked
+from ..safe_io.text_files import printable_line, read_whole, yaml_values
 from . import instruments, two_dvd
 from .instruments import PARSIVEL, THIES, Instrument, Order
 from .spectra import (
     LONGEST_RECORD_S,
     DisdrometerFileError,
+    DisdrometerReading,
     DropSpectra,
-    Reading,
-    Record,
     RecordError,
-    drop_counts,
-    gather,
-    interval_s,
-    rain_rate,
-    utc,
+    SpectrumRecord,
+    parse_drop_counts,
+    parse_interval_s,
+    parse_rain_rate,
+    parse_records,
+    parse_utc,
 )
 
 MINUTE_S = 60.0
@@ -52,7 +52,7 @@ def is_minute_table(lines: list[str]) -> bool:
     return _ROW.match(first) is not None and len(first.split()) - _STAMP in (_APU, _COUNTS)
 
 
-def read_minute_table(path: Path, lines: list[str]) -> Reading:
+def read_minute_table(path: Path, lines: list[str]) -> DisdrometerReading:
     """Read either table; raises `DisdrometerFileError` where no row can be used.
 
     Both come as drops counted (`dropcounts`, whole numbers) and as number densities in 1/(m^3 mm) (`rainDSD`, with
@@ -60,7 +60,7 @@ def read_minute_table(path: Path, lines: list[str]) -> Reading:
     """
     first = next(line for line in lines if line.strip())
     classes = len(first.split()) - _STAMP
-    records, skipped = gather(path, _rows(lines), lambda row: _record(row, classes))
+    records, skipped = parse_records(path, _rows(lines), lambda row: _record(row, classes))
     values = np.stack([record.counts for record in records])
     if classes == _COUNTS:
         name, edges, area = "2DVD", TWO_DVD_EDGES_MM, np.full(_COUNTS, TWO_DVD_AREA_M2)
@@ -77,7 +77,7 @@ def read_minute_table(path: Path, lines: list[str]) -> Reading:
         area_m2=area,
         reported_mm_h=np.full(len(records), np.nan),
     )
-    return Reading(spectra=spectra, skipped=tuple(skipped))
+    return DisdrometerReading(spectra=spectra, skipped=tuple(skipped))
 
 
 def _rows(lines: list[str]) -> Iterator[tuple[str, str]]:
@@ -86,7 +86,7 @@ def _rows(lines: list[str]) -> Iterator[tuple[str, str]]:
             yield f"line {i + 1}", line
 
 
-def _record(row: str, classes: int) -> Record:
+def _record(row: str, classes: int) -> SpectrumRecord:
     values = row.split()
     try:
         year, day, hour, minute = (int(value) for value in values[:_STAMP])
@@ -94,11 +94,11 @@ def _record(row: str, classes: int) -> Record:
     except ValueError:
         raise RecordError(f"{' '.join(values[:_STAMP])[:40]!r} is no year, day of the year, hour and minute") from None
     end = begin + timedelta(seconds=MINUTE_S)
-    return Record(
+    return SpectrumRecord(
         time=np.datetime64(end, "ms"),
         seconds=MINUTE_S,
         reported_mm_h=float("nan"),
-        counts=drop_counts(values[_STAMP:], classes),
+        counts=parse_drop_counts(values[_STAMP:], classes),
     )
 
 
@@ -123,24 +123,24 @@ def is_rainsense_intensity(lines: list[str]) -> bool:
     return bool(lines) and _INTENSITY.match(lines[0]) is not None
 
 
-def read_rainsense_intensity(path: Path, lines: list[str]) -> Reading:
+def read_rainsense_intensity(path: Path, lines: list[str]) -> DisdrometerReading:
     """Read the one rate in mm/h of a RainSense case; it has neither a time nor a length.
 
     Raises `DisdrometerFileError` where it is no rate.
     """
     match = _INTENSITY.match(lines[0])
     try:
-        rate = rain_rate(match[1] if match else "")
+        rate = parse_rain_rate(match[1] if match else "")
     except RecordError as error:
         raise DisdrometerFileError(path, f"line 1: {error}") from None
     if np.isnan(rate):
         raise DisdrometerFileError(path, "line 1: it says no intensity")
     nowhere = np.datetime64("NaT", "ms")
-    record = Record(time=nowhere, seconds=float("nan"), reported_mm_h=rate, counts=np.zeros(0))
+    record = SpectrumRecord(time=nowhere, seconds=float("nan"), reported_mm_h=rate, counts=np.zeros(0))
     return rates_reading("RainSense rain gauge", [record], [])
 
 
-def rates_reading(instrument: str, records: list[Record], skipped: list[str]) -> Reading:
+def rates_reading(instrument: str, records: list[SpectrumRecord], skipped: list[str]) -> DisdrometerReading:
     """Records without a single diameter class: only their times and reported rates mean something."""
     spectra = DropSpectra(
         instrument=instrument,
@@ -152,7 +152,7 @@ def rates_reading(instrument: str, records: list[Record], skipped: list[str]) ->
         area_m2=np.zeros(0),
         reported_mm_h=np.array([record.reported_mm_h for record in records]),
     )
-    return Reading(spectra=spectra, skipped=tuple(skipped))
+    return DisdrometerReading(spectra=spectra, skipped=tuple(skipped))
 
 
 # § Tables of text, a record a line: dialects that their header tells, and any other that a YAML file describes.
@@ -236,7 +236,8 @@ class TableColumns(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         known = (*_WITH_SPEED, *_WITHOUT_SPEED)
         if self.diameter_edges_mm is None and self.instrument not in known:
             raise ValueError(
-                f"`instrument` {printable(self.instrument)} is none of {', '.join(known)}: give `diameter_edges_mm`, "
+                f"`instrument` {printable_line(self.instrument)} is none of {', '.join(known)}: "
+                "give `diameter_edges_mm`, "
                 "`area_m2`, and `velocity_edges_m_s` if it measures fall speed"
             )
         if self.diameter_edges_mm is not None and self.area_m2 is None:
@@ -286,7 +287,7 @@ class TableColumns(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 def load_columns(path: Path | str) -> TableColumns:
     """Read a description of a table. Raises `ValueError` with the file, the field and what is allowed, `OSError`."""
     try:
-        return converted(yaml_values(read_whole(Path(path))), TableColumns)
+        return convert_checked(yaml_values(read_whole(Path(path))), TableColumns)
     except ValueError as error:
         raise ValueError(f"{path}: {error}".replace(f"{path}: {path}: ", f"{path}: ")) from None
 
@@ -305,10 +306,12 @@ def table_columns(lines: Sequence[str]) -> TableColumns | None:
     return None
 
 
-def read_table(path: Path, lines: Sequence[str], columns: TableColumns) -> Reading:
+def read_table(path: Path, lines: Sequence[str], columns: TableColumns) -> DisdrometerReading:
     """Read a table as it is described; raises `DisdrometerFileError` where columns are missing or no row is usable."""
     layout = _layout(path, lines, columns)
-    records, skipped = gather(path, _table_rows(lines, columns), lambda line: _table_record(line, columns, layout))
+    records, skipped = parse_records(
+        path, _table_rows(lines, columns), lambda line: _table_record(line, columns, layout)
+    )
     classes = columns.instrument_classes()
     if classes is not None:
         return classes.reading_of(path, records, _order(columns), skipped)
@@ -327,7 +330,7 @@ def read_table(path: Path, lines: Sequence[str], columns: TableColumns) -> Readi
         area_m2=np.full(len(edges) - 1, area),
         reported_mm_h=np.array([record.reported_mm_h for record in records]),
     )
-    return Reading(spectra=spectra, skipped=tuple(skipped))
+    return DisdrometerReading(spectra=spectra, skipped=tuple(skipped))
 
 
 # ---- a header that tells what its columns are
@@ -481,24 +484,24 @@ def _table_rows(lines: Sequence[str], columns: TableColumns) -> Iterator[tuple[s
             yield f"line {i}", line
 
 
-def _table_record(line: str, columns: TableColumns, layout: _Layout) -> Record:
+def _table_record(line: str, columns: TableColumns, layout: _Layout) -> SpectrumRecord:
     values = _split(line, layout.separator)
     if len(values) < layout.columns:
         raise RecordError(f"{len(values)} columns instead of {layout.columns}: the record is cut off")
     seconds = float("nan") if columns.seconds is None else columns.seconds
     if layout.seconds is not None:
-        seconds = interval_s(_point(values[layout.seconds], columns))
-    rate = float("nan") if layout.rate is None else rain_rate(_point(values[layout.rate], columns))
-    return Record(
+        seconds = parse_interval_s(_point(values[layout.seconds], columns))
+    rate = float("nan") if layout.rate is None else parse_rain_rate(_point(values[layout.rate], columns))
+    return SpectrumRecord(
         time=_time(" ".join(values[i].strip(' "') for i in layout.time), columns, seconds),
         seconds=seconds,
         reported_mm_h=rate * _RATE_UNITS[columns.rate_unit],
-        counts=drop_counts(_drops(values, columns, layout), layout.classes),
+        counts=parse_drop_counts(_drops(values, columns, layout), layout.classes),
     )
 
 
 def _time(text: str, columns: TableColumns, seconds: float) -> np.datetime64:
-    time = utc(text, columns.time_format) if columns.time_format else utc(text, *_TIMES)
+    time = parse_utc(text, columns.time_format) if columns.time_format else parse_utc(text, *_TIMES)
     time -= np.timedelta64(round(3_600_000 * columns.utc_offset_h), "ms")
     if columns.time_is == "start":
         if np.isnan(seconds):
@@ -553,8 +556,9 @@ def _check_time_format(time_format: str) -> None:
     try:
         same = datetime.strptime(moment.strftime(time_format), time_format)
     except (ValueError, re.error) as error:
-        raise ValueError(f"`time_format` {printable(time_format)}: {printable(error)}") from None
+        raise ValueError(f"`time_format` {printable_line(time_format)}: {printable_line(error)}") from None
     if same.replace(minute=0, second=0) != moment.replace(minute=0, second=0):
         raise ValueError(
-            f"`time_format` {printable(time_format)} must name year, month, day and hour, as %Y-%m-%d %H:%M:%S does"
+            f"`time_format` {printable_line(time_format)} must name year, month, day and hour, "
+            "as %Y-%m-%d %H:%M:%S does"
         )

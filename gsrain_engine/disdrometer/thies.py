@@ -5,7 +5,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from .instruments import THIES
-from .spectra import FACTORY_SECONDS, Reading, Record, RecordError, drop_counts, gather, rain_rate, utc
+from .spectra import (
+    FACTORY_SECONDS,
+    DisdrometerReading,
+    RecordError,
+    SpectrumRecord,
+    parse_drop_counts,
+    parse_rain_rate,
+    parse_records,
+    parse_utc,
+)
 from .tables import rates_reading
 
 _TELEGRAM = re.compile(r"(?:^|[\"\x02;])(\d\d;\d{4};\d\.\d\d;\d\d\.\d\d\.\d\d(?:\d\d)?;\d\d:\d\d:\d\d;.*)$")
@@ -24,7 +33,7 @@ def is_thies(lines: list[str]) -> bool:
     return any(_TELEGRAM.search(line) for line in lines[:_LOOK_AHEAD])
 
 
-def read_thies(path: Path, lines: list[str]) -> Reading:
+def read_thies(path: Path, lines: list[str]) -> DisdrometerReading:
     """Read telegrams, one a line, bare or after a logger's time.
 
     Where no telegram of the file is long enough for a spectrum the reading has rates and no drops. Raises
@@ -32,8 +41,8 @@ def read_thies(path: Path, lines: list[str]) -> Reading:
     """
     numbered = list(_telegrams(lines))
     if all(len(_values(text)) <= _SHORT for _, text in numbered):
-        return rates_reading(THIES.name, *gather(path, numbered, _short_record))
-    records, skipped = gather(path, numbered, _record)
+        return rates_reading(THIES.name, *parse_records(path, numbered, _short_record))
+    records, skipped = parse_records(path, numbered, _record)
     return THIES.reading_of(path, records, "diameters first", skipped)
 
 
@@ -50,29 +59,29 @@ def _values(line: str) -> list[str]:
     return match[1].rstrip('\r\n\x03" ').rstrip(";").split(";") if match else []
 
 
-def _record(line: str) -> Record:
+def _record(line: str) -> SpectrumRecord:
     values = _values(line)
     if len(values) < _SPECTRUM + _COUNTS:
         raise RecordError(f"{len(values)} values instead of {_SPECTRUM + _COUNTS} or more: the telegram is cut off")
     return _with_counts(line, values, values[_SPECTRUM : _SPECTRUM + _COUNTS])
 
 
-def _short_record(line: str) -> Record:
+def _short_record(line: str) -> SpectrumRecord:
     values = _values(line)
     if len(values) <= _RATE:
         raise RecordError(f"{len(values)} values: no rain rate")
     return _with_counts(line, values, [])
 
 
-def _with_counts(line: str, values: list[str], counts: list[str]) -> Record:
+def _with_counts(line: str, values: list[str], counts: list[str]) -> SpectrumRecord:
     logged = _LOGGED_TIME.search(line)
     if logged:
-        time = utc(logged[0], "%Y-%m-%d %H:%M:%S")
+        time = parse_utc(logged[0], "%Y-%m-%d %H:%M:%S")
     else:
-        time = utc(f"{values[_DATE]} {values[_TIME]}", "%d.%m.%y %H:%M:%S", "%d.%m.%Y %H:%M:%S")
-    return Record(
+        time = parse_utc(f"{values[_DATE]} {values[_TIME]}", "%d.%m.%y %H:%M:%S", "%d.%m.%Y %H:%M:%S")
+    return SpectrumRecord(
         time=time,
         seconds=FACTORY_SECONDS,
-        reported_mm_h=rain_rate(values[_RATE]),
-        counts=drop_counts(counts, len(counts)),
+        reported_mm_h=parse_rain_rate(values[_RATE]),
+        counts=parse_drop_counts(counts, len(counts)),
     )

@@ -7,7 +7,7 @@ import xarray as xr
 from jaxtyping import Bool, Float64, Shaped
 
 from .netcdf import in_mm, record_seconds, record_times, reported_rates, usable_records
-from .spectra import DisdrometerFileError, DropSpectra, Reading, SingleDrops, no_record_left
+from .spectra import DisdrometerFileError, DisdrometerReading, DropSpectra, SingleDrops, no_record_left
 
 DIAMETER_EDGES_MM = np.round(0.2 * np.arange(51), 6)
 
@@ -33,7 +33,7 @@ def is_two_dvd(dataset: xr.Dataset) -> bool:
     return {_DIAMETER, _SPEED} <= set(dataset.variables) and dataset[_DIAMETER].ndim == 1
 
 
-def read_two_dvd(path: Path, dataset: xr.Dataset) -> Reading:
+def read_two_dvd(path: Path, dataset: xr.Dataset) -> DisdrometerReading:
     """Read single drops, and count them into minutes from the first drop's to the last's, dry ones too.
 
     The area of a diameter class is the mean over its drops of the area in which the instrument could see each. Raises
@@ -56,7 +56,7 @@ def read_two_dvd(path: Path, dataset: xr.Dataset) -> Reading:
         raise DisdrometerFileError(
             path, f"its drops fell from {drops.times[0]} to {drops.times[-1]}: at most {_LONGEST_DAYS} days"
         )
-    return Reading(spectra=drops_by_minute(drops, 1e-6 * areas[order]), drops=drops, skipped=tuple(skipped))
+    return DisdrometerReading(spectra=drops_by_minute(drops, 1e-6 * areas[order]), drops=drops, skipped=tuple(skipped))
 
 
 def is_two_dvd_minutes(dataset: xr.Dataset) -> bool:
@@ -64,7 +64,7 @@ def is_two_dvd_minutes(dataset: xr.Dataset) -> bool:
     return {_NUMBER, _CLASS} <= set(dataset.variables) and dataset[_NUMBER].dims[1:] == (_CLASS,)
 
 
-def read_two_dvd_minutes(path: Path, dataset: xr.Dataset) -> Reading:
+def read_two_dvd_minutes(path: Path, dataset: xr.Dataset) -> DisdrometerReading:
     """Read drops by diameter; the rain rate in the file is the instrument's own. Raises `DisdrometerFileError`."""
     time, middles = str(dataset[_NUMBER].dims[0]), in_mm(dataset[_CLASS])
     known = 0.5 * (DIAMETER_EDGES_MM[:-1] + DIAMETER_EDGES_MM[1:])
@@ -86,7 +86,7 @@ def read_two_dvd_minutes(path: Path, dataset: xr.Dataset) -> Reading:
         area_m2=np.full(len(known), NOMINAL_AREA_M2),
         reported_mm_h=reported_rates(dataset, time)[picked],
     )
-    return Reading(spectra=spectra, skipped=tuple(skipped))
+    return DisdrometerReading(spectra=spectra, skipped=tuple(skipped))
 
 
 def drops_by_minute(drops: SingleDrops, areas_m2: Float64[np.ndarray, " drops"]) -> DropSpectra:
@@ -163,7 +163,7 @@ def is_joss_waldvogel(dataset: xr.Dataset) -> bool:
     ].ndim == 2
 
 
-def read_joss_waldvogel(path: Path, dataset: xr.Dataset) -> Reading:
+def read_joss_waldvogel(path: Path, dataset: xr.Dataset) -> DisdrometerReading:
     """Read the drops of each minute; raises `DisdrometerFileError` where no record can be used."""
     time, _ = (str(dimension) for dimension in dataset["num_drop"].dims)
     middles = dataset["mean_diam_drop_class"].to_numpy().astype(np.float64)
@@ -186,4 +186,4 @@ def read_joss_waldvogel(path: Path, dataset: xr.Dataset) -> Reading:
         area_m2=np.full(len(widths), AREA_M2),
         reported_mm_h=reported_rates(dataset, time),
     )
-    return Reading(spectra=spectra[usable], skipped=tuple(skipped))
+    return DisdrometerReading(spectra=spectra[usable], skipped=tuple(skipped))

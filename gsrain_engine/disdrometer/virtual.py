@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.interpolate import CubicHermiteSpline
 
-from ..rain.drop_field import CLASS_STRIDE, FIRST_OF_CLASS, Offsets, pcg4d_scalar
+from ..rain.drop_field import CLASS_STRIDE, FIRST_OF_CLASS, DropPhases, pcg4d_scalar
 from ..rain.properties import CLASSES
-from ..rain.simulation import Rainfall, View
-from ..rain.streaks import StreakField
+from ..rain.simulation import RainCamera, RainSimulation
+from ..rain.streaks import DropBatch
 from ..scene.camera import Camera
-from .measurement import CountedDrops
+from .measurement import DisdrometerMeasurement
 
 SMALLEST_AREA_M2 = 1e-4
 """A thumbnail: smaller ones catch nothing."""
@@ -24,7 +24,7 @@ _GUST_STEP_S = 0.02
 
 _MIDDLE, _WHOLE = 2**31, 2**32
 
-_HERE = View(Camera.from_fov(1, 1, 45.0, np.eye(4)), np.eye(4), np.zeros(3))
+_HERE = RainCamera(Camera.from_fov(1, 1, 45.0, np.eye(4)), np.eye(4), np.zeros(3))
 """The field doesn't depend on who looks; this camera stands in the anchor and stays there."""
 
 
@@ -37,7 +37,7 @@ class VirtualDisdrometer:
     `ValueError` where the square is larger than one period of the lattice: it would count the same drop twice.
     """
 
-    rainfall: Rainfall
+    rainfall: RainSimulation
     area_m2: float = 0.5
 
     def __post_init__(self) -> None:
@@ -48,18 +48,18 @@ class VirtualDisdrometer:
                 "the most before the drop field repeats"
             )
 
-    def measure(self, times_s: Float64[np.ndarray, " records_and_one"]) -> CountedDrops:
+    def measure(self, times_s: Float64[np.ndarray, " records_and_one"]) -> DisdrometerMeasurement:
         """Count in records from each time to the next, of a rain that does not change."""
         return self.collect(times_s, [self.count(start, end) for start, end in pairwise(times_s)])
 
-    def records(self, times_s: Float64[np.ndarray, " records_and_one"]) -> list[CountedDrops]:
+    def records(self, times_s: Float64[np.ndarray, " records_and_one"]) -> list[DisdrometerMeasurement]:
         """Count one record after the other, each with the sizes and speeds of its middle: under a weather they change.
 
         Records should be short against the weather: the drops that exist, too, are those of the middle.
         """
         moments = [0.5 * (start + end) for start, end in pairwise(times_s)]
         return [
-            replace(self, rainfall=self.rainfall.moment(middle)).collect(span, [self.count(*span)])
+            replace(self, rainfall=self.rainfall.frozen_at(middle)).collect(span, [self.count(*span)])
             for middle, span in zip(moments, np.stack([times_s[:-1], times_s[1:]], axis=1), strict=True)
         ]
 
@@ -75,9 +75,9 @@ class VirtualDisdrometer:
 
     def collect(
         self, times_s: Float64[np.ndarray, " records_and_one"], counts: list[Int64[np.ndarray, " classes"]]
-    ) -> CountedDrops:
+    ) -> DisdrometerMeasurement:
         """Put together what was counted between each time and the next."""
-        return CountedDrops(
+        return DisdrometerMeasurement(
             state=self.rainfall.state,
             times_s=times_s,
             area_m2=self.area_m2,
@@ -86,20 +86,20 @@ class VirtualDisdrometer:
             counts=np.stack(counts),
         )
 
-    def _field(self, time_s: float) -> StreakField:
+    def _field(self, time_s: float) -> DropBatch:
         return self.rainfall.streak_field(time_s, _HERE)
 
 
-def _places(where: Offsets) -> Int64[np.ndarray, "classes 3"]:
+def _places(where: DropPhases) -> Int64[np.ndarray, "classes 3"]:
     """Offsets as one number: 2^32 to a period."""
     return where.wraps.astype(np.int64) * _WHOLE + where.fractions
 
 
-def _path(rainfall: Rainfall, start_s: float, end_s: float) -> Float64[np.ndarray, "4 steps 2"]:
+def _path(rainfall: RainSimulation, start_s: float, end_s: float) -> Float64[np.ndarray, "4 steps 2"]:
     """Where the wind has carried drops since a start, in metres: cubics of the time in each of equal steps."""
     steps = 1 if rainfall.rain.gust_m_s == 0 else int(np.ceil((end_s - start_s) / _GUST_STEP_S))
     times = np.linspace(start_s, end_s, steps + 1)
-    motions = [rainfall.moment(time).motion for time in times]
+    motions = [rainfall.frozen_at(time).motion for time in times]
     drift = np.stack([motion.drift(time) for motion, time in zip(motions, times, strict=True)])
     wind = np.stack([motion.wind.velocity(time) for motion, time in zip(motions, times, strict=True)])
     return CubicHermiteSpline(times, drift - drift[0], wind).c

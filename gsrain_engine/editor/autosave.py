@@ -14,14 +14,14 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from ..render.renderer import Look
+from ..render.renderer import RenderMode
 from ..safe_io.limits import read_file
 from ..scene.files import FileLock, sentence_of, whole_file
-from ..scene.formats.scene_folder import SCENE_FILE, KnownFiles, write_scene_folder
+from ..scene.formats.scene_folder import SCENE_FILE, FileCache, write_scene_folder
 from ..scene.scene import Scene
 from .preferences import state_folder
-from .viewport.camera import FASTEST_M_S, SLOWEST_M_S, Navigation
-from .viewport_state import ViewedDocument
+from .viewport.camera import FASTEST_M_S, SLOWEST_M_S, OrbitCamera
+from .viewport_state import ViewportState
 
 logger = logging.getLogger("gsrain")
 
@@ -33,7 +33,7 @@ _LONGEST_NAME = 200
 # § What a scene folder looked like when it was read or written: to notice that somebody else has changed it since.
 
 
-class DiskStamp(msgspec.Struct, frozen=True, kw_only=True):
+class FileFingerprint(msgspec.Struct, frozen=True, kw_only=True):
     """State of a folder's `scene.json`."""
 
     modified_ns: int
@@ -41,7 +41,7 @@ class DiskStamp(msgspec.Struct, frozen=True, kw_only=True):
     digest: str
 
 
-class About(msgspec.Struct, frozen=True, kw_only=True):
+class AutosaveEntry(msgspec.Struct, frozen=True, kw_only=True):
     """What an autosave belongs to."""
 
     name: str
@@ -49,7 +49,7 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
     """The scene folder that the document came from."""
     home_bytes: bytes | None = None
     """The same where its name is no Unicode."""
-    stamp: DiskStamp | None = None
+    stamp: FileFingerprint | None = None
     """State of that folder when the document came from it."""
 
     @property
@@ -59,11 +59,11 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
         return None if home is None else Path(os.fsdecode(home))
 
 
-class Autosaved(msgspec.Struct, frozen=True):
+class RecoveryCandidate(msgspec.Struct, frozen=True):
     """An autosave that was found."""
 
     place: Path
-    about: About
+    about: AutosaveEntry
     saved_at: float
     """Seconds since 1970."""
 
@@ -72,12 +72,12 @@ class Autosaved(msgspec.Struct, frozen=True):
         return self.place / _SCENE
 
 
-class Entered(NamedTuple):
+class FolderClaim(NamedTuple):
     """What was found out about a scene folder when a process went to it."""
 
     is_alone: bool
     """Whether no other process has it open."""
-    found: Autosaved | None = None
+    found: RecoveryCandidate | None = None
     """What a process that died has kept of it."""
 
 
@@ -90,7 +90,7 @@ class Autosave:
     def __init__(self) -> None:
         self._home: Path | None = None
         self._place: Path | None = None
-        self._about: About | None = None
+        self._about: AutosaveEntry | None = None
         self._locks: dict[Path, FileLock] = {}
 
     @property
@@ -98,7 +98,7 @@ class Autosave:
         """Where the document is kept; None while nothing is."""
         return self._place
 
-    def enter(self, home: Path | None, recovered: Path | None = None) -> Entered:
+    def enter(self, home: Path | None, recovered: Path | None = None) -> FolderClaim:
         """Go to another document: what was kept of the one before is removed.
 
         `home` is the scene folder that it came from, `recovered` the autosave to go on with.
@@ -106,35 +106,35 @@ class Autosave:
         if self._place != recovered:
             self.remove()
         self._home, self._place, self._about = home, None, None
-        place = beside(home) if home is not None else None
+        place = autosave_folder(home) if home is not None else None
         for other in [each for each in self._locks if each not in (place, recovered)]:
             self._locks.pop(other).release()
         if recovered is not None and self._hold(recovered):
             self._place = recovered
         if place is None:
-            return Entered(True)
-        return Entered(self._hold(place), None if self._place == place else self.found(place))
+            return FolderClaim(True)
+        return FolderClaim(self._hold(place), None if self._place == place else self.found(place))
 
-    def found(self, place: Path) -> Autosaved | None:
+    def found(self, place: Path) -> RecoveryCandidate | None:
         """What lies at a place that belongs to no other living process."""
         if place not in self._locks and not _is_free(place):
             return None
         try:
-            about = msgspec.json.decode(read_file(place / _ABOUT), type=About)
-            return Autosaved(place, about, (place / _SCENE / SCENE_FILE).stat().st_mtime)
+            about = msgspec.json.decode(read_file(place / _ABOUT), type=AutosaveEntry)
+            return RecoveryCandidate(place, about, (place / _SCENE / SCENE_FILE).stat().st_mtime)
         except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             return None
 
-    def abandoned(self, homes: Iterable[Path]) -> list[Autosaved]:
+    def abandoned(self, homes: Iterable[Path]) -> list[RecoveryCandidate]:
         """Autosaves of processes that died: those of these scenes, and those that never had a home. Latest first."""
         unsaved = [each for each in _unsaved().glob("*") if each.is_dir()] if _unsaved().is_dir() else []
-        found = [self.found(place) for place in (*map(beside, homes), *unsaved)]
+        found = [self.found(place) for place in (*map(autosave_folder, homes), *unsaved)]
         for place in unsaved:
             if place not in self._locks and not (place / _SCENE / SCENE_FILE).exists() and _is_free(place):
                 shutil.rmtree(place, ignore_errors=True)  # its process died before there was anything in it
         return sorted((each for each in found if each is not None), key=lambda each: -each.saved_at)
 
-    def write(self, scene: Scene, stamp: DiskStamp | None, known: KnownFiles) -> None:
+    def write(self, scene: Scene, stamp: FileFingerprint | None, known: FileCache) -> None:
         """Keep a document: beside its home where that can be, else among those that have none.
 
         Raises:
@@ -142,7 +142,7 @@ class Autosave:
             OSError: When it can be written nowhere.
         """
         about = _about(scene.name, self._home, stamp)
-        place = self._place or self._place_beside_home() or self._new_place()
+        place = self._place or self._folder_next_to_scene() or self._new_place()
         try:
             self._write_at(place, about, scene, known)
         except OSError as error:
@@ -152,11 +152,11 @@ class Autosave:
             logger.warning("The autosave can't be in %s: %s", place.parent, sentence_of(error))
             self._write_elsewhere(place, about, scene, known)
 
-    def _place_beside_home(self) -> Path | None:
+    def _folder_next_to_scene(self) -> Path | None:
         """Where it may go beside its home; None where another process does, or where something is to be recovered."""
-        if self._home is None or beside(self._home) not in self._locks:
+        if self._home is None or autosave_folder(self._home) not in self._locks:
             return None
-        here = beside(self._home)
+        here = autosave_folder(self._home)
         if self.found(here) is not None or not os.access(here.parent, os.W_OK):
             return None
         if here.exists():  # a process was killed before there was anything in it
@@ -168,7 +168,7 @@ class Autosave:
         self._hold(place)
         return place
 
-    def _write_elsewhere(self, before: Path, about: About, scene: Scene, known: KnownFiles) -> None:
+    def _write_elsewhere(self, before: Path, about: AutosaveEntry, scene: Scene, known: FileCache) -> None:
         """Write among those that have no home; what was kept before stays until then, and for good where that fails."""
         place, self._about = self._new_place(), None
         try:
@@ -181,7 +181,7 @@ class Autosave:
             raise
         _remove(before)
 
-    def _write_at(self, place: Path, about: About, scene: Scene, known: KnownFiles) -> None:
+    def _write_at(self, place: Path, about: AutosaveEntry, scene: Scene, known: FileCache) -> None:
         place.mkdir(parents=True, exist_ok=True)
         if about != self._about:
             with whole_file(place / _ABOUT) as file:
@@ -219,7 +219,7 @@ class Autosave:
         return lock is not None
 
 
-def beside(home: Path) -> Path:
+def autosave_folder(home: Path) -> Path:
     """Where the autosave of a scene folder goes."""
     name = os.fsencode(home.name)
     if len(name) > _LONGEST_NAME:
@@ -227,14 +227,14 @@ def beside(home: Path) -> Path:
     return home.with_name(f".{os.fsdecode(name)}.autosave")
 
 
-def _about(name: str, home: Path | None, stamp: DiskStamp | None) -> About:
+def _about(name: str, home: Path | None, stamp: FileFingerprint | None) -> AutosaveEntry:
     if home is None:
-        return About(name=name, stamp=stamp)
+        return AutosaveEntry(name=name, stamp=stamp)
     in_bytes = os.fsencode(home)
     try:
-        return About(name=name, home=in_bytes.decode(), stamp=stamp)
+        return AutosaveEntry(name=name, home=in_bytes.decode(), stamp=stamp)
     except UnicodeDecodeError:
-        return About(name=name, home_bytes=in_bytes, stamp=stamp)
+        return AutosaveEntry(name=name, home_bytes=in_bytes, stamp=stamp)
 
 
 def _remove(place: Path) -> None:
@@ -262,7 +262,7 @@ def _unsaved() -> Path:
     return state_folder() / "unsaved"
 
 
-def stamp_of(folder: Path) -> DiskStamp | None:
+def fingerprint_of(folder: Path) -> FileFingerprint | None:
     """State of a scene folder now; None where there is no scene."""
     file = folder / SCENE_FILE
     try:
@@ -270,10 +270,10 @@ def stamp_of(folder: Path) -> DiskStamp | None:
     except OSError:
         return None
     digest = hashlib.blake2b(data, digest_size=16).hexdigest()
-    return DiskStamp(modified_ns=status.st_mtime_ns, size=len(data), digest=digest)
+    return FileFingerprint(modified_ns=status.st_mtime_ns, size=len(data), digest=digest)
 
 
-def has_changed(folder: Path, since: DiskStamp | None) -> bool:
+def has_changed(folder: Path, since: FileFingerprint | None) -> bool:
     """Whether a scene stands there that is not the one of before; to be touched alone is no change."""
     try:
         status = (folder / SCENE_FILE).stat()
@@ -281,17 +281,19 @@ def has_changed(folder: Path, since: DiskStamp | None) -> bool:
         return False  # gone: nothing that could be lost
     if since is not None and (status.st_mtime_ns, status.st_size) == (since.modified_ns, since.size):
         return False
-    now = stamp_of(folder)
+    now = fingerprint_of(folder)
     return now is not None and (since is None or now.digest != since.digest)
 
 
 # § A session's document as one value, as it goes into files.
 
 
-def saved_scene(session: ViewedDocument) -> Scene:
+def saved_scene(session: ViewportState) -> Scene:
     """The scene with its rain, its weather, and from where it is looked at."""
     weather = msgspec.to_builtins(session.weather) if session.weather.keys else None
-    return replace(session.scene, rain=msgspec.to_builtins(session.rain), weather=weather, view=kept_view(session))
+    return replace(
+        session.scene, rain=msgspec.to_builtins(session.rain), weather=weather, view=capture_view_state(session)
+    )
 
 
 # § The view that goes with a saved scene: from where, and how, it was looked at.
@@ -299,7 +301,7 @@ def saved_scene(session: ViewedDocument) -> Scene:
 _Triple = tuple[float, float, float]
 
 
-class KeptView(msgspec.Struct, frozen=True, kw_only=True):
+class SavedView(msgspec.Struct, frozen=True, kw_only=True):
     """World frame (metres, z up). What a newer program has written besides is passed over."""
 
     position: _Triple
@@ -313,14 +315,14 @@ class KeptView(msgspec.Struct, frozen=True, kw_only=True):
     time_s: float = 0.0
     background: _Triple = (0.0, 0.0, 0.0)
     gain_ev: Annotated[float, Meta(ge=-10, le=10)] = 0.0
-    look: Look = "splats"
+    look: RenderMode = "splats"
 
 
-def kept_view(session: ViewedDocument) -> dict[str, Any]:
+def capture_view_state(session: ViewportState) -> dict[str, Any]:
     """Plain values of what a session looks at now."""
     eye, view = session.navigation, session.view
     x, y, z = eye.position.tolist()
-    kept = KeptView(
+    kept = SavedView(
         position=(x, y, z),
         heading=float(eye.heading),
         pitch=float(eye.pitch),
@@ -335,14 +337,14 @@ def kept_view(session: ViewedDocument) -> dict[str, Any]:
     return msgspec.to_builtins(kept)
 
 
-def look_again(session: ViewedDocument, values: Mapping[str, Any]) -> None:
+def restore_view(session: ViewportState, values: Mapping[str, Any]) -> None:
     """Look from where a scene was looked at when it was saved; values that can't be used are told of and left."""
     try:
-        kept = msgspec.convert(values, KeptView)
+        kept = msgspec.convert(values, SavedView)
     except msgspec.ValidationError as error:
         logger.warning("%s: the saved view can't be used: %s", session.scene.name, error)
         return
-    session.navigation = Navigation(
+    session.navigation = OrbitCamera(
         np.array(kept.position), kept.heading, kept.pitch, kept.distance_m, kept.vertical_fov_deg, kept.speed_m_s
     )
     session.clock.time_s = kept.time_s

@@ -12,120 +12,122 @@ from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath, circle_path
 from ..scene.camera_path_edit import (
     WALKING_M_S,
-    Keyed,
-    LookAngles,
-    copied_key,
-    every,
-    key_at,
-    look_angles,
-    look_rotation,
-    moved_key,
-    paced,
-    placed_key,
-    reversed_path,
-    shifted,
-    simplified,
-    snapped_key,
-    stretched,
-    with_key,
-    without_key,
+    EditedKeyframe,
+    ViewAngles,
+    copy_keyframe_to,
+    keyframe_at,
+    move_keyframe,
+    place_keyframe_at,
+    resample,
+    reverse_path_time,
+    shift_path_time,
+    simplify,
+    snap_key_to,
+    stretch_path_time,
+    view_angles,
+    view_rotation,
+    with_constant_speed,
+    with_keyframe,
+    without_keyframe,
 )
 from ..scene.camera_path_io import read_camera_path, write_camera_path, write_nerfstudio_path, write_training_cameras
 from ..scene.files import SceneFormatError
 from ..scene.geometry import matrices_from_quaternions, quaternions_from_matrices
-from ..scene.rig import drive_path
+from ..scene.rig import rig_camera_path
 from ..scene.scene import RigCamera
-from .timeline import KeyDrag
+from .timeline import KeyframeDrag
 from .viewport.camera import front_camera
-from .viewport_state import ViewedDocument
+from .viewport_state import ViewportState
 
 _VIEW_SIZE = (960, 640)
 
-_USUAL_GAP_S = 2.0
+_DEFAULT_GAP_S = 2.0
 """From the last key to an appended one, where no other gap tells what is usual."""
 
 
-def chosen_key(session: ViewedDocument) -> int | None:
+def active_keyframe(session: ViewportState) -> int | None:
     """Number of the chosen key of the person's path; None where none is."""
     path, key = session.scene.path, session.timeline.key
     return key if path is not None and key is not None and key < len(path.times_s) else None
 
 
-def chosen_time(session: ViewedDocument) -> float:
+def active_keyframe_time(session: ViewportState) -> float:
     """Moment of the chosen key in seconds; the clock's where none is chosen."""
-    path, key = session.scene.path, chosen_key(session)
+    path, key = session.scene.path, active_keyframe(session)
     return session.clock.time_s if path is None or key is None else float(path.times_s[key])
 
 
-def set_path(session: ViewedDocument, label: str, path: CameraPath | None, gesture: str | None = None) -> None:
+def set_path(session: ViewportState, label: str, path: CameraPath | None, gesture: str | None = None) -> None:
     """Go to another path, in scene units and axes; changes of one gesture make one step."""
     session.set_scene(label, replace(session.scene, path=path), gesture)
 
 
-def add_key(session: ViewedDocument, time_s: float | None = None) -> None:
+def add_keyframe(session: ViewportState, time_s: float | None = None) -> None:
     """Keep what the view shows as a key at the clock's moment, or another; a key that is there gives way."""
-    time_s = on_frame(session, session.clock.time_s if time_s is None else time_s)
+    time_s = nearest_frame_time(session, session.clock.time_s if time_s is None else time_s)
     path = session.scene.path
-    is_new = path is None or key_at(path, time_s) is None
-    keyed = with_key(path, time_s, _seen(session))
+    is_new = path is None or keyframe_at(path, time_s) is None
+    keyed = with_keyframe(path, time_s, _viewport_camera(session))
     set_path(session, "Add camera key" if is_new else "Update camera key", keyed.path)
     session.timeline.key = keyed.key
 
 
-def append_key(session: ViewedDocument) -> None:
+def append_keyframe(session: ViewportState) -> None:
     """Keep what the view shows as a key after the last one, as far from it as keys are on average, and go there."""
     path = session.scene.path
     if path is None:
-        add_key(session)
+        add_keyframe(session)
         return
     count = len(path.times_s)
-    gap = (path.times_s[-1] - path.times_s[0]) / (count - 1) if count > 1 else _USUAL_GAP_S
-    add_key(session, float(path.times_s[-1] + gap))
-    session.clock.seek(chosen_time(session))
+    gap = (path.times_s[-1] - path.times_s[0]) / (count - 1) if count > 1 else _DEFAULT_GAP_S
+    add_keyframe(session, float(path.times_s[-1] + gap))
+    session.clock.seek(active_keyframe_time(session))
 
 
-def update_key(session: ViewedDocument, key: int) -> None:
+def update_keyframe(session: ViewportState, key: int) -> None:
     path = session.scene.path
     if path is not None:
-        set_path(session, "Update camera key", with_key(path, float(path.times_s[key]), _seen(session)).path)
+        set_path(
+            session, "Update camera key", with_keyframe(path, float(path.times_s[key]), _viewport_camera(session)).path
+        )
         session.timeline.key = key
 
 
-def delete_key(session: ViewedDocument, key: int) -> None:
+def delete_keyframe(session: ViewportState, key: int) -> None:
     path = session.scene.path
     if path is not None:
-        set_path(session, "Delete camera key", without_key(path, key))
+        set_path(session, "Delete camera key", without_keyframe(path, key))
         session.timeline.key = None
 
 
-def delete_path(session: ViewedDocument) -> None:
+def delete_path(session: ViewportState) -> None:
     """Take all keys away: riding along takes the scene's own way again."""
     if session.scene.path is not None:
         set_path(session, "Delete camera path", None)
         session.timeline.key = None
 
 
-def retime_key(session: ViewedDocument, key: int, time_s: float) -> None:
+def retime_keyframe(session: ViewportState, key: int, time_s: float) -> None:
     """Move a key to another moment."""
     path = session.scene.path
     if path is not None:
-        _take(session, "Move camera key", moved_key(path, key, on_frame(session, time_s)))
+        _take(session, "Move camera key", move_keyframe(path, key, nearest_frame_time(session, time_s)))
 
 
-def copy_key(session: ViewedDocument, key: int, time_s: float) -> None:
+def copy_keyframe(session: ViewportState, key: int, time_s: float) -> None:
     """Put a copy of a key at a moment."""
     path = session.scene.path
     if path is not None:
-        _take(session, "Copy camera key", copied_key(path, key, on_frame(session, time_s)))
+        _take(session, "Copy camera key", copy_keyframe_to(path, key, nearest_frame_time(session, time_s)))
 
 
-def place_key(
-    session: ViewedDocument,
+def place_keyframe(
+    session: ViewportState,
     key: int,
     label: str,
     *,
     position_m: Float64[np.ndarray, "3"] | None = None,
-    look: LookAngles | None = None,
+    look: ViewAngles | None = None,
     vertical_fov_deg: float | None = None,
     gesture: str | None = None,
 ) -> None:
@@ -138,39 +140,39 @@ def place_key(
     quaternion = None
     if look is not None:
         turn = to_scene[:3, :3] / np.cbrt(np.linalg.det(to_scene[:3, :3]))
-        quaternion = quaternions_from_matrices(turn @ look_rotation(look))
-    set_path(session, label, placed_key(path, key, position, quaternion, vertical_fov_deg), gesture)
+        quaternion = quaternions_from_matrices(turn @ view_rotation(look))
+    set_path(session, label, place_keyframe_at(path, key, position, quaternion, vertical_fov_deg), gesture)
 
 
-def key_look(session: ViewedDocument, key: int) -> LookAngles:
+def key_angles(session: ViewportState, key: int) -> ViewAngles:
     """Heading, pitch and roll of a key in the world."""
-    return look_angles(matrices_from_quaternions(session.path.quaternions_wxyz[key]))
+    return view_angles(matrices_from_quaternions(session.path.quaternions_wxyz[key]))
 
 
 # Dragging
 
 
-def begin_drag(session: ViewedDocument, key: int, *, copies: bool = False, in_view: bool = False) -> None:
+def begin_drag(session: ViewportState, key: int, *, copies: bool = False, in_view: bool = False) -> None:
     """Take hold of a key, or of a copy of it."""
     if session.scene.path is not None:
         session.end_gesture()
-        session.timeline.drag = KeyDrag(session.scene.path, key, copies, in_view)
+        session.timeline.drag = KeyframeDrag(session.scene.path, key, copies, in_view)
         session.timeline.key = key
 
 
-def drag_in_time(session: ViewedDocument, seconds: float) -> None:
+def drag_in_time(session: ViewportState, seconds: float) -> None:
     """Move the key in the hand so much later than it was when it was taken."""
     drag = session.timeline.drag
     if drag is None:
         return
-    time_s = max(0.0, on_frame(session, float(drag.path.times_s[drag.key]) + seconds))
+    time_s = max(0.0, nearest_frame_time(session, float(drag.path.times_s[drag.key]) + seconds))
     if drag.copies:
-        _take(session, "Copy camera key", copied_key(drag.path, drag.key, time_s), "drag a key")
+        _take(session, "Copy camera key", copy_keyframe_to(drag.path, drag.key, time_s), "drag a key")
     else:
-        _take(session, "Move camera key", moved_key(drag.path, drag.key, time_s), "drag a key")
+        _take(session, "Move camera key", move_keyframe(drag.path, drag.key, time_s), "drag a key")
 
 
-def end_drag(session: ViewedDocument) -> None:
+def end_drag(session: ViewportState) -> None:
     """Let go of the key."""
     session.timeline.drag = None
     session.end_gesture()
@@ -179,14 +181,14 @@ def end_drag(session: ViewedDocument) -> None:
 # The whole path
 
 
-def change_path(session: ViewedDocument, label: str, **fields: object) -> None:
+def change_path(session: ViewportState, label: str, **fields: object) -> None:
     """Set interpolation, easing or loop."""
     path = session.scene.path
     if path is not None:
         set_path(session, label, replace(path, **fields))
 
 
-def circle_target(session: ViewedDocument, duration_s: float = 12.0) -> None:
+def circle_target(session: ViewportState, duration_s: float = 12.0) -> None:
     """Make the path a full circle, from the view on, around the point that the left button orbits."""
     session.stop_riding()
     circle = circle_path(session.navigation.target, session.shot(*_VIEW_SIZE).camera, duration_s)
@@ -194,31 +196,31 @@ def circle_target(session: ViewedDocument, duration_s: float = 12.0) -> None:
     session.timeline.key = None
 
 
-def reverse_path(session: ViewedDocument) -> None:
+def reverse_path(session: ViewportState) -> None:
     """Fly the same way backwards."""
     path = session.scene.path
     if path is not None:
-        set_path(session, "Reverse camera path", reversed_path(path))
+        set_path(session, "Reverse camera path", reverse_path_time(path))
         session.timeline.key = None
 
 
-def stretch_path(session: ViewedDocument, duration_s: float) -> None:
+def stretch_path(session: ViewportState, duration_s: float) -> None:
     """Fly the same way in another time; what is wrong with it is kept in `problem`."""
     path = session.scene.path
     if path is None or path.duration_s <= 0:
         return
     try:
-        set_path(session, "Stretch camera path", stretched(path, duration_s / path.duration_s))
+        set_path(session, "Stretch camera path", stretch_path_time(path, duration_s / path.duration_s))
     except ValueError as error:
         session.problem = str(error)
 
 
-def _seen(session: ViewedDocument) -> Camera:
+def _viewport_camera(session: ViewportState) -> Camera:
     camera = session.shot(*_VIEW_SIZE).camera
     return camera.moved(np.linalg.inv(session.scene.scene_to_world))
 
 
-def _take(session: ViewedDocument, label: str, keyed: Keyed, gesture: str | None = None) -> None:
+def _take(session: ViewportState, label: str, keyed: EditedKeyframe, gesture: str | None = None) -> None:
     set_path(session, label, keyed.path, gesture)
     session.timeline.key = keyed.key
 
@@ -231,7 +233,7 @@ _TOLERANCE_M = 0.05
 """How far a path with few keys may be from the drive it was taken from: less than a lens is wide."""
 
 
-def import_path(session: ViewedDocument, file: Path) -> None:
+def import_path(session: ViewportState, file: Path) -> None:
     """Take the camera path of a file; what is wrong with it is kept in `problem`, and the present path stays."""
     try:
         path = read_camera_path(file)
@@ -239,31 +241,31 @@ def import_path(session: ViewedDocument, file: Path) -> None:
         session.problem = str(error)
         logger.error("%s", error)
     else:
-        path = path if path.start_s >= 0 else shifted(path, -path.start_s)  # a scene's time begins at 0
+        path = path if path.start_s >= 0 else shift_path_time(path, -path.start_s)  # a scene's time begins at 0
         if not path.is_timed:
-            path = paced(path, WALKING_M_S / session.scene.metres_per_unit)
+            path = with_constant_speed(path, WALKING_M_S / session.scene.metres_per_unit)
             logger.info("%s has no times: it is flown at walking pace, %g m/s", file.name, WALKING_M_S)
         set_path(session, f"Import {file.name}", path)
         session.timeline.key = None
         logger.info("Imported %s: %d keys, %.1f s", file.name, len(path.times_s), path.duration_s)
 
 
-def export_path(session: ViewedDocument, file: Path) -> None:
+def export_path(session: ViewportState, file: Path) -> None:
     """Write the path that is ridden along as our own JSON: keys and what lies between them."""
     _export(session, file, write_camera_path)
 
 
-def export_nerfstudio(session: ViewedDocument, file: Path) -> None:
+def export_nerfstudio(session: ViewportState, file: Path) -> None:
     """Write every frame of the path as nerfstudio's camera_path.json."""
     _export(session, file, lambda target, path: write_nerfstudio_path(target, path, session.timeline.fps))
 
 
-def export_training_cameras(session: ViewedDocument, file: Path) -> None:
+def export_training_cameras(session: ViewportState, file: Path) -> None:
     """Write every frame of the path as cameras of 3DGS."""
     _export(session, file, lambda target, path: write_training_cameras(target, path, session.timeline.fps))
 
 
-def rig_cameras(session: ViewedDocument) -> list[RigCamera]:
+def rig_cameras(session: ViewportState) -> list[RigCamera]:
     """Cameras that a drive can be taken from: those of all rigs, where there is an ego track."""
     scene = session.scene
     if scene.ego is None or not len(scene.ego.times):
@@ -271,7 +273,7 @@ def rig_cameras(session: ViewedDocument) -> list[RigCamera]:
     return [camera for rig in scene.rigs.values() for camera in rig]
 
 
-def path_from_drive(session: ViewedDocument, camera: RigCamera | None = None, every_s: float = 0.0) -> None:
+def path_from_drive(session: ViewportState, camera: RigCamera | None = None, every_s: float = 0.0) -> None:
     """Make the drive of a rig camera the person's path, with a key every so many seconds.
 
     Without a camera it is the one that looks ahead. 0 s takes as few keys as stay within 5 cm and half a degree.
@@ -280,28 +282,28 @@ def path_from_drive(session: ViewedDocument, camera: RigCamera | None = None, ev
     if drive is None:
         session.problem = "This scene has no ego vehicle with a camera, so there is no drive to take a path from."
         return
-    few = simplified(drive, _TOLERANCE_M) if every_s <= 0 else every(drive, every_s)
+    few = simplify(drive, _TOLERANCE_M) if every_s <= 0 else resample(drive, every_s)
     set_path(session, "Camera path from the drive", few.moved(np.linalg.inv(session.scene.scene_to_world)))
     session.timeline.key = None
     logger.info("Path from the drive: %d keys of %d samples", len(few.times_s), len(drive.times_s))
 
 
-def snap_key(session: ViewedDocument, key: int) -> None:
+def snap_keyframe(session: ViewportState, key: int) -> None:
     """Lay a key onto the nearest place of the drive, looking as its camera does there."""
     path, drive = session.scene.path, _drive(session, None)
     if drive is None:
         session.problem = "This scene has no ego vehicle with a camera, so there is no drive to snap to."
     elif path is not None:
         to_scene = np.linalg.inv(session.scene.scene_to_world)
-        set_path(session, "Snap camera key to the drive", snapped_key(path, key, drive.moved(to_scene)))
+        set_path(session, "Snap camera key to the drive", snap_key_to(path, key, drive.moved(to_scene)))
 
 
-def _drive(session: ViewedDocument, camera: RigCamera | None) -> CameraPath | None:
+def _drive(session: ViewportState, camera: RigCamera | None) -> CameraPath | None:
     camera = camera or front_camera(session.scene)
-    return None if camera is None else drive_path(session.scene, camera, *_VIEW_SIZE)
+    return None if camera is None else rig_camera_path(session.scene, camera, *_VIEW_SIZE)
 
 
-def _export(session: ViewedDocument, file: Path, write: Callable[[Path, CameraPath], None]) -> None:
+def _export(session: ViewportState, file: Path, write: Callable[[Path, CameraPath], None]) -> None:
     """Write the path in scene units and axes; what goes wrong is kept in `problem`."""
     file = file if file.suffix else file.with_suffix(".json")
     path = session.scene.path or session.path.moved(np.linalg.inv(session.scene.scene_to_world))
@@ -317,18 +319,18 @@ def _export(session: ViewedDocument, file: Path, write: Callable[[Path, CameraPa
 # § Moments of the timeline: frames of the film, keys to go to, and what is played.
 
 
-def set_span(session: ViewedDocument, is_start: bool, time_s: float) -> None:
+def set_span(session: ViewportState, is_start: bool, time_s: float) -> None:
     """Set where playing starts or ends, at least a frame apart."""
     start, end = session.span_s
-    moment, frame = max(0.0, on_frame(session, time_s)), 1 / session.timeline.fps
+    moment, frame = max(0.0, nearest_frame_time(session, time_s)), 1 / session.timeline.fps
     session.clock.span_s = (min(moment, end - frame), end) if is_start else (start, max(moment, start + frame))
 
 
-def on_frame(session: ViewedDocument, time_s: float) -> float:
+def nearest_frame_time(session: ViewportState, time_s: float) -> float:
     return round(time_s * session.timeline.fps) / session.timeline.fps
 
 
-def go_to_key(session: ViewedDocument, key: int) -> None:
+def go_to_keyframe(session: ViewportState, key: int) -> None:
     """Choose a key and look through it: stop the clock at its moment and ride along."""
     path = session.scene.path
     if path is not None:
@@ -338,7 +340,7 @@ def go_to_key(session: ViewedDocument, key: int) -> None:
         session.view.follow_path = True
 
 
-def go_to_next_key(session: ViewedDocument, steps: int) -> None:
+def go_to_next_keyframe(session: ViewportState, steps: int) -> None:
     """Go to the key before (-1) or after (1) the clock's moment; at the ends stay."""
     path, now = session.scene.path, session.clock.time_s
     if path is None:
@@ -346,4 +348,4 @@ def go_to_next_key(session: ViewedDocument, steps: int) -> None:
     beyond = path.times_s > now + 1e-6 if steps > 0 else path.times_s < now - 1e-6
     keys = np.flatnonzero(beyond)
     if len(keys):
-        go_to_key(session, int(keys[0] if steps > 0 else keys[-1]))
+        go_to_keyframe(session, int(keys[0] if steps > 0 else keys[-1]))

@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
-from ..datasets.capture import Capture, CaptureError, OutsideError, View
+from ..datasets.capture import Capture, CaptureError, CaptureFrame, OutsideError
 from ..scene.scene import Scene, rotation_to_z_up
-from .overlays import RecordedCameras, fitting_fov_deg, frustum_length
+from .overlays import RecordedCameras, fov_to_fit_deg, frustum_length
 from .viewport.options import Texture
-from .viewport_state import ViewedDocument
+from .viewport_state import ViewportState
 
 logger = logging.getLogger("gsrain")
 
@@ -31,7 +31,7 @@ _SAME_PLACE = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ShownPoints:
+class PointSample:
     """In the capture's world."""
 
     positions: Float32[np.ndarray, "n 3"]
@@ -40,7 +40,7 @@ class ShownPoints:
     """How many the capture has."""
 
 
-class CaptureView:
+class CaptureController:
     """One capture at a time. Call everything on the main thread, and `poll` once a frame."""
 
     def __init__(self) -> None:
@@ -59,9 +59,9 @@ class CaptureView:
         """Of that picture: 0 is the render alone."""
         self.frustum_m = 1.0
         """Length of the cameras' pyramids, in the capture's units."""
-        self.points: ShownPoints | None = None
-        self.pictures: ViewPictures | None = None
-        self.textures: dict[Wish, Texture] = {}
+        self.points: PointSample | None = None
+        self.pictures: CaptureImageLoader | None = None
+        self.textures: dict[ImageRequest, Texture] = {}
         """Pictures that are on the GPU."""
         self.points_texture: Texture | None = None
         """The points as the viewport sees them now."""
@@ -72,7 +72,7 @@ class CaptureView:
         """Whether files that lie outside of the capture's folder and are named in its files are read."""
         self.refused: tuple[Path, str] | None = None
         """A capture that was not opened because its files name others outside of its folder, and the sentence."""
-        self._opening: tuple[Path, Future[tuple[Capture, ShownPoints | None]]] | None = None
+        self._opening: tuple[Path, Future[tuple[Capture, PointSample | None]]] | None = None
         self._allowing = False
         self.in_scene_axes: bool | None = None
         """Whether the capture lies in the scene's units and axes, where a person has said so."""
@@ -107,7 +107,7 @@ class CaptureView:
         """Whether a frame should look after what is being read."""
         return self.busy is not None or (self.pictures is not None and self.pictures.is_reading)
 
-    def poll(self, session: ViewedDocument) -> None:
+    def poll(self, session: ViewportState) -> None:
         if self._opening is not None and self._opening[1].done():
             (path, reading), self._opening = self._opening, None
             try:
@@ -127,10 +127,10 @@ class CaptureView:
     def close(self) -> None:
         self._thread.shutdown(cancel_futures=True)
 
-    def _enter(self, path: Path, capture: Capture, points: ShownPoints | None) -> None:
+    def _enter(self, path: Path, capture: Capture, points: PointSample | None) -> None:
         self.close_capture()
         self.capture, self.path, self.points = capture, path, points
-        self.pictures = ViewPictures(capture, self._thread)
+        self.pictures = CaptureImageLoader(capture, self._thread)
         self.frustum_m = frustum_length(capture)
         logger.info("Opened capture %s: %d views", capture.name, len(capture))
         for problem in capture.problems:
@@ -139,7 +139,7 @@ class CaptureView:
     # Views
 
     @property
-    def view(self) -> View | None:
+    def view(self) -> CaptureFrame | None:
         return None if self.capture is None else self.capture[min(self.chosen, len(self.capture) - 1)]
 
     @property
@@ -190,14 +190,14 @@ class CaptureView:
         """Length of the pyramids in the world."""
         return self.frustum_m * float(np.cbrt(np.linalg.det(self.to_world(scene)[:3, :3])))
 
-    def step(self, session: ViewedDocument, steps: int) -> None:
+    def step(self, session: ViewportState, steps: int) -> None:
         """Look from the view that many further on in the list, and from the first after the last."""
         listed = self.listed
         if listed:
             at = listed.index(self.chosen) if self.chosen in listed else -1 if steps > 0 else 0
             self.look_from(session, listed[(at + steps) % len(listed)])
 
-    def look_from(self, session: ViewedDocument, index: int) -> None:
+    def look_from(self, session: ViewportState, index: int) -> None:
         """Choose a view and look from where it was taken, at its moment; a rolled camera is looked from level."""
         if self.capture is None:
             return
@@ -207,13 +207,13 @@ class CaptureView:
         session.following.follow("")
         session.navigation.stop()
         session.navigation.look_like(camera)
-        session.navigation.vertical_fov_deg = min(fitting_fov_deg(camera, width / height), 150.0)
+        session.navigation.vertical_fov_deg = min(fov_to_fit_deg(camera, width / height), 150.0)
         if session.scene.actors:
             session.clock.playing = False
             session.clock.seek(self.capture[index].time_s)
         self._snapped = index, session.navigation.camera(1, 1).world_to_camera
 
-    def stands_at(self, session: ViewedDocument) -> int | None:
+    def stands_at(self, session: ViewportState) -> int | None:
         """Return the view that the eye looks from; None where a person has moved on."""
         if self._snapped is None or session.view.follow_path:
             return None
@@ -226,20 +226,20 @@ def _unit(direction: tuple[float, float, float]) -> Float64[np.ndarray, "3"]:
     return np.asarray(direction, np.float64) / np.linalg.norm(direction)
 
 
-def _read(path: Path, allow_outside: bool = False) -> tuple[Capture, ShownPoints | None]:
+def _read(path: Path, allow_outside: bool = False) -> tuple[Capture, PointSample | None]:
     from ..datasets.open_capture import open_capture  # loads every reader
 
     capture = open_capture(path, allow_outside=allow_outside)
-    return capture, shown_points(capture)
+    return capture, sample_points(capture)
 
 
-MOST_POINTS = 120_000
+MAX_POINTS = 120_000
 """As many as software OpenGL draws in a few milliseconds."""
 
 _PLAIN = (205, 210, 215)
 
 
-def shown_points(capture: Capture) -> ShownPoints | None:
+def sample_points(capture: Capture) -> PointSample | None:
     """Choose points of a capture, at random where there are too many; None where it has none.
 
     Points with colours keep them; lidar is coloured by height, from blue to red.
@@ -249,7 +249,7 @@ def shown_points(capture: Capture) -> ShownPoints | None:
     total = given + sum(len(sweep.points_m) for sweep in capture.sweeps)
     if total == 0:
         return None
-    share = min(1.0, MOST_POINTS / total)
+    share = min(1.0, MAX_POINTS / total)
     positions: list[np.ndarray] = []
     colors: list[np.ndarray] = []
     if capture.points_m is not None and given:
@@ -262,7 +262,7 @@ def shown_points(capture: Capture) -> ShownPoints | None:
         measured = np.concatenate(lidar).astype(np.float64)
         positions.append(measured)
         colors.append(_height_colors(measured @ np.asarray(capture.up)))
-    return ShownPoints(np.concatenate(positions).astype(np.float32), np.concatenate(colors), total)
+    return PointSample(np.concatenate(positions).astype(np.float32), np.concatenate(colors), total)
 
 
 def _chosen(count: int, share: float, rng: np.random.Generator) -> np.ndarray:
@@ -283,33 +283,33 @@ THUMBNAIL_PX = 192
 LARGE_PX = 1280
 """Widths that pictures are read in; lines are straight in them, whatever the lens was."""
 
-_MOST = {THUMBNAIL_PX: 400, LARGE_PX: 6}
+_CACHE_LIMITS = {THUMBNAIL_PX: 400, LARGE_PX: 6}
 """So many of a width are kept: 25 MB of thumbnails, 25 MB of large ones."""
 
 Pixels = UInt8[np.ndarray, "h w 3"]
 
 
-class Wish(NamedTuple):
+class ImageRequest(NamedTuple):
     """A picture in a size."""
 
     view: int
     width_px: int
 
 
-class ViewPictures:
+class CaptureImageLoader:
     """Call everything on the main thread, and `poll` once a frame."""
 
     def __init__(self, capture: Capture, thread: ThreadPoolExecutor) -> None:
         self.faults: dict[int, str] = {}
         """Why pictures can't be shown, by view."""
         self._capture, self._thread = capture, thread
-        self._kept: OrderedDict[Wish, Pixels] = OrderedDict()
-        self._wishes: dict[Wish, None] = {}
-        self._reading: tuple[Wish, Future[Pixels]] | None = None
+        self._kept: OrderedDict[ImageRequest, Pixels] = OrderedDict()
+        self._wishes: dict[ImageRequest, None] = {}
+        self._reading: tuple[ImageRequest, Future[Pixels]] | None = None
 
     def want(self, view: int, width_px: int) -> Pixels | None:
         """Return a picture at most so wide, or None while it is being read; to be said again each frame."""
-        wish = Wish(view, width_px)
+        wish = ImageRequest(view, width_px)
         if wish in self._kept:
             self._kept.move_to_end(wish)
             return self._kept[wish]
@@ -317,7 +317,7 @@ class ViewPictures:
             self._wishes[wish] = None
         return None
 
-    def __iter__(self) -> Iterator[tuple[Wish, Pixels]]:
+    def __iter__(self) -> Iterator[tuple[ImageRequest, Pixels]]:
         return iter(self._kept.items())
 
     @property
@@ -339,15 +339,15 @@ class ViewPictures:
             wish = max(wishes, key=lambda each: each.width_px)  # what is looked at before what is listed
             self._reading = wish, self._thread.submit(_read_image, self._capture, wish)
 
-    def _keep(self, wish: Wish, pixels: Pixels) -> None:
+    def _keep(self, wish: ImageRequest, pixels: Pixels) -> None:
         self._kept[wish] = pixels
         same = [each for each in self._kept if each.width_px == wish.width_px]
-        for old in same[: -_MOST[wish.width_px]]:
+        for old in same[: -_CACHE_LIMITS[wish.width_px]]:
             del self._kept[old]
 
 
-def _read_image(capture: Capture, wish: Wish) -> Pixels:
-    from ..datasets.undistort import prepared
+def _read_image(capture: Capture, wish: ImageRequest) -> Pixels:
+    from ..datasets.undistort import undistort_frame
 
     view = capture[wish.view]
-    return prepared(view, min(wish.width_px, view.camera.width)).image
+    return undistort_frame(view, min(wish.width_px, view.camera.width)).image

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field, replace
 
 import msgspec
 
-from ..rain.keyframes import WITHOUT_CHANGE, Weather
-from ..rain.settings import Rain
+from ..rain.keyframes import NO_KEYFRAMES, RainKeyframes
+from ..rain.settings import RainSettings
 from ..scene.scene import Scene
-from .timeline import Clock
+from .timeline import PlaybackClock
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -17,8 +17,8 @@ class Document:
     """What a person edits and what undo steps over."""
 
     scene: Scene
-    rain: Rain
-    weather: Weather = WITHOUT_CHANGE
+    rain: RainSettings
+    weather: RainKeyframes = NO_KEYFRAMES
     """How the rain changes over time."""
 
 
@@ -41,7 +41,7 @@ class History:
     _cursor: int = 0
 
     @classmethod
-    def beginning_with(cls, document: Document) -> "History":
+    def starting_with(cls, document: Document) -> "History":
         """Start with a document that was opened."""
         return cls([_Step("Open", document)])
 
@@ -115,9 +115,9 @@ logger = logging.getLogger("gsrain")
 class EditedDocument:
     """The present document and the ways to change it. What depends on it follows in `_follow_document`."""
 
-    def __init__(self, document: Document, clock: Clock) -> None:
+    def __init__(self, document: Document, clock: PlaybackClock) -> None:
         self.clock = clock
-        self.history = History.beginning_with(document)
+        self.history = History.starting_with(document)
         self.problem: str | None = None
         """What went wrong last, in one sentence: the viewport shows it until it is closed or a scene is opened."""
         self._key_moment: tuple[str | None, float] = None, 0.0
@@ -131,7 +131,7 @@ class EditedDocument:
         return self.history.present.scene
 
     @property
-    def rain(self) -> Rain:
+    def rain(self) -> RainSettings:
         return self.history.present.rain
 
     def change_rain(self, label: str, gesture: str | None = None, **fields: object) -> None:
@@ -148,24 +148,24 @@ class EditedDocument:
         self._go_to_rain(label, rain, weather, gesture)
 
     @property
-    def weather(self) -> Weather:
+    def weather(self) -> RainKeyframes:
         """How the rain changes over time."""
         return self.history.present.weather
 
     @property
-    def rain_now(self) -> Rain:
+    def rain_now(self) -> RainSettings:
         """The rain at the present time: what has keys as it is between them, the rest as it is set."""
         return self.weather.rain_at(self.rain, self.clock.time_s)
 
-    def set_weather(self, label: str, weather: Weather, gesture: str | None = None) -> None:
+    def set_weather(self, label: str, weather: RainKeyframes, gesture: str | None = None) -> None:
         """Let the rain change over time in another way; drops in the air go on from where they are."""
         self._go_to_rain(label, self.rain, weather, gesture)
 
-    def set_rain(self, label: str, rain: Rain, gesture: str | None = None) -> None:
+    def set_rain(self, label: str, rain: RainSettings, gesture: str | None = None) -> None:
         """Go to another rain; drops in the air go on from where they are. Fields with keys go on from those."""
         self._go_to_rain(label, rain, self.weather, gesture)
 
-    def _go_to_rain(self, label: str, rain: Rain, weather: Weather, gesture: str | None) -> None:
+    def _go_to_rain(self, label: str, rain: RainSettings, weather: RainKeyframes, gesture: str | None) -> None:
         present = self.history.present
         if rain != present.rain or weather != present.weather:
             self.history.record(label, replace(present, rain=rain, weather=weather), gesture)

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from ..rain.simulation import Rainfall
+from ..rain.simulation import RainSimulation
 from ..scene.scene import Scene
 from ..simulation.agents.registry import agent_names
 from ..simulation.rollout import RolloutStep
@@ -16,72 +16,72 @@ from ..simulation.rollout_io import write_rollout
 from ..simulation.scenario import Scenario, ScenarioUser
 from ..simulation.scenario_io import load_scenario, save_scenario, scenario_names
 from .autosave import saved_scene
-from .drive_playback import ShownRollout
+from .drive_playback import RolloutInScene
 from .files import SceneFiles
-from .jobs.drive import DriveFilmJob, DriveJob, DriveWishes, OpenedRollout, Reading, open_rollout
-from .notifications import told
-from .overlays_drive import Mosaic
-from .services import Desk
-from .viewport.camera_follow import Chase, ChaseMode
+from .jobs.drive import DriveSettings, LoadedRollout, Reading, RolloutVideoJob, SimulationJob, load_rollout
+from .notifications import describe_error
+from .overlays_drive import CameraMosaic
+from .services import EditorServices
+from .viewport.camera_follow import ChaseCamera, ChaseMode
 
 logger = logging.getLogger("gsrain")
 
-_FILM_FPS = (1.0, 60.0)
+_VIDEO_FPS = (1.0, 60.0)
 
-_MOST = 12
+_MAX_ROLLOUTS = 12
 """So many roll-outs stay open; the oldest makes room."""
 
 
-class Drives:
+class RolloutPlayer:
     """All about driving of one session. Only the main thread touches it; `poll` once a frame."""
 
-    def __init__(self, scene_files: SceneFiles, chase: Chase, files: ThreadPoolExecutor) -> None:
+    def __init__(self, scene_files: SceneFiles, chase: ChaseCamera, files: ThreadPoolExecutor) -> None:
         """Read and write files in a thread; `chase` is the camera that may go along."""
         self._scene_files, self._files = scene_files, files
-        self.wanted = WantedDrive()
-        self.opened: list[OpenedRollout] = []
-        self.playing: OpenedRollout | None = None
+        self.settings = DriveSetup()
+        self.opened: list[LoadedRollout] = []
+        self.playing: LoadedRollout | None = None
         """The one that the viewport shows."""
         self.trouble: str | None = None
         """Why the viewport can't show it."""
-        self.chase, self.mosaic = chase, Mosaic()
+        self.chase, self.mosaic = chase, CameraMosaic()
         self.show_ego_car, self.show_boxes, self.show_plan = True, True, True
         self.rain_as_driven = True
         """Whether the viewport has the rain of the drive, else that of the scene."""
-        self._shown: ShownRollout | None = None
-        self._rainfall: Rainfall | None = None
+        self._shown: RolloutInScene | None = None
+        self._rainfall: RainSimulation | None = None
         self._kept_span: tuple[float, float] | None = None
         self._reading: list[tuple[str, Reading]] = []
-        self._writing: list[tuple[OpenedRollout, Path, Future[None]]] = []
-        self._placing: tuple[OpenedRollout, Future[ShownRollout]] | None = None
+        self._writing: list[tuple[LoadedRollout, Path, Future[None]]] = []
+        self._placing: tuple[LoadedRollout, Future[RolloutInScene]] | None = None
         """What will play as soon as everybody is in place."""
 
     # Driving
 
-    def newest_job(self, session: Desk) -> tuple[int, DriveJob] | None:
+    def newest_job(self, session: EditorServices) -> tuple[int, SimulationJob] | None:
         """The last drive that was started, with its number among the jobs."""
-        jobs = [(number, job) for number, job in enumerate(session.jobs) if isinstance(job, DriveJob)]
+        jobs = [(number, job) for number, job in enumerate(session.jobs) if isinstance(job, SimulationJob)]
         return jobs[-1] if jobs else None
 
-    def why_not(self, session: Desk) -> str | None:
+    def why_not(self, session: EditorServices) -> str | None:
         """Why no drive can start now; None where it can."""
-        if any(isinstance(job, DriveJob) for job in session.running_jobs):
+        if any(isinstance(job, SimulationJob) for job in session.running_jobs):
             return "A drive goes on."
         if session.scene.ego is None:
             return (
                 "This scene has no recorded drive, and so no route to take: let the ego drive along a camera path "
                 "(Drive menu), or open one that has, such as the street."
             )
-        return self.wanted.why_not
+        return self.settings.why_not
 
-    def start(self, session: Desk) -> None:
+    def start(self, session: EditorServices) -> None:
         why_not = self.why_not(session)
         if why_not is not None:
             session.problem = why_not
             return
-        wanted = self.wanted
+        wanted = self.settings
         rains = wanted.wishes.rains(session.rain_now)
-        job = DriveJob(
+        job = SimulationJob(
             saved_scene(session), wanted.scenario, wanted.wishes, rains, self._files, self._scene_files.known,
             lambda reading: self._reading.append((wanted.scenario.name, reading)),
         )  # fmt: skip
@@ -91,9 +91,9 @@ class Drives:
 
     def open(self, path: Path) -> None:
         """Read a roll-out in the background and play it."""
-        self._reading.append((path.name, self._files.submit(lambda: [open_rollout(path)])))
+        self._reading.append((path.name, self._files.submit(lambda: [load_rollout(path)])))
 
-    def save_as(self, session: Desk, path: Path) -> None:
+    def save_as(self, session: EditorServices, path: Path) -> None:
         """Write the one that plays, in the background; what is there already is only replaced when a person says so."""
         if self.playing is None:
             return
@@ -104,26 +104,26 @@ class Drives:
 
         session.questions.before_replacing([path], write)
 
-    def why_no_film(self, session: Desk) -> str | None:
+    def why_no_video(self, session: EditorServices) -> str | None:
         """Why the one that plays can't be filmed now; None where it can."""
-        if self.playing is None or self._shown_in(session.scene) is None:
+        if self.playing is None or self._placed_in(session.scene) is None:
             return "No roll-out plays: drive, or open one, in the Drive panel."
         if not session.scene.rigs:
             return "This scene has no rig whose front camera could film the drive."
-        if any(isinstance(job, DriveFilmJob) for job in session.running_jobs):
+        if any(isinstance(job, RolloutVideoJob) for job in session.running_jobs):
             return "A film is being made."
         return None
 
-    def film_to(self, session: Desk, path: Path) -> None:
+    def video_to(self, session: EditorServices, path: Path) -> None:
         """Film the one that plays, in the background; what is there already is only replaced when a person says so."""
         if self.playing is None:
             return
         path, rollout = path if path.suffix else path.with_suffix(".mp4"), self.playing.rollout
 
         def begin() -> None:
-            fps = min(max(session.timeline.fps, _FILM_FPS[0]), _FILM_FPS[1])
+            fps = min(max(session.timeline.fps, _VIDEO_FPS[0]), _VIDEO_FPS[1])
             scene, known = saved_scene(session), self._scene_files.known
-            session.start(DriveFilmJob(scene, rollout, path, fps, self._files, known))
+            session.start(RolloutVideoJob(scene, rollout, path, fps, self._files, known))
 
         session.questions.before_replacing([path], begin)
 
@@ -138,7 +138,7 @@ class Drives:
         placing = [] if self._placing is None else [self._placing[1]]
         return [*[each[1] for each in self._reading], *[each[2] for each in self._writing], *placing]
 
-    def poll(self, session: Desk) -> None:
+    def poll(self, session: EditorServices) -> None:
         """Take in what was read, say what was written, go along with the drive; never waits."""
         for name, reading in [each for each in self._reading if each[1].done()]:
             self._reading.remove((name, reading))
@@ -149,36 +149,36 @@ class Drives:
         if self._placing is not None and self._placing[1].done():
             (opened, placing), self._placing = self._placing, None
             self._begin(session, opened, placing)
-        shown = self._shown_in(session.scene)
+        shown = self._placed_in(session.scene)
         if shown is not None:
             self.chase.ride(shown.vehicle(session.clock.time_s), session.navigation)
 
     # What plays
 
-    def play(self, session: Desk, opened: OpenedRollout) -> None:
+    def play(self, session: EditorServices, opened: LoadedRollout) -> None:
         """Show a roll-out from its beginning, in place of the scene's own traffic; the document stays as it is.
 
         It comes in a later frame: looking for the ground of a scene takes a moment.
         """
-        self._placing = opened, self._files.submit(ShownRollout, opened.rollout, session.scene)
+        self._placing = opened, self._files.submit(RolloutInScene, opened.rollout, session.scene)
 
-    def follow(self, session: Desk, mode: ChaseMode) -> None:
+    def follow(self, session: EditorServices, mode: ChaseMode) -> None:
         """Let the camera go along in a way."""
         session.view.follow_path = False
         session.following.follow("")
         self.chase.begin(mode)
 
-    def seek(self, session: Desk, time_s: float) -> None:
+    def seek(self, session: EditorServices, time_s: float) -> None:
         """Go to a moment of the roll-out that plays, in seconds since its scenario began."""
-        shown = self._shown_in(session.scene)
+        shown = self._placed_in(session.scene)
         session.clock.seek(time_s + (shown.start_s if shown is not None else 0.0))
 
-    def jump(self, session: Desk, time_s: float) -> None:
+    def jump(self, session: EditorServices, time_s: float) -> None:
         """Stop at a moment of the roll-out that plays."""
         session.clock.playing = False
         self.seek(session, time_s)
 
-    def close(self, session: Desk, opened: OpenedRollout) -> None:
+    def close(self, session: EditorServices, opened: LoadedRollout) -> None:
         """Close a roll-out; the scene comes back with the last one that plays."""
         self.opened = [each for each in self.opened if each is not opened]
         if opened is self.playing:
@@ -186,7 +186,7 @@ class Drives:
             if self.opened:
                 self.play(session, self.opened[-1])
 
-    def close_all(self, session: Desk) -> None:
+    def close_all(self, session: EditorServices) -> None:
         """Close all of them; the scene comes back."""
         self.opened, self._placing = [], None
         if self.playing is not None:
@@ -194,23 +194,23 @@ class Drives:
 
     # What the viewport asks
 
-    def shown_in(self, session: Desk) -> ShownRollout | None:
+    def placed_in(self, session: EditorServices) -> RolloutInScene | None:
         """The roll-out that plays, in the scene as it is; None where none plays or where it does not belong there."""
-        return self._shown_in(session.scene)
+        return self._placed_in(session.scene)
 
     def scene_in_place_of(self, scene: Scene) -> Scene:
         """The scene with the road users of the roll-out that plays; the same where none does."""
-        shown = self._shown_in(scene)
+        shown = self._placed_in(scene)
         if shown is None:
             return scene
         return shown.scene(scene, with_ego=self.show_ego_car and self.chase.mode != "front camera")
 
-    def rig_scene(self, session: Desk) -> Scene:
+    def rig_scene(self, session: EditorServices) -> Scene:
         """What the cameras of the rig see: not the body of their own vehicle."""
-        shown = self._shown_in(session.scene)
+        shown = self._placed_in(session.scene)
         return session.scene if shown is None else shown.scene(session.scene, with_ego=False)
 
-    def rainfall(self, *, roofs: bool) -> Rainfall | None:
+    def rainfall(self, *, roofs: bool) -> RainSimulation | None:
         """Rain of the roll-out that plays, under roofs where they are known; None for that of the document."""
         if self._shown is None or not self.rain_as_driven:
             return None
@@ -218,19 +218,19 @@ class Drives:
         if not roofs and rain.roofs:
             rain = msgspec.structs.replace(rain, roofs=False)
         if self._rainfall is None or self._rainfall.rain != rain:
-            self._rainfall = Rainfall.start(rain)
+            self._rainfall = RainSimulation.start(rain)
         return self._rainfall
 
     def span_s(self) -> tuple[float, float] | None:
         """From when to when the roll-out plays, in the scene's time."""
         return None if self._shown is None else self._shown.span_s
 
-    def step_now(self, session: Desk) -> RolloutStep | None:
+    def step_now(self, session: EditorServices) -> RolloutStep | None:
         """The step of the roll-out that plays at the present time."""
-        shown = self._shown_in(session.scene)
+        shown = self._placed_in(session.scene)
         return None if shown is None else shown.played.step(shown.own_time_s(session.clock.time_s))
 
-    def _shown_in(self, scene: Scene) -> ShownRollout | None:
+    def _placed_in(self, scene: Scene) -> RolloutInScene | None:
         """The one that plays; put into place anew where a person has changed the scene's actors or its units."""
         if self.playing is not None and self._shown is not None and not self._shown.fits(scene):
             try:
@@ -239,7 +239,7 @@ class Drives:
                 self._shown, self.trouble = None, _not_here(error)
         return self._shown
 
-    def _begin(self, session: Desk, opened: OpenedRollout, placing: "Future[ShownRollout]") -> None:
+    def _begin(self, session: EditorServices, opened: LoadedRollout, placing: "Future[RolloutInScene]") -> None:
         if not any(each is opened for each in self.opened):
             return  # closed meanwhile
         was_playing = self.playing is not None
@@ -259,28 +259,28 @@ class Drives:
         if not was_playing:
             self.chase.begin("behind")
 
-    def _stop(self, session: Desk) -> None:
+    def _stop(self, session: EditorServices) -> None:
         self.playing = self.trouble = self._shown = self._rainfall = self._placing = None
         self.chase.begin("free")
         session.clock.span_s, self._kept_span = self._kept_span, None
         session.timeline.is_fitted = False
 
-    def _take(self, session: Desk, name: str, reading: Reading) -> None:
+    def _take(self, session: EditorServices, name: str, reading: Reading) -> None:
         try:
             found = reading.result()
         except Exception as error:  # whatever a disk or a file can do
-            session.problem = told(f"{name} can't be opened", error)
+            session.problem = describe_error(f"{name} can't be opened", error)
             return
-        self.opened = [*self.opened, *found][-_MOST:]
+        self.opened = [*self.opened, *found][-_MAX_ROLLOUTS:]
         self.play(session, found[-1])
         for each in found:
             logger.info("Opened a roll-out: %s: %s after %.2f s", each.title, each.rollout.end, each.duration_s)
 
-    def _written(self, session: Desk, opened: OpenedRollout, path: Path, writing: "Future[None]") -> None:
+    def _written(self, session: EditorServices, opened: LoadedRollout, path: Path, writing: "Future[None]") -> None:
         try:
             writing.result()
         except Exception as error:  # whatever a disk can do
-            session.problem = told(f"{path} can't be written", error)
+            session.problem = describe_error(f"{path} can't be written", error)
             return
         logger.info("Saved the roll-out %s", path)
         saved = opened.saved_at(path)
@@ -301,7 +301,7 @@ _DRIVERS = ("oracle-idm", "constant-velocity")
 """Who is taken first, of those that there are."""
 
 
-class WantedDrive:
+class DriveSetup:
     """What the next drive will be."""
 
     def __init__(self) -> None:
@@ -326,11 +326,11 @@ class WantedDrive:
         return self._scenario
 
     @property
-    def wishes(self) -> DriveWishes:
+    def wishes(self) -> DriveSettings:
         return self._wishes
 
     @wishes.setter
-    def wishes(self, wishes: DriveWishes) -> None:
+    def wishes(self, wishes: DriveSettings) -> None:
         self._wishes = wishes
 
     @cached_property
@@ -338,9 +338,9 @@ class WantedDrive:
         return load_scenario(_FIRST)
 
     @cached_property
-    def _wishes(self) -> DriveWishes:
+    def _wishes(self) -> DriveSettings:
         there = self.agent_names
-        return DriveWishes(agent=next((name for name in _DRIVERS if name in there), there[0]))
+        return DriveSettings(agent=next((name for name in _DRIVERS if name in there), there[0]))
 
     @property
     def why_not(self) -> str | None:
@@ -356,7 +356,7 @@ class WantedDrive:
         try:
             scenario = load_scenario(source)
         except (ValueError, OSError) as error:
-            self.problem = told(f"{source} can't be opened", error)
+            self.problem = describe_error(f"{source} can't be opened", error)
             return
         self._scenario, self.source, self.is_changed, self.problem = scenario, str(source), False, None
 
@@ -366,7 +366,7 @@ class WantedDrive:
         try:
             save_scenario(self.scenario, path)
         except OSError as error:
-            self.problem = told(f"{path} can't be written", error)
+            self.problem = describe_error(f"{path} can't be written", error)
             return
         self.source, self.is_changed, self.problem = str(path), False, None
 

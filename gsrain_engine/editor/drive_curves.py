@@ -10,7 +10,7 @@ from ..simulation.rollout import Rollout
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Curves:
+class RolloutCurves:
     """One number a moment of a roll-out. Times are seconds since the scenario began."""
 
     times_s: Float64[np.ndarray, " n"]
@@ -23,7 +23,7 @@ class Curves:
     """To the nearest who is ahead in the lane; not a number where nobody is."""
 
     @property
-    def most_critical_s(self) -> float:
+    def min_ttc_time_s(self) -> float:
         """When the time to collision was smallest."""
         return float(self.times_s[int(self.ttc_s.argmin())])
 
@@ -32,10 +32,10 @@ class Curves:
         return float(np.interp(time_s, self.times_s, self.ttc_s))
 
 
-def curves_of(rollout: Rollout) -> Curves:
+def rollout_curves(rollout: Rollout) -> RolloutCurves:
     """Work out the curves of a roll-out; raises ValueError for one whose vehicle can't be read."""
     gaps = gaps_m(rollout)
-    return Curves(
+    return RolloutCurves(
         np.array([each.time_s for each in rollout.steps]),
         np.array([each.ego.speed_m_s for each in rollout.steps]),
         np.array([each.ego.acceleration_m_s2 for each in rollout.steps]),

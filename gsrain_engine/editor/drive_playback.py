@@ -8,15 +8,15 @@ from jaxtyping import Float64
 
 from ..scene.gaussians import Gaussians
 from ..scene.geometry import quaternions_from_matrices
-from ..scene.lod_order import in_drawing_order
-from ..scene.scene import Actor, RigCamera, Scene, Track
-from ..simulation.agents.base import Needs
-from ..simulation.playback import PlayedRollout
+from ..scene.lod_order import in_lod_order
+from ..scene.scene import Actor, PoseTrack, RigCamera, Scene
+from ..simulation.agents.base import SensorRequirements
+from ..simulation.playback import RolloutPlayback
 from ..simulation.rollout import Rollout
 from ..simulation.scenario import Scenario
 from ..simulation.sensors import needed_cameras
-from ..simulation.traffic.appearance import scaled, user_look
-from .viewport.camera_follow import ChasedVehicle
+from ..simulation.traffic.appearance import scale_gaussians, vehicle_model
+from .viewport.camera_follow import VehicleMoment
 
 EGO_CAR = "ego car"
 """Id of the actor that is the ego vehicle's body; no road user is called so."""
@@ -26,7 +26,7 @@ _BODY = "saloon"
 Poses = Float64[np.ndarray, "t 4 4"]
 
 
-class ShownRollout:
+class RolloutInScene:
     """One roll-out in one scene; scenes that only differ in what stands beside the road share it."""
 
     def __init__(self, rollout: Rollout, scene: Scene) -> None:
@@ -35,7 +35,7 @@ class ShownRollout:
         Raises ValueError where the scene has not what the roll-out shows: it was driven in another one.
         """
         try:
-            self.played = PlayedRollout(rollout, scene)
+            self.played = RolloutPlayback(rollout, scene)
             self._times = np.array([each.time_s for each in rollout.steps])
             self._to_scene = np.linalg.inv(scene.scene_to_world)
             self._scale = 1 / scene.metres_per_unit
@@ -48,9 +48,9 @@ class ShownRollout:
         self._of = scene
         self._shown: dict[bool, tuple[Scene, Scene]] = {}
 
-    def placed_in(self, scene: Scene) -> "ShownRollout":
+    def placed_in(self, scene: Scene) -> "RolloutInScene":
         """Return the same in a changed scene; raises what making it raises."""
-        return ShownRollout(self.played.rollout, scene)
+        return RolloutInScene(self.played.rollout, scene)
 
     def fits(self, scene: Scene) -> bool:
         """Whether it lies in a scene as it was made for: same units and axes, same actors of those that it shows."""
@@ -88,17 +88,17 @@ class ShownRollout:
             self._shown[with_ego] = scene, replace(scene, actors=actors, ego=self._rig)
         return self._shown[with_ego][1]
 
-    def vehicle(self, clock_s: float) -> ChasedVehicle:
+    def vehicle(self, clock_s: float) -> VehicleMoment:
         """The ego vehicle at a time of the scene, for a camera that goes along."""
         time_s = self.own_time_s(clock_s)
         pose, state = self.played.rig_to_world(time_s), self.played.state(time_s)
-        return ChasedVehicle(pose, state.speed_m_s, self.played.rig.height_m, self.front_camera)
+        return VehicleMoment(pose, state.speed_m_s, self.played.rig.height_m, self.front_camera)
 
     @property
     def front_camera(self) -> RigCamera | None:
         """The rig's camera that looks most straight ahead."""
         cameras = self.played.rig.cameras
-        return needed_cameras(cameras, Needs(cameras=("front",)))[0] if cameras else None
+        return needed_cameras(cameras, SensorRequirements(cameras=("front",)))[0] if cameras else None
 
     def _user(self, id: str, scene: Scene) -> Actor:
         """A road user with its Gaussians, on its way through the whole drive."""
@@ -110,23 +110,23 @@ class ShownRollout:
         first = float(self._times[int(there.argmax())])
         actor = next(each for each in played.scene(first).actors if each.id == id)
         if not any(actor.gaussians is each.gaussians for each in scene.actors):
-            actor = replace(actor, gaussians=in_drawing_order(actor.gaussians))
+            actor = replace(actor, gaussians=in_lod_order(actor.gaussians))
         return replace(actor, track=self._track(np.array(poses), there))
 
     def _ego_car(self, scene: Scene) -> Actor:
         vehicle = self.scenario.vehicle
-        look = user_look(_BODY, scene)
-        gaussians: Gaussians = scaled(look.gaussians, self._scale * vehicle.length_m / look.size_lwh_m[0])
+        look = vehicle_model(_BODY, scene)
+        gaussians: Gaussians = scale_gaussians(look.gaussians, self._scale * vehicle.length_m / look.size_lwh_m[0])
         middle = np.eye(4)
         middle[:3, 3] = vehicle.middle_m, 0.0, -self.played.rig.height_m
         poses = np.array([self.played.rig_to_world(t) @ middle for t in self._times])
         length, width, height = (self._scale * each for each in (vehicle.length_m, vehicle.width_m, vehicle.height_m))
         track = self._track(poses, np.ones(len(poses), bool))
-        return Actor(EGO_CAR, "car", (length, width, height), in_drawing_order(gaussians), track)
+        return Actor(EGO_CAR, "car", (length, width, height), in_lod_order(gaussians), track)
 
-    def _track(self, poses: Poses, there: np.ndarray) -> Track:
+    def _track(self, poses: Poses, there: np.ndarray) -> PoseTrack:
         """Poses in the world (metres) at the roll-out's moments as a track of the scene."""
         own = self._to_scene @ poses
         turns = own[:, :3, :3] / np.cbrt(np.linalg.det(own[:, :3, :3]))[:, None, None]
         quaternions = np.asarray(quaternions_from_matrices(turns), np.float64)
-        return Track(self._times + self.start_s, own[:, :3, 3].copy(), quaternions, there)
+        return PoseTrack(self._times + self.start_s, own[:, :3, 3].copy(), quaternions, there)

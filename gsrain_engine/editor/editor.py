@@ -9,69 +9,69 @@ from typing import Any, Literal
 import msgspec
 import platformdirs
 
-from ..malloc_tuning import FreedMemory
-from ..rain.keyframes import WITHOUT_CHANGE, Weather, rain_of, weather_of
-from ..rain.settings import Rain
-from ..rain.simulation import Rainfall
+from ..malloc_tuning import MemoryTrimmer
+from ..rain.keyframes import NO_KEYFRAMES, RainKeyframes, keyframes_of, rain_of
+from ..rain.settings import RainSettings
+from ..rain.simulation import RainSimulation
 from ..scene.gaussians import forget_scenes
 from ..scene.scene import Scene
-from .autosave import look_again
+from .autosave import restore_view
 from .document import Document, History
-from .drive import Drives
-from .files import Opened, SceneFiles, new_screenshot
-from .finetune import TransferStudio
-from .jobs.job import SceneJob, SceneTask
-from .make_rainy import RainyLook
-from .matching import MatchingView
-from .notifications import Answer, LogLines, Question, nothing
-from .rain import RainLab, RoofSearch, ShowerView
-from .recorder import Recorder
+from .drive import RolloutPlayer
+from .files import LoadedDocument, SceneFiles, new_screenshot
+from .finetune import FinetuneController
+from .jobs.job import JobKind, SceneJob
+from .make_rainy import WetLookController
+from .matching import MatchingController
+from .notifications import Answer, LogLines, Question, do_nothing
+from .rain import CalibrationTools, KeyframePanelState, ShelterMapBuilder
+from .recorder import RenderQueue
 from .selection.commands import SelectionOptions
-from .services import Desk
-from .viewport.options import EXACT, Detail, InteractionBudget, Side
-from .viewport.picking import SkyPick
-from .viewport_state import bring_in
+from .services import EditorServices
+from .viewport.options import FULL_QUALITY, AdaptiveQuality, QualityLevel, SplitPane
+from .viewport.picking import SkyColorPick
+from .viewport_state import insert_pending_scene
 
 logger = logging.getLogger("gsrain")
 
 WindowBackend = Literal["auto", "opengl", "cpu"]
 
 
-class Session(Desk):
+class Editor(EditorServices):
     """One open scene and everything around it. Only the main thread touches it."""
 
-    def __init__(self, scene: Scene | None = None, rain: Rain | None = None) -> None:
+    def __init__(self, scene: Scene | None = None, rain: RainSettings | None = None) -> None:
         """Begin with a scene, or with an empty one."""
         self._files = ThreadPoolExecutor(max_workers=1, thread_name_prefix="files")
         super().__init__(scene or Scene("no scene"), rain, self._files)
         self.log = LogLines()
         logger.setLevel(logging.INFO)
         logger.addHandler(self.log)
-        self.budget = InteractionBudget()
+        self.budget = AdaptiveQuality()
         self.is_compiling = False
         """Whether the viewport can't be drawn before kernels are compiled or loaded."""
         self.backend = ""
         """What draws the viewport."""
-        self.detail: Detail = EXACT
+        self.detail: QualityLevel = FULL_QUALITY
         """How much of the exact picture the viewport shows now."""
         self.screenshot: Path | None = None
         """Where the live view saves its next picture."""
-        self.sky_pick: SkyPick | None = None
+        self.sky_pick: SkyColorPick | None = None
         """The part of the next picture whose colour drops are to take."""
-        self.shower = ShowerView()
-        self.lab = RainLab()
+        self.shower = KeyframePanelState()
+        self.lab = CalibrationTools()
         self.selecting = SelectionOptions()
-        self.matching = MatchingView()
+        self.matching = MatchingController()
         self._is_closed = False
         self.is_leaving = False
         """Whether the program shall end now: a person wants it, and has said what becomes of unsaved changes."""
-        self._roofs = RoofSearch(self._files)
-        self._freed_memory = FreedMemory(self._files)
+        self._roofs = ShelterMapBuilder(self._files)
+        self._freed_memory = MemoryTrimmer(self._files)
         self._other_rainfall = self.rainfall
         self.files = SceneFiles(self, self.enter, self._files)
-        self.recorder = Recorder(self, self.files, self._files)
-        self.drives = Drives(self.files, self.chase, self._files)
-        self.rainy, self.studio = RainyLook(self.files, self._files), TransferStudio(self._files)
+        self.recorder = RenderQueue(self, self.files, self._files)
+        self.drives = RolloutPlayer(self.files, self.chase, self._files)
+        self.rainy, self.studio = WetLookController(self.files, self._files), FinetuneController(self._files)
         self.enter_scene()
 
     # Files
@@ -93,29 +93,29 @@ class Session(Desk):
         """Whether there is anything that was not saved."""
         return self.files.has_changes
 
-    def enter(self, opened: Opened) -> None:
+    def enter(self, opened: LoadedDocument) -> None:
         """Go to another document."""
         self._cancel_jobs(of_the_scene=True)
         self.drives.close_all(self)
         scene = opened.scene
-        rain, weather = rain_of(scene) or self.rain, weather_of(scene) or WITHOUT_CHANGE
-        self.history = History.beginning_with(Document(scene, rain, weather))
+        rain, weather = rain_of(scene) or self.rain, keyframes_of(scene) or NO_KEYFRAMES
+        self.history = History.starting_with(Document(scene, rain, weather))
         self.files.enter(opened, self.history.present)
         self._follow_document()
         self.enter_scene()
         forget_scenes()
         self._freed_memory.note_work()
         if scene.view is not None:
-            look_again(self, scene.view)
+            restore_view(self, scene.view)
 
     def enter_scene(self) -> None:
         """Begin anew with the view and the timeline: this is another place."""
         super().enter_scene()
         self.rainy.previewed = None
 
-    def leave(self) -> None:
+    def request_quit(self) -> None:
         """End the program; with work that goes on or unsaved changes, a person is asked first."""
-        self.files.when_safe("quit", self._leave, ends_program=True)
+        self.files.confirm_unsaved_then("quit", self._leave, ends_program=True)
 
     def _leave(self) -> None:
         self.files.give_up()
@@ -155,7 +155,7 @@ class Session(Desk):
         """Whether another scene is about to take the place of this one."""
         return self.files.is_opening or super().is_opening
 
-    def start_task(self, task: SceneTask) -> None:
+    def start_task(self, task: JobKind) -> None:
         """Start a job whose result is a scene; its files are read and written in the session's thread."""
         self.start(SceneJob(task, self._files))
 
@@ -181,7 +181,7 @@ class Session(Desk):
             self.enter(self.files.arrive(staged.scene))
             logger.info("Opened %s: %s Gaussians", staged.label, f"{staged.scene.gaussian_count:,}")
         else:
-            bring_in(self, staged)
+            insert_pending_scene(self, staged)
 
     def update(self, real_s: float) -> None:
         """Let time go by and take in what background work has finished. Once a frame."""
@@ -222,22 +222,22 @@ class Session(Desk):
         return self.drives.scene_in_place_of(super().shown_scene)
 
     @property
-    def shown_rainfall(self) -> Rainfall:
+    def shown_rainfall(self) -> RainSimulation:
         """The rain that the viewport shows: the document's, or that of a roll-out that plays."""
         return self.drives.rainfall(roofs=self._roofs.knows(self.scene)) or self._drawn_rainfall
 
     @property
-    def sides(self) -> list[Side]:
+    def split_panes(self) -> list[SplitPane]:
         """What the viewport shows: one side, or two from left to right."""
         shown, rainfall = self.shown_scene, self.shown_rainfall
-        here = Side("", shown, rainfall)
+        here = SplitPane("", shown, rainfall)
         if self.view.split == "clear | rainy":
             clear = rainfall.rain.without_rain
-            return [Side("clear", shown, self._rainfall_of(clear, WITHOUT_CHANGE)), here._replace(label="rainy")]
+            return [SplitPane("clear", shown, self._rainfall_of(clear, NO_KEYFRAMES)), here._replace(label="rainy")]
         if self.view.split == "before | after":
             before = self.history.previous
             rainfall = self._rainfall_of(before.rain, before.weather)
-            left = Side(f"before: {self.history.undo_label or 'nothing'}", before.scene, rainfall)
+            left = SplitPane(f"before: {self.history.undo_label or 'nothing'}", before.scene, rainfall)
             return [left, here._replace(label="after")]
         return [here]
 
@@ -265,17 +265,17 @@ class Session(Desk):
         logger.removeHandler(self.log)
 
     @property
-    def _drawn_rainfall(self) -> Rainfall:
+    def _drawn_rainfall(self) -> RainSimulation:
         """The rain without roofs until they are found: a frame that looked for them would take seconds."""
         if not self.rain.roofs or (self._roofs.knows(self.scene) and self._shown_preview is None):
             return self.rainfall
         return replace(self.rainfall, rain=msgspec.structs.replace(self.rain, roofs=False))
 
-    def _rainfall_of(self, rain: Rain, weather: Weather) -> Rainfall:
+    def _rainfall_of(self, rain: RainSettings, weather: RainKeyframes) -> RainSimulation:
         if rain == self.rain and weather is self.weather:
             return self.rainfall
         if rain != self._other_rainfall.rain or weather is not self._other_rainfall.weather:
-            self._other_rainfall = Rainfall.start(rain, weather=weather)
+            self._other_rainfall = RainSimulation.start(rain, weather=weather)
         return self._other_rainfall
 
     def _ask_about_outside(self) -> None:
@@ -285,7 +285,7 @@ class Session(Desk):
         (path, why), self.captures.refused = self.captures.refused, None
         text = f"{why.partition('; --allow')[0]}. Read files outside of its folder?"
         yes = Answer("Read them", lambda: self.captures.open(path, allow_outside=True), "Open it with those files.")
-        self.questions.ask(Question("Files outside of the capture", text, (yes, Answer("Cancel", nothing))))
+        self.questions.ask(Question("Files outside of the capture", text, (yes, Answer("Cancel", do_nothing))))
 
     def _cancel_jobs(self, *, of_the_scene: bool = False) -> None:
         for job in self.running_jobs:

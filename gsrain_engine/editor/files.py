@@ -14,24 +14,32 @@ import msgspec
 from ..datasets.open_capture import capture_format
 from ..rain.settings import load_preset
 from ..safe_io.limits import read_file
-from ..safe_io.text_files import MOST_BYTES, printable
-from ..scene.files import SceneFormatError, locked, whole_file
+from ..safe_io.text_files import MAX_BYTES, printable_line
+from ..scene.files import SceneFormatError, lock_path, whole_file
 from ..scene.formats.registry import format_of, writable_suffixes
 from ..scene.formats.scene_files import names_scene_folder, write_scene
-from ..scene.formats.scene_folder import SCENE_FILE, KnownFiles
-from ..scene.open import folder_to_read, is_built_in, open_to_draw, scene_folder_of
+from ..scene.formats.scene_folder import SCENE_FILE, FileCache
+from ..scene.open import folder_to_read, is_built_in_street, load_sorted_scene, scene_folder_of
 from ..scene.progress import Progress
 from ..scene.scene import Scene
-from ..scene.transforms import left_out_when_flat
-from .autosave import Autosave, Autosaved, DiskStamp, Entered, has_changed, saved_scene, stamp_of
+from ..scene.transforms import lost_when_flattened
+from .autosave import (
+    Autosave,
+    FileFingerprint,
+    FolderClaim,
+    RecoveryCandidate,
+    fingerprint_of,
+    has_changed,
+    saved_scene,
+)
 from .document import Document
 from .edits.layers import import_scene
 from .jobs.job import BackgroundWork
 from .jobs.process import JobState
-from .notifications import Answer, Question, nothing, told
+from .notifications import Answer, Question, describe_error, do_nothing
 from .preferences import state_folder
-from .services import Desk
-from .viewport_state import StagedScene
+from .services import EditorServices
+from .viewport_state import PendingScene
 
 logger = logging.getLogger("gsrain")
 
@@ -39,18 +47,18 @@ logger = logging.getLogger("gsrain")
 
 
 @dataclass(frozen=True, eq=False)
-class Opened:
+class LoadedDocument:
     """A scene that was read, and what is known about where it came from."""
 
     scene: Scene
     source: str
     home: Path | None
-    stamp: DiskStamp | None
-    known: KnownFiles
-    recovered: Autosaved | None = None
+    stamp: FileFingerprint | None
+    known: FileCache
+    recovered: RecoveryCandidate | None = None
 
 
-class CaptureNamedError(SceneFormatError):
+class NotASceneError(SceneFormatError):
     """A capture where a scene should be."""
 
     def __init__(self, path: Path, kind: str) -> None:
@@ -62,7 +70,9 @@ class CaptureNamedError(SceneFormatError):
 class SceneFiles:
     """The files of one session. Reading and writing happens in `thread`, everything else on the main thread."""
 
-    def __init__(self, session: Desk, enter: Callable[[Opened], None], thread: ThreadPoolExecutor) -> None:
+    def __init__(
+        self, session: EditorServices, enter: Callable[[LoadedDocument], None], thread: ThreadPoolExecutor
+    ) -> None:
         """`enter` goes to another document."""
         self._session, self._enter = session, enter
         self._thread = thread
@@ -75,15 +85,15 @@ class SceneFiles:
         self.place_wanted: Callable[[Path], None] | None = None
         """Set while somebody has to be asked where to save; called with the answer."""
         self.recovery = Recovery(session, self.recover, self.close_scene, thread)
-        self._known = KnownFiles()
-        self._stamp: DiskStamp | None = None
+        self._known = FileCache()
+        self._stamp: FileFingerprint | None = None
         self._saved: Document = session.history.present
-        self._opening: tuple[str, Future[Opened]] | None = None
-        self._arriving: Opened | None = None
-        self._saving: _Saving | None = None
+        self._opening: tuple[str, Future[LoadedDocument]] | None = None
+        self._arriving: LoadedDocument | None = None
+        self._saving: _SaveJob | None = None
         self._next_saving: Callable[[], None] | None = None
-        self._importing: list[_Importing] = []
-        self._exporting: list[_Exporting] = []
+        self._importing: list[_ImportJob] = []
+        self._exporting: list[_ExportJob] = []
         self._recent: Future[list[Path]] | None = None
 
     # What is known
@@ -94,7 +104,7 @@ class SceneFiles:
         return self._session.history.present is not self._saved
 
     @property
-    def known(self) -> KnownFiles:
+    def known(self) -> FileCache:
         """Which files hold which Gaussians; for the thread that reads and writes."""
         return self._known
 
@@ -131,25 +141,25 @@ class SceneFiles:
 
     def open(self, path: str) -> None:
         """Go to another scene, once a person has said what becomes of unsaved changes."""
-        self.when_safe(f"open {Path(path).name or path}", lambda: self.open_now(path))
+        self.confirm_unsaved_then(f"open {Path(path).name or path}", lambda: self.open_now(path))
 
     def open_now(self, path: str) -> None:
         """Read a scene in the background and go to it; of several, the one that was asked for last."""
-        self._begin_opening(path, lambda: read_opened(path))
+        self._begin_opening(path, lambda: load_document(path))
 
-    def recover(self, autosaved: Autosaved) -> None:
+    def recover(self, autosaved: RecoveryCandidate) -> None:
         """Go on with what a process that died has kept; its changes are still to be saved."""
-        self._begin_opening(autosaved.about.name, lambda: read_kept(autosaved))
+        self._begin_opening(autosaved.about.name, lambda: load_autosave(autosaved))
 
     def go_on_at(self, place: Path) -> None:
         """Go on with what the window before this one has kept; nobody is asked, its changes are still to be saved."""
-        self._begin_opening("what was not saved", lambda: read_kept(self.recovery.left_at(place)))
+        self._begin_opening("what was not saved", lambda: load_autosave(self.recovery.left_at(place)))
 
     def import_from(self, path: str) -> None:
         """Read a scene in the background and add its layers and actors to the present one."""
         logger.info("Importing %s", path)
         self._session.problem = None
-        self._importing.append(_Importing(f"Import {Path(path).name}", self._thread.submit(read_opened, path), path))
+        self._importing.append(_ImportJob(f"Import {Path(path).name}", self._thread.submit(load_document, path), path))
 
     def revert(self) -> None:
         """Go back to what is on the disk."""
@@ -157,18 +167,18 @@ class SceneFiles:
         if source is None:
             return
         title, text = "Revert", f"All changes of {self._session.scene.name} since it was last saved are lost."
-        back = Answer("Revert", lambda: self._read_again(source), "Read the scene again.")
+        back = Answer("Revert", lambda: self._reread(source), "Read the scene again.")
         if self.has_changes:
             self._session.questions.ask(Question(title, text, (back, _CANCEL)))
         else:
-            self._read_again(source)
+            self._reread(source)
 
     def close_scene(self) -> None:
         """Go to an empty scene."""
-        empty = Opened(Scene("no scene"), "", None, None, KnownFiles())
-        self.when_safe("close the scene", lambda: self._enter(empty))
+        empty = LoadedDocument(Scene("no scene"), "", None, None, FileCache())
+        self.confirm_unsaved_then("close the scene", lambda: self._enter(empty))
 
-    def when_safe(self, what: str, act: Callable[[], None], *, ends_program: bool = False) -> None:
+    def confirm_unsaved_then(self, what: str, act: Callable[[], None], *, ends_program: bool = False) -> None:
         """Do what takes the place of the document or ends the program; with work or unsaved changes, ask first.
 
         Of jobs, those count that end with it: all where it ends the program.
@@ -183,7 +193,7 @@ class SceneFiles:
         jobs = [each for each in self._session.jobs if ends_program or each.ends_with_scene]
         return [*jobs, *self.work]
 
-    def _read_again(self, source: str) -> None:
+    def _reread(self, source: str) -> None:
         self._session.when_idle(self._ended_work(), "revert", lambda: self.open_now(source))
 
     def _when_saved(self, what: str, act: Callable[[], None]) -> None:
@@ -216,7 +226,7 @@ class SceneFiles:
         question = Question("Roll-outs that were not saved", text, (lose, _CANCEL), enter_answers=False)
         self._session.questions.ask(question)
 
-    def enter(self, opened: Opened, document: Document) -> None:
+    def enter(self, opened: LoadedDocument, document: Document) -> None:
         """Take note that the session went to a document that was opened."""
         self.source, self.home, self._known = opened.source or None, opened.home, opened.known
         self._stamp, self._saved = opened.stamp, document
@@ -224,14 +234,14 @@ class SceneFiles:
         if recovered is not None:
             self._saved = replace(document)  # another value: there are changes
         self.recovery.enter(opened.home, document, recovered)
-        if opened.source and not is_built_in(opened.source) and recovered is None:
+        if opened.source and not is_built_in_street(opened.source) and recovered is None:
             self._recent = self._thread.submit(add_recent_file, Path(opened.source))
 
     # Saving
 
     def save(self) -> None:
         """Save where the document came from; where that is no scene folder, ask for a place."""
-        self.save_then(nothing)
+        self.save_then(do_nothing)
 
     def save_then(self, act: Callable[[], None]) -> None:
         """Save as `save` does, and do something once that has succeeded."""
@@ -240,7 +250,7 @@ class SceneFiles:
         else:
             self.place_wanted = lambda path: self.save_as(path, act)
 
-    def save_to(self, path: Path, act: Callable[[], None] = nothing) -> None:
+    def save_to(self, path: Path, act: Callable[[], None] = do_nothing) -> None:
         """Save to a scene folder, unless somebody else has changed what is there: then ask first."""
         home, path = self.home, path.parent if path.name == SCENE_FILE else path
         if not names_scene_folder(path):
@@ -256,13 +266,13 @@ class SceneFiles:
         answers = (
             Answer("Save as...", elsewhere, "Save to another place; both versions stay."),
             Answer("Overwrite", lambda: self._begin_saving(path, act), "What the other program has saved is lost."),
-            Answer("Reload", lambda: self._read_again(str(home)), "Read what is on the disk; lose the changes here."),
+            Answer("Reload", lambda: self._reread(str(home)), "Read what is on the disk; lose the changes here."),
             _CANCEL,
         )
         text = f"{home} was changed by another program or window since it was opened or saved here."
         self._session.questions.ask(Question("Changed on disk", text, answers))
 
-    def save_as(self, path: Path, act: Callable[[], None] = nothing) -> None:
+    def save_as(self, path: Path, act: Callable[[], None] = do_nothing) -> None:
         """Save to another place; where another scene folder stands there, ask first."""
         other = scene_folder_of(path)
         if other is None or other == self.home:
@@ -290,7 +300,7 @@ class SceneFiles:
         scene = saved_scene(self._session)
         if self._session.rain == load_preset("clear"):
             scene = replace(scene, rain=None)
-        missing = left_out_when_flat(scene)
+        missing = lost_when_flattened(scene)
         if not row.keeps_harmonics and any(each.gaussians.sh_degree for each in scene.members if each.visible):
             missing.append(f"how colors depend on the direction of view ({row.suffix} has no place for it)")
         if not missing and not path.exists():
@@ -315,7 +325,7 @@ class SceneFiles:
         file = Answer("Export...", lambda: self.export_to(path), f"Write {path}; changes stay unsaved.")
         return Question("Save writes a scene folder", text, (into, file, _CANCEL))
 
-    def _capture_question(self, named: CaptureNamedError) -> Question:
+    def _capture_question(self, named: NotASceneError) -> Question:
         text = (
             f"{named.path.name} is a capture ({named.kind}), not a scene: pictures, which the Capture panel shows "
             "and makes a scene of. Open it there?"
@@ -339,11 +349,11 @@ class SceneFiles:
             (path, opening), self._opening = self._opening, None
             try:
                 self._arriving = opening.result()
-                self._session.stage(StagedScene(path, self._arriving.scene, is_opened=True))
-            except CaptureNamedError as error:
+                self._session.stage(PendingScene(path, self._arriving.scene, is_opened=True))
+            except NotASceneError as error:
                 self._session.questions.ask(self._capture_question(error))
             except Exception as error:  # whatever a file can do to its reader: the window lives on
-                self._session.problem = told(f"{path} can't be opened", error)
+                self._session.problem = describe_error(f"{path} can't be opened", error)
                 if Path(path) in self.recent and not Path(path).exists():
                     self._recent = self._thread.submit(forget_recent_file, Path(path))
         if self._saving is not None and self._saving.future.done():
@@ -363,10 +373,14 @@ class SceneFiles:
         """Keep unsaved changes at once: the program is about to end, and nobody was asked."""
         self.recovery.keep(self._saved, self._stamp, self._known)
 
-    def arrive(self, scene: Scene) -> Opened:
+    def arrive(self, scene: Scene) -> LoadedDocument:
         """What is known about a staged scene that was opened here."""
         opened, self._arriving = self._arriving, None
-        return opened if opened is not None and opened.scene is scene else Opened(scene, "", None, None, KnownFiles())
+        return (
+            opened
+            if opened is not None and opened.scene is scene
+            else LoadedDocument(scene, "", None, None, FileCache())
+        )
 
     def close(self) -> None:
         """End: wait for what is being written. What is kept of unsaved changes goes, unless nobody was asked."""
@@ -374,7 +388,7 @@ class SceneFiles:
             self._opening[1].cancel()
         self.recovery.close(is_saved=not self.has_changes)
 
-    def _begin_opening(self, label: str, read: Callable[[], Opened]) -> None:
+    def _begin_opening(self, label: str, read: Callable[[], LoadedDocument]) -> None:
         if self._opening is not None:
             self._opening[1].cancel()
         logger.info("Opening %s", label)
@@ -388,20 +402,20 @@ class SceneFiles:
         self._session.problem = None
         scene, document, known = saved_scene(self._session), self._session.history.present, self._known
         future = self._thread.submit(_write, scene, path, known)
-        self._saving = _Saving(f"Save {path.name}", future, path.resolve(), document, act)
+        self._saving = _SaveJob(f"Save {path.name}", future, path.resolve(), document, act)
 
     def _begin_exporting(self, scene: Scene, path: Path) -> None:
         self._session.problem = None
         future = self._thread.submit(write_scene, scene, path)
-        self._exporting.append(_Exporting(f"Export {path.name}", future, path))
+        self._exporting.append(_ExportJob(f"Export {path.name}", future, path))
 
-    def _take_saved(self, saving: "_Saving") -> None:
+    def _take_saved(self, saving: "_SaveJob") -> None:
         again, self._next_saving = self._next_saving, None
         try:
             stamp = saving.future.result()
         except Exception as error:
             saving.state = "failed"
-            self._session.problem = told(f"{saving.target} can't be saved", error)
+            self._session.problem = describe_error(f"{saving.target} can't be saved", error)
             return
         saving.state = "finished"
         logger.info("Saved %s", saving.target)
@@ -415,32 +429,32 @@ class SceneFiles:
         if again is not None:
             again()
 
-    def _take_imported(self, importing: "_Importing") -> None:
+    def _take_imported(self, importing: "_ImportJob") -> None:
         if importing.state == "cancelled":
             return
         try:
             other = importing.future.result().scene
         except Exception as error:  # whatever a file can do to its reader: the window lives on
             importing.state = "failed"
-            self._session.problem = told(f"{importing.path} can't be imported", error)
+            self._session.problem = describe_error(f"{importing.path} can't be imported", error)
         else:
             importing.state = "finished"
             self._session.edit(f"Import {other.name}", import_scene, other)
             logger.info("Imported %s: %s Gaussians", importing.path, f"{other.gaussian_count:,}")
 
-    def _take_exported(self, exporting: "_Exporting") -> None:
+    def _take_exported(self, exporting: "_ExportJob") -> None:
         try:
             exporting.future.result()
         except Exception as error:  # whatever a disk can do
             exporting.state = "failed"
-            self._session.problem = told(f"{exporting.target} can't be exported", error)
+            self._session.problem = describe_error(f"{exporting.target} can't be exported", error)
         else:
             exporting.state = "finished"
             logger.info("Exported %s", exporting.target)
 
 
 @dataclass(eq=False)
-class _FileWork:
+class _FileJob:
     """Reading or writing in the thread, as work to wait for; it has ended when its result is taken in."""
 
     title: str
@@ -454,35 +468,35 @@ class _FileWork:
 
 
 @dataclass(eq=False)
-class _Importing(_FileWork):
+class _ImportJob(_FileJob):
     path: str
 
 
 @dataclass(eq=False)
-class _Exporting(_FileWork):
+class _ExportJob(_FileJob):
     target: Path
 
 
 @dataclass(eq=False)
-class _Saving(_FileWork):
+class _SaveJob(_FileJob):
     target: Path
     document: Document
     act: Callable[[], None]
 
 
-_CANCEL = Answer("Cancel", nothing, "Change nothing.")
+_CANCEL = Answer("Cancel", do_nothing, "Change nothing.")
 
 
-def _write(scene: Scene, path: Path, known: KnownFiles) -> DiskStamp | None:
+def _write(scene: Scene, path: Path, known: FileCache) -> FileFingerprint | None:
     """Save; returns the state of the scene folder afterwards."""
     write_scene(scene, path, known, in_drawing_order=True)
-    return stamp_of(path)
+    return fingerprint_of(path)
 
 
-def read_opened(path: str) -> Opened:
-    """Read what a person names, as `open_to_draw` does, and raise what that raises.
+def load_document(path: str) -> LoadedDocument:
+    """Read what a person names, as `load_sorted_scene` does, and raise what that raises.
 
-    Raises `CaptureNamedError` where it is a capture instead.
+    Raises `NotASceneError` where it is a capture instead.
     """
     try:
         return _read(path)
@@ -490,28 +504,28 @@ def read_opened(path: str) -> Opened:
         kind = capture_format(path) if scene_folder_of(Path(path)) is None else None
         if kind is None:
             raise
-        raise CaptureNamedError(Path(path), kind.name) from None
+        raise NotASceneError(Path(path), kind.name) from None
 
 
-def _read(path: str) -> Opened:
-    known = KnownFiles()
-    home = folder_to_read(Path(path)) if not is_built_in(path) else None
-    stamp = stamp_of(home) if home is not None else None  # before reading: a change meanwhile is noticed
-    source = path if is_built_in(path) else str(home or Path(path).absolute())
-    return Opened(open_to_draw(path, known), source, home, stamp, known)
+def _read(path: str) -> LoadedDocument:
+    known = FileCache()
+    home = folder_to_read(Path(path)) if not is_built_in_street(path) else None
+    stamp = fingerprint_of(home) if home is not None else None  # before reading: a change meanwhile is noticed
+    source = path if is_built_in_street(path) else str(home or Path(path).absolute())
+    return LoadedDocument(load_sorted_scene(path, known), source, home, stamp, known)
 
 
-def read_kept(autosaved: Autosaved) -> Opened:
-    """Read what an autosave has kept; raises what `open_to_draw` raises."""
-    known, about = KnownFiles(), autosaved.about
-    scene = open_to_draw(str(autosaved.scene), known)
+def load_autosave(autosaved: RecoveryCandidate) -> LoadedDocument:
+    """Read what an autosave has kept; raises what `load_sorted_scene` raises."""
+    known, about = FileCache(), autosaved.about
+    scene = load_sorted_scene(str(autosaved.scene), known)
     home = about.folder
-    return Opened(scene, str(home or ""), home, about.stamp, known, autosaved)
+    return LoadedDocument(scene, str(home or ""), home, about.stamp, known, autosaved)
 
 
 # § The scenes that were opened or saved last, in a file that several windows share.
 
-MOST = 12
+MAX_RECENT_FILES = 12
 
 
 class _Recent(msgspec.Struct):
@@ -521,7 +535,10 @@ class _Recent(msgspec.Struct):
 def recent_files() -> list[Path]:
     """The scenes that were used last, the latest first."""
     try:
-        return [Path(each) for each in msgspec.json.decode(read_file(_file(), MOST_BYTES), type=_Recent).paths[:MOST]]
+        return [
+            Path(each)
+            for each in msgspec.json.decode(read_file(_file(), MAX_BYTES), type=_Recent).paths[:MAX_RECENT_FILES]
+        ]
     except FileNotFoundError:
         return []
     except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
@@ -550,9 +567,9 @@ def forget_recent_file(path: Path) -> list[Path]:
 def _rewritten(path: Path, *, at_head: bool) -> list[Path]:
     folder = state_folder()
     folder.mkdir(parents=True, exist_ok=True)
-    with locked(folder):
+    with lock_path(folder):
         others = [each for each in recent_files() if each != path]
-        paths = [path, *others][:MOST] if at_head else others
+        paths = [path, *others][:MAX_RECENT_FILES] if at_head else others
         with whole_file(_file()) as beside:
             names = [str(each).encode(errors="replace").decode() for each in paths]
             beside.write_bytes(msgspec.json.encode(_Recent(names)))
@@ -585,8 +602,8 @@ class Recovery:
 
     def __init__(
         self,
-        session: Desk,
-        recover: Callable[[Autosaved], None],
+        session: EditorServices,
+        recover: Callable[[RecoveryCandidate], None],
         close_scene: Callable[[], None],
         thread: ThreadPoolExecutor,
     ) -> None:
@@ -600,8 +617,8 @@ class Recovery:
         self._kept: Document = session.history.present
         self._changed_at: float | None = None
         self._keeping: Future[None] | None = None
-        self._entering: Future[Entered] | None = None
-        self._looking: Future[list[Autosaved]] | None = None
+        self._entering: Future[FolderClaim] | None = None
+        self._looking: Future[list[RecoveryCandidate]] | None = None
         self._has_failed = False
         self._put_off: set[Path] = set()
 
@@ -624,7 +641,7 @@ class Recovery:
         """Look for what processes that died have kept, of these scene folders and of none, and ask about it."""
         self._looking = self._thread.submit(self._autosave.abandoned, tuple(homes))
 
-    def poll(self, saved: Document, stamp: DiskStamp | None, known: KnownFiles) -> None:
+    def poll(self, saved: Document, stamp: FileFingerprint | None, known: FileCache) -> None:
         """Take in what the thread has finished, and keep a document that was changed a while ago. Once a frame.
 
         `saved` is the document as it is on the disk, in the state `stamp`, in the files that `known` knows.
@@ -638,10 +655,10 @@ class Recovery:
                 self._offer(looking.result())
         if self._keeping is not None and self._keeping.done():
             keeping, self._keeping = self._keeping, None
-            self._take_kept(keeping, saved)
+            self._take_autosave(keeping, saved)
         self._keep(saved, stamp, known)
 
-    def keep(self, saved: Document, stamp: DiskStamp | None, known: KnownFiles) -> None:
+    def keep(self, saved: Document, stamp: FileFingerprint | None, known: FileCache) -> None:
         """Keep a document that was changed at once: the program is about to end, and nobody was asked."""
         present = self._session.history.present
         if present not in (saved, self._kept):
@@ -654,10 +671,10 @@ class Recovery:
             if self._keeping is not None:
                 self._keeping.result()
         except Exception as error:  # whatever a disk can do
-            told("The autosave can't be written", error)
+            describe_error("The autosave can't be written", error)
         return self._autosave.place
 
-    def left_at(self, place: Path) -> Autosaved:
+    def left_at(self, place: Path) -> RecoveryCandidate:
         """What the window before this one has kept, to go on with unasked; for the thread.
 
         Raises:
@@ -675,7 +692,7 @@ class Recovery:
             self._thread.submit(self._autosave.remove)
         self._thread.submit(self._autosave.close)
 
-    def _keep(self, saved: Document, stamp: DiskStamp | None, known: KnownFiles) -> None:
+    def _keep(self, saved: Document, stamp: FileFingerprint | None, known: FileCache) -> None:
         present = self._session.history.present
         if present in (saved, self._kept) or self._session.is_opening:
             self._changed_at = None
@@ -686,26 +703,26 @@ class Recovery:
             return
         self._begin_keeping(present, stamp, known)
 
-    def _begin_keeping(self, present: Document, stamp: DiskStamp | None, known: KnownFiles) -> None:
+    def _begin_keeping(self, present: Document, stamp: FileFingerprint | None, known: FileCache) -> None:
         self._kept, self._changed_at = present, None
         self._keeping = self._thread.submit(self._autosave.write, saved_scene(self._session), stamp, known)
 
-    def _take_kept(self, keeping: "Future[None]", saved: Document) -> None:
+    def _take_autosave(self, keeping: "Future[None]", saved: Document) -> None:
         try:
             keeping.result()
         except Exception as error:  # whatever a disk can do: it is tried again, and told of once
             self._kept = saved
             if not self._has_failed:
-                self._session.problem = told("The autosave can't be written", error)
+                self._session.problem = describe_error("The autosave can't be written", error)
             self._has_failed = True
         else:
             self._has_failed = False
 
-    def _take_entered(self, entering: "Future[Entered]") -> None:
+    def _take_entered(self, entering: "Future[FolderClaim]") -> None:
         try:
             entered = entering.result()
         except OSError as error:
-            told("The autosave has no place", error)
+            describe_error("The autosave has no place", error)
             return
         if not entered.is_alone:
             text = (
@@ -714,12 +731,12 @@ class Recovery:
             )
             away = Answer("Close it here", self._close_scene, "Go to an empty window.")
             self._session.questions.ask(
-                Question("Open twice", text, (Answer("Go on", nothing, "Keep both open."), away))
+                Question("Open twice", text, (Answer("Go on", do_nothing, "Keep both open."), away))
             )
         elif entered.found is not None and entered.found.place not in self._put_off:
             self._offer([entered.found])
 
-    def _offer(self, found: list[Autosaved]) -> None:
+    def _offer(self, found: list[RecoveryCandidate]) -> None:
         """Ask about the first; about the next once that is answered, unless a person goes on with it."""
         found = [each for each in found if each.place not in self._put_off]
         if not found:
@@ -733,7 +750,9 @@ class Recovery:
 
         when, about = datetime.fromtimestamp(first.saved_at), first.about
         home = about.folder
-        where = f"Scene folder: {printable(home)}" if home is not None else "It was never saved to a place of its own."
+        where = (
+            f"Scene folder: {printable_line(home)}" if home is not None else "It was never saved to a place of its own."
+        )
         text = (
             f"The program ended before the last changes of {about.name} were saved.\n"
             f"They were kept on {when:%A %d %B %Y at %H:%M:%S}.\n\n{where}"

@@ -8,17 +8,17 @@ from typing import Annotated, Any
 from msgspec import Meta, Struct
 
 from ..appearance.finetune.settings import FinetuningSettings, code_of, load_finetuning
-from ..appearance.finetune.task import TrainingTask
-from ..safe_io.text_files import printable
-from ..trusted_code import UntrustedCodeError, remember
-from .jobs.training import HOW_TO_GET_DIFFUSION, TransferTraining, has_torch
-from .notifications import Answer, Question, nothing
-from .services import Desk
+from ..appearance.finetune.task import FinetuneTask
+from ..safe_io.text_files import printable_line
+from ..trusted_code import UntrustedCodeError, trust_permanently
+from .jobs.training import HOW_TO_GET_DIFFUSION, FinetuneJob, has_torch
+from .notifications import Answer, Question, do_nothing
+from .services import EditorServices
 
 logger = logging.getLogger("gsrain")
 
 
-class TrainingChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class FinetuneChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What a person chooses; the rest is in the settings."""
 
     config: Annotated[str, Meta(title="Settings", description="Shipped settings, or a YAML file of the same form.")] = (
@@ -39,13 +39,13 @@ class TrainingChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     ] = 0
 
 
-class TransferStudio:
+class FinetuneController:
     """One training at a time. Call everything on the main thread."""
 
     def __init__(self, files: ThreadPoolExecutor) -> None:
         """Begin with the shipped settings for a trial; `files` is where losses are read."""
-        self.choice = TrainingChoice()
-        self.job: TransferTraining | None = None
+        self.choice = FinetuneChoice()
+        self.job: FinetuneJob | None = None
         """The last training, whether it still runs or not."""
         self._files = files
 
@@ -54,7 +54,7 @@ class TransferStudio:
         """Whether the folder holds a training that was stopped."""
         return self.choice.output is not None and (self.choice.output / "checkpoint.safetensors").is_file()
 
-    def why_not(self, session: Desk) -> str | None:
+    def why_not(self, session: EditorServices) -> str | None:
         """Why no training can be started now, in one sentence; None where one can."""
         if not has_torch():
             return f"Training needs torch, which is not installed: {HOW_TO_GET_DIFFUSION}"
@@ -67,7 +67,7 @@ class TransferStudio:
             return f"Wait for {session.running_jobs[0].title}, or cancel it."
         return None
 
-    def start(self, session: Desk, *, resume: bool = False) -> None:
+    def start(self, session: EditorServices, *, resume: bool = False) -> None:
         """Begin, or go on from the folder's checkpoint; what is wrong with the settings is told in `problem`."""
         if self.why_not(session) is not None:
             return
@@ -80,27 +80,27 @@ class TransferStudio:
             session.problem = str(error)
             logger.error("%s", error)
             return
-        self.job = TransferTraining(task, self._files)
+        self.job = FinetuneJob(task, self._files)
         session.start(self.job)
 
-    def _ask(self, session: Desk, error: UntrustedCodeError, resume: bool) -> None:
+    def _ask(self, session: EditorServices, error: UntrustedCodeError, resume: bool) -> None:
         """Ask whether the Python that the settings name may run; yes is remembered for its content, and begins."""
 
         def run() -> None:
-            remember(error.codes)
+            trust_permanently(error.codes)
             self.start(session, resume=resume)
 
-        listed = "\n".join(f"{printable(each.path)}\nSHA-256 {each.digest}" for each in error.codes)
-        text = f"{printable(error.named_by)} names Python code, which would run with all your rights:\n\n{listed}"
-        no = Answer("Don't run it", nothing, "Nothing is begun.")
+        listed = "\n".join(f"{printable_line(each.path)}\nSHA-256 {each.digest}" for each in error.codes)
+        text = f"{printable_line(error.named_by)} names Python code, which would run with all your rights:\n\n{listed}"
+        no = Answer("Don't run it", do_nothing, "Nothing is begun.")
         yes = Answer("Run it", run, "Runs it now, and does not ask again for these very contents.")
-        session.questions.ask(Question("Run Python code?", text, (no, yes, Answer("Cancel", nothing))))
+        session.questions.ask(Question("Run Python code?", text, (no, yes, Answer("Cancel", do_nothing))))
 
-    def _task(self, *, resume: bool) -> TrainingTask:
+    def _task(self, *, resume: bool) -> FinetuneTask:
         choice = self.choice
         assert choice.output is not None, "asked for before"
         changes: dict[str, Any] = {"steps": choice.steps or None}
         for look, path in (("clear", choice.clear), ("rainy", choice.rainy)):
             changes[look] = None if path is None else [{"path": str(path)}]
         settings: FinetuningSettings = load_finetuning(choice.config, **changes)
-        return TrainingTask(settings=settings, output=choice.output, resume=resume, code=code_of(settings))
+        return FinetuneTask(settings=settings, output=choice.output, resume=resume, code=code_of(settings))

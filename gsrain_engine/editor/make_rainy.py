@@ -7,14 +7,21 @@ import msgspec
 import numpy as np
 
 from ..appearance.base import TransferSettings
-from ..appearance.cyclegan_turbo.weight_paths import find_base, find_weights
-from ..appearance.registry import METHODS, Method, method_of
+from ..appearance.cyclegan_turbo.weight_paths import find_base_model, find_transfer_weights
+from ..appearance.registry import METHODS, TransferMethod, find_method
 from ..appearance.scene_views import Source, ViewChoice
 from .files import SceneFiles
 from .jobs.job import BackgroundJob, SceneJob
-from .jobs.make_rainy import RAINY_SCENE_TITLE, PreviewedView, RainyScene, Recipe, TransferOrder, TransferPreview
+from .jobs.make_rainy import (
+    MAKE_RAINY_TITLE,
+    MakeRainyJobKind,
+    PreviewedView,
+    PreviewSettings,
+    TransferPreviewJob,
+    TransferRequest,
+)
 from .jobs.training import HOW_TO_GET_DIFFUSION, has_torch
-from .services import Desk
+from .services import EditorServices
 from .viewport.options import Texture
 
 QUICK_VIEWS = 8
@@ -28,7 +35,7 @@ COMPARED_MM_H = 8.5
 """Rain that a comparison is shown in where there is none: scenes are dry without."""
 
 
-class RainyLook:
+class WetLookController:
     """What a person has chosen, and what came of it so far. Call everything on the main thread."""
 
     def __init__(self, scene_files: SceneFiles, files: ThreadPoolExecutor) -> None:
@@ -43,28 +50,28 @@ class RainyLook:
         self.viewport_px: tuple[int, int] = (960, 640)
         """Size of the viewport at the last frame."""
         self._scene_files, self._files = scene_files, files
-        self._preview: TransferPreview | None = None
+        self._preview: TransferPreviewJob | None = None
         self._is_wanted = False
 
     @property
-    def row(self) -> Method:
-        return method_of(self.method)
+    def row(self) -> TransferMethod:
+        return find_method(self.method)
 
     @property
-    def recipe(self) -> Recipe:
+    def recipe(self) -> PreviewSettings:
         """The method and its settings, as they are now."""
-        return Recipe(self.method, self.settings)
+        return PreviewSettings(self.method, self.settings)
 
     def change(self, **fields: object) -> None:
         self.settings = msgspec.structs.replace(self.settings, **fields)
 
     # Whether
 
-    def why_not(self, session: Desk) -> str | None:
+    def why_not(self, session: EditorServices) -> str | None:
         """Why the scene can't be made rainy now, in one sentence; None where it can."""
         return self.why_no_transfer or why_no_views(session, self.choice.source) or self._why_wait(session)
 
-    def why_no_preview(self, session: Desk) -> str | None:
+    def why_no_preview(self, session: EditorServices) -> str | None:
         """Why there can't be a preview now; None where there can."""
         if self.method == "images":
             return "Pictures of another program are of the chosen views alone: there is none from here."
@@ -75,9 +82,9 @@ class RainyLook:
     @property
     def why_no_transfer(self) -> str | None:
         """What the method lacks; None where it has all it needs."""
-        return lacking(self.row, self.settings)
+        return missing_requirements(self.row, self.settings)
 
-    def _why_wait(self, session: Desk) -> str | None:
+    def _why_wait(self, session: EditorServices) -> str | None:
         if session.running_jobs:
             return f"Wait for {session.running_jobs[0].title}, or cancel it."
         return "Wait for the scene that is being brought into the picture." if session.staged is not None else None
@@ -88,22 +95,22 @@ class RainyLook:
     def is_previewing(self) -> bool:
         return self._preview is not None and self._preview.state == "running"
 
-    def preview(self, session: Desk) -> None:
+    def preview(self, session: EditorServices) -> None:
         """Begin to transfer what the viewport shows; the picture comes later, and is laid beside the live one."""
         if self.why_no_preview(session) is not None:
             return
         shot = session.shot(*self.viewport_px)
         nothing = np.zeros((1, 1, 3), np.uint8)
         wanted = PreviewedView(nothing, shot.camera, shot.time_s, session.scene, self.recipe)
-        self._preview = TransferPreview(wanted, self.preview_width_px, self._scene_files.known, self._files)
+        self._preview = TransferPreviewJob(wanted, self.preview_width_px, self._scene_files.known, self._files)
         session.start(self._preview)
 
-    def fits(self, session: Desk) -> bool:
+    def fits(self, session: EditorServices) -> bool:
         """Whether the preview is of what the viewport shows now."""
         shot = session.shot(*self.viewport_px)
         return self.previewed is not None and self.previewed.is_of(shot.camera, shot.time_s, session.scene)
 
-    def what_is_stale(self, session: Desk) -> str | None:
+    def what_is_stale(self, session: EditorServices) -> str | None:
         """Say what is different from when the preview was made; None where nothing is, or there is none."""
         if self.previewed is None:
             return None
@@ -111,7 +118,7 @@ class RainyLook:
             return "The settings have changed since."
         return None if self.fits(session) else "The view has changed since."
 
-    def look_from_preview(self, session: Desk) -> None:
+    def look_from_preview(self, session: EditorServices) -> None:
         """Go back to where the preview was made."""
         if self.previewed is not None:
             session.stop_riding()
@@ -119,7 +126,7 @@ class RainyLook:
             session.navigation.look_like(self.previewed.camera)
             session.clock.seek(self.previewed.time_s)
 
-    def poll(self, session: Desk) -> None:
+    def poll(self, session: EditorServices) -> None:
         """Take in a preview that has come, and start a job that was waiting for the scene. Once a frame."""
         if self._is_wanted and session.scene.gaussian_count and self._why_wait(session) is None:
             self._is_wanted = False
@@ -135,24 +142,24 @@ class RainyLook:
 
     # The job
 
-    def make(self, session: Desk) -> None:
+    def make(self, session: EditorServices) -> None:
         """Start the job for the session's scene, if nothing is in its way."""
         if self.why_not(session) is not None:
             return
         capture = session.captures.path if uses_capture(session, self.choice.source) else None
-        order = TransferOrder(self.method, self.settings, self.choice, capture, session.captures.allows_outside)
-        session.start(SceneJob(RainyScene(session.scene, self._scene_files.known, order), self._files))
+        order = TransferRequest(self.method, self.settings, self.choice, capture, session.captures.allows_outside)
+        session.start(SceneJob(MakeRainyJobKind(session.scene, self._scene_files.known, order), self._files))
 
     def make_soon(self) -> None:
         """Start the job as soon as a scene is there."""
         self._is_wanted = True
 
-    def newest(self, session: Desk) -> tuple[int, BackgroundJob] | None:
+    def newest(self, session: EditorServices) -> tuple[int, BackgroundJob] | None:
         """Return the last job of this kind, with its place among all jobs."""
         own = [(i, job) for i, job in enumerate(session.jobs) if _is_own(job)]
         return own[-1] if own else None
 
-    def compare(self, session: Desk) -> None:
+    def compare(self, session: EditorServices) -> None:
         """Lay the clear scene beside the rainy one; where no rain falls, let it rain, as a step."""
         session.view.split = "clear | rainy"
         if session.wetness_now == 0:
@@ -160,7 +167,7 @@ class RainyLook:
 
 
 def _is_own(job: BackgroundJob) -> bool:
-    return isinstance(job, TransferPreview) or (isinstance(job, SceneJob) and job.title == RAINY_SCENE_TITLE)
+    return isinstance(job, TransferPreviewJob) or (isinstance(job, SceneJob) and job.title == MAKE_RAINY_TITLE)
 
 
 # § Which sources of views the open scene has, and which camera the viewport has.
@@ -177,7 +184,7 @@ TITLES: dict[Source, str] = {
 """For a person to read."""
 
 
-def why_no_views(session: Desk, source: Source) -> str | None:
+def why_no_views(session: EditorServices, source: Source) -> str | None:
     """Why views of a source can't be taken, in one sentence; None where they can."""
     scene, captures = session.scene, session.captures
     if not scene.gaussian_count:
@@ -196,7 +203,7 @@ def why_no_views(session: Desk, source: Source) -> str | None:
     return None
 
 
-def uses_capture(session: Desk, source: Source) -> bool:
+def uses_capture(session: EditorServices, source: Source) -> bool:
     """Whether views of a source are those of the open capture; by itself only where a person has said that it fits."""
     is_sure = session.captures.in_scene_axes is True and why_no_views(session, "recorded") is None
     return source == "recorded" or (source == "auto" and is_sure)
@@ -205,7 +212,7 @@ def uses_capture(session: Desk, source: Source) -> bool:
 # § What a transfer lacks to be opened: told beside its settings, before a worker is started for nothing.
 
 
-def lacking(method: Method, settings: TransferSettings) -> str | None:
+def missing_requirements(method: TransferMethod, settings: TransferSettings) -> str | None:
     """Say in one sentence what is missing, and how to get it; None where all is there."""
     if method.needs_torch and not has_torch():
         return f"{method.title} needs torch, which is not installed: {HOW_TO_GET_DIFFUSION}"
@@ -216,9 +223,9 @@ def lacking(method: Method, settings: TransferSettings) -> str | None:
             return f"{place}: is not there; choose another place."
     try:
         if "weights" in method.uses and settings.weights is None:
-            find_weights()
+            find_transfer_weights()
         if "base" in method.uses:
-            find_base(settings.base)
+            find_base_model(settings.base)
     except FileNotFoundError as missing:
         return f"{method.title}: {missing}"
     return None

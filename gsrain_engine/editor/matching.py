@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from ..appearance.correspondence import Outcome
+from ..appearance.correspondence import MatchOutcome
 from ..datasets.capture import Capture, CaptureError
 from ..scene.camera import Camera
 from ..scene.scene import Scene
-from .services import Desk
+from .services import EditorServices
 from .viewport.options import Mode, Texture
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger("gsrain")
 
 
-class _Wish(NamedTuple):
+class _MatchRequest(NamedTuple):
     """What is to be matched; equal wishes have equal results."""
 
     capture: Capture
@@ -34,18 +34,18 @@ class _Wish(NamedTuple):
     time_s: float = 0.0
 
 
-class Shown(NamedTuple):
+class MatchResult(NamedTuple):
     """What came of a wish."""
 
-    wish: _Wish
+    request: _MatchRequest
     camera: Camera
     """Where the first view was seen from, in the world of the window."""
     matched: "MatchedViews"
     lines: Float32[np.ndarray, "n 2 2"]
-    shares: dict[Outcome, float]
+    shares: dict[MatchOutcome, float]
 
 
-class MatchingView:
+class MatchingController:
     """Matches what the viewport looks at with another view of the capture. Call everything on the main thread."""
 
     def __init__(self) -> None:
@@ -55,17 +55,17 @@ class MatchingView:
         self.mode: Mode = "picture"
         self.lines = False
         """Whether lines show where pixels are in the other view."""
-        self.shown: Shown | None = None
+        self.shown: MatchResult | None = None
         self.problem: str | None = None
         """Why nothing is shown, in a sentence."""
         self.texture: Texture | None = None
         """What lies over the view on the GPU, with its own alpha."""
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="matching")
-        self._working: tuple[_Wish, Camera, Future[Shown]] | None = None
-        self._last: _Wish | None = None
-        self._failed: tuple[_Wish, str] | None = None
+        self._working: tuple[_MatchRequest, Camera, Future[MatchResult]] | None = None
+        self._last: _MatchRequest | None = None
+        self._failed: tuple[_MatchRequest, str] | None = None
         self._views: MatchableViews | None = None
-        self._picture: tuple[Shown, Mode, UInt8[np.ndarray, "h w 4"]] | None = None
+        self._image: tuple[MatchResult, Mode, UInt8[np.ndarray, "h w 4"]] | None = None
 
     @property
     def is_working(self) -> bool:
@@ -76,23 +76,23 @@ class MatchingView:
         """What lies over the view; the same array as long as it is the same."""
         if self.shown is None:
             return None
-        if self._picture is None or self._picture[0] is not self.shown or self._picture[1] != self.mode:
-            from .matching_image import matching_picture
+        if self._image is None or self._image[0] is not self.shown or self._image[1] != self.mode:
+            from .matching_image import matching_image
 
-            self._picture = self.shown, self.mode, matching_picture(self.shown.matched, self.mode)
-        return self._picture[2]
+            self._image = self.shown, self.mode, matching_image(self.shown.matched, self.mode)
+        return self._image[2]
 
-    def poll(self, session: Desk) -> None:
+    def poll(self, session: EditorServices) -> None:
         """Take in what has been matched, and match what is looked at now. Once a frame."""
         if self._working is not None and self._working[2].done():
             self._take(*self._working)
-        wish = self._wish(session) if self.is_on else ""
+        wish = self._request(session) if self.is_on else ""
         if isinstance(wish, str):
             self.shown, self.problem, self._last, self._failed = None, wish or None, None, None
             self._views = self._views if self.is_on else None
             return
         self.problem = self._failed[1] if self._failed is not None and self._failed[0] == wish else None
-        if self.shown is not None and self.shown.wish != wish:
+        if self.shown is not None and self.shown.request != wish:
             self.shown = None
         rests = wish == self._last
         self._last = wish
@@ -102,7 +102,7 @@ class MatchingView:
     def close(self) -> None:
         self._thread.shutdown(cancel_futures=True)
 
-    def _wish(self, session: Desk) -> _Wish | str:
+    def _request(self, session: EditorServices) -> _MatchRequest | str:
         """What is looked at now, or why it can't be matched."""
         captures = session.captures
         capture = captures.capture
@@ -111,13 +111,13 @@ class MatchingView:
         scene = session.scene if captures.lies_in(session.scene) and session.scene.gaussian_count else None
         of = captures.stands_at(session)
         if of is not None:
-            to = neighbour(capture, of, self.against, captures.chosen)
-            return WHY_NONE[self.against] if to is None else _Wish(capture, scene, of, to)
+            to = neighbor_view(capture, of, self.against, captures.chosen)
+            return WHY_NONE[self.against] if to is None else _MatchRequest(capture, scene, of, to)
         shot = session.shot(*captures.viewport_px)
         pose = shot.camera.world_to_camera.tobytes() + np.array([shot.camera.fy, *captures.viewport_px]).tobytes()
-        return _Wish(capture, scene, None, captures.chosen, pose, shot.time_s if session.scene.actors else 0.0)
+        return _MatchRequest(capture, scene, None, captures.chosen, pose, shot.time_s if session.scene.actors else 0.0)
 
-    def _begin(self, session: Desk, wish: _Wish) -> None:
+    def _begin(self, session: EditorServices, wish: _MatchRequest) -> None:
         from ..appearance.scene_views import PlacedCamera
 
         if wish.of is None:
@@ -128,17 +128,17 @@ class MatchingView:
             camera, of = session.captures.cameras(session.scene)[wish.of], wish.of
         self._working = wish, camera, self._thread.submit(self._match, wish, camera, of)
 
-    def _match(self, wish: _Wish, camera: Camera, of: "int | PlacedCamera") -> Shown:
+    def _match(self, wish: _MatchRequest, camera: Camera, of: "int | PlacedCamera") -> MatchResult:
         """In the thread, one after the other."""
-        from .matching_image import MatchableViews, flow_lines, shares
+        from .matching_image import MatchableViews, flow_lines, outcome_shares
 
         views = self._views
         if views is None or views.capture is not wish.capture or views.scene is not wish.scene:
             self._views = views = MatchableViews(wish.capture, wish.scene)
         matched = views.matched(of, wish.to)
-        return Shown(wish, camera, matched, flow_lines(matched), shares(matched))
+        return MatchResult(wish, camera, matched, flow_lines(matched), outcome_shares(matched))
 
-    def _take(self, wish: _Wish, camera: Camera, work: "Future[Shown]") -> None:
+    def _take(self, wish: _MatchRequest, camera: Camera, work: "Future[MatchResult]") -> None:
         self._working = None
         try:
             self.shown, self._failed = work.result(), None
@@ -162,7 +162,7 @@ WHY_NONE: dict[Against, str] = {
 """What is told where there is no such view."""
 
 
-def neighbour(capture: Capture, of: int, against: Against, chosen: int) -> int | None:
+def neighbor_view(capture: Capture, of: int, against: Against, chosen: int) -> int | None:
     """Which view a recorded one is matched with; None where there is none.
 
     `beside` is that view of another camera that looks most nearly the same way, among those nearest in time.

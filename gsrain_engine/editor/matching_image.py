@@ -9,14 +9,14 @@ from jaxtyping import Float32, Int64, UInt8
 
 from ..appearance.base import ClearView
 from ..appearance.capture_views import capture_views
-from ..appearance.correspondence import COLORS, Correspondence, Outcome, correspondence, warped
+from ..appearance.correspondence import COLORS, Correspondence, MatchOutcome, correspondence, warped
 from ..appearance.scene_views import PlacedCamera, scene_view, scene_views
-from ..datasets.capture import Capture, View
-from ..datasets.undistort import prepared
+from ..datasets.capture import Capture, CaptureFrame
+from ..datasets.undistort import undistort_frame
 from ..scene.scene import Scene
 from .viewport.options import Mode
 
-_VEIL: dict[Outcome, float] = {Outcome.OUTSIDE: 0.65, Outcome.UNKNOWN: 0.6, Outcome.MATCHED: 0.0}
+_VEIL: dict[MatchOutcome, float] = {MatchOutcome.OUTSIDE: 0.65, MatchOutcome.UNKNOWN: 0.6, MatchOutcome.MATCHED: 0.0}
 
 _OTHER_VEIL = 0.5
 
@@ -40,15 +40,15 @@ class MatchedViews:
     found: Correspondence
 
 
-def matching_picture(matched: MatchedViews, mode: Mode) -> UInt8[np.ndarray, "h w 4"]:
+def matching_image(matched: MatchedViews, mode: Mode) -> UInt8[np.ndarray, "h w 4"]:
     """Draw a correspondence for one mode: display colour, and how much it covers.
 
     picture: the other view as it is seen from here; unmatched pixels are dimmed, in the colour of their reason.
     difference: from none (black) to a quarter of full scale (white). pixels: only the colours of what became of them.
     """
     found = matched.found
-    veils = np.array([_VEIL.get(each, _OTHER_VEIL) for each in Outcome], np.float32)
-    colors = np.array([COLORS[each] for each in Outcome], np.float32)
+    veils = np.array([_VEIL.get(each, _OTHER_VEIL) for each in MatchOutcome], np.float32)
+    colors = np.array([COLORS[each] for each in MatchOutcome], np.float32)
     picture = np.concatenate([colors[found.outcome], veils[found.outcome][..., None]], axis=2)
     valid = found.valid
     if mode == "pixels":
@@ -72,9 +72,9 @@ def flow_lines(matched: MatchedViews) -> Float32[np.ndarray, "n 2 2"]:
     return np.stack([start, end], axis=1).astype(np.float32)
 
 
-def shares(matched: MatchedViews) -> dict[Outcome, float]:
+def outcome_shares(matched: MatchedViews) -> dict[MatchOutcome, float]:
     """Share of the picture of each outcome that there is."""
-    counts: Int64[np.ndarray, " k"] = np.bincount(matched.found.outcome.ravel(), minlength=len(Outcome))
+    counts: Int64[np.ndarray, " k"] = np.bincount(matched.found.outcome.ravel(), minlength=len(MatchOutcome))
     return {each: float(counts[each] / counts.sum()) for each in COLORS if counts[each]}
 
 
@@ -103,16 +103,16 @@ class MatchableViews:
         """Take a capture, and the scene in whose units and axes it lies, if it does."""
         self.capture, self.scene = capture, scene
         self._recorded = capture_views(capture, WIDTH_PX)
-        self._straight = [prepared(view, min(WIDTH_PX, view.camera.width)) for view in capture]
-        self._seen: Sequence[ClearView] | None = None
+        self._straight = [undistort_frame(view, min(WIDTH_PX, view.camera.width)) for view in capture]
+        self._camera_panel: Sequence[ClearView] | None = None
         if scene is not None:
             placed = [_placed(view, scene) for view in self._straight]
-            self._seen = scene_views(scene, placed)
+            self._camera_panel = scene_views(scene, placed)
 
     def matched(self, of: int | PlacedCamera, to: int) -> MatchedViews:
         """Match a recorded view, or the live one, with a recorded one; raises ValueError where that can't be done."""
         is_live = isinstance(of, PlacedCamera)
-        uses_scene = self._seen is not None and (is_live or not self._has_depth)
+        uses_scene = self._camera_panel is not None and (is_live or not self._has_depth)
         if is_live and self.scene is None:
             raise ValueError("The capture does not lie in the scene: look from one of its views to match it.")
         other = self._of_scene(to) if uses_scene else self._recorded[to]
@@ -128,10 +128,10 @@ class MatchableViews:
 
     def _of_scene(self, index: int) -> ClearView:
         """A recorded picture, with the scene's depth."""
-        assert self._seen is not None, "there is a scene"
+        assert self._camera_panel is not None, "there is a scene"
         recorded = self._straight[index].image.astype(np.float32) / np.float32(255)
-        return replace(self._seen[index], image=recorded)
+        return replace(self._camera_panel[index], image=recorded)
 
 
-def _placed(view: View, scene: Scene) -> PlacedCamera:
+def _placed(view: CaptureFrame, scene: Scene) -> PlacedCamera:
     return PlacedCamera(view.name, view.camera.moved(scene.scene_to_world), view.time_s, view.sensor)

@@ -9,7 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from ..safe_io.text_files import escaped
+from ..safe_io.text_files import escape_invisible
 from ..scene.files import SceneFormatError
 from ..scene.progress import Progress
 
@@ -38,10 +38,10 @@ class LogLines(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         details = "".join(traceback.format_exception(*record.exc_info)) if record.exc_info else ""
         at = datetime.fromtimestamp(record.created)
-        self.lines.append(LogLine(record.levelno, escaped(record.getMessage()), at, details))
+        self.lines.append(LogLine(record.levelno, escape_invisible(record.getMessage()), at, details))
 
 
-def told(what: str, error: Exception) -> str:
+def describe_error(what: str, error: Exception) -> str:
     """Log what went wrong, with a traceback where it is our own fault; returns it in one sentence."""
     foreseen = isinstance(error, SceneFormatError | OSError | MemoryError | ValueError)
     reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
@@ -77,7 +77,7 @@ class Question:
     """Whether Enter gives the first answer; not where that would end work."""
 
 
-def nothing() -> None:
+def do_nothing() -> None:
     """Do nothing: what Cancel means."""
 
 
@@ -120,5 +120,5 @@ def _replace_question(there: Sequence[Path], write: Callable[[], None]) -> Quest
     listed = ", ".join(path.name for path in there[:3]) + (f" and {len(there) - 3} more" if len(there) > 3 else "")
     yes = Answer("Replace", write, "Write over what is there.")
     return Question(
-        "Replace?", f"{listed} {are} there already.", (yes, Answer("Cancel", nothing, "Leave it as it is."))
+        "Replace?", f"{listed} {are} there already.", (yes, Answer("Cancel", do_nothing, "Leave it as it is."))
     )

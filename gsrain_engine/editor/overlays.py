@@ -9,22 +9,22 @@ import numpy as np
 from jaxtyping import Float64
 
 from ..datasets.capture import Capture
-from ..render.draw import Shot
+from ..render.draw import RenderView
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
-from .camera_path import place_key
-from .viewport.picking import NEAR_M, projected_lines, projected_point
-from .viewport_state import ViewedDocument
+from .camera_path import place_keyframe
+from .viewport.picking import NEAR_M, project_lines, project_point
+from .viewport_state import ViewportState
 
-_SAMPLES_A_SECOND, _MOST_SAMPLES = 12, 700
+_SAMPLES_A_SECOND, _MAX_SAMPLES = 12, 700
 
 _FRUSTUM_PX = 26.0
 
-_MOST_KEYS = 200
+_MAX_KEYS = 200
 """A path imported frame by frame has thousands: handles for all of them would hide the picture."""
 
 
-class KeyMark(NamedTuple):
+class KeyHandle(NamedTuple):
     """A key in the picture."""
 
     key: int
@@ -33,35 +33,35 @@ class KeyMark(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PathDrawing:
+class PathOverlay:
     """Lines as start and end, x and y in pixels of the picture; only what is in front of the camera."""
 
-    way_px: Float64[np.ndarray, "m 2 2"]
+    path_px: Float64[np.ndarray, "m 2 2"]
     ticks_px: Float64[np.ndarray, "n 2"]
     """Where the camera is at each full second."""
-    keys: list[KeyMark]
+    keys: list[KeyHandle]
     now_px: Float64[np.ndarray, "k 2 2"]
     """A small camera where the flight is at the clock's time."""
 
 
-def path_drawing(session: ViewedDocument, camera: Camera) -> PathDrawing | None:
+def path_overlay_of(session: ViewportState, camera: Camera) -> PathOverlay | None:
     """Project the person's path into a picture; None where they have made none."""
     if session.scene.path is None:
         return None
     path = session.path
     way, seconds = _sampled(path)
-    step = max(1, -(-len(path.times_s) // _MOST_KEYS))
+    step = max(1, -(-len(path.times_s) // _MAX_KEYS))
     keys = [mark for k in range(0, len(path.times_s), step) if (mark := _key_mark(path, k, camera)) is not None]
     t = session.clock.time_s
-    return PathDrawing(
-        projected_lines(np.stack([way[:-1], way[1:]], axis=1), camera),
+    return PathOverlay(
+        project_lines(np.stack([way[:-1], way[1:]], axis=1), camera),
         _projected_points(seconds, camera),
         keys,
         _frustum(path.camera(t, 3, 2), camera),
     )
 
 
-def drag_in_view(session: ViewedDocument, shot: Shot, moved_px: tuple[float, float], *, upright: bool) -> None:
+def drag_in_view(session: ViewportState, shot: RenderView, moved_px: tuple[float, float], *, upright: bool) -> None:
     """Move the key in the hand in the plane that faces the view, or along the world's height only."""
     drag = session.timeline.drag
     if drag is None:
@@ -75,26 +75,26 @@ def drag_in_view(session: ViewedDocument, shot: Shot, moved_px: tuple[float, flo
         change = np.array([0.0, 0.0, -moved_px[1] * metres_a_pixel / steepness])
     else:
         change = metres_a_pixel * (moved_px[0] * right + moved_px[1] * down)
-    place_key(session, drag.key, "Move camera key", position_m=start + change, gesture="drag a key")
+    place_keyframe(session, drag.key, "Move camera key", position_m=start + change, gesture="drag a key")
 
 
 @lru_cache(maxsize=4)
 def _sampled(path: CameraPath) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "s 3"]]:
     """Places along the way, and those of full seconds."""
-    count = int(np.clip(_SAMPLES_A_SECOND * path.duration_s, 8 * len(path.times_s), _MOST_SAMPLES))
+    count = int(np.clip(_SAMPLES_A_SECOND * path.duration_s, 8 * len(path.times_s), _MAX_SAMPLES))
     end = np.nextafter(path.end_s, -np.inf) if path.loop else path.end_s
-    inner = path.times_s if len(path.times_s) <= _MOST_SAMPLES else path.times_s[:0]
+    inner = path.times_s if len(path.times_s) <= _MAX_SAMPLES else path.times_s[:0]
     times = np.union1d(np.linspace(path.start_s, end, max(count, 2)), inner)
-    seconds = np.arange(np.ceil(path.start_s), min(path.end_s, path.start_s + _MOST_SAMPLES) + 1e-9)
+    seconds = np.arange(np.ceil(path.start_s), min(path.end_s, path.start_s + _MAX_SAMPLES) + 1e-9)
     return path.places(times), path.places(seconds)
 
 
-def _key_mark(path: CameraPath, key: int, camera: Camera) -> KeyMark | None:
-    seen = projected_point(path.positions[key], camera)
+def _key_mark(path: CameraPath, key: int, camera: Camera) -> KeyHandle | None:
+    seen = project_point(path.positions[key], camera)
     if seen is None:
         return None
     there = path.camera(float(path.times_s[key]), 3, 2)
-    return KeyMark(key, (seen.x, seen.y), _frustum(there, camera))
+    return KeyHandle(key, (seen.x, seen.y), _frustum(there, camera))
 
 
 def _frustum(shown: Camera, camera: Camera) -> Float64[np.ndarray, "k 2 2"]:
@@ -112,7 +112,7 @@ def _frustum(shown: Camera, camera: Camera) -> Float64[np.ndarray, "k 2 2"]:
     lines = np.array(
         [[eye, a], [eye, b], [eye, c], [eye, d], [a, b], [b, c], [c, d], [d, a], [left, flag], [flag, right]]
     )
-    return projected_lines(lines @ pose[:3, :3].T + pose[:3, 3], camera)
+    return project_lines(lines @ pose[:3, :3].T + pose[:3, 3], camera)
 
 
 def _projected_points(points: Float64[np.ndarray, "n 3"], camera: Camera) -> Float64[np.ndarray, "m 2"]:
@@ -121,14 +121,14 @@ def _projected_points(points: Float64[np.ndarray, "n 3"], camera: Camera) -> Flo
     return np.array([camera.fx, camera.fy]) * seen[:, :2] / seen[:, 2:] + np.array([camera.cx, camera.cy])
 
 
-def _place(session: ViewedDocument, position: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3"]:
+def _place(session: ViewportState, position: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3"]:
     to_world = session.scene.scene_to_world
     return to_world[:3, :3] @ position + to_world[:3, 3]
 
 
 # § Recorded cameras as pyramids in the picture, and their pictures on the pyramids' far sides.
 
-MOST_FRUSTUMS = 100
+MAX_FRUSTUMS = 100
 """Those nearest to the eye are drawn: more of them hide what they stand in."""
 
 _NEAR = 1e-6
@@ -172,7 +172,7 @@ def frustums(cameras: RecordedCameras, views: Sequence[int], length_m: float, ca
     distances = np.linalg.norm(cameras.eyes[chosen] - camera.position, axis=1)
     is_apart = distances > _TIP * length_m
     chosen, distances = chosen[is_apart], distances[is_apart]
-    nearest = chosen[np.argsort(distances, kind="stable")[:MOST_FRUSTUMS][::-1]]
+    nearest = chosen[np.argsort(distances, kind="stable")[:MAX_FRUSTUMS][::-1]]
     if not len(nearest):
         return []
     eyes = cameras.eyes[nearest]
@@ -182,10 +182,10 @@ def frustums(cameras: RecordedCameras, views: Sequence[int], length_m: float, ca
     lines = np.concatenate([sides, far], axis=1)  # (frustums, 8 lines, 2 ends, 3)
     depth = lines @ camera.world_to_camera[2, :3] + camera.world_to_camera[2, 3]
     seen = (depth > NEAR_M).any(axis=2).sum(axis=1)
-    drawn = np.split(projected_lines(lines.reshape(-1, 2, 3), camera), np.cumsum(seen)[:-1])
+    drawn = np.split(project_lines(lines.reshape(-1, 2, 3), camera), np.cumsum(seen)[:-1])
     return [
         Frustum(int(view), seen and (seen.x, seen.y), own)
-        for view, seen, own in zip(nearest, (projected_point(each, camera) for each in eyes), drawn, strict=True)
+        for view, seen, own in zip(nearest, (project_point(each, camera) for each in eyes), drawn, strict=True)
         if len(own)
     ]
 
@@ -196,7 +196,7 @@ def image_corners(camera: Camera, length_m: float) -> Float64[np.ndarray, "4 3"]
     return _on_plane(camera, length_m, np.array([[0, 0], [w, 0], [w, h], [0, h]], np.float64))
 
 
-def picture_grid(
+def image_grid(
     shown: Camera, length_m: float, camera: Camera, cells: tuple[int, int]
 ) -> Float64[np.ndarray, "rows columns 2"] | None:
     """Pixels at which a grid over a recorded picture (cells across and down) is seen; None where it is behind the eye.
@@ -212,7 +212,7 @@ def picture_grid(
     return (focal * seen[:, :2] / seen[:, 2:] + center).reshape(*columns.shape, 2)
 
 
-def fitting_fov_deg(shown: Camera, aspect: float) -> float:
+def fov_to_fit_deg(shown: Camera, aspect: float) -> float:
     """Vertical angle of a viewport (width over height) with this line of sight that sees a whole recorded picture."""
     upward = max(shown.cy, shown.height - shown.cy) / shown.fy
     sideways = max(shown.cx, shown.width - shown.cx) / shown.fx

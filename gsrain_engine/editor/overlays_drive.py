@@ -14,15 +14,15 @@ from ..scene.geometry import EDGES, box_corners
 from ..scene.scene import RigCamera, Scene
 from ..simulation.rollout import RolloutStep
 from ..simulation.traffic.base import RoadUser
-from .drive_playback import ShownRollout
+from .drive_playback import RolloutInScene
 from .viewport.options import Texture
-from .viewport.picking import projected_lines, projected_point
+from .viewport.picking import project_lines, project_point
 
 _ABOVE_ROAD_M = 0.04
 
 _DOT_M = 0.16
 
-_LEAST_PX, _MOST_PX = 2.0, 10.0
+_MIN_PX, _MAX_PX = 2.0, 10.0
 
 _PIECE_M = 0.5
 """Lines are cut into pieces, so that each is cut off where it leaves the picture behind the eye."""
@@ -41,7 +41,7 @@ class BoxMark(NamedTuple):
     is_ego: bool
 
 
-class Dot(NamedTuple):
+class PlanDot(NamedTuple):
     """A planned point; nearer ones are larger."""
 
     x: float
@@ -50,16 +50,16 @@ class Dot(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RolloutDrawing:
+class RolloutOverlay:
     """Pixels of the picture; only what is in front of the camera."""
 
     boxes: list[BoxMark]
     plan_px: Float64[np.ndarray, "m 2 2"]
-    dots: list[Dot]
+    dots: list[PlanDot]
     driven_px: Float64[np.ndarray, "k 2 2"]
 
 
-def rollout_drawing(shown: ShownRollout, clock_s: float, camera: Camera, *, from_inside: bool) -> RolloutDrawing:
+def rollout_overlay(shown: RolloutInScene, clock_s: float, camera: Camera, *, from_inside: bool) -> RolloutOverlay:
     """Project a moment of a roll-out; `from_inside` leaves out the ego vehicle's own box and way."""
     time_s = shown.own_time_s(clock_s)
     played, step = shown.played, shown.played.step(time_s)
@@ -67,13 +67,13 @@ def rollout_drawing(shown: ShownRollout, clock_s: float, camera: Camera, *, from
     boxes = [_box(user, camera, is_hit=user.id == hit) for user in played.users(time_s)]
     if not from_inside:
         boxes.append(_box(_ego(shown, time_s), camera, is_hit=hit is not None, is_ego=True))
-    plan = planned_places(shown, step, time_s)
+    plan = planned_points_m(shown, step, time_s)
     driven = _driven(shown, time_s) if not from_inside else np.zeros((0, 3))
     dots = [dot for place in plan[1:] if (dot := _dot(place, camera)) is not None]
-    return RolloutDrawing(boxes, _projected(plan, camera), dots, _projected(driven, camera))
+    return RolloutOverlay(boxes, _projected(plan, camera), dots, _projected(driven, camera))
 
 
-def planned_places(shown: ShownRollout, step: RolloutStep, time_s: float) -> Float64[np.ndarray, "n 3"]:
+def planned_points_m(shown: RolloutInScene, step: RolloutStep, time_s: float) -> Float64[np.ndarray, "n 3"]:
     """Where the plan that is followed now leads: the ego vehicle's rear axle first, then what is still ahead of it.
 
     World, metres, a little above the road, which is taken as high as where the vehicle is.
@@ -88,14 +88,14 @@ def planned_places(shown: ShownRollout, step: RolloutStep, time_s: float) -> Flo
     return np.column_stack([places, np.full(len(places), height)])
 
 
-def _driven(shown: ShownRollout, time_s: float) -> Float64[np.ndarray, "n 3"]:
+def _driven(shown: RolloutInScene, time_s: float) -> Float64[np.ndarray, "n 3"]:
     steps = [each.ego for each in shown.played.rollout.steps if each.time_s < time_s]
     now = shown.played.rig_to_world(time_s)[:3, 3] - (0.0, 0.0, shown.played.rig.height_m)
     places = np.array([*[(ego.x_m, ego.y_m, ego.z_m) for ego in steps], now])
     return places + (0.0, 0.0, _ABOVE_ROAD_M)
 
 
-def _ego(shown: ShownRollout, time_s: float) -> RoadUser:
+def _ego(shown: RolloutInScene, time_s: float) -> RoadUser:
     vehicle, state = shown.scenario.vehicle, shown.played.state(time_s)
     z = float(shown.played.rig_to_world(time_s)[2, 3]) - shown.played.rig.height_m
     size = vehicle.length_m, vehicle.width_m, vehicle.height_m
@@ -104,8 +104,8 @@ def _ego(shown: ShownRollout, time_s: float) -> RoadUser:
 
 
 def _box(user: RoadUser, camera: Camera, *, is_hit: bool, is_ego: bool = False) -> BoxMark:
-    lines = projected_lines(box_corners(user.pose, user.size_lwh)[EDGES], camera)
-    top = projected_point(user.pose[:3, 3] + (0.0, 0.0, user.size_lwh[2]), camera)
+    lines = project_lines(box_corners(user.pose, user.size_lwh)[EDGES], camera)
+    top = project_point(user.pose[:3, 3] + (0.0, 0.0, user.size_lwh[2]), camera)
     return BoxMark(user.id, lines, None if top is None else (top.x, top.y), user.speed_m_s, is_hit, is_ego)
 
 
@@ -116,24 +116,24 @@ def _projected(places: Float64[np.ndarray, "n 3"], camera: Camera) -> Float64[np
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))])
     at = np.append(np.arange(0.0, along[-1], _PIECE_M), along[-1])
     fine = np.stack([np.interp(at, along, places[:, axis]) for axis in range(3)], axis=1)
-    return projected_lines(np.stack([fine[:-1], fine[1:]], axis=1), camera)
+    return project_lines(np.stack([fine[:-1], fine[1:]], axis=1), camera)
 
 
-def _dot(place: Float64[np.ndarray, "3"], camera: Camera) -> Dot | None:
-    seen = projected_point(place, camera)
+def _dot(place: Float64[np.ndarray, "3"], camera: Camera) -> PlanDot | None:
+    seen = project_point(place, camera)
     if seen is None:
         return None
-    return Dot(seen.x, seen.y, float(np.clip(_DOT_M * camera.fx / seen.depth_m, _LEAST_PX, _MOST_PX)))
+    return PlanDot(seen.x, seen.y, float(np.clip(_DOT_M * camera.fx / seen.depth_m, _MIN_PX, _MAX_PX)))
 
 
 # § What a camera agent has seen in a step, as boxes in the picture: from the notes of its roll-out.
 
-_LEAST_CONFIDENCE = 0.25
+_MIN_CONFIDENCE = 0.25
 
 _Box = tuple[float, float, float, float]
 
 
-class SeenBox(NamedTuple):
+class DetectionBox(NamedTuple):
     """A detection; pixels of the viewport's picture."""
 
     low_px: tuple[float, float]
@@ -143,46 +143,46 @@ class SeenBox(NamedTuple):
     """Whether the agent follows it."""
 
 
-class _Detection(msgspec.Struct, frozen=True):
+class _DetectionNote(msgspec.Struct, frozen=True):
     box_xyxy: _Box
     confidence: Annotated[float, Meta(ge=0, le=1)] = 1.0
     class_name: str = msgspec.field(default="", name="class")
 
 
-class _Lead(msgspec.Struct, frozen=True):
+class _LeadNote(msgspec.Struct, frozen=True):
     box_xyxy: _Box | None = None
     gap_m: float | None = None
 
 
-class _Notes(msgspec.Struct, frozen=True):
-    detections: tuple[_Detection, ...] = ()
-    lead: _Lead | None = None
+class _AgentNotes(msgspec.Struct, frozen=True):
+    detections: tuple[_DetectionNote, ...] = ()
+    lead: _LeadNote | None = None
 
 
-def seen_boxes(step: RolloutStep, front: RigCamera, camera: Camera) -> list[SeenBox]:
+def detection_boxes(step: RolloutStep, front: RigCamera, camera: Camera) -> list[DetectionBox]:
     """Return the detections of a step for a camera that stands where the rig's front camera is.
 
     Empty where the agent has noted none, or notes something else by that name.
     """
     notes = _read(step.notes)
-    found: list[SeenBox] = []
+    found: list[DetectionBox] = []
     for each in notes.detections:
         is_lead = notes.lead is not None and notes.lead.box_xyxy == each.box_xyxy
-        if each.confidence < _LEAST_CONFIDENCE and not is_lead:
+        if each.confidence < _MIN_CONFIDENCE and not is_lead:
             continue
         x0, y0, x1, y1 = each.box_xyxy
         words = f"{each.class_name} {each.confidence:.2f}".strip()
         if is_lead and notes.lead is not None and notes.lead.gap_m is not None:
             words += f", {notes.lead.gap_m:.1f} m"
-        found.append(SeenBox(_moved(x0, y0, front, camera), _moved(x1, y1, front, camera), words, is_lead))
+        found.append(DetectionBox(_moved(x0, y0, front, camera), _moved(x1, y1, front, camera), words, is_lead))
     return found
 
 
-def _read(notes: dict[str, Any]) -> _Notes:
+def _read(notes: dict[str, Any]) -> _AgentNotes:
     try:
-        return msgspec.convert(notes, _Notes)
+        return msgspec.convert(notes, _AgentNotes)
     except msgspec.ValidationError:
-        return _Notes()
+        return _AgentNotes()
 
 
 def _moved(x: float, y: float, front: RigCamera, camera: Camera) -> tuple[float, float]:
@@ -197,14 +197,14 @@ _WIDTH_STEP_PX = 16
 
 
 @dataclass(slots=True)
-class Mosaic:
+class CameraMosaic:
     """What the panel wants and what has been drawn for it."""
 
     rig: str = ""
     """Name of the rig; one that the scene has not is its first."""
     width_px: int = 240
     """Of each picture."""
-    is_wanted: bool = False
+    is_requested: bool = False
     """Whether the panel is to be seen; said anew in each frame."""
     is_behind: bool = False
     """Whether pictures are older than what the scene shows now."""
@@ -213,7 +213,7 @@ class Mosaic:
 
     def want(self, width_px: float) -> None:
         """Have the pictures drawn in about this width."""
-        self.is_wanted = True
+        self.is_requested = True
         self.width_px = max(64, _WIDTH_STEP_PX * round(width_px / _WIDTH_STEP_PX))
 
     def cameras(self, scene: Scene) -> tuple[RigCamera, ...]:

@@ -9,13 +9,13 @@ import msgspec
 import platformdirs
 from msgspec import Meta
 
-from ..safe_io.errors import converted
+from ..safe_io.errors import convert_checked
 from ..safe_io.text_files import read_whole, yaml_values
-from ..scene.files import locked, whole_file
-from .notifications import told
+from ..scene.files import lock_path, whole_file
+from .notifications import describe_error
 
 
-class KeptPreferences:
+class PreferencesStore:
     """A value that follows every change; the file follows it in `thread`, one write at a time."""
 
     def __init__(self, thread: ThreadPoolExecutor) -> None:
@@ -41,7 +41,7 @@ class KeptPreferences:
         if self._saving is not None and self._saving.done():
             saving, self._saving = self._saving, None
             if (error := saving.exception()) is not None:
-                told("The preferences can't be saved", Exception(str(error)))
+                describe_error("The preferences can't be saved", Exception(str(error)))
         if self._changed and self._saving is None:
             changed, self._changed = self._changed, {}
             self._saving = self._thread.submit(save_preferences, **changed)
@@ -99,7 +99,7 @@ def load_preferences() -> tuple[Preferences, str | None]:
     """Read the preferences, or defaults where there are none; and one sentence when the file can't be used."""
     path = preferences_file()
     try:
-        return converted(yaml_values(read_whole(path)), Preferences), None
+        return convert_checked(yaml_values(read_whole(path)), Preferences), None
     except FileNotFoundError:
         return Preferences(), None
     except OSError as error:
@@ -126,7 +126,7 @@ def save_preferences(**fields: Any) -> Preferences:
     """
     path = preferences_file()
     path.parent.mkdir(parents=True, exist_ok=True)
-    with locked(path.parent):
+    with lock_path(path.parent):
         changed = checked(msgspec.structs.replace(load_preferences()[0], **fields))
         with whole_file(path) as beside:
             beside.write_bytes(msgspec.yaml.encode(changed))

@@ -9,12 +9,12 @@ import msgspec
 import numpy as np
 from jaxtyping import Float64
 
-from ..rain.settings import Box
-from ..render.draw import Shot, rain_anchor
+from ..rain.settings import RegionBox
+from ..render.draw import RenderView, rain_anchor
 from ..scene.camera import Camera, look_at
 from ..scene.geometry import EDGES
-from .viewport.picking import NEAR_M, projected_lines, projected_point
-from .viewport_state import ViewedDocument
+from .viewport.picking import NEAR_M, project_lines, project_point
+from .viewport_state import ViewportState
 
 RegionName = Literal["streak_region", "haze_region"]
 
@@ -45,13 +45,13 @@ class FaceHandle:
 
 
 def face_handles(
-    box: Box, anchor_to_world: Float64[np.ndarray, "4 4"], camera: Camera, *, inset: float = 0.08
+    box: RegionBox, anchor_to_world: Float64[np.ndarray, "4 4"], camera: Camera, *, inset: float = 0.08
 ) -> list[FaceHandle]:
     """Handles of the faces that the camera sees a part of; they keep a share of the picture off its edges."""
     low, high = np.array(box.minimum_m), np.array(box.maximum_m)
     handles: list[FaceHandle] = []
     for axis, upper in product(range(3), (False, True)):
-        middle = _seen_middle(_corners(low, high, axis, upper), anchor_to_world, camera, inset)
+        middle = _visible_centroid(_corners(low, high, axis, upper), anchor_to_world, camera, inset)
         if middle is not None:
             normal = anchor_to_world[:3, axis] * (1.0 if upper else -1.0)
             handles.append(FaceHandle(axis, upper, middle, normal))
@@ -59,16 +59,16 @@ def face_handles(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FacePull:
+class BoxFaceDrag:
     """A face that is being pulled: what it was when it was gripped, and how the mouse moves it."""
 
     handle: FaceHandle
-    box: Box
+    box: RegionBox
     name: RegionName
     camera: Camera
     start_px: tuple[float, float]
 
-    def pulled(self, x: float, y: float) -> Box:
+    def pulled(self, x: float, y: float) -> RegionBox:
         """Return the region with the face where the mouse pulls it; it stops where the region would be no good."""
         axis, upper = self.handle.face
         way = self._along(x, y) - self._along(*self.start_px)
@@ -82,13 +82,13 @@ class FacePull:
             least = min(max(-_FARTHEST_M, high[axis] - thickest), low[axis])
             low[axis] = float(np.clip(low[axis] - way, least, high[axis] - _THINNEST_M))
         corners = {"minimum_m": tuple(round(v, 3) for v in low), "maximum_m": tuple(round(v, 3) for v in high)}
-        return msgspec.convert(corners, Box)
+        return msgspec.convert(corners, RegionBox)
 
     @property
     def is_end_on(self) -> bool:
         """Whether the face moves along the line of sight, so that the mouse's height has to stand for it."""
         here, there = (
-            projected_point(self.handle.point_m + step * self.handle.normal, self.camera)
+            project_point(self.handle.point_m + step * self.handle.normal, self.camera)
             for step in (0.0, self._distance / 10)
         )
         return there is None or here is None or math.hypot(there.x - here.x, there.y - here.y) < _END_ON_PX
@@ -122,7 +122,7 @@ def _corners(
     return corners
 
 
-def _seen_middle(
+def _visible_centroid(
     corners_m: Float64[np.ndarray, "4 3"], anchor_to_world: Float64[np.ndarray, "4 4"], camera: Camera, inset: float
 ) -> Float64[np.ndarray, "3"] | None:
     """Centroid of what the camera sees of a face, in the world; None where it sees nothing."""
@@ -171,7 +171,7 @@ _FILLED = 0.74
 """Share of the picture that the region fills."""
 
 
-def inset_shot(box: Box, anchor_to_world: Float64[np.ndarray, "4 4"], width: int, height: int) -> Shot:
+def inset_view(box: RegionBox, anchor_to_world: Float64[np.ndarray, "4 4"], width: int, height: int) -> RenderView:
     """Look at a whole region, whose frame stands in the world, from outside."""
     turn = anchor_to_world[:3, :3]
     middle = turn @ np.array(box.center_m) + anchor_to_world[:3, 3]
@@ -182,7 +182,7 @@ def inset_shot(box: Box, anchor_to_world: Float64[np.ndarray, "4 4"], width: int
     high = np.tan(np.radians(_FOV_DEG) / 2) * _FILLED
     away = float(np.max(np.maximum(np.abs(x) * height / width, np.abs(y)) / high - z))
     pose = look_at(middle + away * direction, middle, np.array([0.0, 0.0, 1.0]))
-    return Shot(Camera.from_fov(width, height, _FOV_DEG, pose))
+    return RenderView(Camera.from_fov(width, height, _FOV_DEG, pose))
 
 
 def frustum_lines(camera: Camera, length_m: float) -> Float64[np.ndarray, "8 2 3"]:
@@ -206,7 +206,7 @@ class RegionOutline(NamedTuple):
     """Start and end of each edge that is in front of the camera, as x, y in pixels of the picture."""
 
 
-def region_outlines(session: ViewedDocument, width: int, height: int) -> list[RegionOutline]:
+def region_outlines(session: ViewportState, width: int, height: int) -> list[RegionOutline]:
     """Project the regions that the view options ask for."""
     shown = []
     if session.view.show_streak_region:
@@ -219,9 +219,9 @@ def region_outlines(session: ViewedDocument, width: int, height: int) -> list[Re
 
 
 def project_edges(
-    box: Box, anchor_to_world: Float64[np.ndarray, "4 4"], camera: Camera
+    box: RegionBox, anchor_to_world: Float64[np.ndarray, "4 4"], camera: Camera
 ) -> Float64[np.ndarray, "m 2 2"]:
     """Project the twelve edges of a box, each cut off at the near plane."""
     corners = np.array(list(product(*zip(box.minimum_m, box.maximum_m, strict=True))))
     in_world = corners @ anchor_to_world[:3, :3].T + anchor_to_world[:3, 3]
-    return projected_lines(in_world[EDGES], camera)
+    return project_lines(in_world[EDGES], camera)

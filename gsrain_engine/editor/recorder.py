@@ -9,23 +9,23 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from ..render.export import frame_numbers, recording_command, sequences_of
-from ..render.export_settings import Recording, outputs
+from ..render.export import export_command, export_sequences, frame_numbers
+from ..render.export_settings import ExportSettings, export_outputs
 from ..render.sequence import FrameSequence
 from ..scene.camera_path import CameraPath
 from ..scene.geometry import quaternions_from_matrices
 from ..scene.scene import Scene
 from .autosave import saved_scene
 from .files import SceneFiles
-from .jobs.record import RecordingJob
-from .notifications import told
-from .services import Desk
+from .jobs.record import ExportJob
+from .notifications import describe_error
+from .services import EditorServices
 
 _LABEL_DRAWINGS = 1 / 3
 """Pictures a layer or actor that labels take: three fit into the colours of one."""
 
 
-class Extent(NamedTuple):
+class OutputEstimate(NamedTuple):
     """How much a recording is."""
 
     frames: int
@@ -37,15 +37,15 @@ class Extent(NamedTuple):
     """How long it may take, going by the viewport's last picture; None while there is none."""
 
 
-class Recorder:
+class RenderQueue:
     """The recording of one session. Only the main thread touches it."""
 
-    def __init__(self, session: Desk, scene_files: SceneFiles, files: ThreadPoolExecutor) -> None:
+    def __init__(self, session: EditorServices, scene_files: SceneFiles, files: ThreadPoolExecutor) -> None:
         self._session, self._scene_files, self._files = session, scene_files, files
-        self._wanted = Recording(output="", size_px=(960, 640), codec="h264")
+        self._wanted = ExportSettings(output="", size_px=(960, 640), codec="h264")
 
     @property
-    def wanted(self) -> Recording:
+    def settings(self) -> ExportSettings:
         """All but where it goes. The frame rate is the timeline's."""
         return msgspec.structs.replace(self._wanted, fps=self._session.timeline.fps)
 
@@ -57,37 +57,37 @@ class Recorder:
 
     @property
     def is_recording(self) -> bool:
-        return any(isinstance(job, RecordingJob) for job in self._session.running_jobs)
+        return any(isinstance(job, ExportJob) for job in self._session.running_jobs)
 
     def change(self, **fields: object) -> None:
         """Change what is wanted; what contradicts itself is not taken, and said in `problem`."""
         try:
-            values = {name: getattr(self.wanted, name) for name in self.wanted.__struct_fields__} | fields
-            self._wanted = msgspec.convert(values, Recording)
+            values = {name: getattr(self.settings, name) for name in self.settings.__struct_fields__} | fields
+            self._wanted = msgspec.convert(values, ExportSettings)
             self._session.timeline.fps = self._wanted.fps
         except ValueError as error:
             self._session.problem = str(error)
 
-    def extent(self) -> Extent | str:
+    def extent(self) -> OutputEstimate | str:
         """How much it is; where it can't be recorded, why."""
         try:
-            sequences = self._sequences(self.wanted)
+            sequences = self._sequences(self.settings)
         except ValueError as error:
             return str(error)
-        frames = len(frame_numbers(self.wanted, sequences))
-        return Extent(frames, len(sequences), frames / self.wanted.fps, self._rough_s(frames, sequences))
+        frames = len(frame_numbers(self.settings, sequences))
+        return OutputEstimate(frames, len(sequences), frames / self.settings.fps, self._rough_s(frames, sequences))
 
     def record_to(self, path: Path) -> None:
         """Record the timeline; what is there already is only replaced when a person says so."""
-        if self.wanted.is_video and not path.suffix:
-            path = path.with_name(path.name + self.wanted.usual_suffix)
-        self._begin(msgspec.structs.replace(self.wanted, output=str(path)), saved_scene(self._session))
+        if self.settings.is_video and not path.suffix:
+            path = path.with_name(path.name + self.settings.default_suffix)
+        self._begin(msgspec.structs.replace(self.settings, output=str(path)), saved_scene(self._session))
 
     def record_still_to(self, path: Path) -> None:
         """Record the moment that the viewport shows, from its place, in the size and with the samples wanted."""
         session = self._session
         still = msgspec.structs.replace(
-            self.wanted,
+            self.settings,
             output=str(path if path.suffix else path.with_name(f"{path.name}.png")),
             codec="auto",
             quality=None,
@@ -101,38 +101,40 @@ class Recorder:
             scene = replace(scene, path=self._standing())
         self._begin(still, scene)
 
-    def _begin(self, recording: Recording, scene: Scene) -> None:
+    def _begin(self, recording: ExportSettings, scene: Scene) -> None:
         try:
             recording.check()
             names = list(self._sequences(recording))
         except ValueError as error:
-            self._session.problem = told("It can't be recorded", error)
+            self._session.problem = describe_error("It can't be recorded", error)
             return
-        self._session.questions.before_replacing(outputs(recording, names), lambda: self._start(recording, scene))
+        self._session.questions.before_replacing(
+            export_outputs(recording, names), lambda: self._start(recording, scene)
+        )
 
-    def _start(self, recording: Recording, scene: Scene) -> None:
+    def _start(self, recording: ExportSettings, scene: Scene) -> None:
         session, home = self._session, self._scene_files.home
         notes = []
         if scene.path is session.scene.path:
             saved = " once the scene is saved" if home is None or self._scene_files.has_changes else ""
-            command = recording_command(recording, str(home or "PROJECT"))
+            command = export_command(recording, str(home or "PROJECT"))
             notes = [f"The same from the command line{saved}: {command}"]
-        session.start(RecordingJob(scene, recording, self._files, self._scene_files.known, notes))
+        session.start(ExportJob(scene, recording, self._files, self._scene_files.known, notes))
 
-    def _sequences(self, recording: Recording) -> dict[str, FrameSequence]:
+    def _sequences(self, recording: ExportSettings) -> dict[str, FrameSequence]:
         session = self._session
         probe = (
             recording
             if recording.output
-            else msgspec.structs.replace(recording, output=f"clip{recording.usual_suffix}")
+            else msgspec.structs.replace(recording, output=f"clip{recording.default_suffix}")
         )
         is_own = session.scene.path is not None
-        return sequences_of(probe, session.scene, session.rainfall, session.path, in_scene_time=is_own)
+        return export_sequences(probe, session.scene, session.rainfall, session.path, in_scene_time=is_own)
 
     def _standing(self) -> CameraPath:
         """A path of one key where the viewport's camera is, in scene units and axes."""
         session = self._session
-        camera = session.shot(*(self.wanted.size_px or (960, 640))).camera
+        camera = session.shot(*(self.settings.size_px or (960, 640))).camera
         pose = camera.camera_to_world
         return CameraPath(
             np.array([session.clock.time_s]),
@@ -144,7 +146,7 @@ class Recorder:
 
     def _rough_s(self, frames: int, sequences: Mapping[str, FrameSequence]) -> float | None:
         """Time a picture takes by its pixels, times all pictures; encoding and reading come on top."""
-        statistics, wanted = self._session.statistics, self.wanted
+        statistics, wanted = self._session.statistics, self.settings
         if not statistics.get("megapixels"):
             return None
         megapixels = sum(each.width * each.height for each in sequences.values()) * 1e-6

@@ -6,18 +6,18 @@ from typing import NamedTuple
 
 import msgspec
 
-from ..rain.settings import Rain
+from ..rain.settings import RainSettings
 from ..scene.progress import Progress
 from ..scene.scene import Scene
-from .capture_view import CaptureView
+from .capture_view import CaptureController
 from .jobs.job import BackgroundJob, BackgroundWork
-from .notifications import Answer, Question, Questions, nothing, told
-from .preferences import KeptPreferences, Preferences
+from .notifications import Answer, Question, Questions, describe_error, do_nothing
+from .preferences import Preferences, PreferencesStore
 from .viewport.options import Texture
-from .viewport_state import ViewedDocument
+from .viewport_state import ViewportState
 
 
-class _Awaited(NamedTuple):
+class _PendingAction(NamedTuple):
     """Work that has to end before something is done."""
 
     work: tuple[BackgroundWork, ...]
@@ -25,10 +25,10 @@ class _Awaited(NamedTuple):
     question: Question
 
 
-class Desk(ViewedDocument):
+class EditorServices(ViewportState):
     """What the parts of a session know of it: they are given the desk that they lie on."""
 
-    def __init__(self, scene: Scene, rain: Rain | None, files: ThreadPoolExecutor) -> None:
+    def __init__(self, scene: Scene, rain: RainSettings | None, files: ThreadPoolExecutor) -> None:
         """Begin with a scene; `files` is the thread where reading and writing happens."""
         super().__init__(scene, rain)
         self.jobs: list[BackgroundJob] = []
@@ -37,12 +37,12 @@ class Desk(ViewedDocument):
         """What running jobs show of their work."""
         self.statistics: dict[str, float] = {}
         """Figures of the last frame, by name: the Statistics panel shows them in this order."""
-        self.captures = CaptureView()
+        self.captures = CaptureController()
         self.questions = Questions()
-        self._awaited: _Awaited | None = None
-        self._preferences = KeptPreferences(files)
+        self._awaited: _PendingAction | None = None
+        self._preferences = PreferencesStore(files)
         if self._preferences.trouble is not None:
-            self.questions.ask(Question("Preferences", self._preferences.trouble, (Answer("OK", nothing),)))
+            self.questions.ask(Question("Preferences", self._preferences.trouble, (Answer("OK", do_nothing),)))
 
     @property
     def running_jobs(self) -> list[BackgroundJob]:
@@ -77,7 +77,7 @@ class Desk(ViewedDocument):
             cancel = Answer("Cancel", self._wait_no_more, f"Don't {what}; the work goes on.")
             answers = (Answer(f"Stop {them}", stop, losses), cancel) if jobs else (cancel,)
             question = Question("Waiting", text, answers, progress, enter_answers=not jobs)
-            self._awaited = _Awaited(running, act, question)
+            self._awaited = _PendingAction(running, act, question)
             if any(each.state == "running" for each in running):
                 self.questions.ask(question)
 
@@ -98,7 +98,7 @@ class Desk(ViewedDocument):
         answers = (
             Answer("Wait", wait, f"Take in the result, then {what}."),
             Answer(f"Stop {them}", stop, losses),
-            Answer("Cancel", nothing, f"Don't {what}; the work goes on."),
+            Answer("Cancel", do_nothing, f"Don't {what}; the work goes on."),
         )
         self.questions.ask(Question("Work goes on", text, answers, progress))
 
@@ -129,9 +129,9 @@ class Desk(ViewedDocument):
         """Settings of the program, whatever the scene."""
         return self._preferences.value
 
-    def prefer(self, **fields: object) -> None:
+    def set_preference(self, **fields: object) -> None:
         """Change preferences and keep them; what is out of bounds is told in `problem`."""
         try:
             self._preferences.change(**fields)
         except msgspec.ValidationError as error:
-            self.problem = told("That can't be preferred", error)
+            self.problem = describe_error("That can't be preferred", error)

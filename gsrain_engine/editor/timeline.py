@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..rain.keyframes import WITHOUT_CHANGE, Weather
+from ..rain.keyframes import NO_KEYFRAMES, RainKeyframes
 from ..scene.camera_path import CameraPath
 from ..scene.camera_path_edit import PathSpeed
-from ..scene.scene import Scene, Track
+from ..scene.scene import PoseTrack, Scene
 from .viewport.camera import ORBIT_S
 
 _LONGEST_STALL_S = 0.25
@@ -20,7 +20,7 @@ _LITTLE = 1e-6
 
 
 @dataclass(slots=True)
-class Clock:
+class PlaybackClock:
     """A clock that can be stopped, set and run at another speed, within a span or on and on."""
 
     time_s: float = 0.0
@@ -63,7 +63,7 @@ class Clock:
 
 
 @dataclass(slots=True)
-class Pace:
+class FrameClock:
     """The seconds from one frame to the next, without stalls."""
 
     _last_s: float = 0.0
@@ -81,7 +81,7 @@ class Pace:
 # § What the timeline shows and what is chosen there; not part of the document.
 
 
-class KeyDrag(NamedTuple):
+class KeyframeDrag(NamedTuple):
     """A key in the hand: every place of the hand gives the same path, whichever way led there."""
 
     path: CameraPath
@@ -94,7 +94,7 @@ class KeyDrag(NamedTuple):
     has_moved: bool = False
     """Whether the hand has moved since: else it was a click."""
 
-    def begun(self) -> "KeyDrag":
+    def begun(self) -> "KeyframeDrag":
         return self._replace(has_moved=True)
 
 
@@ -106,26 +106,26 @@ class Ruler:
     """The stretch of time that a timeline shows."""
 
     first_s: float = 0.0
-    shown_s: float = 10.0
+    visible_span_s: float = 10.0
     """Seconds over the whole width."""
     width_px: float = 1.0
 
     def x(self, time_s: float) -> float:
         """Pixels from the left end to a moment."""
-        return (time_s - self.first_s) / self.shown_s * self.width_px
+        return (time_s - self.first_s) / self.visible_span_s * self.width_px
 
     def time(self, x_px: float) -> float:
         """Moment at so many pixels from the left end."""
-        return self.first_s + x_px / self.width_px * self.shown_s
+        return self.first_s + x_px / self.width_px * self.visible_span_s
 
     def seconds(self, pixels: float) -> float:
         """How long so many pixels are."""
-        return pixels / self.width_px * self.shown_s
+        return pixels / self.width_px * self.visible_span_s
 
     def zoom(self, steps: float, x_px: float) -> None:
         """Show less (positive) or more time, by a fifth a step; what is at a pixel stays there."""
         held = self.time(x_px)
-        self.shown_s = float(np.clip(self.shown_s * 0.8**steps, _SHORTEST_S, _LONGEST_S))
+        self.visible_span_s = float(np.clip(self.visible_span_s * 0.8**steps, _SHORTEST_S, _LONGEST_S))
         self._begin_at(held - self.seconds(x_px))
 
     def pan(self, pixels: float) -> None:
@@ -135,18 +135,18 @@ class Ruler:
     def fit(self, first_s: float, last_s: float) -> None:
         """Show a stretch of time whole."""
         length = max(last_s - first_s, _SHORTEST_S)
-        self.shown_s = length * (1 + 2 * _MARGIN)
+        self.visible_span_s = length * (1 + 2 * _MARGIN)
         self.first_s = first_s - length * _MARGIN
 
     def show(self, time_s: float) -> None:
         """Go on by a page where a moment has left what is shown."""
-        if not self.first_s <= time_s <= self.first_s + self.shown_s:
-            self._begin_at(time_s - _MARGIN * self.shown_s)
+        if not self.first_s <= time_s <= self.first_s + self.visible_span_s:
+            self._begin_at(time_s - _MARGIN * self.visible_span_s)
 
     def marks(self, apart_px: float) -> list[float]:
         """Moments of the marks, at 1, 2 or 5 times a power of ten seconds, at least so many pixels apart."""
         step = self.mark_step(apart_px)
-        first, last = np.ceil(self.first_s / step - 1e-9), np.floor((self.first_s + self.shown_s) / step + 1e-9)
+        first, last = np.ceil(self.first_s / step - 1e-9), np.floor((self.first_s + self.visible_span_s) / step + 1e-9)
         return (np.arange(first, last + 1) * step).tolist()
 
     def mark_step(self, apart_px: float) -> float:
@@ -157,7 +157,7 @@ class Ruler:
 
     def _begin_at(self, time_s: float) -> None:
         # A little before 0 stays to be seen, so that what stands at 0 can be taken hold of.
-        self.first_s = max(time_s, -_MARGIN * self.shown_s)
+        self.first_s = max(time_s, -_MARGIN * self.visible_span_s)
 
 
 @dataclass(slots=True)
@@ -166,7 +166,7 @@ class Timeline:
 
     key: int | None = None
     """Number of the chosen key, which an undo may have taken away: `camera_path.edits.chosen_key` looks."""
-    drag: KeyDrag | None = None
+    drag: KeyframeDrag | None = None
     fps: float = 30.0
     """Of the film: keys and steps keep to its frames."""
     show_path: bool = True
@@ -199,7 +199,7 @@ class TimelineRow(NamedTuple):
     keys_s: tuple[float, ...] = ()
 
 
-def content_span(scene: Scene, weather: Weather = WITHOUT_CHANGE) -> tuple[float, float]:
+def content_span(scene: Scene, weather: RainKeyframes = NO_KEYFRAMES) -> tuple[float, float]:
     """From when to when something happens: the person's flight; else drive, traffic and weather; else one swing."""
     if scene.path is not None and scene.path.duration_s > 0:
         return scene.path.start_s, scene.path.end_s
@@ -223,7 +223,7 @@ def track_rows(scene: Scene) -> list[TimelineRow]:
     return rows
 
 
-def weather_row(weather: Weather, first_s: float, last_s: float, most: int) -> TimelineRow:
+def weather_row(weather: RainKeyframes, first_s: float, last_s: float, most: int) -> TimelineRow:
     """Keys of the rain within a stretch of time, at most so many of them: more would stand on top of one another."""
     times = weather.times_s
     seen = times[(times >= first_s) & (times <= last_s)]
@@ -234,7 +234,7 @@ def weather_row(weather: Weather, first_s: float, last_s: float, most: int) -> T
     )
 
 
-def presence(track: Track) -> list[tuple[float, float]]:
+def presence(track: PoseTrack) -> list[tuple[float, float]]:
     """From when to when a track's thing is in the scene, between its first sample and its last."""
     there = track.valid[:-1].astype(np.int8)
     edges = np.diff(np.concatenate([[0], there, [0]]))

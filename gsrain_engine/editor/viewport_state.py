@@ -6,19 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..rain.settings import Rain, load_preset
-from ..rain.simulation import OVERCAST, Rainfall
-from ..render.draw import Shot
+from ..rain.settings import RainSettings, load_preset
+from ..rain.simulation import OVERCAST, RainSimulation
+from ..render.draw import RenderView
 from ..render.renderer import Color
-from ..render.sky_color import Sky
+from ..render.sky_color import SkyColor
 from ..scene.camera_path import CameraPath
-from ..scene.scene import Core, Scene, core_bounds
+from ..scene.scene import Scene, SceneCore, core_bounds
 from ..scene.transforms import with_wet_colors_of
 from .document import Document, EditedDocument
 from .edits.members import with_gaussians_of
-from .timeline import Clock, Timeline, content_span
-from .viewport.camera import Navigation, home_navigation, scene_core
-from .viewport.camera_follow import Chase, Following, Ride
+from .timeline import PlaybackClock, Timeline, content_span
+from .viewport.camera import OrbitCamera, find_scene_core, home_viewport_camera
+from .viewport.camera_follow import ActorFollower, ChaseCamera, PathFollower
 from .viewport.options import ViewOptions
 
 _VIEW_SIZE = (960, 640)  # shape of the picture that home cameras are chosen for
@@ -27,7 +27,7 @@ _VIEW_SIZE = (960, 640)  # shape of the picture that home cameras are chosen for
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StagedScene:
+class PendingScene:
     """A new scene that is shown as soon as its Gaussians are on the GPU."""
 
     label: str
@@ -44,26 +44,26 @@ class StagedScene:
     """Whether it is only wanted while the step of its gesture is the present one."""
 
 
-class ViewedDocument(EditedDocument):
+class ViewportState(EditedDocument):
     """The present document with its camera, its clock, and the rain that falls in it."""
 
-    def __init__(self, scene: Scene, rain: Rain | None = None) -> None:
+    def __init__(self, scene: Scene, rain: RainSettings | None = None) -> None:
         """Begin with a scene; without a rain it is dry."""
-        super().__init__(Document(scene, rain or load_preset("clear")), Clock())
-        self.navigation = Navigation()
+        super().__init__(Document(scene, rain or load_preset("clear")), PlaybackClock())
+        self.navigation = OrbitCamera()
         self.view = ViewOptions()
         self.timeline = Timeline()
-        self.following = Following()
-        self.chase = Chase()
+        self.following = ActorFollower()
+        self.chase = ChaseCamera()
         """The camera that goes along with a roll-out."""
-        self._ride = Ride()
-        self._core: tuple[Hashable, Core] | None = None
+        self._ride = PathFollower()
+        self._core: tuple[Hashable, SceneCore] | None = None
         self.preview: Scene | None = None
         """What a tool wants drawn in place of the scene while something is dragged; to be said again each frame."""
         self._shown_preview: Scene | None = None
-        self.staged: StagedScene | None = None
-        self.rainfall = Rainfall.start(self.rain)
-        self.sky_seen = Sky(OVERCAST, found=False)
+        self.staged: PendingScene | None = None
+        self.rainfall = RainSimulation.start(self.rain)
+        self.sky_seen = SkyColor(OVERCAST, found=False)
         """What the live view saw when it looked at the sky last."""
         self.sky_is_stale = True
         """Whether the live view should look at the sky again: it is another scene's."""
@@ -77,7 +77,7 @@ class ViewedDocument(EditedDocument):
         return self.scene if self._shown_preview is None else self._shown_preview
 
     @property
-    def shown_rainfall(self) -> Rainfall:
+    def shown_rainfall(self) -> RainSimulation:
         """The rain that the viewport shows."""
         return self.rainfall
 
@@ -101,7 +101,7 @@ class ViewedDocument(EditedDocument):
         """Whether another scene is about to take the place of this one."""
         return self.staged is not None and self.staged.is_opened
 
-    def stage(self, staged: StagedScene) -> None:
+    def stage(self, staged: PendingScene) -> None:
         """Show a scene as soon as its Gaussians are where the next frame needs them."""
         self.staged = staged
 
@@ -126,17 +126,17 @@ class ViewedDocument(EditedDocument):
             self.navigation.look_like(self.shot(*_VIEW_SIZE).camera)
             self.view.follow_path = False
 
-    def shot(self, width: int, height: int, focal_scale: float = 1.0) -> Shot:
+    def shot(self, width: int, height: int, focal_scale: float = 1.0) -> RenderView:
         """What the viewport shows now; `focal_scale` is output size over drawn size."""
         t = self.clock.time_s
         if self.view.follow_path:
             camera = self.path.camera(t, width, height)
             stands = not self.path.is_timed and not self.clock.playing  # photos without times, looked at one by one
-            return Shot(camera, t, None if stands else self.path.velocity(t), camera.fx * focal_scale)
+            return RenderView(camera, t, None if stands else self.path.velocity(t), camera.fx * focal_scale)
         camera = self.navigation.camera(width, height)
         ride = self.following.velocity_m_s if self.chase.velocity_m_s is None else self.chase.velocity_m_s
         velocity = self.navigation.velocity_m_s if ride is None else self.navigation.velocity_m_s + ride
-        return Shot(camera, t, velocity, camera.fx * focal_scale)
+        return RenderView(camera, t, velocity, camera.fx * focal_scale)
 
     def frame_scene(self) -> None:
         """Back off until the chosen layer or actor can be seen, or else the scene where it is dense."""
@@ -149,20 +149,20 @@ class ViewedDocument(EditedDocument):
         self.navigation.dolly(steps, self.core)
 
     @property
-    def core(self) -> Core:
+    def core(self) -> SceneCore:
         """Where the scene is dense; found anew where something else can be seen."""
-        matter = self.scene.matter
+        matter = self.scene.geometry_key
         if self._core is None or self._core[0] != matter:
-            self._core = matter, scene_core(self.scene)
+            self._core = matter, find_scene_core(self.scene)
         return self._core[1]
 
     def go_home(self) -> None:
         """Go to where the scene is first looked at from."""
-        self.navigation = home_navigation(self.scene, *_VIEW_SIZE, self.navigation.speed_m_s)
+        self.navigation = home_viewport_camera(self.scene, *_VIEW_SIZE, self.navigation.speed_m_s)
 
     def enter_scene(self) -> None:
         """Begin anew with the view and the timeline: this is another place."""
-        self._ride, self.timeline, self.clock.span_s = Ride(), Timeline(), None
+        self._ride, self.timeline, self.clock.span_s = PathFollower(), Timeline(), None
         self.go_home()
         self.sky_is_stale = True
 
@@ -173,7 +173,7 @@ class ViewedDocument(EditedDocument):
         if self.scene is not self._scene_of_sky:
             before, self._scene_of_sky = self._scene_of_sky, self.scene
             self._stay_in_place(before)
-            self.sky_is_stale = self.sky_is_stale or before.matter != self.scene.matter
+            self.sky_is_stale = self.sky_is_stale or before.geometry_key != self.scene.geometry_key
         if self.rainfall.rain != self.rain or self.rainfall.weather is not self.weather:
             self.rainfall = self.rainfall.changed(self.rain, self.clock.time_s, self.weather)
 
@@ -190,7 +190,7 @@ class ViewedDocument(EditedDocument):
 logger = logging.getLogger("gsrain")
 
 
-def bring_in(document: ViewedDocument, staged: StagedScene) -> None:
+def insert_pending_scene(document: ViewportState, staged: PendingScene) -> None:
     is_present = document.history.gesture == staged.gesture
     if staged.goes_on and not is_present:
         return  # a person has gone on with something else

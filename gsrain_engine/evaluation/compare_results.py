@@ -13,42 +13,42 @@ from msgspec import Meta, Struct
 
 from ..appearance.base import TransferSettings
 from ..appearance.dsine_checkout import check_checkout
-from ..appearance.finetune.dataset import PictureSettings
+from ..appearance.finetune.dataset import ImageSettings
 from ..appearance.registry import method_names
 from ..appearance.scene_views import ViewChoice
 from ..presets import load_values
-from ..safe_io.errors import converted
-from ..safe_io.text_files import printable
+from ..safe_io.errors import convert_checked
+from ..safe_io.text_files import printable_line
 from ..scene.open import STREET
-from .consistency import Agreement, ComparedViews, agreements, open_compared, pooled
+from .consistency import ViewFolder, WarpAgreement, agreements, open_view_folder, pool_errors
 from .fid import DistributionDistance
 
 
-class PairedViews:
+class ComparisonPairs:
     """The pairs of neighbouring views that all methods are measured on."""
 
     def __init__(self, folders: Sequence[Path], neighbours: int) -> None:
         """Find the pairs in the first folder that has the most views; raises `CaptureError` for a broken folder."""
-        opened = [open_compared(folder) for folder in folders]
+        opened = [open_view_folder(folder) for folder in folders]
         fullest = max(opened, key=lambda each: len(each.views))
         names = _names(fullest)
         self._pairs = [(names[i], names[j]) for i, j in fullest.chosen(neighbours)]
 
-    def agreement(self, folder: Path) -> tuple[int, Agreement | None, Agreement | None]:
+    def agreement(self, folder: Path) -> tuple[int, WarpAgreement | None, WarpAgreement | None]:
         """Return the number of pairs, and their pooled agreement everywhere and outside the water film.
 
         See `warp_error`: display values of 0..1, 0 is best, and a ratio of 1 changes nothing. Pairs of which a view is
         missing are left out; None where none is left, or nobody knows the film.
         """
-        compared = open_compared(folder)
+        compared = open_view_folder(folder)
         index = {name: i for i, name in enumerate(_names(compared))}
         pairs = [(index[of], index[to]) for of, to in self._pairs if of in index and to in index]
         rows = list(agreements(compared.views, pairs, has_clear=compared.has_clear))
         dry = [row.outside_film for row in rows if row.outside_film is not None]
-        return len(rows), pooled(row.everywhere for row in rows), pooled(dry)
+        return len(rows), pool_errors(row.everywhere for row in rows), pool_errors(dry)
 
 
-def _names(compared: ComparedViews) -> list[str]:
+def _names(compared: ViewFolder) -> list[str]:
     return [view.clear.name for view in compared.views]
 
 
@@ -69,9 +69,9 @@ class ComparedRow:
     method: str
     distance: DistributionDistance
     pairs: int = 0
-    everywhere: Agreement | None = None
+    everywhere: WarpAgreement | None = None
     """Of neighbouring views; None where nobody knows where they were taken, or none show the same place."""
-    outside_film: Agreement | None = None
+    outside_film: WarpAgreement | None = None
     seconds: float | None = None
     """Of its transfer, when it ran."""
 
@@ -109,7 +109,7 @@ class ComparedRow:
         }
 
 
-def markdown(rows: Sequence[ComparedRow]) -> str:
+def markdown_table(rows: Sequence[ComparedRow]) -> str:
     """Write a table in Markdown: intervals in brackets behind their values, the best distance in bold."""
     distance = rows[0].distance
     kernel = f"{distance.kernel_metric} x1000"
@@ -121,8 +121,8 @@ def markdown(rows: Sequence[ComparedRow]) -> str:
         values = row.values
         frechet = _within(values, distance.metric)
         cells = [row.name, str(values["N"]), f"**{frechet}**" if row.distance.frechet == best else frechet]
-        cells += [_said(values["same"]), _within(values, kernel)]
-        cells += [_said(values[each]) for each in titles[5:]]
+        cells += [_cell_text(values["same"]), _within(values, kernel)]
+        cells += [_cell_text(values[each]) for each in titles[5:]]
         lines.append(_line(cells))
     real = distance.real_pictures
     lines += [
@@ -135,7 +135,7 @@ def markdown(rows: Sequence[ComparedRow]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def comma_separated(rows: Sequence[ComparedRow]) -> str:
+def comparison_csv(rows: Sequence[ComparedRow]) -> str:
     """Write all columns as CSV, in full precision; what is not known is empty."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -144,7 +144,7 @@ def comma_separated(rows: Sequence[ComparedRow]) -> str:
     return text.getvalue()
 
 
-def plain(row: ComparedRow) -> dict[str, Any]:
+def plain_row(row: ComparedRow) -> dict[str, Any]:
     """Return a row for JSON, with its extractor and what is to be said about it."""
     distance = row.distance
     return {
@@ -171,31 +171,31 @@ def plain(row: ComparedRow) -> dict[str, Any]:
     }
 
 
-def _rmse(agreement: Agreement | None, *, of_clear: bool) -> float | None:
+def _rmse(agreement: WarpAgreement | None, *, of_clear: bool) -> float | None:
     if agreement is None:
         return None
     error = agreement.before if of_clear else agreement.after
     return None if error is None else error.rmse
 
 
-def _error(agreement: Agreement | None, *, of_clear: bool) -> float | None:
+def _error(agreement: WarpAgreement | None, *, of_clear: bool) -> float | None:
     rmse = _rmse(agreement, of_clear=of_clear)
     return None if rmse is None else _LEVELS * rmse
 
 
-def _ratio(agreement: Agreement | None) -> float | None:
+def _ratio(agreement: WarpAgreement | None) -> float | None:
     return None if agreement is None or isnan(agreement.ratio) else agreement.ratio  # JSON has no NaN
 
 
-def _contrast_ratio(agreement: Agreement | None) -> float | None:
+def _contrast_ratio(agreement: WarpAgreement | None) -> float | None:
     return None if agreement is None or isnan(agreement.contrast_ratio) else agreement.contrast_ratio
 
 
 def _within(values: dict[str, Value], name: str) -> str:
-    return f"{_said(values[name])} [{_said(values[f'{name} low'])}, {_said(values[f'{name} high'])}]"
+    return f"{_cell_text(values[name])} [{_cell_text(values[f'{name} low'])}, {_cell_text(values[f'{name} high'])}]"
 
 
-def _said(value: Value) -> str:
+def _cell_text(value: Value) -> str:
     if value is None:
         return "-"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
@@ -213,7 +213,7 @@ CLEAR = "clear"
 SHIPPED = "comparisons"
 """Folder of sample_configs with the comparisons that the program ships."""
 
-USUAL_WIDTH_PX = 512
+DEFAULT_WIDTH_PX = 512
 """Of all pictures where nothing is said: the paper's."""
 
 _FILES = (
@@ -245,7 +245,7 @@ class ComparedMethod(TransferSettings, frozen=True, kw_only=True, forbid_unknown
         return TransferSettings(**{field: getattr(self, field) for field in _FIELDS})
 
 
-class Comparison(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class TransferComparison(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Views, real rainy pictures, and methods that make the views rainy.
 
     Views are those of `source`, then `real` says what is rainy, or those of `pictures`: the part of them that its
@@ -261,7 +261,7 @@ class Comparison(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         tuple[Path, ...], Meta(title="Real", description="Folders or captures of rainy pictures that cameras took.")
     ] = ()
     pictures: Annotated[
-        PictureSettings | None, Meta(title="Pictures", description="As a training has them; its test part is taken.")
+        ImageSettings | None, Meta(title="Pictures", description="As a training has them; its test part is taken.")
     ] = None
     views: Annotated[ViewChoice, Meta(title="Views", description="Of the source; pictures only take its width.")] = (
         ViewChoice()
@@ -283,9 +283,9 @@ class Comparison(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     @property
     def width_px(self) -> int:
         """Of all pictures that are compared, at most."""
-        return self.views.width_px or USUAL_WIDTH_PX
+        return self.views.width_px or DEFAULT_WIDTH_PX
 
-    def only(self, names: tuple[str, ...]) -> "Comparison":
+    def only(self, names: tuple[str, ...]) -> "TransferComparison":
         """Keep the methods of these names; raises ValueError for a name that there is not."""
         there = {each.name: each for each in self.methods}
         for name in names:
@@ -294,7 +294,7 @@ class Comparison(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         return msgspec.structs.replace(self, methods=tuple(each for each in self.methods if each.name in names))
 
 
-def load_comparison(name: str | Path) -> Comparison:
+def load_comparison(name: str | Path) -> TransferComparison:
     """Read a comparison from a file, or a shipped one by its name.
 
     Files that it names are looked for in its own folder first, then in the working folder. Raises ValueError, which
@@ -303,12 +303,12 @@ def load_comparison(name: str | Path) -> Comparison:
     """
     values = load_values(SHIPPED, name, "comparison", _FILES, {STREET})
     try:
-        comparison = converted(values, Comparison, dec_hook=_path)
+        comparison = convert_checked(values, TransferComparison, dec_hook=_path)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
     problem = _problem(comparison)
     if problem is not None:
-        raise ValueError(f"{name}: {printable(problem)}")
+        raise ValueError(f"{name}: {printable_line(problem)}")
     for each in (*comparison.methods, *([comparison.pictures] if comparison.pictures is not None else [])):
         check_checkout(name, each.normals, each.normals_checkout)
     return comparison
@@ -321,7 +321,7 @@ def _path(kind: type, value: object) -> Path:
     return Path(value)
 
 
-def _problem(comparison: Comparison) -> str | None:
+def _problem(comparison: TransferComparison) -> str | None:
     if (comparison.source is None) == (comparison.pictures is None):
         return "expected either source or pictures - at `$.source`"
     if comparison.pictures is not None and comparison.real:

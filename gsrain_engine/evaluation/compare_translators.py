@@ -15,8 +15,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ..appearance.base import ClearView, RainyView, Transfer
 from ..appearance.capture_views import capture_views
-from ..appearance.cyclegan_turbo.weight_paths import find_base, find_weights
-from ..appearance.finetune.dataset import Picture, PictureSettings, open_pictures
+from ..appearance.cyclegan_turbo.weight_paths import find_base_model, find_transfer_weights
+from ..appearance.finetune.dataset import DatasetImage, ImageSettings, open_images
 from ..appearance.normal_estimators import WEIGHTS
 from ..appearance.output_folder import (
     TransferRecord,
@@ -26,20 +26,20 @@ from ..appearance.output_folder import (
     read_transferred,
     write_transferred,
 )
-from ..appearance.registry import method_of, open_transfer
-from ..appearance.scene_views import evenly
-from ..appearance.wet_look.environment import PictureSurroundings, Surroundings
+from ..appearance.registry import find_method, open_transfer
+from ..appearance.scene_views import evenly_spaced_indices
+from ..appearance.wet_look.environment import ImageEnvironment, ReflectionEnvironment
 from ..datasets.capture import Capture, CaptureError
 from ..datasets.image_override import flat_name
 from ..datasets.open_capture import open_capture
-from ..datasets.undistort import prepared
+from ..datasets.undistort import undistort_frame
 from ..safe_io.limits import read_file
 from ..scene.files import whole_file
 from ..scene.progress import Progress
-from .compare_results import CLEAR, ComparedMethod, ComparedRow, Comparison, PairedViews
-from .fid import LEAST_PICTURES, FeatureCache, SeenPictures, compared, seen
+from .compare_results import CLEAR, ComparedMethod, ComparedRow, ComparisonPairs, TransferComparison
+from .fid import MIN_IMAGES, FeatureCache, ImageSetFeatures, distribution_distance, extract_features
 from .fid_features import Extractor
-from .input_fingerprint import stamp
+from .input_fingerprint import input_fingerprint
 
 _TRANSFERS, _FEATURES = 0.8, 0.9
 """Shares of the progress at which a part is done; learned transfers take most of the time."""
@@ -70,7 +70,7 @@ class ComparedSource:
 
     name: str
     views: Sequence[ClearView]
-    surroundings: Surroundings
+    surroundings: ReflectionEnvironment
     to_world: Float64[np.ndarray, "4 4"]
     """Similarity from the units and axes of the scene or capture to the world."""
     mask: Callable[[str], Bool[np.ndarray, "h w"] | None]
@@ -82,7 +82,7 @@ class ComparedSource:
 
 
 def run_comparison(
-    comparison: Comparison,
+    comparison: TransferComparison,
     source: ComparedSource,
     real: Capture,
     extractor: Extractor,
@@ -103,8 +103,8 @@ def run_comparison(
         ValueError: Where a transfer or a picture fails, with the method's row; before anything else for too few views.
     """
     for name, count in ((source.name, len(source.views)), (real.name, len(real))):
-        if count < LEAST_PICTURES:
-            raise ValueError(f"{name}: {count} pictures; a distribution takes at least {LEAST_PICTURES}")
+        if count < MIN_IMAGES:
+            raise ValueError(f"{name}: {count} pictures; a distribution takes at least {MIN_IMAGES}")
     output.mkdir(parents=True, exist_ok=True)
     folders: list[MethodFolder] = []
     for number, method in enumerate(comparison.methods):
@@ -112,14 +112,14 @@ def run_comparison(
             if isinstance(made, MethodFolder):
                 folders.append(made)
                 if number == 0 and method.method != "images":  # which may lack some views
-                    shown_views(folders, comparison.shown, comparison.columns)
+                    choose_figure_views(folders, comparison.shown, comparison.columns)
                 continue
             share = (number + made / len(source.views)) / len(comparison.methods)
             yield Progress(_TRANSFERS * share, f"{method.name}: view {made} of {len(source.views)}")
     looked = yield from _looked(folders, real, extractor, cache)
     rows = yield from _rows(comparison, source, folders, looked, extractor)
-    names = shown_views(folders, comparison.shown, comparison.columns)
-    kept = tuple(each.method.name for each in folders if each.was_kept)
+    names = choose_figure_views(folders, comparison.shown, comparison.columns)
+    kept = tuple(each.method.name for each in folders if each.was_reused)
     figure = comparison_figure(folders, names)
     notes = tuple(f"{each.method.name}, {note}" for each in folders for note in each.notes)
     return ComparisonResult(tuple(rows), figure, tuple(names), kept, source.has_cameras, notes)
@@ -136,7 +136,7 @@ class MethodFolder:
     folder: Path
     seconds: float | None
     """That its transfer took when it ran, model loading included; None where it was stopped before that was written."""
-    was_kept: bool
+    was_reused: bool
     """Whether it stood there from an earlier run."""
     notes: tuple[str, ...] = ()
     """What its transfer could not do, a sentence each."""
@@ -144,32 +144,34 @@ class MethodFolder:
 
 def _looked(
     folders: Sequence[MethodFolder], real: Capture, extractor: Extractor, cache: FeatureCache | None
-) -> Generator[Progress, None, list[SeenPictures]]:
+) -> Generator[Progress, None, list[ImageSetFeatures]]:
     """Features of the real pictures, then of each method's."""
-    looked: list[SeenPictures] = []
+    looked: list[ImageSetFeatures] = []
     for number, each in enumerate([None, *folders]):
         name = "real" if each is None else each.method.name
         share = number / (len(folders) + 1)
         yield Progress(_TRANSFERS + (_FEATURES - _TRANSFERS) * share, f"{name}: features")
-        looked.append(seen(name, real if each is None else open_capture(each.folder), extractor, cache))
+        looked.append(extract_features(name, real if each is None else open_capture(each.folder), extractor, cache))
     return looked
 
 
 def _rows(
-    comparison: Comparison,
+    comparison: TransferComparison,
     source: ComparedSource,
     folders: Sequence[MethodFolder],
-    looked: Sequence[SeenPictures],
+    looked: Sequence[ImageSetFeatures],
     extractor: Extractor,
 ) -> Generator[Progress, None, list[ComparedRow]]:
     rows: list[ComparedRow] = []
-    paired: PairedViews | None = None
+    paired: ComparisonPairs | None = None
     if source.has_cameras:
-        paired = PairedViews([each.folder for each in folders], comparison.neighbours)
+        paired = ComparisonPairs([each.folder for each in folders], comparison.neighbours)
     for number, (each, own) in enumerate(zip(folders, looked[1:], strict=True)):
         name = each.method.name
         yield Progress(_FEATURES + (1 - _FEATURES) * number / len(folders), f"{name}: distances")
-        distance = compared(extractor, looked[0], own, resamples=comparison.resamples, seed=comparison.seed)
+        distance = distribution_distance(
+            extractor, looked[0], own, resamples=comparison.resamples, seed=comparison.seed
+        )
         yield Progress(_FEATURES + (1 - _FEATURES) * (number + 0.5) / len(folders), f"{name}: neighbouring views")
         pairs, everywhere, dry = (0, None, None) if paired is None else paired.agreement(each.folder)
         rows.append(
@@ -184,7 +186,7 @@ _SECONDS = "seconds.json"
 _FILES = ("weights", "base", "images", "normals_weights", "normals_checkout")
 
 
-class Untouched:
+class IdentityTransfer:
     """A `Transfer` that leaves views as they are."""
 
     name = CLEAR
@@ -194,14 +196,14 @@ class Untouched:
             yield RainyView(view, view.image)
 
 
-def check_methods(comparison: Comparison, output: Path) -> None:
+def check_methods(comparison: TransferComparison, output: Path) -> None:
     """Raise ValueError, with the method's row, for what a transfer would miss only later. Learned ones need torch."""
     for each in comparison.methods:
         row = f"method {each.name!r}"
         check_transferred_folder(output / each.name)
         if each.method == CLEAR:
             continue
-        needs = method_of(each.method).needs
+        needs = find_method(each.method).needs
         if needs is not None and getattr(each, needs) is None:
             raise ValueError(f"{row}: needs {needs}")
         for field in _FILES:
@@ -217,13 +219,13 @@ def check_methods(comparison: Comparison, output: Path) -> None:
 
 def _check_learned(method: ComparedMethod) -> None:
     """Raise for files that are found missing only when the model is opened."""
-    weights = method.weights or find_weights()
+    weights = method.weights or find_transfer_weights()
     if method.normals in WEIGHTS and method.normals_weights is None:
         raise ValueError(f"normals {method.normals} need normals_weights: {WEIGHTS[method.normals]}")
     if method.normals == "dsine" and method.normals_checkout is None:
         raise ValueError("normals dsine need normals_checkout: git clone https://github.com/baegwangbin/DSINE")
     try:
-        find_base(method.base)
+        find_base_model(method.base)
     except FileNotFoundError:
         from ..appearance.cyclegan_turbo.weights import open_weights  # torch is an extra
 
@@ -231,20 +233,20 @@ def _check_learned(method: ComparedMethod) -> None:
             raise
 
 
-def record_of(method: ComparedMethod, source: ComparedSource, comparison: Comparison) -> TransferRecord:
+def record_of(method: ComparedMethod, source: ComparedSource, comparison: TransferComparison) -> TransferRecord:
     """Return how a method's folder is made: the same record, the same pictures."""
     told: dict[str, Any] = msgspec.to_builtins(method.settings, enc_hook=str)
     whole = msgspec.to_builtins(comparison, enc_hook=str)
     told |= {part: whole[part] for part in ("source", "capture", "pictures", "views")} | {"stamp": source.stamp}
     files: dict[str, Path | None] = {field: getattr(method, field) for field in _FILES}
     if method.method == "cyclegan-turbo" and method.weights is None:
-        files["weights"] = find_weights()
-    told["files"] = {field: stamp(path) for field, path in files.items() if path is not None}
+        files["weights"] = find_transfer_weights()
+    told["files"] = {field: input_fingerprint(path) for field, path in files.items() if path is not None}
     return TransferRecord(method.method, source.name, json.loads(json.dumps(told)), source.to_world)
 
 
 def method_folder(
-    method: ComparedMethod, source: ComparedSource, comparison: Comparison, output: Path
+    method: ComparedMethod, source: ComparedSource, comparison: TransferComparison, output: Path
 ) -> Iterator[MethodFolder | int]:
     """Make a method's folder, or find it made: yields numbers of views done, and in the end the folder.
 
@@ -268,7 +270,11 @@ def method_folder(
 
 
 def _opened(method: ComparedMethod, source: ComparedSource) -> Transfer:
-    return Untouched() if method.method == CLEAR else open_transfer(method.method, method.settings, source.surroundings)
+    return (
+        IdentityTransfer()
+        if method.method == CLEAR
+        else open_transfer(method.method, method.settings, source.surroundings)
+    )
 
 
 def _stands(folder: Path, record: TransferRecord) -> bool:
@@ -292,27 +298,27 @@ def capture_source(capture: Capture, width_px: int, source_stamp: str) -> Compar
     """Take the pictures of a capture; wider ones are made `width_px` wide."""
     views = capture_views(capture, width_px)
     return ComparedSource(
-        capture.name, views, PictureSurroundings(), views.to_world, views.mask, capture.has_poses, source_stamp
+        capture.name, views, ImageEnvironment(), views.to_world, views.mask, capture.has_poses, source_stamp
     )
 
 
-def held_out_pictures(settings: PictureSettings, width_px: int) -> tuple[ComparedSource, Capture]:
+def held_out_images(settings: ImageSettings, width_px: int) -> tuple[ComparedSource, Capture]:
     """Return the clear and the rainy pictures that a training with these settings never sees.
 
     They are whole, not framed as for the training: extractors stretch them as the paper's training does. Raises
     `CaptureError` where a source can't be read, and ValueError where nothing is held out.
     """
-    split = open_pictures(msgspec.structs.replace(settings, guide="none"))
+    split = open_images(msgspec.structs.replace(settings, guide="none"))
     if not split.test.source or not split.test.target:
         raise ValueError(f"pictures: test_share {settings.test_share:g} leaves no clear or no rainy picture to test")
-    stamps = "-".join(stamp(Path(each.path)) for each in settings.clear)
+    stamps = "-".join(input_fingerprint(Path(each.path)) for each in settings.clear)
     clear = _alone("clear test pictures", split.test.source)
     return capture_source(clear, width_px, stamps), _narrowed(
         _alone("rainy test pictures", split.test.target), width_px
     )
 
 
-def real_pictures(folders: Sequence[Path], width_px: int) -> Capture:
+def real_images(folders: Sequence[Path], width_px: int) -> Capture:
     """Return the pictures of some folders or captures, of no larger width than the transferred ones.
 
     Pictures that were made smaller once more than others look different to an extractor. Raises `CaptureError` where
@@ -322,14 +328,14 @@ def real_pictures(folders: Sequence[Path], width_px: int) -> Capture:
     return _narrowed(replace(captures[0], views=tuple(view for each in captures for view in each)), width_px)
 
 
-def _alone(name: str, pictures: Sequence[Picture]) -> Capture:
+def _alone(name: str, pictures: Sequence[DatasetImage]) -> Capture:
     """Pictures of several sources, which know nothing of each other."""
     views = tuple(replace(each.view, name=flat_name(each.name), sensor="") for each in pictures)
     return Capture(name, views, is_metric=False, has_poses=False)
 
 
 def _narrowed(capture: Capture, width_px: int) -> Capture:
-    return replace(capture, views=tuple(prepared(view, min(width_px, view.camera.width)) for view in capture))
+    return replace(capture, views=tuple(undistort_frame(view, min(width_px, view.camera.width)) for view in capture))
 
 
 # § The figure of a comparison: a row each method, a column each view, as papers show their methods.
@@ -341,14 +347,14 @@ _PAPER, _INK, _FAINT, _EMPTY = (255, 255, 255), (20, 20, 22), (110, 112, 118), (
 _Pixels = UInt8[np.ndarray, "_ _ 3"]
 
 
-def shown_views(folders: Sequence[MethodFolder], names: Sequence[str], columns: int) -> list[str]:
+def choose_figure_views(folders: Sequence[MethodFolder], names: Sequence[str], columns: int) -> list[str]:
     """Choose the figure's views: those named, or `columns` evenly out of those of the method that has the most.
 
     Raises ValueError for a name that there is not.
     """
     there = max(([view.clear.name for view in read_transferred(each.folder)] for each in folders), key=len)
     if not names:
-        return [there[i] for i in evenly(len(there), columns)]
+        return [there[i] for i in evenly_spaced_indices(len(there), columns)]
     for name in names:
         if name not in there:
             raise ValueError(f"shown: no view {name!r}, for one {there[0]!r}")
@@ -357,7 +363,7 @@ def shown_views(folders: Sequence[MethodFolder], names: Sequence[str], columns: 
 
 def comparison_figure(folders: Sequence[MethodFolder], names: Sequence[str]) -> UInt8[np.ndarray, "h w 3"]:
     """Draw the views of these names as each method made them; a view that a method lacks stays empty."""
-    rows = [(each.method.name, _pictures(each, names)) for each in folders]
+    rows = [(each.method.name, _images(each, names)) for each in folders]
     ratios = [one.shape[0] / one.shape[1] for _, pictures in rows for one in pictures if one is not None]
     tall = round(_CELL_PX * max(ratios, default=0.5))
     line, step = _TEXT_PX + _GAP_PX, tall + _TEXT_PX + 3 * _GAP_PX
@@ -381,7 +387,7 @@ def comparison_figure(folders: Sequence[MethodFolder], names: Sequence[str]) -> 
     return np.asarray(sheet)
 
 
-def _pictures(folder: MethodFolder, names: Sequence[str]) -> list[_Pixels | None]:
+def _images(folder: MethodFolder, names: Sequence[str]) -> list[_Pixels | None]:
     views = read_transferred(folder.folder)
     found: dict[str, _Pixels] = {}
     for view in views:

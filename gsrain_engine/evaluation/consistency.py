@@ -12,17 +12,17 @@ from jaxtyping import Bool, Float32
 
 from ..appearance.base import RainyView
 from ..appearance.correspondence import Correspondence, correspondence, warped
-from ..appearance.covisibility import neighbours
+from ..appearance.covisibility import rank_neighbors
 from ..appearance.output_folder import is_transferred_folder, read_transferred
-from ..appearance.scene_views import KeptViews
+from ..appearance.scene_views import CachedViews
 
-_KEPT = 6
+_CACHED_VIEWS = 6
 
-_USUAL_WIDTH_PX = 960
+_DEFAULT_WIDTH_PX = 960
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ComparedViews:
+class ViewFolder:
     """Views of one folder."""
 
     folder: Path
@@ -46,10 +46,10 @@ class ComparedViews:
 
     def chosen(self, count: int) -> list[tuple[int, int]]:
         """Pair each view with the `count` others that show most of it."""
-        clear = KeptViews(len(self.views), lambda i: self.views[i].clear)
-        return [(i, j) for i, others in enumerate(neighbours(clear, count)) for j in others]
+        clear = CachedViews(len(self.views), lambda i: self.views[i].clear)
+        return [(i, j) for i, others in enumerate(rank_neighbors(clear, count)) for j in others]
 
-    def alike(self, other: "ComparedViews", pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    def alike(self, other: "ViewFolder", pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
         """Find another folder's pairs in this one by their names; raises ValueError for a view that is not there."""
         if other is self:
             return list(pairs)
@@ -61,7 +61,7 @@ class ComparedViews:
         return [(mine[theirs[i]], mine[theirs[j]]) for i, j in pairs]
 
 
-def open_compared(folder: Path, width_px: int | None = None) -> ComparedViews:
+def open_view_folder(folder: Path, width_px: int | None = None) -> ViewFolder:
     """Open what `gsrain transfer` has written, or a capture whose pictures are compared as they are.
 
     Wider pictures of a capture are made `width_px` wide (default 960). Raises `CaptureError` where neither
@@ -69,21 +69,21 @@ def open_compared(folder: Path, width_px: int | None = None) -> ComparedViews:
     """
     if is_transferred_folder(folder):
         transferred = read_transferred(folder)
-        kept = _Kept(transferred)
-        return ComparedViews(folder, kept, True, transferred.record.method, dict(transferred.record.settings))
+        kept = _RecentViews(transferred)
+        return ViewFolder(folder, kept, True, transferred.record.method, dict(transferred.record.settings))
     from ..appearance.capture_views import capture_views
     from ..datasets.open_capture import open_capture  # loads every reader
 
-    clear = capture_views(open_capture(folder), width_px or _USUAL_WIDTH_PX)
-    return ComparedViews(folder, _AsTheyAre(clear), False)
+    clear = capture_views(open_capture(folder), width_px or _DEFAULT_WIDTH_PX)
+    return ViewFolder(folder, _CaptureImages(clear), False)
 
 
-class _Kept(Sequence[RainyView]):
+class _RecentViews(Sequence[RainyView]):
     """Holds the last few views that were asked for: a view is in several pairs."""
 
     def __init__(self, views: Sequence[RainyView]) -> None:
         self._views = views
-        self._read = lru_cache(maxsize=_KEPT)(views.__getitem__)
+        self._read = lru_cache(maxsize=_CACHED_VIEWS)(views.__getitem__)
 
     def __len__(self) -> int:
         return len(self._views)
@@ -92,7 +92,7 @@ class _Kept(Sequence[RainyView]):
         return self._read(index)
 
 
-class _AsTheyAre(Sequence[RainyView]):
+class _CaptureImages(Sequence[RainyView]):
     """Pictures of a capture in the place of transferred ones."""
 
     def __init__(self, views: Sequence[Any]) -> None:
@@ -111,7 +111,7 @@ class _AsTheyAre(Sequence[RainyView]):
 FILM_SHARE = 0.05
 """Share of mirrored light from which on a pixel counts as water film."""
 
-LEAST_PIXELS = 256
+MIN_PIXELS = 256
 """Pairs that share less than this say nothing."""
 
 # § How much a view differs from another one that was warped onto it: the error that is compared before and after.
@@ -128,7 +128,7 @@ class WarpError:
 
 
 @dataclass(frozen=True, slots=True)
-class Agreement:
+class WarpAgreement:
     """Two views over the pixels that are compared."""
 
     pixels: int
@@ -164,8 +164,8 @@ class PairAgreement:
     """The neighbour, which is warped onto the view."""
     matched_share: float
     """Share of the view's pixels that the neighbour shows too."""
-    everywhere: Agreement
-    outside_film: Agreement | None
+    everywhere: WarpAgreement
+    outside_film: WarpAgreement | None
     """Where neither mirrors: reflections move with the eye, and rightly differ. None where nobody knows the film."""
 
 
@@ -221,9 +221,9 @@ def agreements(
     for i, j in pairs:
         pair = warped_pair(views[i], views[j], film_share)
         mask = pair.found.valid
-        if np.count_nonzero(mask) >= LEAST_PIXELS:
+        if np.count_nonzero(mask) >= MIN_PIXELS:
             dry = pair.dry
-            is_dry = dry is not None and np.count_nonzero(dry) >= LEAST_PIXELS
+            is_dry = dry is not None and np.count_nonzero(dry) >= MIN_PIXELS
             yield PairAgreement(
                 pair.of.clear.name,
                 pair.to.clear.name,
@@ -233,10 +233,10 @@ def agreements(
             )
 
 
-def _agreement(pair: WarpedPair, mask: Mask, has_clear: bool, perceived: Perceived | None) -> Agreement:
+def _agreement(pair: WarpedPair, mask: Mask, has_clear: bool, perceived: Perceived | None) -> WarpAgreement:
     after = warp_error(pair.of.image, pair.after, mask, perceived)
     before = warp_error(pair.of.clear.image, pair.before, mask, perceived) if has_clear else None
-    return Agreement(int(np.count_nonzero(mask)), after, before)
+    return WarpAgreement(int(np.count_nonzero(mask)), after, before)
 
 
 def warp_error(view: Image, other: Image, mask: Mask, perceived: Perceived | None = None) -> WarpError:
@@ -253,13 +253,13 @@ def warp_error(view: Image, other: Image, mask: Mask, perceived: Perceived | Non
     return WarpError(rmse, spread, None if perceived is None else perceived(other, view, mask))
 
 
-def pooled(agreements: Iterable[Agreement]) -> Agreement | None:
+def pool_errors(agreements: Iterable[WarpAgreement]) -> WarpAgreement | None:
     """Mean over pairs, each pixel counting alike: the root of the mean square; LPIPS is averaged. None for no pair."""
     every = list(agreements)
     if not every:
         return None
     before = [(each.pixels, each.before) for each in every if each.before is not None]
-    return Agreement(
+    return WarpAgreement(
         sum(each.pixels for each in every),
         _pooled([(each.pixels, each.after) for each in every]),
         _pooled(before) if len(before) == len(every) else None,

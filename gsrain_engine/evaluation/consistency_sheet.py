@@ -27,7 +27,7 @@ _DIMMED = 0.25
 _SHADES = 256
 
 
-class ShownPair(NamedTuple):
+class SheetPair(NamedTuple):
     """A pair as one transfer made it."""
 
     title: str
@@ -36,7 +36,7 @@ class ShownPair(NamedTuple):
     has_clear: bool
 
 
-class _Look(NamedTuple):
+class _SheetStyle(NamedTuple):
     words: str
     view: Float32[np.ndarray, "h w 3"]
     other: Float32[np.ndarray, "h w 3"]
@@ -44,7 +44,7 @@ class _Look(NamedTuple):
     dry: Bool[np.ndarray, "h w"] | None
 
 
-def consistency_sheet(pairs: Sequence[Sequence[ShownPair]]) -> UInt8[np.ndarray, "h w 3"]:
+def consistency_sheet(pairs: Sequence[Sequence[SheetPair]]) -> UInt8[np.ndarray, "h w 3"]:
     """Draw pairs below each other: first the clear pictures, then the same pair as each transfer made it.
 
     Beside each view stands the neighbour as it is seen from there, dark where it has no match, and the error, from
@@ -62,17 +62,17 @@ def consistency_sheet(pairs: Sequence[Sequence[ShownPair]]) -> UInt8[np.ndarray,
     return np.asarray(sheet)
 
 
-def _looks(shown: Sequence[ShownPair]) -> list[_Look]:
-    looks: list[_Look] = []
+def _looks(shown: Sequence[SheetPair]) -> list[_SheetStyle]:
+    looks: list[_SheetStyle] = []
     first = shown[0].pair
     if shown[0].has_clear:
-        looks.append(_Look("before", first.of.clear.image, first.before, first.found.valid, None))
+        looks.append(_SheetStyle("before", first.of.clear.image, first.before, first.found.valid, None))
     for title, pair, _ in shown:
-        looks.append(_Look(title, pair.of.image, pair.after, pair.found.valid, pair.dry))
+        looks.append(_SheetStyle(title, pair.of.image, pair.after, pair.found.valid, pair.dry))
     return looks
 
 
-def _block(pair: WarpedPair, looks: Sequence[_Look]) -> Image.Image:
+def _block(pair: WarpedPair, looks: Sequence[_SheetStyle]) -> Image.Image:
     """One pair: a line of text, then a row of three pictures for each look, with a line of its own."""
     height, width = pair.of.image.shape[:2]
     tall = max(round(_CELL_PX * height / width), 1)
@@ -87,25 +87,25 @@ def _block(pair: WarpedPair, looks: Sequence[_Look]) -> Image.Image:
     for look in looks:
         draw.text((_GAP_PX, top), f"{look.words}: {_figures(look)}", _FAINT, font)
         top += _TEXT_PX + _GAP_PX // 2
-        for column, picture in enumerate(_pictures(look)):
+        for column, picture in enumerate(_images(look)):
             shown = cv2.resize(picture, (_CELL_PX, tall), interpolation=cv2.INTER_AREA)
             block.paste(Image.fromarray(shown), (_GAP_PX + column * (_CELL_PX + _GAP_PX), top))
         top += tall + _GAP_PX + _GAP_PX // 2
     return block
 
 
-def _figures(look: _Look) -> str:
+def _figures(look: _SheetStyle) -> str:
     words = f"error {_levels(look, look.valid)} of 255"
     return words if look.dry is None else f"{words}, outside the water film {_levels(look, look.dry)}"
 
 
-def _levels(look: _Look, mask: Bool[np.ndarray, "h w"]) -> str:
+def _levels(look: _SheetStyle, mask: Bool[np.ndarray, "h w"]) -> str:
     if not mask.any():
         return "-"
     return f"{255 * float(np.sqrt(np.mean((look.other[mask] - look.view[mask]) ** 2))):.2f}"
 
 
-def _pictures(look: _Look) -> list[UInt8[np.ndarray, "h w 3"]]:
+def _images(look: _SheetStyle) -> list[UInt8[np.ndarray, "h w 3"]]:
     other = np.where(look.valid[..., None], look.other, _DIMMED * look.view)
     error = np.abs(look.other - look.view).mean(axis=2)
     shades = np.asarray(matplotlib.colormaps["magma"](np.linspace(0, 1, _SHADES)), np.float32)[:, :3]

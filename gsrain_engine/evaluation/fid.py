@@ -16,12 +16,12 @@ from ..safe_io.limits import open_file
 from ..scene.files import whole_file
 from .fid_features import Extractor
 
-LEAST_PICTURES = 4
+MIN_IMAGES = 4
 """Fewer of a set tell nothing, and resamples of them are all alike."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SeenPictures:
+class ImageSetFeatures:
     """Features of a set of pictures, and hashes of their pixels."""
 
     name: str
@@ -67,7 +67,7 @@ def frechet_interval(
     `advance` is called after each resample. `value` is the distance itself, where it is known.
     """
     value = frechet_distance(real, fake) if value is None else value
-    points = rotated(real, fake)
+    points = reduce_dimension(real, fake)
     distances: list[float] = []
     for chosen in _drawn(len(real), len(fake), resamples, seed):
         distances.append(frechet_distance(*points, (_counts(chosen[0], len(real)), _counts(chosen[1], len(fake)))))
@@ -137,7 +137,7 @@ class FeatureCache:
     def features(
         self, extractor: Extractor, image: UInt8[np.ndarray, "h w 3"], digest: str
     ) -> Float32[np.ndarray, " d"]:
-        """Return what an extractor says of a picture with that `picture_hash`, from the folder where it is there."""
+        """Return what an extractor says of a picture with that `image_hash`, from the folder where it is there."""
         if extractor.key is None:
             return extractor(image)
         file = self._folder / extractor.key / digest[:2] / f"{digest}.npy"
@@ -151,33 +151,33 @@ class FeatureCache:
         return found
 
 
-def seen(
+def extract_features(
     name: str,
     capture: Capture,
     extractor: Extractor,
     cache: FeatureCache | None,
     advance: Callable[[], None] = lambda: None,
-) -> SeenPictures:
+) -> ImageSetFeatures:
     """Look at all pictures of a capture, which a person knows by `name`; without a cache, anew each time.
 
     Raises `CaptureError` for a broken picture, and ValueError for too few.
     """
-    if len(capture) < LEAST_PICTURES:
-        raise ValueError(f"{name}: {len(capture)} pictures; a distribution takes at least {LEAST_PICTURES}")
+    if len(capture) < MIN_IMAGES:
+        raise ValueError(f"{name}: {len(capture)} pictures; a distribution takes at least {MIN_IMAGES}")
     rows: list[Float32[np.ndarray, " d"]] = []
     hashes: list[str] = []
     for view in capture:
         image: UInt8[np.ndarray, "h w 3"] = view.image
-        hashes.append(picture_hash(image))
+        hashes.append(image_hash(image))
         rows.append(extractor(image) if cache is None else cache.features(extractor, image, hashes[-1]))
         advance()
-    return SeenPictures(name, np.stack(rows), tuple(hashes))
+    return ImageSetFeatures(name, np.stack(rows), tuple(hashes))
 
 
-def compared(
+def distribution_distance(
     extractor: Extractor,
-    real: SeenPictures,
-    fake: SeenPictures,
+    real: ImageSetFeatures,
+    fake: ImageSetFeatures,
     *,
     resamples: int = 200,
     seed: int = 0,
@@ -189,7 +189,7 @@ def compared(
     same = same_distribution(real.features, fake.features, resamples, seed, advance)
     counts = (len(real), len(fake))
     kernel, kernel_spread = kernel_estimate(real.features, fake.features, resamples, seed, pairs)
-    told = warning(extractor, value, counts, same)
+    told = small_sample_warning(extractor, value, counts, same)
     in_both = len(set(real.hashes) & set(fake.hashes))
     warnings = [] if told is None else [told]
     if in_both:
@@ -296,7 +296,9 @@ def nuclear_norm(left: Float64[np.ndarray, "n d"], right: Float64[np.ndarray, "m
     return float(roots.sum()), float(np.linalg.norm(uncertain))
 
 
-def rotated(real: FeatureTable, fake: FeatureTable) -> tuple[Float64[np.ndarray, "n r"], Float64[np.ndarray, "m r"]]:
+def reduce_dimension(
+    real: FeatureTable, fake: FeatureTable
+) -> tuple[Float64[np.ndarray, "n r"], Float64[np.ndarray, "m r"]]:
     """Return the same points in fewer coordinates, which no distance notices: at most one a picture, not one a feature.
 
     What resamples pictures many times starts from here.
@@ -471,7 +473,7 @@ def same_distribution(
     have one covariance, else that of their mixture. `advance` is called after each split.
     """
     random = np.random.default_rng(seed)
-    points = np.concatenate([_centred(each) for each in rotated(real, fake)])
+    points = np.concatenate([_centered(each) for each in reduce_dimension(real, fake)])
     distances: list[float] = []
     for _ in range(splits):
         mixed = points[random.permutation(len(points))]
@@ -481,7 +483,9 @@ def same_distribution(
     return SameDistribution(float(values.mean()), quantiles(values))
 
 
-def warning(extractor: Extractor, value: float, counts: tuple[int, int], same: SameDistribution) -> str | None:
+def small_sample_warning(
+    extractor: Extractor, value: float, counts: tuple[int, int], same: SameDistribution
+) -> str | None:
     """Return one sentence where the number of pictures says more than the pictures do; None where it does not."""
     if same.mean < NOTABLE_SHARE * value:
         return None
@@ -495,7 +499,7 @@ def warning(extractor: Extractor, value: float, counts: tuple[int, int], same: S
     return f"{said}compare {value:.4g} only with values of as many pictures, or take {extractor.kernel_metric}"
 
 
-def _centred(points: Float64[np.ndarray, "n r"]) -> Float64[np.ndarray, "n r"]:
+def _centered(points: Float64[np.ndarray, "n r"]) -> Float64[np.ndarray, "n r"]:
     return (points - points.mean(axis=0)) * np.sqrt(len(points) / (len(points) - 1))
 
 
@@ -503,7 +507,7 @@ PLACE = "GSRAIN_FEATURE_CACHE"
 """Environment variable with the folder in which features are kept."""
 
 
-def picture_hash(image: UInt8[np.ndarray, "h w 3"]) -> str:
+def image_hash(image: UInt8[np.ndarray, "h w 3"]) -> str:
     """Return a hash of the pixels (SHA-256): the same for the same picture under any name and in any lossless file."""
     found = hashlib.sha256(np.array(image.shape, np.int64).tobytes())
     found.update(image.tobytes())

@@ -15,7 +15,7 @@ from ..safe_io.limits import open_file
 from . import networks
 from .fid_features import Extractor, ExtractorChoice, resized
 from .lpips_weights import SUFFIXES, hash_of, read_arrays
-from .networks import filled
+from .networks import build_with_weights
 
 torch: Any = import_module("torch")
 
@@ -37,9 +37,9 @@ def open_inception(choice: ExtractorChoice) -> Extractor:
     file = choice.weights or inception_weights_file()
     if not file.is_file():
         raise FileNotFoundError(f"{file}: no such file")
-    digest, size = hash_of(file), networks.SIZE_PX
+    digest, size = hash_of(file), networks.INCEPTION_SIZE_PX
     if not is_torchscript(file):
-        network, kind = filled(networks.Inception, inception_weights(file)), "weights"
+        network, kind = build_with_weights(networks.Inception, inception_weights(file)), "weights"
     elif choice.allows_torchscript:
         network, kind = _torchscript_layers(file), "TorchScript"
     else:
@@ -51,7 +51,7 @@ def open_inception(choice: ExtractorChoice) -> Extractor:
     return Extractor(
         metric="FID",
         described=f"Inception-v3 of 2015 ({kind} {digest[:_SHORT]}{known}), {size}x{size} px",
-        features=networks.FEATURES,
+        features=networks.INCEPTION_FEATURES,
         key=f"inception-{digest[:_KEY]}",
         function=_runner(network, size, choice.device),
     )
@@ -156,7 +156,7 @@ def matched_inception(arrays: Mapping[str, np.ndarray], source: str) -> dict[str
     """
     from .networks import (
         Inception,
-        hollow,  # torch is an extra
+        build_without_weights,  # torch is an extra
     )
 
     classes = arrays.get("fc.weight")
@@ -167,7 +167,7 @@ def matched_inception(arrays: Mapping[str, np.ndarray], source: str) -> dict[str
         )
     if any(name.startswith("AuxLogits.") for name in arrays):
         raise ValueError(f"{source}: Inception with AuxLogits, such as torchvision's; FID's has none")
-    wanted = {name: tuple(each.shape) for name, each in hollow(Inception).state_dict().items()}
+    wanted = {name: tuple(each.shape) for name, each in build_without_weights(Inception).state_dict().items()}
     unused = ("num_batches_tracked", "fc.weight", "fc.bias")
     given = {name: array for name, array in arrays.items() if not name.endswith(unused)}
     for name, shape in wanted.items():

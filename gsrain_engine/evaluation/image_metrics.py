@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float64
 
-_PULL = 1e-3
+_PRIOR_WEIGHT = 1e-3
 """Tikhonov pull towards no change, in squared colour a pixel: what a picture without contrast can't tell."""
 
 
@@ -18,7 +18,7 @@ def fitted_affine(
     identity = np.eye(3, 4)
     there = rendered[mask].astype(np.float64)
     basis = np.concatenate([there, np.ones((len(there), 1))], axis=1)
-    normal = basis.T @ basis + _PULL * len(there) * np.eye(4)
+    normal = basis.T @ basis + _PRIOR_WEIGHT * len(there) * np.eye(4)
     wanted = basis.T @ (truth[mask].astype(np.float64) - there)
     return identity + np.linalg.solve(normal, wanted).T if len(there) else identity
 
@@ -39,7 +39,7 @@ C1, C2 = 0.01**2, 0.03**2
 
 HALF_WINDOW_PX = WINDOW_PX // 2
 
-LEAST_WEIGHT = 1e-8
+MIN_WEIGHT = 1e-8
 """Where the mask leaves less of a window than this there is nothing to compare."""
 
 _BAND_ROWS = 32
@@ -124,7 +124,7 @@ def _similarity(rendered: Image, truth: Image, mask: Mask | None) -> Float64[np.
     def mean(values: Float64[np.ndarray, "h w 3"]) -> Float64[np.ndarray, "hv wv 3"]:
         if weights is None:
             return _blurred(values)
-        return _blurred(values * weights) / np.maximum(_blurred(weights), LEAST_WEIGHT)
+        return _blurred(values * weights) / np.maximum(_blurred(weights), MIN_WEIGHT)
 
     mean_x, mean_y = mean(x), mean(y)
     variance_x, variance_y = mean(x * x) - mean_x**2, mean(y * y) - mean_y**2
@@ -181,7 +181,7 @@ _Z95 = 1.959963984540054
 """Of the normal law: 95 % lie within so many standard deviations."""
 
 
-def share_interval(hits: int, of: int) -> tuple[float, float]:
+def wilson_interval(hits: int, of: int) -> tuple[float, float]:
     """Return the ends of the 95 % confidence interval of hits / of (Wilson 1927); 0..1 where nothing was counted.
 
     Holds for independent trials; it is right for few of them, and for none or all that hit.

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 
-def stamp(path: Path) -> str:
+def input_fingerprint(path: Path) -> str:
     """Return a hash (SHA-256, 16 hex digits) over names, sizes and times of a file, or of all files below a folder.
 
     Weights have gigabytes and data sets many files: their bytes are not read. "absent" for what is not there.

@@ -14,7 +14,7 @@ torch: Any = import_module("torch")
 
 Tensor = Any
 
-LEAST_SIZE_PX = 32
+MIN_SIZE_PX = 32
 """Smaller pictures have no pixel left after the last pooling."""
 
 _SHIFT = (-0.030, -0.088, -0.188)
@@ -26,7 +26,7 @@ _POOLED_BEFORE: dict[str, tuple[int, ...]] = {"alex": (1, 2), "vgg": (2, 4, 7, 1
 
 _POOL: dict[str, tuple[int, int]] = {"alex": (3, 2), "vgg": (2, 2)}  # size and stride
 
-_LEAST_SQUARE = 1e-20  # the root of zero has no slope
+_MIN_SQUARE = 1e-20  # the root of zero has no slope
 
 
 class Lpips(torch.nn.Module):
@@ -53,9 +53,9 @@ class Lpips(torch.nn.Module):
 
         Raises ValueError for pictures of different shapes or with a side under 32 px.
         """
-        if rendered.shape != truth.shape or min(rendered.shape[:2]) < LEAST_SIZE_PX:
+        if rendered.shape != truth.shape or min(rendered.shape[:2]) < MIN_SIZE_PX:
             sizes = " and ".join(f"{each.shape[1]}x{each.shape[0]}" for each in (rendered, truth))
-            raise ValueError(f"LPIPS takes pictures of one size and at least {LEAST_SIZE_PX} px a side, not {sizes}")
+            raise ValueError(f"LPIPS takes pictures of one size and at least {MIN_SIZE_PX} px a side, not {sizes}")
         distance = rendered.new_zeros(())
         for i, (a, b) in enumerate(zip(self.features(rendered), self.features(truth), strict=True)):
             head = getattr(self, f"head_{i}")
@@ -107,7 +107,7 @@ def _convolution(network: str, index: int, kernel: np.ndarray, bias: np.ndarray)
 
 def _unit(features: Tensor) -> Tensor:
     """Features of unit length at each pixel."""
-    return features / ((features * features).sum(0, keepdim=True).clamp_min(_LEAST_SQUARE).sqrt() + 1e-10)
+    return features / ((features * features).sum(0, keepdim=True).clamp_min(_MIN_SQUARE).sqrt() + 1e-10)
 
 
 # § LPIPS as a loss of trainings that work on batches of pictures of values -1..1.

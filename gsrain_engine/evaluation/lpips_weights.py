@@ -16,7 +16,7 @@ from jaxtyping import Float32
 from ..datasets.io.safe_pickle import read_pickle
 from ..safe_io.limits import check_file, open_file
 from ..safe_io.numpy_files import read_archive
-from ..safe_io.text_files import printable
+from ..safe_io.text_files import printable_line
 from ..scene.files import whole_file
 
 PLACE = "GSRAIN_LPIPS_WEIGHTS"
@@ -153,7 +153,7 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
         try:
             return read_archive(path)
         except (ValueError, OSError) as error:
-            raise ValueError(f"{path}: not a readable .npz: {printable(error)}") from None
+            raise ValueError(f"{path}: not a readable .npz: {printable_line(error)}") from None
     if path.suffix == ".safetensors":
         return _safetensors(path)
     if path.suffix == ".ckpt":
@@ -198,7 +198,7 @@ def _safetensors(path: Path) -> dict[str, np.ndarray]:
     try:
         return load(path)
     except Exception as error:  # its error class is not public
-        raise ValueError(f"{path}: not a readable .safetensors: {printable(error)}") from None
+        raise ValueError(f"{path}: not a readable .safetensors: {printable_line(error)}") from None
 
 
 def _torch_state(path: Path) -> dict[str, np.ndarray]:
@@ -212,7 +212,7 @@ def _torch_state(path: Path) -> dict[str, np.ndarray]:
         return {name: tensor.float().numpy() for name, tensor in state.items()}
     except Exception as error:  # torch fails in many ways; its words are the finding
         first = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ValueError(f"{path}: not a readable file of torch weights: {printable(first)}") from None
+        raise ValueError(f"{path}: not a readable file of torch weights: {printable_line(first)}") from None
 
 
 def _flat(tree: Any, prefix: str = "") -> list[tuple[str, np.ndarray]]:

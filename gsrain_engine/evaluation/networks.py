@@ -16,15 +16,15 @@ torch: Any = import_module("torch")
 
 Tensor = Any
 
-FEATURES = 2048
+INCEPTION_FEATURES = 2048
 
-SIZE_PX = 299
+INCEPTION_SIZE_PX = 299
 
 Shape = tuple[int, int, tuple[int, int], int, tuple[int, int]]
 """Channels in and out, size, stride and padding (height, width) of a convolution."""
 
 
-class _Block(NamedTuple):
+class _InceptionBlock(NamedTuple):
     convolutions: Mapping[str, Shape]
     branches: tuple[tuple[str, ...], ...]
     """Convolutions in a row; the last may be two, apart by +, beside each other. Branches are stacked in this order."""
@@ -66,7 +66,7 @@ class _Convolution(torch.nn.Module):
 
 
 class _Mixed(torch.nn.Module):
-    def __init__(self, block: _Block) -> None:
+    def __init__(self, block: _InceptionBlock) -> None:
         super().__init__()
         self._branches, self._pool = block.branches, block.pool
         for name, shape in block.convolutions.items():
@@ -107,7 +107,7 @@ _STEM: dict[str, Shape] = {
 _POOLED_AFTER = ("Conv2d_2b_3x3", "Conv2d_4a_3x3")
 
 
-def _block_a(inward: int, pooled: int) -> _Block:
+def _block_a(inward: int, pooled: int) -> _InceptionBlock:
     convolutions = {
         "branch1x1": _shape(inward, 64),
         "branch5x5_1": _shape(inward, 48),
@@ -118,10 +118,10 @@ def _block_a(inward: int, pooled: int) -> _Block:
         "branch_pool": _shape(inward, pooled),
     }
     branches = (("branch1x1",), ("branch5x5_1", "branch5x5_2"), ("branch3x3dbl_1", "branch3x3dbl_2", "branch3x3dbl_3"))
-    return _Block(convolutions, branches, "average")
+    return _InceptionBlock(convolutions, branches, "average")
 
 
-def _block_b(inward: int) -> _Block:
+def _block_b(inward: int) -> _InceptionBlock:
     convolutions = {
         "branch3x3": _shape(inward, 384, 3, stride=2),
         "branch3x3dbl_1": _shape(inward, 64),
@@ -129,10 +129,10 @@ def _block_b(inward: int) -> _Block:
         "branch3x3dbl_3": _shape(96, 96, 3, stride=2),
     }
     branches = (("branch3x3",), ("branch3x3dbl_1", "branch3x3dbl_2", "branch3x3dbl_3"))
-    return _Block(convolutions, branches, "halving")
+    return _InceptionBlock(convolutions, branches, "halving")
 
 
-def _block_c(inward: int, inner: int) -> _Block:
+def _block_c(inward: int, inner: int) -> _InceptionBlock:
     convolutions = {
         "branch1x1": _shape(inward, 192),
         "branch7x7_1": _shape(inward, inner),
@@ -147,10 +147,10 @@ def _block_c(inward: int, inner: int) -> _Block:
     }
     long = tuple(f"branch7x7dbl_{k}" for k in range(1, 6))
     branches = (("branch1x1",), ("branch7x7_1", "branch7x7_2", "branch7x7_3"), long)
-    return _Block(convolutions, branches, "average")
+    return _InceptionBlock(convolutions, branches, "average")
 
 
-def _block_d(inward: int) -> _Block:
+def _block_d(inward: int) -> _InceptionBlock:
     convolutions = {
         "branch3x3_1": _shape(inward, 192),
         "branch3x3_2": _shape(192, 320, 3, stride=2),
@@ -160,10 +160,10 @@ def _block_d(inward: int) -> _Block:
         "branch7x7x3_4": _shape(192, 192, 3, stride=2),
     }
     branches = (("branch3x3_1", "branch3x3_2"), tuple(f"branch7x7x3_{k}" for k in range(1, 5)))
-    return _Block(convolutions, branches, "halving")
+    return _InceptionBlock(convolutions, branches, "halving")
 
 
-def _block_e(inward: int, pool: str) -> _Block:
+def _block_e(inward: int, pool: str) -> _InceptionBlock:
     convolutions = {
         "branch1x1": _shape(inward, 320),
         "branch3x3_1": _shape(inward, 384),
@@ -180,10 +180,10 @@ def _block_e(inward: int, pool: str) -> _Block:
         ("branch3x3_1", "branch3x3_2a+branch3x3_2b"),
         ("branch3x3dbl_1", "branch3x3dbl_2", "branch3x3dbl_3a+branch3x3dbl_3b"),
     )
-    return _Block(convolutions, branches, pool)
+    return _InceptionBlock(convolutions, branches, pool)
 
 
-_BLOCKS: dict[str, _Block] = {
+_BLOCKS: dict[str, _InceptionBlock] = {
     "Mixed_5b": _block_a(192, 32),
     "Mixed_5c": _block_a(256, 64),
     "Mixed_5d": _block_a(288, 64),
@@ -214,14 +214,14 @@ class FrozenNorm(torch.nn.Module):
         return torch.nn.functional.batch_norm(flow, *scales, eps=1e-3)
 
 
-def hollow(make: Callable[[], Any]) -> Any:
+def build_without_weights(make: Callable[[], Any]) -> Any:
     """Make a network whose parts have names and shapes but no numbers, which costs next to nothing."""
     with torch.device("meta"):
         return make()
 
 
-def filled(make: Callable[[], Any], arrays: Mapping[str, np.ndarray]) -> Any:
+def build_with_weights(make: Callable[[], Any], arrays: Mapping[str, np.ndarray]) -> Any:
     """Make a network of exactly these arrays, by name. Raises RuntimeError where names or shapes differ."""
-    network = hollow(make)
+    network = build_without_weights(make)
     network.load_state_dict({name: torch.from_numpy(array.copy()) for name, array in arrays.items()}, assign=True)
     return network.requires_grad_(False).eval()

@@ -8,19 +8,19 @@ import numpy as np
 from jaxtyping import UInt8
 
 from ..datasets.rainsense import RainSequence
-from ..rain.settings import Rain
-from ..rain.simulation import Rainfall
+from ..rain.settings import RainSettings
+from ..rain.simulation import RainSimulation
 from .streaks import (
     BANDS,
-    Residuals,
+    MedianResiduals,
     ResidualStatistics,
     StreakStatistics,
     Window,
-    cropped,
+    cropped_camera,
     find_streaks,
-    rain_frames,
+    median_residuals,
+    render_rain_frames,
     residual_statistics,
-    residuals,
     streak_statistics,
 )
 
@@ -28,7 +28,7 @@ _SKY_PERCENTILE = 90
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Measured:
+class FrameStatistics:
     """What was measured in one run of frames."""
 
     exposure_s: float | None
@@ -41,7 +41,7 @@ class Measured:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Comparison:
+class RealRainComparison:
     """One real sequence, and our rain before its background."""
 
     sequence: str
@@ -52,8 +52,8 @@ class Comparison:
     window: Window
     sky_levels: float
     """Display level of the drops' light: the brightest tenth of what is above the horizon begins there."""
-    real: Measured
-    ours: tuple[Measured, ...]
+    real: FrameStatistics
+    ours: tuple[FrameStatistics, ...]
     """One for each exposure."""
 
 
@@ -72,9 +72,9 @@ def evenly_chosen(sequence: RainSequence, count: int, most_apart_s: float = 0.2)
     return [first + k * step for k in range(kept)]
 
 
-def compare(
-    sequence: RainSequence, rain: Rain, exposures_s: Sequence[float], numbers: Sequence[int], window: Window
-) -> Comparison:
+def compare_with_real_rain(
+    sequence: RainSequence, rain: RainSettings, exposures_s: Sequence[float], numbers: Sequence[int], window: Window
+) -> RealRainComparison:
     """Measure some frames of a sequence, and our rain at each exposure in front of their temporal median.
 
     Ours has the sequence's camera, moments, background and noise; its haze is left out, for how far the background is
@@ -87,17 +87,17 @@ def compare(
         raise ValueError(
             f"window {x},{y},{width},{height}: must be 32 px or more within {camera.width}x{camera.height}"
         )
-    pictures = [sequence.grey(k) for k in numbers]
-    real = residuals(np.stack([picture[y : y + height, x : x + width] for picture in pictures]))
+    pictures = [sequence.gray_image(k) for k in numbers]
+    real = median_residuals(np.stack([picture[y : y + height, x : x + width] for picture in pictures]))
     horizon = above_horizon(sequence)[3]
     sky = float(np.median([np.percentile(picture[:horizon], _SKY_PERCENTILE) for picture in pictures]))
-    ours: list[Measured] = []
+    ours: list[FrameStatistics] = []
     for exposure in exposures_s:
-        falling = Rainfall.start(msgspec.structs.replace(rain, exposure_s=exposure, haze=False))
+        falling = RainSimulation.start(msgspec.structs.replace(rain, exposure_s=exposure, haze=False))
         times = [sequence.times_s[k] for k in numbers]
         made = _stacked(real, sequence, window, falling, times, sky)
-        ours.append(_measured(replace(residuals(made), still=real.still), sky, exposure))
-    return Comparison(
+        ours.append(_measured(replace(median_residuals(made), still=real.still), sky, exposure))
+    return RealRainComparison(
         sequence=sequence.name,
         labelled_mm_h=sequence.intensity_mm_h,
         rendered_mm_h=rain.intensity_mm_h,
@@ -109,15 +109,20 @@ def compare(
 
 
 def _stacked(
-    real: Residuals, sequence: RainSequence, window: Window, falling: Rainfall, times_s: list[float], sky: float
+    real: MedianResiduals,
+    sequence: RainSequence,
+    window: Window,
+    falling: RainSimulation,
+    times_s: list[float],
+    sky: float,
 ) -> UInt8[np.ndarray, "t h w"]:
-    camera = cropped(sequence.camera, window)
-    return np.stack(list(rain_frames(real.median, real.sigma, camera, falling, times_s, sky)))
+    camera = cropped_camera(sequence.camera, window)
+    return np.stack(list(render_rain_frames(real.median, real.sigma, camera, falling, times_s, sky)))
 
 
-def _measured(found: Residuals, sky: float, exposure_s: float | None) -> Measured:
+def _measured(found: MedianResiduals, sky: float, exposure_s: float | None) -> FrameStatistics:
     bright, darker = find_streaks(found, sky), find_streaks(found, sky, darker=True)
-    return Measured(
+    return FrameStatistics(
         exposure_s=exposure_s,
         residual=residual_statistics(found),
         streak=streak_statistics(bright, darker, found),

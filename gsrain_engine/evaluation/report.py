@@ -8,19 +8,28 @@ import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 from markupsafe import Markup
 
-from ..render.hardware import machine
+from ..render.hardware import describe_machine
 from ..scene.files import whole_file
-from .report_charts import LARGEST_ERROR, Comparison, chart, color_bar, drawing, error_picture, number, photograph
+from .report_charts import (
+    LARGEST_ERROR,
+    ImageComparison,
+    color_bar_uri,
+    error_map_uri,
+    format_number,
+    jpeg_data_uri,
+    png_data_uri,
+    svg_chart,
+)
 from .templates import rendered
 
-MOST_PICTURES = 24
+MAX_IMAGES = 24
 """Of more views the best, the worst and those evenly between are shown; the table has them all."""
 
 # § What came of a run: figures, curves, pictures, timings.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Curve:
+class ReportCurve:
     """A number as it changed over a run."""
 
     name: str
@@ -72,8 +81,8 @@ class RunReport:
     title: str
     settings: Mapping[str, object]
     """By name with unit, in the order in which they are shown."""
-    curves: tuple[Curve, ...] = ()
-    comparisons: tuple[Comparison, ...] = ()
+    curves: tuple[ReportCurve, ...] = ()
+    comparisons: tuple[ImageComparison, ...] = ()
     """Views that the run did not learn from; pictures where `held_out` is False."""
     timings: Mapping[str, float] = field(default_factory=dict[str, float])
     """Seconds of each part of the run."""
@@ -81,7 +90,7 @@ class RunReport:
     """Figures to show first beside the means over the views, such as {"Gaussians": "212,400"}."""
     problems: tuple[str, ...] = ()
     """What was left out of the capture and why."""
-    machine: Mapping[str, object] = field(default_factory=machine)
+    machine: Mapping[str, object] = field(default_factory=describe_machine)
     """What it ran on."""
     notes: tuple[str, ...] = ()
     """What a reader of the figures should know, a sentence each."""
@@ -104,14 +113,14 @@ def report_page(report: RunReport) -> str:
         longest_s=max(*report.timings.values(), 1e-9) if report.timings else 1.0,
         duration=_duration,
         largest_error=LARGEST_ERROR,
-        photograph=photograph,
-        drawing=drawing,
-        error_picture=error_picture,
-        color_bar=color_bar,
+        photograph=jpeg_data_uri,
+        drawing=png_data_uri,
+        error_picture=error_map_uri,
+        color_bar=color_bar_uri,
     )
 
 
-def _means(comparisons: tuple[Comparison, ...], which: str) -> dict[str, str]:
+def _means(comparisons: tuple[ImageComparison, ...], which: str) -> dict[str, str]:
     if not comparisons:
         return {}
     rows = {
@@ -124,14 +133,14 @@ def _means(comparisons: tuple[Comparison, ...], which: str) -> dict[str, str]:
     return {**rows, f"{which}views" if which else "pictures": str(len(comparisons))}
 
 
-def _chosen(comparisons: tuple[Comparison, ...]) -> list[Comparison]:
-    if len(comparisons) <= MOST_PICTURES:
+def _chosen(comparisons: tuple[ImageComparison, ...]) -> list[ImageComparison]:
+    if len(comparisons) <= MAX_IMAGES:
         return list(comparisons)
     ranked = sorted(comparisons, key=lambda each: -each.psnr_db)
-    return [ranked[i] for i in np.linspace(0, len(ranked) - 1, MOST_PICTURES).round().astype(int)]
+    return [ranked[i] for i in np.linspace(0, len(ranked) - 1, MAX_IMAGES).round().astype(int)]
 
 
-def _scores(comparisons: tuple[Comparison, ...]) -> Mapping[str, object]:
+def _scores(comparisons: tuple[ImageComparison, ...]) -> Mapping[str, object]:
     """Columns, rows and means of the table of all views."""
     columns: dict[str, list[float]] = {
         "PSNR (dB)": [each.psnr_db for each in comparisons],
@@ -145,17 +154,17 @@ def _scores(comparisons: tuple[Comparison, ...]) -> Mapping[str, object]:
     return {"columns": ["view", *columns], "rows": rows, "means": ["mean", *map(_mean, columns.values())]}
 
 
-def _error(comparison: Comparison) -> float:
+def _error(comparison: ImageComparison) -> float:
     return float(np.nanmean(comparison.error)) if np.isfinite(comparison.error).any() else float("nan")
 
 
-def _charts(curve: Curve) -> Mapping[str, object]:
+def _charts(curve: ReportCurve) -> Mapping[str, object]:
     """A curve over steps and, where its times are known, over time."""
 
     def over(values: Float64[np.ndarray, " n"], unit: str) -> Markup:
-        return chart(values, curve.values, unit, curve.name, curve.is_logarithmic)
+        return svg_chart(values, curve.values, unit, curve.name, curve.is_logarithmic)
 
-    last = number(float(curve.values[-1])) if len(curve.values) else ""
+    last = format_number(float(curve.values[-1])) if len(curve.values) else ""
     charts = {"curve": curve, "last": last, "by_step": over(curve.steps.astype(np.float64), "step")}
     if curve.times_s is None:
         return charts

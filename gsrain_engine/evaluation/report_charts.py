@@ -22,7 +22,7 @@ _POINTS = 240
 _STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
 
 
-def chart(
+def svg_chart(
     x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"], x_title: str, y_title: str, is_logarithmic: bool = False
 ) -> Markup:
     """Draw y over x as an SVG element; points that are not finite are left out, as are those <= 0 on a log axis."""
@@ -34,7 +34,7 @@ def chart(
         y_ticks = [float(np.log10(value)) for value in _decade_ticks(y.min(), y.max())]
         y = np.log10(y)
     else:
-        y_ticks = list(ticks(y.min(), y.max(), 5))
+        y_ticks = list(axis_ticks(y.min(), y.max(), 5))
     low, high = min(y.min(), *y_ticks), max(y.max(), *y_ticks)
     margin = 0.0 if high > low else max(abs(low), 1.0) / 2  # a level line runs through the middle
     across = _Axis(float(x.min()), float(x.max()), _LEFT, WIDTH - _RIGHT)
@@ -52,15 +52,15 @@ def chart(
         bottom=HEIGHT - _BOTTOM,
         x_title=x_title,
         y_title=y_title,
-        ticks_x=[(across(value), number(value)) for value in ticks(x.min(), x.max(), 6)],
-        ticks_y=[(upward(value), number(10**value if is_logarithmic else value)) for value in y_ticks],
+        ticks_x=[(across(value), format_number(value)) for value in axis_ticks(x.min(), x.max(), 6)],
+        ticks_y=[(upward(value), format_number(10**value if is_logarithmic else value)) for value in y_ticks],
         span=_points(highest + lowest[::-1]) if len(x) > _POINTS else "",
         line=_points(middle),
         points=middle if len(x) <= 40 else (),
     )
 
 
-def ticks(low: float, high: float, wanted: int) -> Iterator[float]:
+def axis_ticks(low: float, high: float, wanted: int) -> Iterator[float]:
     """Yield round numbers within a range, about as many as wanted and at least one."""
     if high <= low:
         yield low
@@ -79,7 +79,7 @@ def _decade_ticks(low: float, high: float) -> list[float]:
     return [each for each in several if low * 0.999 <= each <= high * 1.001] or [low, high]
 
 
-def number(value: float) -> str:
+def format_number(value: float) -> str:
     if value != 0 and abs(value) < 1e-3:
         return f"{value:.1e}".replace("e-0", "e-")
     if abs(value) >= 1e6:
@@ -111,7 +111,7 @@ Distance = Callable[[Image, Image, Bool[np.ndarray, "h w"] | None], float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
+class ImageComparison:
     """One view. The pictures are at most 640 px wide, the figures are those of the full size."""
 
     name: str
@@ -131,7 +131,7 @@ class Comparison:
         truth: Image,
         mask: Bool[np.ndarray, "h w"] | None = None,
         lpips: Distance | None = None,
-    ) -> "Comparison":
+    ) -> "ImageComparison":
         """Compare a render with the truth, values of 0..1, over the pixels of the mask."""
         error = np.abs(rendered.astype(np.float32) - truth.astype(np.float32)).mean(axis=2)
         small = _small(error)
@@ -173,25 +173,25 @@ _LEFT_OUT = (128, 128, 128)
 _SHADES = 256
 
 
-def photograph(image: UInt8[np.ndarray, "h w 3"]) -> str:
+def jpeg_data_uri(image: UInt8[np.ndarray, "h w 3"]) -> str:
     """Return a picture as the data URI of a JPEG."""
     return _data_uri(image, ".jpg", "image/jpeg", [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
 
 
-def drawing(image: UInt8[np.ndarray, "h w 3"]) -> str:
+def png_data_uri(image: UInt8[np.ndarray, "h w 3"]) -> str:
     """Return a drawing as the data URI of a PNG, without loss."""
     return _data_uri(image, ".png", "image/png", [])
 
 
-def error_picture(error: Float32[np.ndarray, "h w"]) -> str:
+def error_map_uri(error: Float32[np.ndarray, "h w"]) -> str:
     """Return the colours of an error map as a data URI; grey where it is NaN."""
     shares = np.nan_to_num(np.clip(error / LARGEST_ERROR, 0, 1))
     colors = _shades()[np.rint(shares * (_SHADES - 1)).astype(int)]
     colors[np.isnan(error)] = _LEFT_OUT
-    return photograph(colors)
+    return jpeg_data_uri(colors)
 
 
-def color_bar() -> str:
+def color_bar_uri() -> str:
     """Return the colours from no error to the largest, left to right, as a data URI."""
     return _data_uri(_shades()[None], ".png", "image/png", [])
 

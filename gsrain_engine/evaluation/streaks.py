@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
-from ..rain.simulation import Rainfall
+from ..rain.simulation import RainSimulation
 from ..render.cpu.renderer import CpuRenderer
-from ..render.draw import Shot, rain_in
+from ..render.draw import RenderView, rain_frame_of
 from ..scene.camera import Camera
 from ..scene.geometry import linear_to_srgb, srgb_to_linear
 from ..scene.scene import Scene
@@ -34,9 +34,9 @@ _ACROSS_SIGMA_PX = 1.0
 _EDGE_Z, _PEAK_Z = 4.0, 7.0
 """A component is where a line stands out by so many standard deviations of its noise, and somewhere by so many."""
 
-_LEAST_ELONGATION = 3.0
+_MIN_ELONGATION = 3.0
 
-_LEAST_LENGTH_PX = 6.0
+_MIN_LENGTH_PX = 6.0
 
 _MARGIN_PX = 2
 
@@ -98,7 +98,7 @@ class _Box(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Residuals:
+class MedianResiduals:
     """Grey levels (0-255) of a camera that stands still."""
 
     median: UInt8[np.ndarray, "h w"]
@@ -111,7 +111,7 @@ class Residuals:
     """Where nothing but noise and rain moves."""
 
 
-def find_streaks(found: Residuals, drop_levels: float, *, darker: bool = False) -> StreakTable:
+def find_streaks(found: MedianResiduals, drop_levels: float, *, darker: bool = False) -> StreakTable:
     """Find and measure bright streaks; `drop_levels` is the display level of a drop's own light, about that of the sky.
 
     `darker` seeks streaks below the background instead: before dark backgrounds rain makes none, so their number says
@@ -135,7 +135,7 @@ def coverage(
     return ((after - before) / np.maximum(light - before, 0.02)).astype(np.float32)
 
 
-def _in_frame(found: Residuals, number: int, sign: float, drop_levels: float) -> Iterator[tuple[float, ...]]:
+def _in_frame(found: MedianResiduals, number: int, sign: float, drop_levels: float) -> Iterator[tuple[float, ...]]:
     values = np.where(found.still, np.float32(sign) * found.values[number], np.float32(0))
     z = _line_response(values / found.sigma)
     quiet = z[found.still]
@@ -157,7 +157,7 @@ def _in_frame(found: Residuals, number: int, sign: float, drop_levels: float) ->
             continue
         own = _grown(_core(response)) & ~others
         box, covered = _box(values[part], own), sign * float(light[part][own].sum())
-        if box is None or covered <= 0 or box.length_px < max(_LEAST_LENGTH_PX, _LEAST_ELONGATION * box.width_px):
+        if box is None or covered <= 0 or box.length_px < max(_MIN_LENGTH_PX, _MIN_ELONGATION * box.width_px):
             continue
         background = float(np.median(found.median[part][own]))
         x, y, *shape = box
@@ -261,7 +261,7 @@ class StreakStatistics:
 
 
 def streak_statistics(
-    bright: StreakTable, darker: StreakTable, found: Residuals, band: tuple[float, float] = DARK_BAND
+    bright: StreakTable, darker: StreakTable, found: MedianResiduals, band: tuple[float, float] = DARK_BAND
 ) -> StreakStatistics:
     """Summarize what `find_streaks` found in residuals, once bright and once `darker`."""
     low, high = band
@@ -303,7 +303,7 @@ VISIBLE_LEVELS = 8
 RESTLESS_LEVELS = 4.5
 """Where the typical deviation is larger, something moves in most frames: leaves, water, people. Rain is in few."""
 
-_LEAST_SIGMA = 0.5  # of a level: a grey value is a whole number
+_MIN_SIGMA = 0.5  # of a level: a grey value is a whole number
 
 _RESTLESS_MARGIN_PX = 3
 
@@ -326,7 +326,7 @@ class ResidualStatistics:
     """As much under the median: before a dark background no rain does this."""
 
 
-def residuals(frames: UInt8[np.ndarray, "t h w"]) -> Residuals:
+def median_residuals(frames: UInt8[np.ndarray, "t h w"]) -> MedianResiduals:
     """Take the temporal median from grey frames. Raises ValueError for fewer than 5 frames: their median holds rain."""
     if len(frames) < 5:
         raise ValueError(f"{len(frames)} frames: a temporal median free of rain takes at least 5")
@@ -339,10 +339,10 @@ def residuals(frames: UInt8[np.ndarray, "t h w"]) -> Residuals:
     restless = (sigma > RESTLESS_LEVELS).astype(np.uint8)
     around = np.ones((2 * _RESTLESS_MARGIN_PX + 1,) * 2, np.uint8)
     still = cv2.dilate(restless, around) == 0
-    return Residuals(median, values, np.maximum(sigma, np.float32(_LEAST_SIGMA)), still)
+    return MedianResiduals(median, values, np.maximum(sigma, np.float32(_MIN_SIGMA)), still)
 
 
-def residual_statistics(found: Residuals) -> ResidualStatistics:
+def residual_statistics(found: MedianResiduals) -> ResidualStatistics:
     """Summarize residuals. Raises ValueError where no pixel is still."""
     if not found.still.any():
         raise ValueError("no pixel stands still in these frames: choose another window")
@@ -366,17 +366,17 @@ Window = tuple[int, int, int, int]
 _NO_SCENE = Scene("no scene", (), up=(0.0, 0.0, 1.0))
 
 
-def cropped(camera: Camera, window: Window) -> Camera:
+def cropped_camera(camera: Camera, window: Window) -> Camera:
     """Return the camera that sees only a window of this one's picture."""
     x, y, width, height = window
     return replace(camera, cx=camera.cx - x, cy=camera.cy - y, width=width, height=height)
 
 
-def rain_frames(
+def render_rain_frames(
     background: UInt8[np.ndarray, "h w"],
     noise_levels: Float32[np.ndarray, "h w"],
     camera: Camera,
-    rainfall: Rainfall,
+    rainfall: RainSimulation,
     times_s: Sequence[float],
     drop_levels: float,
 ) -> Iterator[UInt8[np.ndarray, "h w"]]:
@@ -386,7 +386,7 @@ def rain_frames(
     B the background and S the drop's light: enc((1 - W) dec(B) + W S), or mixed as display values where the rain says
     so; then white noise of the given standard deviation, seeded by the rain's seed, and whole grey levels.
     """
-    shot = Shot(camera)
+    shot = RenderView(camera)
     display, drop = background.astype(np.float32) / 255, drop_levels / 255
     linear = rainfall.rain.rain_light == "linear"
     encode, decode = (linear_to_srgb, srgb_to_linear) if linear else (np.asarray, np.asarray)
@@ -394,7 +394,9 @@ def rain_frames(
     random = np.random.default_rng(rainfall.rain.seed)
     renderer = CpuRenderer()
     for time_s in times_s:
-        renderer.draw([], camera, rain_in(_NO_SCENE, rainfall, (1.0, 1.0, 1.0), replace(shot, time_s=float(time_s))))
+        renderer.draw(
+            [], camera, rain_frame_of(_NO_SCENE, rainfall, (1.0, 1.0, 1.0), replace(shot, time_s=float(time_s)))
+        )
         share = renderer.read().rgba[..., 3]
         mixed = 255 * encode((1 - share) * behind + share * light)
         noisy = mixed + noise_levels * random.standard_normal(background.shape, np.float32)

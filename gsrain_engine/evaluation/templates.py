@@ -3,7 +3,7 @@
 from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
-from ..safe_io.text_files import escaped
+from ..safe_io.text_files import escape_invisible
 
 
 def rendered(template: str, **values: object) -> Markup:
@@ -12,7 +12,7 @@ def rendered(template: str, **values: object) -> Markup:
 
 
 def _visible(value: object) -> object:
-    return value if isinstance(value, Markup) else escaped(str(value))
+    return value if isinstance(value, Markup) else escape_invisible(str(value))
 
 
 _TEMPLATES = Environment(

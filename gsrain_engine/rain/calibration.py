@@ -10,7 +10,7 @@ import yaml
 from jaxtyping import Float
 from msgspec import Meta
 
-from ..presets import load_config, shipped_names
+from ..presets import load_config, shipped_config_names
 from ..scene.files import whole_file
 
 _FOLDER = "calibrations"
@@ -110,4 +110,4 @@ def save_calibration(calibration: Calibration, path: Path | str) -> None:
 
 
 def calibration_names() -> list[str]:
-    return shipped_names(_FOLDER)
+    return shipped_config_names(_FOLDER)

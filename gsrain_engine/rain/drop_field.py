@@ -27,7 +27,7 @@ _CLASSES_BY_CHUNK = 64
 _LANES = 16
 
 
-class Offsets(NamedTuple):
+class DropPhases(NamedTuple):
     """How far the cell and the drops of each class are apart: whole periods and the 32-bit rest."""
 
     wraps: Int32[np.ndarray, "classes 3"]
@@ -48,7 +48,7 @@ class Drops(NamedTuple):
         return (self.fractions * 2.0**-32 - 0.5) * period_m
 
 
-class Culling(NamedTuple):
+class DropCulling(NamedTuple):
     """Which drops are worth drawing: cheap, generous tests in the cell's frame, in metres."""
 
     region_rotation: Float64[np.ndarray, "2 2"]
@@ -66,21 +66,21 @@ class Culling(NamedTuple):
     """View depth beyond which drops of a class are left to the haze."""
 
 
-def offsets(
+def drop_phases(
     displacement_m: Float64[np.ndarray, "classes 3"],
     cell_center_m: Float64[np.ndarray, "3"],
     period_m: Float64[np.ndarray, "3"],
-) -> Offsets:
+) -> DropPhases:
     """Split (drop displacement - cell centre) / period + 1/2 into whole wraps and a 32-bit fraction."""
     wraps, fractions = np.empty(displacement_m.shape, np.int32), np.empty(displacement_m.shape, np.uint32)
     for axis in range(3):
         _split(displacement_m[:, axis], cell_center_m[axis], period_m[axis], wraps[:, axis], fractions[:, axis])
-    return Offsets(wraps, fractions)
+    return DropPhases(wraps, fractions)
 
 
-def offsets_of(
+def drop_phases_of_motion(
     motion: DropMotion, time_s: float, cell_center_m: Float64[np.ndarray, "3"], period_m: Float64[np.ndarray, "3"]
-) -> Offsets:
+) -> DropPhases:
     """`offsets` of a motion's displacement, to the bit, without making it: all classes drift alike."""
     drift, fallen = motion.drift(time_s), motion.fallen(time_s)
     wraps, fractions = np.empty((len(fallen), 3), np.int32), np.empty((len(fallen), 3), np.uint32)
@@ -88,7 +88,7 @@ def offsets_of(
         _split(drift[axis : axis + 1], cell_center_m[axis], period_m[axis], wraps[:1, axis], fractions[:1, axis])
         wraps[1:, axis], fractions[1:, axis] = wraps[0, axis], fractions[0, axis]
     _split(-fallen, cell_center_m[2], period_m[2], wraps[:, 2], fractions[:, 2])
-    return Offsets(wraps, fractions)
+    return DropPhases(wraps, fractions)
 
 
 @numba.njit(cache=True)
@@ -101,7 +101,7 @@ def _split(displacement, center, period, wraps, fractions):
         fractions[c] = np.uint32(np.uint64((periods - whole) * 2.0**32))
 
 
-def drops_at(numbers: Int64[np.ndarray, " m"], seed: int, where: Offsets) -> Drops:
+def place_drops(numbers: Int64[np.ndarray, " m"], seed: int, where: DropPhases) -> Drops:
     """Place drops by their numbers: the readable reference of the compiled search below."""
     classes = (numbers * CLASS_STRIDE) % CLASSES
     i, s = numbers.astype(np.uint32), np.full(len(numbers), seed, np.uint32)
@@ -115,7 +115,7 @@ def drops_at(numbers: Int64[np.ndarray, " m"], seed: int, where: Offsets) -> Dro
 
 def _place(
     start: UInt32[np.ndarray, " m"],
-    where: Offsets,
+    where: DropPhases,
     classes: Int64[np.ndarray, " m"],
     axis: int,
     fractions: UInt32[np.ndarray, "m 3"],
@@ -126,25 +126,35 @@ def _place(
     return where.wraps[classes, axis].view(np.uint32) + (moved < start)
 
 
-def find_drops(count: int, seed: int, where: Offsets, period_m: Float64[np.ndarray, "3"], culling: Culling) -> Drops:
+def visible_drops(
+    count: int, seed: int, where: DropPhases, period_m: Float64[np.ndarray, "3"], culling: DropCulling
+) -> Drops:
     """Find the drops below a number that the camera may see, in rising order."""
-    return drops_at(_search(count, seed, where, period_m, culling, only_seen=True), seed, where)
+    return place_drops(_search(count, seed, where, period_m, culling, only_seen=True), seed, where)
 
 
 def find_in_region(
-    count: int, seed: int, where: Offsets, period_m: Float64[np.ndarray, "3"], culling: Culling
+    count: int, seed: int, where: DropPhases, period_m: Float64[np.ndarray, "3"], culling: DropCulling
 ) -> Drops:
     """Find the drops that are inside the streak region, seen or not, in rising order."""
-    return drops_at(_search(count, seed, where, period_m, culling, only_seen=False), seed, where)
+    return place_drops(_search(count, seed, where, period_m, culling, only_seen=False), seed, where)
 
 
-def count_in_region(count: int, seed: int, where: Offsets, period_m: Float64[np.ndarray, "3"], culling: Culling) -> int:
+def count_in_region(
+    count: int, seed: int, where: DropPhases, period_m: Float64[np.ndarray, "3"], culling: DropCulling
+) -> int:
     """Count the drops that are inside the streak region, seen or not."""
     return len(_search(count, seed, where, period_m, culling, only_seen=False))
 
 
 def _search(
-    count: int, seed: int, where: Offsets, period_m: Float64[np.ndarray, "3"], culling: Culling, *, only_seen: bool
+    count: int,
+    seed: int,
+    where: DropPhases,
+    period_m: Float64[np.ndarray, "3"],
+    culling: DropCulling,
+    *,
+    only_seen: bool,
 ) -> Int64[np.ndarray, " m"]:
     turns = -(-count // (CLASSES * _LANES)) * _LANES  # whole vectors: what is left over would go one by one
     found = np.empty((CLASSES, turns), np.bool_)
@@ -167,7 +177,7 @@ def _mark(seed, count, wraps, fractions, geometry, margins, far, everywhere, fou
 @numba.njit
 @no_type_check
 def _mark_class(first, count, seed, wraps, fractions, geometry, margin, far, everywhere, found):
-    """Place a class' drops as `drops_at` does and test them, all without a branch: LLVM turns the loop into SIMD."""
+    """Place a class' drops as `place_drops` does and test them, all without a branch: LLVM turns the loop into SIMD."""
     # Into local numbers: the compiler can't know that what is written into `found` leaves an array alone.
     period_x, period_y, period_z = geometry[0], geometry[1], geometry[2]
     turn_xx, turn_xy, turn_yx, turn_yy = geometry[3], geometry[4], geometry[5], geometry[6]

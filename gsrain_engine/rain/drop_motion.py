@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from .calibration import Calibration
-from .keyframes import Weather, WeatherCurve
-from .properties import ClassTable
-from .settings import Rain
+from .keyframes import KeyframeCurve, RainKeyframes
+from .properties import DropClassTable
+from .settings import RainSettings
 
 GUST_PERIODS_S = (7.0, 11.3, 18.1)
 """Periods of the sines that a gust is made of: no common multiple within hours."""
@@ -87,18 +87,18 @@ class DropMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class RainCourse:
+class KeyframedDropMotion:
     """Displacement of each class since t = 0 under a weather, as a function of t alone.
 
     A class falls with v_c(R) = sum_j h_j(R) v_c(R_j), h_j the hat functions of tabulated intensities R_j. So its fall
     is sum_j v_c(R_j) W_j(t), W_j the integral of h_j(R(t')) over time: exact for an R that is piecewise linear.
     """
 
-    intensity: WeatherCurve
-    mean_wind: WeatherCurve
+    intensity: KeyframeCurve
+    mean_wind: KeyframeCurve
     gusts: Wind
     """Without a mean of its own."""
-    table: ClassTable
+    table: DropClassTable
     weights_s: Float64[np.ndarray, "n nodes"]
     """W_j from the first knot of the intensity to each."""
     drifted_m: Float64[np.ndarray, "2"] | None = None
@@ -109,12 +109,12 @@ class RainCourse:
     """Fall up to where the last time asked for counts from: frames that follow one another count from the same."""
 
     @classmethod
-    def of(cls, rain: Rain, weather: Weather, calibration: Calibration) -> "RainCourse":
+    def of(cls, rain: RainSettings, weather: RainKeyframes, calibration: Calibration) -> "KeyframedDropMotion":
         """Work out what is needed once for a rain and its weather."""
         curves, paper = weather.curves, rain.streak_reset == "paper"  # its drops fall straight down
         intensity = curves.get("intensity_mm_h") or _still(rain.intensity_mm_h)
         wind = curves.get("wind_m_s") or _still(*rain.wind_m_s)
-        table = ClassTable.between(float(intensity.values.min()), float(intensity.values.max()), rain, calibration)
+        table = DropClassTable.between(float(intensity.values.min()), float(intensity.values.max()), rain, calibration)
         mean_wind, gusts = (_still(0.0, 0.0), Wind()) if paper else (wind, Wind((0.0, 0.0), rain.gust_m_s, rain.seed))
         return cls(intensity, mean_wind, gusts, table, _weights(intensity, table))
 
@@ -138,7 +138,7 @@ class RainCourse:
         moved = self._since_first_knot(time_s) - self._at_zero
         return moved if self.fallen_m is None else moved + self.fallen_m
 
-    def going_on_from(self, motion: DropMotion) -> "RainCourse":
+    def going_on_from(self, motion: DropMotion) -> "KeyframedDropMotion":
         """Return the course with all drops, at that motion's own time, where the motion has them."""
         time_s = motion.since_s
         bare = replace(self, drifted_m=None, fallen_m=None)
@@ -173,12 +173,12 @@ class RainCourse:
         return base + table.at(table.fall_speed_m_s, 0.5 * (start + rate)) * (time_s - start_s)
 
 
-def _weights(intensity: WeatherCurve, table: ClassTable) -> Float64[np.ndarray, "n nodes"]:
+def _weights(intensity: KeyframeCurve, table: DropClassTable) -> Float64[np.ndarray, "n nodes"]:
     values = intensity.values[:, 0]
     steps = table.mean_shares(values[:-1], values[1:])
     steps *= np.diff(intensity.times_s)[:, None]
     return np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
 
 
-def _still(*values: float) -> WeatherCurve:
-    return WeatherCurve(np.zeros(1), np.array([values], np.float64))
+def _still(*values: float) -> KeyframeCurve:
+    return KeyframeCurve(np.zeros(1), np.array([values], np.float64))

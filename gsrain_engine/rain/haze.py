@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt32
 
 from .drop_field import pcg4d
-from .settings import Rain
-from .shelter_map import Roofs
+from .settings import RainSettings
+from .shelter_map import ShelterMap
 
 LIFETIME_S, FADE_S = 4.0, 1.0
 """A haze Gaussian comes, stays and goes within 4 s; smoothstep fades of 1 s at both ends."""
@@ -15,7 +15,7 @@ LIFETIME_S, FADE_S = 4.0, 1.0
 RAMP_M = (3.0, 5.0)
 """Between these distances from the camera haze fades in: nearer is the streaks' part."""
 
-_SMOOTH_COUNT, _MOST_SHARES = 16_000, 16
+_SMOOTH_COUNT, _MAX_SHARES = 16_000, 16
 """M Gaussians are split up into the geometric mean of M and the first, at most 16 each: few enough to be drawn."""
 
 _SALT = 0x68617A65  # keeps haze apart from drops of the same seed
@@ -30,14 +30,14 @@ class Haze:
     means: Float32[np.ndarray, "n 3"]
     opacities: Float32[np.ndarray, " n"]
 
-    def outside(self, roofs: Roofs) -> "Haze":
+    def outside(self, roofs: ShelterMap) -> "Haze":
         """Leave out what has its centre under a roof."""
         kept = ~roofs.shelter(self.means.astype(np.float64))
         return Haze(self.means[kept], self.opacities[kept])
 
 
 def make_haze(
-    rain: Rain,
+    rain: RainSettings,
     count: int,
     time_s: float,
     anchor_to_world: Float64[np.ndarray, "4 4"],
@@ -62,11 +62,11 @@ def make_haze(
 
 def _shares(count: int) -> float:
     """How many Gaussians each of the M is split up into: the haze gets smoother by the root of it."""
-    return float(np.clip(np.sqrt(_SMOOTH_COUNT / max(count, 1)), 1, _MOST_SHARES))
+    return float(np.clip(np.sqrt(_SMOOTH_COUNT / max(count, 1)), 1, _MAX_SHARES))
 
 
 def _fading(
-    rain: Rain, count: float, time_s: float, anchor_to_world: Float64[np.ndarray, "4 4"]
+    rain: RainSettings, count: float, time_s: float, anchor_to_world: Float64[np.ndarray, "4 4"]
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
     """World-fixed Gaussians on a lattice around the region: each lives at one place, then is born elsewhere."""
     size = np.array(rain.haze_region.size_m) + 6 * rain.haze_sigma_m  # 3 sigma beyond each face
@@ -88,7 +88,7 @@ def _fading(
 
 
 def _jumping(
-    rain: Rain, count: int, time_s: float, anchor_to_world: Float64[np.ndarray, "4 4"]
+    rain: RainSettings, count: int, time_s: float, anchor_to_world: Float64[np.ndarray, "4 4"]
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
     """All positions drawn anew at every moment (paper, Algorithm 1)."""
     size = np.array(rain.haze_region.size_m) + 6 * rain.haze_sigma_m

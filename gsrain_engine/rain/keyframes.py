@@ -15,9 +15,9 @@ import scipy
 from jaxtyping import Float64
 from msgspec import Meta
 
-from ..safe_io.errors import converted
+from ..safe_io.errors import convert_checked
 from ..scene.scene import Scene
-from .settings import Rain
+from .settings import RainSettings
 
 Keyed = Literal["intensity_mm_h", "wind_m_s", "exposure_s"]
 
@@ -31,7 +31,7 @@ LONGEST_S = 1e7
 """The last time that a key can have; the first is as long before 0."""
 
 
-class WeatherKey(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+class RainKeyframe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """What is set at one time. None is not set there: that field goes on from its own keys."""
 
     time_s: Annotated[float, Meta(title="Time", description="In the scene's time.", extra={"unit": "s"})]
@@ -59,7 +59,7 @@ class WeatherKey(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 @dataclass(frozen=True, eq=False)
-class WeatherCurve:
+class KeyframeCurve:
     """A piecewise linear function of time with k components. Integrals of it are exact."""
 
     times_s: Float64[np.ndarray, " n"]
@@ -69,9 +69,9 @@ class WeatherCurve:
     @classmethod
     def through(
         cls, times_s: Float64[np.ndarray, " n"], values: Float64[np.ndarray, "n k"], *, smooth: bool = False
-    ) -> "WeatherCurve":
+    ) -> "KeyframeCurve":
         """Join keys; `smooth` rounds the corners by a cubic that overshoots no key (Fritsch and Carlson, 1980)."""
-        pieces = min(_PIECES, _MOST_KNOTS // len(times_s))
+        pieces = min(_PIECES, _MAX_KNOTS // len(times_s))
         if not smooth or len(times_s) < 2 or pieces < 2:
             return cls(times_s, values)
         # One more key at each end, as high as the end: the curve then comes out of what is held before it.
@@ -118,13 +118,15 @@ class WeatherCurve:
         return self._sums[knot] + mean * (time_s - self.times_s[knot])
 
 
-class Weather(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True, dict=True):
+class RainKeyframes(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True, dict=True
+):
     """Keys of the rain in order of time, each time once. Before a field's first key and after its last its value stays.
 
     Raises `ValueError` for keys that are out of order.
     """
 
-    keys: tuple[WeatherKey, ...] = ()
+    keys: tuple[RainKeyframe, ...] = ()
     between: Annotated[
         Literal["linear", "smooth"],
         Meta(
@@ -138,14 +140,14 @@ class Weather(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
                 raise ValueError(f"keys must rise in time, got {before.time_s} s before {after.time_s} s")
 
     @cached_property
-    def curves(self) -> dict[Keyed, WeatherCurve]:
-        found: dict[Keyed, WeatherCurve] = {}
+    def curves(self) -> dict[Keyed, KeyframeCurve]:
+        found: dict[Keyed, KeyframeCurve] = {}
         for name in KEYED:
             set_there = [key for key in self.keys if getattr(key, name) is not None]
             if set_there:
                 times = self.key_times[name]
                 values = np.array([getattr(key, name) for key in set_there], np.float64).reshape(len(times), -1)
-                found[name] = WeatherCurve.through(times, values, smooth=self.between == "smooth")
+                found[name] = KeyframeCurve.through(times, values, smooth=self.between == "smooth")
         return found
 
     @cached_property
@@ -156,30 +158,30 @@ class Weather(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         """Whether a field of the rain has a key at any time."""
         return name in self.curves
 
-    def key_at(self, time_s: float) -> WeatherKey | None:
+    def key_at(self, time_s: float) -> RainKeyframe | None:
         """Return the key of a time; None where there is none."""
         at = bisect_left(self.keys, time_s, key=_time)
         return self.keys[at] if at < len(self.keys) and self.keys[at].time_s == time_s else None
 
-    def rain_at(self, rain: Rain, time_s: float) -> Rain:
+    def rain_at(self, rain: RainSettings, time_s: float) -> RainSettings:
         """Return the rain of a time: what is keyed from the curves, the rest as it is."""
         if not self.keys:
             return rain
         changes = {name: _plain(curve.at(time_s)) for name, curve in self.curves.items()}
         return msgspec.structs.replace(rain, **changes)
 
-    def heaviest_mm_h(self, rain: Rain) -> float:
+    def heaviest_mm_h(self, rain: RainSettings) -> float:
         """Highest intensity that is reached at any time."""
         curve = self.curves.get("intensity_mm_h")
         return rain.intensity_mm_h if curve is None else float(curve.values.max())
 
-    def with_key(self, time_s: float, **fields: Any) -> "Weather":
+    def with_key(self, time_s: float, **fields: Any) -> "RainKeyframes":
         """Return the weather with fields set at a time, beside what is set there already."""
         present = self.key_at(time_s)
-        key = WeatherKey(time_s=time_s, **fields) if present is None else msgspec.structs.replace(present, **fields)
+        key = RainKeyframe(time_s=time_s, **fields) if present is None else msgspec.structs.replace(present, **fields)
         return self._with(*(each for each in self.keys if each is not present), key)
 
-    def without_key(self, time_s: float, name: Keyed | None = None) -> "Weather":
+    def without_key(self, time_s: float, name: Keyed | None = None) -> "RainKeyframes":
         """Return the weather without the key of a time, or without one field of it."""
         present = self.key_at(time_s)
         if present is None:
@@ -189,12 +191,12 @@ class Weather(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             kept.append(msgspec.structs.replace(present, **{name: None}))
         return self._with(*(each for each in kept if not each.is_empty))
 
-    def without(self, name: Keyed) -> "Weather":
+    def without(self, name: Keyed) -> "RainKeyframes":
         """Return the weather without any key of a field."""
         bare = (msgspec.structs.replace(key, **{name: None}) for key in self.keys)
         return self._with(*(key for key in bare if not key.is_empty))
 
-    def moved_key(self, time_s: float, to_s: float, name: Keyed, **fields: Any) -> "Weather":
+    def moved_key(self, time_s: float, to_s: float, name: Keyed, **fields: Any) -> "RainKeyframes":
         """Return the weather with one field's key at another time, and changed; a key it meets there gives way."""
         key = self.key_at(time_s)
         if key is None or getattr(key, name) is None:
@@ -210,11 +212,11 @@ class Weather(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             for name in KEYED
         }
 
-    def _with(self, *keys: WeatherKey) -> "Weather":
-        return Weather(keys=tuple(sorted(keys, key=_time)), between=self.between)
+    def _with(self, *keys: RainKeyframe) -> "RainKeyframes":
+        return RainKeyframes(keys=tuple(sorted(keys, key=_time)), between=self.between)
 
 
-def _time(key: WeatherKey) -> float:
+def _time(key: RainKeyframe) -> float:
     return key.time_s
 
 
@@ -226,13 +228,13 @@ def _plain(value: Float64[np.ndarray, " k"]) -> float | tuple[float, ...]:
 _PIECES = 16
 """A smooth stretch between two keys is drawn with so many straight pieces: 1/300 of its height off at most."""
 
-_MOST_KNOTS = 200_000
+_MAX_KNOTS = 200_000
 
-WITHOUT_CHANGE = Weather()
+NO_KEYFRAMES = RainKeyframes()
 """Without keys: the rain stays as it is set."""
 
 
-def from_series(times_s: Float64[np.ndarray, " n"], rates_mm_h: Float64[np.ndarray, " n"]) -> Weather:
+def keyframes_from_series(times_s: Float64[np.ndarray, " n"], rates_mm_h: Float64[np.ndarray, " n"]) -> RainKeyframes:
     """Return the weather of a series of rates; what is above 100 mm/h is cut off there.
 
     Raises `ValueError` for times that don't rise, or numbers that are no rain rates.
@@ -240,43 +242,43 @@ def from_series(times_s: Float64[np.ndarray, " n"], rates_mm_h: Float64[np.ndarr
     if not np.all(np.isfinite(rates_mm_h)) or np.any(rates_mm_h < 0):
         raise ValueError("rain rates must be 0 mm/h or more")
     pairs = zip(times_s.tolist(), np.minimum(rates_mm_h, HEAVIEST_MM_H).tolist(), strict=True)
-    return Weather(keys=tuple(WeatherKey(time_s=time, intensity_mm_h=rate) for time, rate in pairs))
+    return RainKeyframes(keys=tuple(RainKeyframe(time_s=time, intensity_mm_h=rate) for time, rate in pairs))
 
 
-def passing_shower(
+def shower_keyframes(
     start_s: float = 0.0, *, duration_s: float = 60.0, peak_mm_h: float = 12.0, steps: int = 6
-) -> Weather:
+) -> RainKeyframes:
     """Return a shower that comes, is heaviest in the middle and goes: R = R_max sin^2(pi t / T)."""
     keys = (
-        WeatherKey(
+        RainKeyframe(
             time_s=start_s + duration_s * k / steps,
             intensity_mm_h=round(peak_mm_h * math.sin(math.pi * k / steps) ** 2, 6),
         )
         for k in range(steps + 1)
     )
-    return Weather(keys=tuple(keys), between="smooth")
+    return RainKeyframes(keys=tuple(keys), between="smooth")
 
 
 # § The rain and the weather that were saved with a scene, as plain values.
 
 logger = logging.getLogger("gsrain")
 
-Saved = TypeVar("Saved", Rain, Weather)
+Saved = TypeVar("Saved", RainSettings, RainKeyframes)
 
 
-def rain_of(scene: Scene) -> Rain | None:
+def rain_of(scene: Scene) -> RainSettings | None:
     """Return the rain that a scene was saved with; None without, or where it can't be used, which is logged."""
-    return _read(scene, "rain", scene.rain, Rain)
+    return _read(scene, "rain", scene.rain, RainSettings)
 
 
-def weather_of(scene: Scene) -> Weather | None:
+def keyframes_of(scene: Scene) -> RainKeyframes | None:
     """Return the weather that a scene was saved with; None without, or where it can't be used, which is logged."""
-    return _read(scene, "weather", scene.weather, Weather)
+    return _read(scene, "weather", scene.weather, RainKeyframes)
 
 
 def _read(scene: Scene, what: str, values: Mapping[str, Any] | None, kind: type[Saved]) -> Saved | None:
     try:
-        return None if values is None else converted(values, kind)
+        return None if values is None else convert_checked(values, kind)
     except msgspec.ValidationError as error:
         logger.error("%s: the scene's %s can't be used: %s", scene.name, what, error)
         return None

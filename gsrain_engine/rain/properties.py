@@ -13,12 +13,12 @@ from jaxtyping import Float, Float64
 from scipy import special
 
 from .calibration import Calibration, atlas_velocity
-from .settings import CALIBRATED_UP_TO_MM_H, Rain
+from .settings import CALIBRATED_UP_TO_MM_H, RainSettings
 
 EXTINCTION_EFFICIENCY = 2.0
 """Q: a drop much larger than the wavelength removes twice its cross-section from a beam (van de Hulst, 1957)."""
 
-_LEAST_MM_H = 1e-3
+_MIN_MM_H = 1e-3
 """Fainter rain has the sizes of this."""
 
 Velocity = Callable[[Float[np.ndarray, "*n"]], Float[np.ndarray, "*n"]]
@@ -70,7 +70,7 @@ class DropSizes:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RainState:
+class RainProperties:
     """The rain at one intensity."""
 
     intensity_mm_h: float
@@ -106,7 +106,7 @@ class RainState:
         return DropSizes(self.shape, self.scale_mm)
 
 
-def fall_speed(rain: Rain, calibration: Calibration) -> Velocity:
+def fall_speed(rain: RainSettings, calibration: Calibration) -> Velocity:
     """Fall speed in m/s over the diameter in mm that this rain uses."""
     return atlas_velocity if rain.velocity == "atlas" else calibration.velocity
 
@@ -116,11 +116,11 @@ def flux_mm_h(density_m3: float, sizes: DropSizes, velocity: Velocity) -> float:
     return 6e-4 * np.pi * density_m3 * sizes.expectation(lambda d: velocity(d) * d**3)
 
 
-def rain_state(rain: Rain, calibration: Calibration) -> RainState:
+def rain_properties(rain: RainSettings, calibration: Calibration) -> RainProperties:
     """Work out the state at an intensity (docs/physics.md, sections 1 and 2)."""
     intensity = rain.intensity_mm_h
     # At R = 0 the sizes stay those of the faintest rain, so that nothing divides by nothing; there are no drops.
-    table_density, sizes = _interpolate_table(calibration, max(intensity, _LEAST_MM_H))
+    table_density, sizes = _interpolate_table(calibration, max(intensity, _MIN_MM_H))
     velocity = fall_speed(rain, calibration)
     if intensity == 0:
         table_density = 0.0
@@ -130,7 +130,7 @@ def rain_state(rain: Rain, calibration: Calibration) -> RainState:
         density, drawn = table_density * intensity / implied, intensity
     square_m2 = 1e-6 * sizes.expectation(lambda d: d**2)
     extinction = rain.haze_gain * np.pi / 4 * EXTINCTION_EFFICIENCY * density * square_m2
-    return RainState(
+    return RainProperties(
         intensity_mm_h=intensity,
         density_m3=density,
         table_density_m3=table_density,
@@ -147,7 +147,7 @@ def rain_state(rain: Rain, calibration: Calibration) -> RainState:
     )
 
 
-def intensity_of(density_m3: float, rain: Rain, calibration: Calibration) -> float:
+def intensity_for_density(density_m3: float, rain: RainSettings, calibration: Calibration) -> float:
     """Intensity in mm/h at which a rain has so many drops a cubic metre, with its closure. 0 for none.
 
     Raises `ValueError` for more than there are at 100 mm/h.
@@ -156,18 +156,18 @@ def intensity_of(density_m3: float, rain: Rain, calibration: Calibration) -> flo
         return 0.0
 
     def surplus(log_intensity: float) -> float:
-        state = rain_state(msgspec.structs.replace(rain, intensity_mm_h=float(np.exp(log_intensity))), calibration)
+        state = rain_properties(msgspec.structs.replace(rain, intensity_mm_h=float(np.exp(log_intensity))), calibration)
         return float(np.log(state.density_m3 / density_m3))
 
-    least, most = float(np.log(_LEAST_MM_H)), float(np.log(100.0))
+    least, most = float(np.log(_MIN_MM_H)), float(np.log(100.0))
     if not density_m3 > 0 or surplus(most) < 0:
         raise ValueError(f"{density_m3:g} drops per m3: must be within 0 and what {calibration.name} has at 100 mm/h")
     if surplus(least) >= 0:
-        return _LEAST_MM_H
+        return _MIN_MM_H
     return float(np.exp(scipy.optimize.root_scalar(surplus, bracket=(least, most), method="brentq").root))
 
 
-def _haze_gaussians(rain: Rain, extinction_per_m: float) -> int:
+def _haze_gaussians(rain: RainSettings, extinction_per_m: float) -> int:
     """M = beta V_f / (2 pi s_h^2 alpha_m): a ray through the region loses what the drops would take from it."""
     if extinction_per_m == 0:
         return 0
@@ -191,7 +191,7 @@ def _interpolate_table(calibration: Calibration, intensity: float) -> tuple[floa
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Curve:
+class _LogCurve:
     """Shape-preserving cubic inside (Fritsch and Carlson, 1980); outside, on with the slope fitted over all points."""
 
     inside: Callable[[float], Any]
@@ -199,7 +199,7 @@ class _Curve:
     slope: float
 
     @classmethod
-    def through(cls, x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]) -> "_Curve":
+    def through(cls, x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]) -> "_LogCurve":
         inside = scipy.interpolate.PchipInterpolator(x, y)
         return cls(inside, (float(x[0]), float(x[-1])), float(np.polyfit(x, y, 1)[0]))
 
@@ -208,22 +208,22 @@ class _Curve:
         return float(self.inside(inside)) + self.slope * (at - inside)
 
 
-class _Table(NamedTuple):
+class _CalibrationCurves(NamedTuple):
     """A calibration's rows as curves over ln R."""
 
-    log_density: _Curve
-    log_mean: _Curve
-    shape: _Curve
+    log_density: _LogCurve
+    log_mean: _LogCurve
+    shape: _LogCurve
 
 
 @lru_cache(maxsize=8)
-def _table(calibration: Calibration) -> _Table:
+def _table(calibration: Calibration) -> _CalibrationCurves:
     rows = calibration.rows
     log_r = np.log([row.intensity_mm_h for row in rows])
-    return _Table(
-        _Curve.through(log_r, np.log([row.density_m3 for row in rows])),
-        _Curve.through(log_r, np.log([row.shape * row.scale_mm for row in rows])),
-        _Curve.through(log_r, np.array([row.shape for row in rows])),
+    return _CalibrationCurves(
+        _LogCurve.through(log_r, np.log([row.density_m3 for row in rows])),
+        _LogCurve.through(log_r, np.log([row.shape * row.scale_mm for row in rows])),
+        _LogCurve.through(log_r, np.array([row.shape for row in rows])),
     )
 
 
@@ -258,12 +258,12 @@ _RATIO = 1.2
 the paper's rows at 8.5 and 12 mm/h, whose laws differ most, the median class by 0.4 % and the smallest drops by 3 %.
 """
 
-_KEPT = 96
+_CACHED_TABLES = 96
 """Nodes that are kept, 256 kB each; from 0.02 to 100 mm/h are 48."""
 
 
 @dataclass(frozen=True, eq=False)
-class ClassTable:
+class DropClassTable:
     """Classes at some intensities; what lies between two of them is a mean of both."""
 
     nodes_mm_h: Float64[np.ndarray, " nodes"]
@@ -272,7 +272,9 @@ class ClassTable:
     fall_speed_m_s: tuple[Float64[np.ndarray, " classes"], ...]
 
     @classmethod
-    def between(cls, lowest_mm_h: float, highest_mm_h: float, rain: Rain, calibration: Calibration) -> "ClassTable":
+    def between(
+        cls, lowest_mm_h: float, highest_mm_h: float, rain: RainSettings, calibration: Calibration
+    ) -> "DropClassTable":
         """Tabulate a range of intensities; one alone is exact."""
         if lowest_mm_h == highest_mm_h:
             nodes = np.array([lowest_mm_h])
@@ -284,7 +286,7 @@ class ClassTable:
             rows = np.array([row.intensity_mm_h for row in calibration.rows])
             low = [0.0] if lowest_mm_h < LOWEST_MM_H else []
             nodes = np.unique(np.concatenate([low, grid, rows[(rows > grid[0]) & (rows < grid[-1])]]))
-        laws = msgspec.structs.replace(Rain(), velocity=rain.velocity)
+        laws = msgspec.structs.replace(RainSettings(), velocity=rain.velocity)
         rates = np.maximum(nodes, LOWEST_MM_H).tolist()
         diameters, speeds = zip(*(_classes_at(rate, laws, calibration) for rate in rates), strict=True)
         return cls(nodes, diameters, speeds)
@@ -338,12 +340,12 @@ def _steps(intensity_mm_h: float) -> float:
     return float(np.log(max(intensity_mm_h, LOWEST_MM_H) / LOWEST_MM_H) / np.log(_RATIO))
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=_CACHED_TABLES)
 def _classes_at(
-    intensity_mm_h: float, laws: Rain, calibration: Calibration
+    intensity_mm_h: float, laws: RainSettings, calibration: Calibration
 ) -> tuple[Float64[np.ndarray, " classes"], Float64[np.ndarray, " classes"]]:
     rain = msgspec.structs.replace(laws, intensity_mm_h=intensity_mm_h)
-    diameters = rain_state(rain, calibration).sizes.class_diameters_mm
+    diameters = rain_properties(rain, calibration).sizes.class_diameters_mm
     return diameters, fall_speed(rain, calibration)(diameters)
 
 
@@ -370,7 +372,7 @@ class CalibrationCurves:
 @cache
 def calibration_curves(calibration: Calibration) -> CalibrationCurves:
     """Evaluate a calibration from 0.1 to 100 mm/h and from 0.1 to 8 mm."""
-    states = [rain_state(Rain(intensity_mm_h=float(each)), calibration) for each in _INTENSITIES_MM_H]
+    states = [rain_properties(RainSettings(intensity_mm_h=float(each)), calibration) for each in _INTENSITIES_MM_H]
     return CalibrationCurves(
         intensities_mm_h=_INTENSITIES_MM_H,
         density_m3=np.array([each.table_density_m3 for each in states]),
@@ -384,5 +386,5 @@ def calibration_curves(calibration: Calibration) -> CalibrationCurves:
 @cache
 def spectrum_at(calibration: Calibration, intensity_mm_h: float) -> Float64[np.ndarray, " d"]:
     """N(D) in 1/(m^3 mm) at the curves' diameters, of the table's own density."""
-    state = rain_state(Rain(intensity_mm_h=intensity_mm_h), calibration)
+    state = rain_properties(RainSettings(intensity_mm_h=intensity_mm_h), calibration)
     return state.table_density_m3 * state.sizes.probability_per_mm(_DIAMETERS_MM)

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from ..presets import load_config, shipped_names
+from ..presets import load_config, shipped_config_names
 from .calibration import calibration_names
 
 Vector = tuple[float, float, float]
@@ -14,7 +14,7 @@ CALIBRATED_UP_TO_MM_H = 13.0
 """Above this the published calibration is an extrapolation, and everything that shows R says so."""
 
 
-class Box(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class RegionBox(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """An axis-aligned box in the anchor's frame (x forward, y left, z up, origin 1.5 m above the road), in metres."""
 
     minimum_m: Vector
@@ -42,12 +42,12 @@ class Box(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         return x * y * z
 
 
-STREAK_REGION = Box(minimum_m=(-1.0, -3.0, -1.5), maximum_m=(5.0, 3.0, 4.5))
+STREAK_REGION = RegionBox(minimum_m=(-1.0, -3.0, -1.5), maximum_m=(5.0, 3.0, 4.5))
 
-HAZE_REGION = Box(minimum_m=(-10.0, -10.0, -1.5), maximum_m=(60.0, 10.0, 20.5))
+HAZE_REGION = RegionBox(minimum_m=(-10.0, -10.0, -1.5), maximum_m=(60.0, 10.0, 20.5))
 
 
-class Rain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Everything that rain depends on. The defaults are physical; docs/physics.md gives the reason for each."""
 
     intensity_mm_h: Annotated[
@@ -75,10 +75,12 @@ class Rain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     roofs: Annotated[
         bool, Meta(title="Roofs", description="Keep rain from under bridges, canopies and trees; looks for them once.")
     ] = False
-    streak_region: Annotated[Box, Meta(title="Streak region", description="Where drops are simulated one by one.")] = (
-        STREAK_REGION
+    streak_region: Annotated[
+        RegionBox, Meta(title="Streak region", description="Where drops are simulated one by one.")
+    ] = STREAK_REGION
+    haze_region: Annotated[RegionBox, Meta(title="Haze region", description="Where drops are haze Gaussians.")] = (
+        HAZE_REGION
     )
-    haze_region: Annotated[Box, Meta(title="Haze region", description="Where drops are haze Gaussians.")] = HAZE_REGION
 
     wind_m_s: Annotated[
         tuple[float, float],
@@ -232,7 +234,7 @@ class Rain(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
             raise ValueError(f"drop_color must be within 0..1 a channel, got {self.drop_color}")
 
     @property
-    def without_rain(self) -> "Rain":
+    def without_rain(self) -> "RainSettings":
         """The same at 0 mm/h and dry: what a clear picture beside a rainy one shows."""
         return msgspec.structs.replace(self, intensity_mm_h=0.0, wetness=None)
 
@@ -252,14 +254,14 @@ _ORDER = ("clear", "1.2", "8.5", "12.0", "paper")
 
 def preset_names() -> list[str]:
     """Names of the shipped presets, weakest first."""
-    names = shipped_names(_FOLDER)
+    names = shipped_config_names(_FOLDER)
     return [name for name in _ORDER if name in names] + [name for name in names if name not in _ORDER]
 
 
-def load_preset(name: str) -> Rain:
+def load_preset(name: str) -> RainSettings:
     """Load a shipped preset by name, or a preset file by path.
 
     A calibration file that it names is looked for in its own folder first. Raises `ValueError` with the file, the field
     and the allowed range.
     """
-    return load_config(_FOLDER, name, Rain, "preset", ("calibration",), calibration_names())
+    return load_config(_FOLDER, name, RainSettings, "preset", ("calibration",), calibration_names())

@@ -8,10 +8,10 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float32, Float64, Int32
 
-from ..scene.flags import Mask
+from ..scene.flags import BitMask
 from ..scene.gaussians import Gaussians, scene_cache
 from ..scene.geometry import matrices_from_quaternions
-from ..scene.scene import Layer, Part, Scene, robust_bounds
+from ..scene.scene import DrawItem, Layer, Scene, robust_bounds
 
 CELL_M = 0.5
 """Edge of a cell: about the distance between the Gaussians of a captured surface, and less than any canopy."""
@@ -22,10 +22,10 @@ CLEARANCE_M = 2.0
 _SOLID = np.log(2)
 """Optical depth, seen from above, at which a surface counts: floaters alone don't reach it."""
 
-_MOST_CELLS = 2048
+_MAX_CELLS = 2048
 """On a side; of a larger scene, the middle."""
 
-_MOST_GAUSSIANS = 1_000_000
+_MAX_GAUSSIANS = 1_000_000
 """Of more than these every so manieth is taken, for as many as it stands for."""
 
 _CHUNK = 1 << 16
@@ -34,7 +34,7 @@ _DRAWS = np.random.default_rng(0).standard_normal((64, 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Roofs:
+class ShelterMap:
     """Heights of roofs over the world's x and y. World frame, metres, z up."""
 
     heights_m: Float32[np.ndarray, "rows columns"]
@@ -52,7 +52,7 @@ class Roofs:
         sheltered[inside] = positions_m[inside, 2] < self.heights_m[row[inside], column[inside]]
         return sheltered
 
-    def around(self, x_m: float, y_m: float, reach_m: float) -> "Roofs | None":
+    def around(self, x_m: float, y_m: float, reach_m: float) -> "ShelterMap | None":
         """Return the piece that covers a circle; None where all of it is in the open."""
         low = np.floor((np.array([x_m, y_m]) - reach_m - self.corner_m) / self.cell_m).astype(int)
         high = np.ceil((np.array([x_m, y_m]) + reach_m - self.corner_m) / self.cell_m).astype(int)
@@ -61,16 +61,16 @@ class Roofs:
         if not np.any(np.isfinite(piece)):
             return None
         corner = np.array(self.corner_m) + low * self.cell_m
-        return Roofs(np.ascontiguousarray(piece), (float(corner[0]), float(corner[1])), self.cell_m)
+        return ShelterMap(np.ascontiguousarray(piece), (float(corner[0]), float(corner[1])), self.cell_m)
 
 
-class _Grid(NamedTuple):
+class _HeightGrid(NamedTuple):
     corner_m: Float64[np.ndarray, "2"]
     columns: int
     rows: int
 
 
-class _Points(NamedTuple):
+class _GaussianPieces(NamedTuple):
     """Pieces of Gaussians."""
 
     cells: Int32[np.ndarray, " n"]
@@ -79,16 +79,16 @@ class _Points(NamedTuple):
     """Optical depth that a piece adds to its cell, seen from above."""
 
 
-class _Solid(NamedTuple):
+class _SolidLayer(NamedTuple):
     """What of a layer roofs are found in: a selection, a grading or a name change nothing about them."""
 
     gaussians: Gaussians
     to_world: bytes
-    left_out: Mask | None
+    left_out: BitMask | None
     opacity: float
 
 
-def roofs_of(scene: Scene) -> Roofs | None:
+def shelter_map_of(scene: Scene) -> ShelterMap | None:
     """Find the roofs of what stands still and can be seen in a scene, sky apart; None where there are none.
 
     Those of the last two scenes are kept: a split view shows as many.
@@ -98,22 +98,22 @@ def roofs_of(scene: Scene) -> Roofs | None:
     return _roofs_of_solids(tuple(map(_solid, layers, ways)))
 
 
-def _solid(layer: Layer, to_world: bytes) -> _Solid:
-    return _Solid(layer.gaussians, to_world, layer.marks.left_out, layer.opacity)
+def _solid(layer: Layer, to_world: bytes) -> _SolidLayer:
+    return _SolidLayer(layer.gaussians, to_world, layer.marks.left_out, layer.opacity)
 
 
 @scene_cache(maxsize=2)
-def _roofs_of_solids(solids: tuple[_Solid, ...]) -> Roofs | None:
+def _roofs_of_solids(solids: tuple[_SolidLayer, ...]) -> ShelterMap | None:
     ways = [np.frombuffer(each.to_world).reshape(4, 4) for each in solids]
-    return find_roofs(
+    return build_shelter_map(
         [
-            Part(each.gaussians, way, left_out=each.left_out, opacity=each.opacity)
+            DrawItem(each.gaussians, way, left_out=each.left_out, opacity=each.opacity)
             for each, way in zip(solids, ways, strict=True)
         ]
     )
 
 
-def find_roofs(parts: Sequence[Part]) -> Roofs | None:
+def build_shelter_map(parts: Sequence[DrawItem]) -> ShelterMap | None:
     """Find roofs among Gaussians; None where there are none.
 
     From above, the optical depth of the Gaussians is added up in each cell. Where it reaches ln 2 is the highest
@@ -127,33 +127,33 @@ def find_roofs(parts: Sequence[Part]) -> Roofs | None:
     grid = _grid(parts)
     pieces = [points for part in parts for points in _points(part, grid)]
     cells, heights, depths = (np.concatenate(column) for column in zip(*pieces, strict=True))
-    highest = _roof_candidates(_Points(cells, heights, depths), grid)
+    highest = _roof_candidates(_GaussianPieces(cells, heights, depths), grid)
     core = scipy.ndimage.rank_filter(highest, rank=2, size=3, mode="constant", cval=-np.inf)
     neighbour = scipy.ndimage.maximum_filter(core, size=3, mode="constant", cval=-np.inf)
     roofs = np.maximum(core, np.minimum(highest, neighbour))
     if not np.any(np.isfinite(roofs)):
         return None
-    return Roofs(roofs, (float(grid.corner_m[0]), float(grid.corner_m[1])))
+    return ShelterMap(roofs, (float(grid.corner_m[0]), float(grid.corner_m[1])))
 
 
-def _grid(parts: Sequence[Part]) -> _Grid:
+def _grid(parts: Sequence[DrawItem]) -> _HeightGrid:
     """Cells over where most Gaussians are."""
     boxes = [robust_bounds(part.gaussians, share=0.999) for part in parts]
     corners = np.concatenate([_corners(np.stack(box)) @ p.to_world[:3, :3].T + p.to_world[:3, 3]
                               for box, p in zip(boxes, parts, strict=True)])[:, :2]  # fmt: skip
     low, high = corners.min(axis=0) - CELL_M, corners.max(axis=0) + CELL_M
-    size = np.minimum(np.ceil((high - low) / CELL_M), _MOST_CELLS).astype(int)
-    return _Grid((low + high) / 2 - size * CELL_M / 2, int(size[0]), int(size[1]))
+    size = np.minimum(np.ceil((high - low) / CELL_M), _MAX_CELLS).astype(int)
+    return _HeightGrid((low + high) / 2 - size * CELL_M / 2, int(size[0]), int(size[1]))
 
 
 def _corners(box: Float64[np.ndarray, "2 3"]) -> Float64[np.ndarray, "8 3"]:
     return np.stack([each.ravel() for each in np.meshgrid(*box.T)], axis=1)
 
 
-def _points(part: Part, grid: _Grid) -> Iterator[_Points]:
+def _points(part: DrawItem, grid: _HeightGrid) -> Iterator[_GaussianPieces]:
     """Take Gaussians apart into points: small ones into one, large ones into many that are strewn like them."""
     g, to_world = part.gaussians, part.to_world
-    step = -(-len(g) // _MOST_GAUSSIANS)
+    step = -(-len(g) // _MAX_GAUSSIANS)
     for first in range(0, len(g), _CHUNK * step):
         chunk = g.take(slice(first, first + _CHUNK * step, step))
         means, axes = _in_world(chunk, to_world)
@@ -177,14 +177,16 @@ def _in_world(
     return gaussians.means @ to_world[:3, :3].T + to_world[:3, 3], axes
 
 
-def _in_cells(places_m: Float64[np.ndarray, "n 3"], depths: Float64[np.ndarray, " n"], grid: _Grid) -> _Points:
-    column, row = np.clip(np.floor((places_m[:, :2] - grid.corner_m) / CELL_M), -1, _MOST_CELLS).astype(np.int64).T
+def _in_cells(
+    places_m: Float64[np.ndarray, "n 3"], depths: Float64[np.ndarray, " n"], grid: _HeightGrid
+) -> _GaussianPieces:
+    column, row = np.clip(np.floor((places_m[:, :2] - grid.corner_m) / CELL_M), -1, _MAX_CELLS).astype(np.int64).T
     inside = (column >= 0) & (column < grid.columns) & (row >= 0) & (row < grid.rows)
     cells = (row[inside] * grid.columns + column[inside]).astype(np.int32)
-    return _Points(cells, places_m[inside, 2].astype(np.float32), depths[inside].astype(np.float32))
+    return _GaussianPieces(cells, places_m[inside, 2].astype(np.float32), depths[inside].astype(np.float32))
 
 
-def _roof_candidates(points: _Points, grid: _Grid) -> Float32[np.ndarray, "rows columns"]:
+def _roof_candidates(points: _GaussianPieces, grid: _HeightGrid) -> Float32[np.ndarray, "rows columns"]:
     """Height of the highest solid surface of each cell that has room below it; -inf elsewhere."""
     order = np.lexsort((-points.heights_m, points.cells))
     cells, heights, depths = (column[order] for column in points)

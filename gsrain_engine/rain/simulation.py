@@ -11,22 +11,22 @@ from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians, sh_from_color
 from ..scene.geometry import linear_to_srgb, srgb_to_linear
 from .calibration import Calibration, load_calibration
-from .drop_field import Culling, offsets_of
-from .drop_motion import DropMotion, RainCourse, Wind
+from .drop_field import DropCulling, drop_phases_of_motion
+from .drop_motion import DropMotion, KeyframedDropMotion, Wind
 from .haze import Haze, make_haze
-from .keyframes import WITHOUT_CHANGE, Weather
-from .properties import RainState, fall_speed, rain_state
-from .settings import Rain
-from .shelter_map import Roofs
-from .streaks import STREAK_REACH, Shutter, StreakField, circle_of_confusion_m, visible_distance_m
-from .wetness import WetnessCourse, wetness
+from .keyframes import NO_KEYFRAMES, RainKeyframes
+from .properties import RainProperties, fall_speed, rain_properties
+from .settings import RainSettings
+from .shelter_map import ShelterMap
+from .streaks import STREAK_REACH, DropBatch, ShutterModel, circle_of_confusion_m, visible_distance_m
+from .wetness import WetnessCurve, wetness
 
 OVERCAST: tuple[float, float, float] = (0.78, 0.79, 0.80)
 """Display colour of drops where a scene shows no sky to take it from."""
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class RainCamera:
     """From where, and how, rain is looked at. World frame, metres."""
 
     camera: Camera
@@ -36,7 +36,7 @@ class View:
     """Of the camera."""
     focal_px: float | None = None
     """Focal length of the output image; none takes the camera's own."""
-    roofs: Roofs | None = None
+    roofs: ShelterMap | None = None
     """Where rain does not reach; none is open everywhere."""
     exposure_share: float = 1.0
     """Of the shutter time, for one of several sub-frames that share it."""
@@ -46,14 +46,14 @@ class View:
 
 
 @dataclass(frozen=True, eq=False)
-class FallingRain:
+class RainFrame:
     """Drops and haze in the world (metres, z up), to be sorted and composited among the scene's own Gaussians.
 
     Renderers draw them with the dilation's compensation and down to an alpha of 1/65536. A GPU makes the streaks itself
     from `streak_field`; whoever can't takes `gaussians`.
     """
 
-    streak_field: StreakField | None
+    streak_field: DropBatch | None
     haze: Haze | None
     haze_sigma_m: float
     color: Float64[np.ndarray, "3"]
@@ -100,66 +100,68 @@ class FallingRain:
 
 
 @dataclass(frozen=True, eq=False)
-class Rainfall:
+class RainSimulation:
     """One rain with everything that is worked out once for it. A value: `changed` makes the next one.
 
     Under a weather rain, state, sizes and speeds are those of the time: `moment` has them, and what is asked about a
     time goes by it.
     """
 
-    rain: Rain
+    rain: RainSettings
     calibration: Calibration
-    state: RainState
+    state: RainProperties
     """Of the rain as it is without a weather; see `state_at`."""
     diameters_mm: Float64[np.ndarray, " classes"]
     motion: DropMotion
-    weather: Weather = WITHOUT_CHANGE
-    _course: RainCourse | None = None
-    _moments: "dict[float, Rainfall]" = field(default_factory=dict, init=False)
+    weather: RainKeyframes = NO_KEYFRAMES
+    _course: KeyframedDropMotion | None = None
+    _moments: "dict[float, RainSimulation]" = field(default_factory=dict, init=False)
     """The one that was asked for last."""
 
     @classmethod
-    def start(cls, rain: Rain, calibration: Calibration | None = None, weather: Weather | None = None) -> "Rainfall":
+    def start(
+        cls, rain: RainSettings, calibration: Calibration | None = None, weather: RainKeyframes | None = None
+    ) -> "RainSimulation":
         """Begin a rain whose drops are a function of (seed, t) alone."""
         calibration = calibration or load_calibration(rain.calibration)
-        weather = weather or WITHOUT_CHANGE
-        course = RainCourse.of(rain, weather, calibration) if weather.keys else None
-        state = rain_state(rain, calibration)
+        weather = weather or NO_KEYFRAMES
+        course = KeyframedDropMotion.of(rain, weather, calibration) if weather.keys else None
+        state = rain_properties(rain, calibration)
         diameters = state.sizes.class_diameters_mm
         motion = DropMotion(_wind(rain), fall_speed(rain, calibration)(diameters))
         return cls(rain, calibration, state, diameters, motion, weather, course)
 
-    def changed(self, rain: Rain, time_s: float, weather: Weather | None = None) -> "Rainfall":
+    def changed(self, rain: RainSettings, time_s: float, weather: RainKeyframes | None = None) -> "RainSimulation":
         """Change the rain while it falls, and its weather if one is given: drops go on from where they are."""
         calibration = self.calibration
         if rain.calibration != self.rain.calibration:
             calibration = load_calibration(rain.calibration)
-        weather, now = self.weather if weather is None else weather, self.moment(time_s)
-        state = rain_state(rain, calibration)
+        weather, now = self.weather if weather is None else weather, self.frozen_at(time_s)
+        state = rain_properties(rain, calibration)
         diameters = state.sizes.class_diameters_mm
         motion = now.motion.changed(time_s, _wind(rain), fall_speed(rain, calibration)(diameters))
         course = None
         if weather.keys:
             same = weather is self.weather and _what_moves(rain) == _what_moves(self.rain)
-            course = self._course if same else RainCourse.of(rain, weather, calibration).going_on_from(motion)
-        return Rainfall(rain, calibration, state, diameters, motion, weather, course)
+            course = self._course if same else KeyframedDropMotion.of(rain, weather, calibration).going_on_from(motion)
+        return RainSimulation(rain, calibration, state, diameters, motion, weather, course)
 
-    def moment(self, time_s: float) -> "Rainfall":
+    def frozen_at(self, time_s: float) -> "RainSimulation":
         """Return the rain as it falls at a time, without a weather; it is right for that time alone."""
         if self._course is None:
             return self
         now = self._moments.get(time_s)
         if now is None:
             rain, course = self.weather.rain_at(self.rain, time_s), self._course
-            state = rain_state(rain, self.calibration)
-            now = Rainfall(rain, self.calibration, state, course.diameters_mm(time_s), course.motion(time_s))
+            state = rain_properties(rain, self.calibration)
+            now = RainSimulation(rain, self.calibration, state, course.diameters_mm(time_s), course.motion(time_s))
             self._moments.clear()
             self._moments[time_s] = now
         return now
 
-    def state_at(self, time_s: float) -> RainState:
+    def state_at(self, time_s: float) -> RainProperties:
         """Numbers of the rain at a time."""
-        return self.moment(time_s).state
+        return self.frozen_at(time_s).state
 
     def wetness_at(self, time_s: float) -> float:
         """Share of the soaked colours at a time, 0..1: what a person has set, else what follows from the intensity."""
@@ -172,24 +174,24 @@ class Rainfall:
         return wetness(self.rain.intensity_mm_h)
 
     @cached_property
-    def _wetness(self) -> WetnessCourse | None:
+    def _wetness(self) -> WetnessCurve | None:
         intensity = self.weather.curves.get("intensity_mm_h")
-        return None if intensity is None else WetnessCourse(intensity, self.rain.drying_s)
+        return None if intensity is None else WetnessCurve(intensity, self.rain.drying_s)
 
     @property
     def can_rain(self) -> bool:
         """Whether it rains at any time."""
         return self.weather.heaviest_mm_h(self.rain) > 0
 
-    def at(self, time_s: float, view: View, sky: tuple[float, float, float] = OVERCAST) -> FallingRain | None:
+    def at(self, time_s: float, view: RainCamera, sky: tuple[float, float, float] = OVERCAST) -> RainFrame | None:
         """Return the rain of a moment; None at 0 mm/h. `sky` is the display colour of the scene's sky."""
         if self._course is not None:
-            return self.moment(time_s).at(time_s, view, sky)
+            return self.frozen_at(time_s).at(time_s, view, sky)
         rain = self.rain
         if self.state.intensity_mm_h == 0:
             return None
         color = np.array(rain.drop_color or sky)
-        return FallingRain(
+        return RainFrame(
             streak_field=self.streak_field(time_s, view) if rain.streaks else None,
             haze=self._haze(time_s, view) if rain.haze else None,
             haze_sigma_m=rain.haze_sigma_m,
@@ -198,16 +200,16 @@ class Rainfall:
             mixing=rain.rain_light,
         )
 
-    def drops_in_region(self, time_s: float, view: View) -> int:
+    def drops_in_region(self, time_s: float, view: RainCamera) -> int:
         """Count the drops that are in the streak region at a moment, seen or not."""
         return self.streak_field(time_s, view).drops_in_region()
 
-    def exposure_s(self, view: View) -> float:
+    def exposure_s(self, view: RainCamera) -> float:
         """Shutter time: the rain's own, else the camera's."""
         whole = self.rain.exposure_s if self.rain.exposure_s is not None else view.camera.exposure_s
         return whole * view.exposure_share
 
-    def _haze(self, time_s: float, view: View) -> Haze:
+    def _haze(self, time_s: float, view: RainCamera) -> Haze:
         count, anchor = self.state.haze_gaussians, view.anchor_to_world
         haze = make_haze(self.rain, count, time_s, anchor, view.camera.position)
         return haze if view.roofs is None else haze.outside(view.roofs)
@@ -219,24 +221,24 @@ class Rainfall:
         at_ends = [circle_of_confusion_m(depth, self.rain) for depth in (0 * far_m, np.minimum(far_m, farthest_m))]
         return 5 / 4 * np.maximum(*at_ends)
 
-    def _focal(self, view: View) -> float:
+    def _focal(self, view: RainCamera) -> float:
         return view.focal_px or float(np.sqrt(view.camera.fx * view.camera.fy))
 
-    def streak_field(self, time_s: float, view: View) -> StreakField:
+    def streak_field(self, time_s: float, view: RainCamera) -> DropBatch:
         """Place the cell of drops around a view at a moment."""
         if self._course is not None:
-            return self.moment(time_s).streak_field(time_s, view)
+            return self.frozen_at(time_s).streak_field(time_s, view)
         region, turn = self.rain.streak_region, view.anchor_to_world[:3, :3]
         size = np.array(region.size_m)
         center = turn @ np.array(region.center_m) + view.anchor_to_world[:3, 3]
         if self.rain.streak_reset == "paper":
             # The region itself is the cell: drops stay in the ego's frame, fall straight, re-enter at the top.
             period, axes = size, turn
-            where = offsets_of(self.motion.without_drift(), time_s, np.zeros(3), period)
+            where = drop_phases_of_motion(self.motion.without_drift(), time_s, np.zeros(3), period)
         else:
             # World axes; a horizontal period of the region's diagonal covers the region at any yaw.
             period, axes = np.array([*np.full(2, np.hypot(size[0], size[1])), size[2]]), np.eye(3)
-            where = offsets_of(self.motion, time_s, center, period)
+            where = drop_phases_of_motion(self.motion, time_s, center, period)
         camera = view.camera
         slopes = np.array(
             [
@@ -254,7 +256,7 @@ class Rainfall:
         eye = view.velocity_m_s if self.rain.streak_frame == "camera" else np.zeros(3)
         speeds = np.sqrt(float(np.sum((wind - eye[:2]) ** 2)) + (fall + eye[2]) ** 2)
         farthest = float(np.linalg.norm(camera.position - center) + np.linalg.norm(size) / 2)
-        culling = Culling(
+        culling = DropCulling(
             region_rotation=np.ascontiguousarray(turn[:2, :2].T @ axes[:2, :2]),
             region_half=size / 2,
             camera_position=axes.T @ (camera.position - center),
@@ -263,7 +265,7 @@ class Rainfall:
             class_margin_m=STREAK_REACH * self.exposure_s(view) * speeds + 0.02 + self._blur_reach(far, farthest),
             class_far_m=far,
         )
-        return StreakField(
+        return DropBatch(
             rain=self.rain,
             count=round(self.state.density_m3 * float(np.prod(period))),
             where=where,
@@ -274,32 +276,32 @@ class Rainfall:
             diameters_mm=self.diameters_mm,
             wind_m_s=wind,
             fall_speed_m_s=fall,
-            shutter=Shutter(camera, view.velocity_m_s, self.exposure_s(view), self._focal(view)),
+            shutter=ShutterModel(camera, view.velocity_m_s, self.exposure_s(view), self._focal(view)),
             roofs=_roofs_over(view.roofs, center, period),
         )
 
 
 def _roofs_over(
-    roofs: Roofs | None, center_m: Float64[np.ndarray, "3"], size_m: Float64[np.ndarray, "3"]
-) -> Roofs | None:
+    roofs: ShelterMap | None, center_m: Float64[np.ndarray, "3"], size_m: Float64[np.ndarray, "3"]
+) -> ShelterMap | None:
     if roofs is None:
         return None
     return roofs.around(float(center_m[0]), float(center_m[1]), float(np.hypot(size_m[0], size_m[1])) / 2)
 
 
-def _wind(rain: Rain) -> Wind:
+def _wind(rain: RainSettings) -> Wind:
     if rain.streak_reset == "paper":  # its drops fall straight down
         return Wind()
     return Wind(rain.wind_m_s, rain.gust_m_s, rain.seed)
 
 
-def _what_moves(rain: Rain) -> tuple[object, ...]:
+def _what_moves(rain: RainSettings) -> tuple[object, ...]:
     """Fields on which the fall and the drift of drops under a weather depend."""
     moving = rain.intensity_mm_h, rain.wind_m_s, rain.gust_m_s, rain.seed
     return (*moving, rain.velocity, rain.calibration, rain.streak_reset)
 
 
-def mean_sky(colors: Float64[np.ndarray, "n 3"]) -> tuple[float, float, float]:
+def mean_linear_color(colors: Float64[np.ndarray, "n 3"]) -> tuple[float, float, float]:
     """Mean in linear light of the sky's display colours (paper, eq. 3), as a display colour."""
     red, green, blue = linear_to_srgb(srgb_to_linear(colors).mean(axis=0))
     return float(red), float(green), float(blue)

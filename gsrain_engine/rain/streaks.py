@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
 from ..scene.camera import Camera
-from .drop_field import Culling, Drops, Offsets, count_in_region, find_drops, find_in_region
-from .settings import Rain
-from .shelter_map import Roofs
+from .drop_field import DropCulling, DropPhases, Drops, count_in_region, find_in_region, visible_drops
+from .settings import RainSettings
+from .shelter_map import ShelterMap
 
 AXIS_RATIO_SLOPE, AXIS_RATIO_OFFSET = -0.07, 1.07
 """tau(D) = k D + b for 1 mm < D < 9 mm (paper, eq. 4)."""
@@ -20,7 +20,7 @@ STREAK_REACH = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Streaks:
+class StreakGaussians:
     """Streak Gaussians in the world: everything but their colour."""
 
     means: Float32[np.ndarray, "n 3"]
@@ -30,7 +30,7 @@ class Streaks:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shutter:
+class ShutterModel:
     """The camera as a streak sees it."""
 
     camera: Camera
@@ -45,7 +45,7 @@ def visible_distance_m(diameter_mm: Float64[np.ndarray, " n"], focal_px: float) 
     return focal_px * diameter_mm * 1e-3
 
 
-def circle_of_confusion_m(depth_m: Float64[np.ndarray, " n"], rain: Rain) -> Float64[np.ndarray, " n"]:
+def circle_of_confusion_m(depth_m: Float64[np.ndarray, " n"], rain: RainSettings) -> Float64[np.ndarray, " n"]:
     """Diameter at the drop of what a thin lens spreads a point over: A |1 - d / d_focus|.
 
     In the image it is c = f A |1/d - 1/d_focus| px, with f in px and A the aperture's diameter in metres.
@@ -57,31 +57,31 @@ def circle_of_confusion_m(depth_m: Float64[np.ndarray, " n"], rain: Rain) -> Flo
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StreakField:
+class DropBatch:
     """A periodic cell of drops, and the shutter through which they are seen. World frame, metres."""
 
-    rain: Rain
+    rain: RainSettings
     count: int
     """Drops with numbers below this exist."""
-    where: Offsets
+    where: DropPhases
     period_m: Float64[np.ndarray, "3"]
     """Edges of the cell."""
     axes: Float64[np.ndarray, "3 3"]
     """Cell to world, a rotation."""
     center_m: Float64[np.ndarray, "3"]
     """Centre of the cell, and of the streak region, in the world."""
-    culling: Culling
+    culling: DropCulling
     diameters_mm: Float64[np.ndarray, " classes"]
     wind_m_s: Float64[np.ndarray, "2"]
     """Along world x and y."""
     fall_speed_m_s: Float64[np.ndarray, " classes"]
-    shutter: Shutter
-    roofs: Roofs | None = None
+    shutter: ShutterModel
+    roofs: ShelterMap | None = None
     """Those over the cell; none where it is in the open."""
 
     def drops(self) -> Drops:
         """Drops that the camera may see."""
-        return self._in_the_open(find_drops(self.count, self.rain.seed, self.where, self.period_m, self.culling))
+        return self._in_the_open(visible_drops(self.count, self.rain.seed, self.where, self.period_m, self.culling))
 
     def region_drops(self) -> Drops:
         """Drops in the streak region, seen or not: what other sensors than the camera meet."""
@@ -101,10 +101,10 @@ class StreakField:
         """Positions in the world."""
         return drops.positions(self.period_m) @ self.axes.T + self.center_m
 
-    def streaks(self, drops: Drops) -> Streaks:
+    def streaks(self, drops: Drops) -> StreakGaussians:
         """Turn drops into streak Gaussians in the world."""
         c = drops.class_index
-        return make_visible_streaks(
+        return streak_gaussians(
             self.positions(drops), self.diameters_mm[c], self.velocities(c), self.shutter, self.rain
         )
 
@@ -116,7 +116,7 @@ class StreakField:
         return velocities
 
     @property
-    def most_drops(self) -> int:
+    def max_drops(self) -> int:
         """More drops than the camera can see but by a chance of one in millions: room to reserve for them."""
         left, right, top, bottom = np.abs(self.culling.slopes)
         wide, high, far, margin = left + right, top + bottom, self.culling.class_far_m, self.culling.class_margin_m
@@ -131,13 +131,13 @@ _REACH = 4.8
 """Standard deviations at which even alpha 1 has fallen below a streak's cut of 1/65536 (exp(-4.8^2 / 2))."""
 
 
-def make_visible_streaks(
+def streak_gaussians(
     positions_m: Float64[np.ndarray, "m 3"],
     diameters_mm: Float64[np.ndarray, " m"],
     velocities_m_s: Float64[np.ndarray, "m 3"],
-    shutter: Shutter,
-    rain: Rain,
-) -> Streaks:
+    shutter: ShutterModel,
+    rain: RainSettings,
+) -> StreakGaussians:
     """Turn drops into one to n_max Gaussians each along their path through the picture; leave out what no pixel shows.
 
     Opacity: eq. 5 with the speed across the line of sight (`world`: V itself, the paper's form), times eq. 7's
@@ -163,7 +163,7 @@ def make_visible_streaks(
     )  # fmt: skip
     rows = rows[np.flatnonzero(kept)]
     means, scales, quaternions = (np.ascontiguousarray(rows[:, a:b]) for a, b in ((0, 3), (3, 6), (6, 10)))
-    return Streaks(means, scales, quaternions, rows[:, 10].copy())
+    return StreakGaussians(means, scales, quaternions, rows[:, 10].copy())
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")

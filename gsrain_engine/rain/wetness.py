@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float64
 
-from .keyframes import WeatherCurve
+from .keyframes import KeyframeCurve
 
 DRAINAGE_LENGTH_M = 5.0
 """How far water runs over the road before a place: from the crown to the middle of the outer lane."""
@@ -47,14 +47,14 @@ def wetness(intensity_mm_h: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class WetnessCourse:
+class WetnessCurve:
     """Wetness under an intensity that changes over time, as a function of the time alone.
 
     A surface gets wet at once and dries with a time constant: w(t) is the largest w(R(s)) exp(-(t - s) / drying) of all
     moments s up to t.
     """
 
-    intensity: WeatherCurve
+    intensity: KeyframeCurve
     drying_s: float
     """Time in which what was wet dries to 1/e; 0 follows the intensity at once."""
     _at: dict[float, float] = field(default_factory=dict[float, float], init=False)
@@ -77,7 +77,7 @@ class WetnessCourse:
         if knot + 1 < len(times):
             share = (time_s - times[knot]) / (times[knot + 1] - times[knot])
             ends = np.array([values[knot], values[knot] + share * (values[knot + 1] - values[knot])])
-            kept = max(kept, self._kept_of_stretches(np.array([times[knot], time_s]), ends)[0])
+            kept = max(kept, self._decayed_max_between(np.array([times[knot], time_s]), ends)[0])
         return max(now, math.exp(kept - time_s / self.drying_s))
 
     @cached_property
@@ -85,9 +85,9 @@ class WetnessCourse:
         """Largest ln w(R(s)) + s / drying of all moments up to each knot."""
         times, values = self.intensity.times_s, self.intensity.values[:, 0]
         first = _log_wetness(values[:1]) + times[:1] / self.drying_s
-        return np.maximum.accumulate(np.concatenate([first, self._kept_of_stretches(times, values)]))
+        return np.maximum.accumulate(np.concatenate([first, self._decayed_max_between(times, values)]))
 
-    def _kept_of_stretches(
+    def _decayed_max_between(
         self, times_s: Float64[np.ndarray, " n"], intensities: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, " n-1"]:
         """The same for what lies between each two knots, where the intensity is straight.

@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float, Float32, Float64, Int64
 from msgspec import Meta, Struct
 
 from ..scene.gaussians import SH_C0
-from .solver import TIKHONOV, ColorTarget, Step, colors_seen, solve_colors
-from .views import NO_CHANGE, SeenView, ViewAffine, view_affines
+from .solver import TIKHONOV, ColorTarget, SolverStep, evaluate_colors, solve_colors
+from .views import NO_CHANGE, ViewAffine, ViewObservation, view_affines
 
 _HALF = np.float32(0.5)
 
@@ -23,17 +23,17 @@ _FROZEN = np.float32(1e9)
 class ProblemView:
     """A view with its splats among the unknowns."""
 
-    seen: SeenView
+    seen: ViewObservation
     indices: Int64[np.ndarray, " m"]
     basis: Float32[np.ndarray, "m k"]
 
     def picture(self, sh: Float32[np.ndarray, "n k 3"]) -> Float32[np.ndarray, "h w 3"]:
         """Premultiplied picture of harmonics, in the linear model."""
-        return self.seen.weights.blend(_HALF + colors_seen(sh, self.indices, self.basis))
+        return self.seen.weights.blend(_HALF + evaluate_colors(sh, self.indices, self.basis))
 
     def shown(self, sh: Float32[np.ndarray, "n k 3"]) -> Float32[np.ndarray, "h w 3"]:
         """Picture as renderers show it, no splat's colour below 0, over what is there; what isn't is the target's."""
-        colors = np.maximum(_HALF + colors_seen(sh, self.indices, self.basis), np.float32(0))
+        colors = np.maximum(_HALF + evaluate_colors(sh, self.indices, self.basis), np.float32(0))
         over = (1 - self.seen.alpha[..., None]) * self.seen.target.image
         return np.clip(self.seen.weights.blend(colors) + over, 0, 1)
 
@@ -108,7 +108,7 @@ class ColorProblem:
         pull[:, (settings.sh_degree + 1) ** 2 :] = _FROZEN
         return pull
 
-    def solve(self, settings: RecolorSettings) -> Generator[Step, None, Solution]:
+    def solve(self, settings: RecolorSettings) -> Generator[SolverStep, None, Solution]:
         """Solve for colours; exposures are found first, trust is worked out anew before each round.
 
         Yields:
@@ -127,7 +127,7 @@ class ColorProblem:
             change = offset
             for step in solver:
                 change = offset + step.change
-                yield Step(step.length, change)
+                yield SolverStep(step.length, change)
             solution = Solution(self.prior + change, solution.affines, solution.trust)
         return solution
 
@@ -150,12 +150,12 @@ class ColorProblem:
         ]
         by_pixel = [each.astype(np.float32) for each in counted]
         if settings.robust:
-            spreads = [spread(residual, own) for residual, own in zip(residuals, counted, strict=True)]
-            trust = view_trust(spreads)
+            spreads = [error_scale(residual, own) for residual, own in zip(residuals, counted, strict=True)]
+            trust = irls_view_weights(spreads)
             # Before colours have been solved for, a pixel far off is only one that has changed.
             typical = 1e6 if is_first else float(np.median(spreads))
             by_pixel = [
-                np.float32(of_view) * own * pixel_trust(residual, typical)
+                np.float32(of_view) * own * irls_pixel_weights(residual, typical)
                 for of_view, own, residual in zip(trust, by_pixel, residuals, strict=True)
             ]
         targets = [
@@ -186,7 +186,7 @@ _FEWEST_PIXELS = 200.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ColorChange:
+class ColorPrior:
     """An affine map of display colour a kind of surface: new = matrix @ old + offset."""
 
     matrices: Float64[np.ndarray, "3 3 3"]
@@ -217,11 +217,11 @@ class ColorChange:
         return changed
 
 
-def fit_color_change(
+def fit_color_prior(
     clear: Sequence[Float32[np.ndarray, "_ 3"]],
     changed: Sequence[Float32[np.ndarray, "_ 3"]],
     shares: Sequence[Float32[np.ndarray, "_ 3"]],
-) -> ColorChange:
+) -> ColorPrior:
     """Fit the maps to pixels (display colours, one entry a view) by least squares, weighted by the pixels' `shares`.
 
     A kind of surface with too few pixels gets the map of all pixels together.
@@ -234,7 +234,7 @@ def fit_color_change(
         _fit(x, y, weights[:, surface]) if weights[:, surface].sum() >= _FEWEST_PIXELS else everything
         for surface in range(len(SURFACES))
     ]
-    return ColorChange(np.stack([each[:3].T for each in maps]), np.stack([each[3] for each in maps]))
+    return ColorPrior(np.stack([each[:3].T for each in maps]), np.stack([each[3] for each in maps]))
 
 
 def _fit(
@@ -256,19 +256,19 @@ STRENGTHS = (300.0, 30.0, 3.0, 0.3)
 _SPARED = 4
 """Every so-many-th view is left out."""
 
-_MOST_VIEWS = 16
+_MAX_VIEWS = 16
 
 _ITERATIONS = 4
 
 
-def chosen_pull(problem: ColorProblem, settings: RecolorSettings) -> Generator[Step, None, float]:
+def choose_prior_weight(problem: ColorProblem, settings: RecolorSettings) -> Generator[SolverStep, None, float]:
     """Try pulls, the strongest first, as long as views that were left out become clearer.
 
     A scene whose geometry is right gains with hardly any pull. One that is not would paint its errors into colours
     that fit the given views alone: there the mapped clear colours know more. With fewer than `_SPARED` views it can't
     be told, and a middling pull is taken. Yields the solver's steps.
     """
-    views = problem.views[:: -(-len(problem.views) // _MOST_VIEWS)]
+    views = problem.views[:: -(-len(problem.views) // _MAX_VIEWS)]
     spared = views[_SPARED // 2 :: _SPARED]
     taught = tuple(view for i, view in enumerate(views) if i % _SPARED != _SPARED // 2)
     if len(views) < _SPARED:
@@ -304,7 +304,7 @@ VIEW_LIMIT = 2.0
 PIXEL_LIMIT = 6.0
 """Errors beyond so many standard deviations count no longer by their square."""
 
-LEAST_SPREAD = 1 / 255
+MIN_SPREAD = 1 / 255
 """What eight bits can't tell is no disagreement."""
 
 _QUANTILE, _NORMAL = 0.9, 1.645
@@ -315,28 +315,28 @@ _SPACING_PX = 3
 """Every third pixel each way says enough about a quantile."""
 
 
-def spread(residual: Float32[np.ndarray, "h w 3"], counted: Bool[np.ndarray, "h w"]) -> float:
+def error_scale(residual: Float32[np.ndarray, "h w 3"], counted: Bool[np.ndarray, "h w"]) -> float:
     """Typical error of a picture: the standard deviation that its quantiles tell; 0 where no pixel is counted."""
     some = residual[::_SPACING_PX, ::_SPACING_PX][counted[::_SPACING_PX, ::_SPACING_PX]]
     return float(np.quantile(np.abs(some), _QUANTILE)) / _NORMAL if some.size else 0.0
 
 
-def view_trust(spreads: Sequence[float]) -> Float64[np.ndarray, " v"]:
+def irls_view_weights(spreads: Sequence[float]) -> Float64[np.ndarray, " v"]:
     """Trust in each view by its spread: 1 up to the limit, then falling with the fourth power.
 
     The error such a view adds to the sum of squares falls the further off it is (a redescending influence, as that of
     Geman and McClure 1985): a picture that shows something else altogether has no say.
     """
-    scaled = np.maximum(np.asarray(spreads, np.float64), LEAST_SPREAD)
+    scaled = np.maximum(np.asarray(spreads, np.float64), MIN_SPREAD)
     limit = VIEW_LIMIT * np.median(scaled)
     return (limit / np.maximum(scaled, limit)) ** 4
 
 
-def pixel_trust(residual: Float32[np.ndarray, "h w 3"], typical: float) -> Float32[np.ndarray, "h w"]:
+def irls_pixel_weights(residual: Float32[np.ndarray, "h w 3"], typical: float) -> Float32[np.ndarray, "h w"]:
     """Trust in each pixel by its error, all channels together (Huber 1964): 1 up to the limit, then falling.
 
     `typical` is the standard deviation of a channel in a view that agrees.
     """
-    limit = np.float32(PIXEL_LIMIT * np.sqrt(3) * max(typical, LEAST_SPREAD))
+    limit = np.float32(PIXEL_LIMIT * np.sqrt(3) * max(typical, MIN_SPREAD))
     length = np.sqrt(np.einsum("hwc,hwc->hw", residual, residual))
     return limit / np.maximum(length, limit)

@@ -3,12 +3,12 @@
 from collections.abc import Generator, Sequence
 
 from ..appearance.base import ClearView, Transfer
-from ..scene.progress import Progress, part_of
+from ..scene.progress import Progress, subprogress
 from ..scene.scene import Scene
 from .problem import RecolorSettings
 from .recolor import recolor_scene
 from .result import with_colors
-from .views import TargetView, small_picture
+from .views import TargetView, thumbnail
 
 QUICK = RecolorSettings(iterations=10, rounds=1, sh_degree=1, tikhonov=0.3, exposure=False, robust=False)
 """For transfers whose views agree with each other; degree 1 is all that a wet road needs."""
@@ -43,7 +43,7 @@ def rainy_scene(
     if not len(views):
         raise ValueError("a scene needs at least one view to become rainy")
     targets = yield from _transferred(views, transfer)
-    recolored = yield from part_of(recolor_scene(scene, targets, [], settings), _VIEWS_DONE, 1.0)
+    recolored = yield from subprogress(recolor_scene(scene, targets, [], settings), _VIEWS_DONE, 1.0)
     return with_colors(scene, recolored.colors)
 
 
@@ -57,4 +57,4 @@ def _transferred(views: Sequence[ClearView], transfer: Transfer) -> Generator[Pr
         if made is None:
             return targets
         targets.append(TargetView(made.clear.name, made.clear.camera, made.clear.time_s, made.image))
-        preview = small_picture(made.image)
+        preview = thumbnail(made.image)

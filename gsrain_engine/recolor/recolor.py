@@ -12,32 +12,32 @@ from msgspec import Meta, Struct
 
 from ..datasets.capture import Capture
 from ..evaluation.image_metrics import psnr
-from ..evaluation.report import Curve, RunReport
-from ..evaluation.report_charts import Comparison
+from ..evaluation.report import ReportCurve, RunReport
+from ..evaluation.report_charts import ImageComparison
 from ..scene.gaussians import Gaussians
-from ..scene.progress import Progress, part_of
+from ..scene.progress import Progress, subprogress
 from ..scene.scene import Scene
-from ..training.evaluation import held_out_indices
+from ..training.evaluation import validation_indices
 from .problem import (
-    ColorChange,
+    ColorPrior,
     ColorProblem,
     ProblemView,
     RecolorSettings,
     Solution,
-    chosen_pull,
-    fit_color_change,
-    spread,
-    view_trust,
+    choose_prior_weight,
+    error_scale,
+    fit_color_prior,
+    irls_view_weights,
 )
-from .result import Member, scene_members
-from .views import SeenView, TargetView, ground_height_m, seen_view, small_picture, surface_shares, target_views
+from .result import RecolorMember, scene_members
+from .views import TargetView, ViewObservation, ground_height_m, observe_view, surface_shares, target_views, thumbnail
 
 _SETUP_DONE, _CHOSEN_DONE, _SOLVED_DONE = 0.4, 0.55, 0.96
 """Shares of the whole time, measured on the built-in street with 30 views."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ViewReport:
+class RecolorViewReport:
     """What came of one view."""
 
     name: str
@@ -55,11 +55,11 @@ class ViewReport:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SetUp:
+class ProblemInputs:
     """A problem, and what else its solution needs to become a scene's colours."""
 
     problem: ColorProblem
-    members: tuple[Member, ...]
+    members: tuple[RecolorMember, ...]
     prior: dict[str, Float32[np.ndarray, "_ _ 3"]]
     """Mapped clear harmonics by the keys of members."""
 
@@ -75,11 +75,11 @@ class SetUp:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Recolored:
+class RecolorResult:
     """New colours of a scene, and how close they come."""
 
-    views: tuple[ViewReport, ...]
-    setup: SetUp
+    views: tuple[RecolorViewReport, ...]
+    setup: ProblemInputs
     solution: Solution
     seconds: dict[str, float]
     """By stage."""
@@ -98,19 +98,19 @@ class Recolored:
         problem = self.setup.problem
         return sum(view.seen.weights.nbytes for view in (*problem.views, *problem.held_out)) / 1e6
 
-    def with_solution(self, solution: Solution) -> "Recolored":
+    def with_solution(self, solution: Solution) -> "RecolorResult":
         """Return the same with other colours, measured anew."""
         return replace(self, solution=solution, views=_reports(self.setup, solution))
 
     @property
-    def measured(self) -> list[ViewReport]:
+    def measured(self) -> list[RecolorViewReport]:
         """The held-out views; all of them where none was held out."""
         return [view for view in self.views if view.is_held_out] or list(self.views)
 
 
 def recolor_scene(
     scene: Scene, targets: Sequence[TargetView], held_out: Sequence[TargetView], settings: RecolorSettings
-) -> Generator[Progress, None, Recolored]:
+) -> Generator[Progress, None, RecolorResult]:
     """Solve the colours of a scene for pictures; its geometry and its clear colours stay as they are.
 
     It can be stopped at every step: nothing is written anywhere. Stored weights are held within `settings.memory_mb`;
@@ -120,7 +120,7 @@ def recolor_scene(
         ValueError: When there is no picture, or none shows anything of the scene.
     """
     started = perf_counter()
-    setup = yield from part_of(set_up(scene, targets, held_out, settings), 0.0, _SETUP_DONE)
+    setup = yield from subprogress(prepare_problem(scene, targets, held_out, settings), 0.0, _SETUP_DONE)
     ready = perf_counter()
     pull = settings.tikhonov if settings.tikhonov is not None else (yield from _chosen(setup, settings))
     settings = msgspec.structs.replace(settings, tikhonov=pull)
@@ -136,11 +136,11 @@ def recolor_scene(
         "measuring": perf_counter() - solved,
     }
     yield Progress(1.0, "Done")
-    return Recolored(reports, setup, solution, seconds, lengths, pull)
+    return RecolorResult(reports, setup, solution, seconds, lengths, pull)
 
 
-def _chosen(setup: SetUp, settings: RecolorSettings) -> Generator[Progress, None, float]:
-    trials, done = chosen_pull(setup.problem, settings), 0
+def _chosen(setup: ProblemInputs, settings: RecolorSettings) -> Generator[Progress, None, float]:
+    trials, done = choose_prior_weight(setup.problem, settings), 0
     while True:
         share = 1 - 0.9**done  # how many there will be shows only on the way
         yield Progress(_SETUP_DONE + (_CHOSEN_DONE - _SETUP_DONE) * share, "Choosing how far to trust the pictures")
@@ -151,7 +151,9 @@ def _chosen(setup: SetUp, settings: RecolorSettings) -> Generator[Progress, None
         done += 1
 
 
-def _solved(setup: SetUp, settings: RecolorSettings) -> Generator[Progress, None, tuple[Solution, tuple[float, ...]]]:
+def _solved(
+    setup: ProblemInputs, settings: RecolorSettings
+) -> Generator[Progress, None, tuple[Solution, tuple[float, ...]]]:
     problem, lengths = setup.problem, list[float]()
     solver = problem.solve(settings)
     yield Progress(_CHOSEN_DONE, f"Solving colours of {len(problem.rows):,} Gaussians")
@@ -163,10 +165,10 @@ def _solved(setup: SetUp, settings: RecolorSettings) -> Generator[Progress, None
         lengths.append(step.length)
         share = _CHOSEN_DONE + (_SOLVED_DONE - _CHOSEN_DONE) * len(lengths) / settings.iterations
         picture = problem.views[0].shown(problem.prior + step.change)
-        yield Progress(share, f"Solving colours, step {len(lengths)} of {settings.iterations}", small_picture(picture))
+        yield Progress(share, f"Solving colours, step {len(lengths)} of {settings.iterations}", thumbnail(picture))
 
 
-def _reports(setup: SetUp, solution: Solution) -> tuple[ViewReport, ...]:
+def _reports(setup: ProblemInputs, solution: Solution) -> tuple[RecolorViewReport, ...]:
     problem = setup.problem
     taught = [(view, trust, False) for view, trust in zip(problem.views, solution.trust.tolist(), strict=True)]
     measured = [*taught, *((view, 1.0, True) for view in problem.held_out)]
@@ -177,12 +179,14 @@ def _reports(setup: SetUp, solution: Solution) -> tuple[ViewReport, ...]:
     )
 
 
-def _report(view: ProblemView, setup: SetUp, solution: Solution, trust: float, *, is_held_out: bool) -> ViewReport:
+def _report(
+    view: ProblemView, setup: ProblemInputs, solution: Solution, trust: float, *, is_held_out: bool
+) -> RecolorViewReport:
     seen = view.seen
     clear = seen.alpha[..., None] * seen.clear + (1 - seen.alpha[..., None]) * seen.target.image
     pictures = (np.clip(clear, 0, 1), view.shown(setup.problem.prior), view.shown(solution.sh))
     figures = [psnr(picture, seen.target.image, seen.counted) for picture in pictures]
-    return ViewReport(seen.target.name, is_held_out, trust, *figures)
+    return RecolorViewReport(seen.target.name, is_held_out, trust, *figures)
 
 
 # § A whole recolouring: a scene and a capture in, the scene with wet colours out, with the figures and the report.
@@ -216,7 +220,7 @@ class RecolorRun:
     """What came of it."""
 
     scene: Scene
-    recolored: Recolored
+    recolored: RecolorResult
     report: RunReport
     numbers: dict[str, Any]
     """What `--json` holds."""
@@ -232,7 +236,7 @@ def recolor_to_capture(
     """
     if not capture.has_poses:
         raise ValueError(f"{capture.name}: has pictures, but not where their cameras stood; name them with --capture")
-    kept = set(held_out_indices([view.name for view in capture], options.held_out))
+    kept = set(validation_indices([view.name for view in capture], options.held_out))
     targets: list[TargetView] = []
     for target in target_views(scene, capture, options.width_px):
         yield Progress(_READ_DONE * len(targets) / len(capture), f"Reading {target.name}")
@@ -240,14 +244,14 @@ def recolor_to_capture(
     taught, held_out = ([t for i, t in enumerate(targets) if (i in kept) == out] for out in (False, True))
     later = (options.polish > 0) + (options.refine > 0)
     last = 1 / (1 + 2 * later)
-    recolored = yield from part_of(recolor_scene(scene, taught, held_out, options.colors), _READ_DONE, last)
+    recolored = yield from subprogress(recolor_scene(scene, taught, held_out, options.colors), _READ_DONE, last)
     if options.polish:
         middle = last + (1 - last) / later
-        recolored = yield from part_of(_polished(recolored, options), last, middle)
+        recolored = yield from subprogress(_polished(recolored, options), last, middle)
         last = middle
     gaussians: dict[str, Gaussians] = {}
     if options.refine:
-        gaussians = yield from part_of(_refined(scene, recolored, options.refine), last, 1.0)
+        gaussians = yield from subprogress(_refined(scene, recolored, options.refine), last, 1.0)
     result = _with_colors(scene, recolored.colors, gaussians, replace_clear=options.replace_clear)
     yield Progress(1.0, "Done")
     numbers = _numbers(scene, recolored)
@@ -267,11 +271,11 @@ def _with_colors(
     return scene
 
 
-def _polished(recolored: Recolored, options: RecolorOptions) -> Generator[Progress, None, Recolored]:
-    from .refine import polish  # torch is an extra
+def _polished(recolored: RecolorResult, options: RecolorOptions) -> Generator[Progress, None, RecolorResult]:
+    from .refine import photometric_refine  # torch is an extra
 
     steps, done = options.polish, 0
-    solver = polish(recolored.setup.problem, recolored.solution, steps, options.colors.sh_degree)
+    solver = photometric_refine(recolored.setup.problem, recolored.solution, steps, options.colors.sh_degree)
     while True:
         yield Progress(done / steps, f"Polishing, step {done + 1} of {steps}")
         try:
@@ -281,7 +285,7 @@ def _polished(recolored: Recolored, options: RecolorOptions) -> Generator[Progre
         done = min(done + 1, steps - 1)
 
 
-def _refined(scene: Scene, recolored: Recolored, steps: int) -> Generator[Progress, None, dict[str, Gaussians]]:
+def _refined(scene: Scene, recolored: RecolorResult, steps: int) -> Generator[Progress, None, dict[str, Gaussians]]:
     from .refine import refine  # torch is an extra
 
     members = {key: scene.member(key).gaussians.with_sh(sh) for key, sh in recolored.colors.items()}
@@ -291,7 +295,7 @@ def _refined(scene: Scene, recolored: Recolored, steps: int) -> Generator[Progre
     return (yield from refine(members, problem.views, solution, steps, size_m))
 
 
-def _numbers(scene: Scene, recolored: Recolored) -> dict[str, Any]:
+def _numbers(scene: Scene, recolored: RecolorResult) -> dict[str, Any]:
     held_out = [view for view in recolored.views if view.is_held_out]
     taught = [view for view in recolored.views if not view.is_held_out]
     return {
@@ -318,7 +322,7 @@ def _mean(figures: list[float]) -> float | None:
 
 
 def _run_report(
-    scene: Scene, capture: Capture, recolored: Recolored, options: RecolorOptions, numbers: dict[str, Any]
+    scene: Scene, capture: Capture, recolored: RecolorResult, options: RecolorOptions, numbers: dict[str, Any]
 ) -> RunReport:
     problem, solution = recolored.setup.problem, recolored.solution
     shown = (problem.held_out or problem.views)[:_COMPARED]
@@ -328,7 +332,7 @@ def _run_report(
     return RunReport(
         f"Recolouring of {scene.name} to {capture.name}",
         settings,
-        (Curve("residual", steps, np.array(recolored.lengths, np.float64), is_logarithmic=True),),
+        (ReportCurve("residual", steps, np.array(recolored.lengths, np.float64), is_logarithmic=True),),
         tuple(_comparison(view, solution) for view in shown if view.seen.counted.any()),
         recolored.seconds,
         {
@@ -344,9 +348,9 @@ def _run_report(
     )  # fmt: skip
 
 
-def _comparison(view: ProblemView, solution: Solution) -> Comparison:
+def _comparison(view: ProblemView, solution: Solution) -> ImageComparison:
     seen = view.seen
-    return Comparison.measured(seen.target.name, view.shown(solution.sh), seen.target.image, seen.counted)
+    return ImageComparison.measured(seen.target.name, view.shown(solution.sh), seen.target.image, seen.counted)
 
 
 _VIEWS_DONE = 0.6
@@ -356,9 +360,9 @@ _SPACING_PX = 3
 """Every third pixel each way is enough for a map of twelve numbers a surface."""
 
 
-def set_up(
+def prepare_problem(
     scene: Scene, targets: Sequence[TargetView], held_out: Sequence[TargetView], settings: RecolorSettings
-) -> Generator[Progress, None, SetUp]:
+) -> Generator[Progress, None, ProblemInputs]:
     """Set up the recolouring of a scene to pictures; the progress is that of the set-up alone.
 
     Raises:
@@ -367,22 +371,26 @@ def set_up(
     if not targets:
         raise ValueError("recolouring needs at least one picture to recolour to")
     members, ground_m = scene_members(scene), ground_height_m(scene)
-    views: list[SeenView] = []
+    views: list[ViewObservation] = []
     room = settings.memory_mb * 1e6
     for i, target in enumerate([*targets, *held_out]):
         yield Progress(_VIEWS_DONE * i / (len(targets) + len(held_out)), f"Looking at view {target.name}")
-        views.append(seen_view(scene, members, target, ground_m, room))
+        views.append(observe_view(scene, members, target, ground_m, room))
         room -= views[-1].weights.nbytes
     used_mb = settings.memory_mb - room / 1e6
     yield Progress(_VIEWS_DONE, f"Mapping colours; weights of {len(views)} views take {used_mb:,.0f} MB")
-    setup = set_up_seen(scene, members, views, len(targets), settings)
+    setup = prepare_observations(scene, members, views, len(targets), settings)
     yield Progress(1.0, "Set up")
     return setup
 
 
-def set_up_seen(
-    scene: Scene, members: Sequence[Member], views: Sequence[SeenView], taught: int, settings: RecolorSettings
-) -> SetUp:
+def prepare_observations(
+    scene: Scene,
+    members: Sequence[RecolorMember],
+    views: Sequence[ViewObservation],
+    taught: int,
+    settings: RecolorSettings,
+) -> ProblemInputs:
     """Set up for views that have been looked at; those after the first so many have no say.
 
     Raises:
@@ -395,25 +403,30 @@ def set_up_seen(
     shares = surface_shares(scene, members, views[:taught], ground_height_m(scene))
     for member, own in zip(members, shares, strict=True):
         prior[member.key] = change.of_sh(member.gaussians.sh, own)
-    return SetUp(_problem(members, prior, views, taught), tuple(members), prior)
+    return ProblemInputs(_problem(members, prior, views, taught), tuple(members), prior)
 
 
-def _color_change(views: Sequence[SeenView], *, robust: bool) -> ColorChange:
+def _color_change(views: Sequence[ViewObservation], *, robust: bool) -> ColorPrior:
     """Fit the maps of colour to all views; once more with less say for those that the first ones fail."""
     some = [slice(None, None, _SPACING_PX)] * 2
     clear = [view.clear[*some].reshape(-1, 3) for view in views]
     wanted = [view.target.image[*some].reshape(-1, 3) for view in views]
     shares = [(view.surfaces * view.counted[..., None])[*some].reshape(-1, 3) for view in views]
-    change = fit_color_change(clear, wanted, shares)
+    change = fit_color_prior(clear, wanted, shares)
     if not robust or len(views) < 3:
         return change
     errors = [(change.of_colors(x, w) - y)[None] for x, y, w in zip(clear, wanted, shares, strict=True)]
-    trust = view_trust([spread(error, (w.sum(axis=1) > 0)[None]) for error, w in zip(errors, shares, strict=True)])
-    return fit_color_change(clear, wanted, [np.float32(t) * w for t, w in zip(trust, shares, strict=True)])
+    trust = irls_view_weights(
+        [error_scale(error, (w.sum(axis=1) > 0)[None]) for error, w in zip(errors, shares, strict=True)]
+    )
+    return fit_color_prior(clear, wanted, [np.float32(t) * w for t, w in zip(trust, shares, strict=True)])
 
 
 def _problem(
-    members: Sequence[Member], prior: dict[str, Float32[np.ndarray, "_ _ 3"]], views: Sequence[SeenView], taught: int
+    members: Sequence[RecolorMember],
+    prior: dict[str, Float32[np.ndarray, "_ _ 3"]],
+    views: Sequence[ViewObservation],
+    taught: int,
 ) -> ColorProblem:
     k = max(member.gaussians.sh.shape[1] for member in members)
     is_seen = np.zeros(sum(len(member.gaussians) for member in members), np.bool_)

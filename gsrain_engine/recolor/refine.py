@@ -15,11 +15,11 @@ from ..render.cpu.projection import view_directions
 from ..scene.gaussians import Gaussians
 from ..scene.geometry import quaternions_from_matrices
 from ..scene.progress import Progress
-from ..scene.scene import Part
+from ..scene.scene import DrawItem
 from ..training.parameters import FIRST_DECAY, SECOND_DECAY, SplatParameters, adam_step
 from ..training.step import d_ssim, l1
 from .problem import ColorProblem, ProblemView, Solution
-from .solver import Step, add_seen, colors_seen
+from .solver import SolverStep, add_colors_transposed, evaluate_colors
 
 torch: Any = import_module("torch")
 
@@ -33,10 +33,10 @@ RATES = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Moving:
+class _TrainedMember:
     """One visible part with its trainable Gaussians."""
 
-    part: Part
+    part: DrawItem
     parameters: SplatParameters
 
     def activated(self, view: ProblemView) -> tuple[Tensor, ...]:
@@ -88,7 +88,7 @@ def refine(
         index, turns = int(turns[0]), turns[1:]
         view = views[index]
         visible = view.seen.visible
-        parts = [_Moving(p, trained[m.key]) for m, p in zip(visible.members, visible.parts, strict=True)]
+        parts = [_TrainedMember(p, trained[m.key]) for m, p in zip(visible.members, visible.parts, strict=True)]
         rendered = _rendered(parts, view)
         wanted = torch.from_numpy(solution.affines[index].undone(view.seen.target.image))
         wanted = wanted * rendered.alpha.detach()[..., None]
@@ -101,7 +101,7 @@ def refine(
     return {key: each.to_gaussians() for key, each in trained.items()}
 
 
-def _rendered(parts: Sequence[_Moving], view: ProblemView) -> Rendered:
+def _rendered(parts: Sequence[_TrainedMember], view: ProblemView) -> Rendered:
     pieces = zip(*(each.activated(view) for each in parts), strict=True)
     means, scales, quaternions, opacities, colors = (torch.cat(each) for each in pieces)
     return render_gaussians(means, scales, quaternions, opacities, colors, view.seen.target.camera)
@@ -121,9 +121,9 @@ RATE, DIRECTIONAL_RATE = 2.5e-3, 2.5e-3 / 20
 """Of degree 0, and of what is above (3DGS)."""
 
 
-def polish(
+def photometric_refine(
     problem: ColorProblem, solution: Solution, steps: int, sh_degree: int = 3, seed: int = 0
-) -> Generator[Step, None, Float32[np.ndarray, "n k 3"]]:
+) -> Generator[SolverStep, None, Float32[np.ndarray, "n k 3"]]:
     """Go on from a solution by Adam, a view a step, with the stored weights: nothing is rasterized anew.
 
     Unlike least squares it knows that renderers cut colours below 0. Trust in views and their exposures stay.
@@ -152,7 +152,7 @@ def polish(
         for own, rate in ((slice(0, 3), RATE), (slice(3, 3 * k), DIRECTIONAL_RATE)):
             values, slope, first, second = (each[:, own] for each in four)
             adam_step(values, slope, first, second, np.zeros(0, np.bool_), rate, shares[0], shares[1])
-        yield Step(loss, sh - problem.prior)
+        yield SolverStep(loss, sh - problem.prior)
     return sh
 
 
@@ -162,12 +162,12 @@ def _descend(
 ) -> float:  # fmt: skip
     """Add one view's gradient by the harmonics; return its loss."""
     seen = view.seen
-    colors = np.float32(0.5) + colors_seen(sh, view.indices, view.basis)
+    colors = np.float32(0.5) + evaluate_colors(sh, view.indices, view.basis)
     image = torch.from_numpy(seen.weights.blend(np.maximum(colors, np.float32(0)))).requires_grad_()
     wanted = torch.from_numpy(solution.affines[index].undone(seen.target.image) * seen.alpha[..., None])
     mask = torch.from_numpy(seen.counted)
     loss = (1 - D_SSIM_SHARE) * l1(image, wanted, mask) + D_SSIM_SHARE * d_ssim(image, wanted, mask)
     loss.backward()
     gathered = seen.weights.accumulate(np.ascontiguousarray(image.grad.numpy()))
-    add_seen(gradient, view.indices, view.basis, np.where(colors > 0, gathered, np.float32(0)))
+    add_colors_transposed(gradient, view.indices, view.basis, np.where(colors > 0, gathered, np.float32(0)))
     return float(loss.detach())

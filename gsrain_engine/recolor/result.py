@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int64
 
 from ..safe_io.numpy_files import read_archive
-from ..safe_io.text_files import printable
+from ..safe_io.text_files import printable_line
 from ..scene.files import SceneFormatError, whole_file
 from ..scene.gaussians import Gaussians
-from ..scene.scene import Layer, Part, Scene
+from ..scene.scene import DrawItem, Layer, Scene
 
 _VERSION = 1
 
@@ -41,7 +41,7 @@ def read_recolored(path: Path | str) -> dict[str, Float32[np.ndarray, "_ _ 3"]]:
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         if isinstance(error, SceneFormatError):
             raise
-        raise SceneFormatError(path, f"not a file of recoloured Gaussians: {printable(error)}") from None
+        raise SceneFormatError(path, f"not a file of recoloured Gaussians: {printable_line(error)}") from None
     for name, sh in colors.items():
         if sh.dtype != np.float32 or sh.ndim != 3 or sh.shape[2] != 3:
             raise SceneFormatError(path, f"harmonics of {name!r} are {sh.dtype} {sh.shape}, expected float32 (n, k, 3)")
@@ -71,7 +71,7 @@ def with_colors(scene: Scene, colors: Mapping[str, Float32[np.ndarray, "_ _ 3"]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Member:
+class RecolorMember:
     """A layer or an actor."""
 
     key: str
@@ -86,13 +86,13 @@ class Member:
         return slice(self.first, self.first + len(self.gaussians))
 
 
-def scene_members(scene: Scene) -> list[Member]:
+def scene_members(scene: Scene) -> list[RecolorMember]:
     """Layers first, then actors, in the scene's order, hidden ones too."""
-    members: list[Member] = []
+    members: list[RecolorMember] = []
     first = 0
     for each in scene.members:
         is_sky = isinstance(each, Layer) and each.kind == "sky"
-        members.append(Member(each.key, each.gaussians, is_sky, first))
+        members.append(RecolorMember(each.key, each.gaussians, is_sky, first))
         first += len(each.gaussians)
     return members
 
@@ -101,14 +101,14 @@ def scene_members(scene: Scene) -> list[Member]:
 class VisibleMembers:
     """The members that stand in the scene at one time, ready to be drawn."""
 
-    members: list[Member]
-    parts: list[Part]
+    members: list[RecolorMember]
+    parts: list[DrawItem]
     rows: Int64[np.ndarray, " n"]
     """Row among all members of each Gaussian of `parts`, counted through."""
     is_sky: Bool[np.ndarray, " n"]
 
 
-def visible_members(scene: Scene, members: list[Member], time_s: float) -> VisibleMembers:
+def visible_members(scene: Scene, members: list[RecolorMember], time_s: float) -> VisibleMembers:
     """Pick what can be seen at a time, with its way to the world; grading comes on top of colours that are solved."""
     placed = [
         (member, part._replace(colors=None))
@@ -124,7 +124,7 @@ def visible_members(scene: Scene, members: list[Member], time_s: float) -> Visib
     )
 
 
-def world_heights(scene: Scene, member: Member) -> Float32[np.ndarray, " n"]:
+def world_heights(scene: Scene, member: RecolorMember) -> Float32[np.ndarray, " n"]:
     """World z of a layer's Gaussians in metres; for an actor, z above its own bottom, as if it stood at height 0."""
     shown = scene.member(member.key)
     if isinstance(shown, Layer):

@@ -19,7 +19,7 @@ DIRECTIONAL_TIKHONOV = 4.0
 
 
 @runtime_checkable
-class Weights(Protocol):
+class WeightOperator(Protocol):
     """Blending weights of one view as a linear operator W on the colours of its splats."""
 
     def blend(self, colors: Float32[np.ndarray, "m 3"], /) -> Float32[np.ndarray, "h w 3"]:
@@ -45,7 +45,7 @@ class Weights(Protocol):
 class ColorTarget:
     """What one view says about the colours."""
 
-    weights: Weights
+    weights: WeightOperator
     indices: Int64[np.ndarray, " m"]
     """Row of each of the view's splats among all unknowns."""
     basis: Float32[np.ndarray, "m k"]
@@ -56,7 +56,7 @@ class ColorTarget:
     """How much each pixel counts, 0 to 1."""
 
 
-class Step(NamedTuple):
+class SolverStep(NamedTuple):
     """Where a solver stands after an iteration."""
 
     length: float
@@ -71,7 +71,7 @@ def solve_colors(
     iterations: int,
     pull: Float32[np.ndarray, "_ k 1"],
     offset: Float32[np.ndarray, "n k 3"] | None = None,
-) -> Generator[Step, None, Float32[np.ndarray, "n k 3"]]:
+) -> Generator[SolverStep, None, Float32[np.ndarray, "n k 3"]]:
     """Find the change d of `count` Gaussians' harmonics that explains the views.
 
     It minimizes the sum over views of |sqrt(trust) (W d - residual)|^2, plus pull |d + offset|^2.
@@ -100,7 +100,7 @@ def solve_colors(
         squares = target.weights.squared_sums(target.trust)[:, None] * target.basis**2
         diagonal[target.indices] += squares[..., None]
         gathered = target.weights.accumulate(target.residual * target.trust[..., None])
-        add_seen(remainder, target.indices, target.basis, gathered)
+        add_colors_transposed(remainder, target.indices, target.basis, gathered)
     change = np.zeros_like(remainder)
     direction = np.empty_like(remainder)
     slope = start = _condition(remainder, diagonal, np.float32(0), direction)
@@ -112,7 +112,7 @@ def solve_colors(
         _advance(change, remainder, direction, image, step)
         before, slope = slope, _sloped(remainder, diagonal)
         _condition(remainder, diagonal, np.float32(slope / before), direction)
-        yield Step(float(np.sqrt(slope / start)), change)
+        yield SolverStep(float(np.sqrt(slope / start)), change)
     return change
 
 
@@ -120,14 +120,14 @@ def apply_normal(targets: Sequence[ColorTarget], change: Float32[np.ndarray, "n 
     """W^T trust W times a change of the harmonics, summed over the views in order."""
     result = np.zeros_like(change)
     for target in targets:
-        gathered = target.weights.normal(colors_seen(change, target.indices, target.basis), target.trust)
-        add_seen(result, target.indices, target.basis, gathered)
+        gathered = target.weights.normal(evaluate_colors(change, target.indices, target.basis), target.trust)
+        add_colors_transposed(result, target.indices, target.basis, gathered)
     return result
 
 
 @numba.njit(parallel=True, cache=True)
 @no_type_check
-def colors_seen(
+def evaluate_colors(
     sh: Float32[np.ndarray, "n k 3"], indices: Int64[np.ndarray, " m"], basis: Float32[np.ndarray, "m k"]
 ) -> Float32[np.ndarray, "m 3"]:
     """Sum of harmonics of each splat, without the 0.5 of 3DGS."""
@@ -146,13 +146,13 @@ def colors_seen(
 
 @numba.njit(parallel=True, cache=True)
 @no_type_check
-def add_seen(
+def add_colors_transposed(
     sh: Float32[np.ndarray, "n k 3"],
     indices: Int64[np.ndarray, " m"],
     basis: Float32[np.ndarray, "m k"],
     colors: Float32[np.ndarray, "m 3"],
 ) -> None:
-    """Transpose of `colors_seen`, added in place. A view sees each Gaussian once: no two rows meet."""
+    """Transpose of `evaluate_colors`, added in place. A view sees each Gaussian once: no two rows meet."""
     for n in numba.prange(len(indices)):
         row = sh[indices[n]]
         for k in range(basis.shape[1]):

@@ -9,14 +9,14 @@ from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
 from ..appearance.normals import normals_from_depth, world_points
 from ..datasets.capture import Capture
-from ..datasets.undistort import prepared
-from ..render.cpu.compositing import expected, view_weights
+from ..datasets.undistort import undistort_frame
+from ..render.cpu.compositing import color_operator, expected
 from ..render.cpu.fast_math import harmonics
 from ..render.cpu.projection import view_directions
 from ..scene.camera import Camera
 from ..scene.scene import Scene
-from .result import Member, VisibleMembers, scene_members, visible_members, world_heights
-from .weights import StoredWeights, WalkedWeights, weights_of
+from .result import RecolorMember, VisibleMembers, scene_members, visible_members, world_heights
+from .weights import LazyWeights, StoredWeights, weights_of
 
 _UNSEEN_WEIGHT_PX = 0.5
 """A Gaussian seen with less than this in all counts as ground or not by its height rather than by the views."""
@@ -42,12 +42,12 @@ class TargetView:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SeenView:
+class ViewObservation:
     """One view of the scene: what it is made of, and how it looks when clear."""
 
     target: TargetView
     visible: VisibleMembers
-    weights: StoredWeights | WalkedWeights
+    weights: StoredWeights | LazyWeights
     splats: Int64[np.ndarray, " m"]
     """Index of each splat that has weight, counted through the visible parts."""
     clear: Float32[np.ndarray, "h w 3"]
@@ -83,17 +83,17 @@ def target_views(scene: Scene, capture: Capture, width_px: int) -> Iterator[Targ
     Its cameras are in the scene's own units and axes. Raises `CaptureError` for a picture that can't be read.
     """
     for view in capture:
-        ready = prepared(view, min(width_px, view.camera.width))
+        ready = undistort_frame(view, min(width_px, view.camera.width))
         image = ready.image.astype(np.float32) / np.float32(255)
         yield TargetView(view.name, ready.camera.moved(scene.scene_to_world), view.time_s, image, ready.mask)
 
 
-def seen_view(
-    scene: Scene, members: list[Member], target: TargetView, ground_m: float, most_bytes: float = np.inf
-) -> SeenView:
+def observe_view(
+    scene: Scene, members: list[RecolorMember], target: TargetView, ground_m: float, most_bytes: float = np.inf
+) -> ViewObservation:
     """Look at the scene as it is from where a picture was taken; weights are stored if they fit into `most_bytes`."""
     visible = visible_members(scene, members, target.time_s)
-    view = view_weights(visible.parts, target.camera)
+    view = color_operator(visible.parts, target.camera)
     weights = weights_of(view, most_bytes)
     splats = view.splats.indices[weights.rows]
     colors = view.splats.colors[weights.rows]
@@ -105,18 +105,18 @@ def seen_view(
     depth = expected(np.ascontiguousarray(geometry[..., 2]), np.ascontiguousarray(solid))
     depth[solid <= _SOLID * alpha] = 0
     sky = expected(np.ascontiguousarray(geometry[..., 1]), alpha)
-    ground = ground_share(depth, upness(depth, target.camera), target.camera, ground_m) * (1 - sky)
+    ground = ground_share(depth, up_facing(depth, target.camera), target.camera, ground_m) * (1 - sky)
     surfaces = alpha[..., None] * np.stack([sky, ground, 1 - sky - ground], axis=-1)
-    return SeenView(target, visible, weights, splats, clear, alpha, depth, surfaces)
+    return ViewObservation(target, visible, weights, splats, clear, alpha, depth, surfaces)
 
 
-def upness(depth: Float32[np.ndarray, "h w"], camera: Camera) -> Float32[np.ndarray, "h w"]:
+def up_facing(depth: Float32[np.ndarray, "h w"], camera: Camera) -> Float32[np.ndarray, "h w"]:
     """World-up component of surface normals that depth tells."""
     return np.ascontiguousarray(normals_from_depth(depth, camera)[..., 2])
 
 
 def surface_shares(
-    scene: Scene, members: Sequence[Member], views: Sequence[SeenView], ground_m: float
+    scene: Scene, members: Sequence[RecolorMember], views: Sequence[ViewObservation], ground_m: float
 ) -> list[Float32[np.ndarray, "_ 3"]]:
     """What kind of surface each Gaussian is: as the views show it, and by its height where they hardly do."""
     seen = np.zeros((sum(len(member.gaussians) for member in members), 3), np.float32)
@@ -138,13 +138,13 @@ def surface_shares(
 
 # § What a picture's own exposure and white balance did to it: an affine map of colour a view, the mean of all fixed.
 
-PULL = 1e-3
+PRIOR_WEIGHT = 1e-3
 """Tikhonov pull towards no change, in squared colour: what a picture without contrast can't tell."""
 
 SWEEPS = 6
 """Rounds over all views; each takes the others' newest maps."""
 
-_LEAST_PX = 1.0
+_MIN_PX = 1.0
 """A Gaussian that a view, or all others together, see less of than this says nothing about exposures."""
 
 _MIDDLE = 0.5
@@ -185,7 +185,7 @@ def view_affines(
         indices: Row of each splat among all Gaussians.
         count: How many Gaussians there are.
     """
-    kept = [np.flatnonzero(each >= _LEAST_PX) for each in evidence]
+    kept = [np.flatnonzero(each >= _MIN_PX) for each in evidence]
     means = [own[rows] / each[rows, None] for own, each, rows in zip(seen, evidence, kept, strict=True)]
     amounts = [each[rows] for each, rows in zip(evidence, kept, strict=True)]
     places = [each[rows] for each, rows in zip(indices, kept, strict=True)]
@@ -198,8 +198,8 @@ def view_affines(
         for v, (mean, amount, place) in enumerate(zip(means, amounts, places, strict=True)):
             sums[place] -= affines[v].undone(mean) * amount[:, None]
             others = totals[place] - amount
-            both = np.where(others >= _LEAST_PX, amount * others / np.maximum(totals[place], _LEAST_PX), 0)
-            affines[v] = _fitted(sums[place] / np.maximum(others, _LEAST_PX)[:, None], mean, both.astype(np.float32))
+            both = np.where(others >= _MIN_PX, amount * others / np.maximum(totals[place], _MIN_PX), 0)
+            affines[v] = _fitted(sums[place] / np.maximum(others, _MIN_PX)[:, None], mean, both.astype(np.float32))
             sums[place] += affines[v].undone(mean) * amount[:, None]
     return _gauge_fixed(affines)
 
@@ -210,7 +210,7 @@ def _fitted(
     """Fit the map that takes the scene's colours to the picture's, by weighted ridge regression towards no change."""
     x, change = scene - np.float32(_MIDDLE), picture - scene
     total = float(trust.sum(dtype=np.float64))
-    pull = PULL * total + 1e-9
+    pull = PRIOR_WEIGHT * total + 1e-9
     mean, square, shift, product = (
         np.einsum("p,pc->c", trust, each, dtype=np.float64) for each in (x, x * x, change, x * change)
     )
@@ -289,7 +289,7 @@ def _rising(low: float, high: float, x: Float64[np.ndarray, "h w"]) -> Float64[n
 _WIDTH_PX = 320
 
 
-def small_picture(picture: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "_ _ 3"]:
+def thumbnail(picture: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "_ _ 3"]:
     """Return a picture (display colour) at most 320 pixels wide, for a panel to show."""
     shrink = min(1.0, _WIDTH_PX / picture.shape[1])
     small = cv2.resize(picture, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)

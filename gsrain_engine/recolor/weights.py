@@ -7,7 +7,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Int64, UInt8, UInt16
 
-from ..render.cpu.compositing import BATCH, MIN_TRANSMITTANCE, ViewWeights, alpha_of, columns_of, is_finished
+from ..render.cpu.compositing import BATCH, MIN_TRANSMITTANCE, ColorOperator, alpha_of, columns_of, is_finished
 from ..render.cpu.fast_math import FAST
 from ..render.cpu.tiles import TILE
 from .solver import LANES, add_piece, sum_piece
@@ -15,7 +15,7 @@ from .solver import LANES, add_piece, sum_piece
 STEP = np.float32(1 / 65535)
 """Weights are kept as multiples of this."""
 
-LEAST = 8
+MIN_PIECE = 8
 """Smaller weights (0.03 % of all light on the built-in street, a fifth of their number) are left out."""
 
 _PIECES = TILE * TILE // LANES
@@ -25,8 +25,8 @@ _PIECES = TILE * TILE // LANES
 class StoredWeights:
     """W of one view as a matrix in memory, tile by tile, nearest splat first.
 
-    A pair is a splat that adds to a tile. Only splats, pairs and pieces with a weight of `LEAST` are kept: what lies
-    behind opaque surfaces costs nothing any more.
+    A pair is a splat that adds to a tile. Only splats, pairs and pieces with a weight of `MIN_PIECE` are kept: what
+    lies behind opaque surfaces costs nothing any more.
     """
 
     width: int
@@ -80,10 +80,10 @@ class StoredWeights:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WalkedWeights:
+class LazyWeights:
     """The same operator without storing W: for views that memory has no room for; each use walks the tiles anew."""
 
-    view: ViewWeights
+    view: ColorOperator
 
     @property
     def rows(self) -> Int64[np.ndarray, " m"]:
@@ -113,13 +113,13 @@ class WalkedWeights:
         return self.view.squared_sums() * trusted[:, 0] / np.maximum(trusted[:, 1], np.float32(1e-12))
 
 
-def weights_of(view: ViewWeights, most_bytes: float = np.inf) -> StoredWeights | WalkedWeights:
+def weights_of(view: ColorOperator, most_bytes: float = np.inf) -> StoredWeights | LazyWeights:
     """Store a view's weights where they fit into so many bytes; else walk its tiles each time."""
     stored = stored_weights(view, most_bytes)
-    return WalkedWeights(view) if stored is None else stored
+    return LazyWeights(view) if stored is None else stored
 
 
-def stored_weights(view: ViewWeights, most_bytes: float = np.inf) -> StoredWeights | None:
+def stored_weights(view: ColorOperator, most_bytes: float = np.inf) -> StoredWeights | None:
     """Work out the weights of a view; None where they would take more than `most_bytes`."""
     tiles, shapes = view.tiles, view.splats.shapes
     counts = np.zeros(len(tiles.members) + 1, np.int64)
@@ -168,7 +168,7 @@ def _walk(shapes, tile_starts, members, width, height, counts, starts, places, w
                     largest = np.float32(0)
                     for v in range(LANES):
                         largest = max(largest, steps[half * LANES + v])
-                    if largest < LEAST:
+                    if largest < MIN_PIECE:
                         continue
                     if starts is not None:
                         places[starts[k] + found] = u * (TILE // LANES) + half

@@ -3,7 +3,7 @@
 from collections.abc import Generator
 
 from ..appearance.scene_views import ViewChoice, chosen_cameras, scene_views
-from ..appearance.wet_look.environment import SceneSurroundings
+from ..appearance.wet_look.environment import SceneEnvironment
 from ..appearance.wet_look.settings import WetSettings
 from ..appearance.wet_look.translator import WetTransfer
 from ..scene.progress import Progress
@@ -19,5 +19,5 @@ def wet_scene(scene: Scene, settings: WetSettings | None = None) -> Generator[Pr
     Yields and raises as `rainy_scene` does.
     """
     views = scene_views(scene, chosen_cameras(scene, ViewChoice(count=VIEWS)))
-    transfer = WetTransfer(settings or WetSettings(), SceneSurroundings(scene))
+    transfer = WetTransfer(settings or WetSettings(), SceneEnvironment(scene))
     return rainy_scene(scene, views, transfer)

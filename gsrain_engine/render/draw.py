@@ -7,17 +7,17 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float64
 
-from ..rain.shelter_map import roofs_of
-from ..rain.simulation import FallingRain, Rainfall, View
+from ..rain.shelter_map import shelter_map_of
+from ..rain.simulation import RainCamera, RainFrame, RainSimulation
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians
-from ..scene.lod_order import growth_of
-from ..scene.scene import Part, Scene
-from .renderer import Color, Look, Renderer
+from ..scene.lod_order import lod_growth
+from ..scene.scene import DrawItem, Scene
+from .renderer import Color, Renderer, RenderMode
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shot:
+class RenderView:
     """A moment of a scene from a place. World frame, metres."""
 
     camera: Camera
@@ -37,7 +37,7 @@ _Shape = tuple[int, int]
 
 
 @dataclass(slots=True)
-class Thinning:
+class LodSubset:
     """Takes parts whose Gaussians are in their drawing order; remembers what it worked out for each set of them.
 
     Masks are not looked at: where they leave out much of what matters, the rest is drawn a little too large.
@@ -48,7 +48,7 @@ class Thinning:
         default_factory=dict[_Shape, "tuple[Gaussians, float]"]  # held on to, so that the identity stays taken
     )
 
-    def __call__(self, part: Part) -> Part:
+    def __call__(self, part: DrawItem) -> DrawItem:
         """Leave out all but the share that matters most."""
         return part._replace(limit=math.ceil(self.share * len(part.gaussians)), growth=self.growth(part.gaussians))
 
@@ -56,7 +56,7 @@ class Thinning:
         """How much larger those that are left are drawn; worked out once for all colours of the same Gaussians."""
         key = _shape(gaussians)
         if key not in self._growths:
-            self._growths[key] = gaussians, growth_of(gaussians, self.share)
+            self._growths[key] = gaussians, lod_growth(gaussians, self.share)
         return self._growths[key][1]
 
     def forget_all_but(self, kept: Iterable[Gaussians]) -> None:
@@ -65,16 +65,16 @@ class Thinning:
         self._growths = {key: known for key, known in self._growths.items() if key in keys}
 
 
-def draw_shot(
+def draw_view(
     renderer: Renderer,
     scene: Scene,
-    rainfall: Rainfall | None,
+    rainfall: RainSimulation | None,
     sky: Color,
-    shot: Shot,
+    shot: RenderView,
     *,
     with_depth: bool = False,
-    look: Look = "splats",
-    thinning: Thinning | None = None,
+    look: RenderMode = "splats",
+    thinning: LodSubset | None = None,
     selection: bool = False,
 ) -> None:
     """Draw a scene in its rain into the renderer's picture; without it where there is none, or with another look.
@@ -82,7 +82,7 @@ def draw_shot(
     The scene's wet colours come with the rain's wetness; without a rainfall it is clear. `thinning` leaves out some
     of each part's Gaussians; `selection` tints those that are selected.
     """
-    falling = rain_in(scene, rainfall, sky, shot) if rainfall is not None and look == "splats" else None
+    falling = rain_frame_of(scene, rainfall, sky, shot) if rainfall is not None and look == "splats" else None
     wetness = rainfall.wetness_at(shot.time_s) if rainfall is not None else 0.0
     parts = scene.parts(shot.time_s, selection=selection, wetness=wetness)
     if thinning is not None:
@@ -90,19 +90,21 @@ def draw_shot(
     renderer.draw(parts, shot.camera, falling, with_depth=with_depth, look=look)
 
 
-def rain_in(scene: Scene, rainfall: Rainfall, sky: Color, shot: Shot) -> FallingRain | None:
+def rain_frame_of(scene: Scene, rainfall: RainSimulation, sky: Color, shot: RenderView) -> RainFrame | None:
     """Rain of a shot as Gaussians; None at 0 mm/h."""
-    return rainfall.at(shot.time_s, rain_view(scene, rainfall, shot), sky)
+    return rainfall.at(shot.time_s, rain_camera_of(scene, rainfall, shot), sky)
 
 
-def rain_view(scene: Scene, rainfall: Rainfall, shot: Shot) -> View:
+def rain_camera_of(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> RainCamera:
     """How the rain sees a shot: from where, how fast, around what its regions stand, and under which roofs."""
     velocity = shot.velocity_m_s if shot.velocity_m_s is not None else np.zeros(3)
-    roofs = roofs_of(scene) if rainfall.rain.roofs else None
-    return View(shot.camera, rain_anchor(scene, rainfall, shot), velocity, shot.focal_px, roofs, shot.exposure_share)
+    roofs = shelter_map_of(scene) if rainfall.rain.roofs else None
+    return RainCamera(
+        shot.camera, rain_anchor(scene, rainfall, shot), velocity, shot.focal_px, roofs, shot.exposure_share
+    )
 
 
-def rain_anchor(scene: Scene, rainfall: Rainfall, shot: Shot) -> Float64[np.ndarray, "4 4"]:
+def rain_anchor(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> Float64[np.ndarray, "4 4"]:
     """Frame that the rain regions stand in.
 
     The ego vehicle's, levelled, for a camera that rides on it, so that the cameras of a rig see the same drops. Any
@@ -111,15 +113,15 @@ def rain_anchor(scene: Scene, rainfall: Rainfall, shot: Shot) -> Float64[np.ndar
     ego = scene.ego_to_world(shot.time_s)
     position = shot.camera.position
     if ego is not None:
-        level = _levelled(ego[:3, 0], ego[:3, 3])
+        level = _leveled(ego[:3, 0], ego[:3, 3])
         local = level[:3, :3].T @ (position - level[:3, 3])
         region = rainfall.rain.streak_region
         if np.all(local >= region.minimum_m) and np.all(local <= region.maximum_m):
             return level
-    return _levelled(shot.camera.world_to_camera[2, :3], position)
+    return _leveled(shot.camera.world_to_camera[2, :3], position)
 
 
-def _levelled(forward: Float64[np.ndarray, "3"], origin: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
+def _leveled(forward: Float64[np.ndarray, "3"], origin: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
     length = float(np.hypot(forward[0], forward[1]))
     x, y = (forward[0] / length, forward[1] / length) if length > 1e-6 else (1.0, 0.0)
     frame = np.eye(4)
@@ -128,7 +130,7 @@ def _levelled(forward: Float64[np.ndarray, "3"], origin: Float64[np.ndarray, "3"
     return frame
 
 
-def thinned(parts: Sequence[Part], thinning: Thinning | None) -> Sequence[Part]:
+def subset_items(parts: Sequence[DrawItem], thinning: LodSubset | None) -> Sequence[DrawItem]:
     """Thin out every part, or none."""
     return parts if thinning is None else [thinning(part) for part in parts]
 

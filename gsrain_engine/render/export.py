@@ -9,32 +9,32 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import UInt8
 
-from ..rain.settings import Rain
-from ..rain.simulation import Rainfall
+from ..rain.settings import RainSettings
+from ..rain.simulation import RainSimulation
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
-from ..scene.files import holding
+from ..scene.files import hold_for_writing
 from ..scene.progress import Progress
 from ..scene.scene import Scene
-from .export_settings import DEFAULT_SIZE_PX, Pass, Recording, outputs, recorded_files
-from .images import FrameSink, open_sink
-from .object_labels import draw_labels, legend
-from .renderer import Frame, Look, Renderer
-from .sequence import FrameSequence, MountedCamera, mounted_cameras
-from .sky_color import Sky
+from .export_settings import DEFAULT_SIZE_PX, ExportSettings, Pass, export_files, export_outputs
+from .images import FrameWriter, open_frame_writer
+from .object_labels import draw_labels, label_legend
+from .renderer import Frame, Renderer, RenderMode
+from .sequence import FrameSequence, RigCameraView, find_rig_cameras
+from .sky_color import SkyColor
 
 _PREVIEW_PX = 320
 
 _PREVIEW_EVERY_S = 0.5
 
 
-def record(
+def export_frames(
     renderer: Renderer,
-    recording: Recording,
+    recording: ExportSettings,
     sequences: Mapping[str, FrameSequence],
     numbers: Sequence[int],
     *,
-    look: Look = "splats",
+    look: RenderMode = "splats",
 ) -> Iterator[Progress]:
     """Render and write frames by their numbers; yields after each, with the time that is left.
 
@@ -42,15 +42,16 @@ def record(
 
     Raises:
         ValueError: For an output that can't be encoded.
-        OSError: When it can't be written; what had been written can be played. `HeldError` where another process does.
+        OSError: When it can't be written; what had been written can be played. `PathInUseError` where another process
+        does.
     """
     with ExitStack() as stack:
-        for path in outputs(recording, list(sequences)):
-            stack.enter_context(holding(path))
+        for path in export_outputs(recording, list(sequences)):
+            stack.enter_context(hold_for_writing(path))
         takes = _open(recording, sequences, stack)
         yield Progress(0.0, "Looking at the sky")
         sky = next(iter(sequences.values())).sky(renderer)
-        pace = _Pace(len(numbers))
+        pace = _EtaEstimator(len(numbers))
         for number in numbers:
             try:
                 frames = [take.write(renderer, number, sky, look) for take in takes]
@@ -60,15 +61,15 @@ def record(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Take:
+class _OutputStream:
     """One camera's clip, in the rain or without."""
 
     sequence: FrameSequence
-    sink: FrameSink
+    sink: FrameWriter
     passes: frozenset[Pass]
     is_clear: bool
 
-    def write(self, renderer: Renderer, number: int, sky: Sky, look: Look) -> Frame | None:
+    def write(self, renderer: Renderer, number: int, sky: SkyColor, look: RenderMode) -> Frame | None:
         """Render a frame and write its passes; the renderer's last picture is that of the colours."""
         labels = frame = None
         if "labels" in self.passes:
@@ -81,7 +82,7 @@ class _Take:
         return frame
 
 
-class _Pace:
+class _EtaEstimator:
     """How far a recording has come, and how long it will take."""
 
     def __init__(self, frames: int) -> None:
@@ -103,18 +104,18 @@ class _Pace:
         return Progress(self.done / self._frames, message, preview)
 
 
-def _open(recording: Recording, sequences: Mapping[str, FrameSequence], stack: ExitStack) -> list[_Take]:
+def _open(recording: ExportSettings, sequences: Mapping[str, FrameSequence], stack: ExitStack) -> list[_OutputStream]:
     """One take for each camera, the clear twin before the one in the rain; `stack` closes them."""
-    takes: list[_Take] = []
+    takes: list[_OutputStream] = []
     for name, sequence in sequences.items():
         for is_clear in (True, False) if recording.twin else (False,):
-            files = recorded_files(recording, name if len(sequences) > 1 else None, is_clear=is_clear)
+            files = export_files(recording, name if len(sequences) > 1 else None, is_clear=is_clear)
             size = sequence.width, sequence.height
             try:
-                sink = stack.enter_context(open_sink(recording, files, size, legend(sequence.scene)))
+                sink = stack.enter_context(open_frame_writer(recording, files, size, label_legend(sequence.scene)))
             except OSError as error:
                 raise OSError(f"{files.path} can't be written: {error.strerror or error}") from error
-            takes.append(_Take(sequence, sink, files.passes, is_clear))
+            takes.append(_OutputStream(sequence, sink, files.passes, is_clear))
     return takes
 
 
@@ -130,7 +131,7 @@ def _small(frame: Frame) -> UInt8[np.ndarray, "h w 3"]:
     return np.ascontiguousarray(Frame(frame.rgba[::step, ::step]).to_uint8())
 
 
-def _problem(recording: Recording, error: OSError, done: int) -> str:
+def _problem(recording: ExportSettings, error: OSError, done: int) -> str:
     """Say in one sentence what a disk has against it, and what is left."""
     reason = error.strerror or str(error)
     return f"{recording.output} can't be written on after {done} frames: {reason}; what was written before is whole"
@@ -139,8 +140,8 @@ def _problem(recording: Recording, error: OSError, done: int) -> str:
 # § A clip of a scene in the rain, from a scene, a rain and a camera: as files, or frame by frame.
 
 
-def film(
-    renderer: Renderer, recording: Recording, scene: Scene, rain: Rain, camera: Camera | CameraPath
+def render_video(
+    renderer: Renderer, recording: ExportSettings, scene: Scene, rain: RainSettings, camera: Camera | CameraPath
 ) -> Iterator[Progress]:
     """Record a scene in its rain from a camera or along a path of the world (metres, z up); yields after each frame.
 
@@ -151,16 +152,16 @@ def film(
         ValueError: For settings that contradict themselves, and a calibration that the rain names and there is not.
         OSError: When the output can't be written.
     """
-    rainfall = Rainfall.start(rain)
-    sequences = sequences_of(recording, scene, rainfall, camera, in_scene_time=True)
-    yield from record(renderer, recording, sequences, frame_numbers(recording, sequences))
+    rainfall = RainSimulation.start(rain)
+    sequences = export_sequences(recording, scene, rainfall, camera, in_scene_time=True)
+    yield from export_frames(renderer, recording, sequences, frame_numbers(recording, sequences))
 
 
 def film_frames(
     renderer: Renderer,
-    recording: Recording,
+    recording: ExportSettings,
     scene: Scene,
-    rain: Rain,
+    rain: RainSettings,
     camera: Camera | CameraPath,
     *,
     with_depth: bool = False,
@@ -169,8 +170,8 @@ def film_frames(
 
     Depth is that of the scene in metres, without rain. Raises `ValueError` as `film` does, before the first frame.
     """
-    rainfall = Rainfall.start(rain)
-    (sequence,) = sequences_of(recording, scene, rainfall, camera, in_scene_time=True).values()
+    rainfall = RainSimulation.start(rain)
+    (sequence,) = export_sequences(recording, scene, rainfall, camera, in_scene_time=True).values()
     numbers = frame_numbers(recording, {"": sequence})
     return (each.frame for each in sequence.render(renderer, numbers, sequence.sky(renderer), with_depth=with_depth))
 
@@ -181,8 +182,13 @@ LONGEST_DEFAULT_S = 10.0
 """Of a clip that neither a person nor a path of theirs gives a length."""
 
 
-def sequences_of(
-    recording: Recording, scene: Scene, rainfall: Rainfall, viewpoint: Camera | CameraPath, *, in_scene_time: bool
+def export_sequences(
+    recording: ExportSettings,
+    scene: Scene,
+    rainfall: RainSimulation,
+    viewpoint: Camera | CameraPath,
+    *,
+    in_scene_time: bool,
 ) -> dict[str, FrameSequence]:
     """What a recording shows, by the names of its cameras: rig cameras where it names some, else one viewpoint.
 
@@ -190,9 +196,9 @@ def sequences_of(
     camera at rest. Raises `ValueError` for what contradicts itself.
     """
     recording.check()
-    views: dict[str, Camera | CameraPath | MountedCamera] = {"": viewpoint}
+    views: dict[str, Camera | CameraPath | RigCameraView] = {"": viewpoint}
     if recording.cameras:
-        views = _by_name(mounted_cameras(scene, recording.cameras))
+        views = _by_name(find_rig_cameras(scene, recording.cameras))
     sequences: dict[str, FrameSequence] = {}
     for name, view in views.items():
         width, height = recording.size_px or _own_size(view, recording.first_s)
@@ -212,7 +218,7 @@ def sequences_of(
     return sequences
 
 
-def frame_numbers(recording: Recording, sequences: Mapping[str, FrameSequence]) -> range:
+def frame_numbers(recording: ExportSettings, sequences: Mapping[str, FrameSequence]) -> range:
     """Numbers of the frames between a recording's two moments; without the second, as long as the path is."""
     if recording.is_still:
         return range(1)
@@ -225,24 +231,24 @@ def frame_numbers(recording: Recording, sequences: Mapping[str, FrameSequence]) 
 def _length_s(sequence: FrameSequence) -> float:
     """All of a drive or of a person's own flight; of anything else so much that its end is seen soon."""
     length_s = LONGEST_DEFAULT_S if sequence.length_s is None else sequence.length_s
-    is_made = sequence.in_scene_time or isinstance(sequence.camera, MountedCamera)
+    is_made = sequence.in_scene_time or isinstance(sequence.camera, RigCameraView)
     return length_s if is_made else min(LONGEST_DEFAULT_S, length_s)
 
 
-def _by_name(cameras: list[MountedCamera]) -> dict[str, Camera | CameraPath | MountedCamera]:
+def _by_name(cameras: list[RigCameraView]) -> dict[str, Camera | CameraPath | RigCameraView]:
     """Name cameras as their files: with the rig in front where there are several rigs."""
     several = len({each.rig for each in cameras}) > 1
     return {f"{each.rig}_{each.name}" if several else each.name: each for each in cameras}
 
 
-def _own_size(view: Camera | CameraPath | MountedCamera, time_s: float) -> tuple[int, int]:
+def _own_size(view: Camera | CameraPath | RigCameraView, time_s: float) -> tuple[int, int]:
     if isinstance(view, CameraPath):
         return DEFAULT_SIZE_PX
     camera = view if isinstance(view, Camera) else view.at(time_s)
     return camera.width, camera.height
 
 
-# § The command line that records the same as a `Recording`.
+# § The command line that records the same as a `ExportSettings`.
 
 _OPTIONS = {
     "fps": "--fps",
@@ -254,12 +260,12 @@ _OPTIONS = {
 }
 
 
-def recording_command(recording: Recording, project: str) -> str:
+def export_command(recording: ExportSettings, project: str) -> str:
     """What to type for the same bytes; `project` is the scene folder."""
     words = ["gsrain", "render", project, "-o", recording.output]
     if recording.size_px is not None:
         words += ["--size", "{}x{}".format(*recording.size_px)]
-    plain = Recording(output=recording.output)
+    plain = ExportSettings(output=recording.output)
     for field, option in _OPTIONS.items():
         value = getattr(recording, field)
         if value != getattr(plain, field):

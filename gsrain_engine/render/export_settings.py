@@ -21,7 +21,7 @@ Pixels = Annotated[int, Meta(ge=1, le=LARGEST_PX)]
 
 DEFAULT_SIZE_PX = (960, 640)
 
-USUAL_QUALITY = {"h264": 18, "vp9": 24, "av1": 28}
+DEFAULT_QUALITY = {"h264": 18, "vp9": 24, "av1": 28}
 """Constant rate factor of each video codec where none is asked for: hardly a difference to be seen."""
 
 DEFAULT_JPEG_QUALITY = 93
@@ -50,7 +50,7 @@ _BY_SUFFIX = {
 }
 
 
-class Recording(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ExportSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One export. What it shows (scene, rain, path) is the document's."""
 
     output: Annotated[
@@ -151,7 +151,7 @@ class Recording(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         return _BY_SUFFIX.get(self.suffix, "") if self.codec == "auto" else self.codec
 
     @property
-    def usual_suffix(self) -> str:
+    def default_suffix(self) -> str:
         """Ending that a video of this format usually has; "" for frames, which go into a folder."""
         return _CONTAINERS[self.format][0] if self.is_video else ""
 
@@ -188,7 +188,7 @@ class Recording(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 @dataclass(frozen=True, slots=True)
-class RecordedFiles:
+class ExportFiles:
     """Files of one camera.
 
     `still.png` has its passes beside it: `still.depth.png`; so do the frames of a folder: `frames/000007.depth.png`;
@@ -207,7 +207,7 @@ class RecordedFiles:
         ending = "jpg" if self.format == "jpeg" else self.format
         return self.path / f"{number:06d}.{ending}" if self.is_folder else self.path
 
-    def beside(self, number: int, name: Pass) -> Path:
+    def pass_file(self, number: int, name: Pass) -> Path:
         """Where another pass of a frame goes."""
         kind = "npy" if self.format == "npy" and name == "depth" else "png"
         if self.is_video:
@@ -232,13 +232,13 @@ class RecordedFiles:
         if self.passes & inside:
             yield self.path
         for name in sorted(self.passes - inside):
-            yield self._folder(name) if self.is_video else self.beside(0, name)
+            yield self._folder(name) if self.is_video else self.pass_file(0, name)
 
     def _folder(self, name: str) -> Path:
         return self.path.with_name(f"{self.path.stem}.{name}")
 
 
-def recorded_files(recording: Recording, camera: str | None, *, is_clear: bool = False) -> RecordedFiles:
+def export_files(recording: ExportSettings, camera: str | None, *, is_clear: bool = False) -> ExportFiles:
     """Files of one camera, or of its clear twin, which is called `NAME.clear`; none where there is only one camera.
 
     Several cameras share a folder: `drive.mp4` becomes `drive/FRONT.mp4`. Depth and labels are the scene's own, with
@@ -246,16 +246,16 @@ def recorded_files(recording: Recording, camera: str | None, *, is_clear: bool =
     """
     path, passes = recording.path, frozenset(recording.passes)
     if camera is not None:
-        suffix = path.suffix or recording.usual_suffix
+        suffix = path.suffix or recording.default_suffix
         path = path.with_suffix("") / (shortened(re.sub(r"[^\w-]+", "_", camera)) + suffix)
     is_folder = path.suffix == ""
     if is_clear:
         path, passes = path.with_name(f"{path.stem}.clear{path.suffix}"), passes - {"depth", "labels"}
-    return RecordedFiles(path, recording.format, recording.is_video, passes, is_folder)
+    return ExportFiles(path, recording.format, recording.is_video, passes, is_folder)
 
 
-def outputs(recording: Recording, cameras: Sequence[str]) -> list[Path]:
+def export_outputs(recording: ExportSettings, cameras: Sequence[str]) -> list[Path]:
     """Every file and folder that a recording of these cameras writes."""
     names = cameras if len(cameras) > 1 else [None]
     twins = (False, True) if recording.twin else (False,)
-    return [path for name in names for twin in twins for path in recorded_files(recording, name, is_clear=twin).roots()]
+    return [path for name in names for twin in twins for path in export_files(recording, name, is_clear=twin).roots()]

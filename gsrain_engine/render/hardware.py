@@ -10,10 +10,10 @@ import numba
 _PACKAGES = ("numpy", "numba", "moderngl")
 
 
-def machine() -> dict[str, str | int]:
+def describe_machine() -> dict[str, str | int]:
     """Name the processor, the operating system, and the versions that speed depends on."""
     return {
-        "cpu": processor(),
+        "cpu": processor_name(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1,
         "threads": numba.get_num_threads(),
         "platform": platform.platform(),
@@ -22,7 +22,7 @@ def machine() -> dict[str, str | int]:
     }
 
 
-def processor() -> str:
+def processor_name() -> str:
     """Name the processor as its maker does."""
     listing = Path("/proc/cpuinfo")  # Linux; elsewhere Python knows the name itself
     lines = listing.read_text().splitlines() if listing.exists() else []

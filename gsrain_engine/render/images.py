@@ -16,7 +16,7 @@ from PIL import Image, ImageCms
 
 from ..scene.files import whole_file
 from ..scene.geometry import linear_to_srgb, srgb_to_linear
-from .export_settings import DEFAULT_JPEG_QUALITY, Pass, RecordedFiles, Recording, recorded_files
+from .export_settings import DEFAULT_JPEG_QUALITY, ExportFiles, ExportSettings, Pass, export_files
 from .renderer import Frame
 from .video import VideoWriter
 
@@ -24,7 +24,7 @@ _PALETTE_COLORS = 255
 """Labels that fit into an indexed picture of 8 bits, besides 0."""
 
 
-def write_picture(path: Path | str, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
+def write_png(path: Path | str, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
     """Write an 8-bit picture as PNG; missing folders are made."""
     _write_png(Path(path), Image.fromarray(pixels))
 
@@ -49,7 +49,7 @@ def _srgb_profile() -> bytes:
     return bytes(profile)
 
 
-def write_sheet(path: Path, image: Image.Image) -> None:
+def write_image(path: Path, image: Image.Image) -> None:
     """Write a picture for people in the format that its name says; PNG where that says none."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as beside:
@@ -110,7 +110,7 @@ def write_exr(path: Path, frame: Frame, passes: Set[Pass]) -> None:
     """
     channels: dict[str, np.ndarray] = {}
     if "color" in passes:
-        channels["RGBA"] = np.ascontiguousarray(to_light(frame.rgba).astype(np.float16))
+        channels["RGBA"] = np.ascontiguousarray(to_linear_light(frame.rgba).astype(np.float16))
     elif "alpha" in passes:
         channels["A"] = np.ascontiguousarray(frame.rgba[..., 3].astype(np.float16))
     if "depth" in passes and frame.depth is not None:
@@ -128,9 +128,9 @@ def write_exr(path: Path, frame: Frame, passes: Set[Pass]) -> None:
 
 
 @contextmanager
-def open_sink(
-    recording: Recording, files: RecordedFiles, size_px: tuple[int, int], legend: Mapping[str, Any]
-) -> Generator["FrameSink"]:
+def open_frame_writer(
+    recording: ExportSettings, files: ExportFiles, size_px: tuple[int, int], legend: Mapping[str, Any]
+) -> Generator["FrameWriter"]:
     """Open what takes the frames of one camera; `legend` says what labels mean.
 
     Raises `ValueError` for what can't be encoded.
@@ -140,7 +140,7 @@ def open_sink(
         codec, quality = recording.format, recording.quality
         video = VideoWriter(files.path, *size_px, recording.fps, codec=codec, quality=quality)
     with video as opened:
-        yield FrameSink(files, legend, opened, recording.quality)
+        yield FrameWriter(files, legend, opened, recording.quality)
 
 
 def write_still(path: Path | str, frame: Frame) -> None:
@@ -150,19 +150,19 @@ def write_still(path: Path | str, frame: Frame) -> None:
     folders are made. Raises `ValueError` for another ending, `OSError` where it can't be written.
     """
     has_depth = frame.depth is not None and Path(path).suffix.lower() == ".exr"
-    recording = Recording(output=str(path), passes=("color", "depth") if has_depth else ("color",))
+    recording = ExportSettings(output=str(path), passes=("color", "depth") if has_depth else ("color",))
     if not recording.is_still:
         raise ValueError(f"{path}: expected the name of an image, which ends in .png, .jpg, .exr or .npy")
-    files = recorded_files(recording, None, is_clear=False)
-    with open_sink(recording, files, (frame.rgba.shape[1], frame.rgba.shape[0]), {}) as sink:
+    files = export_files(recording, None, is_clear=False)
+    with open_frame_writer(recording, files, (frame.rgba.shape[1], frame.rgba.shape[0]), {}) as sink:
         sink.write(0, frame)
 
 
-class FrameSink:
+class FrameWriter:
     """Takes the frames of one camera. Those that are files of their own are there whole or not at all."""
 
     def __init__(
-        self, files: RecordedFiles, legend: Mapping[str, Any], video: VideoWriter | None, quality: int | None
+        self, files: ExportFiles, legend: Mapping[str, Any], video: VideoWriter | None, quality: int | None
     ) -> None:
         """`quality` is that of JPEG."""
         self._files, self._legend, self._video = files, legend, video
@@ -176,7 +176,7 @@ class FrameSink:
         elif frame is not None:
             self._write_passes(number, frame)
         if labels is not None:
-            write_labels(self._files.beside(number, "labels"), labels, len(self._legend) - 1)
+            write_labels(self._files.pass_file(number, "labels"), labels, len(self._legend) - 1)
             if not self._has_legend:
                 write_legend(self._files.legend, self._legend)
                 self._has_legend = True
@@ -190,28 +190,28 @@ class FrameSink:
         elif "color" in files.passes and files.format == "jpeg":
             write_jpeg(files.color(number), frame.to_uint8(), self._quality)
         elif "color" in files.passes:
-            write_picture(files.color(number), frame.to_uint8())
+            write_png(files.color(number), frame.to_uint8())
         if "depth" in files.passes and frame.depth is not None:
             write = write_array if files.format == "npy" else write_depth
-            write(files.beside(number, "depth"), frame.depth)
+            write(files.pass_file(number, "depth"), frame.depth)
         if "alpha" in files.passes:
-            write_alpha(files.beside(number, "alpha"), frame.rgba[..., 3])
+            write_alpha(files.pass_file(number, "alpha"), frame.rgba[..., 3])
 
 
 # § Premultiplied pictures as display values and as linear light.
 
-_LEAST_ALPHA = np.float32(1e-6)
+_MIN_ALPHA = np.float32(1e-6)
 
 
-def to_light(rgba: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h w 4"]:
+def to_linear_light(rgba: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h w 4"]:
     """Turn display colours times alpha into linear light times alpha; the colour itself is decoded, not the product."""
-    alpha = np.maximum(rgba[..., 3:], _LEAST_ALPHA)
+    alpha = np.maximum(rgba[..., 3:], _MIN_ALPHA)
     return np.concatenate([srgb_to_linear(rgba[..., :3] / alpha) * alpha, rgba[..., 3:]], axis=-1, dtype=np.float32)
 
 
 def to_display(light: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h w 4"]:
     """Turn linear light times alpha into display colours times alpha."""
-    alpha = np.maximum(light[..., 3:], _LEAST_ALPHA)
+    alpha = np.maximum(light[..., 3:], _MIN_ALPHA)
     return np.concatenate([linear_to_srgb(light[..., :3] / alpha) * alpha, light[..., 3:]], axis=-1, dtype=np.float32)
 
 
@@ -230,7 +230,7 @@ _COEFFICIENTS = np.array(
 )
 
 
-def heat_colors(numbers: Float32[np.ndarray, "*n"]) -> Float32[np.ndarray, "*n 3"]:
+def turbo_colors(numbers: Float32[np.ndarray, "*n"]) -> Float32[np.ndarray, "*n 3"]:
     """Colour map "turbo" of numbers in 0..1 (Mikhailov 2019), a polynomial of degree 5 a channel."""
     t = np.clip(numbers, 0, 1)[..., None]
     color = np.broadcast_to(_COEFFICIENTS[-1], (*numbers.shape, 3))

@@ -12,9 +12,9 @@ from ..scene.camera import Camera
 from ..scene.files import whole_file
 from ..scene.objects import COCO_CATEGORIES, coco_class, scene_objects
 from ..scene.progress import Progress
-from .export_settings import RecordedFiles, Recording, recorded_files
+from .export_settings import ExportFiles, ExportSettings, export_files
 from .images import write_labels
-from .object_labels import LabelFormat, SeenObject, seen_objects
+from .object_labels import LabelFormat, VisibleObject, visible_objects
 from .renderer import Renderer
 from .sequence import FrameSequence
 
@@ -31,7 +31,7 @@ class CocoLabels:
         self._annotations: list[dict[str, Any]] = []
         self._own_classes: dict[str, int] = {}
 
-    def add(self, number: int, time_s: float, camera: Camera, seen: Sequence[SeenObject], **files: str) -> None:
+    def add(self, number: int, time_s: float, camera: Camera, seen: Sequence[VisibleObject], **files: str) -> None:
         """Add a frame; `files` are its files by kind, of which COCO knows `file_name`."""
         image_id = len(self._images) + 1
         self._images.append(
@@ -64,7 +64,7 @@ class CocoLabels:
             "categories": [{"id": number, "name": name} for name, number in categories.items()],
         }
 
-    def _annotation(self, number: int, image_id: int, seen: SeenObject) -> dict[str, Any]:
+    def _annotation(self, number: int, image_id: int, seen: VisibleObject) -> dict[str, Any]:
         left, top, right, bottom = seen.box_xyxy
         return {
             "id": number,
@@ -72,7 +72,7 @@ class CocoLabels:
             "category_id": self._category(seen.object.class_name),
             "bbox": [left, top, right - left, bottom - top],
             "area": int(seen.mask.sum()),
-            "segmentation": packed(seen.mask),
+            "segmentation": encode_rle(seen.mask),
             "iscrowd": 0,
             "object": seen.object.id,
             "visibility": round(seen.visibility, 4),
@@ -105,7 +105,7 @@ _EGO_TO_CAMERA = "0 -1 0 0 0 0 -1 0 1 0 0 0"
 """From x forward, y left, z up to x right, y down, z forward, as KITTI's lidar has it; without an offset."""
 
 
-def label_line(seen: SeenObject) -> str:
+def label_line(seen: VisibleObject) -> str:
     """Type, truncation, occlusion, alpha, 2D box, height width length, place of the bottom centre, rotation about y."""
     x, y, z = seen.to_camera[:3, 3]
     ahead = seen.to_camera[:3, 0]
@@ -118,7 +118,7 @@ def label_line(seen: SeenObject) -> str:
     return f"{_kind(seen)} {seen.truncation:.2f} {occlusion} " + " ".join(f"{each:.2f}" for each in numbers)
 
 
-def label_file(seen: Sequence[SeenObject]) -> str:
+def label_file(seen: Sequence[VisibleObject]) -> str:
     """Lines of a frame, the nearest object first."""
     return "".join(f"{label_line(each)}\n" for each in seen)
 
@@ -133,7 +133,7 @@ def calibration_file(camera: Camera) -> str:
     )
 
 
-def instances(seen: Sequence[SeenObject], camera: Camera) -> UInt16[np.ndarray, "h w"]:
+def instances(seen: Sequence[VisibleObject], camera: Camera) -> UInt16[np.ndarray, "h w"]:
     """Which line of the label file, counted from 1, each pixel belongs to; 0 is none."""
     picture = np.zeros((camera.height, camera.width), np.uint16)
     for line, each in enumerate(seen, start=1):
@@ -141,7 +141,7 @@ def instances(seen: Sequence[SeenObject], camera: Camera) -> UInt16[np.ndarray, 
     return picture
 
 
-def _kind(seen: SeenObject) -> str:
+def _kind(seen: VisibleObject) -> str:
     name = seen.object.class_name
     if name.lower() == "van":
         return "Van"
@@ -158,7 +158,7 @@ def _wrapped(angle: float) -> float:
 def write_object_labels(
     renderer: Renderer,
     form: LabelFormat,
-    recording: Recording,
+    recording: ExportSettings,
     sequences: Mapping[str, FrameSequence],
     numbers: Sequence[int],
 ) -> Generator[Progress, None, list[Path]]:
@@ -173,12 +173,12 @@ def write_object_labels(
         if not objects:
             raise ValueError(f"scene {sequence.scene.name!r} has no actors that labels could be about")
         camera_name = name if len(sequences) > 1 else None
-        files = recorded_files(recording, camera_name)
-        twin = recorded_files(recording, camera_name, is_clear=True) if recording.twin else None
+        files = export_files(recording, camera_name)
+        twin = export_files(recording, camera_name, is_clear=True) if recording.twin else None
         coco = CocoLabels(sequence.scene.name)
         for done, number in enumerate(numbers):
             shot = sequence.shot(number)
-            seen = seen_objects(renderer, sequence.scene, objects, shot.camera, shot.time_s)
+            seen = visible_objects(renderer, sequence.scene, objects, shot.camera, shot.time_s)
             if form == "coco":
                 coco.add(number, shot.time_s, shot.camera, seen, **_names(files, twin, number))
             else:
@@ -191,39 +191,39 @@ def write_object_labels(
     return written
 
 
-def label_outputs(form: LabelFormat, recording: Recording, cameras: Sequence[str]) -> list[Path]:
+def label_outputs(form: LabelFormat, recording: ExportSettings, cameras: Sequence[str]) -> list[Path]:
     """Every file and folder that the labels of these cameras go to, but for those in folders of frames."""
-    found = [recorded_files(recording, name if len(cameras) > 1 else None) for name in cameras]
+    found = [export_files(recording, name if len(cameras) > 1 else None) for name in cameras]
     return [coco_file(each) if form == "coco" else kitti_folder(each) for each in found if not each.is_folder]
 
 
-def coco_file(files: RecordedFiles) -> Path:
+def coco_file(files: ExportFiles) -> Path:
     """Where the labels of one camera go: into the folder of its frames, else beside its file."""
     return files.path / "labels.coco.json" if files.is_folder else files.path.with_name(f"{files.path.stem}.coco.json")
 
 
-def kitti_folder(files: RecordedFiles) -> Path:
+def kitti_folder(files: ExportFiles) -> Path:
     """The folder that has label_2, calib and instance_2: that of the frames, else one beside their file."""
     return files.path if files.is_folder else files.path.with_name(f"{files.path.stem}.kitti")
 
 
-def _names(files: RecordedFiles, twin: RecordedFiles | None, number: int) -> dict[str, str]:
+def _names(files: ExportFiles, twin: ExportFiles | None, number: int) -> dict[str, str]:
     names = {"file_name": _name(files, number)}
     if twin is not None:
         name = _name(twin, number)
         names["clear_file_name"] = f"../{twin.path.name}/{name}" if twin.is_folder else name
     if "depth" in files.passes and files.format != "exr":
-        depth = files.beside(number, "depth")
+        depth = files.pass_file(number, "depth")
         names["depth_file_name"] = f"{depth.parent.name}/{depth.name}" if files.is_video else depth.name
     return names
 
 
-def _name(files: RecordedFiles, number: int) -> str:
+def _name(files: ExportFiles, number: int) -> str:
     """Name of a frame's file; that of a frame in a video is the video's with its number."""
     return f"{files.path.name}/{number:06d}" if files.is_video else files.color(number).name
 
 
-def _write_kitti(files: RecordedFiles, number: int, sequence: FrameSequence, seen: Sequence[SeenObject]) -> None:
+def _write_kitti(files: ExportFiles, number: int, sequence: FrameSequence, seen: Sequence[VisibleObject]) -> None:
     folder, camera = kitti_folder(files), sequence.shot(number).camera
     for kind, text in (("label_2", label_file(seen)), ("calib", calibration_file(camera))):
         file = folder / kind / f"{number:06d}.txt"
@@ -258,7 +258,7 @@ def run_lengths(mask: Bool[np.ndarray, "h w"]) -> list[int]:
     return np.diff(edges).tolist()
 
 
-def packed(mask: Bool[np.ndarray, "h w"]) -> RunLengths:
+def encode_rle(mask: Bool[np.ndarray, "h w"]) -> RunLengths:
     """Return a mask as COCO's JSON has it for crowds and for results: its size and its runs as a string."""
     runs = run_lengths(mask)
     text = "".join(_characters(run - (runs[k - 2] if k > 2 else 0)) for k, run in enumerate(runs))

@@ -9,13 +9,13 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt16
 
 from ..scene.camera import Camera
-from ..scene.flags import Mask
+from ..scene.flags import BitMask
 from ..scene.geometry import before_camera, box_corners
 from ..scene.objects import SceneObject
-from ..scene.scene import Actor, Part, Scene, rows_of
+from ..scene.scene import Actor, DrawItem, Scene, take_gaussians
 from .renderer import Renderer
 
-_LEAST_ALPHA = 0.5
+_MIN_ALPHA = 0.5
 """Pixels that the scene covers less than this show nothing, as they have no depth."""
 
 
@@ -36,13 +36,13 @@ def draw_labels(renderer: Renderer, scene: Scene, camera: Camera, time_s: float)
         renderer.draw(_in_signal_colors([part for _, part in shown], first), camera)
         rgba = renderer.read().rgba
         for channel, (number, _) in enumerate(shown[first : first + 3]):
-            weight = np.where(rgba[..., 3] >= _LEAST_ALPHA, rgba[..., channel], np.float32(0))
+            weight = np.where(rgba[..., 3] >= _MIN_ALPHA, rgba[..., channel], np.float32(0))
             labels[weight > largest] = number
             largest = np.maximum(largest, weight)
     return labels
 
 
-def legend(scene: Scene) -> dict[str, Any]:
+def label_legend(scene: Scene) -> dict[str, Any]:
     """What the labels of a scene mean, as plain values: the same for every frame."""
     return {
         "0": {"name": "", "kind": "nothing"},
@@ -55,12 +55,12 @@ def legend(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _in_signal_colors(parts: Sequence[Part], first: int) -> list[Part]:
+def _in_signal_colors(parts: Sequence[DrawItem], first: int) -> list[DrawItem]:
     """Parts `first`, `first + 1` and `first + 2` in red, green and blue, all others in black."""
-    return [part._replace(colors=only_channel(number - first)) for number, part in enumerate(parts)]
+    return [part._replace(colors=single_channel_grading(number - first)) for number, part in enumerate(parts)]
 
 
-def only_channel(channel: int) -> Float64[np.ndarray, "3 4"]:
+def single_channel_grading(channel: int) -> Float64[np.ndarray, "3 4"]:
     """Colour change to one pure colour, whatever the colour was; black for channels that don't exist."""
     change = np.zeros((3, 4))
     if 0 <= channel < 3:
@@ -72,10 +72,10 @@ def only_channel(channel: int) -> Float64[np.ndarray, "3 4"]:
 #
 # Rain takes no part: what a picture shows is the same in any weather.
 
-LEAST_SHARE = 0.5
+MIN_SHARE = 0.5
 """A pixel shows an object where at least this share of its light comes from it."""
 
-_LEAST_HEIGHT_PX = 3.0
+_MIN_HEIGHT_PX = 3.0
 """What a whole object is lower than is not looked for."""
 
 # § A box in the camera's frame (OpenCV axes, metres) as it falls into the picture.
@@ -85,7 +85,7 @@ BoxXYXY = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SeenObject:
+class VisibleObject:
     """An object in a picture."""
 
     object: SceneObject
@@ -117,7 +117,7 @@ class SeenObject:
         return float(np.linalg.norm(self.center_m))
 
 
-class _Candidate(NamedTuple):
+class _ObjectCandidate(NamedTuple):
     object: SceneObject
     to_camera: Float64[np.ndarray, "4 4"]
     size_lwh_m: tuple[float, float, float]
@@ -125,32 +125,34 @@ class _Candidate(NamedTuple):
     outline_xyxy: BoxXYXY
 
 
-def seen_objects(
+def visible_objects(
     renderer: Renderer, scene: Scene, objects: Sequence[SceneObject], camera: Camera, time_s: float = 0.0
-) -> list[SeenObject]:
+) -> list[VisibleObject]:
     """Find which objects of a scene a camera (world, metres) sees at a time, the nearest first.
 
     Three at a time are drawn in pure red, green and blue and all else in black, so that a channel is an object's share
     of a pixel's light; then each one alone. Objects without a pixel of their own are left out.
     """
-    candidates = _in_picture(scene, objects, camera, time_s)
+    candidates = _in_image(scene, objects, camera, time_s)
     rest, own = _split(scene, candidates, time_s)
-    seen: list[SeenObject] = []
+    seen: list[VisibleObject] = []
     for first in range(0, len(candidates), 3):
-        signals = [part._replace(colors=only_channel(number - first)) for number, part in enumerate(own)]
+        signals = [part._replace(colors=single_channel_grading(number - first)) for number, part in enumerate(own)]
         shares = _drawn(renderer, [*rest, *signals], camera)
         for channel, candidate in enumerate(candidates[first : first + 3]):
-            mask = shares[..., channel] >= LEAST_SHARE
+            mask = shares[..., channel] >= MIN_SHARE
             if mask.any():
-                alone = _drawn(renderer, [own[first + channel]._replace(colors=only_channel(0))], camera)[..., 0]
-                visibility = int(mask.sum()) / max(int((mask | (alone >= LEAST_SHARE)).sum()), 1)
+                alone = _drawn(renderer, [own[first + channel]._replace(colors=single_channel_grading(0))], camera)[
+                    ..., 0
+                ]
+                visibility = int(mask.sum()) / max(int((mask | (alone >= MIN_SHARE)).sum()), 1)
                 to_camera, size, truncation, box = candidate[1:]
-                seen.append(SeenObject(candidate.object, to_camera, size, mask, visibility, truncation, box))
+                seen.append(VisibleObject(candidate.object, to_camera, size, mask, visibility, truncation, box))
     return sorted(seen, key=lambda each: each.distance_m)
 
 
-def _in_picture(scene: Scene, objects: Sequence[SceneObject], camera: Camera, time_s: float) -> list[_Candidate]:
-    found: list[_Candidate] = []
+def _in_image(scene: Scene, objects: Sequence[SceneObject], camera: Camera, time_s: float) -> list[_ObjectCandidate]:
+    found: list[_ObjectCandidate] = []
     for each in objects:
         pose = each.track.pose(time_s)
         if pose is None or not len(each.rows):
@@ -158,18 +160,22 @@ def _in_picture(scene: Scene, objects: Sequence[SceneObject], camera: Camera, ti
         to_camera = camera.world_to_camera @ scene.scene_to_world @ pose
         to_camera[:3, :3] /= scene.metres_per_unit
         length, width, height = (scene.metres_per_unit * side for side in each.size_lwh)
-        hull = outline(box_corners(to_camera, (length, width, height)), camera)
+        hull = convex_outline(box_corners(to_camera, (length, width, height)), camera)
         within = cut_at_edges(hull, camera)
-        if len(within) and np.ptp(hull[:, 1]) >= _LEAST_HEIGHT_PX:
+        if len(within) and np.ptp(hull[:, 1]) >= _MIN_HEIGHT_PX:
             truncation = min(max(1 - area_px(within) / max(area_px(hull), 1e-9), 0.0), 1.0)
-            found.append(_Candidate(each, to_camera, (length, width, height), truncation, bounds(within)))
+            found.append(
+                _ObjectCandidate(each, to_camera, (length, width, height), truncation, bounding_rectangle(within))
+            )
     return found
 
 
-def _split(scene: Scene, candidates: Sequence[_Candidate], time_s: float) -> tuple[list[Part], list[Part]]:
+def _split(
+    scene: Scene, candidates: Sequence[_ObjectCandidate], time_s: float
+) -> tuple[list[DrawItem], list[DrawItem]]:
     """What is drawn, as the parts that are no object (in black) and one part for each object."""
-    rest: list[Part] = []
-    own: dict[int, Part] = {}
+    rest: list[DrawItem] = []
+    own: dict[int, DrawItem] = {}
     for member in scene.members:
         part = scene.part(member, time_s) if member.visible else None
         if part is None:
@@ -178,19 +184,19 @@ def _split(scene: Scene, candidates: Sequence[_Candidate], time_s: float) -> tup
         for number, candidate in enumerate(candidates):
             if candidate.object.member == member.key:
                 rows = candidate.object.rows[~taken[candidate.object.rows]]
-                gaussians, _ = rows_of(member, rows)
-                own[number] = Part(gaussians, part.to_world, opacity=part.opacity)
+                gaussians, _ = take_gaussians(member, rows)
+                own[number] = DrawItem(gaussians, part.to_world, opacity=part.opacity)
                 taken[rows] = True
-        rest.append(part._replace(colors=only_channel(-1), left_out=Mask.of(taken)))
+        rest.append(part._replace(colors=single_channel_grading(-1), left_out=BitMask.of(taken)))
     return rest, [own[number] for number in range(len(candidates))]
 
 
-def _drawn(renderer: Renderer, parts: Sequence[Part], camera: Camera) -> Float32[np.ndarray, "h w 4"]:
+def _drawn(renderer: Renderer, parts: Sequence[DrawItem], camera: Camera) -> Float32[np.ndarray, "h w 4"]:
     renderer.draw(parts, camera)
     return renderer.read().rgba
 
 
-def outline(corners: Float64[np.ndarray, "8 3"], camera: Camera) -> Float64[np.ndarray, "c 2"]:
+def convex_outline(corners: Float64[np.ndarray, "8 3"], camera: Camera) -> Float64[np.ndarray, "c 2"]:
     """Convex outline of a box in pixels, not cut at the picture's edges; none where all of it is behind the camera."""
     points = before_camera(corners)
     if len(points) < 3:
@@ -215,7 +221,7 @@ def area_px(polygon: Float64[np.ndarray, "c 2"]) -> float:
     return abs(float(x @ np.roll(y, 1) - y @ np.roll(x, 1))) / 2
 
 
-def bounds(polygon: Float64[np.ndarray, "c 2"]) -> BoxXYXY:
+def bounding_rectangle(polygon: Float64[np.ndarray, "c 2"]) -> BoxXYXY:
     """Smallest upright box around points, of which there must be one."""
     left, top = polygon.min(axis=0).tolist()
     right, bottom = polygon.max(axis=0).tolist()

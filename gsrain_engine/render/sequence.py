@@ -7,19 +7,19 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from ..rain.settings import Rain
-from ..rain.simulation import OVERCAST, Rainfall
+from ..rain.settings import RainSettings
+from ..rain.simulation import OVERCAST, RainSimulation
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
 from ..scene.rig import rig_camera
 from ..scene.scene import RigCamera, Scene
-from .draw import Shot, draw_shot, rain_view
-from .images import to_display, to_light
-from .renderer import Color, Frame, Look, Renderer
-from .sky_color import Sky, sky_color
+from .draw import RenderView, draw_view, rain_camera_of
+from .images import to_display, to_linear_light
+from .renderer import Color, Frame, Renderer, RenderMode
+from .sky_color import SkyColor, sky_color
 
 
-class RenderedFrame(NamedTuple):
+class SequenceFrame(NamedTuple):
     """A frame of a sequence."""
 
     number: int
@@ -30,7 +30,7 @@ class RenderedFrame(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MountedCamera:
+class RigCameraView:
     """One camera of a rig, wherever its vehicle is."""
 
     scene: Scene
@@ -75,8 +75,8 @@ class FrameSequence:
     """What to render. World frame, metres."""
 
     scene: Scene
-    rainfall: Rainfall
-    camera: Camera | CameraPath | MountedCamera
+    rainfall: RainSimulation
+    camera: Camera | CameraPath | RigCameraView
     """A camera that stands still, a path that is flown along, or a camera of the ego vehicle's rig."""
     width: int
     height: int
@@ -103,37 +103,43 @@ class FrameSequence:
                 return None
             case CameraPath():
                 return (self.camera.end_s if self.in_scene_time else self.camera.duration_s) - self.start_s
-            case MountedCamera():
+            case RigCameraView():
                 return self.camera.end_s - self.start_s
 
-    def shot(self, number: int) -> Shot:
+    def shot(self, number: int) -> RenderView:
         return self.shot_at(self.time_s(number))
 
-    def shot_at(self, time_s: float) -> Shot:
+    def shot_at(self, time_s: float) -> RenderView:
         match self.camera:
             case Camera():
-                return Shot(self.camera, time_s)
+                return RenderView(self.camera, time_s)
             case CameraPath():
                 along = time_s if self.in_scene_time else float(self.camera.times_s[0]) + time_s
                 velocity = None if self.at_rest else self.camera.velocity(along)
-                return Shot(self.camera.camera(along, self.width, self.height), time_s, velocity)
-            case MountedCamera():
+                return RenderView(self.camera.camera(along, self.width, self.height), time_s, velocity)
+            case RigCameraView():
                 camera = self.camera.at(time_s).resized(self.width, self.height)
-                return Shot(camera, time_s, self.camera.velocity(time_s))
+                return RenderView(camera, time_s, self.camera.velocity(time_s))
 
-    def sky(self, renderer: Renderer) -> Sky:
+    def sky(self, renderer: Renderer) -> SkyColor:
         """Look at the sky from where the sequence begins; all cameras of a rig look at it from the same place."""
         match self.camera:
             case Camera():
                 place = self.camera
             case CameraPath():
                 place = self.camera.camera(0.0, self.width, self.height)
-            case MountedCamera():
+            case RigCameraView():
                 place = self.camera.front_at_start
         return sky_color(renderer, self.scene, place)
 
     def frame(
-        self, renderer: Renderer, number: int, sky: Sky | None, *, with_depth: bool = False, look: Look = "splats"
+        self,
+        renderer: Renderer,
+        number: int,
+        sky: SkyColor | None,
+        *,
+        with_depth: bool = False,
+        look: RenderMode = "splats",
     ) -> Frame:
         """Render a frame; without a sky there is no rain. Depth is the scene's at its moment, one sample a pixel."""
         shots, rainfall = self._shots(number), None if sky is None else self.rainfall
@@ -147,19 +153,25 @@ class FrameSequence:
         return replace(frame, depth=alone.depth)
 
     def render(
-        self, renderer: Renderer, numbers: Iterable[int], sky: Sky, *, with_depth: bool = False, look: Look = "splats"
-    ) -> Iterator[RenderedFrame]:
+        self,
+        renderer: Renderer,
+        numbers: Iterable[int],
+        sky: SkyColor,
+        *,
+        with_depth: bool = False,
+        look: RenderMode = "splats",
+    ) -> Iterator[SequenceFrame]:
         """Render frames by their numbers, in any order."""
         for number in numbers:
-            yield RenderedFrame(number, self.frame(renderer, number, sky, with_depth=with_depth, look=look))
+            yield SequenceFrame(number, self.frame(renderer, number, sky, with_depth=with_depth, look=look))
 
-    def _shots(self, number: int) -> list[Shot]:
+    def _shots(self, number: int) -> list[RenderView]:
         """What the shutter sees, evenly over the exposure around the frame's moment."""
         middle, k = self.shot(number), self.motion_blur
         if k == 1:
             return [middle]
-        rain = self.rainfall.moment(middle.time_s)
-        exposure_s = rain.exposure_s(rain_view(self.scene, rain, middle))
+        rain = self.rainfall.frozen_at(middle.time_s)
+        exposure_s = rain.exposure_s(rain_camera_of(self.scene, rain, middle))
         moments = middle.time_s + exposure_s * ((np.arange(k) + 0.5) / k - 0.5)
         # At its ends a path has no speed beyond the keys: there the camera stands where it last had one.
         low, high = self._flight_s
@@ -186,13 +198,13 @@ class FrameSequence:
 def expose(
     renderer: Renderer,
     scene: Scene,
-    rainfall: Rainfall | None,
+    rainfall: RainSimulation | None,
     sky: Color,
-    shots: Sequence[Shot],
+    shots: Sequence[RenderView],
     supersampling: int = 1,
     *,
     with_depth: bool = False,
-    look: Look = "splats",
+    look: RenderMode = "splats",
 ) -> Frame:
     """Take the mean of shots, each drawn `supersampling` times wider and higher. Depth is that of the last shot.
 
@@ -203,18 +215,18 @@ def expose(
     frame: Frame | None = None
     for shot in shots:
         fine = _finer(shot, supersampling)
-        draw_shot(renderer, scene, rainfall, sky, fine, with_depth=with_depth, look=look)
+        draw_view(renderer, scene, rainfall, sky, fine, with_depth=with_depth, look=look)
         frame = renderer.read()
         if supersampling > 1:
             frame = replace(frame, rgba=_mean_of_blocks(frame.rgba, supersampling))
         if len(shots) > 1:
-            light = to_light(frame.rgba)
+            light = to_linear_light(frame.rgba)
             total = light if total is None else total + light
     assert frame is not None, "an exposure needs at least one shot"
     return frame if total is None else replace(frame, rgba=to_display(total / np.float32(len(shots))))
 
 
-def _finer(shot: Shot, times: int) -> Shot:
+def _finer(shot: RenderView, times: int) -> RenderView:
     """The same shot in more pixels; which drops exist still follows from the output image's focal length."""
     if times == 1:
         return shot
@@ -232,7 +244,7 @@ _STEP_S = 0.005
 """Half the time over which the speed is taken: tracks are linear between their samples, 100 ms apart."""
 
 
-def mounted_cameras(scene: Scene, names: tuple[str, ...]) -> list[MountedCamera]:
+def find_rig_cameras(scene: Scene, names: tuple[str, ...]) -> list[RigCameraView]:
     """Find rig cameras by RIG (all of a rig), RIG/NAME, NAME, or "all"; each once, in the order of the rigs.
 
     Raises `ValueError` for a name that fits none, and where the scene has no ego vehicle.
@@ -245,7 +257,7 @@ def mounted_cameras(scene: Scene, names: tuple[str, ...]) -> list[MountedCamera]
             known = ", ".join(f"{rig}/{camera.name}" for rig, camera in every)
             raise ValueError(f"scene {scene.name!r} has no camera {name!r}, only {known}")
     chosen = [(rig, camera) for rig, camera in every if any(_fits(name, rig, camera) for name in names)]
-    return [MountedCamera(scene, rig, camera.name) for rig, camera in chosen]
+    return [RigCameraView(scene, rig, camera.name) for rig, camera in chosen]
 
 
 def _fits(name: str, rig: str, camera: RigCamera) -> bool:
@@ -255,8 +267,14 @@ def _fits(name: str, rig: str, camera: RigCamera) -> bool:
 # § One picture of a scene in the rain: for those who want an array, and no clip.
 
 
-def render_still(
-    renderer: Renderer, scene: Scene, rain: Rain, camera: Camera, time_s: float = 0.0, *, with_depth: bool = False
+def render_image(
+    renderer: Renderer,
+    scene: Scene,
+    rain: RainSettings,
+    camera: Camera,
+    time_s: float = 0.0,
+    *,
+    with_depth: bool = False,
 ) -> Frame:
     """Draw a scene in its rain from a camera that stands in the world (metres, z up), at a moment of scene and rain.
 
@@ -264,7 +282,7 @@ def render_still(
     `gsrain render` writes. Each call looks around for the colour of the sky, which is that of the drops (paper, eq. 3):
     for many frames keep one `FrameSequence`. Raises ValueError for a calibration that the rain names and there is not.
     """
-    rainfall = Rainfall.start(rain)
+    rainfall = RainSimulation.start(rain)
     sequence = FrameSequence(scene, rainfall, camera, camera.width, camera.height, start_s=time_s)
-    sky = sequence.sky(renderer) if rainfall.can_rain else Sky(OVERCAST, found=False)  # without drops nobody asks
+    sky = sequence.sky(renderer) if rainfall.can_rain else SkyColor(OVERCAST, found=False)  # without drops nobody asks
     return sequence.frame(renderer, 0, sky, with_depth=with_depth)

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..rain.simulation import OVERCAST, mean_sky
+from ..rain.simulation import OVERCAST, mean_linear_color
 from ..scene.camera import Camera, look_at
 from ..scene.scene import Scene
-from .draw import Thinning, thinned
+from .draw import LodSubset, subset_items
 from .renderer import Color, Renderer
 
 _VIEWS, _WIDTH, _HEIGHT, _FOV_DEG = 4, 160, 120, 75.0
@@ -17,10 +17,10 @@ _VIEWS, _WIDTH, _HEIGHT, _FOV_DEG = 4, 160, 120, 75.0
 _FAR_M = 60.0
 """In a capture without a sky layer: what stands above the horizon farther than this is sky."""
 
-_LEAST_PIXELS = 200
+_MIN_PIXELS = 200
 
 
-class Sky(NamedTuple):
+class SkyColor(NamedTuple):
     """A sky's mean colour, and whether the scene showed one."""
 
     color: Color
@@ -37,13 +37,13 @@ class Sky(NamedTuple):
         return red, green, blue
 
 
-def sky_color(renderer: Renderer, scene: Scene, place: Camera, time_s: float = 0.0) -> Sky:
+def sky_color(renderer: Renderer, scene: Scene, place: Camera, time_s: float = 0.0) -> SkyColor:
     """Look around from a camera's place and average, in linear light, what is sky.
 
     Sky is what a sky layer shows past everything else; in a scene without one, what is far above the horizon. Where
     there is neither, drops take the colour of an overcast sky.
     """
-    looking = looking_at_sky(renderer, scene, place, time_s)
+    looking = sample_sky(renderer, scene, place, time_s)
     while True:
         try:
             next(looking)
@@ -51,41 +51,41 @@ def sky_color(renderer: Renderer, scene: Scene, place: Camera, time_s: float = 0
             return end.value
 
 
-def looking_at_sky(
-    renderer: Renderer, scene: Scene, place: Camera, time_s: float = 0.0, thinning: Thinning | None = None
-) -> Generator[None, None, Sky]:
+def sample_sky(
+    renderer: Renderer, scene: Scene, place: Camera, time_s: float = 0.0, thinning: LodSubset | None = None
+) -> Generator[None, None, SkyColor]:
     """Do what `sky_color` does, one picture a step, so that frames can go between them; the return value is the sky.
 
     `thinning` leaves out some of the Gaussians, for a first answer. A scene with wet colours is looked at twice.
     """
-    clear = yield from _mean_sky_seen(renderer, scene, place, time_s, thinning, wetness=0.0)
+    clear = yield from _mean_visible_sky(renderer, scene, place, time_s, thinning, wetness=0.0)
     if clear is None or not scene.has_wet_colors:
-        return Sky(clear or OVERCAST, clear is not None)
-    return Sky(clear, True, (yield from _mean_sky_seen(renderer, scene, place, time_s, thinning, wetness=1.0)))
+        return SkyColor(clear or OVERCAST, clear is not None)
+    return SkyColor(clear, True, (yield from _mean_visible_sky(renderer, scene, place, time_s, thinning, wetness=1.0)))
 
 
-def _mean_sky_seen(
-    renderer: Renderer, scene: Scene, place: Camera, time_s: float, thinning: Thinning | None, *, wetness: float
+def _mean_visible_sky(
+    renderer: Renderer, scene: Scene, place: Camera, time_s: float, thinning: LodSubset | None, *, wetness: float
 ) -> Generator[None, None, Color | None]:
     """Mean colour of the sky around a place; None where hardly any is seen."""
     found: list[np.ndarray] = []
     sky = [layer for layer in scene.layers if layer.kind == "sky" and layer.visible]
     without_sky = replace(scene, layers=tuple(layer for layer in scene.layers if layer.kind != "sky"))
     for camera in _look_around(place):
-        renderer.draw(thinned(scene.parts(time_s, wetness=wetness), thinning), camera, with_depth=True)
+        renderer.draw(subset_items(scene.parts(time_s, wetness=wetness), thinning), camera, with_depth=True)
         frame = renderer.read()
         assert frame.depth is not None
         alpha = frame.rgba[..., 3]
         yield
         if sky:
-            renderer.draw(thinned(without_sky.parts(time_s), thinning), camera)
+            renderer.draw(subset_items(without_sky.parts(time_s), thinning), camera)
             mask = (renderer.read().rgba[..., 3] < 0.05) & (alpha > 0.5)
             yield
         else:
             mask = (alpha > 0.5) & (frame.depth > _FAR_M) & (np.arange(_HEIGHT)[:, None] < _horizon_row(camera))
         found.append(frame.rgba[mask][:, :3] / alpha[mask][:, None])
     colors = np.concatenate(found).astype(np.float64)
-    return mean_sky(np.clip(colors, 0, 1)) if len(colors) >= _LEAST_PIXELS else None
+    return mean_linear_color(np.clip(colors, 0, 1)) if len(colors) >= _MIN_PIXELS else None
 
 
 def _look_around(place: Camera) -> list[Camera]:

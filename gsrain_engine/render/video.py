@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import UInt8
 
-from .export_settings import USUAL_QUALITY
+from .export_settings import DEFAULT_QUALITY
 
 SUFFIXES = (".mp4", ".webm")
 
@@ -67,13 +67,13 @@ class VideoWriter:
         self._av = _pyav(path)
         codec = codec or _CODECS[suffix][0]
         encoder = _ENCODERS[codec]
-        options = {"crf": str(USUAL_QUALITY[codec] if quality is None else quality), **encoder.options}
+        options = {"crf": str(DEFAULT_QUALITY[codec] if quality is None else quality), **encoder.options}
         if encoder.name == "libsvtav1":
             os.environ.setdefault("SVT_LOG", "1")  # errors only: it is talkative on the console
         path.parent.mkdir(parents=True, exist_ok=True)
         # Ctrl-C is raised in the main thread, and lost where FFmpeg has called what it is raised in.
         self._thread = ThreadPoolExecutor(1, "video")
-        self._file = TornFile(path)
+        self._file = ErrorCapturingFile(path)
         self._container: Any = self._av.open(self._file, mode="w", format=suffix[1:], options=_CONTAINERS[suffix])
         rate = Fraction(fps).limit_denominator(1001)
         self._stream: Any = self._container.add_stream(encoder.name, rate=rate, options=options)
@@ -132,7 +132,7 @@ def _pyav(path: Path) -> Any:
 # § A file for an encoder that does not survive a full disk: it never hears of errors, who drives it does.
 
 
-class TornFile:
+class ErrorCapturingFile:
     """Takes bytes until the disk refuses some; from then on it pretends, and keeps the error.
 
     FFmpeg's fragmented MP4 ends the process when it is closed after an error of its output.

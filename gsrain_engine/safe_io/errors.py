@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 from msgspec import inspect
 
-from .text_files import check_finite, printable
+from .text_files import check_finite, printable_line
 
 _LONGEST = 3000
 """Signs of a sentence: settings of a training have some forty fields."""
@@ -22,7 +22,7 @@ _WRONG_WORD = re.compile(r"Invalid (?:enum )?value ")
 _NO_FIELD = re.compile(r"Object contains unknown field `(.*?)`")
 
 
-def explained(error: Exception, kind: Any, values: Any = None) -> str:
+def readable_validation_error(error: Exception, kind: Any, values: Any = None) -> str:
     """Return an error of `msgspec.convert(..., kind)` with the words that would be right where one is wrong.
 
     `Invalid value 'brak' - at `$.behaviour.kind`` becomes `Invalid value 'brak', expected brake, cut-in, ... - at ...`;
@@ -110,7 +110,7 @@ def _words(around: list[inspect.Type], name: str) -> Iterator[str]:
                     yield from (str(member.value) for member in choice.cls)
 
 
-def converted(values: Any, kind: Any, **options: Any) -> Any:
+def convert_checked(values: Any, kind: Any, **options: Any) -> Any:
     """Return plain values as a type that msgspec knows.
 
     Raises msgspec.ValidationError (a ValueError) with the place and what is allowed, ValueError for NaN or infinity.
@@ -119,4 +119,6 @@ def converted(values: Any, kind: Any, **options: Any) -> Any:
     try:
         return msgspec.convert(values, kind, **options)
     except msgspec.ValidationError as error:
-        raise msgspec.ValidationError(printable(explained(error, kind, values), _LONGEST)) from None
+        raise msgspec.ValidationError(
+            printable_line(readable_validation_error(error, kind, values), _LONGEST)
+        ) from None

@@ -23,7 +23,7 @@ _HEAD_BYTES = 512
 """The mark of a tar archive stands at byte 257."""
 
 
-class _Kind(NamedTuple):
+class _FileKind(NamedTuple):
     words: str
     """The kind, and what can be done with such a file."""
     starts: tuple[bytes, ...] = ()
@@ -34,7 +34,7 @@ class _Kind(NamedTuple):
     """Names that such a file rightly has: it is no surprise there. A kind without first bytes goes by them alone."""
 
 
-_PICTURE = "a picture: give the folder that it is in"
+_IMAGE = "a picture: give the folder that it is in"
 
 _ARCHIVE = "an archive: unpack it, and give what was in it"
 
@@ -45,31 +45,31 @@ _MESH = "a mesh or a point cloud, no Gaussians"
 _HEIC = "an HEIC or AVIF picture: convert it to JPEG or PNG"
 
 _KINDS = (
-    _Kind(
+    _FileKind(
         "a pointer of Git LFS, not the file itself: run git lfs pull where it was cloned", (b"version https://git-lfs",)
     ),
-    _Kind("a web page, not the file: the download went wrong", (b"<!doctype html", b"<html")),
-    _Kind("a file of arrays", suffixes=(".npz", ".npy")),
-    _Kind(_ARCHIVE, (b"pk\x03\x04", b"pk\x05\x06"), suffixes=(".sog",)),
-    _Kind(_ARCHIVE, (b"7z\xbc\xaf\x27\x1c", b"rar!\x1a")),
-    _Kind(_ARCHIVE, (b"ustar",), at=257),
-    _Kind(_ARCHIVE, (b"\x1f\x8b",), suffixes=(".spz",)),
-    _Kind(_PICTURE, (b"\xff\xd8\xff",), suffixes=(".jpg", ".jpeg")),
-    _Kind(_PICTURE, (b"\x89png\r\n",), suffixes=(".png",)),
-    _Kind(_PICTURE, (b"gif87a", b"gif89a"), suffixes=(".gif",)),
-    _Kind(_PICTURE, (b"ii*\0", b"mm\0*"), suffixes=(".tif", ".tiff")),
-    _Kind(_PICTURE, (b"webpvp8",), at=8, suffixes=(".webp",)),
-    _Kind(_HEIC, (b"ftyphei", b"ftyphev", b"ftypmif", b"ftypmsf", b"ftypavi"), at=4),
-    _Kind(_VIDEO, (b"ftyp", b"moov", b"mdat"), at=4),
-    _Kind(_VIDEO, (b"\x1a\x45\xdf\xa3",)),
-    _Kind(_VIDEO, (b"avi list",), at=8),
-    _Kind(_MESH, (b"gltf", b"kaydara fbx", b"lasf", b"# .pcd")),
-    _Kind("a PLY file: a scene, a mesh or a point cloud", (b"ply\n", b"ply\r\n"), suffixes=(".ply",)),
-    _Kind("a PDF", (b"%pdf-",)),
-    _Kind("a table of a data set (Parquet): give the data set's folder", (b"par1",)),
-    _Kind("a database, such as COLMAP's: give the folder with the model (sparse/0)", (b"sqlite format 3",)),
-    _Kind(_MESH, suffixes=(".obj", ".stl", ".fbx", ".gltf", ".glb", ".dae", ".las", ".laz", ".e57", ".pcd")),
-    _Kind(_VIDEO, suffixes=(".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v")),
+    _FileKind("a web page, not the file: the download went wrong", (b"<!doctype html", b"<html")),
+    _FileKind("a file of arrays", suffixes=(".npz", ".npy")),
+    _FileKind(_ARCHIVE, (b"pk\x03\x04", b"pk\x05\x06"), suffixes=(".sog",)),
+    _FileKind(_ARCHIVE, (b"7z\xbc\xaf\x27\x1c", b"rar!\x1a")),
+    _FileKind(_ARCHIVE, (b"ustar",), at=257),
+    _FileKind(_ARCHIVE, (b"\x1f\x8b",), suffixes=(".spz",)),
+    _FileKind(_IMAGE, (b"\xff\xd8\xff",), suffixes=(".jpg", ".jpeg")),
+    _FileKind(_IMAGE, (b"\x89png\r\n",), suffixes=(".png",)),
+    _FileKind(_IMAGE, (b"gif87a", b"gif89a"), suffixes=(".gif",)),
+    _FileKind(_IMAGE, (b"ii*\0", b"mm\0*"), suffixes=(".tif", ".tiff")),
+    _FileKind(_IMAGE, (b"webpvp8",), at=8, suffixes=(".webp",)),
+    _FileKind(_HEIC, (b"ftyphei", b"ftyphev", b"ftypmif", b"ftypmsf", b"ftypavi"), at=4),
+    _FileKind(_VIDEO, (b"ftyp", b"moov", b"mdat"), at=4),
+    _FileKind(_VIDEO, (b"\x1a\x45\xdf\xa3",)),
+    _FileKind(_VIDEO, (b"avi list",), at=8),
+    _FileKind(_MESH, (b"gltf", b"kaydara fbx", b"lasf", b"# .pcd")),
+    _FileKind("a PLY file: a scene, a mesh or a point cloud", (b"ply\n", b"ply\r\n"), suffixes=(".ply",)),
+    _FileKind("a PDF", (b"%pdf-",)),
+    _FileKind("a table of a data set (Parquet): give the data set's folder", (b"par1",)),
+    _FileKind("a database, such as COLMAP's: give the folder with the model (sparse/0)", (b"sqlite format 3",)),
+    _FileKind(_MESH, suffixes=(".obj", ".stl", ".fbx", ".gltf", ".glb", ".dae", ".las", ".laz", ".e57", ".pcd")),
+    _FileKind(_VIDEO, suffixes=(".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v")),
 )
 """The first that fits is right. Letters are compared as small ones."""
 
@@ -294,7 +294,7 @@ def receive_message(connection: Connection, max_bytes: int) -> Any:
     return pickle.loads(connection.recv_bytes(max_bytes))
 
 
-class Wire:
+class ServerConnection:
     """A connection to a server; all of it, from the look-up of its name on, is under one deadline and one budget."""
 
     def __init__(self, host: str, port: int, deadline: Deadline, budget: ByteBudget, *, is_secure: bool) -> None:

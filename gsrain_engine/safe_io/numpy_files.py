@@ -13,7 +13,7 @@ import numpy as np
 
 from .limits import open_file
 
-_MOST_BYTES = 8 << 30
+_MAX_BYTES = 8 << 30
 
 _SUFFIX = ".npy"
 
@@ -27,7 +27,7 @@ DAMAGES = (
 """What zipfile and NumPy raise over damaged archives."""
 
 
-def read_archive(path: Path, most_bytes: int = _MOST_BYTES) -> dict[str, np.ndarray]:
+def read_archive(path: Path, most_bytes: int = _MAX_BYTES) -> dict[str, np.ndarray]:
     """Read all arrays of an archive by their names.
 
     Raises FileNotFoundError, and ValueError with what is wrong where the archive is damaged, would take more memory

@@ -10,18 +10,18 @@ import yaml
 
 from .limits import InputError, read_input
 
-MOST_BYTES = 1 << 24
+MAX_BYTES = 1 << 24
 """Of a file of settings: a scenario with an hour of tracks has a tenth of it."""
 
-_MOST_DEPTH = 100
+_MAX_DEPTH = 100
 
-_MOST_VALUES = 300_000
+_MAX_VALUES = 300_000
 """Aliases count as what they stand for."""
 
-_MOST_DIGITS = 400
+_MAX_DIGITS = 400
 """Of a whole number; a float has no more than 309 before its point."""
 
-_MOST_SIGNS = 100_000
+_MAX_SIGNS = 100_000
 """Of one word or text."""
 
 _MERGED = "<<"
@@ -32,7 +32,7 @@ _SOURCE = ' in "<byte string>",'
 _Parser: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
-def read_whole(path: Path, max_bytes: int = MOST_BYTES) -> bytes:
+def read_whole(path: Path, max_bytes: int = MAX_BYTES) -> bytes:
     """Read settings: a file, or a pipe such as `<(command)`, of at most so many bytes.
 
     Raises ValueError with its name where it is larger or neither of them, OSError where it can't be read.
@@ -51,11 +51,11 @@ def yaml_values(data: bytes) -> Any:
     """
     try:
         _check_events(data)
-        return yaml.load(data, _Loader)
+        return yaml.load(data, _SafeYamlLoader)
     except yaml.YAMLError as error:
-        raise ValueError(f"not readable as YAML: {printable(error).replace(_SOURCE, ',')}") from None
+        raise ValueError(f"not readable as YAML: {printable_line(error).replace(_SOURCE, ',')}") from None
     except ValueError as error:
-        raise ValueError(f"not readable as YAML: {printable(error)}") from None
+        raise ValueError(f"not readable as YAML: {printable_line(error)}") from None
     except (ArithmeticError, AttributeError, LookupError, TypeError, RecursionError):
         # What PyYAML makes of tags before what they can't be, such as `!!int ""`.
         raise ValueError("not readable as YAML: a tag (!!...) stands before what it can't be") from None
@@ -68,7 +68,7 @@ def json_values(data: bytes) -> Any:
     except RecursionError:
         raise ValueError("not readable as JSON: it is nested too deeply") from None
     except ValueError as error:
-        raise ValueError(f"not readable as JSON: {printable(error)}") from None
+        raise ValueError(f"not readable as JSON: {printable_line(error)}") from None
     check_finite(values)
     return values
 
@@ -79,9 +79,9 @@ def check_finite(values: Any) -> None:
     while waiting:
         place, depth, value = waiting.pop()
         if isinstance(value, float) and not math.isfinite(value):
-            raise ValueError(f"Expected a finite number, got {value} - at `{printable(place)}`")
-        if isinstance(value, dict | list | tuple) and depth > _MOST_DEPTH:
-            raise ValueError(f"nested more than {_MOST_DEPTH} levels deep")
+            raise ValueError(f"Expected a finite number, got {value} - at `{printable_line(place)}`")
+        if isinstance(value, dict | list | tuple) and depth > _MAX_DEPTH:
+            raise ValueError(f"nested more than {_MAX_DEPTH} levels deep")
         if isinstance(value, dict):
             items: dict[Any, Any] = value
             waiting += [(f"{place}.{name}", depth + 1, each) for name, each in items.items()]
@@ -102,7 +102,7 @@ def _check_events(data: bytes) -> None:
         elif isinstance(event, yaml.ScalarEvent):
             total += 1
             sizes[event.anchor] = 1
-            if len(event.value) > _MOST_SIGNS:
+            if len(event.value) > _MAX_SIGNS:
                 raise ValueError(f"line {event.start_mark.line + 1}: a text of {len(event.value)} signs")
         elif isinstance(event, yaml.CollectionStartEvent):
             opened.append((event.anchor, total))
@@ -110,13 +110,13 @@ def _check_events(data: bytes) -> None:
         elif isinstance(event, yaml.CollectionEndEvent):
             anchor, before = opened.pop()
             sizes[anchor] = total - before
-        if len(opened) > _MOST_DEPTH:
-            raise ValueError(f"nested more than {_MOST_DEPTH} levels deep")
-        if total > _MOST_VALUES:
-            raise ValueError(f"it holds more than {_MOST_VALUES} values")
+        if len(opened) > _MAX_DEPTH:
+            raise ValueError(f"nested more than {_MAX_DEPTH} levels deep")
+        if total > _MAX_VALUES:
+            raise ValueError(f"it holds more than {_MAX_VALUES} values")
 
 
-class _Loader(_Parser):
+class _SafeYamlLoader(_Parser):
     """Plain values only; a field that stands twice is an error, as YAML has it."""
 
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
@@ -128,36 +128,36 @@ class _Loader(_Parser):
         return super().construct_mapping(node, deep)
 
     def construct_yaml_int(self, node: Any) -> int:
-        if len(node.value) > _MOST_DIGITS:
+        if len(node.value) > _MAX_DIGITS:
             raise yaml.constructor.ConstructorError(
                 None, None, f"a number of {len(node.value)} digits", node.start_mark
             )
         return super().construct_yaml_int(node)
 
     def construct_yaml_float(self, node: Any) -> float:
-        if len(node.value) > _MOST_DIGITS:
+        if len(node.value) > _MAX_DIGITS:
             raise yaml.constructor.ConstructorError(
                 None, None, f"a number of {len(node.value)} digits", node.start_mark
             )
         return super().construct_yaml_float(node)
 
 
-_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
+_SafeYamlLoader.add_constructor("tag:yaml.org,2002:int", _SafeYamlLoader.construct_yaml_int)
 
-_Loader.add_constructor("tag:yaml.org,2002:float", _Loader.construct_yaml_float)
+_SafeYamlLoader.add_constructor("tag:yaml.org,2002:float", _SafeYamlLoader.construct_yaml_float)
 
 # § Words out of files in sentences for people: no sign in them steers a terminal, and none goes on for pages.
 
 _LONGEST = 600
 
 
-def printable(words: object, longest: int = _LONGEST) -> str:
+def printable_line(words: object, longest: int = _LONGEST) -> str:
     """Return words as one line: signs that can't be printed as their escapes, and the middle of long ones left out."""
-    line = escaped(" ".join(str(words).split()))
+    line = escape_invisible(" ".join(str(words).split()))
     return line if len(line) <= longest else f"{line[: longest // 2]} ... {line[-longest // 2 :]}"
 
 
-def escaped(text: str) -> str:
+def escape_invisible(text: str) -> str:
     r"""Return a name or a line with everything in it that is no visible character or space as its escape.
 
     ESC becomes `\x1b`, a line break `\n`, U+202E and the other controls of direction `\u202e`, an undecodable byte
@@ -183,7 +183,7 @@ def figure_words(words: object, longest: int = 48) -> str:
     The middle of long ones is left out, `$` begins no formula, an underscore in front hides no curve from the legend,
     and a sign that the font lacks becomes a box.
     """
-    line = printable(words, longest)
+    line = printable_line(words, longest)
     if not line.isascii():
         line = "".join(sign if _has_glyph(sign) else _MISSING for sign in line)
     line = line.replace("$", r"\$")

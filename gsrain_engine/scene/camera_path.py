@@ -200,7 +200,7 @@ class CameraPath:
             within = knots[0] + np.mod(times_s - knots[0], knots[-1] - knots[0])
         else:
             within = np.clip(times_s, knots[0], knots[-1])
-        return eased(self.easing, knots, within)
+        return apply_easing(self.easing, knots, within)
 
     def _position(self, t: float) -> Float64[np.ndarray, "3"]:
         return self.positions[0] if len(self.times_s) < 2 else self._curves.positions(t)
@@ -264,7 +264,7 @@ _KEYS_AROUND_A_LOOP = 24
 """Keys that are laid out before and after a loop: a spline forgets its ends by a factor of 2 or more a key."""
 
 
-def eased(easing: Easing, knots_s: Float64[np.ndarray, " k"], times_s: Float64[np.ndarray, " t"]) -> Eased:
+def apply_easing(easing: Easing, knots_s: Float64[np.ndarray, " k"], times_s: Float64[np.ndarray, " t"]) -> Eased:
     """Path time at moments between the first knot and the last.
 
     Every knot stays at its moment, the order of moments stays, and the rate has no jumps. Between two knots that both

@@ -14,63 +14,65 @@ SAME_TIME_S = 0.005
 """Keys as near as this are one key: less than half a frame at 60 frames a second."""
 
 
-class Keyed(NamedTuple):
+class EditedKeyframe(NamedTuple):
     """A path, and the number of the key that was changed: keys that pass one another change their numbers."""
 
     path: CameraPath
     key: int
 
 
-def key_at(path: CameraPath, time_s: float) -> int | None:
+def keyframe_at(path: CameraPath, time_s: float) -> int | None:
     """Number of the key at a moment; None where there is none."""
     key = int(np.argmin(np.abs(path.times_s - time_s)))
     return key if abs(path.times_s[key] - time_s) <= SAME_TIME_S else None
 
 
-def key_camera(path: CameraPath, key: int, width: int, height: int) -> Camera:
+def keyframe_camera(path: CameraPath, key: int, width: int, height: int) -> Camera:
     """Camera of a key: exactly the one that was put there."""
     return replace(path, easing="none", loop=False).camera(float(path.times_s[key]), width, height)
 
 
-def with_key(path: CameraPath | None, time_s: float, camera: Camera) -> Keyed:
+def with_keyframe(path: CameraPath | None, time_s: float, camera: Camera) -> EditedKeyframe:
     """Put a camera at a moment, in the place of the key that is there already; without a path, begin one."""
     time = np.array([float(time_s)])
     pose = camera.camera_to_world
     fov = np.array([camera.vertical_fov_deg])
     quaternion = quaternions_from_matrices(pose[None, :3, :3])
     if path is None:
-        return Keyed(CameraPath(time, pose[None, :3, 3], quaternion, fov, camera.exposure_s), 0)
-    key = key_at(path, time_s)
+        return EditedKeyframe(CameraPath(time, pose[None, :3, 3], quaternion, fov, camera.exposure_s), 0)
+    key = keyframe_at(path, time_s)
     if key is not None:
-        return Keyed(placed_key(path, key, pose[:3, 3], quaternion[0], float(fov[0])), key)
+        return EditedKeyframe(place_keyframe_at(path, key, pose[:3, 3], quaternion[0], float(fov[0])), key)
     longer = _with_rows(replace(path, is_timed=True), time, pose[None, :3, 3], quaternion, fov)
-    return Keyed(longer, int(np.searchsorted(longer.times_s, time[0])))
+    return EditedKeyframe(longer, int(np.searchsorted(longer.times_s, time[0])))
 
 
-def without_key(path: CameraPath, key: int) -> CameraPath | None:
+def without_keyframe(path: CameraPath, key: int) -> CameraPath | None:
     """Take a key away; None where it was the last one."""
     kept = np.delete(np.arange(len(path.times_s)), key)
     return _of_keys(path, kept, path.times_s[kept]) if len(kept) else None
 
 
-def moved_key(path: CameraPath, key: int, time_s: float) -> Keyed:
+def move_keyframe(path: CameraPath, key: int, time_s: float) -> EditedKeyframe:
     """Move a key to another moment, past others if need be; where another one is, to the nearest free moment."""
     free = _free_moment(np.delete(path.times_s, key), time_s)
     times = path.times_s.copy()
     times[key] = free
     order = np.argsort(times)
-    return Keyed(_of_keys(replace(path, is_timed=True), order, times[order]), int(np.flatnonzero(order == key)[0]))
+    return EditedKeyframe(
+        _of_keys(replace(path, is_timed=True), order, times[order]), int(np.flatnonzero(order == key)[0])
+    )
 
 
-def copied_key(path: CameraPath, key: int, time_s: float) -> Keyed:
+def copy_keyframe_to(path: CameraPath, key: int, time_s: float) -> EditedKeyframe:
     """Put a copy of a key at another moment; where another key is, at the nearest free moment."""
     free = _free_moment(path.times_s, time_s)
     rows = (path.positions[key : key + 1], path.quaternions_wxyz[key : key + 1], path.vertical_fov_deg[key : key + 1])
     longer = _with_rows(replace(path, is_timed=True), np.array([free]), *rows)
-    return Keyed(longer, int(np.searchsorted(longer.times_s, free)))
+    return EditedKeyframe(longer, int(np.searchsorted(longer.times_s, free)))
 
 
-def placed_key(
+def place_keyframe_at(
     path: CameraPath,
     key: int,
     position: Float64[np.ndarray, "3"] | None = None,
@@ -90,7 +92,7 @@ def placed_key(
     return replace(path, **changes)
 
 
-def stretched(path: CameraPath, factor: float) -> CameraPath:
+def stretch_path_time(path: CameraPath, factor: float) -> CameraPath:
     """Let the flight take so many times longer; its first key stays at its moment.
 
     Raises `ValueError` where keys would come too close to one another.
@@ -101,12 +103,12 @@ def stretched(path: CameraPath, factor: float) -> CameraPath:
     return replace(path, times_s=times, is_timed=True)
 
 
-def shifted(path: CameraPath, seconds: float) -> CameraPath:
+def shift_path_time(path: CameraPath, seconds: float) -> CameraPath:
     """Let the flight begin so much later."""
     return replace(path, times_s=path.times_s + seconds)
 
 
-def reversed_path(path: CameraPath) -> CameraPath:
+def reverse_path_time(path: CameraPath) -> CameraPath:
     """Fly the same way backwards, in the same span of time."""
     backwards = np.arange(len(path.times_s))[::-1]
     return _of_keys(path, backwards, path.times_s[0] + path.times_s[-1] - path.times_s[backwards])
@@ -159,13 +161,13 @@ def _with_row(rows: np.ndarray, row: int, value: np.ndarray) -> np.ndarray:
 
 # § Rotation and field of view of a camera in the numbers that people set: heading, pitch, roll, focal length.
 
-_FILM_HEIGHT_MM = 24.0
+_VIDEO_HEIGHT_MM = 24.0
 """Of the 35 mm film that focal lengths are compared on."""
 
 _STRAIGHT_UP = 1 - 1e-12
 
 
-class LookAngles(NamedTuple):
+class ViewAngles(NamedTuple):
     """Where a camera looks, in a world with z up; degrees."""
 
     heading_deg: float
@@ -176,7 +178,7 @@ class LookAngles(NamedTuple):
     """How far the camera leans to its right: positive turns the picture's content to the left; -180..180."""
 
 
-def look_angles(camera_to_world: Float64[np.ndarray, "3 3"]) -> LookAngles:
+def view_angles(camera_to_world: Float64[np.ndarray, "3 3"]) -> ViewAngles:
     """Angles of a rotation (OpenCV axes). One that looks straight up or down has no roll: it is all heading."""
     right, down, forward = camera_to_world.T
     pitch = np.arcsin(np.clip(forward[2], -1, 1))
@@ -188,7 +190,7 @@ def look_angles(camera_to_world: Float64[np.ndarray, "3 3"]) -> LookAngles:
     return _in_degrees(heading, pitch, roll)
 
 
-def look_rotation(angles: LookAngles) -> Float64[np.ndarray, "3 3"]:
+def view_rotation(angles: ViewAngles) -> Float64[np.ndarray, "3 3"]:
     """Rotation, camera to world (OpenCV axes), that has these angles."""
     heading, pitch, roll = np.radians(angles)
     forward = np.array([np.cos(pitch) * np.cos(heading), np.cos(pitch) * np.sin(heading), np.sin(pitch)])
@@ -200,17 +202,17 @@ def look_rotation(angles: LookAngles) -> Float64[np.ndarray, "3 3"]:
 
 def focal_length_mm(vertical_fov_deg: float) -> float:
     """Focal length of the lens that sees as much from top to bottom on 35 mm film (a picture 24 mm high)."""
-    return float(_FILM_HEIGHT_MM / 2 / np.tan(np.radians(vertical_fov_deg) / 2))
+    return float(_VIDEO_HEIGHT_MM / 2 / np.tan(np.radians(vertical_fov_deg) / 2))
 
 
 def fov_of_focal_length(focal_mm: float) -> float:
     """Vertical field of view in degrees of a lens on 35 mm film."""
-    return float(np.degrees(2 * np.arctan(_FILM_HEIGHT_MM / 2 / focal_mm)))
+    return float(np.degrees(2 * np.arctan(_VIDEO_HEIGHT_MM / 2 / focal_mm)))
 
 
-def _in_degrees(heading: float, pitch: float, roll: float) -> LookAngles:
+def _in_degrees(heading: float, pitch: float, roll: float) -> ViewAngles:
     """Without what is only rounding, which would be read as -0.0."""
-    return LookAngles(*(np.degrees([heading, pitch, roll]).round(9) + 0.0).tolist())
+    return ViewAngles(*(np.degrees([heading, pitch, roll]).round(9) + 0.0).tolist())
 
 
 # § How long and how fast a camera path is, and where no vehicle could follow it. World frame, metres.
@@ -221,7 +223,7 @@ FASTEST_KM_H = 250.0
 FASTEST_TURN_DEG_S = 180.0
 """Half a turn a second: a picture that only smears."""
 
-_SAMPLES_A_SECOND, _FEWEST, _MOST = 30, 64, 4000
+_SAMPLES_A_SECOND, _FEWEST, _SAMPLE_LIMITS = 30, 64, 4000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -237,7 +239,7 @@ class PathSpeed:
     @classmethod
     def of(cls, path: CameraPath) -> "PathSpeed":
         """Sample a path, in the world, about thirty times a second."""
-        count = int(np.clip(_SAMPLES_A_SECOND * path.duration_s, _FEWEST, _MOST))
+        count = int(np.clip(_SAMPLES_A_SECOND * path.duration_s, _FEWEST, _SAMPLE_LIMITS))
         times = np.linspace(path.start_s, path.end_s, count) if path.duration_s > 0 else np.array([path.start_s])
         inside = np.minimum(times, np.nextafter(path.end_s, -np.inf)) if path.loop else times
         speeds = np.linalg.norm(path.velocities(inside), axis=1)
@@ -293,7 +295,7 @@ def _turn_rates(path: CameraPath, times: Float64[np.ndarray, " t"]) -> Float64[n
 # § Recorded trajectories as camera paths: a few keys that fly the same way, and keys laid onto the nearest place.
 
 
-def every(path: CameraPath, seconds: float) -> CameraPath:
+def resample(path: CameraPath, seconds: float) -> CameraPath:
     """Keep one key each so many seconds, and the first and last one."""
     if not seconds > 0:
         raise ValueError(f"a key every {seconds:g} s: must be above 0 s")
@@ -307,7 +309,7 @@ def every(path: CameraPath, seconds: float) -> CameraPath:
     return _trajectory_of_keys(path, np.unique(np.where(nearer, before, after)))
 
 
-def simplified(path: CameraPath, tolerance_m: float = 0.05, tolerance_deg: float = 0.5) -> CameraPath:
+def simplify(path: CameraPath, tolerance_m: float = 0.05, tolerance_deg: float = 0.5) -> CameraPath:
     """Keep few keys, between which the curves pass all others within a distance (units of the path) and an angle.
 
     Begins with the first and last key, and adds the one that is farthest off until none is too far. Few, not proven
@@ -329,7 +331,7 @@ def simplified(path: CameraPath, tolerance_m: float = 0.05, tolerance_deg: float
     return _trajectory_of_keys(path, kept)
 
 
-def nearest_moment(path: CameraPath, place: Float64[np.ndarray, "3"]) -> float:
+def nearest_time(path: CameraPath, place: Float64[np.ndarray, "3"]) -> float:
     """When a trajectory comes nearest to a place, on the straight lines between its keys."""
     if len(path.times_s) < 2:
         return path.start_s
@@ -341,11 +343,11 @@ def nearest_moment(path: CameraPath, place: Float64[np.ndarray, "3"]) -> float:
     return float(path.times_s[k] + shares[k] * (path.times_s[k + 1] - path.times_s[k]))
 
 
-def snapped_key(path: CameraPath, key: int, trajectory: CameraPath, *, turn_too: bool = True) -> CameraPath:
+def snap_key_to(path: CameraPath, key: int, trajectory: CameraPath, *, turn_too: bool = True) -> CameraPath:
     """Lay a key onto the nearest place of a trajectory in the same frame, looking as it looks there if asked."""
-    at = trajectory.camera(nearest_moment(trajectory, path.positions[key]), 2, 2)
+    at = trajectory.camera(nearest_time(trajectory, path.positions[key]), 2, 2)
     quaternion = quaternions_from_matrices(at.camera_to_world[:3, :3]) if turn_too else None
-    return placed_key(path, key, at.position, quaternion)
+    return place_keyframe_at(path, key, at.position, quaternion)
 
 
 def _angles_deg(left: Float64[np.ndarray, "t 3 3"], right: Float64[np.ndarray, "t 3 3"]) -> Float64[np.ndarray, " t"]:
@@ -374,7 +376,7 @@ _TURN_DEG_S = 90.0
 """Between photos from one place the camera turns so fast."""
 
 
-def paced(path: CameraPath, speed: float, *, is_timed: bool = False) -> CameraPath:
+def with_constant_speed(path: CameraPath, speed: float, *, is_timed: bool = False) -> CameraPath:
     """Give the keys moments at which the camera passes them at a speed, in the path's own unit a second.
 
     The first key stays at its moment. `is_timed` says whether these are times that somebody asked for. Raises

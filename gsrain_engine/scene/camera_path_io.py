@@ -11,7 +11,7 @@ from jaxtyping import Float64
 
 from .camera import Camera
 from .camera_path import CameraPath, Easing, Interpolation
-from .camera_path_edit import WALKING_M_S, key_camera, paced
+from .camera_path_edit import WALKING_M_S, keyframe_camera, with_constant_speed
 from .files import SceneFormatError, read_json, whole_file
 from .geometry import normalized, quaternions_from_matrices
 
@@ -137,7 +137,7 @@ def _from_poses(
     """Fly through poses at moments, or, without these, at walking pace, a unit taken for a metre."""
     moments = np.arange(len(positions), dtype=np.float64) if times is None else times
     path = CameraPath(moments, positions, normalized(quaternions_from_matrices(rotations)), fov)
-    return path if times is not None else paced(path, WALKING_M_S)
+    return path if times is not None else with_constant_speed(path, WALKING_M_S)
 
 
 # § Camera paths for other programs: nerfstudio's `camera_path.json` and the `cameras.json` of 3DGS, frame by frame.
@@ -156,7 +156,7 @@ def write_nerfstudio_path(
 ) -> None:
     """Write a path for nerfstudio: every frame, which `ns-render camera-path` reads, and the keys for its viewer."""
     times = frame_times(camera_path, fps)
-    keys = [key_camera(camera_path, key, width, height) for key in range(len(camera_path.times_s))]
+    keys = [keyframe_camera(camera_path, key, width, height) for key in range(len(camera_path.times_s))]
     gaps = np.diff(camera_path.times_s, append=camera_path.end_s).tolist()
     values = {
         "camera_type": "perspective",

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from ..safe_io.limits import read_input
-from ..safe_io.text_files import printable
+from ..safe_io.text_files import printable_line
 
 _PART = re.compile(r"\..*\.[0-9a-f]{8}\.part", re.DOTALL)
 """Names that only we give."""
@@ -56,9 +56,9 @@ def whole_file(path: Path) -> Generator[Path]:
         return
     path.parent.mkdir(parents=True, exist_ok=True)
     remove_abandoned(path.parent)
-    beside = _beside(path)
+    beside = _temporary_path(path)
     try:
-        with telling_of(path, beside):
+        with naming_path(path, beside):
             yield beside
             sync(beside)
             with suppress(OSError):  # a new file has none to keep
@@ -74,20 +74,20 @@ def whole_file(path: Path) -> Generator[Path]:
 def whole_folder(path: Path, *, shared: bool = False) -> Generator[Path]:
     """Give a new folder beside `path`; it becomes `path`, which may not exist or be empty, once the block has ended.
 
-    Raises `OSError` that names `path` where the disk refuses, and `HeldError` where another process writes it; with
-    `shared`, several may, and the first that is done has it.
+    Raises `OSError` that names `path` where the disk refuses, and `PathInUseError` where another process writes it;
+    with `shared`, several may, and the first that is done has it.
     """
-    with holding(path, shared=shared):
+    with hold_for_writing(path, shared=shared):
         yield from _renamed_in_the_end(path)
 
 
 def _renamed_in_the_end(path: Path) -> Generator[Path]:
     remove_abandoned(path.parent)
-    beside = _beside(path)
+    beside = _temporary_path(path)
     try:
-        with telling_of(path, beside):
+        with naming_path(path, beside):
             beside.mkdir()
-            with locked(beside):
+            with lock_path(beside):
                 yield beside
                 sync(beside)
                 beside.rename(path)
@@ -97,7 +97,7 @@ def _renamed_in_the_end(path: Path) -> Generator[Path]:
 
 
 @contextmanager
-def telling_of(path: Path, part: Path) -> Generator[None]:
+def naming_path(path: Path, part: Path) -> Generator[None]:
     """Let what a disk refuses in the block name `path`, where it names no file, or `part` and what is in it."""
     try:
         yield
@@ -134,7 +134,7 @@ def sync(path: Path) -> None:
         os.close(handle)
 
 
-def _beside(path: Path) -> Path:
+def _temporary_path(path: Path) -> Path:
     # What a locale's character set can't say goes: a name made of it could not be written.
     name = os.fsencode(path.name)[:_LONGEST_NAME].decode(sys.getfilesystemencoding(), errors="ignore")
     return path.with_name(f".{name}.{secrets.token_hex(4)}.part")
@@ -149,7 +149,7 @@ def _is_special(path: Path) -> bool:
 
 
 def _remove_if_abandoned(part: Path) -> None:
-    with locked_if_free(part) as is_free:
+    with try_lock_path(part) as is_free:
         touched = [each.stat().st_mtime for each in (part, *part.rglob("*"))]
         if not is_free or time.time() - max(touched) < _ABANDONED_S:
             return
@@ -204,12 +204,12 @@ class FileLock:
         self._handle = -1
 
 
-class HeldError(OSError):
+class PathInUseError(OSError):
     """A place that another process writes to: says which process that is, and what it was called with."""
 
 
 @dataclass
-class _Holding:
+class _HeldPath:
     """A place that this process writes to, and how often it has begun to."""
 
     handle: int | None
@@ -218,11 +218,11 @@ class _Holding:
     count: int = 1
 
 
-_guard, _holdings = threading.Lock(), dict[Path, _Holding]()
+_guard, _holdings = threading.Lock(), dict[Path, _HeldPath]()
 
 
 @contextmanager
-def holding(path: Path, *, shared: bool = False) -> Generator[None]:
+def hold_for_writing(path: Path, *, shared: bool = False) -> Generator[None]:
     """Have a file or folder that is written to for this process, for as long as the block runs; it need not be there.
 
     The lock is a file beside it, `.NAME.lock`, in which the process writes down what it is; it goes in the end, and one
@@ -238,7 +238,7 @@ def holding(path: Path, *, shared: bool = False) -> Generator[None]:
             _holdings[place].count += 1
         else:
             missing = tuple(each for each in place.parents if not each.exists())
-            _holdings[place] = _Holding(_taken(place, shared), missing)
+            _holdings[place] = _HeldPath(_try_lock(place, shared), missing)
     try:
         yield
     finally:
@@ -262,7 +262,7 @@ def lock_file(path: Path) -> Path:
 _LONGEST_NOTE = 4096
 
 
-def _taken(place: Path, shared: bool) -> int | None:
+def _try_lock(place: Path, shared: bool) -> int | None:
     """Lock a place; None where the disk takes no file there: what is written next says why."""
     path = lock_file(place)
     while True:
@@ -274,7 +274,7 @@ def _taken(place: Path, shared: bool) -> int | None:
         if not _lock(handle, waiting=False, shared=shared):
             holder = _holder(handle)
             os.close(handle)
-            raise HeldError(f"{printable(place)}: {holder}; wait for it, stop it, or choose another place")
+            raise PathInUseError(f"{printable_line(place)}: {holder}; wait for it, stop it, or choose another place")
         if _is_still(path, handle):
             break
         os.close(handle)  # its last holder has just removed it
@@ -303,7 +303,7 @@ def _opened(path: Path) -> int:
     return handle
 
 
-def _let_go(path: Path, held: _Holding) -> None:
+def _let_go(path: Path, held: _HeldPath) -> None:
     if held.handle is None:
         return
     # Shared ones stay until the last of them goes. Windows removes no file that is open.
@@ -329,13 +329,13 @@ def _holder(handle: int) -> str:
         pid, command, since, host = (note[name] for name in ("pid", "command", "since", "host"))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return "another process is writing it"
-    where = "" if host == platform.node() else f" on {printable(host, 60)}"
-    told = f"process {printable(pid, 20)}{where} ({printable(command, 200)})"
-    return f"{told} has been writing it since {printable(since, 20)}"
+    where = "" if host == platform.node() else f" on {printable_line(host, 60)}"
+    told = f"process {printable_line(pid, 20)}{where} ({printable_line(command, 200)})"
+    return f"{told} has been writing it since {printable_line(since, 20)}"
 
 
 @contextmanager
-def locked(path: Path) -> Generator[None]:
+def lock_path(path: Path) -> Generator[None]:
     """Hold the lock of a file or folder that exists; waits for whoever has it. Without effect where disks know none."""
     if fcntl is None and path.is_dir():
         yield
@@ -349,7 +349,7 @@ def locked(path: Path) -> Generator[None]:
 
 
 @contextmanager
-def locked_if_free(path: Path) -> Generator[bool]:
+def try_lock_path(path: Path) -> Generator[bool]:
     """Hold the lock of a file or folder that exists, unless somebody else does; says which.
 
     Where the system or the disk knows no locks, it looks free.
@@ -413,7 +413,7 @@ class SceneFormatError(ValueError):
     """A scene file that can't be read: names the file, the field and what would be right."""
 
     def __init__(self, path: Path | str, problem: str) -> None:
-        super().__init__(f"{printable(path)}: {printable(problem)}")
+        super().__init__(f"{printable_line(path)}: {printable_line(problem)}")
         self.path = Path(path)
         self.problem = problem
 
@@ -421,7 +421,7 @@ class SceneFormatError(ValueError):
 def sentence_of(error: BaseException) -> str:
     """What an error says; what a disk says without its number, and with the file first."""
     if isinstance(error, OSError) and error.strerror is not None:
-        return error.strerror if error.filename is None else f"{printable(error.filename)}: {error.strerror}"
+        return error.strerror if error.filename is None else f"{printable_line(error.filename)}: {error.strerror}"
     return str(error) or type(error).__name__
 
 
@@ -476,7 +476,7 @@ def name_problem(path: Path) -> str | None:
     max_bytes = _max_name_bytes(place.parent)
     for part in place.parts[1:]:
         if (size := len(os.fsencode(part))) > max_bytes:
-            return f"the name {printable(part[:24])}... has {size} bytes, and the disk takes {max_bytes}"
+            return f"the name {printable_line(part[:24])}... has {size} bytes, and the disk takes {max_bytes}"
     if (size := len(os.fsencode(place))) > _MAX_PATH_BYTES - _PART_BYTES:
         return f"the path has {size} bytes, and the disk takes {_MAX_PATH_BYTES - _PART_BYTES}"
     return None

@@ -9,7 +9,7 @@ from .gaussians import scene_cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Mask:
+class BitMask:
     """One bit for each of `count` Gaussians: a million take 125 kB, so that a history can keep many.
 
     Treat the array as a value: nobody writes into it once it is in here.
@@ -24,21 +24,21 @@ class Mask:
             raise ValueError(f"a mask of {self.count} Gaussians has {_words(self.count)} words, not {len(self.words)}")
 
     @staticmethod
-    def of(flags: Bool[np.ndarray, " n"]) -> "Mask":
+    def of(flags: Bool[np.ndarray, " n"]) -> "BitMask":
         packed = np.packbits(flags, bitorder="little")
         padded = np.zeros(4 * _words(len(flags)), np.uint8)
         padded[: len(packed)] = packed
-        return Mask(len(flags), padded.view("<u4").astype(np.uint32, copy=False))
+        return BitMask(len(flags), padded.view("<u4").astype(np.uint32, copy=False))
 
     @staticmethod
-    def none(count: int) -> "Mask":
+    def none(count: int) -> "BitMask":
         """No Gaussian of so many."""
-        return Mask(count, np.zeros(_words(count), np.uint32))
+        return BitMask(count, np.zeros(_words(count), np.uint32))
 
     @staticmethod
-    def all(count: int) -> "Mask":
+    def all(count: int) -> "BitMask":
         """Every one of so many Gaussians."""
-        return ~Mask.none(count)
+        return ~BitMask.none(count)
 
     @property
     def flags(self) -> Bool[np.ndarray, " n"]:
@@ -58,32 +58,32 @@ class Mask:
     def __bool__(self) -> bool:
         return bool(self.words.any())
 
-    def __and__(self, other: "Mask") -> "Mask":
-        return Mask(self.count, self.words & other.words)
+    def __and__(self, other: "BitMask") -> "BitMask":
+        return BitMask(self.count, self.words & other.words)
 
-    def __or__(self, other: "Mask") -> "Mask":
-        return Mask(self.count, self.words | other.words)
+    def __or__(self, other: "BitMask") -> "BitMask":
+        return BitMask(self.count, self.words | other.words)
 
-    def __sub__(self, other: "Mask") -> "Mask":
-        return Mask(self.count, self.words & ~other.words)
+    def __sub__(self, other: "BitMask") -> "BitMask":
+        return BitMask(self.count, self.words & ~other.words)
 
-    def __invert__(self) -> "Mask":
+    def __invert__(self) -> "BitMask":
         words = ~self.words
         if self.count % 32:
             words[-1] &= np.uint32((1 << self.count % 32) - 1)
-        return Mask(self.count, words)
+        return BitMask(self.count, words)
 
-    def same_as(self, other: "Mask") -> bool:
+    def same_as(self, other: "BitMask") -> bool:
         """Whether both mean the same Gaussians."""
         return self.count == other.count and np.array_equal(self.words, other.words)
 
-    def take(self, indices: Int64[np.ndarray, " m"]) -> "Mask":
+    def take(self, indices: Int64[np.ndarray, " m"]) -> "BitMask":
         """Mask of Gaussians that were picked by index from those of this one."""
-        return Mask.of(self.flags[indices])
+        return BitMask.of(self.flags[indices])
 
 
 @scene_cache(maxsize=256)
-def union(first: Mask, second: Mask) -> Mask:
+def mask_union(first: BitMask, second: BitMask) -> BitMask:
     """Return `first | second`, the very same value each time: renderers know arrays by their identity."""
     return first | second
 
@@ -96,20 +96,20 @@ def _words(count: int) -> int:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Marks:
+class SelectionFlags:
     """Marks of one member; none where nothing is marked."""
 
-    selected: Mask | None = None
-    hidden: Mask | None = None
-    deleted: Mask | None = None
+    selected: BitMask | None = None
+    hidden: BitMask | None = None
+    deleted: BitMask | None = None
     """Gone, but for undo: files never see them."""
 
     @property
-    def left_out(self) -> Mask | None:
+    def left_out(self) -> BitMask | None:
         """What is not drawn; the very same value each time."""
         if self.hidden is None or self.deleted is None:
             return self.deleted if self.hidden is None else self.hidden
-        return union(self.hidden, self.deleted)
+        return mask_union(self.hidden, self.deleted)
 
 
-UNMARKED = Marks()
+UNMARKED = SelectionFlags()

@@ -188,13 +188,13 @@ _CACHES: list[Any] = []
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Identity:
+class IdentityKey:
     """Equal to another one exactly where both hold the very same object; holds on to it, so that its id stays taken."""
 
     of: object
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Identity) and self.of is other.of
+        return isinstance(other, IdentityKey) and self.of is other.of
 
     def __hash__(self) -> int:
         return id(self.of)

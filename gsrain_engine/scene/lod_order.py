@@ -17,12 +17,12 @@ _CELLS = 1024
 """Along each axis: ten bits of a Morton code."""
 
 
-def level_ends(count: int) -> tuple[int, ...]:
+def lod_level_ends(count: int) -> tuple[int, ...]:
     """How many Gaussians there are up to the end of each level; the last is `count`."""
     return tuple(math.ceil(count * share) for share in LEVELS)
 
 
-def drawing_order(gaussians: Gaussians) -> UInt32[np.ndarray, " n"]:
+def lod_order(gaussians: Gaussians) -> UInt32[np.ndarray, " n"]:
     """Tell which Gaussian comes at each place.
 
     A level is a weighted sample without replacement of what is left (Efraimidis and Spirakis 2006), the weight being
@@ -38,7 +38,7 @@ def drawing_order(gaussians: Gaussians) -> UInt32[np.ndarray, " n"]:
     box = robust_bounds(gaussians)
     cells_a_unit = _CELLS / np.maximum(box.high - box.low, np.finfo(np.float32).tiny)
     start = 0
-    for end in level_ends(len(keys)):
+    for end in lod_level_ends(len(keys)):
         level = keys[start:end]
         _to_morton_keys(gaussians.means, box.low, cells_a_unit, level)
         level.sort()
@@ -46,12 +46,12 @@ def drawing_order(gaussians: Gaussians) -> UInt32[np.ndarray, " n"]:
     return keys.astype(np.uint32)  # the lower half: the index
 
 
-def in_drawing_order(gaussians: Gaussians) -> Gaussians:
+def in_lod_order(gaussians: Gaussians) -> Gaussians:
     """Return the same Gaussians in their drawing order."""
-    return gaussians.take(drawing_order(gaussians))
+    return gaussians.take(lod_order(gaussians))
 
 
-def put_into_drawing_order(gaussians: Gaussians) -> None:
+def sort_into_lod_order(gaussians: Gaussians) -> None:
     """Bring the very arrays of a set into their drawing order, with 12 bytes a Gaussian on top of them.
 
     Gaussians are values: only who has just made the arrays, and has shown them to nobody, may call this.
@@ -64,11 +64,11 @@ def put_into_drawing_order(gaussians: Gaussians) -> None:
         if not (flags.c_contiguous and flags.writeable):
             raise ValueError(f"Gaussians.{name} must be contiguous and writable to be reordered in place")
     sh = gaussians.sh.reshape(len(gaussians), 3 * gaussians.sh.shape[1])
-    order = drawing_order(gaussians)
+    order = lod_order(gaussians)
     _permute(gaussians.means, gaussians.scales, gaussians.quaternions, gaussians.opacities[:, None], sh, order)
 
 
-def growth_of(gaussians: Gaussians, share: float) -> float:
+def lod_growth(gaussians: Gaussians, share: float) -> float:
     """How much larger the first of them have to be drawn to cover as much as all do: 1 or more."""
     if share >= 1 or not len(gaussians):
         return 1.0

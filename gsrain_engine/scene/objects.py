@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float64, Int64
 
 from .gaussians import Gaussians
 from .geometry import quaternions_from_matrices
-from .scene import Actor, Layer, Scene, Track
+from .scene import Actor, Layer, PoseTrack, Scene
 from .street.build import PARKED_CARS, PARKED_TRUCKS, ParkedBox, parked_boxes
 
 _MARGIN_M = 0.2
@@ -18,7 +18,7 @@ _MARGIN_M = 0.2
 _SHADOW_HEIGHT_M, _SHADOW_OPACITY = 0.1, 0.9
 """What lies lower and is less opaque is the shadow that a thing carries along."""
 
-_LEAST_SHARE = 0.95
+_MIN_SHARE = 0.95
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +29,7 @@ class SceneObject:
     class_name: str
     size_lwh: tuple[float, float, float]
     """Length, width, height in the scene's units."""
-    track: Track
+    track: PoseTrack
     """From the object's frame (x forward, y left, z up, origin at the bottom centre) to the scene."""
     member: str
     """Key of the layer or actor that holds its Gaussians."""
@@ -52,7 +52,7 @@ def scene_objects(scene: Scene) -> tuple[SceneObject, ...]:
 def _of_actor(actor: Actor) -> SceneObject:
     own = _inside(actor.gaussians.means.astype(np.float64), actor.size_lwh) & ~_is_shadow(actor.gaussians)
     rows = np.flatnonzero(own) if own.any() else np.arange(len(actor.gaussians))
-    return SceneObject(actor.id, actor.class_name, actor.size_lwh, actor.track, actor.key, _kept(actor, rows))
+    return SceneObject(actor.id, actor.class_name, actor.size_lwh, actor.track, actor.key, _drawn_rows(actor, rows))
 
 
 def _parked(layer: Layer, boxes: Iterable[ParkedBox]) -> list[SceneObject]:
@@ -67,9 +67,9 @@ def _parked(layer: Layer, boxes: Iterable[ParkedBox]) -> list[SceneObject]:
         scale = float(np.cbrt(np.linalg.det(layer.to_scene[:3, :3])))
         length, width, height = (scale * side for side in box.size_lwh)
         objects.append(
-            SceneObject(box.id, box.class_name, (length, width, height), track, layer.key, _kept(layer, rows))
+            SceneObject(box.id, box.class_name, (length, width, height), track, layer.key, _drawn_rows(layer, rows))
         )
-    found = len(means) > 0 and sum(len(each.rows) for each in objects) >= _LEAST_SHARE * _present(layer)
+    found = len(means) > 0 and sum(len(each.rows) for each in objects) >= _MIN_SHARE * _present(layer)
     return [each for each in objects if len(each.rows)] if found else []
 
 
@@ -83,7 +83,7 @@ def _is_shadow(gaussians: Gaussians) -> Bool[np.ndarray, " n"]:
     return (gaussians.means[:, 2] < _SHADOW_HEIGHT_M) & (gaussians.opacities < _SHADOW_OPACITY)
 
 
-def _kept(member: Layer | Actor, rows: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " m"]:
+def _drawn_rows(member: Layer | Actor, rows: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " m"]:
     """Rows that are drawn: neither hidden nor deleted."""
     left_out = member.marks.left_out
     return rows if left_out is None else rows[~left_out.flags[rows]]
@@ -94,10 +94,10 @@ def _present(layer: Layer) -> int:
     return len(layer.gaussians) - (0 if left_out is None else left_out.size)
 
 
-def _standing(pose: Float64[np.ndarray, "4 4"]) -> Track:
+def _standing(pose: Float64[np.ndarray, "4 4"]) -> PoseTrack:
     turn = pose[:3, :3] / np.cbrt(np.linalg.det(pose[:3, :3]))
     quaternion = np.asarray(quaternions_from_matrices(turn[None]), np.float64)
-    return Track(np.zeros(1), pose[None, :3, 3].copy(), quaternion, np.ones(1, bool))
+    return PoseTrack(np.zeros(1), pose[None, :3, 3].copy(), quaternion, np.ones(1, bool))
 
 
 # § COCO's classes of objects, with its numbers, and what data sets call the same things.

@@ -15,13 +15,13 @@ from jaxtyping import Int64
 from . import lod_order
 from .camera import Camera
 from .files import SceneFormatError
-from .flags import UNMARKED, Marks, Mask
+from .flags import UNMARKED, BitMask, SelectionFlags
 from .formats.scene_files import INNER_SCENE, read_scene, write_scene
-from .formats.scene_folder import SCENE_FILE, KnownFiles, is_in_drawing_order
+from .formats.scene_folder import SCENE_FILE, FileCache, is_in_drawing_order
 from .formats.sog import is_sog_folder
 from .gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
-from .lod_order import put_into_drawing_order
-from .scene import Layer, Scene, rows_of
+from .lod_order import sort_into_lod_order
+from .scene import Layer, Scene, take_gaussians
 from .street import build
 from .street.layout import StreetParameters
 
@@ -30,18 +30,18 @@ logger = logging.getLogger("gsrain")
 STREET = "street"
 
 
-def open_scene(name: Path | str | None, known: KnownFiles | None = None) -> Scene:
+def load_scene(name: Path | str | None, known: FileCache | None = None) -> Scene:
     """Read a scene; none, or "street" where no scene of that name stands, is the built-in street.
 
     `known` learns which Gaussians the files of a scene folder hold. Raises `SceneFormatError` for what can't be read.
     """
-    return cached_street() if is_built_in(name) else read_scene(Path(str(name)), known)
+    return load_street() if is_built_in_street(name) else read_scene(Path(str(name)), known)
 
 
-def open_to_draw(name: Path | str | None, known: KnownFiles | None = None) -> Scene:
-    """Read a scene as `open_scene` does, and bring the Gaussians of each layer into their drawing order."""
-    scene = open_scene(name, known)
-    if is_built_in(name):  # the street is kept in that order
+def load_sorted_scene(name: Path | str | None, known: FileCache | None = None) -> Scene:
+    """Read a scene as `load_scene` does, and bring the Gaussians of each layer into their drawing order."""
+    scene = load_scene(name, known)
+    if is_built_in_street(name):  # the street is kept in that order
         return scene
     folder = folder_to_read(Path(str(name)))
     if folder is not None and is_in_drawing_order(folder):
@@ -65,7 +65,7 @@ def folder_to_read(path: Path) -> Path | None:
     return scene_folder_of(path) or scene_folder_of(path / INNER_SCENE)
 
 
-def cached_street() -> Scene:
+def load_street() -> Scene:
     """Return the built-in street: built once, then read from the cache folder."""
     folder = Path(platformdirs.user_cache_dir("gsrain", appauthor=False)) / f"street-{street_fingerprint()}"
     if folder.is_dir():
@@ -84,7 +84,7 @@ def cached_street() -> Scene:
     return read_scene(folder)  # so that the first run shows the very numbers of every later one
 
 
-def is_built_in(name: Path | str | None) -> bool:
+def is_built_in_street(name: Path | str | None) -> bool:
     """Whether a name means the built-in street.
 
     A folder of that name which is no scene, such as `gsrain street street` writes, does not stand in its way.
@@ -102,11 +102,11 @@ def _put_into_order(scene: Scene) -> Scene:
     orders: dict[str, Int64[np.ndarray, " n"]] = {}
     for member in scene.members:
         if member.marks is UNMARKED and member.key not in kept and member.wet_sh is None:
-            put_into_drawing_order(member.gaussians)
+            sort_into_lod_order(member.gaussians)
         else:
-            order = orders[member.key] = lod_order.drawing_order(member.gaussians).astype(np.int64)
-            marks = Marks(*(mask and mask.take(order) for mask in _masks(member.marks)))
-            gaussians, wet_sh = rows_of(member, order)
+            order = orders[member.key] = lod_order.lod_order(member.gaussians).astype(np.int64)
+            marks = SelectionFlags(*(mask and mask.take(order) for mask in _masks(member.marks)))
+            gaussians, wet_sh = take_gaussians(member, order)
             scene = scene.with_member(member.key, gaussians=gaussians, wet_sh=wet_sh, marks=marks)
     selections = {
         name: {key: mask.take(orders[key]) for key, mask in masks.items()} for name, masks in scene.selections.items()
@@ -114,7 +114,7 @@ def _put_into_order(scene: Scene) -> Scene:
     return replace(scene, selections=selections)
 
 
-def _masks(marks: Marks) -> tuple[Mask | None, Mask | None, Mask | None]:
+def _masks(marks: SelectionFlags) -> tuple[BitMask | None, BitMask | None, BitMask | None]:
     return marks.selected, marks.hidden, marks.deleted
 
 
@@ -130,7 +130,7 @@ def street_fingerprint() -> str:
 
 _NAME = re.compile(r"random-([1-9]\d*)(k|m|)")
 
-_MOST = 20_000_000
+_MAX_GAUSSIANS = 20_000_000
 
 _FOV_DEG = 60.0
 
@@ -153,10 +153,10 @@ def random_scene(name: str) -> Scene:
     """
     match = _NAME.fullmatch(name)
     count = int(match[1]) * {"": 1, "k": 1000, "m": 1_000_000}[match[2]] if match else 0
-    if match is None or count > _MOST:
+    if match is None or count > _MAX_GAUSSIANS:
         raise SceneFormatError(name, "random scenes are named by their size, at most 20m: random-200k, random-3m")
     gaussians = _random_gaussians(count, 3 if match[2] == "m" else 0)
-    put_into_drawing_order(gaussians)
+    sort_into_lod_order(gaussians)
     return Scene(name, (Layer(name, gaussians),), up=_UP)
 
 

@@ -20,7 +20,7 @@ class Progress(NamedTuple):
     """A small picture of how it goes; of several, the newest is shown."""
 
 
-def finished(work: Generator[Progress, None, _Result], tell: Callable[[Progress], object] | None = None) -> _Result:
+def run_to_end(work: Generator[Progress, None, _Result], tell: Callable[[Progress], object] | None = None) -> _Result:
     """Do a piece of work to its end and return its result; `tell` hears of each step. What it raises comes through."""
     while True:
         try:
@@ -31,7 +31,9 @@ def finished(work: Generator[Progress, None, _Result], tell: Callable[[Progress]
             tell(step)
 
 
-def part_of(work: Generator[Progress, None, _Result], first: float, last: float) -> Generator[Progress, None, _Result]:
+def subprogress(
+    work: Generator[Progress, None, _Result], first: float, last: float
+) -> Generator[Progress, None, _Result]:
     """Do a piece of work as a part of a whole, of which it takes the share from `first` to `last` (0 to 1)."""
     while True:
         try:

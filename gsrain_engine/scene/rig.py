@@ -40,7 +40,7 @@ def rig_camera(scene: Scene, rig: str, name: str, time_s: float) -> Camera:
 # § The way of a camera that rides on the ego vehicle.
 
 
-def drive_path(scene: Scene, mounted: RigCamera, width: int, height: int) -> CameraPath:
+def rig_camera_path(scene: Scene, mounted: RigCamera, width: int, height: int) -> CameraPath:
     """Path in the world of a rig camera that rides on the ego vehicle; in an image of this shape it sees as much.
 
     Raises `ValueError` where the scene has no ego track.

@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float, Float32, Float64, Int64
 from msgspec import Meta
 
 from .camera_path import CameraPath
-from .flags import UNMARKED, Marks, Mask
-from .gaussians import Gaussians, Identity
+from .flags import UNMARKED, BitMask, SelectionFlags
+from .gaussians import Gaussians, IdentityKey
 from .geometry import matrices_from_quaternions, quaternions_from_matrices
 
 _ROBUST_SHARE = 0.98
@@ -40,7 +40,7 @@ _RINGS, _SECTORS = 4, 8
 """Of directions: cells of the same solid angle."""
 
 
-class Bounds(NamedTuple):
+class Aabb(NamedTuple):
     """An axis-aligned box."""
 
     low: Float64[np.ndarray, "3"]
@@ -50,7 +50,7 @@ class Bounds(NamedTuple):
 # § What a scene is made of: layers that stand still and actors that move, and how each of them is shown.
 
 
-class Part(NamedTuple):
+class DrawItem(NamedTuple):
     """What a renderer draws: Gaussians, and the similarity that takes them to the world (metres, z up)."""
 
     gaussians: Gaussians
@@ -59,9 +59,9 @@ class Part(NamedTuple):
     """Draw only the first so many of them; none draws all."""
     growth: float = 1.0
     """Draw them so many times larger, to fill in for those that are left out."""
-    left_out: Mask | None = None
+    left_out: BitMask | None = None
     """Gaussians that are not drawn."""
-    selected: Mask | None = None
+    selected: BitMask | None = None
     """Gaussians that are drawn tinted."""
     opacity: float = 1.0
     """Multiplies each Gaussian's own."""
@@ -88,7 +88,7 @@ class Part(NamedTuple):
         return self.gaussians if not self.left_out else self.gaussians.take((~self.left_out).indices)
 
 
-class Shell(NamedTuple):
+class SkyShell(NamedTuple):
     """A sky, or what else surrounds a scene from far away, as seen from the middle of the core."""
 
     middle: Float64[np.ndarray, "3"]
@@ -99,7 +99,7 @@ class Shell(NamedTuple):
     smallest: float
     """Size over distance: Gaussians that look smaller from the middle are strays, and don't belong to it either."""
 
-    def holds(self, part: Part) -> Bool[np.ndarray, " n"]:
+    def holds(self, part: DrawItem) -> Bool[np.ndarray, " n"]:
         """Tell which of a part's Gaussians belong to it, those that are left out too."""
         means = part.gaussians.means @ part.to_world[:3, :3].T + part.to_world[:3, 3]
         distances = np.linalg.norm(means - self.middle, axis=1)
@@ -108,12 +108,12 @@ class Shell(NamedTuple):
         return (distances > self.nearest_m) & (sizes > self.smallest * distances)
 
 
-class Core(NamedTuple):
+class SceneCore(NamedTuple):
     """The place of a scene where its Gaussians are dense. World frame, metres."""
 
     low: Float64[np.ndarray, "3"]
     high: Float64[np.ndarray, "3"]
-    shell: Shell | None = None
+    shell: SkyShell | None = None
     """What surrounds it from far away, where anything does."""
 
     @property
@@ -133,7 +133,7 @@ class Core(NamedTuple):
         return max(0.8 * self.shell.radius_m, 1.2 * self.radius_m)
 
 
-def core_bounds(parts: Sequence[Part], sky: Sequence[Part] = ()) -> Core:
+def core_bounds(parts: Sequence[DrawItem], sky: Sequence[DrawItem] = ()) -> SceneCore:
     """Find the dense core of parts, and the shell far around it; `sky` are parts known to be of that shell.
 
     Its middle is the middle of the denser half of the Gaussians, halved six times over (the half-sample mode of
@@ -145,7 +145,7 @@ def core_bounds(parts: Sequence[Part], sky: Sequence[Part] = ()) -> Core:
     samples = _samples(parts)
     means, sizes, weights = samples
     if not len(means):
-        return Core(np.zeros(3), np.zeros(3))
+        return SceneCore(np.zeros(3), np.zeros(3))
     size = 2 * float(_weighted_quantiles(sizes, weights, [0.5])[0])
     middle, near = np.zeros(3), np.ones(len(means), np.bool_)
     for _ in range(6):
@@ -161,18 +161,18 @@ def core_bounds(parts: Sequence[Part], sky: Sequence[Part] = ()) -> Core:
     ends = [(1 - _ROBUST_SHARE) / 2, (1 + _ROBUST_SHARE) / 2]
     low, high = np.array([_weighted_quantiles(column, weights[inside], ends) for column in means[inside].T]).T
     half = np.maximum((high - low) / 2, size)
-    core = Core((low + high) / 2 - half, (low + high) / 2 + half)
+    core = SceneCore((low + high) / 2 - half, (low + high) / 2 + half)
     return core._replace(shell=_shell(core, samples, _samples(sky)))
 
 
-class _Samples(NamedTuple):
+class _PointSamples(NamedTuple):
     means: Float64[np.ndarray, "n 3"]
     sizes: Float64[np.ndarray, " n"]
     """Longest standard deviations."""
     weights: Float64[np.ndarray, " n"]
 
 
-def _samples(parts: Sequence[Part]) -> _Samples:
+def _samples(parts: Sequence[DrawItem]) -> _PointSamples:
     step = -(-sum(len(part.gaussians) for part in parts) // _CORE_SAMPLES) or 1
     places, sizes, weights = [np.zeros((0, 3))], [np.zeros(0)], [np.zeros(0)]
     for part in parts:
@@ -188,10 +188,10 @@ def _samples(parts: Sequence[Part]) -> _Samples:
         sizes.append(longest[good])
         weights.append(opacities[good])
     weight = np.concatenate(weights)
-    return _Samples(np.concatenate(places), np.concatenate(sizes), weight if weight.sum() > 0 else weight + 1)
+    return _PointSamples(np.concatenate(places), np.concatenate(sizes), weight if weight.sum() > 0 else weight + 1)
 
 
-def _shell(core: Core, samples: _Samples, sky: _Samples) -> Shell | None:
+def _shell(core: SceneCore, samples: _PointSamples, sky: _PointSamples) -> SkyShell | None:
     """Recognize what surrounds the core from far away, by how much of all directions it covers."""
     nearest_m = _SHELL_BEGINS * max(core.radius_m, 1e-9)
     means, sizes, weights = (np.concatenate(pair) for pair in zip(samples, sky, strict=True))
@@ -213,21 +213,21 @@ def _shell(core: Core, samples: _Samples, sky: _Samples) -> Shell | None:
     weights = covered if covered.sum() > 0 else np.ones(len(covered))
     radius_m = float(_weighted_quantiles(distances, weights, [0.5])[0])
     size = float(_weighted_quantiles(sizes[far] / distances, weights, [0.5])[0])
-    return Shell(core.middle, nearest_m, radius_m, size / 10)
+    return SkyShell(core.middle, nearest_m, radius_m, size / 10)
 
 
-def bounds(gaussians: Gaussians) -> Bounds:
+def bounds(gaussians: Gaussians) -> Aabb:
     """Box around all centres; without Gaussians a point at the origin."""
     if not len(gaussians):
-        return Bounds(np.zeros(3), np.zeros(3))
+        return Aabb(np.zeros(3), np.zeros(3))
     columns = gaussians.means.T
-    return Bounds(
+    return Aabb(
         np.array([column.min() for column in columns], np.float64),
         np.array([column.max() for column in columns], np.float64),
     )
 
 
-def robust_bounds(*sets: Gaussians, share: float = _ROBUST_SHARE) -> Bounds:
+def robust_bounds(*sets: Gaussians, share: float = _ROBUST_SHARE) -> Aabb:
     """Box that keeps the middle `share` (0..1) of all opacity along each axis; without Gaussians the origin.
 
     Where everything is fully transparent, every centre counts the same. Of more than a million, an even share counts.
@@ -240,7 +240,7 @@ def robust_bounds(*sets: Gaussians, share: float = _ROBUST_SHARE) -> Bounds:
     ends = [(1 - share) / 2, (1 + share) / 2]
     columns = [_weighted_quantiles(column, weights, ends) for column in means.T] if len(means) else []
     low, high = np.array(columns, np.float64).T if columns else np.zeros((2, 3))
-    return Bounds(low, high)
+    return Aabb(low, high)
 
 
 def _weighted_quantiles(
@@ -275,7 +275,7 @@ class RigCamera:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Track:
+class PoseTrack:
     """Where an actor is over time: samples, linear and slerp between them. Outside its times it stays put."""
 
     times: Float64[np.ndarray, " t"]
@@ -288,7 +288,7 @@ class Track:
     """Whether the object is in the scene from this sample to the next."""
 
     @classmethod
-    def standing(cls, pose: Float64[np.ndarray, "4 4"]) -> "Track":
+    def standing(cls, pose: Float64[np.ndarray, "4 4"]) -> "PoseTrack":
         """Return the track of something that stays where it is; of a pose with scale, only place and turn."""
         turn = pose[:3, :3] / np.cbrt(np.linalg.det(pose[:3, :3]))
         quaternion = np.asarray(quaternions_from_matrices(turn[None]), np.float64)
@@ -311,17 +311,17 @@ class Track:
         matrix[:3, 3] = (1 - part) * self.positions[lower] + part * self.positions[upper]
         return matrix
 
-    def moved(self, similarity: Float64[np.ndarray, "4 4"]) -> "Track":
+    def moved(self, similarity: Float64[np.ndarray, "4 4"]) -> "PoseTrack":
         """Return the track moved, turned and scaled, all samples alike."""
         turn = similarity[:3, :3] / np.cbrt(np.linalg.det(similarity[:3, :3]))
         quaternions = quaternions_from_matrices(turn @ matrices_from_quaternions(self.quaternions_wxyz))
-        return Track(self.times, self.positions @ similarity[:3, :3].T + similarity[:3, 3], quaternions, self.valid)
+        return PoseTrack(self.times, self.positions @ similarity[:3, :3].T + similarity[:3, 3], quaternions, self.valid)
 
 
 # § Colour grading: an affine change of display colours, so that it can be baked into harmonics exactly.
 
 
-class Grading(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ColorGrading(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What is done to colours, in this order. The defaults change nothing."""
 
     exposure_ev: Annotated[
@@ -358,11 +358,11 @@ _LUMA = np.array([0.2126, 0.7152, 0.0722])
 _ENCODING = 2.2
 """Display values are about light to the power of 1/2.2, so a factor of light is this root of it in display values."""
 
-UNCHANGED = Grading()
+UNCHANGED = ColorGrading()
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Member:
+class SceneNode:
     """What layers and actors have in common."""
 
     visible: bool = True
@@ -370,8 +370,8 @@ class Member:
     """Whether selection and edits pass it by."""
     opacity: float = 1.0
     """Multiplies that of each Gaussian; 0..1."""
-    grading: Grading = UNCHANGED
-    marks: Marks = UNMARKED
+    grading: ColorGrading = UNCHANGED
+    marks: SelectionFlags = UNMARKED
     """Which of its Gaussians are selected, hidden or deleted."""
     wet_sh: Float32[np.ndarray, "n k 3"] | None = None
     """Harmonics of its Gaussians when they are soaked, as many as they have when clear; none where nobody knows them.
@@ -381,7 +381,7 @@ class Member:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Layer(Member):
+class Layer(SceneNode):
     """Gaussians that stand still."""
 
     name: str
@@ -404,14 +404,14 @@ class Layer(Member):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Actor(Member):
+class Actor(SceneNode):
     """A thing that moves: Gaussians in its own frame (x forward, y left, z up, origin at the bottom centre)."""
 
     id: str
     class_name: str
     size_lwh: tuple[float, float, float]
     gaussians: Gaussians
-    track: Track
+    track: PoseTrack
 
     def __post_init__(self) -> None:
         _check_wet_colors(self.key, self.gaussians, self.wet_sh)
@@ -446,7 +446,7 @@ class Scene:
     ground_m: float | None = None
     """Height of the ground in the world, where it is known."""
     rigs: Mapping[str, tuple[RigCamera, ...]] = field(default_factory=dict[str, tuple[RigCamera, ...]])
-    ego: Track | None = None
+    ego: PoseTrack | None = None
     """Where the ego vehicle drives: the origin of the rig frame, which is at sensor height."""
     path: CameraPath | None = None
     """The flight that a person has made, in scene units and axes."""
@@ -456,7 +456,7 @@ class Scene:
     """How that rain changes over time, as plain values."""
     view: Mapping[str, Any] | None = None
     """From where it was looked at when it was saved, as plain values."""
-    selections: Mapping[str, Mapping[str, Mask]] = field(default_factory=dict[str, Mapping[str, Mask]])
+    selections: Mapping[str, Mapping[str, BitMask]] = field(default_factory=dict[str, Mapping[str, BitMask]])
     """Selection sets by name; each by the keys of members."""
     unit_is_assumed: bool = False
     """Whether neither a file nor a person has said how long a unit is, so that it is only taken for a metre."""
@@ -474,10 +474,10 @@ class Scene:
         return self.layers, self.actors, self.metres_per_unit, self.up, self.ground_m, self.ego
 
     @property
-    def matter(self) -> Hashable:
+    def geometry_key(self) -> Hashable:
         """What is there to be seen and sheltered under: equal where only selection, locks and names differ."""
         shown = [
-            (each.gaussians, Identity(each.wet_sh), each.marks.left_out, each.opacity, each.grading)
+            (each.gaussians, IdentityKey(each.wet_sh), each.marks.left_out, each.opacity, each.grading)
             + ((each.kind, each.to_scene.tobytes()) if isinstance(each, Layer) else (each.track,))
             for each in self.members
             if each.visible
@@ -513,7 +513,7 @@ class Scene:
         """Whether anything that can be seen looks different when it is wet."""
         return any(each.wet_sh is not None for each in self.members if each.visible)
 
-    def parts(self, time_s: float = 0.0, *, selection: bool = False, wetness: float = 0.0) -> list[Part]:
+    def parts(self, time_s: float = 0.0, *, selection: bool = False, wetness: float = 0.0) -> list[DrawItem]:
         """What can be seen at a time: layers first, then actors.
 
         `selection` has the selected ones tinted; `wetness` (0..1) blends in the wet colours of those that have them.
@@ -523,12 +523,12 @@ class Scene:
 
     def part(
         self, member: Layer | Actor, time_s: float = 0.0, *, selection: bool = False, wetness: float = 0.0
-    ) -> Part | None:
+    ) -> DrawItem | None:
         """What of a member is drawn at a time; None while it is not there. See `parts`."""
         way = member.way(time_s)
         if way is None:
             return None
-        return Part(
+        return DrawItem(
             member.gaussians,
             self.scene_to_world @ way,
             left_out=member.marks.left_out,
@@ -579,7 +579,7 @@ def _slerp(start: Float64[np.ndarray, "4"], end: Float64[np.ndarray, "4"], part:
     return mixed / np.linalg.norm(mixed)
 
 
-def graded(sh: Float32[np.ndarray, "n k 3"], matrix: Float64[np.ndarray, "3 4"]) -> Float32[np.ndarray, "n k 3"]:
+def grade_sh(sh: Float32[np.ndarray, "n k 3"], matrix: Float64[np.ndarray, "3 4"]) -> Float32[np.ndarray, "n k 3"]:
     """Harmonics of colours after an affine change; the colours are sums of harmonics + 0.5, as in 3DGS."""
     changed = sh.astype(np.float64) @ matrix[:, :3].T
     changed[:, 0] += (matrix @ np.array([0.5, 0.5, 0.5, 1.0]) - 0.5) / _FIRST
@@ -590,7 +590,7 @@ _FIRST = 0.28209479177387814
 """The first harmonic, 1/(2 sqrt(pi))."""
 
 
-def rows_of(
+def take_gaussians(
     member: Layer | Actor, indices: Int64[np.ndarray, " m"]
 ) -> tuple[Gaussians, Float32[np.ndarray, "m k 3"] | None]:
     """Pick Gaussians of a member by index, with their wet colours."""

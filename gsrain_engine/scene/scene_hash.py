@@ -6,7 +6,7 @@ from pathlib import Path
 from ..safe_io.limits import open_file
 from .files import SceneFormatError
 from .formats.scene_folder import scene_folder_files
-from .open import folder_to_read, is_built_in, street_fingerprint
+from .open import folder_to_read, is_built_in_street, street_fingerprint
 
 _DIGITS = 16
 
@@ -17,7 +17,7 @@ def scene_hash(name: str | None) -> str:
     It is that of the bytes of its files; of the built-in street, that of its source. Raises `SceneFormatError` for what
     is not there.
     """
-    if is_built_in(name):
+    if is_built_in_street(name):
         return street_fingerprint()
     path = Path(str(name))
     folder = folder_to_read(path)

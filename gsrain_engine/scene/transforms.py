@@ -7,13 +7,13 @@ from jaxtyping import Float32, Float64
 
 from .gaussians import Gaussians, rotate_sh
 from .geometry import quaternion_product, quaternions_from_matrices
-from .scene import Actor, Layer, Part, Scene, graded, rotation_to_z_up
+from .scene import Actor, DrawItem, Layer, Scene, grade_sh, rotation_to_z_up
 
 FILE_UP = (0.0, -1.0, 0.0)
 """Upward in files that can't say it: y points down, as in COLMAP and thus in 3DGS captures."""
 
 
-def moved(gaussians: Gaussians, similarity: Float64[np.ndarray, "4 4"]) -> Gaussians:
+def transform_gaussians(gaussians: Gaussians, similarity: Float64[np.ndarray, "4 4"]) -> Gaussians:
     """Move, turn and scale Gaussians; their spherical harmonics turn with them.
 
     `similarity` is a rotation times one scale above 0, and a translation. The identity returns the very same value.
@@ -34,7 +34,7 @@ def moved(gaussians: Gaussians, similarity: Float64[np.ndarray, "4 4"]) -> Gauss
     )
 
 
-def flattened(scene: Scene, time_s: float = 0.0) -> Gaussians:
+def flatten_scene(scene: Scene, time_s: float = 0.0) -> Gaussians:
     """All that can be seen at a time, in metres with `FILE_UP` upwards: what single-file scenes are read as.
 
     A scene that was read from a single file comes out unchanged, and every scene looks the same from the same world
@@ -42,10 +42,12 @@ def flattened(scene: Scene, time_s: float = 0.0) -> Gaussians:
     """
     world_to_file = np.eye(4)
     world_to_file[:3, :3] = rotation_to_z_up(FILE_UP).T
-    return Gaussians.concatenate([moved(baked(part), world_to_file @ part.to_world) for part in scene.parts(time_s)])
+    return Gaussians.concatenate(
+        [transform_gaussians(bake_item(part), world_to_file @ part.to_world) for part in scene.parts(time_s)]
+    )
 
 
-def left_out_when_flat(scene: Scene, time_s: float = 0.0) -> list[str]:
+def lost_when_flattened(scene: Scene, time_s: float = 0.0) -> list[str]:
     """Name what `flattened` leaves out of a scene, a phrase each; empty where a single file holds all of it."""
     shown = [each for each in scene.members if each.visible]
     layers = [each for each in scene.layers if each.visible]
@@ -78,21 +80,21 @@ def _counted(count: int, one: str, several: str = "") -> str:
     return f"{count:,} {one if count == 1 else several or one + 's'}"
 
 
-def baked(part: Part) -> Gaussians:
+def bake_item(part: DrawItem) -> Gaussians:
     """Return what remains of a part, with its opacity, wetness and grading in the Gaussians themselves."""
     gaussians = part.remaining
     if part.is_wet and part.wet_sh is not None:
         wet_sh = part.wet_sh if not part.left_out else part.wet_sh[(~part.left_out).indices]
-        gaussians = gaussians.with_sh(blended_sh(gaussians.sh, wet_sh, part.wetness))
+        gaussians = gaussians.with_sh(blend_wet_sh(gaussians.sh, wet_sh, part.wetness))
     if part.opacity != 1:
         gaussians = replace(gaussians, opacities=gaussians.opacities * np.float32(part.opacity))
-    return gaussians if part.colors is None else gaussians.with_sh(graded(gaussians.sh, part.colors))
+    return gaussians if part.colors is None else gaussians.with_sh(grade_sh(gaussians.sh, part.colors))
 
 
 # § Wet colours: harmonics of what something looks like when it is soaked, beside its clear ones, and blends of both.
 
 
-def blended_sh(
+def blend_wet_sh(
     clear: Float32[np.ndarray, "n k 3"], wet: Float32[np.ndarray, "n k 3"], wetness: float
 ) -> Float32[np.ndarray, "n k 3"]:
     """Harmonics of colours between clear (wetness 0) and soaked (1); at both ends the very numbers of either."""
@@ -102,7 +104,7 @@ def blended_sh(
     return blend
 
 
-def soaked_sh(member: Layer | Actor) -> Float32[np.ndarray, "n k 3"]:
+def wet_sh_of(member: Layer | Actor) -> Float32[np.ndarray, "n k 3"]:
     """Harmonics of a member when it is soaked: the clear ones where it has no wet colours."""
     return member.gaussians.sh if member.wet_sh is None else member.wet_sh
 
@@ -111,7 +113,7 @@ def with_wetness_baked(scene: Scene, wetness: float) -> Scene:
     """Return the scene as it looks at one wetness (0..1), without wet colours: for what knows one colour alone."""
     for each in scene.members:
         if each.wet_sh is not None:
-            gaussians = each.gaussians.with_sh(blended_sh(each.gaussians.sh, each.wet_sh, wetness))
+            gaussians = each.gaussians.with_sh(blend_wet_sh(each.gaussians.sh, each.wet_sh, wetness))
             scene = scene.with_member(each.key, gaussians=gaussians, wet_sh=None)
     return scene
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 from msgspec import Meta
 
-from .geometry import wrapped
+from .geometry import wrap_angle
 from .vehicle import Control, Vehicle, VehicleState
 
 
@@ -110,7 +110,7 @@ class ReachablePlan(NamedTuple):
     """Whether even the last point is nearer: then nothing is left to weigh."""
 
 
-def reachable(
+def make_reachable(
     plan: Float64[np.ndarray, "n 2"], speed_m_s: float, braking_m_s2: float, spacing_s: float
 ) -> ReachablePlan:
     """Move what is too near on along the plan's own line, and straight on beyond its end.
@@ -162,7 +162,7 @@ def directions(steps: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
     found = np.empty(len(steps))
     before = 0.0
     for i, (x, y) in enumerate(steps):
-        turn = wrapped(float(np.arctan2(y, x)) - before)
+        turn = wrap_angle(float(np.arctan2(y, x)) - before)
         if np.hypot(x, y) >= SHORTEST_M and abs(turn) <= np.pi / 2:
             before += turn
         found[i] = before

@@ -7,8 +7,8 @@ import numba
 import numpy as np
 from jaxtyping import Float64
 
-from .controller_base import Controller, ControllerSettings, PurePursuit, reachable, tracked_states
-from .geometry import wrapped
+from .controller_base import Controller, ControllerSettings, PurePursuit, make_reachable, tracked_states
+from .geometry import wrap_angle
 from .vehicle import Control, Vehicle, VehicleState
 
 # § The iLQR tracker: finds the inputs that keep a bicycle nearest to a plan, by repeated linear-quadratic regulation.
@@ -41,7 +41,7 @@ class ILQRTracker:
         if self._settings.heading_reference == "hugsim":
             return _first(self.inputs(vehicle, state, plan, spacing_s))
         braking = float(self._limits(vehicle)[0])
-        points, full_braking = reachable(plan, state.speed_m_s, braking, spacing_s)
+        points, full_braking = make_reachable(plan, state.speed_m_s, braking, spacing_s)
         control = _first(self.inputs(vehicle, state, points, spacing_s))
         return Control(-braking, control.steer_rate_rad_s) if full_braking else control
 
@@ -57,13 +57,13 @@ class ILQRTracker:
         states = np.empty((len(wanted), STATES))
         better, offsets = np.empty_like(inputs), np.empty_like(inputs)
         gains = np.empty((len(inputs), INPUTS, STATES))
-        rolled_out(start, inputs, spacing_s, at, vehicle.wheelbase_m, limits, states)
+        roll_out(start, inputs, spacing_s, at, vehicle.wheelbase_m, limits, states)
         for _ in range(self._settings.iterations):
-            policy(states, inputs, wanted, spacing_s, at, vehicle.wheelbase_m, _WEIGHTS, gains, offsets)
-            improved(states, inputs, spacing_s, at, vehicle.wheelbase_m, limits, gains, offsets, better)
+            solve_lqr_policy(states, inputs, wanted, spacing_s, at, vehicle.wheelbase_m, _WEIGHTS, gains, offsets)
+            forward_pass(states, inputs, spacing_s, at, vehicle.wheelbase_m, limits, gains, offsets, better)
             change = float(np.sqrt(np.sum((better - inputs) ** 2)))
             inputs, better = better, inputs
-            rolled_out(start, inputs, spacing_s, at, vehicle.wheelbase_m, limits, states)
+            roll_out(start, inputs, spacing_s, at, vehicle.wheelbase_m, limits, states)
             if change < _TOLERANCE:
                 break
         return inputs
@@ -117,13 +117,13 @@ _SLOWEST_M_S = 0.01
 
 @numba.njit(cache=True)
 @no_type_check
-def wrapped_angle(angle):
+def wrap_angle_kernel(angle):
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
 @numba.njit(cache=True)
 @no_type_check
-def moved(state, control, dt, at, wheelbase, limits, after):
+def step_state(state, control, dt, at, wheelbase, limits, after):
     """Write the state after a time; `control` is cut to what `limits` allow.
 
     `limits`: most braking, most acceleration, most steering rate, most steering angle.
@@ -143,7 +143,7 @@ def moved(state, control, dt, at, wheelbase, limits, after):
 
 @numba.njit(cache=True)
 @no_type_check
-def linearized(state, control, dt, at, wheelbase, slope, effect):
+def linearize_dynamics(state, control, dt, at, wheelbase, slope, effect):
     """Write the derivatives of `moved` by the state, (5, 5), and by the control within its limits, (5, 2)."""
     speed, steer = state[3] + at * control[0] * dt, state[4] + at * control[1] * dt
     if abs(speed) < _SLOWEST_M_S:
@@ -168,16 +168,16 @@ def linearized(state, control, dt, at, wheelbase, slope, effect):
 
 @numba.njit(cache=True)
 @no_type_check
-def rolled_out(start, controls, dt, at, wheelbase, limits, states):
+def roll_out(start, controls, dt, at, wheelbase, limits, states):
     """Write the states that controls lead to, the start first; `controls` are cut to what is allowed."""
     states[0] = start
     for k in range(len(controls)):
-        moved(states[k], controls[k], dt, at, wheelbase, limits, states[k + 1])
+        step_state(states[k], controls[k], dt, at, wheelbase, limits, states[k + 1])
 
 
 @numba.njit(cache=True)
 @no_type_check
-def policy(states, controls, wanted, dt, at, wheelbase, weights, gains, offsets):
+def solve_lqr_policy(states, controls, wanted, dt, at, wheelbase, weights, gains, offsets):
     """Write the best linear answer to deviations, by dynamic programming from the horizon back.
 
     `weights`: of state errors (5), inputs (2), deviations of states (5) and of inputs (2) from the present iterate; the
@@ -190,7 +190,7 @@ def policy(states, controls, wanted, dt, at, wheelbase, weights, gains, offsets)
     _add_error(states[count], wanted[count], weights, slope_of_value)
     slope, effect = np.empty((STATES, STATES)), np.empty((STATES, INPUTS))
     for k in range(count - 1, -1, -1):
-        linearized(states[k], controls[k], dt, at, wheelbase, slope, effect)
+        linearize_dynamics(states[k], controls[k], dt, at, wheelbase, slope, effect)
         _answer(value, slope_of_value, slope, effect, controls[k], weights, gains[k], offsets[k])
         value, slope_of_value = _before(
             value, slope_of_value, slope, effect, gains[k], offsets[k], controls[k], weights
@@ -200,7 +200,7 @@ def policy(states, controls, wanted, dt, at, wheelbase, weights, gains, offsets)
 
 @numba.njit(cache=True)
 @no_type_check
-def improved(states, controls, dt, at, wheelbase, limits, gains, offsets, better):
+def forward_pass(states, controls, dt, at, wheelbase, limits, gains, offsets, better):
     """Write the controls that an answer to deviations leads to, from the same start."""
     now, deviation, after = states[0].copy(), np.zeros(STATES), np.empty(STATES)
     for k in range(len(controls)):
@@ -208,7 +208,7 @@ def improved(states, controls, dt, at, wheelbase, limits, gains, offsets, better
             better[k, i] = controls[k, i] + offsets[k, i]
             for j in range(STATES):
                 better[k, i] += gains[k, i, j] * deviation[j]
-        moved(now, better[k], dt, at, wheelbase, limits, after)
+        step_state(now, better[k], dt, at, wheelbase, limits, after)
         now[:] = after
         deviation[:] = after - states[k + 1]
 
@@ -219,7 +219,7 @@ def _add_error(state, wanted, weights, slope_of_value):
     """Add the slope of a moment's tracking cost."""
     for i in range(STATES):
         error = state[i] - wanted[i]
-        slope_of_value[i] += weights[i] * (wrapped_angle(error) if i == 2 else error)
+        slope_of_value[i] += weights[i] * (wrap_angle_kernel(error) if i == 2 else error)
 
 
 @numba.njit(cache=True)
@@ -313,7 +313,7 @@ def _fitted_speeds(states: Float64[np.ndarray, "points 5"], dt_s: float) -> Floa
     matrix = np.tril(np.full((count, count), dt_s**2))
     matrix[:, 0] = dt_s
     changes = np.diff(np.eye(count)[1:], axis=0)
-    fitted = _least_squares(matrix, forward, _JERK_PENALTY * changes.T @ changes)
+    fitted = _regularized_least_squares(matrix, forward, _JERK_PENALTY * changes.T @ changes)
     return fitted[0] + dt_s * np.concatenate([[0.0], np.cumsum(fitted[1:])])
 
 
@@ -321,17 +321,17 @@ def _fitted_curvatures(
     states: Float64[np.ndarray, "points 5"], speeds: Float64[np.ndarray, " n"], dt_s: float
 ) -> Float64[np.ndarray, " n"]:
     """Curvatures whose Euler steps at given speeds come nearest to the turns between the poses."""
-    turns = wrapped(np.diff(states[:, 2]))
+    turns = wrap_angle(np.diff(states[:, 2]))
     count = len(turns)
     matrix = np.tril(np.full((count, count), dt_s**2)) * speeds[:, None]
     matrix[:, 0] = speeds * dt_s
     penalties = np.full(count, _CURVATURE_RATE_PENALTY)
     penalties[0] = _CURVATURE_PENALTY  # so that a standstill has an answer too
-    fitted = _least_squares(matrix, turns, np.diag(penalties))
+    fitted = _regularized_least_squares(matrix, turns, np.diag(penalties))
     return fitted[0] + dt_s * np.concatenate([[0.0], np.cumsum(fitted[1:])])
 
 
-def _least_squares(
+def _regularized_least_squares(
     matrix: Float64[np.ndarray, "n n"], wanted: Float64[np.ndarray, " n"], penalty: Float64[np.ndarray, "n n"]
 ) -> Float64[np.ndarray, " n"]:
     return np.linalg.pinv(matrix.T @ matrix + penalty) @ (matrix.T @ wanted)

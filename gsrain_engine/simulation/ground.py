@@ -59,7 +59,7 @@ class HeightGrid:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ground:
+class RoadSurface:
     """The ground as a height over each place; a vehicle on it stands upright, whatever the slope."""
 
     grid: HeightGrid
@@ -75,20 +75,20 @@ class Ground:
 
 
 @scene_cache(maxsize=2)
-def ground_of(scene: Scene) -> Ground:
+def road_surface_of(scene: Scene) -> RoadSurface:
     """Find the ground of a scene; the last two scenes' are kept.
 
     It lies below the recorded drive: as far as the scene states for where the drive begins, else as far as most of what
     lies flat under it; and it follows what lies flat beside it. Without a drive it is level, at the stated height or
     that of the origin.
     """
-    drive = recorded_places(scene)
+    drive = recorded_ego_positions(scene)
     if not len(drive):
-        return Ground(HeightGrid.level(scene.ground_m or 0.0))
+        return RoadSurface(HeightGrid.level(scene.ground_m or 0.0))
     below = None if scene.ground_m is None else float(drive[0, 2]) - scene.ground_m
     if below is not None and not _LOWEST_RIG_M < below < _HIGHEST_RIG_M:
         below = None
-    return Ground(*found_ground(scene, drive, below, SENSOR_HEIGHT_M))
+    return RoadSurface(*find_road_surface(scene, drive, below, SENSOR_HEIGHT_M))
 
 
 # § Finds the ground along a recorded drive in the scene itself. World frame, metres.
@@ -96,7 +96,7 @@ def ground_of(scene: Scene) -> Ground:
 _UNDER_M = 2.5
 """How far beside the drive something lies under it."""
 
-_CELL_M, _MOST_CELLS = 0.5, 1500
+_CELL_M, _MAX_CELLS = 0.5, 1500
 """Cells, and how many there are at most on a side: of a larger scene they are larger."""
 
 _DEEPEST_M, _HIGHEST_M = 4.0, 0.5
@@ -104,7 +104,7 @@ _DEEPEST_M, _HIGHEST_M = 4.0, 0.5
 
 _BIN_M = 0.05
 
-_LEAST_M2 = 2.0
+_MIN_M2 = 2.0
 """What lies flat under the drive must cover so much to tell how far below it the ground is."""
 
 _PASSES = ((8.0, 0.8, 4), (4.0, 0.4, 4), (2.0, 0.2, 3), (1.0, 0.12, 2))
@@ -117,7 +117,7 @@ _ENOUGH = 0.05
 """Share of a cell that must be covered for half of what is found in it to be believed."""
 
 
-def found_ground(
+def find_road_surface(
     scene: Scene, drive: Float64[np.ndarray, "n 3"], below_m: float | None, else_m: float
 ) -> tuple[HeightGrid, float]:
     """Find the ground around a drive, and how far it lies below the rig frame's origin.
@@ -127,10 +127,12 @@ def found_ground(
     band narrow: so it follows slopes and passes under cars and bushes. Where nothing lies it keeps what was found at
     the larger scales.
     """
-    spot = np.array([BESIDE_M, BESIDE_M, 0.0])
-    reach = Reach(drive.min(axis=0) - spot - [0, 0, _DEEPEST_M + 2], drive.max(axis=0) + spot + [0, 0, _HIGHEST_M + 2])
+    spot = np.array([LATERAL_EXTENT_M, LATERAL_EXTENT_M, 0.0])
+    reach = WorldRegion(
+        drive.min(axis=0) - spot - [0, 0, _DEEPEST_M + 2], drive.max(axis=0) + spot + [0, 0, _HIGHEST_M + 2]
+    )
     grid = _followed(drive, reach)
-    pieces = solid_pieces(scene, reach, _CELL_M)
+    pieces = gaussian_pieces(scene, reach, _CELL_M)
     if below_m is None:
         below_m = _depth_below(drive, pieces.places, pieces.top_m2, else_m)
     heights = grid.heights_m - below_m
@@ -155,7 +157,7 @@ def found_ground(
 # § A scene's solid background in small pieces, each with the area that it shows from the side and from above.
 
 
-class Slab(NamedTuple):
+class HeightSlab(NamedTuple):
     """What is between two heights above the ground."""
 
     ground: HeightGrid
@@ -166,18 +168,18 @@ class Slab(NamedTuple):
         return places[:, 2] - self.ground.at_all(places[:, :2])
 
 
-class Reach(NamedTuple):
+class WorldRegion(NamedTuple):
     """The part of the world that matters: a box, and in it, where there is one, a slab over the ground."""
 
     low: Float64[np.ndarray, "3"]
     high: Float64[np.ndarray, "3"]
-    slab: Slab | None = None
+    slab: HeightSlab | None = None
 
 
-def _followed(drive: Float64[np.ndarray, "n 3"], reach: Reach) -> HeightGrid:
+def _followed(drive: Float64[np.ndarray, "n 3"], reach: WorldRegion) -> HeightGrid:
     """Return a surface as high as the drive beside it, smooth where the drive bends or ends."""
     low, high = reach.low[:2], reach.high[:2]
-    cell = max(_CELL_M, float((high - low).max()) / _MOST_CELLS)
+    cell = max(_CELL_M, float((high - low).max()) / _MAX_CELLS)
     columns, rows = (np.ceil((high - low) / cell).astype(int) + 1).tolist()
     y, x = np.mgrid[:rows, :columns] * cell
     way = _dense(drive)
@@ -207,7 +209,7 @@ def _depth_below(
     edges = np.arange(-_HIGHEST_M, _DEEPEST_M + _BIN_M / 2, _BIN_M)
     histogram = np.convolve(np.histogram(depth, edges, weights=area)[0], np.ones(3), mode="same")
     best = int(np.argmax(histogram))
-    if histogram[best] < _LEAST_M2:
+    if histogram[best] < _MIN_M2:
         return else_m
     near = np.abs(depth - (edges[best] + _BIN_M / 2)) < 2 * _BIN_M
     return float(np.average(depth[near], weights=area[near]))
@@ -225,25 +227,25 @@ def _smoothed(grid: Float64[np.ndarray, "rows columns"], sigma: float) -> Float6
 
 # § Where the recorded drive went. World frame, metres.
 
-BESIDE_M = 40.0
+LATERAL_EXTENT_M = 40.0
 """How far beside the recorded drive the ground, the road and what stands there are known."""
 
 
-def recorded_places(scene: Scene) -> Float64[np.ndarray, "n 3"]:
+def recorded_ego_positions(scene: Scene) -> Float64[np.ndarray, "n 3"]:
     """Return the places of the rig frame's origin, sample by sample; none where the scene has no ego vehicle."""
     poses = [] if scene.ego is None else [scene.ego_to_world(float(t)) for t in scene.ego.times]
     return np.array([pose[:3, 3] for pose in poses if pose is not None]).reshape(-1, 3)
 
 
-def known_reach(scene: Scene) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
+def recorded_extent(scene: Scene) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
     """Return the corners of the box around the recorded drive, and around what is known beside it.
 
     Without a drive it is that around the origin. Heights are the drive's own.
     """
-    drive = recorded_places(scene)
+    drive = recorded_ego_positions(scene)
     if not len(drive):
         drive = np.zeros((1, 3))
-    spot = np.array([BESIDE_M, BESIDE_M, 0.0])
+    spot = np.array([LATERAL_EXTENT_M, LATERAL_EXTENT_M, 0.0])
     return drive.min(axis=0) - spot, drive.max(axis=0) + spot
 
 
@@ -259,7 +261,7 @@ _DRAWS = np.clip(np.random.default_rng(0).standard_normal((256, 3)), -2, 2)
 """Places in a Gaussian, in standard deviations; beyond two there is hardly anything to be seen."""
 
 
-class SolidPieces(NamedTuple):
+class GaussianPieces(NamedTuple):
     """Pieces of Gaussians. World frame: metres, z up."""
 
     places: Float64[np.ndarray, "n 3"]
@@ -269,12 +271,14 @@ class SolidPieces(NamedTuple):
     """What each covers of a view from above."""
 
 
-def solid_pieces(scene: Scene, reach: Reach, cell_m: float, names: frozenset[str] | None = None) -> SolidPieces:
+def gaussian_pieces(
+    scene: Scene, reach: WorldRegion, cell_m: float, names: frozenset[str] | None = None
+) -> GaussianPieces:
     """Take apart what stands still and can be seen of a scene, sky aside, so that no piece is much larger than a cell.
 
     What is hidden or deleted does not count. `names` takes these layers only.
     """
-    pieces = [SolidPieces(np.zeros((0, 3)), np.zeros(0), np.zeros(0))]
+    pieces = [GaussianPieces(np.zeros((0, 3)), np.zeros(0), np.zeros(0))]
     for layer in scene.layers:
         if layer.kind == "sky" or not layer.visible or (names is not None and layer.name not in names):
             continue
@@ -282,12 +286,12 @@ def solid_pieces(scene: Scene, reach: Reach, cell_m: float, names: frozenset[str
         assert part is not None
         pieces += _pieces(part.remaining, part.opacity, part.to_world, reach, cell_m)
     places, side, top = (np.concatenate(column) for column in zip(*pieces, strict=True))
-    return SolidPieces(places, side, top)
+    return GaussianPieces(places, side, top)
 
 
 def _pieces(
-    gaussians: Gaussians, opacity: float, to_world: Float64[np.ndarray, "4 4"], reach: Reach, cell_m: float
-) -> Iterator[SolidPieces]:
+    gaussians: Gaussians, opacity: float, to_world: Float64[np.ndarray, "4 4"], reach: WorldRegion, cell_m: float
+) -> Iterator[GaussianPieces]:
     centers = gaussians.means @ to_world[:3, :3].T + to_world[:3, 3]
     far = 2.0 * gaussians.scales.max(axis=1, initial=0.0)[:, None] * np.cbrt(np.linalg.det(to_world[:3, :3]))
     near = ((centers + far >= reach.low) & (centers - far <= reach.high)).all(axis=1)
@@ -309,9 +313,9 @@ def _strewn(
     centers: Float64[np.ndarray, "n 3"],
     axes: Float64[np.ndarray, "n 3 3"],
     opacities: np.ndarray,
-    reach: Reach,
+    reach: WorldRegion,
     cell_m: float,
-) -> Iterator[SolidPieces]:
+) -> Iterator[GaussianPieces]:
     """Strew pieces over each Gaussian. A flat one's shadows along the axes are its area times its normal."""
     spread = axes @ axes.transpose(0, 2, 1)
     shadow = [
@@ -328,7 +332,7 @@ def _strewn(
             above = reach.slab.above_m(places)
             inside &= (above > reach.slab.low_m) & (above < reach.slab.high_m)
         sides, tops = (np.repeat(each[own] / count, count)[inside] for each in (side, top))
-        yield SolidPieces(places[inside], sides, tops)
+        yield GaussianPieces(places[inside], sides, tops)
 
 
 def _minor(spread: Float64[np.ndarray, "n 3 3"], i: int, j: int) -> Float64[np.ndarray, " n"]:

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float64, Int64
 from ..scene.gaussians import scene_cache
 from ..scene.scene import Scene
 from .geometry import PlanarBox
-from .ground import Ground, Reach, Slab, SolidPieces, known_reach, solid_pieces
+from .ground import GaussianPieces, HeightSlab, RoadSurface, WorldRegion, gaussian_pieces, recorded_extent
 
 LOW_M, HIGH_M = 0.3, 1.5
 """Heights above the ground between which a car's body is: kerbs are lower, crowns of trees and signs higher."""
@@ -43,15 +43,15 @@ class OccupiedSpace:
 
 
 @scene_cache(maxsize=2)
-def occupied_space_of(scene: Scene, ground: Ground) -> OccupiedSpace:
+def occupied_space_of(scene: Scene, ground: RoadSurface) -> OccupiedSpace:
     """Find what stands in a scene, its actors aside, as far beside its drive as the ground is known; keeps two scenes'.
 
     The areas that solid Gaussians between knee and roof show from the side are added up in cells, so it does not matter
     of how many a thing is made (HUGSIM counts Gaussians: more than a hundred of opacity over 0.8).
     """
-    low, high = known_reach(scene)
+    low, high = recorded_extent(scene)
     low[2], high[2] = ground.grid.heights_m.min() + LOW_M, ground.grid.heights_m.max() + HIGH_M
-    pieces = solid_pieces(scene, Reach(low, high, Slab(ground.grid, LOW_M, HIGH_M)), CELL_M)
+    pieces = gaussian_pieces(scene, WorldRegion(low, high, HeightSlab(ground.grid, LOW_M, HIGH_M)), CELL_M)
     keys, owner = np.unique(cell_keys(pieces.places[:, :2], CELL_M), return_inverse=True)
     area = np.bincount(owner.ravel(), pieces.side_m2, len(keys)).astype(np.float64)
     return OccupiedSpace(keys[_around(keys, area) >= POST_M * (HIGH_M - LOW_M)])
@@ -116,25 +116,25 @@ class Drivable:
 
 
 @scene_cache(maxsize=2)
-def drivable_of(scene: Scene, ground: Ground, occupied: OccupiedSpace) -> Drivable:
+def drivable_of(scene: Scene, ground: RoadSurface, occupied: OccupiedSpace) -> Drivable:
     """Find the road of a scene as far beside its drive as the ground is known; keeps the last two scenes'.
 
     Layers called "road" or "ground" are it. Where there are none it is what lies flat on the ground and has nothing
     standing on it.
     """
-    low, high = known_reach(scene)
+    low, high = recorded_extent(scene)
     low[2], high[2] = ground.grid.heights_m.min() - 1, ground.grid.heights_m.max() + 1
     named = any(layer.name in ROAD_LAYERS and layer.visible for layer in scene.layers)
-    pieces = solid_pieces(scene, Reach(low, high), _CELL_M, ROAD_LAYERS if named else None)
+    pieces = gaussian_pieces(scene, WorldRegion(low, high), _CELL_M, ROAD_LAYERS if named else None)
     return Drivable(_covered(pieces) if named else _flat(pieces, ground, occupied))
 
 
-def _flat(pieces: SolidPieces, ground: Ground, occupied: OccupiedSpace) -> Int64[np.ndarray, " n"]:
+def _flat(pieces: GaussianPieces, ground: RoadSurface, occupied: OccupiedSpace) -> Int64[np.ndarray, " n"]:
     above = pieces.places[:, 2] - ground.heights_m(pieces.places[:, :2])
     flat = (np.abs(above) < _FLAT_M) & (pieces.top_m2 > pieces.side_m2) & ~occupied.holds(pieces.places[:, :2])
-    return _covered(SolidPieces(pieces.places[flat], pieces.side_m2[flat], pieces.top_m2[flat]))
+    return _covered(GaussianPieces(pieces.places[flat], pieces.side_m2[flat], pieces.top_m2[flat]))
 
 
-def _covered(pieces: SolidPieces) -> Int64[np.ndarray, " n"]:
+def _covered(pieces: GaussianPieces) -> Int64[np.ndarray, " n"]:
     keys, owner = np.unique(cell_keys(pieces.places[:, :2], _CELL_M), return_inverse=True)
     return keys[np.bincount(owner.ravel(), pieces.top_m2, len(keys)) >= _COVERED * _CELL_M**2]

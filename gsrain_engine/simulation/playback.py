@@ -8,18 +8,18 @@ from jaxtyping import Float64
 
 from ..scene.scene import RigCamera, Scene
 from .agents.base import Rig
-from .geometry import wrapped
-from .ground import ground_of
+from .geometry import wrap_angle
+from .ground import road_surface_of
 from .rollout import Rollout, RolloutStep
 from .scenario import Scenario
-from .sensors import of_width, rig_cameras
+from .sensors import camera_of_width, rig_cameras
 from .simulation import RoadScene
-from .traffic.appearance import user_look
+from .traffic.appearance import vehicle_model
 from .traffic.base import RoadUser
 from .vehicle import VehicleState
 
 
-class PlayedRollout:
+class RolloutPlayback:
     """A roll-out in the scene that it was driven in. Times are seconds since the scenario began."""
 
     def __init__(self, rollout: Rollout, scene: Scene) -> None:
@@ -34,9 +34,11 @@ class PlayedRollout:
         self.rollout = rollout
         self.base = scene
         """The scene as it was given, with its own actors."""
-        cameras = tuple(of_width(each, self.scenario.picture_width_px) for each in _cameras(scene, self.scenario.rig))
-        self.rig = Rig(self.scenario.vehicle, cameras, ground_of(scene).rig_height_m)
-        self._road = RoadScene(scene, {user.id: user_look(user.model, scene) for user in self.scenario.road_users})
+        cameras = tuple(
+            camera_of_width(each, self.scenario.picture_width_px) for each in _cameras(scene, self.scenario.rig)
+        )
+        self.rig = Rig(self.scenario.vehicle, cameras, road_surface_of(scene).rig_height_m)
+        self._road = RoadScene(scene, {user.id: vehicle_model(user.model, scene) for user in self.scenario.road_users})
         self._times = [step.time_s for step in rollout.steps]
 
     @property
@@ -103,4 +105,4 @@ def _mixed(before: float, after: float, part: float) -> float:
 
 def _turned(before: float, after: float, part: float) -> float:
     """Between two angles, the shorter way."""
-    return before + part * wrapped(after - before)
+    return before + part * wrap_angle(after - before)

@@ -5,9 +5,9 @@ from typing import Any
 
 import msgspec
 
-from ..safe_io.errors import converted
+from ..safe_io.errors import convert_checked
 from ..safe_io.limits import check_file
-from ..safe_io.text_files import printable, read_whole
+from ..safe_io.text_files import printable_line, read_whole
 from ..scene.files import whole_file
 from .rollout import EgoRecord, Rollout, RolloutStep, UserRecord
 
@@ -29,7 +29,7 @@ def read_any_rollout(path: Path) -> Rollout:
 
 # § Roll-outs as files: JSON lines, what is the same for the whole drive first, then one line a moment.
 
-_MOST_BYTES = 1 << 30
+_MAX_JSON_BYTES = 1 << 30
 
 _VERSION = 1
 
@@ -52,7 +52,7 @@ def read_rollout(path: Path | str) -> Rollout:
     Raises ValueError, with the file and the line, for what is none, for a torn file, and for one of a newer version.
     """
     path = Path(path)
-    first, *rest = read_whole(path, _MOST_BYTES).splitlines() or [b""]
+    first, *rest = read_whole(path, _MAX_JSON_BYTES).splitlines() or [b""]
     header = _header(path, first)
     count = header.pop(_MOMENTS, None)
     steps = [_step(path, number, line) for number, line in enumerate(rest, start=2)]
@@ -63,7 +63,7 @@ def read_rollout(path: Path | str) -> Rollout:
     try:
         rollout = msgspec.convert({**header, "steps": tuple(steps)}, Rollout)
     except msgspec.ValidationError as error:
-        raise ValueError(f"{path}: line 1: {printable(error)}") from None
+        raise ValueError(f"{path}: line 1: {printable_line(error)}") from None
     check_users(path, rollout)
     return rollout
 
@@ -74,7 +74,7 @@ def check_users(path: Path, rollout: Rollout) -> None:
         for user in step.road_users:
             if user.id not in rollout.users:
                 raise ValueError(
-                    f"{path}: step {step.step}: road user {printable(repr(user.id))} is not among its `users`"
+                    f"{path}: step {step.step}: road user {printable_line(repr(user.id))} is not among its `users`"
                 )
 
 
@@ -87,7 +87,9 @@ def _header(path: Path, line: bytes) -> dict[str, Any]:
     if not isinstance(version, int) or version < 1:
         raise ValueError(f"{path}: not a roll-out: its first line has no `version`")
     if version > _VERSION:
-        raise ValueError(f"{path}: a roll-out of version {printable(version)}; this program reads up to {_VERSION}")
+        raise ValueError(
+            f"{path}: a roll-out of version {printable_line(version)}; this program reads up to {_VERSION}"
+        )
     return header
 
 
@@ -95,7 +97,7 @@ def _step(path: Path, number: int, line: bytes) -> RolloutStep:
     try:
         return msgspec.json.decode(line, type=RolloutStep)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise ValueError(f"{path}: line {number}: {printable(error)}") from None
+        raise ValueError(f"{path}: line {number}: {printable_line(error)}") from None
 
 
 # § Roll-outs as Parquet, one row a moment: for pandas, polars and DuckDB, and back without loss.
@@ -105,7 +107,7 @@ _HEADER = b"gsrain.rollout"
 
 _PARQUET_VERSION = 1
 
-_MOST_ROWS, _MAX_PARQUET_BYTES = 1_000_000, 1 << 30
+_MAX_ROWS, _MAX_PARQUET_BYTES = 1_000_000, 1 << 30
 
 _MISSING = "Parquet files of roll-outs need pyarrow: pip install 'gsrain[drive]'"
 
@@ -142,12 +144,14 @@ def read_rollout_parquet(path: Path) -> Rollout:
         is_newer = version > _PARQUET_VERSION
         if not rows and not is_newer:
             raise ValueError("a roll-out of no moment")
-        rollout = None if is_newer else converted({**plain, "steps": [_parquet_step(row) for row in rows]}, Rollout)
+        rollout = (
+            None if is_newer else convert_checked({**plain, "steps": [_parquet_step(row) for row in rows]}, Rollout)
+        )
     except (ValueError, AttributeError, KeyError, RecursionError, TypeError) as error:
-        raise ValueError(f"{path}: a roll-out that can't be read: {printable(error)}") from None
+        raise ValueError(f"{path}: a roll-out that can't be read: {printable_line(error)}") from None
     if rollout is None:
         raise ValueError(
-            f"{path}: a roll-out of version {printable(version)}; this program reads up to {_PARQUET_VERSION}"
+            f"{path}: a roll-out of version {printable_line(version)}; this program reads up to {_PARQUET_VERSION}"
         )
     check_users(path, rollout)
     return rollout
@@ -162,7 +166,7 @@ def _header_and_rows(path: Path) -> tuple[bytes, list[dict[str, Any]]]:
             header = (file.metadata.metadata or {}).get(_HEADER)
             rows = [] if header is None else file.read().to_pylist()
     except (arrow.ArrowException, OSError, OverflowError, ValueError) as error:  # damage comes as any of them
-        raise ValueError(f"{path}: not a Parquet file of a roll-out: {printable(error)}") from None
+        raise ValueError(f"{path}: not a Parquet file of a roll-out: {printable_line(error)}") from None
     if header is None:
         raise ValueError(f"{path}: a Parquet file, but not of a roll-out: its metadata has no {_HEADER.decode()}")
     return header, rows
@@ -174,7 +178,7 @@ def _check_size(metadata: Any) -> None:
     Nothing is asked of single columns: Arrow ends the whole process over damage there.
     """
     size = sum(metadata.row_group(i).total_byte_size for i in range(metadata.num_row_groups))
-    if metadata.num_rows > _MOST_ROWS or size > _MAX_PARQUET_BYTES:
+    if metadata.num_rows > _MAX_ROWS or size > _MAX_PARQUET_BYTES:
         raise ValueError(f"{metadata.num_rows} rows of {size / 1e9:.1f} GB: too large")
 
 

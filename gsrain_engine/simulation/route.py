@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from ..scene.scene import Scene
-from .ground import recorded_places
+from .ground import recorded_ego_positions
 
 
-class OnRoute(NamedTuple):
+class RouteCoordinates(NamedTuple):
     """Where something is in relation to a route."""
 
     along_m: float
@@ -39,7 +39,7 @@ class Route:
         x, y = self.points[i] + (along_m - self._along[i]) * forward + left_m * np.array([-forward[1], forward[0]])
         return float(x), float(y), float(np.arctan2(forward[1], forward[0]))
 
-    def nearest(self, x_m: float, y_m: float) -> OnRoute:
+    def nearest(self, x_m: float, y_m: float) -> RouteCoordinates:
         place = np.array([x_m, y_m])
         steps = np.diff(self.points, axis=0)
         lengths = np.linalg.norm(steps, axis=1)
@@ -52,7 +52,7 @@ class Route:
         i = int(np.argmin(np.einsum("nd,nd->n", away, away)))
         left = forward[i, 0] * away[i, 1] - forward[i, 1] * away[i, 0]
         distance = float(np.linalg.norm(away[i]))
-        return OnRoute(float(self._along[i] + reach[i]), distance if left >= 0 else -distance)
+        return RouteCoordinates(float(self._along[i] + reach[i]), distance if left >= 0 else -distance)
 
     def ahead(self, along_m: float, reach_m: float, step_m: float = 1.0) -> Float64[np.ndarray, "m 2"]:
         """Return points from a distance on, evenly spaced."""
@@ -78,7 +78,7 @@ def recorded_route(scene: Scene) -> Route:
             "(gsrain convert --drive, in the window Ego drives along the path)"
         )
     kept: list[np.ndarray] = []
-    for place in recorded_places(scene)[:, :2]:
+    for place in recorded_ego_positions(scene)[:, :2]:
         if not kept or np.linalg.norm(place - kept[-1]) >= _STEP_M:
             kept.append(place)
     if len(kept) < 2:

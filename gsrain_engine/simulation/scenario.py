@@ -6,21 +6,21 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from ..rain.settings import Rain
+from ..rain.settings import RainSettings
 from ..scene.scene import Actor, Scene
 from .controller_base import ControllerSettings
-from .ground import Ground
+from .ground import RoadSurface
 from .rollout import BACKGROUND
 from .route import Route
-from .traffic.appearance import UserLook, user_look
-from .traffic.base import EGO, Behaviour, RoadUser, Surroundings
-from .traffic.models import BehaviourSettings
+from .traffic.appearance import VehicleModel, vehicle_model
+from .traffic.base import EGO, Behavior, RoadUser, TrafficState
+from .traffic.models import BehaviorSettings
 from .traffic.tracks import RecordedTrack
 from .vehicle import Vehicle, VehicleState
 
 _Side = Annotated[float, Meta(gt=0, le=100)]
 
-_TAKEN = (EGO, BACKGROUND)
+_RESERVED_IDS = (EGO, BACKGROUND)
 """Ids by which roll-outs mean something else."""
 
 
@@ -62,7 +62,7 @@ class ScenarioUser(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
              "the ego vehicle's.", extra={"unit": "deg"}),
     ] = 0.0  # fmt: skip
     speed_m_s: Annotated[float, Meta(ge=0, le=60, title="Speed", extra={"unit": "m/s"})] = 0.0
-    behaviour: BehaviourSettings
+    behaviour: BehaviorSettings
 
 
 class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -97,7 +97,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         Meta(title="Actors that stay", description="Of the scene's own actors, which follow their tracks."),
     ] = ()
     road_users: tuple[ScenarioUser, ...] = ()
-    rain: Rain = Rain()
+    rain: RainSettings = RainSettings()
     vehicle: Vehicle = Vehicle()
     controller: ControllerSettings = ControllerSettings()
     step_s: Annotated[float, Meta(gt=0, le=1, title="Step", description="HUGSIM's is 0.25 s.", extra={"unit": "s"})] = (
@@ -114,7 +114,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         doubled = next((each for each in ids if ids.count(each) > 1), None)
         if doubled is not None:
             raise ValueError(f"two road users are called {doubled!r}")
-        taken = next((each for each in ids if each in _TAKEN), None)
+        taken = next((each for each in ids if each in _RESERVED_IDS), None)
         if taken is not None:
             raise ValueError(f"a road user can't be called {taken!r}: roll-outs mean something else by it")
 
@@ -161,12 +161,14 @@ def start_place(user: ScenarioUser, scenario: Scenario, scene: Scene, route: Rou
 class Traffic:
     """The scenario's road users, and those of the scene's own actors that it keeps."""
 
-    def __init__(self, scenario: Scenario, scene: Scene, route: Route, ground: Ground) -> None:
+    def __init__(self, scenario: Scenario, scene: Scene, route: Route, ground: RoadSurface) -> None:
         self._scenario, self._scene, self._route, self._ground = scenario, scene, route, ground
-        self.looks: dict[str, UserLook] = {user.id: user_look(user.model, scene) for user in scenario.road_users}
+        self.looks: dict[str, VehicleModel] = {
+            user.id: vehicle_model(user.model, scene) for user in scenario.road_users
+        }
         """Of the scenario's own road users, by id."""
-        self._kept = _kept(scenario, scene)
-        self._rules: dict[str, Behaviour] = {}
+        self._kept = _remaining_actors(scenario, scene)
+        self._rules: dict[str, Behavior] = {}
         self._present: dict[str, RoadUser | None] = {}
         self.everybody: tuple[RoadUser, ...] = ()
         """Each road user that was ever there, as it came."""
@@ -195,7 +197,7 @@ class Traffic:
         self._present = {}
         for id, rule in self._rules.items():
             others = tuple(user for key, user in before.items() if user is not None and key != id)
-            moved = rule.next(before[id], Surroundings(time_s, ego, others, self._route), dt_s)
+            moved = rule.next(before[id], TrafficState(time_s, ego, others, self._route), dt_s)
             self._present[id] = moved if moved is None else self._grounded(moved, id)
         self._meet()
 
@@ -214,7 +216,7 @@ class Traffic:
         self.everybody = (*self.everybody, *(user for user in self.users if user.id not in known))
 
 
-def _kept(scenario: Scenario, scene: Scene) -> tuple[Actor, ...]:
+def _remaining_actors(scenario: Scenario, scene: Scene) -> tuple[Actor, ...]:
     actors = {actor.id: actor for actor in scene.actors}
     names = tuple(id for id, actor in actors.items() if actor.visible) if scenario.keep == "all" else scenario.keep
     for name in names:

@@ -9,9 +9,9 @@ from typing import Any
 import msgspec
 import yaml
 
-from ..presets import load_config, shipped_names, standing_beside
+from ..presets import load_config, resolve_from_folder, shipped_config_names
 from ..rain.calibration import calibration_names
-from ..safe_io.errors import converted
+from ..safe_io.errors import convert_checked
 from ..safe_io.text_files import read_whole, yaml_values
 from ..scene.files import whole_file
 from ..scene.open import STREET
@@ -25,7 +25,7 @@ _FOLDER = "scenarios"
 
 
 def scenario_names() -> list[str]:
-    return shipped_names(_FOLDER)
+    return shipped_config_names(_FOLDER)
 
 
 def load_scenario(name: str | Path) -> Scenario:
@@ -44,7 +44,7 @@ def read_scenario(path: Path) -> Scenario:
     Files that it names are looked for in its own folder first, then in the working folder. Raises ValueError with the
     file, the field and what is allowed.
     """
-    return named_from_here(_read(path), path.parent)
+    return resolve_file_names(_read(path), path.parent)
 
 
 def _read(path: Path) -> Scenario:
@@ -54,7 +54,7 @@ def _read(path: Path) -> Scenario:
     try:
         values = yaml_values(data)
         if not is_hugsim_scenario(values):
-            return converted(values, Scenario)
+            return convert_checked(values, Scenario)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
     return hugsim_scenario(values, path)
@@ -68,13 +68,13 @@ def save_scenario(scenario: Scenario, path: Path) -> None:
 
     Files that it names count from the written file's folder. Raises OSError.
     """
-    told = _told(named_from_folder(scenario, path.parent))
+    told = _plain_settings(relative_file_names(scenario, path.parent))
     text = yaml.safe_dump(told, sort_keys=False, default_flow_style=None, allow_unicode=True, width=120)
     with whole_file(path) as beside:
         beside.write_text(text, encoding="utf-8")
 
 
-def _told(settings: msgspec.Struct) -> dict[str, Any]:
+def _plain_settings(settings: msgspec.Struct) -> dict[str, Any]:
     """Fields that are not at their defaults; what a kind of settings is called stands first."""
     tag = settings.__struct_config__.tag_field
     told: dict[str, Any] = {} if tag is None else {tag: settings.__struct_config__.tag}
@@ -88,7 +88,7 @@ def _told(settings: msgspec.Struct) -> dict[str, Any]:
 
 def _plain(value: object) -> Any:
     if isinstance(value, msgspec.Struct):
-        return _told(value)
+        return _plain_settings(value)
     if isinstance(value, tuple):
         items: tuple[object, ...] = value
         return [_plain(each) for each in items]
@@ -100,15 +100,15 @@ def _plain(value: object) -> Any:
 _Rename = Callable[[str], str]
 
 
-def named_from_here(scenario: Scenario, folder: Path) -> Scenario:
+def resolve_file_names(scenario: Scenario, folder: Path) -> Scenario:
     """Return a scenario whose file is in a folder with its names as they count from the working folder.
 
     A name counts from the scenario's folder; where nothing stands there it stays what it is.
     """
-    return _renamed(scenario, partial(standing_beside, folder))
+    return _renamed(scenario, partial(resolve_from_folder, folder))
 
 
-def named_from_folder(scenario: Scenario, folder: Path) -> Scenario:
+def relative_file_names(scenario: Scenario, folder: Path) -> Scenario:
     """Return a scenario as it stands in a file of a folder: names that count from the working folder count from it."""
 
     def there(name: str) -> str:

@@ -6,26 +6,28 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from ..rain.settings import Rain
-from ..rain.simulation import Rainfall
-from ..render.draw import Shot, draw_shot
+from ..rain.settings import RainSettings
+from ..rain.simulation import RainSimulation
+from ..render.draw import RenderView, draw_view
 from ..render.object_labels import draw_labels
 from ..render.renderer import Renderer
-from ..render.sky_color import Sky, sky_color
+from ..render.sky_color import SkyColor, sky_color
 from ..scene.camera import Camera
 from ..scene.objects import coco_class
 from ..scene.scene import Actor, RigCamera, Scene
-from .agents.base import CameraView, Needs, front_camera
+from .agents.base import CameraView, SensorRequirements, front_camera
 
 
-class RigPictures:
+class RigRenderer:
     """Draws for the cameras that an agent needs. One rain falls through a whole drive."""
 
-    def __init__(self, renderer: Renderer, rain: Rain, cameras: Sequence[RigCamera], needs: Needs) -> None:
+    def __init__(
+        self, renderer: Renderer, rain: RainSettings, cameras: Sequence[RigCamera], needs: SensorRequirements
+    ) -> None:
         """Draw with a renderer, which stays open for as long as this is used."""
         self._renderer, self._cameras, self._needs = renderer, cameras, needs
-        self._rainfall = Rainfall.start(rain)
-        self._sky: Sky | None = None
+        self._rainfall = RainSimulation.start(rain)
+        self._sky: SkyColor | None = None
 
     def views(
         self,
@@ -43,10 +45,10 @@ class RigPictures:
                 self._sky = sky_color(self._renderer, scene, camera)
             arm = camera.position - rig_to_world[:3, 3]
             velocity = velocity_m_s + yaw_rate_rad_s * np.array([-arm[1], arm[0], 0.0])
-            views[mounted.name] = self._view(scene, Shot(camera, time_s, velocity))
+            views[mounted.name] = self._view(scene, RenderView(camera, time_s, velocity))
         return views
 
-    def _view(self, scene: Scene, shot: Shot) -> CameraView:
+    def _view(self, scene: Scene, shot: RenderView) -> CameraView:
         semantic = instances = None
         if self._needs.semantic:
             labels = draw_labels(self._renderer, scene, shot.camera, shot.time_s)
@@ -56,7 +58,7 @@ class RigPictures:
         sky = self._sky
         assert sky is not None
         color = sky.at(self._rainfall.wetness_at(shot.time_s))
-        draw_shot(self._renderer, scene, self._rainfall, color, shot, with_depth=self._needs.depth)
+        draw_view(self._renderer, scene, self._rainfall, color, shot, with_depth=self._needs.depth)
         frame = self._renderer.read()
         depth = None if frame.depth is None else frame.depth.copy()
         return CameraView(frame.to_uint8(), shot.camera, depth, semantic, instances)
@@ -74,7 +76,7 @@ def rig_cameras(scene: Scene, name: str | None) -> tuple[RigCamera, ...]:
     return scene.rigs[name]
 
 
-def needed_cameras(cameras: Sequence[RigCamera], needs: Needs) -> tuple[RigCamera, ...]:
+def needed_cameras(cameras: Sequence[RigCamera], needs: SensorRequirements) -> tuple[RigCamera, ...]:
     """Return the cameras that an agent needs, in the order of the rig.
 
     Raises ValueError for a name that the rig does not have, and where there are no cameras at all.
@@ -93,7 +95,7 @@ def needed_cameras(cameras: Sequence[RigCamera], needs: Needs) -> tuple[RigCamer
     return tuple(each for each in cameras if each.name in names)
 
 
-def of_width(camera: RigCamera, width_px: int) -> RigCamera:
+def camera_of_width(camera: RigCamera, width_px: int) -> RigCamera:
     """Return a camera that shows the same in another size; the height is rounded to a whole, even number."""
     scale = width_px / camera.width
     height = 2 * round(camera.height * scale / 2)

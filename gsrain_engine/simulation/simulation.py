@@ -11,25 +11,35 @@ import numpy as np
 from jaxtyping import Float64
 
 from ..backends import Backend, open_renderer
-from ..rain.settings import Rain
+from ..rain.settings import RainSettings
 from ..render.renderer import Renderer
 from ..scene.open import STREET
-from ..scene.scene import Actor, Scene, Track
-from .agents.base import FARTHEST_M, NOTHING, SPACING_S, Agent, CameraView, Needs, Observation, Plan, Rig
+from ..scene.scene import Actor, PoseTrack, Scene
+from .agents.base import (
+    FARTHEST_M,
+    NOTHING,
+    SPACING_S,
+    Agent,
+    CameraView,
+    Observation,
+    Rig,
+    SensorRequirements,
+    Trajectory,
+)
 from .agents.registry import AgentOptions, open_agent
 from .controllers import open_controller
 from .geometry import PlanarBox
-from .ground import Ground, ground_of
-from .metrics.summary import Run
+from .ground import RoadSurface, road_surface_of
+from .metrics.summary import ScoredRun
 from .obstacles import OccupiedSpace, drivable_of, occupied_space_of
 from .rollout import BACKGROUND, EgoRecord, Rollout, RolloutStep, UserModel, UserRecord
-from .route import OnRoute, Route, recorded_route
+from .route import Route, RouteCoordinates, recorded_route
 from .scenario import Scenario, Traffic, start_state
 from .scenario_io import load_scenario
-from .sensors import RigPictures, needed_cameras, of_width, rig_cameras
-from .traffic.appearance import UserLook, scaled
+from .sensors import RigRenderer, camera_of_width, needed_cameras, rig_cameras
+from .traffic.appearance import VehicleModel, scale_gaussians
 from .traffic.base import RoadUser, ego_user
-from .vehicle import Control, Vehicle, VehicleState, limited, moved_on, vehicle_box, yaw_rate
+from .vehicle import Control, Vehicle, VehicleState, limit_control, step_bicycle, vehicle_box, yaw_rate
 
 logger = logging.getLogger("gsrain")
 
@@ -45,7 +55,7 @@ class Simulation:
         self,
         scenario: Scenario,
         scene: Scene,
-        needs: Needs = NOTHING,
+        needs: SensorRequirements = NOTHING,
         renderer: Renderer | None = None,
         seed: int | None = None,
     ) -> None:
@@ -63,16 +73,16 @@ class Simulation:
         self.scenario = scenario if seed is None else _with_seed(scenario, seed)
         self.scene = scene
         self.route: Route = recorded_route(scene)
-        self.ground = ground_of(scene)
+        self.ground = road_surface_of(scene)
         self.occupied: OccupiedSpace = occupied_space_of(scene, self.ground)
         self._needs, self._renderer = needs, renderer
-        cameras = tuple(of_width(each, scenario.picture_width_px) for each in rig_cameras(scene, scenario.rig))
+        cameras = tuple(camera_of_width(each, scenario.picture_width_px) for each in rig_cameras(scene, scenario.rig))
         self._shown = needed_cameras(cameras, needs)
         self.rig = Rig(scenario.vehicle, cameras, self.ground.rig_height_m)
         self._controller = open_controller(scenario.controller)
         self._traffic = Traffic(self.scenario, scene, self.route, self.ground)
         self._road = RoadScene(scene, self._traffic.looks)
-        self._pictures: RigPictures | None = None
+        self._pictures: RigRenderer | None = None
         self._moment = self._start()
         start = self._moment.state
         self._begins_m = self.route.nearest(start.x_m, start.y_m).along_m
@@ -92,7 +102,7 @@ class Simulation:
         self._controller.reset()
         self._traffic.reset()
         if self._renderer is not None and self._shown:
-            self._pictures = RigPictures(self._renderer, self.scenario.rain, self._shown, self._needs)
+            self._pictures = RigRenderer(self._renderer, self.scenario.rain, self._shown, self._needs)
         self.end, self._steps = None, []
         self._moment = self._start()
         self._judge()
@@ -103,7 +113,7 @@ class Simulation:
         """Of the rain of this drive."""
         return self.scenario.rain.seed
 
-    def step(self, plan: Plan | None) -> None:
+    def step(self, plan: Trajectory | None) -> None:
         """Follow a plan for one step; without one, or with an empty one, the drive is over.
 
         Raises ValueError for a plan that is none, and where the drive is over already.
@@ -120,28 +130,28 @@ class Simulation:
         control = self._controller.control(self.scenario.vehicle, self._moment.state, points, SPACING_S)
         self.advance(control, plan)
 
-    def advance(self, control: Control, plan: Plan | None = None) -> None:
+    def advance(self, control: Control, plan: Trajectory | None = None) -> None:
         """Move everybody on by one step under a control; `plan` is what it comes from, for the record."""
         self._check_goes_on()
         before, dt = self._moment, self.scenario.step_s
         self._record(plan)
-        control = limited(self.scenario.vehicle, before.state, control, dt)
-        state = moved_on(self.scenario.vehicle, before.state, control, dt)
+        control = limit_control(self.scenario.vehicle, before.state, control, dt)
+        state = step_bicycle(self.scenario.vehicle, before.state, control, dt)
         self._traffic.advance(before.time_s, ego_user(self.scenario.vehicle, before.state), dt)
-        self._moment = _Moment(before.step + 1, (before.step + 1) * dt, state, control)
+        self._moment = _SimulationMoment(before.step + 1, (before.step + 1) * dt, state, control)
         self._judge()
 
     def observation(self) -> Observation:
         """Show the present moment, with the pictures that the agent needs."""
         moment, state = self._moment, self._moment.state
         height = self.ground.height_m(state.x_m, state.y_m)
-        views = {} if self._pictures is None else self.seen_by(self._pictures)
+        views = {} if self._pictures is None else self.render_cameras(self._pictures)
         return Observation(
             moment.step, moment.time_s, state, moment.control.acceleration_m_s2, moment.control.steer_rate_rad_s,
             height, "straight", views, self.route, self._traffic.users,
         )  # fmt: skip
 
-    def seen_by(self, pictures: RigPictures) -> dict[str, CameraView]:
+    def render_cameras(self, pictures: RigRenderer) -> dict[str, CameraView]:
         """Draw the present moment for cameras of the rig, those of another than the agent too."""
         state = self._moment.state
         velocity = state.speed_m_s * np.array([np.cos(state.yaw_rad), np.sin(state.yaw_rad), 0.0])
@@ -178,8 +188,8 @@ class Simulation:
             steps=tuple(steps),
         )  # fmt: skip
 
-    def _start(self) -> "_Moment":
-        return _Moment(0, 0.0, start_state(self.scenario, self.scene, self.route), _STANDING)
+    def _start(self) -> "_SimulationMoment":
+        return _SimulationMoment(0, 0.0, start_state(self.scenario, self.scene, self.route), _STANDING)
 
     def _check_goes_on(self) -> None:
         if self.end is not None:
@@ -196,14 +206,14 @@ class Simulation:
         elif self._moment.time_s >= self.scenario.duration_s - 1e-9:
             self._finish("time", None)
 
-    def _finish(self, end: str, plan: Plan | None) -> None:
+    def _finish(self, end: str, plan: Trajectory | None) -> None:
         self.end = end
         self._record(plan)
 
-    def _record(self, plan: Plan | None) -> None:
+    def _record(self, plan: Trajectory | None) -> None:
         self._steps.append(self._recorded(plan))
 
-    def _recorded(self, plan: Plan | None) -> RolloutStep:
+    def _recorded(self, plan: Trajectory | None) -> RolloutStep:
         moment, state = self._moment, self._moment.state
         height = self.ground.height_m(state.x_m, state.y_m)
         return RolloutStep(
@@ -230,10 +240,10 @@ class Simulation:
     def _hit(self) -> str | None:
         moment, scenario = self._moment, self.scenario
         since_s = scenario.step_s if moment.step else 0.0
-        return touched(scenario.vehicle, moment.state, self._traffic.users, self.ground, self.occupied, since_s)
+        return find_collision(scenario.vehicle, moment.state, self._traffic.users, self.ground, self.occupied, since_s)
 
     @property
-    def _on_route(self) -> OnRoute:
+    def _on_route(self) -> RouteCoordinates:
         return self.route.nearest(self._moment.state.x_m, self._moment.state.y_m)
 
     @property
@@ -243,7 +253,7 @@ class Simulation:
 
 
 @dataclass(frozen=True, slots=True)
-class _Moment:
+class _SimulationMoment:
     step: int
     time_s: float
     state: VehicleState
@@ -280,7 +290,7 @@ def drive(simulation: Simulation, agent: Agent) -> Iterator[Observation]:
             observation = simulation.observation()
 
 
-def drive_through(simulation: Simulation, agent: Agent) -> Rollout:
+def run_drive(simulation: Simulation, agent: Agent) -> Rollout:
     """Let an agent drive to the end, and return what happened. What it raises comes through."""
     for _ in drive(simulation, agent):
         pass
@@ -289,13 +299,13 @@ def drive_through(simulation: Simulation, agent: Agent) -> Rollout:
 
 def drive_scene(
     scene: Scene,
-    rain: Rain | None = None,
+    rain: RainSettings | None = None,
     agent: Agent | str = "oracle-idm",
     scenario: Scenario | str = "stationary-lead",
     *,
     options: AgentOptions | None = None,
     backend: Backend = "auto",
-) -> Run:
+) -> ScoredRun:
     """Let an agent drive through a scene in the rain, and measure the drive.
 
     `rain` of None is the scenario's. An agent given by its name is opened and closed here, and so is a renderer where
@@ -311,19 +321,19 @@ def drive_scene(
             stack.callback(driver.close)
         renderer = stack.enter_context(open_renderer(backend)) if driver.needs.cameras else None
         simulation = Simulation(test, scene, driver.needs, renderer)
-        rollout = drive_through(simulation, driver)
+        rollout = run_drive(simulation, driver)
         drivable = drivable_of(scene, simulation.ground, simulation.occupied)
-        return Run.of(rollout, simulation.occupied, drivable)
+        return ScoredRun.of(rollout, simulation.occupied, drivable)
 
 
 # § What the ego vehicle touches at a moment of a drive: a road user, or what stands in the scene.
 
 
-def touched(
+def find_collision(
     vehicle: Vehicle,
     state: VehicleState,
     users: Sequence[RoadUser],
-    ground: Ground,
+    ground: RoadSurface,
     occupied: OccupiedSpace,
     since_s: float,
 ) -> str | None:
@@ -356,21 +366,21 @@ def _without_gap(box: PlanarBox, gone_m: float) -> PlanarBox:
 class RoadScene:
     """A scene whose actors are the scenario's road users."""
 
-    def __init__(self, scene: Scene, looks: dict[str, UserLook]) -> None:
+    def __init__(self, scene: Scene, looks: dict[str, VehicleModel]) -> None:
         """Show road users by their looks; who has none is an actor of the scene."""
         self.scene = scene
         self._world_to_scene = np.linalg.inv(scene.scene_to_world)
         unit = 1 / scene.metres_per_unit
-        self._gaussians = {id: scaled(look.gaussians, unit) for id, look in looks.items()}
+        self._gaussians = {id: scale_gaussians(look.gaussians, unit) for id, look in looks.items()}
         self._recorded = {actor.id: actor for actor in scene.actors}
 
     def at(self, rig_to_world: Float64[np.ndarray, "4 4"], users: tuple[RoadUser, ...]) -> Scene:
         """Return the scene with the ego vehicle's rig and road users in their places, at any time."""
         actors = tuple(self._actor(user) for user in users)
-        return replace(self.scene, actors=actors, ego=Track.standing(self._world_to_scene @ rig_to_world))
+        return replace(self.scene, actors=actors, ego=PoseTrack.standing(self._world_to_scene @ rig_to_world))
 
     def _actor(self, user: RoadUser) -> Actor:
-        track = Track.standing(self._world_to_scene @ user.pose)
+        track = PoseTrack.standing(self._world_to_scene @ user.pose)
         if user.id not in self._gaussians:
             return replace(self._recorded[user.id], track=track)
         unit = self.scene.metres_per_unit

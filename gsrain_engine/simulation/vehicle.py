@@ -104,7 +104,7 @@ class Control(NamedTuple):
 # § The kinematic bicycle model: how a vehicle moves on under a control, within its limits.
 
 
-def limited(vehicle: Vehicle, state: VehicleState, control: Control, dt_s: float) -> Control:
+def limit_control(vehicle: Vehicle, state: VehicleState, control: Control, dt_s: float) -> Control:
     """Return what of a control a vehicle can do: within its limits, and no further than to standstill."""
     low = max(-vehicle.most_braking_m_s2, -state.speed_m_s / dt_s)
     high = min(vehicle.most_acceleration_m_s2, (vehicle.top_speed_m_s - state.speed_m_s) / dt_s)
@@ -114,14 +114,14 @@ def limited(vehicle: Vehicle, state: VehicleState, control: Control, dt_s: float
     return Control(float(np.clip(control.acceleration_m_s2, low, max(low, high))), (steer - state.steer_rad) / dt_s)
 
 
-def moved_on(vehicle: Vehicle, state: VehicleState, control: Control, dt_s: float) -> VehicleState:
+def step_bicycle(vehicle: Vehicle, state: VehicleState, control: Control, dt_s: float) -> VehicleState:
     """Return where a vehicle is after a time under a constant control, and how fast.
 
     The rear axle's middle follows its heading, which turns by v tan(steer) / wheelbase (Rajamani 2012, sec. 2.2, with
     the reference at the rear axle). Speed and steering are taken at the middle of the step: exact for straight lines
     under constant acceleration and for circles at constant speed, of second order else.
     """
-    control = limited(vehicle, state, control, dt_s)
+    control = limit_control(vehicle, state, control, dt_s)
     speed = state.speed_m_s + 0.5 * control.acceleration_m_s2 * dt_s
     steer = state.steer_rad + 0.5 * control.steer_rate_rad_s * dt_s
     turn = speed * np.tan(steer) / vehicle.wheelbase_m * dt_s

@@ -13,27 +13,27 @@ from jaxtyping import Float64, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from ..evaluation.detection.detector import Detection
-from ..evaluation.detection.drawing import drawn
-from ..rain.simulation import Rainfall
-from ..render.draw import Shot, draw_shot
+from ..evaluation.detection.drawing import draw_boxes
+from ..rain.simulation import RainSimulation
+from ..render.draw import RenderView, draw_view
 from ..render.renderer import Renderer
 from ..render.sky_color import sky_color
 from ..render.video import VideoWriter
 from ..scene.camera import Camera
 from ..scene.progress import Progress
-from .agents.base import Needs
+from .agents.base import SensorRequirements
 from .geometry import PlanarBox
-from .ground import ground_of
+from .ground import road_surface_of
 from .metrics.collisions import LONGEST_S, gaps_m, times_to_collision_s
 from .obstacles import occupied_space_of
-from .playback import PlayedRollout
+from .playback import RolloutPlayback
 from .rollout import RolloutStep
 from .sensors import needed_cameras, placed_camera
 from .vehicle import vehicle_box
 
 Color = tuple[int, int, int]
 
-Picture = UInt8[np.ndarray, "h w 3"]
+RgbImage = UInt8[np.ndarray, "h w 3"]
 
 _PAPER, _INK, _FAINT, _SOLID = (18, 20, 24), (232, 234, 238), (128, 134, 144), (92, 98, 108)
 
@@ -59,23 +59,23 @@ _SURE = 0.3
 """Detections that an agent is less sure of are left out."""
 
 
-class DriveVideo:
+class RolloutVideo:
     """Pictures of a played roll-out, all of one size. The same roll-out gives the same bytes."""
 
-    def __init__(self, played: PlayedRollout, renderer: Renderer) -> None:
+    def __init__(self, played: RolloutPlayback, renderer: Renderer) -> None:
         """Look from the camera of the rig that looks most straight ahead.
 
         Raises ValueError where the scene has no rig.
         """
         if not played.rig.cameras:
             raise ValueError(f"scene {played.rollout.scene!r} has no rig whose front camera could film the drive")
-        (self._mounted,) = needed_cameras(played.rig.cameras, Needs(cameras=("front",)))
+        (self._mounted,) = needed_cameras(played.rig.cameras, SensorRequirements(cameras=("front",)))
         self._played, self._renderer = played, renderer
-        self._rainfall = Rainfall.start(played.scenario.rain)
+        self._rainfall = RainSimulation.start(played.scenario.rain)
         start = played.scene(0.0)
         self._sky = sky_color(renderer, start, placed_camera(self._mounted, played.rig_to_world(0.0)))
 
-    def pictures(self, fps: float) -> Iterator[Picture]:
+    def pictures(self, fps: float) -> Iterator[RgbImage]:
         """Yield the pictures of the whole drive; the last moment is held for a second."""
         moments = [*np.arange(0.0, self._played.end_s, 1 / fps), *[self._played.end_s] * (1 + round(fps))]
         for time_s in moments:
@@ -85,23 +85,23 @@ class DriveVideo:
         """How many pictures that is."""
         return len(np.arange(0.0, self._played.end_s, 1 / fps)) + 1 + round(fps)
 
-    def picture(self, time_s: float) -> Picture:
-        seen = self._seen(time_s)
+    def picture(self, time_s: float) -> RgbImage:
+        seen = self._camera_panel(time_s)
         above = self._above(time_s, seen.shape[1])
         told = self._told(time_s, seen.shape[1])
         whole = np.concatenate([seen, told, above])
         return np.ascontiguousarray(whole[: whole.shape[0] // 2 * 2])
 
-    def _seen(self, time_s: float) -> Picture:
+    def _camera_panel(self, time_s: float) -> RgbImage:
         """Draw what the camera sees, with the plan on the road and what the agent has detected in its last picture."""
         played, rig = self._played, self._played.rig_to_world(time_s)
         camera, state = placed_camera(self._mounted, rig), played.state(time_s)
         velocity = state.speed_m_s * rig[:3, 0]
         scene_s = played.scene_time_s(time_s)
         color = self._sky.at(self._rainfall.wetness_at(scene_s))
-        draw_shot(self._renderer, played.scene(time_s), self._rainfall, color, Shot(camera, scene_s, velocity))
+        draw_view(self._renderer, played.scene(time_s), self._rainfall, color, RenderView(camera, scene_s, velocity))
         step = played.step(time_s)
-        picture = drawn(self._renderer.read().to_uint8(), (), _noted(step), _SURE)
+        picture = draw_boxes(self._renderer.read().to_uint8(), (), _noted(step), _SURE)
         then = played.state(step.time_s)
         if not step.plan:
             return picture
@@ -110,7 +110,7 @@ class DriveVideo:
         _draw_plan(picture, camera, points[ahead], step.ego.z_m + 0.02)
         return picture
 
-    def _told(self, time_s: float, width: int) -> Picture:
+    def _told(self, time_s: float, width: int) -> RgbImage:
         played, step = self._played, self._played.step(time_s)
         state = played.state(time_s)
         at = step.step - played.rollout.steps[0].step
@@ -140,10 +140,10 @@ class DriveVideo:
             draw.text((round(slot.left_px), (slot.line + 0.5) * tall), fitting, color, _font(size), anchor="lm")
         return np.asarray(strip)
 
-    def _above(self, time_s: float, width: int) -> Picture:
+    def _above(self, time_s: float, width: int) -> RgbImage:
         """Draw everybody from above; the ego vehicle drives to the right."""
         played, state, step = self._played, self._played.state(time_s), self._played.step(time_s)
-        plan = _Plan(width, (state.x_m, state.y_m, state.yaw_rad))
+        plan = _TopView(width, (state.x_m, state.y_m, state.yaw_rad))
         plan.specks(self._solid)
         plan.dots(self._route, (70, 76, 86), 0.25)
         for user in played.users(time_s):
@@ -171,10 +171,10 @@ class DriveVideo:
     def _solid(self) -> Float64[np.ndarray, "n 2"]:
         """What stands beside the road and could be hit."""
         base = self._played.base
-        return occupied_space_of(base, ground_of(base)).places
+        return occupied_space_of(base, road_surface_of(base)).places
 
 
-class Slot(NamedTuple):
+class ReadoutSlot(NamedTuple):
     """Where a figure of the moment stands."""
 
     line: int
@@ -182,15 +182,15 @@ class Slot(NamedTuple):
     room_px: float
 
 
-def figure_slots(width: int) -> list[Slot]:
+def figure_slots(width: int) -> list[ReadoutSlot]:
     """Where the figures stand in a film of a width in pixels: in one line, or in as many as a narrow one needs."""
     whole = max(width, _SMALLEST_PX / _LETTER)
-    slots: list[Slot] = []
+    slots: list[ReadoutSlot] = []
     line, first = 0, _COLUMNS[0]
     for left, right in pairwise((*_COLUMNS, 1.0)):
         if left > first and (right - first + _COLUMNS[0]) * whole > width:
             line, first = line + 1, left
-        slots.append(Slot(line, (left - first + _COLUMNS[0]) * whole, (right - left) * whole))
+        slots.append(ReadoutSlot(line, (left - first + _COLUMNS[0]) * whole, (right - left) * whole))
     return slots
 
 
@@ -203,7 +203,7 @@ def _fitted(draw: ImageDraw.ImageDraw, word: str, room_px: float, font: ImageFon
     return f"{word}\u2026"
 
 
-class _Noted(msgspec.Struct):
+class _NotedDetection(msgspec.Struct):
     """A detection as camera-idm's notes have it."""
 
     class_name: str = msgspec.field(name="class")
@@ -214,19 +214,19 @@ class _Noted(msgspec.Struct):
 def _noted(step: RolloutStep) -> list[Detection]:
     """Return what the agent has put on record of its detections; none where it keeps no such record."""
     try:
-        noted = msgspec.convert(step.notes.get("detections", []), list[_Noted])
+        noted = msgspec.convert(step.notes.get("detections", []), list[_NotedDetection])
     except msgspec.ValidationError:
         return []
     return [Detection(each.class_name, each.confidence, each.box_xyxy) for each in noted]
 
 
-class _Plan:
+class _TopView:
     """A drawing from above in the frame of the ego vehicle."""
 
     def __init__(self, width: int, pose: tuple[float, float, float]) -> None:
         self._scale = width / (_BEHIND_M + _AHEAD_M)
         height = round(_ACROSS_M * self._scale)
-        self.picture: Picture = np.full((height, width, 3), _PAPER, np.uint8)
+        self.picture: RgbImage = np.full((height, width, 3), _PAPER, np.uint8)
         x, y, yaw = pose
         turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
         self._origin, self._turn = np.array([x, y]), turn
@@ -264,7 +264,7 @@ class _Plan:
         return np.round(16 * np.stack([(local[:, 0] + _BEHIND_M) * self._scale, across], axis=1)).astype(np.int32)
 
 
-def _draw_plan(picture: Picture, camera: Camera, points: Float64[np.ndarray, "n 2"], height_m: float) -> None:
+def _draw_plan(picture: RgbImage, camera: Camera, points: Float64[np.ndarray, "n 2"], height_m: float) -> None:
     """Draw planned points as a line with dots, as large as they would be on the road."""
     if len(points) < 1:
         return
@@ -314,7 +314,7 @@ def _font(size: int) -> ImageFont.FreeTypeFont:
 _PREVIEW_PX = 320
 
 
-def film_drive(path: Path, video: DriveVideo, fps: float) -> Iterator[Progress]:
+def render_rollout_video(path: Path, video: RolloutVideo, fps: float) -> Iterator[Progress]:
     """Write a video with so many frames a second; yields after each frame.
 
     Where a caller stops, what was written can be played.

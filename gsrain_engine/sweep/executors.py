@@ -13,20 +13,20 @@ from uuid import uuid4
 
 from ..safe_io.limits import receive_message
 from .expansion import Job
-from .worker import Outcome, workbench
+from .worker import JobResult, worker_cache
 
 if TYPE_CHECKING:
     from distributed import Client
 
-Work = Callable[[Job], Outcome]
+Work = Callable[[Job], JobResult]
 """Does a job and never raises; it survives pickling. `work.do` is the one that sweeps use."""
 
-MOST_RETRIES = 2
+MAX_RETRIES = 2
 """Of a job whose worker died."""
 
 
 @runtime_checkable
-class Engine(Protocol):
+class Executor(Protocol):
     """Something with workers."""
 
     @property
@@ -34,19 +34,19 @@ class Engine(Protocol):
         """How many jobs are done at a time."""
         ...
 
-    def outcomes(self, work: Work, jobs: Sequence[Job]) -> Iterator[Outcome]:
+    def outcomes(self, work: Work, jobs: Sequence[Job]) -> Iterator[JobResult]:
         """Do jobs; yields what came of each, once, as it comes. Closing the iterator stops all that is under way."""
         ...
 
 
-class HereEngine:
+class SerialExecutor:
     """Does one job after the other in this process: for debuggers, and to compare with."""
 
     workers = 1
 
-    def outcomes(self, work: Work, jobs: Sequence[Job]) -> Iterator[Outcome]:
+    def outcomes(self, work: Work, jobs: Sequence[Job]) -> Iterator[JobResult]:
         """Do jobs in their order."""
-        with closing(workbench()):
+        with closing(worker_cache()):
             for job in jobs:
                 yield work(job)
 
@@ -57,17 +57,17 @@ class HereEngine:
 class LocalPool:
     """A pool of processes. It holds none between sweeps."""
 
-    def __init__(self, workers: int | None = None, retries: int = MOST_RETRIES) -> None:
+    def __init__(self, workers: int | None = None, retries: int = MAX_RETRIES) -> None:
         """Use so many workers; none takes half of the cores, at least one. Raises ValueError below one."""
         if workers is not None and workers < 1:
             raise ValueError(f"a pool has at least one worker, got {workers}")
         self.workers = workers or max(1, _cores() // 2)
         self._retries = retries
 
-    def outcomes(self, work: Work, jobs: Sequence[Job]) -> Iterator[Outcome]:
+    def outcomes(self, work: Work, jobs: Sequence[Job]) -> Iterator[JobResult]:
         """Do jobs; each worker stays with a scene for as long as there are jobs of it."""
         threads = max(1, _cores() // self.workers)
-        with closing(_Crew(work, jobs, threads, self._retries)) as crew:
+        with closing(_PoolWorkers(work, jobs, threads, self._retries)) as crew:
             for _ in range(min(self.workers, len(jobs))):
                 crew.employ()
             while crew.is_busy:
@@ -115,7 +115,7 @@ class PoolWorker:
         with suppress(OSError):
             self.messages.send(job)
 
-    def outcome(self) -> Outcome | None:
+    def outcome(self) -> JobResult | None:
         """Return what came of its job; None when it died over it."""
         try:
             return receive_message(self.messages, _MAX_OUTCOME_BYTES)
@@ -131,7 +131,7 @@ class PoolWorker:
         self._process.join()
 
 
-class _Crew:
+class _PoolWorkers:
     """The workers of one sweep, and the jobs that wait for them."""
 
     def __init__(self, work: Work, jobs: Sequence[Job], threads: int, retries: int) -> None:
@@ -156,7 +156,7 @@ class _Crew:
         self._busy[worker.messages] = worker
         worker.begin(next_job(self._waiting, worker.scene, taken))
 
-    def finished(self) -> Iterator[Outcome]:
+    def finished(self) -> Iterator[JobResult]:
         """Wait until something comes in; yields it once its worker has its next job."""
         ready: list[Connection] = wait([each.messages for each in self._busy.values()])  # pyright: ignore
         for messages in ready:
@@ -175,14 +175,14 @@ class _Crew:
         for worker in self._busy.values():
             worker.close()
 
-    def _buried(self, worker: PoolWorker) -> Outcome | None:
+    def _buried(self, worker: PoolWorker) -> JobResult | None:
         """Put the job of a worker that died back in front; its outcome where that has happened too often."""
         job = worker.job
         self._deaths[job.id] += 1
         if self._deaths[job.id] <= self._retries:
             self._waiting.insert(0, job)
             return None
-        return Outcome(id=job.id, error=_death(self._deaths[job.id], worker.exit_code))
+        return JobResult(id=job.id, error=_death(self._deaths[job.id], worker.exit_code))
 
 
 def next_job(waiting: list[Job], own: str | None, taken: set[str | None]) -> Job:
@@ -272,7 +272,7 @@ class DaskCluster:
     def close(self) -> None:
         self._client.close()
 
-    def outcomes(self, work: Work, jobs: Sequence[Job]) -> Iterator[Outcome]:
+    def outcomes(self, work: Work, jobs: Sequence[Job]) -> Iterator[JobResult]:
         """Do jobs, those of a scene before those of the next. The scheduler gives a dead worker's jobs to others.
 
         Raises ConnectionError when the scheduler is gone.
@@ -285,7 +285,7 @@ class DaskCluster:
                 try:
                     yield future.result()
                 except KilledWorker:
-                    yield Outcome(id=futures[future], error="the workers that had this job died one after the other")
+                    yield JobResult(id=futures[future], error="the workers that had this job died one after the other")
                 except CancelledError:
                     raise ConnectionError(f"the Dask scheduler at {self.address} is gone") from None
                 future.release()
@@ -300,7 +300,7 @@ class DaskCluster:
                 work,
                 job,
                 key=f"gsrain-{sweep}-{job.id}",
-                retries=MOST_RETRIES,
+                retries=MAX_RETRIES,
                 priority=-place,
                 resources=self._resources or None,
                 pure=False,

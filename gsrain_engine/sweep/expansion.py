@@ -12,17 +12,17 @@ from msgspec import Struct, structs
 
 from ..backends import Backend
 from ..evaluation.detection.detector import find_detector
-from ..plugins import AGENTS, DECODERS, SCENE_FORMATS, extensions
+from ..plugins import AGENTS, DECODERS, SCENE_FORMATS, find_extensions
 from ..rain.calibration import calibration_names
-from ..rain.settings import Rain
-from ..render.export_settings import Recording
+from ..rain.settings import RainSettings
+from ..render.export_settings import ExportSettings
 from ..render.object_labels import LabelFormat
 from ..scene.files import name_problem
 from ..scene.scene_hash import file_hash, scene_hash
 from ..simulation.agents.registry import agent_file, agent_names
 from ..simulation.scenario import Scenario
 from ..simulation.scenario_io import load_scenario
-from .settings import AgentChoice, DriveSweep, RenderSweep, Sweep, jittered, seeds_of
+from .settings import AgentChoice, DriveSweep, RenderSweep, Sweep, apply_jitter, seeds_of
 
 # § One piece of a sweep: everything that its result depends on, and nothing else.
 
@@ -76,8 +76,8 @@ class DriveJob(_Content, frozen=True, kw_only=True, forbid_unknown_fields=True, 
 class RenderJob(_Content, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="render"):
     """A clip, or frames, with their labels."""
 
-    rain: Rain
-    recording: Recording
+    rain: RainSettings
+    recording: ExportSettings
     labels: LabelFormat | None = None
 
     @property
@@ -124,7 +124,7 @@ def _drive(
     sweep: DriveSweep, hashes: "_Hashes", scenario: Scenario, agent: AgentChoice, intensity: float, seed: int
 ) -> DriveJob:
     rain = structs.replace(scenario.rain, intensity_mm_h=intensity, seed=seed)
-    scenario = structs.replace(jittered(scenario, sweep.jitter, seed), rain=rain)
+    scenario = structs.replace(apply_jitter(scenario, sweep.jitter, seed), rain=rain)
     models = [user.model for user in scenario.road_users]
     own = agent_file(agent.name)
     return DriveJob(
@@ -155,10 +155,10 @@ def _packages(scenes: list[str], agent: AgentChoice | None = None) -> dict[str, 
 
     Which decoder a detector takes shows only when it is opened: all of them count.
     """
-    used = [each for each in extensions(SCENE_FORMATS) if any(_has_suffix(name, each.name) for name in scenes)]
+    used = [each for each in find_extensions(SCENE_FORMATS) if any(_has_suffix(name, each.name) for name in scenes)]
     if agent is not None:
-        used += [each for each in extensions(AGENTS) if each.name == agent.name]
-        used += extensions(DECODERS) if agent.detector is not None else ()
+        used += [each for each in find_extensions(AGENTS) if each.name == agent.name]
+        used += find_extensions(DECODERS) if agent.detector is not None else ()
     return {each.package: each.version for each in used}
 
 

@@ -21,14 +21,14 @@ from .expansion import DriveJob, Job
 from .results import (
     FAILED,
     MEASURED,
-    Cell,
+    MeanInterval95,
     Row,
-    Spread,
+    SummaryCell,
     SweepFolder,
     by_scenario,
-    comma_separated,
-    encoded,
-    parquet,
+    indented_json,
+    rows_csv,
+    rows_parquet,
     summarized,
 )
 from .settings import Sweep
@@ -49,17 +49,19 @@ def write_tables(folder: SweepFolder, sweep: Sweep, jobs: Sequence[Job]) -> dict
     numbers = _numbers(folder, jobs, rows, cells)
     figures = _written_figures(folder.path / "figures", by_scenario(cell for cell in cells if cell.runs))
     for name, data in (
-        ("table.parquet", parquet(rows, kind)),
-        ("table.csv", comma_separated(rows, kind).encode()),
-        ("summary.json", encoded(numbers)),
+        ("table.parquet", rows_parquet(rows, kind)),
+        ("table.csv", rows_csv(rows, kind).encode()),
+        ("summary.json", indented_json(numbers)),
     ):
         with whole_file(folder.path / name) as beside:
             beside.write_bytes(data)
-    write_report(folder.path / "report.html", sweep_page(folder.path.name, sweep, numbers, rows, cells, figures))
+    write_report(folder.path / "report.html", sweep_report_page(folder.path.name, sweep, numbers, rows, cells, figures))
     return numbers
 
 
-def _numbers(folder: SweepFolder, jobs: Sequence[Job], rows: Sequence[Row], cells: Sequence[Cell]) -> dict[str, Any]:
+def _numbers(
+    folder: SweepFolder, jobs: Sequence[Job], rows: Sequence[Row], cells: Sequence[SummaryCell]
+) -> dict[str, Any]:
     failed = [row for row in rows if row["status"] == FAILED]
     return {
         "jobs": len(jobs),
@@ -79,7 +81,7 @@ def _errors(failed: Iterable[Row]) -> dict[str, int]:
     return dict(sorted(counts.items(), key=lambda each: (-each[1], each[0])))
 
 
-def _written_figures(folder: Path, scenarios: Sequence[Sequence[Cell]]) -> list[ReportFigure]:
+def _written_figures(folder: Path, scenarios: Sequence[Sequence[SummaryCell]]) -> list[ReportFigure]:
     """Draw each scenario into a file of its name and its scene's; those of equal names are numbered."""
     caption = "Bands: 95 %, over the seeds; of collisions Wilson's interval, of means a bootstrap."
     figures: list[ReportFigure] = []
@@ -106,11 +108,11 @@ _ASIDE, _ALL_ASIDE = 0.012, 0.06
 _LEGEND_COLUMNS, _LEGEND_LINE_IN = 4, 0.2
 
 
-def _mean(name: str) -> Callable[[Cell], Spread | None]:
+def _mean(name: str) -> Callable[[SummaryCell], MeanInterval95 | None]:
     return lambda cell: cell.means.get(name)
 
 
-_PANELS: tuple[tuple[str, Callable[[Cell], Spread | None]], ...] = (
+_PANELS: tuple[tuple[str, Callable[[SummaryCell], MeanInterval95 | None]], ...] = (
     ("share of drives with a collision", lambda cell: cell.collision_rate),
     ("least time to collision (s)", _mean("min_ttc_s")),
     ("C: share of planned points that collide", _mean("planned_point_collision_rate")),
@@ -118,7 +120,7 @@ _PANELS: tuple[tuple[str, Callable[[Cell], Spread | None]], ...] = (
 )
 
 
-def scenario_figure(cells: Sequence[Cell]) -> UInt8[np.ndarray, "h w 3"]:
+def scenario_figure(cells: Sequence[SummaryCell]) -> UInt8[np.ndarray, "h w 3"]:
     """Draw what the agents did in one scenario of one scene: a panel a measure, a curve an agent.
 
     The same cells give the same bytes. Bands are the 95 % intervals of the cells; the first panel's are Wilson's.
@@ -151,7 +153,8 @@ def scenario_figure(cells: Sequence[Cell]) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def _curve(
-    panel: Axes, cells: Sequence[Cell], value: Callable[[Cell], Spread | None], style: SeriesStyle, label: str,
+    panel: Axes, cells: Sequence[SummaryCell], value: Callable[[SummaryCell], MeanInterval95 | None],
+    style: SeriesStyle, label: str,
     aside: float,
 ) -> None:  # fmt: skip
     points = [(cell.intensity_mm_h, spread) for cell in cells if (spread := value(cell)) is not None]
@@ -165,7 +168,7 @@ def _curve(
         panel.plot([at, at], [each.low, each.high], color=color, alpha=0.6, lw=1)
 
 
-def _dress(panel: Axes, title: str, cells: Sequence[Cell], *, is_lowest: bool) -> None:
+def _dress(panel: Axes, title: str, cells: Sequence[SummaryCell], *, is_lowest: bool) -> None:
     panel.set_title(title, fontsize=9.5)
     intensities = sorted({cell.intensity_mm_h for cell in cells})
     if intensities[-1] > CALIBRATED_UP_TO_MM_H:
@@ -182,7 +185,7 @@ def _dress(panel: Axes, title: str, cells: Sequence[Cell], *, is_lowest: bool) -
 
 # § The page of a sweep: its figures, and what they show as tables.
 
-_MOST_ERRORS = 20
+_MAX_ERRORS = 20
 
 _BANDED = 1
 """Of the measured columns so many have room for their intervals; summary.json has all."""
@@ -190,12 +193,12 @@ _BANDED = 1
 _CHANGED = ("min_ttc_s", "planned_point_collision_rate", "comfort_executed")
 
 
-def sweep_page(
+def sweep_report_page(
     name: str,
     sweep: Sweep,
     numbers: dict[str, Any],
     rows: Sequence[Row],
-    cells: Sequence[Cell],
+    cells: Sequence[SummaryCell],
     figures: Sequence[ReportFigure],
 ) -> RunReport:
     """Lay out the page of a sweep; `numbers` is its summary, `figures` those of its scenarios."""
@@ -214,13 +217,13 @@ def sweep_page(
         title=f"Sweep {name}",
         settings=settings,
         headlines={**done, "failed": f"{numbers['failed']:,}"},
-        notes=tuple(notes[:_MOST_ERRORS]),
+        notes=tuple(notes[:_MAX_ERRORS]),
         figures=tuple(figures),
         tables=_tables(cells) if cells else (_clips(rows),),
     )
 
 
-def _tables(cells: Sequence[Cell]) -> tuple[ReportTable, ...]:
+def _tables(cells: Sequence[SummaryCell]) -> tuple[ReportTable, ...]:
     tables: list[ReportTable] = []
     for own in by_scenario(cells):
         tables.append(scenario_table(own))
@@ -229,7 +232,7 @@ def _tables(cells: Sequence[Cell]) -> tuple[ReportTable, ...]:
     return tuple(tables)
 
 
-def scenario_table(cells: Sequence[Cell]) -> ReportTable:
+def scenario_table(cells: Sequence[SummaryCell]) -> ReportTable:
     """Lay the cells of one scenario in one scene out as a table: a row an agent and intensity."""
     banded, plain = list(MEASURED)[:_BANDED], list(MEASURED)[_BANDED:]
     failed = any(cell.failed for cell in cells)
@@ -256,7 +259,7 @@ def scenario_table(cells: Sequence[Cell]) -> ReportTable:
     return ReportTable(f"{cells[0].scenario}, {cells[0].scene}", columns, rows, 2, caption)
 
 
-def change_table(cells: Sequence[Cell]) -> ReportTable:
+def change_table(cells: Sequence[SummaryCell]) -> ReportTable:
     """Lay out what rain changes in one scenario, seed by seed: a row an agent and intensity above the lowest."""
     columns = ("agent", "R (mm/h)", "pairs", *(each for name in _CHANGED for each in (MEASURED[name], "95 %")))
     changed = [cell for cell in cells if cell.changes]
@@ -278,5 +281,5 @@ def _clips(rows: Sequence[Row]) -> ReportTable:
     return ReportTable("Clips", columns, tuple(tuple(row[name] for name in columns) for row in rows))
 
 
-def _pair(spread: Spread | None) -> tuple[float | None, str]:
+def _pair(spread: MeanInterval95 | None) -> tuple[float | None, str]:
     return (None, "") if spread is None else (spread.mean, f"{spread.low:.2f} to {spread.high:.2f}")

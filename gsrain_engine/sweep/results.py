@@ -15,17 +15,17 @@ from scipy.stats import binomtest
 
 from ..evaluation.image_metrics import CONFIDENCE, mean_interval
 from ..safe_io.limits import read_file
-from ..safe_io.text_files import printable
+from ..safe_io.text_files import printable_line
 from ..scene.files import whole_file
 from ..simulation.metrics.summary import DriveMetrics
 from ..simulation.rollout_io import write_rollout
 from .expansion import DriveJob, Job
 from .settings import Sweep
-from .worker import Outcome, Value
+from .worker import JobResult, Value
 
 Row = dict[str, Value]
 
-_MOST_ROWS = 10_000_000
+_MAX_ROWS = 10_000_000
 """Of a file; a job's has one."""
 
 FINISHED, FAILED = "finished", "failed"
@@ -58,7 +58,7 @@ def columns_of(kind: str) -> dict[str, type]:
     return {**_DRIVE, **{each.name: _plain(each.type) for each in fields if each.name not in _DRIVE}}
 
 
-def row_of(job: Job, outcome: Outcome) -> Row:
+def row_of(job: Job, outcome: JobResult) -> Row:
     """Join a job and its outcome. What the job says goes before what was measured."""
     told: Mapping[str, Any] = {**outcome.values, **job.parameters}
     told = {**told, "status": FINISHED if outcome.error is None else FAILED, "error": outcome.error}
@@ -66,7 +66,7 @@ def row_of(job: Job, outcome: Outcome) -> Row:
     return {name: told.get(name) for name in columns_of(kind)}
 
 
-def parquet(rows: Sequence[Row], kind: str) -> bytes:
+def rows_parquet(rows: Sequence[Row], kind: str) -> bytes:
     """Return rows as a Parquet file; the same rows give the same bytes."""
     arrow, files = parquet_modules()
     table = arrow.Table.from_pylist(list(rows), schema=_schema(kind))
@@ -80,14 +80,14 @@ def rows_in(data: bytes) -> list[Row]:
     arrow, files = parquet_modules()
     try:
         with files.ParquetFile(io.BytesIO(data)) as file:
-            if file.metadata.num_rows > _MOST_ROWS:
+            if file.metadata.num_rows > _MAX_ROWS:
                 raise ValueError(f"{file.metadata.num_rows} rows")
             return file.read().to_pylist()
     except (arrow.ArrowException, OSError, OverflowError, ValueError) as error:  # damage comes as any of them
-        raise ValueError(f"no Parquet file: {printable(error)}") from None
+        raise ValueError(f"no Parquet file: {printable_line(error)}") from None
 
 
-def comma_separated(rows: Sequence[Row], kind: str) -> str:
+def rows_csv(rows: Sequence[Row], kind: str) -> str:
     """Return rows as CSV: nothing where there is no value, true and false for what is one or the other."""
     lines = [",".join(columns_of(kind))]
     lines += [",".join(map(_cell, (row.get(name) for name in columns_of(kind)))) for row in rows]
@@ -123,7 +123,7 @@ def parquet_modules() -> tuple[Any, Any]:
         raise ValueError("rows of sweeps take the package pyarrow: pip install 'gsrain[drive]'") from None
 
 
-def encoded(value: Any) -> bytes:
+def indented_json(value: Any) -> bytes:
     """Return plain values as indented JSON."""
     return msgspec.json.format(msgspec.json.encode(value), indent=1) + b"\n"
 
@@ -141,7 +141,7 @@ MEASURED: dict[str, str] = {
 """Columns whose means are told, and what tables call them."""
 
 
-class Spread(Struct, frozen=True):
+class MeanInterval95(Struct, frozen=True):
     """A mean with the ends between which it lies with 95 %."""
 
     mean: float
@@ -151,7 +151,7 @@ class Spread(Struct, frozen=True):
     """Runs that it is of; those that have no value are left out."""
 
 
-class Group(NamedTuple):
+class CurveGroup(NamedTuple):
     """What a curve is of."""
 
     scene: str
@@ -159,7 +159,7 @@ class Group(NamedTuple):
     agent: str
 
 
-class Cell(Struct, frozen=True, kw_only=True):
+class SummaryCell(Struct, frozen=True, kw_only=True):
     """All seeds of one group at one intensity."""
 
     scene: str
@@ -170,22 +170,22 @@ class Cell(Struct, frozen=True, kw_only=True):
     """Finished ones: those that failed tell nothing."""
     failed: int
     collisions: int
-    collision_rate: Spread | None
+    collision_rate: MeanInterval95 | None
     """Share of the runs, with Wilson's interval (Wilson 1927)."""
-    means: dict[str, Spread]
+    means: dict[str, MeanInterval95]
     """Of the columns in `MEASURED`, over the seeds, with bootstrap bands. Without a column that no run has."""
-    changes: dict[str, Spread]
+    changes: dict[str, MeanInterval95]
     """The same of the differences from the lowest intensity, seed by seed: what rain does to one and the same drive."""
 
     @property
-    def group(self) -> Group:
-        return Group(self.scene, self.scenario, self.agent)
+    def group(self) -> CurveGroup:
+        return CurveGroup(self.scene, self.scenario, self.agent)
 
 
-def summarized(rows: Iterable[Row]) -> list[Cell]:
+def summarized(rows: Iterable[Row]) -> list[SummaryCell]:
     """Summarize the rows of drives, in the order of their parameters."""
     told = sorted(rows, key=lambda row: (*_group(row), _number(row["intensity_mm_h"]), _number(row["seed"])))
-    cells: list[Cell] = []
+    cells: list[SummaryCell] = []
     for group in dict.fromkeys(map(_group, told)):
         own = [row for row in told if _group(row) == group]
         intensities = list(dict.fromkeys(_number(row["intensity_mm_h"]) for row in own))
@@ -194,19 +194,19 @@ def summarized(rows: Iterable[Row]) -> list[Cell]:
     return cells
 
 
-def by_scenario(cells: Iterable[Cell]) -> list[list[Cell]]:
+def by_scenario(cells: Iterable[SummaryCell]) -> list[list[SummaryCell]]:
     """Return the cells of each scenario in each scene, in their order."""
     cells = list(cells)
     places = list(dict.fromkeys((cell.scene, cell.scenario) for cell in cells))
     return [[cell for cell in cells if (cell.scene, cell.scenario) == place] for place in places]
 
 
-def _summary_cell(group: Group, intensity: float, rows: Sequence[Row], lowest: Sequence[Row]) -> Cell:
+def _summary_cell(group: CurveGroup, intensity: float, rows: Sequence[Row], lowest: Sequence[Row]) -> SummaryCell:
     finished = [row for row in rows if row["status"] == FINISHED]
     collisions = sum(bool(row["collision"]) for row in finished)
     means = {name: _spread([_number(row[name]) for row in finished if row[name] is not None]) for name in MEASURED}
     changes = {name: _spread(_changes(name, finished, lowest)) for name in MEASURED} if rows is not lowest else {}
-    return Cell(
+    return SummaryCell(
         **group._asdict(),
         intensity_mm_h=intensity,
         runs=len(finished),
@@ -224,17 +224,17 @@ def _changes(name: str, rows: Sequence[Row], lowest: Sequence[Row]) -> list[floa
     return [_number(later) - _number(earlier) for later, earlier in pairs]
 
 
-def _spread(values: list[float]) -> Spread | None:
-    return Spread(*mean_interval(values), len(values)) if values else None
+def _spread(values: list[float]) -> MeanInterval95 | None:
+    return MeanInterval95(*mean_interval(values), len(values)) if values else None
 
 
-def _share(count: int, runs: int) -> Spread:
+def _share(count: int, runs: int) -> MeanInterval95:
     interval = binomtest(count, runs).proportion_ci(CONFIDENCE, method="wilson")
-    return Spread(count / runs, float(interval.low), float(interval.high), runs)
+    return MeanInterval95(count / runs, float(interval.low), float(interval.high), runs)
 
 
-def _group(row: Row) -> Group:
-    return Group(str(row["scene"]), str(row["scenario"]), str(row["agent"]))
+def _group(row: Row) -> CurveGroup:
+    return CurveGroup(str(row["scene"]), str(row["scenario"]), str(row["agent"]))
 
 
 def _number(value: object) -> float:
@@ -267,11 +267,11 @@ class SweepFolder:
         self.path.mkdir(parents=True, exist_ok=True)
         lines = sorted((job.id, msgspec.json.encode({"id": job.id, "job": job}, order="sorted")) for job in jobs)
         with whole_file(self.path / "sweep.json") as beside:
-            beside.write_bytes(encoded(sweep))
+            beside.write_bytes(indented_json(sweep))
         with whole_file(self.path / "jobs.jsonl") as beside:
             beside.write_bytes(b"".join(line + b"\n" for _, line in lines))
 
-    def keep(self, job: Job, outcome: Outcome) -> Row:
+    def keep(self, job: Job, outcome: JobResult) -> Row:
         """Write what came of a job, and say so in the log; raises OSError, and then nothing half stands there."""
         row = row_of(job, outcome)
         if outcome.rollout is not None:
@@ -279,7 +279,7 @@ class SweepFolder:
             write_rollout(self.rollouts / f"{job.id}.jsonl", outcome.rollout)
         self.rows.mkdir(parents=True, exist_ok=True)
         with whole_file(self.rows / f"{job.id}{_SUFFIX}") as beside:
-            beside.write_bytes(parquet([row], str(row["kind"])))
+            beside.write_bytes(rows_parquet([row], str(row["kind"])))
         self._note(job, outcome)
         return row
 
@@ -312,7 +312,7 @@ class SweepFolder:
         row = rows[0] if len(rows) == 1 else {}
         return row if row.get("id") == id and "status" in row else None
 
-    def _note(self, job: Job, outcome: Outcome) -> None:
+    def _note(self, job: Job, outcome: JobResult) -> None:
         """Add a line to the log: everything about the job that differs from machine to machine."""
         line = {
             "at": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),

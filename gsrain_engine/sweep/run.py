@@ -9,12 +9,12 @@ from typing import Any, NamedTuple, TypeGuard, cast
 from ..scene.progress import Progress
 from ..simulation.agents.registry import agent_code, agent_file
 from ..trusted_code import Code, check_trusted
-from .executors import Engine, LocalPool
+from .executors import Executor, LocalPool
 from .expansion import DriveJob, Job, jobs_of
 from .report import write_tables
 from .results import SweepFolder
 from .settings import Sweep
-from .worker import Outcome, do
+from .worker import JobResult, run_job
 
 
 class SweepRun(NamedTuple):
@@ -26,7 +26,7 @@ class SweepRun(NamedTuple):
     """Of these."""
 
 
-def run_sweep(jobs: Sequence[Job], engine: Engine, folder: SweepFolder) -> Generator[Progress, None, SweepRun]:
+def run_sweep(jobs: Sequence[Job], engine: Executor, folder: SweepFolder) -> Generator[Progress, None, SweepRun]:
     """Do jobs and write a row for each, as it comes; yields after each.
 
     Closing the generator, or an error, stops what is under way; every row that was written stays.
@@ -42,8 +42,8 @@ def run_sweep(jobs: Sequence[Job], engine: Engine, folder: SweepFolder) -> Gener
     codes = agent_codes(jobs)
     check_trusted(folder.path, codes)
     yield Progress(0.0, "Starting workers")
-    work = partial(do, clips=folder.clips.absolute(), trusted=tuple(each.digest for each in codes))
-    outcomes = cast(Generator[Outcome], engine.outcomes(work, jobs))
+    work = partial(run_job, clips=folder.clips.absolute(), trusted=tuple(each.digest for each in codes))
+    outcomes = cast(Generator[JobResult], engine.outcomes(work, jobs))
     with closing(outcomes):
         for outcome in outcomes:
             job = by_id[outcome.id]
@@ -69,7 +69,7 @@ def _has_own_agent(job: Job) -> TypeGuard[DriveJob]:
     return isinstance(job, DriveJob) and agent_file(job.agent.name) is not None
 
 
-def _described(job: Job, outcome: Outcome) -> str:
+def _described(job: Job, outcome: JobResult) -> str:
     if outcome.error is not None:
         return f"{job.title}: {outcome.error}"
     end = outcome.values.get("end")
@@ -83,7 +83,9 @@ def _stopped(folder: SweepFolder, reason: str, done: int) -> str:
 # § A sweep from its settings to its tables, in one call.
 
 
-def finish_sweep(sweep: Sweep, folder: Path, engine: Engine | None = None) -> Generator[Progress, None, dict[str, Any]]:
+def run_sweep_and_report(
+    sweep: Sweep, folder: Path, engine: Executor | None = None
+) -> Generator[Progress, None, dict[str, Any]]:
     """Do what a sweep still lacks in a folder, and write its tables, figures and report; yields after each job.
 
     Rows that stand there are kept: stopped or extended, it goes on. Without an engine, half of this machine's cores

@@ -9,12 +9,12 @@ from msgspec import Meta, Struct, structs
 
 from ..backends import Backend
 from ..evaluation.detection.description import description_names
-from ..presets import load_config, shipped_names
+from ..presets import load_config, shipped_config_names
 from ..rain.calibration import calibration_names
-from ..rain.settings import Rain
-from ..render.export_settings import Recording
+from ..rain.settings import RainSettings
+from ..render.export_settings import ExportSettings
 from ..render.object_labels import LabelFormat
-from ..safe_io.errors import converted
+from ..safe_io.errors import convert_checked
 from ..scene.open import STREET
 from ..simulation.agents.registry import agent_names
 from ..simulation.scenario import Scenario
@@ -100,7 +100,7 @@ class RenderSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """Clips or frames with labels: a data set. The labels of a view are the same at every intensity."""
 
     recording: Annotated[
-        Recording,
+        ExportSettings,
         Meta(
             title="Recording", description="As gsrain render takes it; its output is a name in the clip's own folder."
         ),
@@ -110,7 +110,7 @@ class RenderSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
         tuple[Intensity, ...], Meta(min_length=1, title="Intensities", extra={"unit": "mm/h"})
     ] = (0.0, 1.2, 8.5, 12.0)
     seeds: Annotated[Seeds, Meta(title="Seeds", description="How many (0, 1, ...), or a list: of drops.")] = 1
-    rain: Annotated[Rain, Meta(title="Rain", description="Everything but intensity and seed.")] = Rain()
+    rain: Annotated[RainSettings, Meta(title="Rain", description="Everything but intensity and seed.")] = RainSettings()
     labels: Annotated[
         LabelFormat | None, Meta(title="Labels", description="coco or kitti; needs a scene with actors.")
     ] = None
@@ -129,7 +129,7 @@ def seeds_of(sweep: Sweep) -> tuple[int, ...]:
 
 
 def sweep_names() -> list[str]:
-    return shipped_names(_FOLDER)
+    return shipped_config_names(_FOLDER)
 
 
 def load_sweep(name: str | Path) -> Sweep:
@@ -141,24 +141,24 @@ def load_sweep(name: str | Path) -> Sweep:
     known = {STREET, *scenario_names(), *agent_names(), *description_names(), *calibration_names()}
     values = load_config(_FOLDER, name, object, "sweep", _FILES, known)
     try:
-        return converted(values, Sweep)
+        return convert_checked(values, Sweep)
     except ValueError as error:
         raise ValueError(f"sweep {name}: {error}") from None
 
 
-_MOST_SIGMAS = 2.0
+_MAX_SIGMAS = 2.0
 
 _FASTEST_M_S = 60.0
 
 
-def jittered(scenario: Scenario, jitter: Jitter, seed: int) -> Scenario:
+def apply_jitter(scenario: Scenario, jitter: Jitter, seed: int) -> Scenario:
     """Return a scenario as a seed begins it. Seed 0 is the scenario as it was written.
 
     Neither the rain nor the agent takes part: drives of one seed begin alike at every intensity, for every agent.
     """
     if seed == 0:
         return scenario
-    draw = _Draw(np.random.default_rng([seed, zlib.crc32(scenario.name.encode())]))
+    draw = _JitterDraw(np.random.default_rng([seed, zlib.crc32(scenario.name.encode())]))
     speed = _speed(scenario.speed_m_s + draw(jitter.ego_speed_m_s))
     users = tuple(
         structs.replace(
@@ -172,14 +172,14 @@ def jittered(scenario: Scenario, jitter: Jitter, seed: int) -> Scenario:
     return structs.replace(scenario, speed_m_s=speed, road_users=users)
 
 
-class _Draw:
+class _JitterDraw:
     """Every call takes one number, used or not: to change one deviation leaves what the others give."""
 
     def __init__(self, random: np.random.Generator) -> None:
         self._random = random
 
     def __call__(self, sigma: float) -> float:
-        return sigma * float(np.clip(self._random.standard_normal(), -_MOST_SIGMAS, _MOST_SIGMAS))
+        return sigma * float(np.clip(self._random.standard_normal(), -_MAX_SIGMAS, _MAX_SIGMAS))
 
 
 def _speed(value: float) -> float:

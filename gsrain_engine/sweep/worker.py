@@ -15,22 +15,22 @@ import msgspec
 from msgspec import Struct, structs
 
 from ..backends import Backend, open_renderer
-from ..rain.simulation import Rainfall
-from ..render.export import frame_numbers, record, sequences_of
+from ..rain.simulation import RainSimulation
+from ..render.export import export_frames, export_sequences, frame_numbers
 from ..render.label_export import write_object_labels
 from ..render.renderer import Renderer
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
 from ..scene.files import whole_folder
-from ..scene.open import open_to_draw
-from ..scene.rig import drive_path
+from ..scene.open import load_sorted_scene
+from ..scene.rig import rig_camera_path
 from ..scene.scene import Scene
 from ..scene.scene_hash import file_hash, scene_hash
 from ..simulation.agents.registry import AgentOptions, open_agent
-from ..simulation.metrics.summary import measured
+from ..simulation.metrics.summary import measure_drive
 from ..simulation.obstacles import drivable_of
 from ..simulation.rollout import Rollout
-from ..simulation.simulation import Simulation, drive_through
+from ..simulation.simulation import Simulation, run_drive
 from ..trusted_code import UntrustedCodeError, trust
 from .expansion import DriveJob, Job, RenderJob, program_version, software
 from .settings import AgentChoice
@@ -45,7 +45,7 @@ _ONE_AT_A_TIME = threading.Lock()
 Value = str | float | int | bool | None
 
 
-class Outcome(Struct, frozen=True, kw_only=True):
+class JobResult(Struct, frozen=True, kw_only=True):
     """A result, or why there is none. All but the last two fields follow from the job alone."""
 
     id: str
@@ -64,7 +64,7 @@ class Outcome(Struct, frozen=True, kw_only=True):
     """Who did it, for the log."""
 
 
-def do(job: Job, clips: Path, trusted: Collection[str] = ()) -> Outcome:
+def run_job(job: Job, clips: Path, trusted: Collection[str] = ()) -> JobResult:
     """Do a job; what it raises becomes the outcome's error.
 
     `clips` is where clips go; `trusted` are digests of the agents' code that a person has allowed.
@@ -74,12 +74,12 @@ def do(job: Job, clips: Path, trusted: Collection[str] = ()) -> Outcome:
         try:
             trust(trusted)
             _check_program(job)
-            bench = workbench()
+            bench = worker_cache()
             bench.check_files(job.files)
-            outcome = do_drive(job, bench) if isinstance(job, DriveJob) else do_render(job, bench, clips)
+            outcome = run_drive_job(job, bench) if isinstance(job, DriveJob) else run_render_job(job, bench, clips)
         except Exception as error:
             stops = isinstance(error, MismatchError | UntrustedCodeError) or _is_full(error)
-            outcome = Outcome(id=job.id, error=_sentence(error), stops=stops)
+            outcome = JobResult(id=job.id, error=_sentence(error), stops=stops)
     values = {**outcome.values, "software": ", ".join(f"{name} {each}" for name, each in software().items())}
     return structs.replace(
         outcome, values=values, seconds=time.perf_counter() - started, worker=f"{platform.node()} {os.getpid()}"
@@ -116,7 +116,7 @@ _SCENES = 2
 """So many stay open; jobs come sorted by scene."""
 
 
-class Workbench:
+class WorkerCache:
     """Scenes and renderers, opened when they are first asked for."""
 
     def __init__(self) -> None:
@@ -136,7 +136,7 @@ class Workbench:
                 raise MismatchError(f"scene {name} is not what it was when the sweep began ({found}, not {content})")
             while len(self._scenes) >= _SCENES:
                 self._scenes.popitem(last=False)
-            self._scenes[key] = open_to_draw(name)
+            self._scenes[key] = load_sorted_scene(name)
         self._scenes.move_to_end(key)
         return self._scenes[key]
 
@@ -164,30 +164,30 @@ class Workbench:
 _HERE = threading.local()
 
 
-def workbench() -> Workbench:
+def worker_cache() -> WorkerCache:
     """Return that of this thread: what draws belongs to the thread that opened it."""
     if not hasattr(_HERE, "bench"):
-        _HERE.bench = Workbench()
+        _HERE.bench = WorkerCache()
     return _HERE.bench
 
 
 # § Does a drive of a sweep: what its row and its roll-out hold.
 
 
-def do_drive(job: DriveJob, bench: Workbench) -> Outcome:
+def run_drive_job(job: DriveJob, bench: WorkerCache) -> JobResult:
     """Drive from start to end. Raises whatever the scenario, the scene or the agent has against it."""
     scene = bench.scene(job.scene, job.scene_hash)
     agent = open_agent(job.agent.name, _options(job.agent), trusted_only=True)
     try:
         renderer = bench.renderer(job.backend) if agent.needs.cameras else None
         simulation = Simulation(job.scenario, scene, agent.needs, renderer, job.seed)
-        rollout = _recorded(drive_through(simulation, agent), job)
+        rollout = _recorded(run_drive(simulation, agent), job)
         drivable = drivable_of(scene, simulation.ground, simulation.occupied)
-        metrics = measured(rollout, simulation.occupied, drivable)
+        metrics = measure_drive(rollout, simulation.occupied, drivable)
     finally:
         agent.close()
     msgspec.json.encode(rollout)  # what an agent notes down may be anything: here it is this job's fault
-    return Outcome(id=job.id, values=msgspec.to_builtins(metrics), rollout=rollout)
+    return JobResult(id=job.id, values=msgspec.to_builtins(metrics), rollout=rollout)
 
 
 def _recorded(rollout: Rollout, job: DriveJob) -> Rollout:
@@ -202,7 +202,7 @@ def _options(choice: AgentChoice) -> AgentOptions:
 # § Does a clip of a sweep: pictures, labels, and the row that says what they show.
 
 
-def do_render(job: RenderJob, bench: Workbench, clips: Path) -> Outcome:
+def run_render_job(job: RenderJob, bench: WorkerCache, clips: Path) -> JobResult:
     """Record into a folder of the job's id, which appears whole; one that stands is an equal one and stays.
 
     Raises ValueError for what contradicts itself or the scene lacks, OSError where it can't be written.
@@ -218,16 +218,16 @@ def do_render(job: RenderJob, bench: Workbench, clips: Path) -> Outcome:
         except OSError:
             if not place.is_dir():  # else another sweep has put the same clip there meanwhile
                 raise
-    return Outcome(id=job.id, values={**values, "clip": f"{clips.name}/{job.id}", "clip_hash": _hash(place)})
+    return JobResult(id=job.id, values={**values, "clip": f"{clips.name}/{job.id}", "clip_hash": _hash(place)})
 
 
-def _record(job: RenderJob, scene: Scene, bench: Workbench, folder: Path) -> None:
+def _record(job: RenderJob, scene: Scene, bench: WorkerCache, folder: Path) -> None:
     recording = structs.replace(job.recording, output=str(folder / job.recording.output))
-    rainfall = Rainfall.start(job.rain)
-    sequences = sequences_of(recording, scene, rainfall, _viewpoint(job, scene), in_scene_time=True)
+    rainfall = RainSimulation.start(job.rain)
+    sequences = export_sequences(recording, scene, rainfall, _viewpoint(job, scene), in_scene_time=True)
     numbers = frame_numbers(recording, sequences)
     renderer = bench.renderer(job.backend)
-    for _ in record(renderer, recording, sequences, numbers):
+    for _ in export_frames(renderer, recording, sequences, numbers):
         pass
     if job.labels is not None:
         for _ in write_object_labels(renderer, job.labels, recording, sequences, numbers):
@@ -236,8 +236,10 @@ def _record(job: RenderJob, scene: Scene, bench: Workbench, folder: Path) -> Non
 
 def _values(job: RenderJob, scene: Scene) -> dict[str, Value]:
     """What can be said about it without its pictures."""
-    sequences = sequences_of(job.recording, scene, Rainfall.start(job.rain), _viewpoint(job, scene), in_scene_time=True)
-    state = Rainfall.start(job.rain).state_at(job.recording.first_s)
+    sequences = export_sequences(
+        job.recording, scene, RainSimulation.start(job.rain), _viewpoint(job, scene), in_scene_time=True
+    )
+    state = RainSimulation.start(job.rain).state_at(job.recording.first_s)
     sizes = {f"{each.width}x{each.height}" for each in sequences.values()}
     return {
         "cameras": len(sequences),
@@ -256,7 +258,7 @@ def _viewpoint(job: RenderJob, scene: Scene) -> Camera | CameraPath:
     if not mounted or scene.ego is None:
         raise ValueError(f"scene {scene.name!r} has neither a camera path nor an ego vehicle with cameras")
     front = max(mounted, key=lambda each: each.camera_to_ego[0, 2])
-    return drive_path(scene, front, *(job.recording.size_px or (front.width, front.height)))
+    return rig_camera_path(scene, front, *(job.recording.size_px or (front.width, front.height)))
 
 
 def _hash(folder: Path) -> str:

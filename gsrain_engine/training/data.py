@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
-from ..datasets.capture import Capture, View
-from ..datasets.undistort import prepared
+from ..datasets.capture import Capture, CaptureFrame
+from ..datasets.undistort import undistort_frame
 from ..scene.camera import Camera
 from .settings import LEVELS
 
@@ -16,7 +16,7 @@ _SMALLEST_PX = 48
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Level:
+class PyramidLevel:
     """One view at one size."""
 
     camera: Camera
@@ -36,35 +36,35 @@ class TrainingView:
     time_s: float
     seen: Bool[np.ndarray, "h w"] | None
     """Which pixels it can be measured by: those that the lens saw and the data set lets count; None means all."""
-    levels: tuple[Level, ...]
+    levels: tuple[PyramidLevel, ...]
 
     @classmethod
     def of(
         cls,
-        view: View,
+        view: CaptureFrame,
         depth: Float32[np.ndarray, "h w"] | None,
         learned: Bool[np.ndarray, "h w"] | None,
         sky: Bool[np.ndarray, "h w"] | None,
     ) -> "TrainingView":
         """Keep a view without distortion in memory, with what was measured and found in it."""
-        levels = [Level(view.camera, view.image, learned, depth, sky)]
+        levels = [PyramidLevel(view.camera, view.image, learned, depth, sky)]
         while len(levels) < LEVELS:
             last = levels[-1]
             small = min(last.camera.width, last.camera.height) < 2 * _SMALLEST_PX
-            levels.append(last if small else halved(last))
+            levels.append(last if small else half_size(last))
         return cls(view.name, view.time_s, view.mask, tuple(levels))
 
 
-def prepared_views(capture: Capture, width_px: int) -> list[View]:
+def training_views(capture: Capture, width_px: int) -> list[CaptureFrame]:
     """Views without distortion, at most so wide, with their picture and mask in memory."""
-    views: list[View] = []
+    views: list[CaptureFrame] = []
     for view in capture:
-        straight = prepared(view, min(width_px, view.camera.width))
+        straight = undistort_frame(view, min(width_px, view.camera.width))
         views.append(replace(straight, image_source=straight.image, mask_source=straight.mask))
     return views
 
 
-def halved(level: Level) -> Level:
+def half_size(level: PyramidLevel) -> PyramidLevel:
     """Return the view at half the size: pixels are averaged, depth is the nearest of four, masks need all four."""
     height, width = level.camera.height // 2, level.camera.width // 2
     camera = replace(
@@ -73,7 +73,7 @@ def halved(level: Level) -> Level:
     )  # fmt: skip
     even = (slice(0, 2 * height), slice(0, 2 * width))
     image = cv2.resize(level.image[even], (width, height), interpolation=cv2.INTER_AREA)
-    return Level(
+    return PyramidLevel(
         camera,
         image,
         None if level.mask is None else _all_of_four(level.mask[even]),

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from ..datasets.capture import View
+from ..datasets.capture import CaptureFrame
 from ..datasets.geometry import scaled_camera
 from ..datasets.masks import pixel_rays, with_camera_masks
 from ..scene.camera import Camera
@@ -20,7 +20,7 @@ _WIDTH = 240
 _FRAMES, _OTHERS = 8, 8
 """So many pictures of a camera are looked at, each beside so many others, the nearest in time."""
 
-_LEAST_FRAMES = 3
+_MIN_FRAMES = 3
 
 _CLIP = 0.1
 """A pixel's evidence is at most this difference of colour (0..1)."""
@@ -34,17 +34,17 @@ _EDGE, _SLOPE, _STEEPEST = 20.0, 0.15, 4
 _LOWEST_PART = 0.55
 """Only the lower part of a picture is searched: there the road is near and moves."""
 
-_LEAST_GAIN = 0.01
+_MIN_GAIN = 0.01
 """Mean evidence that the region must have over the prior, in colour."""
 
 _PROPORTIONS = 0.05
 """Pictures of a camera whose sides' ratio is so far from the middle one's were turned or cut: they are not compared."""
 
 
-class _Small:
+class _SmallImage:
     """One picture, small: its colours, its edges, and where its pixels lie in the world."""
 
-    def __init__(self, view: View, depth: Float32[np.ndarray, "h w"], size: tuple[int, int]) -> None:
+    def __init__(self, view: CaptureFrame, depth: Float32[np.ndarray, "h w"], size: tuple[int, int]) -> None:
         width, height = size
         self.camera: Camera = scaled_camera(view.camera, width, height)
         self.time_s, self.sensor = view.time_s, view.sensor
@@ -57,7 +57,7 @@ class _Small:
         self.depth = cv2.resize(depth, (width, height), interpolation=cv2.INTER_NEAREST)
         self.places = self.camera.position + self.depth[..., None] * pixel_rays(self.camera)
 
-    def seen_in(self, other: "_Small") -> Float32[np.ndarray, "h w 2"]:
+    def difference_to(self, other: "_SmallImage") -> Float32[np.ndarray, "h w 2"]:
         """How differently another picture shows the places of this one's pixels, see `_difference`; inf if not."""
         local = self.places @ other.camera.world_to_camera[:3, :3].T + other.camera.world_to_camera[:3, 3]
         z = np.where((local[..., 2] > 0.3) & (self.depth > 0), local[..., 2], np.inf)
@@ -76,7 +76,7 @@ def _difference(one: Float32[np.ndarray, "h w 5"], other: Float32[np.ndarray, "h
 
 
 def ego_masks(
-    views: Sequence[View], depths: Sequence[Float32[np.ndarray, "_ _"]]
+    views: Sequence[CaptureFrame], depths: Sequence[Float32[np.ndarray, "_ _"]]
 ) -> dict[str, Bool[np.ndarray, "_ _"]]:
     """By sensor, which pixels show the world, in cameras that have a part of the ego's body at their lower edge.
 
@@ -93,21 +93,21 @@ def ego_masks(
     found: dict[str, Bool[np.ndarray, "_ _"]] = {}
     for sensor in dict.fromkeys(view.sensor for view in views):
         rows = _alike(views, sensor)
-        if len(rows) < _LEAST_FRAMES:
+        if len(rows) < _MIN_FRAMES:
             continue
         camera = views[rows[0]].camera
         width = min(_WIDTH, *(views[row].camera.width for row in rows))
         size = width, max(round(camera.height * width / camera.width), 1)
-        own = [_Small(views[row], depths[row], size) for row in rows]
+        own = [_SmallImage(views[row], depths[row], size) for row in rows]
         contour = _contour(_evidence(own))
         if contour is not None:
             found[sensor] = _above(contour, own[0].camera, camera)
     return found
 
 
-def without_ego(
-    views: Sequence[View], depths: Sequence[Float32[np.ndarray, "_ _"]]
-) -> tuple[list[View], dict[str, float]]:
+def mask_ego_vehicle(
+    views: Sequence[CaptureFrame], depths: Sequence[Float32[np.ndarray, "_ _"]]
+) -> tuple[list[CaptureFrame], dict[str, float]]:
     """Take the ego's own body out of the views' masks, where `ego_masks` finds one; the log says in which cameras.
 
     Returns the views, and by sensor the share (0..1) of its pictures that the body covers.
@@ -123,7 +123,7 @@ def without_ego(
     return ready, shares
 
 
-def _alike(views: Sequence[View], sensor: str) -> list[int]:
+def _alike(views: Sequence[CaptureFrame], sensor: str) -> list[int]:
     """Rows of a sensor's views that have the proportions of its middle one, but for a few pixels."""
     rows = [row for row, view in enumerate(views) if view.sensor == sensor]
     ratios = [views[row].camera.height / views[row].camera.width for row in rows]
@@ -131,7 +131,7 @@ def _alike(views: Sequence[View], sensor: str) -> list[int]:
     return [row for row, ratio in zip(rows, ratios, strict=True) if abs(ratio / middle - 1) <= _PROPORTIONS]
 
 
-def _evidence(own: Sequence[_Small]) -> Float32[np.ndarray, "h w 2"]:
+def _evidence(own: Sequence[_SmallImage]) -> Float32[np.ndarray, "h w 2"]:
     """By how much the world explains colour and edges of a pixel worse than the ego does, 0 where neither is better.
 
     The world need not explain it in all other pictures: there, the ego may hide it.
@@ -141,7 +141,7 @@ def _evidence(own: Sequence[_Small]) -> Float32[np.ndarray, "h w 2"]:
     count = np.zeros((*own[0].depth.shape, 1), np.float32)
     for each in [own[int(k)] for k in np.linspace(0, len(own) - 1, min(_FRAMES, len(own)))]:
         others = sorted((o for o in own if o is not each), key=lambda o: abs(o.time_s - each.time_s))[:_OTHERS]
-        errors = np.sort([each.seen_in(other) for other in others], axis=0)
+        errors = np.sort([each.difference_to(other) for other in others], axis=0)
         seen = np.isfinite(errors).sum(axis=0)
         as_world = np.take_along_axis(errors, (seen[None] - 1) // 4, axis=0)[0]  # the lower quartile
         known = seen[..., :1] > 0
@@ -172,7 +172,7 @@ def _contour(evidence: Float32[np.ndarray, "h w 2"]) -> Float64[np.ndarray, " w"
     for column in range(width - 1, 0, -1):
         rows[column - 1] = back[rows[column], column]
     region = np.arange(height)[:, None] >= rows[None, :]
-    if not region.any() or float(color[region].mean()) < _PRIOR + _LEAST_GAIN:
+    if not region.any() or float(color[region].mean()) < _PRIOR + _MIN_GAIN:
         return None
     return rows.astype(np.float64)
 

@@ -11,7 +11,7 @@ from ..evaluation.image_metrics import fitted_affine, psnr, ssim, with_affine
 
 
 @runtime_checkable
-class Perceived(Protocol):
+class PerceptualMetric(Protocol):
     """A learned distance of pictures: LPIPS."""
 
     def distance(
@@ -25,7 +25,7 @@ class Perceived(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Score:
+class RenderScore:
     """How close one render is to its photograph."""
 
     name: str
@@ -39,7 +39,7 @@ class Score:
     """As rendered; None without weights."""
 
 
-def held_out_indices(names: Sequence[str], every: int, named: Sequence[str] = ()) -> list[int]:
+def validation_indices(names: Sequence[str], every: int, named: Sequence[str] = ()) -> list[int]:
     """Which views are kept for measuring: the named ones, else every so-many-th, from the middle of the first stretch.
 
     Raises ValueError for a name that no view has, and where nothing would be left to learn from.
@@ -61,8 +61,8 @@ def score(
     rendered: Float32[np.ndarray, "h w 3"],
     image: UInt8[np.ndarray, "h w 3"],
     mask: Bool[np.ndarray, "h w"] | None,
-    perceived: Perceived | None = None,
-) -> Score:
+    perceived: PerceptualMetric | None = None,
+) -> RenderScore:
     """Measure a render against a photograph, over the pixels of a mask."""
     rendered, truth = np.clip(rendered, 0, 1), image.astype(np.float32) / 255
     whole = np.ones(image.shape[:2], bool) if mask is None else mask
@@ -70,7 +70,7 @@ def score(
     left = whole.copy()
     left[:, middle:] = False
     exposed = with_affine(rendered, fitted_affine(rendered, truth, left))
-    return Score(
+    return RenderScore(
         name,
         psnr(rendered, truth, whole),
         ssim(rendered, truth, mask),
@@ -79,7 +79,7 @@ def score(
     )
 
 
-def mean_of(scores: Sequence[Score], field: str) -> float | None:
+def mean_of(scores: Sequence[RenderScore], field: str) -> float | None:
     """Mean of one figure over views; None where there is none."""
     values = [getattr(each, field) for each in scores if getattr(each, field) is not None]
     return float(np.mean(values)) if values else None

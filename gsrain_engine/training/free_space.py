@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 
 from ..scene.camera import Camera
 from .parameters import SplatParameters, Tensor
-from .strategy import DensityControl
+from .strategy import Strategy
 from .surfels import LONGEST
 
 torch: Any = import_module("torch")
@@ -35,7 +35,7 @@ _EVERY = 25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FreeSpace:
+class FreeSpaceCarving:
     """How far each camera sees freely, by cells of its picture."""
 
     poses: Float32[np.ndarray, "v 3 4"]
@@ -56,7 +56,7 @@ class FreeSpace:
         depths: Sequence[Float32[np.ndarray, "_ _"]],
         way: Float64[np.ndarray, "p 3"],
         share: float,
-    ) -> "FreeSpace | None":
+    ) -> "FreeSpaceCarving | None":
         """Take a share of the depth of each picture for free; None where no picture has any depth.
 
         Args:
@@ -92,10 +92,10 @@ class FreeSpace:
         return KDTree(self.way).query(means)[0].astype(np.float32)
 
 
-class ClearedDensity:
+class FreeSpaceStrategy:
     """A density control that takes everything out of the free space too, as long as the training goes on."""
 
-    def __init__(self, control: DensityControl, free: FreeSpace, steps: int) -> None:
+    def __init__(self, control: Strategy, free: FreeSpaceCarving, steps: int) -> None:
         self._control, self._free, self._last = control, free, steps - 1
 
     def observe(self, step: int, rendered: Any, rows: slice | Tensor = slice(None)) -> None:
@@ -106,8 +106,8 @@ class ClearedDensity:
         done = self._control.adapt(step, parameters, generator)
         if step % _EVERY and step != self._last:
             return done
-        count = clear(parameters, self._free)
-        shorten(parameters, self._free)
+        count = prune_free_space(parameters, self._free)
+        clip_long_gaussians(parameters, self._free)
         return ", ".join([*([done] if done else []), f"{count} cleared away"]) if count else done
 
     def regularization(self, parameters: SplatParameters) -> Tensor | None:
@@ -120,7 +120,7 @@ class ClearedDensity:
         self._control.restore(state)
 
 
-def clear(parameters: SplatParameters, free: FreeSpace) -> int:
+def prune_free_space(parameters: SplatParameters, free: FreeSpaceCarving) -> int:
     """Remove the Gaussians whose middle stands in free space; returns how many."""
     means = _means(parameters)
     standing = free.holds(means)
@@ -130,7 +130,7 @@ def clear(parameters: SplatParameters, free: FreeSpace) -> int:
     return count
 
 
-def shorten(parameters: SplatParameters, free: FreeSpace) -> None:
+def clip_long_gaussians(parameters: SplatParameters, free: FreeSpaceCarving) -> None:
     """Let no Gaussian be longer than a part of its distance to the way of the cameras, see `LONGEST`."""
     limits = torch.as_tensor(np.log(np.maximum(_LEEWAY * LONGEST * free.distances(_means(parameters)), 1e-9)))
     with torch.no_grad():

@@ -9,17 +9,26 @@ from jaxtyping import Bool, Float32, Float64
 from scipy.ndimage import uniform_filter
 from scipy.spatial import KDTree
 
-from ..datasets.capture import Capture, TrackedBox, View
+from ..datasets.capture import Capture, CaptureFrame, TrackedBox
 from ..datasets.completed_depth import completed_depth
-from ..datasets.depth_maps import KnownDepth, known_depth, measured_depths, road_drop
+from ..datasets.depth_maps import DepthPriors, camera_height_above_road, depth_priors, measured_depths
 from ..datasets.geometry import lidar_depth
-from ..datasets.masks import box_outline, can_move, inside_box, moves, moving_boxes, pixel_rays, static_mask
+from ..datasets.masks import box_outline, can_move, is_moving, moving_boxes, pixel_rays, points_in_box, static_mask
 from ..datasets.sky_masks import sky_masks
 from ..render.cpu.renderer import CpuRenderer
 from ..scene.gaussians import Gaussians, sh_from_color
 from ..scene.geometry import normalized, quaternions_from_matrices
-from ..scene.scene import Actor, Part
-from .surfels import Surfels, camera_way, cell_means, cells, point_colors, projected, shortened, surfels_of_view
+from ..scene.scene import Actor, DrawItem
+from .surfels import (
+    Surfels,
+    camera_trajectory,
+    cell_means,
+    grid_shape,
+    point_colors,
+    projected,
+    split_long_gaussians,
+    surfels_of_view,
+)
 
 SURFACE_OPACITY = 0.85
 """Of Gaussians whose place is known: together they cover it, and gradients still pass."""
@@ -45,12 +54,12 @@ _HOLE = 0.5
 _PAINTED_FROM = 4
 """Pixels around a hole that its colours come from."""
 
-_LEAST_MEASURED = 12
+_MIN_MEASURED = 12
 """Measured pixels that a view must have, or it adds nothing."""
 
 
 def initial_gaussians(
-    capture: Capture, views: Sequence[View], budget: int, seed: int = 0, known: KnownDepth | None = None
+    capture: Capture, views: Sequence[CaptureFrame], budget: int, seed: int = 0, known: DepthPriors | None = None
 ) -> Gaussians:
     """Cover what the views see of the static scene with at most `budget` Gaussians, in the capture's world.
 
@@ -65,11 +74,11 @@ def initial_gaussians(
         seed: Of what is random.
         known: Depth and sky of the views; found here where not given.
     """
-    known = known_depth(capture, views) if known is None else known
+    known = depth_priors(capture, views) if known is None else known
     moving = moving_boxes(capture)
     unmasked = [view.held() for view in views]
     views = [replace(view, mask_source=static_mask(view, moving)) for view in unmasked]
-    if sum(int((depth > 0).sum()) >= _LEAST_MEASURED for depth in known.measured) == 0:
+    if sum(int((depth > 0).sum()) >= _MIN_MEASURED for depth in known.measured) == 0:
         return _random_gaussians(views, known.skies, budget, seed)
     depths = known.completed
     hidden = [_hidden_by_movers(view, own) for view, own in zip(views, unmasked, strict=True)]
@@ -80,12 +89,12 @@ def initial_gaussians(
         if stride > max(view.camera.width for view in views):  # not even one for each view
             raise ValueError(f"a budget of {budget} Gaussians is too small for {len(views)} views")
     gaussians = _without_holes(surfels, views, depths, stride, round((1 - _FOR_PIECES) * budget))
-    way = camera_way(views, known.usual)
-    ground = hidden_ground(gaussians, views, way, capture.up, round(_FOR_GROUND * budget), SURFACE_OPACITY)
-    return shortened(Gaussians.concatenate([gaussians, ground]), way, budget)
+    way = camera_trajectory(views, known.usual)
+    ground = inpaint_road(gaussians, views, way, capture.up, round(_FOR_GROUND * budget), SURFACE_OPACITY)
+    return split_long_gaussians(Gaussians.concatenate([gaussians, ground]), way, budget)
 
 
-def _hidden_by_movers(view: View, unmasked: View) -> View | None:
+def _hidden_by_movers(view: CaptureFrame, unmasked: CaptureFrame) -> CaptureFrame | None:
     """The view with what is behind the movers painted in from around them, to be seen there alone; None without any."""
     mask, own = view.mask, unmasked.mask
     assert mask is not None  # it was set to what is static
@@ -97,9 +106,9 @@ def _hidden_by_movers(view: View, unmasked: View) -> View | None:
 
 
 def _covering(
-    views: Sequence[View],
+    views: Sequence[CaptureFrame],
     depths: Sequence[Float32[np.ndarray, "_ _"]],
-    hidden: Sequence[View | None],
+    hidden: Sequence[CaptureFrame | None],
     stride: int,
     budget: int,
 ) -> Surfels | None:
@@ -118,13 +127,17 @@ def _covering(
 
 
 def _without_holes(
-    surfels: Surfels, views: Sequence[View], depths: Sequence[Float32[np.ndarray, "_ _"]], stride: int, budget: int
+    surfels: Surfels,
+    views: Sequence[CaptureFrame],
+    depths: Sequence[Float32[np.ndarray, "_ _"]],
+    stride: int,
+    budget: int,
 ) -> Gaussians:
     """Draw the discs as each view sees them, and add more where too little is drawn: seams between views, mostly."""
     gaussians, renderer = surfels.gaussians(SURFACE_OPACITY), CpuRenderer()
     for view, depth in zip(views, depths, strict=True):
         mask = view.mask
-        renderer.draw([Part(gaussians, np.eye(4))], view.camera)
+        renderer.draw([DrawItem(gaussians, np.eye(4))], view.camera)
         empty = (renderer.read().rgba[..., 3] < _HOLE) & (depth > 0)
         empty = empty if mask is None else empty & mask
         more = surfels_of_view(view, depth, stride, cell_means(empty[..., None], stride)[..., 0] > 0.5)
@@ -134,10 +147,10 @@ def _without_holes(
 
 
 def _covered(
-    surfels: Surfels, view: View, depth: Float32[np.ndarray, "h w"], stride: int
+    surfels: Surfels, view: CaptureFrame, depth: Float32[np.ndarray, "h w"], stride: int
 ) -> Bool[np.ndarray, "rows columns"]:
     """Which cells of a view have enough Gaussians that are fine enough and not behind its own surface."""
-    rows, columns = cells(view.camera, stride)
+    rows, columns = grid_shape(view.camera, stride)
     index, row, column, z = projected(surfels.means, view.camera)
     size = np.linalg.norm(surfels.axes[index], axis=2).min(axis=1)
     surface = depth[row, column]
@@ -148,7 +161,7 @@ def _covered(
 
 
 def _random_gaussians(
-    views: Sequence[View], skies: Sequence[Bool[np.ndarray, "_ _"]], budget: int, seed: int
+    views: Sequence[CaptureFrame], skies: Sequence[Bool[np.ndarray, "_ _"]], budget: int, seed: int
 ) -> Gaussians:
     """Spread Gaussians over what the cameras see, evenly in inverse distance from a length that their spread tells."""
     random = np.random.default_rng(seed)
@@ -207,14 +220,14 @@ _SIGMA, _THICKNESS = 0.7, 0.05
 _COVERS = 2.0
 """So many of its standard deviations around a disc there is no hole."""
 
-_NEIGHBOURS = 12
+_NEIGHBORS = 12
 
-_LEAST_ROAD = 100
+_MIN_ROAD = 100
 
 
-def hidden_ground(
+def inpaint_road(
     surface: Gaussians,
-    views: Sequence[View],
+    views: Sequence[CaptureFrame],
     way: Float64[np.ndarray, "p 3"],
     up: tuple[float, float, float],
     most: int,
@@ -225,7 +238,7 @@ def hidden_ground(
     Args:
         surface: Of the static scene, in the capture's world; the road is what lies flat and low in it.
         views: Whose cameras drove over that road.
-        way: Where the cameras went, see `camera_way`.
+        way: Where the cameras went, see `camera_trajectory`.
         up: Upward direction.
         most: Number of discs; where that is too few, they are larger, and where they are too large there are none.
         opacity: Of the discs.
@@ -234,7 +247,7 @@ def hidden_ground(
         None at all where no road is found under the cameras.
     """
     frame = _frame(up)
-    drop = road_drop(surface.means.astype(np.float64), views, up) if len(surface) else None
+    drop = camera_height_above_road(surface.means.astype(np.float64), views, up) if len(surface) else None
     if drop is None:
         return surface.take(slice(0, 0))
     way = way @ frame.T
@@ -242,7 +255,7 @@ def hidden_ground(
     distance, nearest = KDTree(way[:, :2]).query(places[:, :2])
     is_road = (distance < 3 * _REACH * drop) & (np.abs(way[nearest, 2] - drop - places[:, 2]) < _FLAT * drop)
     road = surface.take(np.flatnonzero(is_road))
-    if len(road) < _LEAST_ROAD:
+    if len(road) < _MIN_ROAD:
         return surface.take(slice(0, 0))
     known = places[is_road]
     tree = KDTree(known[:, :2])
@@ -252,7 +265,7 @@ def hidden_ground(
         spacing *= 1.3
     if not 0 < len(holes) <= most:
         return surface.take(slice(0, 0))
-    apart, neighbours = tree.query(holes, _NEIGHBOURS)
+    apart, neighbours = tree.query(holes, _NEIGHBORS)
     weight = 1 / np.maximum(apart, spacing) ** 2
     weight /= weight.sum(axis=1, keepdims=True)
     heights = (weight * known[neighbours, 2]).sum(axis=1)
@@ -300,7 +313,7 @@ _SPREAD, _SKY_THICKNESS, _OPACITY = 0.75, 0.02, 0.98
 _BEYOND = 3.0
 """Radius of the dome over the distance of what is far in the scene."""
 
-_LEAST_RADIUS = 400.0
+_MIN_RADIUS = 400.0
 """In metres, where lengths are metres."""
 
 _SAMPLES = 3
@@ -309,7 +322,7 @@ _SAMPLES = 3
 
 def initial_sky(
     capture: Capture,
-    views: Sequence[View],
+    views: Sequence[CaptureFrame],
     surface: Gaussians,
     skies: Sequence[Bool[np.ndarray, "_ _"]] | None = None,
     count: int = SKY_GAUSSIANS,
@@ -340,7 +353,7 @@ def initial_sky(
 def dome_radius(surface: Gaussians, center: Float64[np.ndarray, "3"], is_metric: bool) -> float:
     """How far away the sky stands: well beyond everything else, so that nothing of the scene is behind it."""
     far = float(np.quantile(np.linalg.norm(surface.means - center, axis=1), 0.995)) if len(surface) else 1.0
-    return max(_BEYOND * far, _LEAST_RADIUS) if is_metric else _BEYOND * far
+    return max(_BEYOND * far, _MIN_RADIUS) if is_metric else _BEYOND * far
 
 
 def dome_directions(count: int, up: tuple[float, float, float]) -> Float64[np.ndarray, "n 3"]:
@@ -358,7 +371,7 @@ def dome_directions(count: int, up: tuple[float, float, float]) -> Float64[np.nd
 def _colors(
     directions: Float64[np.ndarray, "n 3"],
     places: Float64[np.ndarray, "n 3"],
-    views: Sequence[View],
+    views: Sequence[CaptureFrame],
     skies: Sequence[Bool[np.ndarray, "_ _"]],
 ) -> Float32[np.ndarray, "n 3"]:
     """Median over the views that show a direction's sky; elsewhere the mean of known ones, weighted by nearness."""
@@ -418,7 +431,7 @@ def _dome(
 
 # § Actors to begin a training with: what lidar saw of each moving thing, gathered in the thing's own frame.
 
-LEAST_POINTS = 60
+MIN_POINTS = 60
 """Lidar points that an actor needs: fewer are a cloud, not a shape."""
 
 _MARGIN_M = 0.1
@@ -426,12 +439,12 @@ _MARGIN_M = 0.1
 _LIFT_M = 0.12
 """Points lower than this in the box may be of the road."""
 
-_LEAST_SPACING_M = 0.04
+_MIN_SPACING_M = 0.04
 
-_MOST_VIEWS = 24
+_MAX_VIEWS = 24
 
 
-def actor_layers(capture: Capture, views: Sequence[View], least_points: int = LEAST_POINTS) -> tuple[Actor, ...]:
+def actor_layers(capture: Capture, views: Sequence[CaptureFrame], least_points: int = MIN_POINTS) -> tuple[Actor, ...]:
     """Make an actor of each moving vehicle or person that lidar saw enough of, on the track of its box.
 
     Its points are those of all sweeps, in its own frame, where it has the same place in each; vehicles are completed
@@ -444,7 +457,7 @@ def actor_layers(capture: Capture, views: Sequence[View], least_points: int = LE
     """
     actors: list[Actor] = []
     for box in capture.boxes:
-        if not (can_move(box) and moves(box)):
+        if not (can_move(box) and is_moving(box)):
             continue
         points = points_of_box(capture, box)
         if len(points) < least_points:
@@ -472,14 +485,14 @@ def points_of_box(capture: Capture, box: TrackedBox) -> Float64[np.ndarray, "p 3
         pose = box.track.pose(sweep.time_s)
         if pose is not None:
             points = sweep.points_m.astype(np.float64)
-            local = (points[inside_box(points, box, sweep.time_s, _MARGIN_M)] - pose[:3, 3]) @ pose[:3, :3]
+            local = (points[points_in_box(points, box, sweep.time_s, _MARGIN_M)] - pose[:3, 3]) @ pose[:3, :3]
             found.append(local[local[:, 2] > _LIFT_M])
     return _thinned(np.concatenate(found))
 
 
 def _thinned(points: Float64[np.ndarray, "p 3"]) -> Float64[np.ndarray, "q 3"]:
     """One point a cell of the least spacing, the first."""
-    _, first = np.unique(np.floor(points / _LEAST_SPACING_M).astype(np.int64), axis=0, return_index=True)
+    _, first = np.unique(np.floor(points / _MIN_SPACING_M).astype(np.int64), axis=0, return_index=True)
     return points[np.sort(first)]
 
 
@@ -490,14 +503,14 @@ def _with_mirror_image(points: Float64[np.ndarray, "p 3"]) -> tuple[Float64[np.n
 
 
 def _actor_colors(
-    capture: Capture, box: TrackedBox, points: Float64[np.ndarray, "p 3"], views: Sequence[View]
+    capture: Capture, box: TrackedBox, points: Float64[np.ndarray, "p 3"], views: Sequence[CaptureFrame]
 ) -> tuple[Float32[np.ndarray, "p 3"], Bool[np.ndarray, " p"]]:
     """Colours from the views that see the box, each brought into the thing's own frame at its time."""
-    own: list[View] = []
+    own: list[CaptureFrame] = []
     depths: list[Float32[np.ndarray, "_ _"]] = []
     seen = [view for view in views if len(box_outline(view, box))]
     seen.sort(key=lambda view: float(np.linalg.norm(_pose(box, view)[:3, 3] - view.camera.position)))
-    for view in seen[:_MOST_VIEWS]:
+    for view in seen[:_MAX_VIEWS]:
         nearest = min(capture.sweeps, key=lambda sweep: abs(sweep.time_s - view.time_s))
         own.append(replace(view, camera=view.camera.moved(np.linalg.inv(_pose(box, view))), mask_source=None))
         depths.append(completed_depth(lidar_depth(view, [nearest])))
@@ -506,7 +519,7 @@ def _actor_colors(
     return point_colors(points, own, depths)
 
 
-def _pose(box: TrackedBox, view: View) -> Float64[np.ndarray, "4 4"]:
+def _pose(box: TrackedBox, view: CaptureFrame) -> Float64[np.ndarray, "4 4"]:
     pose = box.track.pose(view.time_s)
     assert pose is not None  # only views in which the box is there come here
     return pose

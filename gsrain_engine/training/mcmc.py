@@ -10,7 +10,7 @@ from jaxtyping import Float64, Shaped
 from scipy.special import comb
 
 from .parameters import SplatParameters, Tensor
-from .strategy import rotated
+from .strategy import rotate_vectors
 
 torch: Any = import_module("torch")
 
@@ -22,7 +22,7 @@ _STEEPNESS, _MIDDLE = 100.0, 0.995
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MonteCarloSettings:
+class MCMCSettings:
     """When Gaussians move and how strongly they are shaken; the defaults are those of the paper for 30,000 steps."""
 
     most: int
@@ -43,7 +43,7 @@ class MonteCarloSettings:
     scale_weight: float = 0.01
 
     @classmethod
-    def for_run(cls, steps: int, most: int, means_rate: Callable[[int], float]) -> "MonteCarloSettings":
+    def for_run(cls, steps: int, most: int, means_rate: Callable[[int], float]) -> "MCMCSettings":
         """Scale the schedule to a run of so many steps, 30,000 being the paper's."""
         share = min(steps / 30_000, 1.0)
         return cls(
@@ -55,10 +55,10 @@ class MonteCarloSettings:
         )
 
 
-class MonteCarloDensity:
+class MCMCStrategy:
     """Takes Gaussians for samples of the scene: their number grows to a cap and nothing is ever lost."""
 
-    def __init__(self, settings: MonteCarloSettings) -> None:
+    def __init__(self, settings: MCMCSettings) -> None:
         self._settings = settings
 
     def observe(self, step: int, rendered: Any, rows: slice | Tensor = slice(None)) -> None:
@@ -110,7 +110,7 @@ class MonteCarloDensity:
         """Shrink each source for the copies that join it, forget its moments, and return the copies' rows."""
         copies = torch.bincount(sources, minlength=len(parameters)) + 1
         touched = torch.nonzero(copies > 1)[:, 0]
-        opacities, shrink = relocated(parameters.opacities[touched], copies[touched])
+        opacities, shrink = relocation_factors(parameters.opacities[touched], copies[touched])
         opacities = opacities.clamp(min=self._settings.dead_below)
         scales = parameters.scales[touched] * shrink[:, None]
         parameters.put("opacity_logits", touched, torch.logit(opacities))
@@ -129,8 +129,8 @@ class MonteCarloDensity:
         factor = torch.sigmoid(_STEEPNESS * (1 - opacities[rows] - _MIDDLE))[:, None] * strength
         turn = parameters.tensors["quaternions"][rows]
         back = torch.cat([turn[:, :1], -turn[:, 1:]], dim=1)
-        inside = rotated(back, noise.to(opacities.device)) * parameters.scales[rows] ** 2
-        parameters.tensors["means"][rows] += factor * rotated(turn, inside)
+        inside = rotate_vectors(back, noise.to(opacities.device)) * parameters.scales[rows] ** 2
+        parameters.tensors["means"][rows] += factor * rotate_vectors(turn, inside)
 
 
 def _drawn_by_opacity(opacities: Tensor, count: int, generator: Tensor) -> Tensor:
@@ -142,11 +142,11 @@ def _drawn_by_opacity(opacities: Tensor, count: int, generator: Tensor) -> Tenso
 
 # § What several Gaussians in one place must be so that together they look like the one that was there.
 
-MOST_COPIES = 51
+MAX_COPIES = 51
 """More in one place count as this many, as in the authors' program: the sums lose their digits beyond."""
 
 
-def relocated(opacities: Tensor, copies: Tensor) -> tuple[Tensor, Tensor]:
+def relocation_factors(opacities: Tensor, copies: Tensor) -> tuple[Tensor, Tensor]:
     """Opacity, and factor of the scales, of each of N equal Gaussians that replace one (Kheradmand et al. 2024, eq. 9).
 
     In the middle the stack has the opacity of the one; along a line through it, the same integral.
@@ -155,18 +155,18 @@ def relocated(opacities: Tensor, copies: Tensor) -> tuple[Tensor, Tensor]:
         opacities: (n,) of the one.
         copies: (n,) how many are there afterwards, the one included.
     """
-    count = copies.clamp(max=MOST_COPIES)
+    count = copies.clamp(max=MAX_COPIES)
     old = opacities.double()
     new = 1 - (1 - old) ** (1 / count.double())
     terms = torch.as_tensor(_TERMS, device=old.device)[count]
-    powers = new[:, None] ** torch.arange(1, MOST_COPIES + 1, device=old.device)
+    powers = new[:, None] ** torch.arange(1, MAX_COPIES + 1, device=old.device)
     factor = old / (terms * powers).sum(dim=1)
     return new.to(opacities.dtype), factor.to(opacities.dtype)
 
 
 def _terms() -> Float64[np.ndarray, "n k"]:
     """(-1)^k C(N, k + 1) / sqrt(k + 1): the double sum of eq. 9, summed over its first index."""
-    n, k = np.arange(MOST_COPIES + 1)[:, None], np.arange(MOST_COPIES)[None, :]
+    n, k = np.arange(MAX_COPIES + 1)[:, None], np.arange(MAX_COPIES)[None, :]
     return np.asarray(comb(n, k + 1) * (-1.0) ** k / np.sqrt(k + 1), np.float64)
 
 

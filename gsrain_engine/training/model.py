@@ -10,14 +10,14 @@ import msgspec
 import numpy as np
 from jaxtyping import Float64, Shaped
 
-from ..datasets.capture import EGO_HEIGHT_M, Capture, View
+from ..datasets.capture import EGO_HEIGHT_M, Capture, CaptureFrame
 from ..render.autodiff.differentiable import render_gaussians
 from ..render.autodiff.types import Rendered
 from ..safe_io.numpy_files import read_archive
-from ..safe_io.text_files import printable
+from ..safe_io.text_files import printable_line
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
-from ..scene.camera_path_edit import WALKING_M_S, paced
+from ..scene.camera_path_edit import WALKING_M_S, with_constant_speed
 from ..scene.files import whole_file
 from ..scene.gaussians import Gaussians
 from ..scene.geometry import quaternions_from_matrices
@@ -30,7 +30,7 @@ torch: Any = import_module("torch")
 Tensor = Any
 
 
-class Picture(NamedTuple):
+class TrainingRender(NamedTuple):
     """A render to learn from."""
 
     color: Tensor
@@ -55,20 +55,20 @@ class SplatModel:
     tracks: Mapping[str, Actor]
     """The actors as they were at first; their tracks stay."""
 
-    def render(self, camera: Camera, time_s: float, sh_degree: int = 3) -> Picture:
+    def render(self, camera: Camera, time_s: float, sh_degree: int = 3) -> TrainingRender:
         """Draw everything as a camera sees it at a time, with harmonics up to a degree."""
-        pieces = [_Piece.of(self.background, sh_degree)]
+        pieces = [_ActivatedPart.of(self.background, sh_degree)]
         rows, count = dict[str, slice](), len(self.background)
         for key, parameters in self.actors.items():
             pose = self.tracks[key].track.pose(time_s)
             if pose is not None and len(parameters):
-                pieces.append(_Piece.of(parameters, sh_degree).moved(pose))
+                pieces.append(_ActivatedPart.of(parameters, sh_degree).moved(pose))
                 rows[key] = slice(count, count + len(parameters))
                 count += len(parameters)
         front = _drawn(pieces, camera)
-        sky = None if self.sky is None else _drawn([_Piece.of(self.sky, sh_degree).standing], camera)
+        sky = None if self.sky is None else _drawn([_ActivatedPart.of(self.sky, sh_degree).standing], camera)
         color = front.color if sky is None else front.color + (1 - front.alpha)[..., None] * sky.color
-        return Picture(color, front, slice(0, len(self.background)), rows, sky)
+        return TrainingRender(color, front, slice(0, len(self.background)), rows, sky)
 
     @property
     def parts(self) -> Iterator[tuple[str, SplatParameters]]:
@@ -100,7 +100,7 @@ class SplatModel:
             parameters.restore(own)
 
 
-class _Piece(NamedTuple):
+class _ActivatedPart(NamedTuple):
     """Activated Gaussians on their way into one render."""
 
     means: Tensor
@@ -110,18 +110,18 @@ class _Piece(NamedTuple):
     sh: Tensor
 
     @classmethod
-    def of(cls, parameters: SplatParameters, sh_degree: int) -> "_Piece":
+    def of(cls, parameters: SplatParameters, sh_degree: int) -> "_ActivatedPart":
         tensors = parameters.tensors
         sh = parameters.sh_up_to(sh_degree)
         return cls(tensors["means"], parameters.scales, tensors["quaternions"], parameters.opacities, sh)
 
     @property
-    def standing(self) -> "_Piece":
+    def standing(self) -> "_ActivatedPart":
         """The same, of which only the colours are learned."""
         means, scales, quaternions, opacities, sh = self
-        return _Piece(means.detach(), scales.detach(), quaternions.detach(), opacities.detach(), sh)
+        return _ActivatedPart(means.detach(), scales.detach(), quaternions.detach(), opacities.detach(), sh)
 
-    def moved(self, pose: Float64[np.ndarray, "4 4"]) -> "_Piece":
+    def moved(self, pose: Float64[np.ndarray, "4 4"]) -> "_ActivatedPart":
         """Turn and shift them from an object's frame to the world; colours stay as they are."""
         matrix = torch.as_tensor(pose, dtype=self.means.dtype, device=self.means.device)
         turn = quaternions_from_matrices(pose[:3, :3]).tolist()
@@ -136,7 +136,7 @@ def _turned(turn: list[float], quaternions: Tensor) -> Tensor:
     return quaternions @ torch.tensor(rows, dtype=quaternions.dtype, device=quaternions.device).T
 
 
-def _drawn(pieces: list[_Piece], camera: Camera) -> Rendered:
+def _drawn(pieces: list[_ActivatedPart], camera: Camera) -> Rendered:
     if len(pieces) > 1:
         most = max(piece.sh.shape[1] for piece in pieces)
         pad = torch.nn.functional.pad
@@ -151,7 +151,7 @@ def _drawn(pieces: list[_Piece], camera: Camera) -> Rendered:
 
 RIG = "capture"
 
-_SEEN = 1 / 255
+_MIN_VISIBLE_ALPHA = 1 / 255
 """Renderers cut what is fainter."""
 
 
@@ -174,7 +174,7 @@ def scene_of(model: SplatModel, capture: Capture) -> Scene:
     )
 
 
-def recorded_path(views: Sequence[View]) -> CameraPath | None:
+def recorded_path(views: Sequence[CaptureFrame]) -> CameraPath | None:
     """Fly where the first camera was, picture by picture; at walking pace where the capture has no times."""
     own = [view for view in views if view.sensor == views[0].sensor]
     if len(own) < 2:
@@ -186,14 +186,14 @@ def recorded_path(views: Sequence[View]) -> CameraPath | None:
     poses = np.stack([view.camera.camera_to_world for view in own])
     fields = np.array([view.camera.vertical_fov_deg for view in own])
     path = CameraPath(times, poses[:, :3, 3], quaternions_from_matrices(poses[:, :3, :3]), fields)
-    return path if is_timed else paced(path, WALKING_M_S)
+    return path if is_timed else with_constant_speed(path, WALKING_M_S)
 
 
 def _visible(gaussians: Gaussians) -> Gaussians:
     """Leave out what no renderer draws: too faint, or no numbers."""
     finite = np.isfinite(gaussians.means).all(axis=1) & np.isfinite(gaussians.scales).all(axis=1)
     finite &= np.isfinite(gaussians.quaternions).all(axis=1) & np.isfinite(gaussians.sh).all(axis=(1, 2))
-    return gaussians.take(np.flatnonzero(finite & (gaussians.opacities >= _SEEN)))
+    return gaussians.take(np.flatnonzero(finite & (gaussians.opacities >= _MIN_VISIBLE_ALPHA)))
 
 
 def _ground_m(capture: Capture) -> float | None:
@@ -216,7 +216,7 @@ def _rigs(capture: Capture) -> dict[str, tuple[RigCamera, ...]]:
     return {RIG: tuple(mounted.values())} if mounted else {}
 
 
-def _mounted(view: View, ego_to_world: Float64[np.ndarray, "4 4"]) -> RigCamera:
+def _mounted(view: CaptureFrame, ego_to_world: Float64[np.ndarray, "4 4"]) -> RigCamera:
     camera = view.camera
     return RigCamera(
         view.sensor or "camera", camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy,
@@ -232,12 +232,12 @@ _FREE = frozenset({"measured_every", "saved_every"})
 """Settings that may change when a training is taken up again: nothing that is learned depends on them."""
 
 
-class CheckpointError(ValueError):
+class TrainingCheckpointError(ValueError):
     """A training can't be taken up from a checkpoint; the message names the file and says why."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Checkpoint:
+class TrainingCheckpoint:
     """Everything that a training goes on from."""
 
     step: int
@@ -247,7 +247,7 @@ class Checkpoint:
     arrays: Mapping[str, Shaped[np.ndarray, "..."]]
 
 
-class _Head(msgspec.Struct, frozen=True, kw_only=True):
+class _TrainingHeader(msgspec.Struct, frozen=True, kw_only=True):
     version: int
     step: int
     seconds: float
@@ -255,29 +255,37 @@ class _Head(msgspec.Struct, frozen=True, kw_only=True):
     settings: TrainingSettings
 
 
-def write_checkpoint(file: Path, checkpoint: Checkpoint, settings: TrainingSettings, capture: str) -> None:
+def write_training_checkpoint(
+    file: Path, checkpoint: TrainingCheckpoint, settings: TrainingSettings, capture: str
+) -> None:
     """Write a checkpoint; `capture` is a text that tells captures and their views apart."""
-    head = _Head(version=_VERSION, step=checkpoint.step, seconds=checkpoint.seconds, capture=capture, settings=settings)
+    head = _TrainingHeader(
+        version=_VERSION, step=checkpoint.step, seconds=checkpoint.seconds, capture=capture, settings=settings
+    )
     named = {"head": np.frombuffer(msgspec.json.encode(head), np.uint8), **checkpoint.arrays}
     with whole_file(file) as beside, beside.open("wb") as stream:
         np.savez(stream, allow_pickle=False, **named)
 
 
-def read_checkpoint(file: Path, settings: TrainingSettings, capture: str) -> Checkpoint:
-    """Read a checkpoint of the same training. Raises `CheckpointError` where it is damaged or of another one."""
+def read_training_checkpoint(file: Path, settings: TrainingSettings, capture: str) -> TrainingCheckpoint:
+    """Read a checkpoint of the same training. Raises `TrainingCheckpointError` where it is damaged or another's."""
     if not file.is_file():
-        raise CheckpointError(f"{file}: there is no checkpoint to resume from; leave --resume out to begin anew")
+        raise TrainingCheckpointError(
+            f"{file}: there is no checkpoint to resume from; leave --resume out to begin anew"
+        )
     try:
         arrays = read_archive(file)
-        head = msgspec.json.decode(arrays.pop("head").tobytes(), type=_Head)
+        head = msgspec.json.decode(arrays.pop("head").tobytes(), type=_TrainingHeader)
     except (OSError, ValueError, KeyError, RecursionError, msgspec.MsgspecError) as error:
-        raise CheckpointError(f"{file}: not a checkpoint, or a damaged one: {printable(error)}") from None
+        raise TrainingCheckpointError(f"{file}: not a checkpoint, or a damaged one: {printable_line(error)}") from None
     if head.version != _VERSION:
-        raise CheckpointError(f"{file}: a checkpoint of version {head.version}, expected {_VERSION}")
+        raise TrainingCheckpointError(f"{file}: a checkpoint of version {head.version}, expected {_VERSION}")
     if head.capture != capture:
-        raise CheckpointError(f"{file}: made from other views ({printable(head.capture)}), now they are {capture}")
+        raise TrainingCheckpointError(
+            f"{file}: made from other views ({printable_line(head.capture)}), now they are {capture}"
+        )
     for name in settings.__struct_fields__:
         before, now = getattr(head.settings, name), getattr(settings, name)
         if before != now and name not in _FREE:
-            raise CheckpointError(f"{file}: made with {name} {before}, now it is {now}")
-    return Checkpoint(head.step, head.seconds, arrays)
+            raise TrainingCheckpointError(f"{file}: made with {name} {before}, now it is {now}")
+    return TrainingCheckpoint(head.step, head.seconds, arrays)

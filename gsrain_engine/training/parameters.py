@@ -17,7 +17,7 @@ Tensor = Any
 
 NAMES = ("means", "log_scales", "quaternions", "opacity_logits", "sh_dc", "sh_rest")
 
-_LEAST_SCALE, _LEAST_OPACITY = 1e-12, 1e-8
+_MIN_SCALE, _MIN_OPACITY = 1e-12, 1e-8
 """What has no logarithm is taken for this."""
 
 
@@ -45,10 +45,10 @@ class SplatParameters:
         sh = np.zeros((len(gaussians), k, 3), np.float64)
         shared = min(k, gaussians.sh.shape[1])
         sh[:, :shared] = gaussians.sh[:, :shared]
-        opacities = np.clip(gaussians.opacities.astype(np.float64), _LEAST_OPACITY, 1 - 2.0**-24)
+        opacities = np.clip(gaussians.opacities.astype(np.float64), _MIN_OPACITY, 1 - 2.0**-24)
         values = {
             "means": gaussians.means,
-            "log_scales": np.log(np.maximum(gaussians.scales.astype(np.float64), _LEAST_SCALE)),
+            "log_scales": np.log(np.maximum(gaussians.scales.astype(np.float64), _MIN_SCALE)),
             "quaternions": gaussians.quaternions,
             "opacity_logits": np.log(opacities) - np.log1p(-opacities),
             "sh_dc": sh[:, :1],

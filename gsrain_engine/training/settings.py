@@ -9,9 +9,9 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from ..datasets.capture import View
-from ..presets import load_values, shipped_names
-from ..safe_io.errors import converted
+from ..datasets.capture import CaptureFrame
+from ..presets import load_values, shipped_config_names
+from ..safe_io.errors import convert_checked
 
 _FOLDER = "reconstruct"
 
@@ -150,10 +150,10 @@ def load_settings(name: str | Path | None = None, **changes: Any) -> TrainingSet
     values = {} if name is None else load_values(_FOLDER, name, "--config")
     changed = {key: value for key, value in changes.items() if value is not None}
     try:
-        converted(values, TrainingSettings)
+        convert_checked(values, TrainingSettings)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
-    return converted(values | changed, TrainingSettings)
+    return convert_checked(values | changed, TrainingSettings)
 
 
 def help_of(name: str) -> str:
@@ -163,7 +163,7 @@ def help_of(name: str) -> str:
 
 
 def settings_names() -> list[str]:
-    return shipped_names(_FOLDER)
+    return shipped_config_names(_FOLDER)
 
 
 # § What changes while a training runs: learning rates, the size of the pictures, the degree of the harmonics.
@@ -181,7 +181,7 @@ _DEGREE_SHARE = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class Schedule:
+class TrainingSchedule:
     """Rates, size and degree by step."""
 
     settings: TrainingSettings
@@ -222,7 +222,7 @@ class Schedule:
         return float(np.clip(1 - (done - 2 / 3) * 3 * 0.9, 0.1, 1))
 
 
-def camera_extent(views: Sequence[View]) -> float:
+def camera_extent(views: Sequence[CaptureFrame]) -> float:
     """Largest distance of a camera from the middle of all, a tenth more; at least 1 (Kerbl et al. 2023, their code)."""
     places = np.array([view.camera.position for view in views])
     spread = float(np.linalg.norm(places - places.mean(axis=0), axis=1).max())

@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, Shaped, UInt8
 
-from ..evaluation.image_metrics import C1, C2, HALF_WINDOW_PX, LEAST_WEIGHT, WINDOW_PX, check_pair, window
-from .data import Level, TrainingView
-from .evaluation import Perceived, Score, score
-from .model import Picture, SplatModel
-from .settings import Schedule, TrainingSettings, view_order
-from .strategy import DensityControl
+from ..evaluation.image_metrics import C1, C2, HALF_WINDOW_PX, MIN_WEIGHT, WINDOW_PX, check_pair, window
+from .data import PyramidLevel, TrainingView
+from .evaluation import PerceptualMetric, RenderScore, score
+from .model import SplatModel, TrainingRender
+from .settings import TrainingSchedule, TrainingSettings, view_order
+from .strategy import Strategy
 
 torch: Any = import_module("torch")
 
@@ -27,7 +27,7 @@ _CONTROL = "control"
 _STAGES = ("reading", "forward", "backward", "optimizer", "density")
 
 
-class Done(NamedTuple):
+class TrainingStepResult(NamedTuple):
     """What one step was like."""
 
     step: int
@@ -40,11 +40,16 @@ class Done(NamedTuple):
     truth: Tensor
 
 
-class Training:
+class Trainer:
     """What a training changes, and how it does. Everything random follows from the seed and the step alone."""
 
     def __init__(
-        self, model: SplatModel, views: Sequence[TrainingView], schedule: Schedule, control: DensityControl, device: str
+        self,
+        model: SplatModel,
+        views: Sequence[TrainingView],
+        schedule: TrainingSchedule,
+        control: Strategy,
+        device: str,
     ) -> None:
         self.model, self.views, self.schedule = model, views, schedule
         self.seconds_by_stage: dict[str, float] = dict.fromkeys(_STAGES, 0.0)
@@ -53,18 +58,18 @@ class Training:
         self._exposures = ExposureAffine(len(views), device) if settings.exposure else None
         self._order = view_order(len(views), settings.steps, settings.seed)
 
-    def step(self, number: int) -> Done:
-        clock = _Clock(self.seconds_by_stage)
+    def step(self, number: int) -> TrainingStepResult:
+        clock = _StageClock(self.seconds_by_stage)
         settings, index = self.schedule.settings, self._order[number]
         view = self.views[index]
         level = view.levels[self.schedule.level(number)]
-        truth = Truth.of(level, self._device)
+        truth = TrainingTarget.of(level, self._device)
         clock.stop("reading")
         self.model.zero_grad()
         picture = self.model.render(level.camera, view.time_s, self.schedule.sh_degree(number))
         shown = picture.color if self._exposures is None else self._exposures.apply(index, picture.color)
         if self.schedule.leaves_out(number):
-            truth = truth._replace(mask=agreeing(shown, truth.image, truth.mask, settings.transients))
+            truth = truth._replace(mask=robust_mask(shown, truth.image, truth.mask, settings.transients))
         loss = view_loss(picture, shown, truth, settings)
         total = loss.total
         if self._exposures is not None:
@@ -81,7 +86,7 @@ class Training:
         generator = torch.Generator().manual_seed(settings.seed * 1_000_003 + number)
         change = self._control.adapt(number, self.model.background, generator)
         clock.stop("density")
-        return Done(number, float(loss.total.detach()), change, shown.detach(), truth.image)
+        return TrainingStepResult(number, float(loss.total.detach()), change, shown.detach(), truth.image)
 
     def render(self, view: TrainingView) -> Float32[np.ndarray, "h w 3"]:
         """Draw the whole model as a view's camera sees it, at full size, with nothing learned."""
@@ -92,9 +97,9 @@ class Training:
     def measure(
         self,
         view: TrainingView,
-        perceived: Perceived | None = None,
+        perceived: PerceptualMetric | None = None,
         rendered: Float32[np.ndarray, "h w 3"] | None = None,
-    ) -> Score:
+    ) -> RenderScore:
         """Compare a render (which is made here unless it is at hand) with a view's photograph."""
         if rendered is None:
             rendered = self.render(view)
@@ -115,7 +120,7 @@ class Training:
         if self._exposures is not None:
             self._exposures.restore(_named(arrays, _EXPOSURES))
 
-    def _move(self, number: int, picture: Picture, *, everything: bool) -> None:
+    def _move(self, number: int, picture: TrainingRender, *, everything: bool) -> None:
         """Do a step of the optimizers: only Gaussians that were drawn move, unless a pull goes to all of them."""
         rates = self.schedule.rates(number)
         drawn = picture.front.footprint.drawn
@@ -129,13 +134,13 @@ class Training:
             self._exposures.step(self.schedule.settings.rates.exposure * self.schedule.settings.haste)
 
 
-def beside(shown: Tensor, truth: Tensor) -> UInt8[np.ndarray, "h w 3"]:
+def comparison_image(shown: Tensor, truth: Tensor) -> UInt8[np.ndarray, "h w 3"]:
     """Put a render and its photograph side by side, as a picture to look at."""
     both = torch.cat([shown, truth], dim=1).clamp(0, 1)
     return (both * 255 + 0.5).to(torch.uint8).cpu().numpy()
 
 
-class _Clock:
+class _StageClock:
     """Adds the time since the last stop to a stage."""
 
     def __init__(self, seconds: dict[str, float]) -> None:
@@ -154,11 +159,11 @@ def _named(arrays: Mapping[str, Shaped[np.ndarray, "..."]], kind: str) -> dict[s
 
 # § What a training makes small for one view: color, depth where it was measured, holes and veils.
 
-_LEAST_ALPHA = 0.05
+_MIN_ALPHA = 0.05
 """Below this there is too little to have a depth."""
 
 
-class Truth(NamedTuple):
+class TrainingTarget(NamedTuple):
     """One level of a view as tensors."""
 
     image: Tensor
@@ -173,7 +178,7 @@ class Truth(NamedTuple):
     """(h, w) bool."""
 
     @classmethod
-    def of(cls, level: Level, device: str) -> "Truth":
+    def of(cls, level: PyramidLevel, device: str) -> "TrainingTarget":
         mask = None if level.mask is None else torch.as_tensor(level.mask, device=device)
         hits, depths = torch.zeros(0, dtype=torch.int64, device=device), torch.zeros(0, device=device)
         if level.depth is not None:
@@ -194,7 +199,7 @@ class Loss(NamedTuple):
     cover: Tensor
 
 
-def view_loss(picture: Picture, shown: Tensor, truth: Truth, settings: TrainingSettings) -> Loss:
+def view_loss(picture: TrainingRender, shown: Tensor, truth: TrainingTarget, settings: TrainingSettings) -> Loss:
     """Compare one render with what was seen.
 
     Color is (1 - s) L1 + s D-SSIM (Kerbl et al. 2023, eq. 7) of `shown`, the render as its camera would have exposed
@@ -210,9 +215,9 @@ def view_loss(picture: Picture, shown: Tensor, truth: Truth, settings: TrainingS
     if len(truth.hits) and (settings.depth or settings.cover):
         alpha = picture.front.alpha.reshape(-1)[truth.hits]
         weighted = picture.front.depth.reshape(-1)[truth.hits]
-        mean = weighted / alpha.clamp_min(_LEAST_ALPHA)
+        mean = weighted / alpha.clamp_min(_MIN_ALPHA)
         error = (mean - truth.depths).abs() / (mean + truth.depths)
-        depth = settings.depth * (error * (alpha.detach() > _LEAST_ALPHA)).mean()
+        depth = settings.depth * (error * (alpha.detach() > _MIN_ALPHA)).mean()
         cover = settings.cover * (1 - alpha).mean()
     if truth.sky is not None and picture.sky is not None and settings.cover:
         sky = truth.sky if truth.mask is None else truth.sky & truth.mask
@@ -254,7 +259,7 @@ def _means(x: Tensor, y: Tensor, weights: Tensor | None) -> tuple[Tensor, ...]:
     values = torch.cat([x, y, x * x + y * y, x * y], dim=2)
     if weights is None:
         return _blurred(values).split(3, dim=2)
-    return (_blurred(values * weights) / _blurred(weights).clamp_min(LEAST_WEIGHT)).split(3, dim=2)
+    return (_blurred(values * weights) / _blurred(weights).clamp_min(MIN_WEIGHT)).split(3, dim=2)
 
 
 def _similarity(means: tuple[Tensor, ...]) -> Tensor:
@@ -299,11 +304,11 @@ def _filtered(values: np.ndarray) -> np.ndarray:
 _WINDOW = 0.03
 """Side of the window that differences are averaged over, in widths of the picture: single pixels prove nothing."""
 
-_LEAST, _TIMES = 0.08, 4.0
+_THRESHOLDS, _TIMES = 0.08, 4.0
 """Difference of colour (0..1) below which nothing is left out, and how many medians it must have."""
 
 
-def agreeing(shown: Tensor, truth: Tensor, mask: Tensor | None, most: float) -> Tensor:
+def robust_mask(shown: Tensor, truth: Tensor, mask: Tensor | None, most: float) -> Tensor:
     """(h, w) bool: the pixels of a mask without the patches where render and picture differ far more than elsewhere.
 
     Robust losses for scenes with distractors do it like this (Sabour et al. 2023, section 3.2), with a quantile; here
@@ -326,7 +331,7 @@ def agreeing(shown: Tensor, truth: Tensor, mask: Tensor | None, most: float) -> 
         mean = mean / part.clamp_min(1e-6)
         ordered = mean[counts].sort().values
         bound = ordered[min(int((1 - most) * len(ordered)), len(ordered) - 1)]
-        limit = torch.maximum(bound, (_TIMES * ordered[len(ordered) // 2]).clamp_min(_LEAST))
+        limit = torch.maximum(bound, (_TIMES * ordered[len(ordered) // 2]).clamp_min(_THRESHOLDS))
         return counts & (mean <= limit)
 
 

@@ -12,7 +12,7 @@ from .parameters import SplatParameters, Tensor
 
 
 @runtime_checkable
-class DensityControl(Protocol):
+class Strategy(Protocol):
     """Watches a training and changes the number of Gaussians in it.
 
     The training calls `observe` after each backward pass and `adapt` after each step of the optimizer, with the same
@@ -57,7 +57,7 @@ _SHRINK = 0.8 * _CHILDREN
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AdaptiveSettings:
+class DefaultStrategySettings:
     """When and where Gaussians come and go; the defaults are those of 3DGS for 30,000 steps."""
 
     extent: float
@@ -72,7 +72,7 @@ class AdaptiveSettings:
     """Mean gradient of the loss by a centre in normalized device units (2 across the picture) that calls for more."""
     split_from: float = 0.01
     """Gaussians larger than this part of the extent are split, smaller ones cloned."""
-    least_opacity: float = 0.005
+    min_opacity: float = 0.005
     split_on_screen: float = 0.08
     """Part of the picture's longer side from which a radius calls for a split, whatever the gradient."""
     largest: float = 0.1
@@ -84,7 +84,7 @@ class AdaptiveSettings:
     reset_to: float = 0.01
 
     @classmethod
-    def for_run(cls, steps: int, extent: float, most: int) -> "AdaptiveSettings":
+    def for_run(cls, steps: int, extent: float, most: int) -> "DefaultStrategySettings":
         """Scale the schedule to a run of so many steps, 30,000 being the paper's.
 
         Opacities need a few hundred steps to come back from a reset: runs of less than 2,000 steps have none.
@@ -100,10 +100,10 @@ class AdaptiveSettings:
         )
 
 
-class AdaptiveDensity:
+class DefaultStrategy:
     """Clones, splits and prunes by the gradients that centres had on screen."""
 
-    def __init__(self, settings: AdaptiveSettings) -> None:
+    def __init__(self, settings: DefaultStrategySettings) -> None:
         self._settings = settings
         self._notes: dict[str, Tensor] = {}
 
@@ -148,7 +148,7 @@ class AdaptiveDensity:
         s = self._settings
         pull = self._notes["pull"] / self._notes["count"].clamp(min=1)
         size = parameters.scales.amax(dim=1)
-        gone = parameters.opacities < s.least_opacity
+        gone = parameters.opacities < s.min_opacity
         if s.reset_every and step > s.reset_every:
             gone |= (size > s.largest * s.extent) | (self._notes["radius"] > s.largest_on_screen)
         room = max(s.most - len(parameters) + int(gone.sum()), 0)
@@ -177,12 +177,12 @@ def _children(parents: dict[str, Tensor], generator: Tensor) -> dict[str, Tensor
     rows = {name: each.repeat((_CHILDREN,) + (1,) * (each.dim() - 1)) for name, each in parents.items()}
     means = rows["means"]
     noise = torch.randn(means.shape, generator=generator, device=generator.device, dtype=means.dtype).to(means.device)
-    rows["means"] = means + rotated(rows["quaternions"], noise * torch.exp(rows["log_scales"]))
+    rows["means"] = means + rotate_vectors(rows["quaternions"], noise * torch.exp(rows["log_scales"]))
     rows["log_scales"] = rows["log_scales"] - float(np.log(_SHRINK))
     return rows
 
 
-def rotated(quaternions: Tensor, vectors: Tensor) -> Tensor:
+def rotate_vectors(quaternions: Tensor, vectors: Tensor) -> Tensor:
     """(n, 3) vectors turned by quaternions (n, 4) wxyz of any length."""
     unit = torch.nn.functional.normalize(quaternions, dim=1)
     w, axis = unit[:, :1], unit[:, 1:]

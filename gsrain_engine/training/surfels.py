@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 from scipy.spatial import KDTree
 
-from ..datasets.capture import View
+from ..datasets.capture import CaptureFrame
 from ..datasets.masks import pixel_rays
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians, sh_from_color
@@ -65,7 +65,7 @@ class Surfels:
 
 
 def surfels_of_view(
-    view: View, depth: Float32[np.ndarray, "h w"], stride: int, wanted: Bool[np.ndarray, "rows columns"]
+    view: CaptureFrame, depth: Float32[np.ndarray, "h w"], stride: int, wanted: Bool[np.ndarray, "rows columns"]
 ) -> Surfels:
     """Make one disc for each wanted cell of stride x stride pixels that has a depth, in the cell's middle.
 
@@ -82,7 +82,7 @@ def surfels_of_view(
     rows, columns, v, u = rows[there], columns[there], v[there], u[there]
     rays = pixel_rays(view.camera)[v, u]
     z = depth[v, u][:, None]
-    across, down = slopes(depth)
+    across, down = depth_slopes(depth)
     step = np.array([1 / view.camera.fx, 1 / view.camera.fy], np.float32)
     rotation = view.camera.world_to_camera[:3, :3].astype(np.float32)
     # One pixel further the place is (z + dz) (ray + dray) - z ray; the slope is relative: dz = z * slope.
@@ -93,7 +93,7 @@ def surfels_of_view(
     return Surfels(eye + z * rays, np.stack([first, second], axis=1) * np.float32(stride), colors)
 
 
-def slopes(depth: Float32[np.ndarray, "h w"]) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
+def depth_slopes(depth: Float32[np.ndarray, "h w"]) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
     """Relative change of depth a pixel, across and down; 0 at edges and where nothing is.
 
     Of both neighbours the one counts whose inverse depth, which is linear on planes, is nearer.
@@ -114,7 +114,7 @@ def slopes(depth: Float32[np.ndarray, "h w"]) -> tuple[Float32[np.ndarray, "h w"
     return found[0], found[1]
 
 
-def cells(camera: Camera, stride: int) -> tuple[int, int]:
+def grid_shape(camera: Camera, stride: int) -> tuple[int, int]:
     """How many rows and columns of cells a picture has."""
     return -(-camera.height // stride), -(-camera.width // stride)
 
@@ -137,7 +137,7 @@ LONGEST = 0.1
 Gaussian's middle (Zwicker et al. 2001, section 6.2): a piece of road that reaches past a camera would smear the sky."""
 
 
-def shortened(gaussians: Gaussians, way: Float64[np.ndarray, "p 3"], most: int) -> Gaussians:
+def split_long_gaussians(gaussians: Gaussians, way: Float64[np.ndarray, "p 3"], most: int) -> Gaussians:
     """Replace each that is too long by a row of shorter ones along its longest axis, which cover its step.
 
     Args:
@@ -175,7 +175,7 @@ _LONGEST = 0.5
 """Of a stretch, over the usual depth of what cameras see: so far they see that the way is free."""
 
 
-def camera_way(views: Sequence[View], usual_depth: float) -> Float64[np.ndarray, "p 3"]:
+def camera_trajectory(views: Sequence[CaptureFrame], usual_depth: float) -> Float64[np.ndarray, "p 3"]:
     """Places of the cameras in the capture's world, and some more between each two pictures of a sensor.
 
     Args:
@@ -222,7 +222,7 @@ def projected(
 
 def point_colors(
     points: Float32[np.ndarray, "p 3"] | Float64[np.ndarray, "p 3"],
-    views: Sequence[View],
+    views: Sequence[CaptureFrame],
     depths: Sequence[Float32[np.ndarray, "_ _"]],
     most_views: int = 8,
 ) -> tuple[Float32[np.ndarray, "p 3"], Bool[np.ndarray, " p"]]:

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import msgspec
 
-from ..datasets.capture import Capture, CaptureError, readable_pictures
+from ..datasets.capture import Capture, CaptureError, readable_images
 from ..datasets.image_override import with_images
-from ..datasets.layout_hints import nearest_kind
+from ..datasets.layout_hints import nearest_layout
 from ..datasets.masks import read_camera_masks, with_camera_masks
 from ..datasets.open_capture import open_capture
 from ..scene.files import shortened
-from .evaluation import held_out_indices
+from .evaluation import validation_indices
 from .settings import TrainingSettings
 
 
@@ -45,13 +45,13 @@ class ReconstructionTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
 
     def read(self) -> Capture:
         """Read the capture; raises `CaptureError`, also where there is nothing to learn from."""
-        capture = readable_pictures(open_capture(self.capture, allow_outside=self.allow_outside))
+        capture = readable_images(open_capture(self.capture, allow_outside=self.allow_outside))
         if self.images is not None:
             capture = with_images(capture, self.images)
         if self.masks is not None:
             capture = replace(capture, views=with_camera_masks(capture.views, read_camera_masks(self.masks)))
         if not capture.has_poses:
-            near = nearest_kind(self.capture)
+            near = nearest_layout(self.capture)
             nearest = f"; nearest to this one is {near}" if near is not None else ""
             told = "nothing tells where the cameras stood; let COLMAP find it, and give its folder"
             raise CaptureError(f"{self.capture}: {told}{nearest}")
@@ -65,7 +65,7 @@ class ReconstructionTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     def held_out(self, capture: Capture) -> list[int]:
         """Which views of the capture are kept for measuring."""
         settings = self.settings
-        return held_out_indices([view.name for view in capture], settings.held_out, settings.held_out_views)
+        return validation_indices([view.name for view in capture], settings.held_out, settings.held_out_views)
 
     def fingerprint(self, capture: Capture) -> str:
         """Tell captures apart: a checkpoint goes on with the views that it was made from."""

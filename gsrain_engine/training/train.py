@@ -13,28 +13,35 @@ import msgspec
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
-from ..datasets.capture import Capture, CaptureError, View
-from ..datasets.depth_maps import KnownDepth, known_depth
+from ..datasets.capture import Capture, CaptureError, CaptureFrame
+from ..datasets.depth_maps import DepthPriors, depth_priors
 from ..datasets.masks import moving_boxes, static_mask
 from ..evaluation.lpips import Lpips
 from ..evaluation.lpips_weights import find_lpips_weights, read_lpips_weights
-from ..evaluation.report import Curve, RunReport, write_report
-from ..evaluation.report_charts import Comparison
+from ..evaluation.report import ReportCurve, RunReport, write_report
+from ..evaluation.report_charts import ImageComparison
 from ..scene.formats.scene_files import write_scene
 from ..scene.gaussians import Gaussians
 from ..scene.progress import Progress
-from .data import TrainingView, prepared_views
-from .ego_mask import without_ego
-from .evaluation import Perceived, Score, TrainingCurves, mean_of
-from .free_space import ClearedDensity, FreeSpace
+from .data import TrainingView, training_views
+from .ego_mask import mask_ego_vehicle
+from .evaluation import PerceptualMetric, RenderScore, TrainingCurves, mean_of
+from .free_space import FreeSpaceCarving, FreeSpaceStrategy
 from .init import actor_layers, initial_gaussians, initial_sky
-from .mcmc import MonteCarloDensity, MonteCarloSettings
-from .model import Checkpoint, CheckpointError, SplatModel, read_checkpoint, scene_of, write_checkpoint
+from .mcmc import MCMCSettings, MCMCStrategy
+from .model import (
+    SplatModel,
+    TrainingCheckpoint,
+    TrainingCheckpointError,
+    read_training_checkpoint,
+    scene_of,
+    write_training_checkpoint,
+)
 from .parameters import SplatParameters
-from .settings import Schedule, TrainingSettings, camera_extent
-from .step import Done, Training, beside
-from .strategy import AdaptiveDensity, AdaptiveSettings, DensityControl
-from .surfels import camera_way
+from .settings import TrainingSchedule, TrainingSettings, camera_extent
+from .step import Trainer, TrainingStepResult, comparison_image
+from .strategy import DefaultStrategy, DefaultStrategySettings, Strategy
+from .surfels import camera_trajectory
 from .task import ReconstructionTask
 
 logger = logging.getLogger("gsrain")
@@ -42,7 +49,7 @@ logger = logging.getLogger("gsrain")
 _STARTED, _TRAINED = 0.04, 0.95
 """Shares of the whole work after which training begins, and is over."""
 
-_SHOWN_EVERY_S = 2.0
+_PREVIEW_INTERVAL_S = 2.0
 
 _QUICK_VIEWS = 4
 """So many held-out views are looked at while training; all of them in the end."""
@@ -56,7 +63,7 @@ _BEFORE = "before"
 
 
 @dataclass(frozen=True, slots=True)
-class OwnBody:
+class EgoMaskReport:
     """The search for the vehicle's own body in the pictures, for the record."""
 
     searched: bool
@@ -66,7 +73,7 @@ class OwnBody:
     """By camera, which part (0..1) of its pictures the body covers; cameras without any are not listed."""
 
     @classmethod
-    def planned(cls, capture: Capture, own_body: bool | None) -> "OwnBody":
+    def planned(cls, capture: Capture, own_body: bool | None) -> "EgoMaskReport":
         """Decide by the setting, else by the capture: only a vehicle that drives has a body in its pictures."""
         if own_body is not None:
             return cls(own_body, "asked for" if own_body else "not asked for")
@@ -85,10 +92,10 @@ class OwnBody:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MeasuredPicture:
+class MeasuredRender:
     """A render beside its photograph."""
 
-    score: Score
+    score: RenderScore
     rendered: Float32[np.ndarray, "h w 3"]
     truth: UInt8[np.ndarray, "h w 3"]
     seen: Bool[np.ndarray, "h w"] | None
@@ -97,7 +104,7 @@ class MeasuredPicture:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reconstruction:
+class TrainingReport:
     """What came out, and how it was made."""
 
     capture: Capture
@@ -106,20 +113,20 @@ class Reconstruction:
     seconds: float
     """From the first picture read to the last step; over all runs where it was resumed."""
     curves: TrainingCurves
-    before: tuple[Score, ...]
+    before: tuple[RenderScore, ...]
     """Held-out views before the first step."""
-    pictures: tuple[MeasuredPicture, ...]
+    pictures: tuple[MeasuredRender, ...]
     """All held-out views, and some that were learned from."""
     seconds_by_stage: dict[str, float]
-    own_body: OwnBody
+    own_body: EgoMaskReport
 
     @property
-    def held_out(self) -> list[Score]:
+    def held_out(self) -> list[RenderScore]:
         """Scores of the views that the training never saw."""
         return [each.score for each in self.pictures if each.is_held_out]
 
     @property
-    def learned(self) -> list[Score]:
+    def learned(self) -> list[RenderScore]:
         return [each.score for each in self.pictures if not each.is_held_out]
 
     @property
@@ -147,7 +154,7 @@ class Reconstruction:
         }
 
 
-def reconstruct(task: ReconstructionTask, opened: Capture | None = None) -> Generator[Progress, None, Reconstruction]:
+def reconstruct(task: ReconstructionTask, opened: Capture | None = None) -> Generator[Progress, None, TrainingReport]:
     """Fit Gaussians to a capture (the task's, unless one is at hand) and write the scene, and the report if asked for.
 
     Yields:
@@ -161,7 +168,7 @@ def reconstruct(task: ReconstructionTask, opened: Capture | None = None) -> Gene
     capture = task.read() if opened is None else opened
     began = time.perf_counter()
     started = yield from start_training(capture, task.settings, task.held_out(capture), task.lpips)
-    learning = _Learning(task, capture, started, began)
+    learning = _TrainingLoop(task, capture, started, began)
     yield from learning.resume() if task.resume else learning.look_before()
     yield from learning.learn()
     result = yield from learning.measure()
@@ -177,25 +184,25 @@ def reconstruct(task: ReconstructionTask, opened: Capture | None = None) -> Gene
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StartedTraining:
+class PreparedTraining:
     """A training that has done no step yet."""
 
-    training: Training
+    training: Trainer
     held_out: list[TrainingView]
     """Views that it does not learn from."""
-    perceived: Perceived | None
-    own_body: "OwnBody"
+    perceived: PerceptualMetric | None
+    own_body: "EgoMaskReport"
 
 
-class _Learning:
+class _TrainingLoop:
     """One training from its first step to its last, with what is noted on the way."""
 
-    def __init__(self, task: ReconstructionTask, capture: Capture, started: StartedTraining, began: float) -> None:
+    def __init__(self, task: ReconstructionTask, capture: Capture, started: PreparedTraining, began: float) -> None:
         self._task, self._capture, self._began = task, capture, began
         self._settings, self._training = task.settings, started.training
         self._held, self._perceived, self._own_body = started.held_out, started.perceived, started.own_body
         self._first, self._curves = 0, TrainingCurves()
-        self._before: tuple[Score, ...] = ()
+        self._before: tuple[RenderScore, ...] = ()
         self._shown_at = -np.inf
 
     def look_before(self) -> Generator[Progress]:
@@ -206,13 +213,13 @@ class _Learning:
     def resume(self) -> Generator[Progress]:
         file = self._task.checkpoint
         yield Progress(_STARTED, f"Reading {file.name}")
-        checkpoint = read_checkpoint(file, self._settings, self._task.fingerprint(self._capture))
+        checkpoint = read_training_checkpoint(file, self._settings, self._task.fingerprint(self._capture))
         try:
             self._training.restore(checkpoint.arrays)
             self._curves = TrainingCurves.restored(checkpoint.arrays)
             self._before = _scores(self._held, checkpoint.arrays[_BEFORE])
         except KeyError as error:
-            raise CheckpointError(f"{file}: holds no {error}; begin anew without --resume") from None
+            raise TrainingCheckpointError(f"{file}: holds no {error}; begin anew without --resume") from None
         self._first = checkpoint.step
         self._began -= checkpoint.seconds
 
@@ -239,22 +246,22 @@ class _Learning:
         logger.info("%s, %.0f s", told, self._seconds)
         return self._said(number, told)
 
-    def measure(self) -> Generator[Progress, None, Reconstruction]:
+    def measure(self) -> Generator[Progress, None, TrainingReport]:
         """Measure all held-out views, and some that were learned from."""
         seconds = self._seconds
         learned = _spread(self._training.views, _LEARNED_VIEWS)
         chosen = [(view, True) for view in self._held] + [(view, False) for view in learned]
-        pictures: list[MeasuredPicture] = []
+        pictures: list[MeasuredRender] = []
         for view, is_held_out in chosen:
             rendered = self._training.render(view)
             score = self._training.measure(view, self._perceived, rendered)
-            pictures.append(MeasuredPicture(score, rendered, view.levels[0].image, view.seen, is_held_out))
+            pictures.append(MeasuredRender(score, rendered, view.levels[0].image, view.seen, is_held_out))
             fraction = _TRAINED + (0.98 - _TRAINED) * len(pictures) / len(chosen)
             yield Progress(fraction, f"{view.name}: {score.psnr_db:.2f} dB{'' if is_held_out else ', learned from'}")
         held = [each.score for each in pictures if each.is_held_out]
         if held:
             self._curves.measured(self._settings.steps, mean_of(held, "psnr_db") or 0.0)
-        return Reconstruction(
+        return TrainingReport(
             self._capture, self._settings, self._training.model.count, seconds, self._curves, self._before,
             tuple(pictures), dict(self._training.seconds_by_stage), self._own_body,
         )  # fmt: skip
@@ -263,10 +270,10 @@ class _Learning:
     def _seconds(self) -> float:
         return time.perf_counter() - self._began
 
-    def _told(self, done: Done) -> Progress:
+    def _told(self, done: TrainingStepResult) -> Progress:
         now, preview = time.perf_counter(), None
-        if now - self._shown_at > _SHOWN_EVERY_S:
-            self._shown_at, preview = now, beside(done.shown, done.truth)
+        if now - self._shown_at > _PREVIEW_INTERVAL_S:
+            self._shown_at, preview = now, comparison_image(done.shown, done.truth)
         message = f"Step {done.step + 1:,} of {self._settings.steps:,}: loss {self._curves.recent_loss():.4f}, "
         message += f"{self._training.model.count:,} Gaussians"
         return self._said(done.step, f"{message} ({done.change})" if done.change else message, preview)
@@ -275,7 +282,7 @@ class _Learning:
         done = (number + 1) / self._settings.steps
         return Progress(_STARTED + (_TRAINED - _STARTED) * done, message, preview)
 
-    def _note(self, steps: int, scores: Sequence[Score]) -> None:
+    def _note(self, steps: int, scores: Sequence[RenderScore]) -> None:
         mean = mean_of(scores, "psnr_db")
         if mean is not None:
             self._curves.measured(steps, mean)
@@ -285,12 +292,12 @@ class _Learning:
         file.parent.mkdir(parents=True, exist_ok=True)
         before = np.array([[each.psnr_db, each.ssim, each.psnr_exposed_db] for each in self._before]).reshape(-1, 3)
         arrays = self._training.state() | self._curves.state() | {_BEFORE: before}
-        checkpoint = Checkpoint(steps, self._seconds, arrays)
-        write_checkpoint(file, checkpoint, self._settings, self._task.fingerprint(self._capture))
+        checkpoint = TrainingCheckpoint(steps, self._seconds, arrays)
+        write_training_checkpoint(file, checkpoint, self._settings, self._task.fingerprint(self._capture))
 
 
-def _scores(views: Sequence[TrainingView], figures: np.ndarray) -> tuple[Score, ...]:
-    return tuple(Score(view.name, *row) for view, row in zip(views, figures.tolist(), strict=True))
+def _scores(views: Sequence[TrainingView], figures: np.ndarray) -> tuple[RenderScore, ...]:
+    return tuple(RenderScore(view.name, *row) for view, row in zip(views, figures.tolist(), strict=True))
 
 
 def _is_due(every: int, number: int, steps: int) -> bool:
@@ -311,17 +318,17 @@ _INITIAL_SHARE = 0.7
 
 def start_training(
     capture: Capture, settings: TrainingSettings, held_out: Sequence[int], lpips: Path | None = None
-) -> Generator[Progress, None, StartedTraining]:
+) -> Generator[Progress, None, PreparedTraining]:
     """Make everything ready. Held-out views help to tell what colour the sky has and where the own body is; no more."""
     device = _device(settings.device)
     yield Progress(0.0, f"Reading {len(capture)} pictures")
-    views = prepared_views(capture, settings.width_px)
+    views = training_views(capture, settings.width_px)
     yield Progress(0.005, "Looking for surfaces and sky")
-    known = known_depth(capture, views)
-    own_body = OwnBody.planned(capture, settings.own_body)
+    known = depth_priors(capture, views)
+    own_body = EgoMaskReport.planned(capture, settings.own_body)
     if own_body.searched:
         yield Progress(0.012, "Looking for the vehicle's own body")
-        views, shares = without_ego(views, known.completed)
+        views, shares = mask_ego_vehicle(views, known.completed)
         own_body = replace(own_body, shares=shares)
     learned = [index for index in range(len(views)) if index not in set(held_out)]
     yield Progress(0.015, "Placing the first Gaussians")
@@ -338,24 +345,24 @@ def start_training(
     ]
     if capture.boxes:  # they tell what moves
         settings = msgspec.structs.replace(settings, transients=0.0)
-    schedule = Schedule(settings, camera_extent([views[i] for i in learned]))
+    schedule = TrainingSchedule(settings, camera_extent([views[i] for i in learned]))
     control = _control(settings, schedule)
     own, own_views = known.of(learned), [views[i] for i in learned]
-    way = camera_way(own_views, own.usual)
-    free = FreeSpace.of([view.camera for view in own_views], own.measured, way, settings.free_space)
+    way = camera_trajectory(own_views, own.usual)
+    free = FreeSpaceCarving.of([view.camera for view in own_views], own.measured, way, settings.free_space)
     if free is not None and settings.free_space:
-        control = ClearedDensity(control, free, settings.steps)
-    training = Training(model, [ready[i] for i in learned], schedule, control, device)
+        control = FreeSpaceStrategy(control, free, settings.steps)
+    training = Trainer(model, [ready[i] for i in learned], schedule, control, device)
     if not capture.is_metric:
         logger.info(
             "%s: nothing tells how long a metre is; set the scene's scale before it rains (in the window, or by "
             "gsrain convert --metres-per-unit)", capture.name,
         )  # fmt: skip
-    return StartedTraining(training, [ready[i] for i in held_out], _perceived(lpips, device), own_body)
+    return PreparedTraining(training, [ready[i] for i in held_out], _perceived(lpips, device), own_body)
 
 
 def _model(
-    capture: Capture, settings: TrainingSettings, views: Sequence[View], known: KnownDepth, device: str
+    capture: Capture, settings: TrainingSettings, views: Sequence[CaptureFrame], known: DepthPriors, device: str
 ) -> SplatModel:
     """First Gaussians of everything, from the views that are learned from."""
     budget = max(round(_INITIAL_SHARE * settings.gaussians), 1)
@@ -380,17 +387,17 @@ def _device(asked: str) -> str:
     return "cuda" if usable and asked != "cpu" else "cpu"
 
 
-def _control(settings: TrainingSettings, schedule: Schedule) -> DensityControl:
+def _control(settings: TrainingSettings, schedule: TrainingSchedule) -> Strategy:
     if settings.density == "adaptive":
-        return AdaptiveDensity(AdaptiveSettings.for_run(settings.steps, schedule.extent, settings.gaussians))
+        return DefaultStrategy(DefaultStrategySettings.for_run(settings.steps, schedule.extent, settings.gaussians))
 
     def means_rate(step: int) -> float:
         return schedule.rates(step)["means"]
 
-    return MonteCarloDensity(MonteCarloSettings.for_run(settings.steps, settings.gaussians, means_rate))
+    return MCMCStrategy(MCMCSettings.for_run(settings.steps, settings.gaussians, means_rate))
 
 
-def _perceived(lpips: Path | None, device: str) -> Perceived | None:
+def _perceived(lpips: Path | None, device: str) -> PerceptualMetric | None:
     """LPIPS with VGG16 from a file, or from this machine; None where nothing is asked for and there is none."""
     try:
         weights = find_lpips_weights("vgg") if lpips is None else read_lpips_weights(lpips)
@@ -407,7 +414,7 @@ _SMOOTHED_STEPS = 25
 """Each step learns from another view: single losses jump."""
 
 
-def write_training_report(file: Path, result: Reconstruction) -> None:
+def write_training_report(file: Path, result: TrainingReport) -> None:
     shown = [each for each in result.pictures if each.is_held_out] or list(result.pictures)
     report = RunReport(
         f"Reconstruction of {result.capture.name}",
@@ -421,30 +428,30 @@ def write_training_report(file: Path, result: Reconstruction) -> None:
     write_report(file, report)
 
 
-def _comparison(each: MeasuredPicture) -> Comparison:
+def _comparison(each: MeasuredRender) -> ImageComparison:
     truth = each.truth.astype(np.float32) / 255
     name = each.score.name if each.is_held_out else f"{each.score.name} (learned from)"
-    compared = Comparison.measured(name, np.clip(each.rendered, 0, 1), truth, each.seen)
+    compared = ImageComparison.measured(name, np.clip(each.rendered, 0, 1), truth, each.seen)
     return replace(compared, lpips=each.score.lpips)
 
 
-def _curves(result: Reconstruction) -> tuple[Curve, ...]:
+def _curves(result: TrainingReport) -> tuple[ReportCurve, ...]:
     curves = result.curves
     steps, times = np.arange(1, len(curves.losses) + 1), np.array(curves.seconds)
     window = min(_SMOOTHED_STEPS, max(len(steps), 1))
     smooth = np.convolve(curves.losses, np.full(window, 1 / window), "valid")
     found = [
-        Curve("loss", steps[window - 1 :], smooth, times[window - 1 :], is_logarithmic=True),
-        Curve("Gaussians", steps, np.array(curves.counts, np.float64), times),
+        ReportCurve("loss", steps[window - 1 :], smooth, times[window - 1 :], is_logarithmic=True),
+        ReportCurve("Gaussians", steps, np.array(curves.counts, np.float64), times),
     ]
     if curves.measured_steps:
         at = np.array(curves.measured_steps)
         when = np.concatenate([[0.0], times])[at]
-        found.insert(1, Curve("held-out PSNR", at, np.array(curves.measured_db), when, "dB"))
+        found.insert(1, ReportCurve("held-out PSNR", at, np.array(curves.measured_db), when, "dB"))
     return tuple(found)
 
 
-def _headlines(result: Reconstruction) -> dict[str, str]:
+def _headlines(result: TrainingReport) -> dict[str, str]:
     lines = {
         "Gaussians": f"{result.gaussians:,}",
         "Time": f"{result.seconds / 60:.1f} min",

@@ -9,8 +9,8 @@ from PIL import Image
 from app.main import BAD_INPUT, run
 from gsrain_engine.disdrometer.netcdf import write_spectra
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.properties import rain_state
-from gsrain_engine.rain.settings import Rain
+from gsrain_engine.rain.properties import rain_properties
+from gsrain_engine.rain.settings import RainSettings
 from measured_rain import measured_rain
 from parsivel_text import rain, station_line, velocity_major
 
@@ -56,7 +56,9 @@ def test_the_calibration_can_rain(files, tmp_path):
     out = tmp_path / "cal.yaml"
     assert calibrate(files, out, "--resamples", "0", "--name", "mine") == 0
     assert load_calibration(str(out)).name == "mine"
-    assert rain_state(Rain(intensity_mm_h=3.0), load_calibration(str(out))).implied_mm_h == pytest.approx(3)
+    assert rain_properties(RainSettings(intensity_mm_h=3.0), load_calibration(str(out))).implied_mm_h == pytest.approx(
+        3
+    )
 
 
 @pytest.mark.parametrize(

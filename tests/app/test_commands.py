@@ -293,11 +293,11 @@ def test_doctor_tests_the_order_of_splats(tmp_path, monkeypatch, capsys):
 
     def wrong(context, count):
         sorted_counts.append(count)
-        return sort.OrderCheck(count, missing=9_239, inversions=0, changed=12)
+        return sort.SortCheck(count, missing=9_239, inversions=0, changed=12)
 
     sorted_counts = []
     monkeypatch.setattr("gsrain_engine.render.opengl.context.is_software", lambda context: False)
-    monkeypatch.setattr(sort, "check_order", wrong)
+    monkeypatch.setattr(sort, "check_sort", wrong)
     capsys.readouterr()
     assert run(["doctor", "--json", str(tmp_path / "wrong.json")]) == 1
     (line,) = [line for line in capsys.readouterr().out.splitlines() if name in line]

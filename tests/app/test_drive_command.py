@@ -140,7 +140,7 @@ def test_a_start_inside_of_the_scene_says_what_to_look_at(scenario, tmp_path, ca
 
 
 def test_an_agent_that_cannot_be_is_told_before_the_scene_is_read(scenario, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("app.drive.open_to_draw", lambda name: pytest.fail("the scene was read"))
+    monkeypatch.setattr("app.drive.load_sorted_scene", lambda name: pytest.fail("the scene was read"))
     assert drive(scenario, "--agent", "http", "-o", tmp_path / "out") == BAD_INPUT
     assert "agent http: say where it listens" in capsys.readouterr().err
 

@@ -60,7 +60,7 @@ def test_sequences_are_read_by_rising_intensity(real):
     np.testing.assert_allclose(camera.world_to_camera[:3, :3] @ [1, 0, 0], [0, 0, 1], atol=1e-12)
     np.testing.assert_allclose(light.distortion, (-0.4, 0.05, -0.006, 0.007, 0.25))
     np.testing.assert_allclose(light.times_s, 0.1 * np.arange(FRAMES), atol=1e-6)
-    assert abs(int(light.grey(3)[100, 102]) - 65) < 6
+    assert abs(int(light.gray_image(3)[100, 102]) - 65) < 6
     capture = light.capture([2, 5])
     assert [view.name for view in capture] == ["image_002", "image_005"]
     assert capture[1].time_s == pytest.approx(0.5)
@@ -154,5 +154,5 @@ def test_real_sequences_are_read(test_data):
         pytest.skip(f"no RainSense at {folder}")
     sequences = find_rain_sequences(folder)
     assert [each.intensity_mm_h for each in sequences] == [0, 1.376, 2.654, 4.75, 9.245]
-    assert sequences[-1].grey(0).shape == (1080, 1920)
+    assert sequences[-1].gray_image(0).shape == (1080, 1920)
     assert sequences[-1].camera.fx == pytest.approx(1916.124)

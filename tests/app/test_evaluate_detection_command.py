@@ -11,7 +11,7 @@ from PIL import Image
 from app.main import BAD_INPUT, run
 from boxy_scene import boxy_scene
 from colmap_files import write_binary, write_pictures
-from gsrain_engine.datasets.capture import View
+from gsrain_engine.datasets.capture import CaptureFrame
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.evaluation.detection.detector import Detector
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
@@ -236,7 +236,7 @@ def test_a_reconstruction_is_tried_beside_its_pictures(project, detector, tmp_pa
     camera = rig_camera(scene, "one", "FRONT", 0.0)
     pictures = np.zeros((480, 960, 3), np.uint8)
     pictures[:] = 120, 20, 20
-    list(write_views(tmp_path / "taken", [View("first", camera, pictures)]))
+    list(write_views(tmp_path / "taken", [CaptureFrame("first", camera, pictures)]))
     truth = {
         "images": [{"id": 1, "file_name": "first.png"}],
         "categories": [{"id": 3, "name": "car"}],

@@ -54,11 +54,11 @@ def transfers(tmp_path, told, *options):
 def test_ablations_of_a_tiny_model_become_table_and_figure(tmp_path, capsys):
     pytest.importorskip("diffusers")
     from gsrain_engine.appearance.cyclegan_turbo.lora import LoraRanks
-    from gsrain_engine.appearance.cyclegan_turbo.model import build, tiny
+    from gsrain_engine.appearance.cyclegan_turbo.model import build_random_model, tiny
     from gsrain_engine.appearance.cyclegan_turbo.weights import save_weights
 
     weights, out = tmp_path / "tiny.safetensors", tmp_path / "out"
-    save_weights(build(tiny(), True, LoraRanks(2, 2)), weights)
+    save_weights(build_random_model(tiny(), True, LoraRanks(2, 2)), weights)
     learned = {"method": "cyclegan-turbo", "weights": str(weights), "side_px": 64}
     ablations = [
         {"name": "ours", **learned},

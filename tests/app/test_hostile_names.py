@@ -22,10 +22,10 @@ from app.progress import followed, progress_bar
 from drive.sweeps.small_sweep import write_road, write_scenario
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.evaluation.report import ReportTable, RunReport, report_page
-from gsrain_engine.safe_io.text_files import escaped, figure_words
+from gsrain_engine.safe_io.text_files import escape_invisible, figure_words
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.progress import Progress
-from gsrain_engine.scene.scene import Actor, Track
+from gsrain_engine.scene.scene import Actor, PoseTrack
 from small_scene import small_scene
 
 NAME = "\x1b]0;owned\x07\u202e[red][/x]\nOK\u2066"
@@ -52,7 +52,7 @@ def place(tmp_path: Path) -> Path:
 
 def _scene(place: Path) -> Path:
     scene = small_scene(NAME)
-    track = Track(np.arange(2.0), np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)), np.ones(2, bool))
+    track = PoseTrack(np.arange(2.0), np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)), np.ones(2, bool))
     layers = tuple(replace(each, name=f"{each.name} {NAME}") for each in scene.layers)
     actor = Actor(f"id {NAME}", f"class {NAME}", (4.0, 2.0, 1.5), scene.layers[0].gaussians, track)
     rigs = {f"rig {NAME}": tuple(replace(each, name=f"camera {NAME}") for each in scene.rigs["one"])}
@@ -314,5 +314,7 @@ def test_a_figure_takes_no_name_for_a_formula():
 
 
 def test_what_is_escaped():
-    assert escaped("Zürich 東京　1, naïve") == "Zürich 東京　1, naïve"
-    assert escaped("a\tb\r\x00\x9b\u200f\u2069\u2028\ufeff") == "a\\tb\\r\\x00\\x9b\\u200f\\u2069\\u2028\\ufeff"
+    assert escape_invisible("Zürich 東京　1, naïve") == "Zürich 東京　1, naïve"
+    assert (
+        escape_invisible("a\tb\r\x00\x9b\u200f\u2069\u2028\ufeff") == "a\\tb\\r\\x00\\x9b\\u200f\\u2069\\u2028\\ufeff"
+    )

@@ -13,7 +13,7 @@ from app.main import BAD_INPUT, run
 from colmap_files import write_binary, write_pictures
 from datasets.test_capture_folder import views as capture_views
 from gsrain_engine.datasets.capture_folder import write_views
-from gsrain_engine.editor.files import read_opened
+from gsrain_engine.editor.files import load_document
 from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
 
@@ -108,7 +108,7 @@ def test_the_folder_that_street_writes_is_scene_and_capture(tmp_path: Path, caps
     assert numbers["views"] == 2 and numbers["gaussians"] == small_scene().gaussian_count
     still = ["render", str(tmp_path / "town"), "-o", str(tmp_path / "a.png"), "--size", "32x24", "--backend", "cpu"]
     assert run(still) == 0
-    opened = read_opened(str(tmp_path / "town"))
+    opened = load_document(str(tmp_path / "town"))
     assert opened.home == (tmp_path / "town" / "scene").resolve() and opened.scene.name == "town"
     shutil.rmtree(tmp_path / "town" / "images")
     assert run(["info", str(tmp_path / "town")]) == 0

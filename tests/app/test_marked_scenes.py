@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from app.main import run
-from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from small_scene import small_scene
 
@@ -17,7 +17,7 @@ def marked(tmp_path):
     """944 Gaussians: of the road's 400, 100 are deleted, and 50 of those and 30 others hidden."""
     scene = small_scene()
     numbers = np.arange(400)
-    marks = Marks(deleted=Mask.of(numbers < 100), hidden=Mask.of((numbers >= 50) & (numbers < 130)))
+    marks = SelectionFlags(deleted=BitMask.of(numbers < 100), hidden=BitMask.of((numbers >= 50) & (numbers < 130)))
     write_scene(replace(scene, layers=(replace(scene.layers[0], marks=marks), *scene.layers[1:])), tmp_path / "marked")
     return tmp_path / "marked"
 

@@ -50,7 +50,7 @@ assert "pyglet" not in sys.modules
 
 def test_a_library_that_can_t_be_loaded_is_one_sentence(monkeypatch, capsys):
     missing = "libGL.so.1: cannot open shared object file"
-    monkeypatch.setattr("app.scene.open_scene", lambda name: (_ for _ in ()).throw(ImportError(missing)))
+    monkeypatch.setattr("app.scene.load_scene", lambda name: (_ for _ in ()).throw(ImportError(missing)))
     assert run(["info", "street"]) == BAD_INPUT
     said = capsys.readouterr().err
     assert said == f"gsrain: a library can't be loaded: {missing}; gsrain doctor says what is missing\n"

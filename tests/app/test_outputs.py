@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from app.main import BAD_INPUT, app, run
-from app.options import check_scene_folder, check_writable, report_beside
+from app.options import check_scene_folder, check_writable, report_path
 from gsrain_engine.scene.files import file_word, name_problem, shortened
 
 OUTPUTS = {
@@ -164,6 +164,6 @@ def test_a_folder_that_takes_no_file_is_named() -> None:
 
 
 def test_a_report_lies_beside_its_scene() -> None:
-    assert name_problem(report_beside(Path("s" * 255), None)) is None
-    assert report_beside(Path("a/scene"), None) == Path("a/scene.report.html")
-    assert report_beside(Path("a/scene"), Path("b.html")) == Path("b.html")
+    assert name_problem(report_path(Path("s" * 255), None)) is None
+    assert report_path(Path("a/scene"), None) == Path("a/scene.report.html")
+    assert report_path(Path("a/scene"), Path("b.html")) == Path("b.html")

@@ -6,7 +6,7 @@ import pytest
 
 from app.main import run
 from colmap_files import cut_rows
-from gsrain_engine.datasets.capture import View
+from gsrain_engine.datasets.capture import CaptureFrame
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.editor.jobs import training
@@ -21,7 +21,7 @@ def files(tmp_path_factory) -> Path:
     clear, _, targets = street_and_pictures()
     write_scene(clear, folder / "clear")
     views = [
-        View(f"v{i}", each.camera, np.rint(each.image * 255).astype(np.uint8), each.time_s)
+        CaptureFrame(f"v{i}", each.camera, np.rint(each.image * 255).astype(np.uint8), each.time_s)
         for i, each in enumerate(targets)
     ]
     list(write_views(folder / "capture", views))

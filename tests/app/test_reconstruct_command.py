@@ -14,7 +14,7 @@ from app.main import run
 from colmap_files import cut_rows, write_undistorted
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.scene.formats.scene_files import read_scene
-from gsrain_engine.training.train import OwnBody
+from gsrain_engine.training.train import EgoMaskReport
 from reconstruct.drive_capture import drive_capture
 from small_capture import small_capture
 
@@ -74,10 +74,10 @@ def test_pictures_may_have_different_sizes(photos: Path, tmp_path: Path, capsys:
 
 def test_the_own_body_is_looked_for_in_a_drive(capture: Path, tmp_path: Path) -> None:
     drive = small_capture()
-    assert OwnBody.planned(drive, None).searched and drive.ego is not None
-    assert not OwnBody.planned(replace(drive, ego=None), None).searched
-    assert not OwnBody.planned(drive, False).searched
-    assert OwnBody.planned(replace(drive, ego=None), True).searched
+    assert EgoMaskReport.planned(drive, None).searched and drive.ego is not None
+    assert not EgoMaskReport.planned(replace(drive, ego=None), None).searched
+    assert not EgoMaskReport.planned(drive, False).searched
+    assert EgoMaskReport.planned(replace(drive, ego=None), True).searched
 
 
 def test_nothing_held_out_is_said(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from app.main import run
-from gsrain_engine.rain.keyframes import Weather, WeatherKey
-from gsrain_engine.rain.settings import Rain
+from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
+from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
 
@@ -17,8 +17,8 @@ from small_scene import small_scene
 @pytest.fixture(scope="module")
 def shower(tmp_path_factory):
     """The small scene, from 0 to 10 mm/h within 2 s."""
-    keys = (WeatherKey(time_s=0.0, intensity_mm_h=0.0), WeatherKey(time_s=2.0, intensity_mm_h=10.0))
-    rain, weather = Rain(intensity_mm_h=50.0, seed=4), Weather(keys=keys)
+    keys = (RainKeyframe(time_s=0.0, intensity_mm_h=0.0), RainKeyframe(time_s=2.0, intensity_mm_h=10.0))
+    rain, weather = RainSettings(intensity_mm_h=50.0, seed=4), RainKeyframes(keys=keys)
     scene = replace(small_scene(), rain=msgspec.to_builtins(rain), weather=msgspec.to_builtins(weather))
     folder = tmp_path_factory.mktemp("shower") / "shower"
     write_scene(scene, folder)

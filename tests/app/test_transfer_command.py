@@ -75,11 +75,11 @@ def test_the_learned_method_runs_from_a_file_of_weights(files, tmp_path):
     pytest.importorskip("torch")
     pytest.importorskip("diffusers")
     from gsrain_engine.appearance.cyclegan_turbo.lora import LoraRanks
-    from gsrain_engine.appearance.cyclegan_turbo.model import build, tiny
+    from gsrain_engine.appearance.cyclegan_turbo.model import build_random_model, tiny
     from gsrain_engine.appearance.cyclegan_turbo.weights import save_weights
 
     weights, out = tmp_path / "tiny.safetensors", tmp_path / "out"
-    save_weights(build(tiny(), True, LoraRanks(2, 2)), weights)
+    save_weights(build_random_model(tiny(), True, LoraRanks(2, 2)), weights)
     command = ["transfer", str(files / "scene"), "-o", str(out), "--count", "2", "--width", "64"]
     assert run([*command, "--method", "cyclegan-turbo", "--weights", str(weights), "--no-mutual-attention"]) == 0
     views = read_transferred(out)
@@ -193,11 +193,11 @@ def test_pictures_without_poses_do_not_attend_to_each_other(tmp_path, capsys):
     pytest.importorskip("torch")
     pytest.importorskip("diffusers")
     from gsrain_engine.appearance.cyclegan_turbo.lora import LoraRanks
-    from gsrain_engine.appearance.cyclegan_turbo.model import build, tiny
+    from gsrain_engine.appearance.cyclegan_turbo.model import build_random_model, tiny
     from gsrain_engine.appearance.cyclegan_turbo.weights import save_weights
 
     weights, pictures = tmp_path / "tiny.safetensors", street_pictures(tmp_path / "pictures")
-    save_weights(build(tiny(), False, LoraRanks(2, 2)), weights)
+    save_weights(build_random_model(tiny(), False, LoraRanks(2, 2)), weights)
     command = ["transfer", str(pictures), "--method", "cyclegan-turbo", "--weights", str(weights), "--side", "64"]
     assert run([*command, "-o", str(tmp_path / "with")]) == 0
     sentence = "2 of 2 views: no attention between views: it is not known where their cameras stood."

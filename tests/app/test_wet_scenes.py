@@ -8,7 +8,7 @@ from PIL import Image
 
 from app.main import BAD_INPUT, run
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
-from gsrain_engine.scene.transforms import blended_sh
+from gsrain_engine.scene.transforms import blend_wet_sh
 from small_scene import small_scene
 
 
@@ -47,7 +47,7 @@ def test_convert_bakes_the_clear_colours_or_a_blend(project, tmp_path, capsys):
     scene = read_scene(project)
     clear = np.concatenate([each.gaussians.sh for each in scene.layers])
     wet = np.concatenate([each.gaussians.sh if each.wet_sh is None else each.wet_sh for each in scene.layers])
-    for options, expected in (([], clear), (["--wetness", "0.25"], blended_sh(clear, wet, 0.25))):
+    for options, expected in (([], clear), (["--wetness", "0.25"], blend_wet_sh(clear, wet, 0.25))):
         assert run(["convert", str(project), str(tmp_path / "one.ply"), *options]) == 0
         np.testing.assert_allclose(read_scene(tmp_path / "one.ply").layers[0].gaussians.sh, expected, atol=1e-5)
     assert run(["convert", str(project), str(tmp_path / "both")]) == 0

@@ -5,9 +5,9 @@ import pytest
 from PIL import Image
 
 from gsrain_engine.appearance.base import ClearView, RainyView, Transfer, TransferSettings
-from gsrain_engine.appearance.output_folder import BeforeAndAfter, PictureStandIn, TransferRecord, write_transferred
-from gsrain_engine.appearance.registry import METHODS, method_of, open_transfer
-from gsrain_engine.appearance.wet_look.environment import PictureSurroundings
+from gsrain_engine.appearance.output_folder import ContactSheet, PrecomputedTransfer, TransferRecord, write_transferred
+from gsrain_engine.appearance.registry import METHODS, find_method, open_transfer
+from gsrain_engine.appearance.wet_look.environment import ImageEnvironment
 from gsrain_engine.datasets.capture import CaptureError
 from gsrain_engine.scene.camera import Camera
 
@@ -28,15 +28,15 @@ def test_every_method_has_a_name_of_its_own_and_known_settings():
     fields = set(TransferSettings.__struct_fields__)
     assert all({*each.uses, *filter(None, [each.needs])} <= fields for each in METHODS)
     with pytest.raises(ValueError, match="no transfer method 'dry', only wet, cyclegan-turbo, images"):
-        method_of("dry")
+        find_method("dry")
 
 
 def test_a_method_is_opened_by_its_name():
-    opened = open_transfer("wet", TransferSettings(), PictureSurroundings())
+    opened = open_transfer("wet", TransferSettings(), ImageEnvironment())
     assert isinstance(opened, Transfer)
     assert opened.name == "wet"
     with pytest.raises(ValueError, match="--method images needs --images"):
-        open_transfer("images", TransferSettings(), PictureSurroundings())
+        open_transfer("images", TransferSettings(), ImageEnvironment())
 
 
 def test_pictures_stand_in_by_the_names_of_views(tmp_path, caplog):
@@ -44,7 +44,7 @@ def test_pictures_stand_in_by_the_names_of_views(tmp_path, caplog):
     picture(10).save(tmp_path / "one.png")
     picture(20, (60, 40)).save(tmp_path / "CAM" / "two.jpg")
     picture(30).save(tmp_path / "other.png")
-    stand_in = PictureStandIn(tmp_path)
+    stand_in = PrecomputedTransfer(tmp_path)
     assert isinstance(stand_in, Transfer)
     with caplog.at_level(logging.WARNING):
         made = list(stand_in.transferred([clear("one"), clear("x/two.jpg", "CAM"), clear("three")]))
@@ -59,7 +59,7 @@ def test_a_folder_of_a_transfer_stands_in_by_its_rainy_pictures(tmp_path, caplog
     rainy = RainyView(clear("one"), np.full((20, 30, 3), 0.25, np.float32), NOTHING)
     list(write_transferred(tmp_path / "t", [rainy], TransferRecord("wet", "street")))
     with caplog.at_level(logging.WARNING):
-        made = list(PictureStandIn(tmp_path / "t").transferred([clear("one")]))
+        made = list(PrecomputedTransfer(tmp_path / "t").transferred([clear("one")]))
     assert made[0].image.mean() == pytest.approx(0.25, abs=0.01)
     assert caplog.messages == []  # its other files are no pictures of views
 
@@ -71,13 +71,13 @@ def test_a_folder_of_a_transfer_stands_in_by_its_rainy_pictures(tmp_path, caplog
 def test_pictures_that_cannot_be_those_of_the_views_are_refused(tmp_path, name, size, expected):
     picture(10, size).save(tmp_path / f"{name}.png")
     with pytest.raises(CaptureError, match=expected):
-        list(PictureStandIn(tmp_path).transferred([clear("one")]))
+        list(PrecomputedTransfer(tmp_path).transferred([clear("one")]))
     with pytest.raises(CaptureError, match="no such folder"):
-        PictureStandIn(tmp_path / "nowhere")
+        PrecomputedTransfer(tmp_path / "nowhere")
 
 
 def test_views_before_and_after_stand_side_by_side():
-    sheet = BeforeAndAfter(9, at_most=3, width_px=60)
+    sheet = ContactSheet(9, at_most=3, width_px=60)
     for i in range(9):
         sheet.add(RainyView(clear(f"{i}"), np.full((20, 30, 3), i / 10, np.float32)))
     pixels = np.asarray(sheet.picture())

@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.datasets.capture import Capture, CaptureError, Lens, View
+from gsrain_engine.datasets.capture import Capture, CaptureError, CaptureFrame, Lens
 from gsrain_engine.scene.camera import Camera
 
 
-def _view(name: str, **more: np.ndarray) -> View:
-    return View(name, Camera(8, 6, 10.0, 10.0, 4.0, 3.0), np.zeros((6, 8, 3), np.uint8), **more)
+def _view(name: str, **more: np.ndarray) -> CaptureFrame:
+    return CaptureFrame(name, Camera(8, 6, 10.0, 10.0, 4.0, 3.0), np.zeros((6, 8, 3), np.uint8), **more)
 
 
 def test_says_what_every_view_has() -> None:
@@ -27,7 +27,7 @@ def test_reads_pixels_when_they_are_asked_for() -> None:
         read.append("image")
         return np.zeros((6, 8, 3), np.uint8)
 
-    view = View("a", Camera(8, 6, 10.0, 10.0, 4.0, 3.0), picture)
+    view = CaptureFrame("a", Camera(8, 6, 10.0, 10.0, 4.0, 3.0), picture)
     assert not read
     held = view.held()
     assert held.image is held.image
@@ -41,7 +41,7 @@ def test_a_lens_has_as_many_coefficients_as_its_model() -> None:
 
 
 def test_refuses_a_picture_of_another_size() -> None:
-    view = View("a", Camera(9, 6, 10.0, 10.0, 4.0, 3.0), np.zeros((6, 8, 3), np.uint8))
+    view = CaptureFrame("a", Camera(9, 6, 10.0, 10.0, 4.0, 3.0), np.zeros((6, 8, 3), np.uint8))
     with pytest.raises(CaptureError, match=r"view 'a': image is \(6, 8\), its camera says \(6, 9\)"):
         view.image.sum()
 

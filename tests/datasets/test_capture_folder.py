@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gsrain_engine.datasets.capture import CaptureError, Lens, View
+from gsrain_engine.datasets.capture import CaptureError, CaptureFrame, Lens
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
 from gsrain_engine.scene.camera import Camera, look_at
 
 
-def views() -> list[View]:
+def views() -> list[CaptureFrame]:
     rng = np.random.default_rng(5)
     pose = look_at(np.array([1.0, 2.0, 3.0]), np.array([5.0, 2.5, 2.0]), np.array([0.0, 0.0, 1.0]))
     camera = Camera(16, 12, 20.0, 21.0, 8.25, 6.5, pose, 0.0025)
     normals = rng.normal(size=(12, 16, 3)).astype(np.float32)
-    full = View(
+    full = CaptureFrame(
         "front_0",
         camera,
         rng.integers(0, 256, (12, 16, 3), np.uint8),
@@ -33,7 +33,7 @@ def views() -> list[View]:
         sky_source=rng.random((12, 16)) > 0.5,
         attributes={"weather": "rainy"},
     )
-    plain = View("plain", replace(camera, exposure_s=0.004), rng.integers(0, 256, (12, 16, 3), np.uint8))
+    plain = CaptureFrame("plain", replace(camera, exposure_s=0.004), rng.integers(0, 256, (12, 16, 3), np.uint8))
     return [full, plain]
 
 

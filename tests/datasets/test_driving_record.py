@@ -4,23 +4,25 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets import driving_log
-from gsrain_engine.datasets.capture import EGO_HEIGHT_M, CaptureError, View
-from gsrain_engine.datasets.driving_log import DrivingRecord, Scan
-from gsrain_engine.datasets.geometry import moved_to, rigid_from_numbers, rigid_from_quaternion, road_height
+from gsrain_engine.datasets.capture import EGO_HEIGHT_M, CaptureError, CaptureFrame
+from gsrain_engine.datasets.driving_log import DrivingLog, LidarScan
+from gsrain_engine.datasets.geometry import rigid_from_numbers, rigid_from_quaternion, road_height, translation_pose
 from gsrain_engine.scene.camera import Camera
 
 
-def _record(scans: list[Scan]) -> DrivingRecord:
-    camera = Camera(8, 6, 10.0, 10.0, 4.0, 3.0, moved_to(np.array([-6.0e5, -5.0e6, -100.0])))
-    view = View("a", camera, np.zeros((6, 8, 3), np.uint8), 1.5e9)
-    record = DrivingRecord("drive", 0.0, [view], [(1.5e9 + 0.25, moved_to(np.array([6.0e5, 5.0e6, 100.0])))])
+def _record(scans: list[LidarScan]) -> DrivingLog:
+    camera = Camera(8, 6, 10.0, 10.0, 4.0, 3.0, translation_pose(np.array([-6.0e5, -5.0e6, -100.0])))
+    view = CaptureFrame("a", camera, np.zeros((6, 8, 3), np.uint8), 1.5e9)
+    record = DrivingLog("drive", 0.0, [view], [(1.5e9 + 0.25, translation_pose(np.array([6.0e5, 5.0e6, 100.0])))])
     record.scans, record.scan_count = iter(scans), len(scans)
     return record
 
 
-def _scan(points: np.ndarray) -> Scan:
-    vehicle = moved_to(np.array([6.0e5, 5.0e6, 100.0]))
-    return Scan(1.5e9 + 0.3, vehicle, points.astype(np.float32), np.zeros(3), np.arange(len(points), dtype=np.float32))
+def _scan(points: np.ndarray) -> LidarScan:
+    vehicle = translation_pose(np.array([6.0e5, 5.0e6, 100.0]))
+    return LidarScan(
+        1.5e9 + 0.3, vehicle, points.astype(np.float32), np.zeros(3), np.arange(len(points), dtype=np.float32)
+    )
 
 
 def test_points_far_from_the_data_sets_origin_keep_their_millimetres() -> None:
@@ -34,7 +36,7 @@ def test_points_far_from_the_data_sets_origin_keep_their_millimetres() -> None:
 
 
 def test_a_drive_too_long_for_the_memory_is_thinned_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(driving_log, "MOST_POINTS", 1000)
+    monkeypatch.setattr(driving_log, "MAX_POINTS", 1000)
     capture = _record([_scan(np.full((600, 3), 50.0)) for _ in range(5)]).capture()
     assert [len(sweep.points_m) for sweep in capture.sweeps] == [200] * 5
     assert capture.sweeps[0].intensities is not None
@@ -45,7 +47,7 @@ def test_a_drive_too_long_for_the_memory_is_thinned_and_says_so(monkeypatch: pyt
 def test_problems_that_are_found_while_scans_are_read_are_told() -> None:
     record = _record([])
 
-    def scans() -> Iterator[Scan]:
+    def scans() -> Iterator[LidarScan]:
         record.problems.append("second sweep left out")
         yield _scan(np.zeros((4, 3)))
 

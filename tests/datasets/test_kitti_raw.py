@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.capture import CaptureError
-from gsrain_engine.datasets.geometry import rigid
+from gsrain_engine.datasets.geometry import rigid_pose
 from gsrain_engine.datasets.kitti import IMU_HEIGHT_M, KittiCamera, oxts_poses
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
 from mini_drive import BOX_LWH, FOCAL, HEIGHT, WIDTH, YAW, MiniDrive, turned
@@ -169,8 +169,8 @@ def test_the_published_calibration_puts_the_camera_where_the_paper_has_it() -> N
         "9.999239e-01 9.837760e-03 -7.445048e-03 -9.869795e-03 9.999421e-01 -4.278459e-03 7.402527e-03 4.351614e-03"
     )
     projection = "721.5377 0 609.5593 44.85728 0 721.5377 172.8540 0.2163791 0 0 1 0.002745884"
-    to_first = rigid(_numbers(turn + " 1.480755e-02", 3), np.array([-4.069766e-03, -7.631618e-02, -2.717806e-01]))
-    lidar_to_first = rigid(_numbers(rectify + " 0.9999631", 3), np.zeros(3)) @ to_first
+    to_first = rigid_pose(_numbers(turn + " 1.480755e-02", 3), np.array([-4.069766e-03, -7.631618e-02, -2.717806e-01]))
+    lidar_to_first = rigid_pose(_numbers(rectify + " 0.9999631", 3), np.zeros(3)) @ to_first
     camera = KittiCamera("image_02", _numbers(projection, 4))
     in_lidar = np.linalg.inv(camera.from_first @ lidar_to_first)
     np.testing.assert_allclose(in_lidar[:3, 3], [0.27, 0.06, -0.08], atol=0.02)

@@ -5,17 +5,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsrain_engine.datasets.capture import Lens, Sweep, View
+from gsrain_engine.datasets.capture import CaptureFrame, Lens, LidarSweep
 from gsrain_engine.datasets.geometry import lidar_depth, nearest_sweep, point_depth, project_points
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.camera import Camera
 
 CAMERA = Camera(320, 240, 300.0, 300.0, 160.0, 120.0)
-VIEW = View("v", CAMERA, np.zeros((240, 320, 3), np.uint8))
+VIEW = CaptureFrame("v", CAMERA, np.zeros((240, 320, 3), np.uint8))
 
 
-def sweep(points: np.ndarray, time_s: float = 0.0) -> Sweep:
-    return Sweep(time_s, points.astype(np.float32), np.zeros(3))
+def sweep(points: np.ndarray, time_s: float = 0.0) -> LidarSweep:
+    return LidarSweep(time_s, points.astype(np.float32), np.zeros(3))
 
 
 def wall(depth: float, left: float, right: float, step: float) -> np.ndarray:
@@ -60,7 +60,7 @@ def test_a_road_hides_nothing() -> None:
 
 def test_a_lens_is_taken_into_account() -> None:
     lens = Lens("opencv", (-0.3, 0.0, 0.0, 0.0))
-    bent = View("v", CAMERA, VIEW.image_source, lens=lens)
+    bent = CaptureFrame("v", CAMERA, VIEW.image_source, lens=lens)
     depth = lidar_depth(bent, [sweep(np.array([[4.0, 0.0, 10.0]]))])
     assert np.argwhere(depth).tolist() == [[120, int(160 + 300 * 0.4 * (1 - 0.3 * 0.16))]]
 
@@ -72,7 +72,7 @@ def test_depth_of_points_in_any_unit_knows_no_hiding() -> None:
 
 def test_the_sweep_nearest_in_time() -> None:
     sweeps = [sweep(np.zeros((1, 3)), time) for time in (0.0, 0.5, 1.0)]
-    assert nearest_sweep(View("v", CAMERA, VIEW.image_source, 0.7), sweeps) is sweeps[1]
+    assert nearest_sweep(CaptureFrame("v", CAMERA, VIEW.image_source, 0.7), sweeps) is sweeps[1]
     assert nearest_sweep(VIEW, []) is None
 
 

@@ -12,7 +12,7 @@ from datasets.test_kitti_odometry import write_sequence
 from datasets.test_kitti_raw import drive_on_the_road, write_kitti
 from datasets.test_nuscenes import write_nuscenes
 from gsrain_engine.datasets.capture import CaptureError
-from gsrain_engine.datasets.layout_hints import nearest_kind
+from gsrain_engine.datasets.layout_hints import nearest_layout
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.formats.scene_files import read_scene
@@ -114,7 +114,7 @@ def test_the_nearest_kind_is_named(tmp_path: Path, write, told: str, capsys: pyt
 
 def test_nothing_is_near_to_an_empty_folder(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("no capture")
-    assert nearest_kind(tmp_path) is None and nearest_kind(tmp_path / "notes.txt") is None
+    assert nearest_layout(tmp_path) is None and nearest_layout(tmp_path / "notes.txt") is None
     with pytest.raises(CaptureError, match="not a capture that is known; expected one of"):
         open_capture(tmp_path)
 

@@ -4,16 +4,18 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsrain_engine.datasets.capture import Capture, CaptureError, Lens, View
+from gsrain_engine.datasets.capture import Capture, CaptureError, CaptureFrame, Lens
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.datasets.image_override import flat_name, with_images
-from gsrain_engine.datasets.undistort import prepared
+from gsrain_engine.datasets.undistort import undistort_frame
 from gsrain_engine.scene.camera import Camera
 
 
-def views(*names: str, sensor: str = "") -> tuple[View, ...]:
+def views(*names: str, sensor: str = "") -> tuple[CaptureFrame, ...]:
     image = np.zeros((8, 12, 3), np.uint8)
-    return tuple(View(name, Camera(12, 8, 10, 10, 6, 4), image, float(k), sensor) for k, name in enumerate(names))
+    return tuple(
+        CaptureFrame(name, Camera(12, 8, 10, 10, 6, 4), image, float(k), sensor) for k, name in enumerate(names)
+    )
 
 
 def test_other_pictures_are_matched_by_name_and_missing_ones_are_told(tmp_path):
@@ -49,7 +51,7 @@ def test_pictures_of_another_size_are_resized_and_strange_ones_refused(tmp_path)
 @pytest.mark.parametrize("below", [".", "images"])
 def test_pictures_with_cameras_are_without_distortion_and_so_are_the_views_then(tmp_path, below):
     bent = replace(views("CAM/one.jpg")[0], lens=Lens("opencv", (-0.2, 0.0, 0.0, 0.0)))
-    straight = replace(prepared(bent, 6), name=flat_name(bent.name), mask_source=None)
+    straight = replace(undistort_frame(bent, 6), name=flat_name(bent.name), mask_source=None)
     list(write_views(tmp_path / below, [replace(straight, image_source=np.full((4, 6, 3), 77, np.uint8))]))
     changed = with_images(Capture("c", (bent,)), tmp_path)
     assert changed.problems == ()

@@ -4,23 +4,23 @@ from pathlib import Path
 
 import numpy as np
 
-from gsrain_engine.datasets.capture import Capture, Sweep, TrackedBox, View
+from gsrain_engine.datasets.capture import Capture, CaptureFrame, LidarSweep, TrackedBox
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.summary import chosen_views, contact_sheet, overlay
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.scene import Track
+from gsrain_engine.scene.scene import PoseTrack
 
 AHEAD = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 CAMERA = Camera(200, 100, 100.0, 100.0, 100.0, 50.0, AHEAD)
 
 
-def view(name: str, sensor: str = "", time_s: float = 0.0) -> View:
-    return View(name, CAMERA, np.zeros((100, 200, 3), np.uint8), time_s, sensor)
+def view(name: str, sensor: str = "", time_s: float = 0.0) -> CaptureFrame:
+    return CaptureFrame(name, CAMERA, np.zeros((100, 200, 3), np.uint8), time_s, sensor)
 
 
 def test_near_points_are_red_and_far_ones_blue() -> None:
     points = np.array([[5.0, 2.0, 0.0], [50.0, -20.0, 0.0]], np.float32)
-    capture = Capture("c", (view("v"),), sweeps=(Sweep(0.0, points, np.zeros(3)),))
+    capture = Capture("c", (view("v"),), sweeps=(LidarSweep(0.0, points, np.zeros(3)),))
     picture = overlay(capture, capture[0], 200)
     near, far = picture[50, 100 - 40].astype(int), picture[50, 100 + 40].astype(int)
     assert near[0] > near[2] + 80
@@ -36,7 +36,7 @@ def test_points_of_colmap_are_drawn_where_no_lidar_is() -> None:
 
 
 def test_boxes_are_drawn_in_their_time_with_a_red_front() -> None:
-    track = Track(
+    track = PoseTrack(
         np.array([0.0, 1.0]), np.array([[10.0, 0, -1], [10.0, 0, -1]]), np.eye(4)[[0, 0]], np.array([True, False])
     )
     box = TrackedBox("1", "car", (4.0, 2.0, 2.0), track)
@@ -53,7 +53,7 @@ def test_boxes_are_drawn_in_their_time_with_a_red_front() -> None:
 
 
 def test_a_box_around_the_camera_is_cut_at_it() -> None:
-    track = Track(np.array([0.0]), np.zeros((1, 3)) - [0, 0, 1], np.eye(4)[:1], np.array([True]))
+    track = PoseTrack(np.array([0.0]), np.zeros((1, 3)) - [0, 0, 1], np.eye(4)[:1], np.array([True]))
     capture = Capture("c", (view("v"),), boxes=(TrackedBox("1", "ego", (4.0, 2.0, 2.0), track),))
     assert overlay(capture, capture[0], 200).any()
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from gsrain_engine.datasets.capture import CaptureError
-from gsrain_engine.datasets.io.images import picture_size, pictures_in, read_color, read_labels, read_mask
+from gsrain_engine.datasets.io.images import image_size, images_in, read_color, read_labels, read_mask
 
 NOISE = np.random.default_rng(3).integers(0, 256, (20, 30, 3), np.uint8)
 
@@ -24,7 +24,7 @@ def test_size_and_colour(folder: Path, suffix: str) -> None:
     file = folder / f"whole.{suffix}"
     smooth = np.linspace(0, 255, 30).astype(np.uint8)[None, :, None] + np.zeros((20, 30, 3), np.uint8)
     Image.fromarray(smooth).save(file, quality=95)
-    assert picture_size(file) == (30, 20)
+    assert image_size(file) == (30, 20)
     np.testing.assert_allclose(read_color(file).astype(float), smooth, atol=8)
 
 
@@ -35,7 +35,7 @@ def test_cut_files_are_found_from_their_ends(folder: Path, suffix: str, part: fl
     data = file.read_bytes()
     file.write_bytes(data[: int(part * (len(data) - 8))])
     with pytest.raises(CaptureError, match=f"cut.{suffix}: (the picture is cut off|not a readable picture)"):
-        picture_size(file)
+        image_size(file)
     with pytest.raises(CaptureError, match=f"cut.{suffix}"):
         read_color(file)
 
@@ -44,7 +44,7 @@ def test_a_film_behind_a_picture_is_no_cut(folder: Path) -> None:
     file = folder / "phone.jpg"
     Image.fromarray(NOISE).save(file)
     file.write_bytes(file.read_bytes() + bytes(200_000))
-    assert picture_size(file) == (30, 20)
+    assert image_size(file) == (30, 20)
 
 
 def test_grey_of_16_bits_and_palettes(folder: Path) -> None:
@@ -63,10 +63,10 @@ def test_grey_of_16_bits_and_palettes(folder: Path) -> None:
 def test_only_pictures_are_listed(folder: Path, tmp_path: Path) -> None:
     for name in ("b.PNG", "a.jpg", ".hidden.jpg", "c.txt"):
         (tmp_path / name).touch()
-    assert [file.name for file in pictures_in(tmp_path)] == ["a.jpg", "b.PNG"]
-    assert pictures_in(tmp_path / "nowhere") == []
+    assert [file.name for file in images_in(tmp_path)] == ["a.jpg", "b.PNG"]
+    assert images_in(tmp_path / "nowhere") == []
     with pytest.raises(CaptureError, match="no such picture"):
-        picture_size(folder / "nowhere.png")
+        image_size(folder / "nowhere.png")
 
 
 def test_what_is_transparent_lies_over_white(folder: Path) -> None:

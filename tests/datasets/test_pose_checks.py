@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets import pose_fit
-from gsrain_engine.datasets.capture import Capture, Sweep, View
+from gsrain_engine.datasets.capture import Capture, CaptureFrame, LidarSweep
 from gsrain_engine.datasets.geometry import project_points
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.pose_check import check_poses
-from gsrain_engine.datasets.pose_fit import Matches
+from gsrain_engine.datasets.pose_fit import FeatureMatches
 from gsrain_engine.scene.camera import Camera, look_at
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -121,23 +121,23 @@ def test_what_can_not_be_checked_is_not(rear: Capture) -> None:
     assert check_poses(replace(rear, views=rear.views[:1])) == ()
     still = tuple(replace(view, camera=rear[0].camera) for view in rear)
     assert check_poses(replace(rear, views=still)) == ()
-    far = Sweep(100.0, np.zeros((5, 3), np.float32), np.zeros(3))
+    far = LidarSweep(100.0, np.zeros((5, 3), np.float32), np.zeros(3))
     assert check_poses(replace(rear, views=still, sweeps=(far,))) == ()
 
 
-def made_up() -> tuple[Matches, tuple[np.ndarray, np.ndarray]]:
+def made_up() -> tuple[FeatureMatches, tuple[np.ndarray, np.ndarray]]:
     rng = np.random.default_rng(2)
     points = rng.uniform([-5, -3, 6], [5, 3, 20], (200, 3))
     eyes, target, up = np.array([[0.0, 0, 0], [1, 0.2, 0.5]]), np.array([0.0, 0, 12]), np.array([0.1, -1.0, 0])
     poses = [look_at(eye, target, up) for eye in eyes]
     cameras = [Camera(640, 480, 500.0, 500.0, 320.0, 240.0, pose) for pose in poses]
     pixels = [project_points(points, camera)[0] for camera in cameras]
-    return Matches(pixels[0], pixels[1], (cameras[0], cameras[1])), (poses[0], poses[1])
+    return FeatureMatches(pixels[0], pixels[1], (cameras[0], cameras[1])), (poses[0], poses[1])
 
 
 def test_true_points_lie_on_their_epipolar_lines_and_in_front() -> None:
     found, poses = made_up()
-    fit = pose_fit.fit_epipolar(found, poses)
+    fit = pose_fit.epipolar_fit(found, poses)
     assert fit.median_px < 1e-9
     assert fit.explained == 1.0
 
@@ -145,7 +145,7 @@ def test_true_points_lie_on_their_epipolar_lines_and_in_front() -> None:
 def test_a_known_error_is_measured() -> None:
     found, poses = made_up()
     moved = replace(found, second=found.second + [0.0, 1.5])
-    fit = pose_fit.fit_epipolar(moved, poses)
+    fit = pose_fit.epipolar_fit(moved, poses)
     assert 0.5 < fit.median_px < 1.6
 
 
@@ -153,14 +153,14 @@ def test_backward_motion_is_behind_the_cameras_though_its_lines_fit() -> None:
     found, (first, second) = made_up()
     relative = second @ np.linalg.inv(first)
     relative[:3, 3] *= -1
-    fit = pose_fit.fit_epipolar(found, (first, relative @ first))
+    fit = pose_fit.epipolar_fit(found, (first, relative @ first))
     assert fit.median_px < 1e-9
     assert fit.explained == 0.0
 
 
 def test_a_pure_turn_explains_nothing_by_lines() -> None:
     found, (first, _) = made_up()
-    assert pose_fit.fit_epipolar(found, (first, first)).explained == 0.0
+    assert pose_fit.epipolar_fit(found, (first, first)).explained == 0.0
 
 
 def test_pictures_that_can_not_be_read_stop_nothing(rear: Capture) -> None:
@@ -169,6 +169,6 @@ def test_pictures_that_can_not_be_read_stop_nothing(rear: Capture) -> None:
 
         raise CaptureError("broken")
 
-    views: tuple[View, ...] = (replace(rear[0], image_source=broken), *rear.views[1:])
+    views: tuple[CaptureFrame, ...] = (replace(rear[0], image_source=broken), *rear.views[1:])
     (check,) = check_poses(replace(rear, views=views))
     assert check.verdict == "fits"

@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
-from gsrain_engine.datasets.capture import Lens, View
+from gsrain_engine.datasets.capture import CaptureFrame, Lens
 from gsrain_engine.datasets.geometry import intrinsics, largest_tangent, project_points
 from gsrain_engine.datasets.rainsense import find_rain_sequences
-from gsrain_engine.datasets.undistort import prepared
+from gsrain_engine.datasets.undistort import undistort_frame
 from gsrain_engine.scene.camera import Camera
 
 CAMERA = Camera(200, 120, 110.0, 112.0, 103.0, 57.5)
@@ -47,17 +47,19 @@ def tangents(camera: Camera, lens: Lens | None) -> tuple[np.ndarray, np.ndarray]
 
 
 @lru_cache
-def photographed(lens: Lens | None) -> View:
+def photographed(lens: Lens | None) -> CaptureFrame:
     x, y = tangents(CAMERA, lens)
     grey = np.round(pattern(x, y)).astype(np.uint8)
     depth = (10 + 2 * x + y).astype(np.float32)
-    return View("v", CAMERA, np.repeat(grey[..., None], 3, axis=2), lens=lens, depth_source=depth, sky_source=y < -0.2)
+    return CaptureFrame(
+        "v", CAMERA, np.repeat(grey[..., None], 3, axis=2), lens=lens, depth_source=depth, sky_source=y < -0.2
+    )
 
 
 @pytest.mark.parametrize("name", LENSES)
 @pytest.mark.parametrize("width", [None, 200, 100, 67])
 def test_straightened_pictures_are_what_a_pinhole_sees(name: str, width: int | None) -> None:
-    view = prepared(photographed(LENSES[name]), width)
+    view = undistort_frame(photographed(LENSES[name]), width)
     assert view.lens is None
     x, y = tangents(view.camera, None)
     seen = np.ones(x.shape, bool) if view.mask is None else view.mask
@@ -73,7 +75,7 @@ def test_straightened_pictures_are_what_a_pinhole_sees(name: str, width: int | N
 
 
 def test_a_wrong_centre_of_pixels_would_be_found() -> None:
-    view = prepared(photographed(LENSES["none"]), 50)
+    view = undistort_frame(photographed(LENSES["none"]), 50)
     x, y = tangents(view.camera, None)
     right = np.abs(view.image[..., 0] - pattern(x, y)).mean()
     wrong = np.abs(view.image[..., 0] - pattern(x + 0.5 / view.camera.fx, y)).mean()
@@ -82,7 +84,7 @@ def test_a_wrong_centre_of_pixels_would_be_found() -> None:
 
 def test_pixels_that_the_lens_never_saw_are_masked() -> None:
     view = photographed(LENSES["pincushion"])
-    straight = prepared(view)
+    straight = undistort_frame(view)
     assert straight.mask is not None
     x, y = tangents(CAMERA, None)
     pixels, _ = project_points(np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)]), CAMERA, view.lens)
@@ -97,7 +99,7 @@ def test_pixels_that_the_lens_never_saw_are_masked() -> None:
 
 def test_masks_hold_only_where_all_that_is_averaged_may_be_learned_from() -> None:
     view = replace(photographed(None), mask_source=np.arange(120)[:, None] + np.zeros(200) >= 61)
-    mask = prepared(view, 50).mask
+    mask = undistort_frame(view, 50).mask
     assert mask is not None
     np.testing.assert_array_equal(mask, np.arange(30)[:, None] + np.zeros(50) >= 16)  # row 15 averages 60 to 63
 
@@ -106,7 +108,7 @@ def test_the_camera_is_scaled_exactly_and_nothing_is_read_before_it_is_asked() -
     def fail() -> np.ndarray:
         raise AssertionError("read too early")
 
-    view = prepared(View("v", CAMERA, fail, depth_source=fail, labels_source=fail), 67)
+    view = undistort_frame(CaptureFrame("v", CAMERA, fail, depth_source=fail, labels_source=fail), 67)
     assert (view.camera.width, view.camera.height) == (67, 40)
     assert view.camera.fx == pytest.approx(110 * 67 / 200)
     assert view.camera.fy == pytest.approx(112 * 40 / 120)
@@ -115,12 +117,12 @@ def test_the_camera_is_scaled_exactly_and_nothing_is_read_before_it_is_asked() -
     with pytest.raises(AssertionError, match="too early"):
         _ = view.image
     with pytest.raises(ValueError, match="at least 1 px"):
-        prepared(view, 0)
+        undistort_frame(view, 0)
 
 
 def test_a_view_that_is_ready_stays_itself() -> None:
     view = photographed(None)
-    assert prepared(view) is view
+    assert undistort_frame(view) is view
 
 
 @pytest.mark.parametrize("name", ["barrel", "pincushion", "rational", "fisheye"])
@@ -148,7 +150,7 @@ def test_the_real_lens_of_rainsense(test_data) -> None:
     """The edge of the stop line and the kerb are straight once the lens is taken out: lines stand out more clearly."""
     sequence = find_rain_sequences(test_data / "weather" / "rainsense")[0]
     view = sequence.capture()[0]
-    straight = prepared(view, 1920)
+    straight = undistort_frame(view, 1920)
     assert straight.mask is not None
     assert straight.mask.all()  # a barrel lens: its straight picture lies within the bent one
     longest = {}

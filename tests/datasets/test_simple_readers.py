@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from colmap_files import write_binary, write_pictures
-from gsrain_engine.datasets.capture import CaptureError, readable_pictures
+from gsrain_engine.datasets.capture import CaptureError, readable_images
 from gsrain_engine.datasets.geometry import project_points
 from gsrain_engine.datasets.open_capture import FORMATS, capture_format, open_capture
 from gsrain_engine.datasets.rainsense import read_rain_sequence
@@ -59,11 +59,11 @@ def test_pictures_that_only_decoding_finds_broken(tmp_path: Path) -> None:
     capture = open_capture(tmp_path)
     assert len(capture) == 2
     done: list[float] = []
-    usable = readable_pictures(capture, done.append)
+    usable = readable_images(capture, done.append)
     assert [view.name for view in usable] == ["b"]
     assert "View a is left out: " in usable.problems[-1]
     assert done == [0.5, 1.0]
-    assert readable_pictures(usable) is usable
+    assert readable_images(usable) is usable
 
 
 def test_formats_are_found_in_their_order(tmp_path: Path) -> None:
@@ -178,7 +178,7 @@ def test_a_folder_that_may_not_be_looked_into_is_no_capture(tmp_path: Path, monk
     def refuse(_: Path) -> list[Path]:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr("gsrain_engine.datasets.capture_folder.pictures_in", refuse)
+    monkeypatch.setattr("gsrain_engine.datasets.capture_folder.images_in", refuse)
     with pytest.raises(CaptureError, match="not a capture that is known"):
         open_capture(tmp_path)
 

@@ -6,7 +6,7 @@ import pytest
 
 from gsrain_engine.datasets.io.images import read_color
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.datasets.sky_masks import sure_sky
+from gsrain_engine.datasets.sky_masks import certain_sky
 
 HEIGHT, WIDTH, HORIZON = 180, 320, 90
 BLUE, CLOUD, WHITE, GRAY, WARM = (90, 140, 220), (235, 236, 240), (255, 255, 255), (150, 155, 165), (225, 200, 150)
@@ -35,7 +35,7 @@ def test_clouds_are_sky_and_what_stands_before_it_is_not():
     cloudy = np.rint((1 - cloud) * image + cloud * CLOUD).astype(np.uint8)
     assert (cloud[..., 0][sky] > 0.9).mean() > 0.1
     truck = with_box(cloudy, slice(70, 140), slice(180, 250), (205, 205, 205))
-    found, sureness = sure_sky(truck)
+    found, sureness = certain_sky(truck)
     sky[70:140, 180:250] = False
     assert sureness == 1
     assert found[sky].mean() > 0.96
@@ -48,7 +48,7 @@ def test_skies_of_many_colors_are_found_at_any_size(color):
     image, sky = street(color, (60, 58, 55))
     for scale in (0.5, 1.0, 3.0):
         size = (round(scale * WIDTH), round(scale * HEIGHT))
-        found, sureness = sure_sky(
+        found, sureness = certain_sky(
             cv2.resize(image, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
         )
         assert found.shape == size[::-1]
@@ -63,7 +63,7 @@ def test_wires_and_twigs_leave_the_sky_between_them():
     for row in (20, 50):
         image[row] = 30
     image[52:88, 200:300:10] = (60, 50, 40)
-    found = sure_sky(image).pixels
+    found = certain_sky(image).pixels
     assert found[:45, :30].mean() > 0.85
     assert found[26:46, 150:].mean() > 0.8
     assert found[55:85, 202:298].mean() > 0.3
@@ -88,7 +88,7 @@ def test_wires_and_twigs_leave_the_sky_between_them():
     ],
 )
 def test_where_it_is_not_sure_no_sky_is_marked(picture):
-    found, sureness = sure_sky(picture)
+    found, sureness = certain_sky(picture)
     assert sureness == 0
     assert not found.any()
 
@@ -96,22 +96,22 @@ def test_where_it_is_not_sure_no_sky_is_marked(picture):
 def test_a_sunlit_wall_beside_a_blue_sky_is_no_cloud():
     image, _ = street()
     image[:50, :60] = (250, 232, 200)
-    found = sure_sky(image).pixels
+    found = certain_sky(image).pixels
     assert found[:50, 80:].mean() > 0.95
     assert found[:50, :50].mean() < 0.05
 
 
 def test_real_pictures_have_their_clouds_and_keep_their_walls(test_data):
     cameras = {file.name.split("__")[1]: file for file in (test_data / "driving" / "nuscenes_sample").glob("*.jpg")}
-    front = sure_sky(read_color(cameras["CAM_FRONT"])).pixels
+    front = certain_sky(read_color(cameras["CAM_FRONT"])).pixels
     assert front[:180, 1000:1500].mean() > 0.99  # a cumulus
     assert front[450:].mean() < 0.01
     assert front[250:600, 150:500].mean() == 0  # a white truck
-    assert not sure_sky(read_color(cameras["CAM_FRONT_LEFT"])).pixels.any()  # beams of concrete
+    assert not certain_sky(read_color(cameras["CAM_FRONT_LEFT"])).pixels.any()  # beams of concrete
     waymo = open_capture(test_data / "driving" / "waymo_frame")
     stone = next(view for view in waymo if "SIDE_RIGHT" in view.name).image  # panels in a blue shade
     for width in (480, 960):
         small = cv2.resize(stone, (width, round(stone.shape[0] * width / stone.shape[1])), interpolation=cv2.INTER_AREA)
-        assert not sure_sky(small).pixels.any()
+        assert not certain_sky(small).pixels.any()
     night = test_data / "weather" / "bdd100k" / "9aa94005-ff1d4c9a.jpg"
-    assert sure_sky(read_color(night)).sureness == 0
+    assert certain_sky(read_color(night)).sureness == 0

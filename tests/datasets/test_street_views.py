@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.datasets.capture import View
+from gsrain_engine.datasets.capture import CaptureFrame
 from gsrain_engine.datasets.street import StreetViews, capture_street, street_meshes
 from gsrain_engine.render.opengl.context import open_context
 from gsrain_engine.render.opengl.renderer import SplatRenderer
@@ -32,11 +32,11 @@ def ahead() -> Camera:
 
 
 @pytest.fixture(scope="module")
-def view(views: StreetViews, ahead: Camera) -> View:
+def view(views: StreetViews, ahead: Camera) -> CaptureFrame:
     return views.view(ahead, 0.0, "ahead")
 
 
-def _world(view: View) -> np.ndarray:
+def _world(view: CaptureFrame) -> np.ndarray:
     """Each pixel's surface point in the world."""
     assert view.depth is not None
     c = view.camera
@@ -46,7 +46,7 @@ def _world(view: View) -> np.ndarray:
     return local @ c.camera_to_world[:3, :3].T + c.position
 
 
-def test_depth_of_the_road_is_that_of_its_plane(view: View) -> None:
+def test_depth_of_the_road_is_that_of_its_plane(view: CaptureFrame) -> None:
     assert view.depth is not None
     assert view.labels is not None
     rows, columns = np.nonzero((view.labels == Label.ROAD) & (view.depth < 60))
@@ -56,14 +56,14 @@ def test_depth_of_the_road_is_that_of_its_plane(view: View) -> None:
     np.testing.assert_allclose(view.depth[rows, columns], expected, rtol=2e-4)
 
 
-def test_depth_of_the_house_fronts_is_that_of_their_plane(view: View, surfaces: StreetSurfaces) -> None:
+def test_depth_of_the_house_fronts_is_that_of_their_plane(view: CaptureFrame, surfaces: StreetSurfaces) -> None:
     assert view.labels is not None
     y = _world(view)[..., 1]
     fronts = np.abs(np.abs(y[view.labels == Label.BUILDING]) - surfaces.layout.parameters.front_y_m)
     assert np.mean(fronts < 0.01) > 0.3  # the rest are reveals, sills, roofs and the row at the end
 
 
-def test_labels_are_right_where_anyone_can_tell(view: View) -> None:
+def test_labels_are_right_where_anyone_can_tell(view: CaptureFrame) -> None:
     assert view.labels is not None
     assert view.labels[10, 200] == Label.SKY
     assert view.labels[300, 240] == Label.ROAD
@@ -73,7 +73,7 @@ def test_labels_are_right_where_anyone_can_tell(view: View) -> None:
     assert Label.NOTHING not in found
 
 
-def test_normals_point_to_the_camera(view: View) -> None:
+def test_normals_point_to_the_camera(view: CaptureFrame) -> None:
     assert view.normals is not None
     assert view.labels is not None
     np.testing.assert_allclose(view.normals[300, 240], [0, 0, 1], atol=1e-6)
@@ -84,7 +84,7 @@ def test_normals_point_to_the_camera(view: View) -> None:
     assert (np.sum(away * view.normals, axis=2)[solid] <= 1e-6).all()
 
 
-def test_mask_leaves_out_the_lead_car(view: View, views: StreetViews, ahead: Camera) -> None:
+def test_mask_leaves_out_the_lead_car(view: CaptureFrame, views: StreetViews, ahead: Camera) -> None:
     assert view.mask is not None
     assert not view.mask[185, 240]
     assert view.mask[300, 240]
@@ -97,13 +97,13 @@ def test_mask_leaves_out_the_lead_car(view: View, views: StreetViews, ahead: Cam
     assert 0 < np.sum(~later.mask) < 0.2 * len(rows)
 
 
-def test_a_second_picture_has_the_same_bytes(view: View, views: StreetViews, ahead: Camera) -> None:
+def test_a_second_picture_has_the_same_bytes(view: CaptureFrame, views: StreetViews, ahead: Camera) -> None:
     again = views.view(ahead, 0.0, "again")
     np.testing.assert_array_equal(again.image, view.image)
     np.testing.assert_array_equal(again.depth, view.depth)
 
 
-def test_mesh_and_gaussians_show_the_same_street(view: View, surfaces: StreetSurfaces) -> None:
+def test_mesh_and_gaussians_show_the_same_street(view: CaptureFrame, surfaces: StreetSurfaces) -> None:
     scene = scene_of(surfaces)
     with open_context() as context:
         renderer = SplatRenderer(context)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.datasets.geometry import up_of_cameras
+from gsrain_engine.datasets.geometry import estimate_up_direction
 from gsrain_engine.scene.camera import Camera, look_at
 
 TURN = np.linalg.qr(np.random.default_rng(8).normal(size=(3, 3)))[0]
@@ -17,7 +17,7 @@ def camera(eye: tuple[float, float, float], ahead: tuple[float, float, float]) -
 
 
 def off_deg(cameras: list[Camera]) -> float:
-    return float(np.degrees(np.arccos(np.clip(np.array(up_of_cameras(cameras)) @ TURN[:, 2], -1, 1))))
+    return float(np.degrees(np.arccos(np.clip(np.array(estimate_up_direction(cameras)) @ TURN[:, 2], -1, 1))))
 
 
 def test_a_car_with_a_camera_that_looks_down() -> None:

@@ -12,7 +12,14 @@ from app.main import BAD_INPUT, run
 from appearance.matching.street_views import street_views
 from gsrain_engine.appearance.base import RainyView
 from gsrain_engine.appearance.output_folder import TransferRecord, write_transferred
-from gsrain_engine.evaluation.consistency import Agreement, WarpError, agreements, pooled, warp_error, warped_pair
+from gsrain_engine.evaluation.consistency import (
+    WarpAgreement,
+    WarpError,
+    agreements,
+    pool_errors,
+    warp_error,
+    warped_pair,
+)
 
 PAIRS = [(0, 1), (1, 0), (2, 1), (3, 1)]
 
@@ -100,15 +107,15 @@ def test_errors_are_those_of_a_plain_computation():
 
 
 def test_means_count_every_pixel_alike():
-    small = Agreement(100, WarpError(0.2, 0.4, 0.3), WarpError(0.1, 0.4, 0.1))
-    large = Agreement(300, WarpError(0.1, 0.2, 0.1), WarpError(0.1, 0.4, 0.1))
-    mean = pooled([small, large])
+    small = WarpAgreement(100, WarpError(0.2, 0.4, 0.3), WarpError(0.1, 0.4, 0.1))
+    large = WarpAgreement(300, WarpError(0.1, 0.2, 0.1), WarpError(0.1, 0.4, 0.1))
+    mean = pool_errors([small, large])
     assert mean.pixels == 400
     assert mean.after.rmse == pytest.approx(np.sqrt((100 * 0.04 + 300 * 0.01) / 400))
     assert mean.after.lpips == pytest.approx(0.15)
     assert mean.ratio == pytest.approx(np.sqrt(1.75))
     assert mean.lpips_ratio == pytest.approx(1.5)
-    assert pooled([]) is None
+    assert pool_errors([]) is None
 
 
 @pytest.fixture

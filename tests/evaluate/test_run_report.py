@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from gsrain_engine.evaluation.report import (
-    MOST_PICTURES,
-    Curve,
+    MAX_IMAGES,
+    ReportCurve,
     ReportFigure,
     ReportTable,
     RunReport,
@@ -21,11 +21,11 @@ from gsrain_engine.evaluation.report import (
 from gsrain_engine.evaluation.report_charts import (
     LARGEST_ERROR,
     WIDEST_PX,
-    Comparison,
-    chart,
-    error_picture,
-    number,
-    ticks,
+    ImageComparison,
+    axis_ticks,
+    error_map_uri,
+    format_number,
+    svg_chart,
 )
 
 _VOID = {"meta", "img", "input", "link", "br"}
@@ -58,9 +58,9 @@ class _Page(HTMLParser):
         self.words.append(data)
 
 
-def _comparison(name: str = "CAM_FRONT/1", difference: float = 0.1, width: int = 40) -> Comparison:
+def _comparison(name: str = "CAM_FRONT/1", difference: float = 0.1, width: int = 40) -> ImageComparison:
     truth = np.full((20, width, 3), 0.5)
-    return Comparison.measured(name, truth + difference, truth)
+    return ImageComparison.measured(name, truth + difference, truth)
 
 
 def _decoded(source: str) -> np.ndarray:
@@ -69,7 +69,7 @@ def _decoded(source: str) -> np.ndarray:
 
 def test_the_page_holds_everything_itself_and_shows_the_figures(tmp_path: Path):
     steps = np.arange(5)
-    curve = Curve("loss", steps, 1.0 / (1 + steps), times_s=steps * 100.0, unit="of 1")
+    curve = ReportCurve("loss", steps, 1.0 / (1 + steps), times_s=steps * 100.0, unit="of 1")
     report = RunReport("a run", {"steps": 5}, (curve,), (_comparison(),), {"training": 75.0}, {"Gaussians": "1,234"})
     write_report(tmp_path / "report.html", report)
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
@@ -85,7 +85,7 @@ def test_the_page_holds_everything_itself_and_shows_the_figures(tmp_path: Path):
 
 def test_what_comes_from_outside_is_escaped():
     evil = '<script>alert("&")</script>'
-    curve = Curve(evil, np.arange(2), np.arange(2.0), unit=evil)
+    curve = ReportCurve(evil, np.arange(2), np.arange(2.0), unit=evil)
     report = RunReport(
         evil, {evil: evil}, (curve,), (_comparison(evil),), {evil: 1.0}, {evil: evil}, (evil,), {"cpu": evil}
     )
@@ -97,9 +97,9 @@ def test_what_comes_from_outside_is_escaped():
 
 
 def test_of_many_views_some_are_pictures_and_all_are_rows():
-    comparisons = tuple(_comparison(f"view {i}", 0.01 * (1 + i)) for i in range(MOST_PICTURES + 6))
+    comparisons = tuple(_comparison(f"view {i}", 0.01 * (1 + i)) for i in range(MAX_IMAGES + 6))
     page = _Page(report_page(RunReport("a run", {}, (), comparisons)))
-    assert sum(source.startswith("data:image/jpeg") for source in page.sources) == 3 * MOST_PICTURES
+    assert sum(source.startswith("data:image/jpeg") for source in page.sources) == 3 * MAX_IMAGES
     words = " ".join(page.words)
     assert all(f"view {i}" in words for i in range(len(comparisons)))
 
@@ -108,7 +108,7 @@ def test_pictures_are_small_and_figures_are_of_the_full_size():
     generator = np.random.default_rng(0)
     truth = generator.random((300, 1300, 3))
     rendered = np.clip(truth + generator.normal(0, 0.05, truth.shape), 0, 1)
-    got = Comparison.measured("wide", rendered, truth)
+    got = ImageComparison.measured("wide", rendered, truth)
     assert got.rendered.shape == got.truth.shape == (148, WIDEST_PX, 3)
     assert got.psnr_db == pytest.approx(-10 * np.log10(((rendered - truth) ** 2).mean()))
     assert got.error.mean() == pytest.approx(np.abs(rendered - truth).mean(), rel=1e-3)
@@ -118,18 +118,18 @@ def test_the_mask_is_grey_and_costs_nothing():
     truth = np.full((20, 40, 3), 0.5)
     mask = np.ones((20, 40), bool)
     mask[:, :20] = False
-    got = Comparison.measured("masked", np.where(mask[..., None], truth + 0.1, 1.0), truth, mask)
+    got = ImageComparison.measured("masked", np.where(mask[..., None], truth + 0.1, 1.0), truth, mask)
     assert got.psnr_db == pytest.approx(20.0)
     assert np.isnan(got.error[:, :20]).all()
     assert got.error[:, 20:] == pytest.approx(0.1, abs=1e-6)
-    picture = _decoded(error_picture(got.error)).astype(int)
+    picture = _decoded(error_map_uri(got.error)).astype(int)
     assert np.abs(picture[:, :12] - 128).max() < 12
     assert np.abs(picture[5, 30] - 128).max() > 40
 
 
 def test_error_colors_grow_lighter_up_to_the_largest_error():
     shares = np.repeat(np.linspace(0, 1.2, 8), 16)
-    picture = _decoded(error_picture(np.tile(shares * LARGEST_ERROR, (16, 1)).astype(np.float32)))
+    picture = _decoded(error_map_uri(np.tile(shares * LARGEST_ERROR, (16, 1)).astype(np.float32)))
     light = picture.reshape(16, 8, 16, 3).mean(axis=(0, 2, 3))
     assert (np.diff(light[:7]) > 5).all()
     assert light[7] == pytest.approx(light[6], abs=12)
@@ -137,7 +137,7 @@ def test_error_colors_grow_lighter_up_to_the_largest_error():
 
 def test_lpips_stands_in_the_table_only_where_it_was_measured():
     truth = np.full((20, 40, 3), 0.5)
-    measured = Comparison.measured("a", truth + 0.1, truth, None, lambda rendered, truth, mask: 0.125)
+    measured = ImageComparison.measured("a", truth + 0.1, truth, None, lambda rendered, truth, mask: 0.125)
     assert "0.125" in report_page(RunReport("run", {}, (), (measured,)))
     assert "LPIPS" not in report_page(RunReport("run", {}, (), (_comparison(),)))
     both = report_page(RunReport("run", {}, (), (measured, _comparison())))
@@ -154,7 +154,7 @@ def test_a_chart_keeps_order_and_extremes():
     x = np.arange(5000.0)
     y = np.sin(x / 300)
     y[2500] = 9.0
-    svg = chart(x, y, "step", "value")
+    svg = svg_chart(x, y, "step", "value")
     line = _line(svg)
     assert len(line) == 240
     assert (np.diff(line[:, 0]) > 0).all()
@@ -167,18 +167,18 @@ def test_a_chart_keeps_order_and_extremes():
 
 
 def test_a_chart_goes_up_where_values_do_and_leaves_out_what_is_not_a_number():
-    line = _line(chart(np.arange(4.0), np.array([1.0, 10.0, np.nan, 100.0]), "step", "loss", is_logarithmic=True))
+    line = _line(svg_chart(np.arange(4.0), np.array([1.0, 10.0, np.nan, 100.0]), "step", "loss", is_logarithmic=True))
     assert len(line) == 3
     assert line[0, 1] - line[1, 1] == pytest.approx(line[1, 1] - line[2, 1], abs=0.2)
-    assert "no values" in chart(np.array([1.0]), np.array([np.nan]), "step", "loss")
-    _Page(chart(np.array([3.0, 3.0]), np.array([2.0, 2.0]), "step", "loss"))
+    assert "no values" in svg_chart(np.array([1.0]), np.array([np.nan]), "step", "loss")
+    _Page(svg_chart(np.array([3.0, 3.0]), np.array([2.0, 2.0]), "step", "loss"))
 
 
 def test_ticks_are_round_and_inside():
-    assert list(ticks(0.0, 3000.0, 6)) == [0, 500, 1000, 1500, 2000, 2500, 3000]
-    assert list(ticks(17.9, 26.2, 5)) == [18, 20, 22, 24, 26]
-    assert list(ticks(4.0, 4.0, 5)) == [4.0]
-    assert (number(212400.0), number(0.00001), number(3.14159)) == ("212,400", "1.0e-5", "3.142")
+    assert list(axis_ticks(0.0, 3000.0, 6)) == [0, 500, 1000, 1500, 2000, 2500, 3000]
+    assert list(axis_ticks(17.9, 26.2, 5)) == [18, 20, 22, 24, 26]
+    assert list(axis_ticks(4.0, 4.0, 5)) == [4.0]
+    assert (format_number(212400.0), format_number(0.00001), format_number(3.14159)) == ("212,400", "1.0e-5", "3.142")
 
 
 def test_a_report_that_cannot_be_written_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

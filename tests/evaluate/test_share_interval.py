@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluation.image_metrics import mean_interval, share_interval
+from gsrain_engine.evaluation.image_metrics import mean_interval, wilson_interval
 
 
 def test_values_of_the_literature():
@@ -13,12 +13,12 @@ def test_values_of_the_literature():
     for (hits, of), ends in {
         (81, 263): (0.2553, 0.3662), (15, 148): (0.0624, 0.1605), (0, 20): (0.0, 0.1611), (1, 29): (0.0061, 0.1718),
     }.items():  # fmt: skip
-        assert share_interval(hits, of) == pytest.approx(ends, abs=5e-5)
+        assert wilson_interval(hits, of) == pytest.approx(ends, abs=5e-5)
 
 
 def test_all_and_nothing():
-    assert share_interval(20, 20) == pytest.approx((1 - 0.1611, 1.0), abs=5e-5)
-    assert share_interval(0, 0) == (0.0, 1.0)
+    assert wilson_interval(20, 20) == pytest.approx((1 - 0.1611, 1.0), abs=5e-5)
+    assert wilson_interval(0, 0) == (0.0, 1.0)
 
 
 def test_a_mean_lies_within_twice_its_standard_error():

@@ -13,15 +13,15 @@ from gsrain_engine.evaluation.streaks import (
     RESTLESS_LEVELS,
     StreakTable,
     coverage,
-    cropped,
+    cropped_camera,
     find_streaks,
-    rain_frames,
+    median_residuals,
+    render_rain_frames,
     residual_statistics,
-    residuals,
     streak_statistics,
 )
-from gsrain_engine.rain.settings import Rain
-from gsrain_engine.rain.simulation import Rainfall
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.scene.camera import Camera, look_at
 
 from .drawn_streaks import SHAPE, SKY, box, frames
@@ -37,7 +37,7 @@ def with_streaks(*streaks, number=4, **options):
     """FRAMES frames, one of which has boxes (center, angle, length, width, alpha)."""
     alphas = [NOTHING] * FRAMES
     alphas[number] = sum(alpha * box(*shape) for *shape, alpha in streaks)
-    return residuals(frames(alphas, **options))
+    return median_residuals(frames(alphas, **options))
 
 
 @pytest.mark.parametrize("angle", [-20, 0, 8, 33, 75])
@@ -81,7 +81,7 @@ def test_opacity_and_exposure_of_measured_sizes():
 
 
 def test_noise_alone_gives_no_streaks():
-    found = residuals(frames([NOTHING] * 30, noise=2.5))
+    found = median_residuals(frames([NOTHING] * 30, noise=2.5))
     assert len(find_streaks(found, SKY)) + len(find_streaks(found, SKY, darker=True)) <= 1
 
 
@@ -107,7 +107,7 @@ def test_round_spots_are_no_streaks():
 def test_what_moves_all_the_time_counts_nowhere():
     random = np.random.default_rng(5)
     alphas = [random.uniform(0, 0.2) * box((50, 80), 0, 60, 30) for _ in range(FRAMES)]
-    found = residuals(frames(alphas))
+    found = median_residuals(frames(alphas))
     assert not found.still[80, 50]
     assert found.still[80, 150]
     assert len(find_streaks(found, SKY)) == 0
@@ -130,15 +130,15 @@ def test_residual_statistics_of_known_rain():
 def test_automatic_exposure_is_taken_out():
     shown = frames([NOTHING] * FRAMES)
     shown[2:6] += 12
-    assert residual_statistics(residuals(shown)).share_above < 1e-3
+    assert residual_statistics(median_residuals(shown)).share_above < 1e-3
 
 
 def test_too_few_frames_or_nothing_still_says_so():
     with pytest.raises(ValueError, match="4 frames: a temporal median"):
-        residuals(frames([NOTHING] * 4))
+        median_residuals(frames([NOTHING] * 4))
     random = np.random.default_rng(1)
     with pytest.raises(ValueError, match="no pixel stands still"):
-        residual_statistics(residuals(random.integers(0, 255, (7, 40, 50)).astype(np.uint8)))
+        residual_statistics(median_residuals(random.integers(0, 255, (7, 40, 50)).astype(np.uint8)))
 
 
 def test_statistics_count_what_the_band_holds():
@@ -168,26 +168,26 @@ def test_coverage_undoes_linear_mixing():
 def standing_camera():
     eye = np.array([0.0, 0.0, 1.5])
     pose = look_at(eye, eye + [1.0, 0.0, 0.0], np.array([0.0, 0.0, 1.0]))
-    return cropped(Camera(1920, 1080, 1916.0, 1916.0, 960.0, 540.0, pose), (600, 200, 400, 240))
+    return cropped_camera(Camera(1920, 1080, 1916.0, 1916.0, 960.0, 540.0, pose), (600, 200, 400, 240))
 
 
 def rendered(rain, noise=1.0, background=45):
     shape = (240, 400)
     times = 0.1 * np.arange(FRAMES)
-    made = rain_frames(
+    made = render_rain_frames(
         np.full(shape, background, np.uint8), np.full(shape, noise, np.float32), standing_camera(),
-        Rainfall.start(rain), list(times), SKY,
+        RainSimulation.start(rain), list(times), SKY,
     )  # fmt: skip
     return np.stack(list(made))
 
 
 def test_clear_sky_renders_the_background():
-    assert (rendered(Rain(), noise=0) == 45).all()
+    assert (rendered(RainSettings(), noise=0) == 45).all()
 
 
 @pytest.mark.parametrize("exposure_s", [0.004, 0.008])
 def test_our_rain_tells_the_exposure_it_was_rendered_with(exposure_s):
-    found = residuals(rendered(Rain(intensity_mm_h=2.0, exposure_s=exposure_s, haze=False)))
+    found = median_residuals(rendered(RainSettings(intensity_mm_h=2.0, exposure_s=exposure_s, haze=False)))
     table = find_streaks(found, SKY)
     assert len(table) > 30
     # Four Gaussians a streak spread like a box that is 1.3 times as long.
@@ -198,7 +198,7 @@ def test_our_rain_tells_the_exposure_it_was_rendered_with(exposure_s):
 def test_display_mixing_is_fainter_before_dark():
     rain = {"intensity_mm_h": 2.0, "exposure_s": 0.008, "haze": False}
     linear, display = (
-        rendered(Rain(**rain, rain_light=light), noise=0).astype(float) - 45 for light in ("linear", "display")
+        rendered(RainSettings(**rain, rain_light=light), noise=0).astype(float) - 45 for light in ("linear", "display")
     )
     assert linear.min() >= 0
     assert 2 < linear.mean() / display.mean() < 8
@@ -225,7 +225,7 @@ def test_frames_are_chosen_around_the_middle(pictures, spacing_s, count, chosen)
 
 
 def test_nothing_still_has_no_statistics():
-    found = residuals(np.random.default_rng(1).integers(0, 255, (9, 40, 40), np.uint8).astype(np.uint8))
+    found = median_residuals(np.random.default_rng(1).integers(0, 255, (9, 40, 40), np.uint8).astype(np.uint8))
     assert RESTLESS_LEVELS < 60 and not found.still.any()
     with pytest.raises(ValueError, match="no pixel stands still"):
         residual_statistics(found)

@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from colmap_files import write_binary, write_pictures, write_text
-from gsrain_engine.datasets.capture import Capture, CaptureError, View
+from gsrain_engine.datasets.capture import Capture, CaptureError, CaptureFrame
 from gsrain_engine.datasets.capture_folder import write_views, write_world
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
 from gsrain_engine.datasets.summary import summarized
@@ -67,7 +67,7 @@ def _check_world(capture: Capture) -> None:
         assert_track(capture.ego)
 
 
-def _check_pixels(view: View) -> None:
+def _check_pixels(view: CaptureFrame) -> None:
     for name in ("image", "depth", "normals", "labels", "mask", "sky"):
         try:
             pixels = getattr(view, name)
@@ -92,10 +92,10 @@ def _capture_folder(folder: Path) -> None:
     camera = Camera.from_fov(64, 48, 50.0, np.eye(4))
     depth, flags = np.linspace(1, 9, 48 * 64, dtype=np.float32).reshape(48, 64), pixels[..., 0] > 99
     rest = {"depth_source": depth, "normals_source": (pixels / 255).astype(np.float32), "labels_source": pixels[..., 1]}
-    view = View(
+    view = CaptureFrame(
         "a", camera, pixels, 0.5, "LEFT", mask_source=flags, sky_source=~flags, attributes={"rain": "2"}, **rest
     )
-    for _ in write_views(folder, [view, View("b", camera, pixels)]):
+    for _ in write_views(folder, [view, CaptureFrame("b", camera, pixels)]):
         pass
     write_world(folder, (0.0, -1.0, 0.1), is_metric=False)
 

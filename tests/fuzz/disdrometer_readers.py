@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gsrain_engine.disdrometer.file_summary import open_measured
+from gsrain_engine.disdrometer.file_summary import open_disdrometer_file
 from gsrain_engine.disdrometer.netcdf import write_spectra
 from gsrain_engine.disdrometer.open import read_disdrometer
-from gsrain_engine.disdrometer.rain_rates import from_spectra
-from gsrain_engine.disdrometer.spectra import DisdrometerFileError, Reading
+from gsrain_engine.disdrometer.rain_rates import keyframes_from_spectra
+from gsrain_engine.disdrometer.spectra import DisdrometerFileError, DisdrometerReading
 from gsrain_engine.disdrometer.tables import TableColumns, load_columns
 from parsivel_text import DRY, locarno_line, rain, station_line, velocity_major
 from tests.rain.disdrometer.test_files import telegram, thies_line
@@ -31,15 +31,15 @@ from .yaml_mutations import damaged_yaml
 
 def _read(path: Path) -> None:
     """Read a file, keep what can be trusted, and make weather of it."""
-    reading = open_measured(path).reading
+    reading = open_disdrometer_file(path).reading
     _check(reading)
     try:
-        from_spectra(reading)
+        keyframes_from_spectra(reading)
     except ValueError as error:
         assert "no record has a time" in str(error) or "a weather lasts" in str(error), str(error)
 
 
-def _check(reading: Reading) -> None:
+def _check(reading: DisdrometerReading) -> None:
     spectra = reading.spectra
     assert len(spectra) > 0 and np.isfinite(spectra.counts).all() and (spectra.counts >= 0).all(), "has odd counts"
     assert (
@@ -89,7 +89,7 @@ def _described_by(folder: Path) -> Path:
 
 def _read_described(path: Path) -> None:
     columns = TableColumns(instrument="OTT Parsivel", separator="|", time="when", rate="rate", drops="which")
-    _check(open_measured(path, columns).reading)
+    _check(open_disdrometer_file(path, columns).reading)
 
 
 def _read_by_description(path: Path) -> None:
@@ -154,7 +154,7 @@ def _drops(folder: Path) -> Path:
 
 def _own(folder: Path) -> Path:
     log = _lines(station_line(20), station_line(40, rain(), "0000.772"))(folder)
-    write_spectra(folder / "file.nc", open_measured(log).reading.spectra)
+    write_spectra(folder / "file.nc", open_disdrometer_file(log).reading.spectra)
     return folder / "file.nc"
 
 

@@ -12,10 +12,10 @@ import yaml
 from gsrain_engine.simulation.agents.http import ClientError, read_plan
 from gsrain_engine.simulation.interop.hugsim_protocol import read_reply
 from gsrain_engine.simulation.interop.openscenario_write import write_openscenario
-from gsrain_engine.simulation.metrics.summary import measured
+from gsrain_engine.simulation.metrics.summary import measure_drive
 from gsrain_engine.simulation.rollout_io import read_any_rollout, write_rollout, write_rollout_parquet
 from gsrain_engine.simulation.scenario_io import load_scenario
-from gsrain_engine.sweep.results import columns_of, parquet, rows_in
+from gsrain_engine.sweep.results import columns_of, rows_in, rows_parquet
 from gsrain_engine.sweep.settings import load_sweep
 from small_rollout import approach
 from small_scene import small_scene
@@ -83,7 +83,7 @@ def _read_rollout(path: Path) -> None:
     assert_finite(rollout)
     try:
         with np.errstate(all="ignore"):
-            measured(rollout)
+            measure_drive(rollout)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
@@ -110,7 +110,7 @@ def _columns(folder: Path) -> Path:
 def _rows(folder: Path) -> Path:
     samples = {str: "word", int: 3, float: 0.5, bool: True}
     row = {name: samples[kind] for name, kind in columns_of("drive").items()}
-    (folder / "row.parquet").write_bytes(parquet([row], "drive"))
+    (folder / "row.parquet").write_bytes(rows_parquet([row], "drive"))
     return folder / "row.parquet"
 
 

@@ -11,7 +11,7 @@ from gsrain_engine.evaluation.detection.detector import open_detector
 from gsrain_engine.evaluation.lpips_weights import read_arrays, write_arrays
 from gsrain_engine.recolor.result import read_recolored, write_recolored
 from gsrain_engine.scene.files import SceneFormatError
-from gsrain_engine.training.model import Checkpoint, read_checkpoint, write_checkpoint
+from gsrain_engine.training.model import TrainingCheckpoint, read_training_checkpoint, write_training_checkpoint
 from gsrain_engine.training.settings import TrainingSettings
 from tests.evaluate.detection.tiny_onnx import NAMES, write_red_finder
 
@@ -56,8 +56,8 @@ def _recolored(folder: Path) -> Path:
 
 
 def _training_state(folder: Path) -> Path:
-    state = Checkpoint(7, 1.5, {"means": np.ones((4, 3), np.float32), "moments": np.zeros((4, 3), np.float32)})
-    write_checkpoint(folder / "state.npz", state, TrainingSettings(), "views")
+    state = TrainingCheckpoint(7, 1.5, {"means": np.ones((4, 3), np.float32), "moments": np.zeros((4, 3), np.float32)})
+    write_training_checkpoint(folder / "state.npz", state, TrainingSettings(), "views")
     return folder / "state.npz"
 
 
@@ -88,7 +88,10 @@ NETWORK_READERS = (
     _row("weights-torch", _torch_state, _read_arrays, damage=_ZIP),
     _row("recolored", _recolored, read_recolored, SceneFormatError, _ZIP),
     _row(
-        "training-state", _training_state, lambda path: read_checkpoint(path, TrainingSettings(), "views"), damage=_ZIP
+        "training-state",
+        _training_state,
+        lambda path: read_training_checkpoint(path, TrainingSettings(), "views"),
+        damage=_ZIP,
     ),
     _row("detector", _detector, _detect),
 )

@@ -14,12 +14,12 @@ from gsrain_engine.scene.camera import Camera, read_camera
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_io import plain_camera_path, read_camera_path
 from gsrain_engine.scene.files import SceneFormatError
-from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats.registry import read_gaussians, write_gaussians
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.formats.spz import encode_spz
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import Scene, Track
+from gsrain_engine.scene.scene import PoseTrack, Scene
 from tests.scene.formats.sample_gaussians import sample_gaussians
 from tests.scene.formats.test_compressed_ply import BOUNDS, compressed
 from tests.scene.formats.test_ksplat import encode, some_gaussians
@@ -47,7 +47,7 @@ def assert_gaussians(found: Gaussians) -> None:
     assert np.allclose(np.linalg.norm(found.quaternions, axis=1), 1, atol=1e-4), "holds a quaternion that is not unit"
 
 
-def assert_track(track: Track) -> None:
+def assert_track(track: PoseTrack) -> None:
     """Assert that a track can be asked where it is."""
     for values in (track.times, track.positions, track.quaternions_wxyz):
         assert np.isfinite(values).all(), "holds a track that is not finite"
@@ -157,9 +157,9 @@ def _sog_folder(folder: Path) -> Path:
 def _scene_folder(folder: Path) -> Path:
     scene: Scene = sample_scene()
     road, sky = (replace(layer, visible=True) for layer in scene.layers)
-    marks = Marks(hidden=Mask.of(np.arange(50) % 3 == 0), deleted=Mask.of(np.arange(50) == 7))
+    marks = SelectionFlags(hidden=BitMask.of(np.arange(50) % 3 == 0), deleted=BitMask.of(np.arange(50) == 7))
     road = replace(road, marks=marks, wet_sh=road.gaussians.sh * np.float32(0.5), opacity=0.5)
-    chosen = {"set": {"layers/road & kerb": Mask.of(np.arange(50) < 9)}}
+    chosen = {"set": {"layers/road & kerb": BitMask.of(np.arange(50) < 9)}}
     weather = {"keys": [{"time_s": 0.0, "intensity_mm_h": 2.0}]}
     scene = replace(scene, layers=(road, sky), path=_path(), selections=chosen, weather=weather, view={"time_s": 1.0})
     write_scene(scene, folder / "scene")

@@ -21,9 +21,9 @@ from gsrain_engine.evaluation.compare_results import load_comparison
 from gsrain_engine.evaluation.detection.description import load_description
 from gsrain_engine.evaluation.detection.ground_truth import read_coco
 from gsrain_engine.evaluation.lidar.sensor import SENSORS
-from gsrain_engine.presets import shipped_names
+from gsrain_engine.presets import shipped_config_names
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.properties import rain_state
+from gsrain_engine.rain.properties import rain_properties
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.training.settings import load_settings
 
@@ -58,7 +58,7 @@ def _settings(
         then(found)
 
     def write(to: Path) -> Path:
-        assert shipped in shipped_names(folder)
+        assert shipped in shipped_config_names(folder)
         (to / "settings.yaml").write_bytes((_SHIPPED / folder / f"{shipped}.yaml").read_bytes())
         return to / "settings.yaml"
 
@@ -67,11 +67,11 @@ def _settings(
 
 def _calibrated(calibration: Any) -> None:
     """Look at the rain that a calibration makes: numbers as they may be, and none that warns."""
-    from gsrain_engine.rain.settings import Rain
+    from gsrain_engine.rain.settings import RainSettings
 
     for intensity in (0.0, 0.5, 8.5, 100.0):
         with np.errstate(all="ignore"):
-            rain_state(Rain(intensity_mm_h=intensity), calibration)
+            rain_properties(RainSettings(intensity_mm_h=intensity), calibration)
 
 
 def _sensor_file(folder: Path) -> Path:
@@ -159,9 +159,9 @@ SETTINGS_READERS = (
     _settings("calibration", "calibrations", "published", load_calibration, _calibrated),
     _settings("fitted-calibration", "calibrations", "locarno_2018", load_calibration, _calibrated),
     _settings("detector-description", "detectors", "nanodet", load_description),
-    _settings("training-settings", "reconstruct", shipped_names("reconstruct")[0], load_settings),
-    _settings("finetuning-settings", "finetune", shipped_names("finetune")[0], load_finetuning),
-    _settings("comparison", "comparisons", shipped_names("comparisons")[0], load_comparison),
+    _settings("training-settings", "reconstruct", shipped_config_names("reconstruct")[0], load_settings),
+    _settings("finetuning-settings", "finetune", shipped_config_names("finetune")[0], load_finetuning),
+    _settings("comparison", "comparisons", shipped_config_names("comparisons")[0], load_comparison),
     Reader("lidar-sensor", _sensor_file, lambda path: assert_finite(read_sensor(str(path), None, None)), ValueError,
            (("*.yaml", damaged_yaml),)),
     Reader("coco", _coco, _read_coco, ValueError, (("*.json", damaged_json),)),

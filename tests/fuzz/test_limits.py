@@ -19,7 +19,7 @@ from PIL import Image
 
 from gsrain_engine.datasets.capture import CaptureError
 from gsrain_engine.datasets.io.arrays import read_floats, read_json, read_npz
-from gsrain_engine.datasets.io.images import picture_size, read_color, read_stored
+from gsrain_engine.datasets.io.images import image_size, read_color, read_stored
 from gsrain_engine.datasets.io.safe_pickle import read_pickle
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.camera_path_io import read_camera_path
@@ -142,7 +142,7 @@ def _jpeg(width: int, height: int) -> bytes:
 def test_picture_bombs(name: str, content: bytes, words: str, tmp_path: Path) -> None:
     path = tmp_path / name
     path.write_bytes(content)
-    for read in (picture_size, read_color, read_stored):
+    for read in (image_size, read_color, read_stored):
         with limited_memory(), pytest.raises(CaptureError, match=rf"{name}: .*({words})"):
             read(path)
 
@@ -150,9 +150,9 @@ def test_picture_bombs(name: str, content: bytes, words: str, tmp_path: Path) ->
 def test_pictures_of_one_colour_are_no_bombs(tmp_path: Path) -> None:
     for name in ("a.png", "a.jpg"):
         Image.new("RGB", (5000, 4000), (9, 9, 9)).save(tmp_path / name)
-        assert picture_size(tmp_path / name) == (5000, 4000)
+        assert image_size(tmp_path / name) == (5000, 4000)
     Image.new("1", (8000, 6000)).save(tmp_path / "mask.png")
-    assert picture_size(tmp_path / "mask.png") == (8000, 6000)
+    assert image_size(tmp_path / "mask.png") == (8000, 6000)
 
 
 def _npy(shape: str, descr: str = "<f4", rows: bytes = b"") -> bytes:

@@ -251,10 +251,10 @@ def test_a_library_that_does_not_come_to_its_end_is_left(monkeypatch: pytest.Mon
     endless = tmp_path / "endless.py"
     endless.write_text("while True: pass")
     monkeypatch.setattr(hdf5_trial, "__file__", str(endless))
-    monkeypatch.setattr(hdf5_trial, "_LEAST_S", 0.2)
+    monkeypatch.setattr(hdf5_trial, "_MIN_S", 0.2)
     assert not passes_trial(b"")
     endless.write_text("import os; os.abort()")
-    monkeypatch.setattr(hdf5_trial, "_LEAST_S", 30)
+    monkeypatch.setattr(hdf5_trial, "_MIN_S", 30)
     assert not passes_trial(b"")
     endless.write_text("raise OSError")
     assert passes_trial(b"")

@@ -14,9 +14,9 @@ from gsrain_engine.editor.preferences import Preferences
 from gsrain_engine.evaluation.detection.description import DetectorDescription
 from gsrain_engine.evaluation.lidar.sensor import LidarSensor
 from gsrain_engine.rain.calibration import Calibration
-from gsrain_engine.rain.keyframes import Weather
-from gsrain_engine.rain.settings import Rain
-from gsrain_engine.safe_io.errors import converted
+from gsrain_engine.rain.keyframes import RainKeyframes
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.simulation.scenario import Scenario
 from gsrain_engine.sweep.settings import DriveSweep, RenderSweep
 from gsrain_engine.training.settings import TrainingSettings
@@ -24,7 +24,7 @@ from gsrain_engine.training.settings import TrainingSettings
 from .settings_readers import assert_finite
 
 KINDS = (
-    Rain, Weather, Calibration, Scenario, DriveSweep, RenderSweep, TrainingSettings, FinetuningSettings,
+    RainSettings, RainKeyframes, Calibration, Scenario, DriveSweep, RenderSweep, TrainingSettings, FinetuningSettings,
     DetectorDescription, LidarSensor, Preferences,
 )  # fmt: skip
 ODD = st.sampled_from(
@@ -74,11 +74,11 @@ def test_values_are_taken_or_refused_with_their_place(kind: type):
     @given(values_of(inspect.type_info(kind)))
     def check(values: Any) -> None:
         try:
-            made = converted(values, kind)
+            made = convert_checked(values, kind)
         except ValueError as error:
             assert str(error).isprintable() and len(str(error)) <= 700
             return
         assert_finite(made)
-        assert converted(msgspec.json.decode(msgspec.json.encode(made)), kind) == made
+        assert convert_checked(msgspec.json.decode(msgspec.json.encode(made)), kind) == made
 
     check()

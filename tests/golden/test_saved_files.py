@@ -11,16 +11,16 @@ import yaml
 
 from gsrain_engine.appearance.finetune.settings import load_finetuning
 from gsrain_engine.disdrometer.tables import load_columns
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.files import recent_files
 from gsrain_engine.editor.preferences import load_preferences
 from gsrain_engine.evaluation.compare_results import load_comparison
 from gsrain_engine.evaluation.detection.description import load_description
 from gsrain_engine.evaluation.lidar.sensor import LidarSensor
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.keyframes import rain_of, weather_of
-from gsrain_engine.rain.settings import Rain, load_preset
-from gsrain_engine.safe_io.errors import converted
+from gsrain_engine.rain.keyframes import keyframes_of, rain_of
+from gsrain_engine.rain.settings import RainSettings, load_preset
+from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.safe_io.text_files import yaml_values
 from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.simulation.rollout_io import read_rollout
@@ -46,7 +46,7 @@ def saved(tmp_path, monkeypatch):
 
 @pytest.fixture
 def session():
-    opened = Session()
+    opened = Editor()
     yield opened
     opened.close()
 
@@ -105,10 +105,10 @@ def test_what_belongs_to_the_whole_scene_folder():
     assert path.vertical_fov_deg.tolist() == [50.0, 48.0, 52.0, 50.0]
     rain = rain_of(scene)
     assert rain == msgspec.structs.replace(
-        Rain(), intensity_mm_h=7.5, seed=3, gust_m_s=1.5, wind_m_s=(2.0, -1.0), exposure_s=0.01, roofs=True,
+        RainSettings(), intensity_mm_h=7.5, seed=3, gust_m_s=1.5, wind_m_s=(2.0, -1.0), exposure_s=0.01, roofs=True,
         haze_gain=1.25, drying_s=120.0, drop_color=(0.7, 0.75, 0.8), max_copies=3,
     )  # fmt: skip
-    weather = weather_of(scene)
+    weather = keyframes_of(scene)
     assert (weather.between, weather.key_times["intensity_mm_h"].tolist()) == ("smooth", [0.0, 1.5, 4.0])
     assert weather.rain_at(rain, 1.5).wind_m_s == (3.0, 0.5)
     assert weather.rain_at(rain, 4.0).exposure_s == 0.02
@@ -166,7 +166,7 @@ def test_the_layout_of_panels_names_panels_that_there_are():
         ("finetuning", load_finetuning),
         ("comparison", load_comparison),
         ("detector", load_description),
-        ("lidar", lambda path: converted(yaml_values(Path(path).read_bytes()), LidarSensor)),
+        ("lidar", lambda path: convert_checked(yaml_values(Path(path).read_bytes()), LidarSensor)),
         ("columns", load_columns),
     ],
 )

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Float64
 from gsrain_engine.render.cpu.projection import TINT, TINT_SHARE
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.geometry import linear_to_srgb, matrices_from_quaternions, srgb_to_linear
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.scene import DrawItem
 
 NEAR_M, DILATION_PX2, MAX_ALPHA, MIN_TRANSMITTANCE = 0.2, 0.3, 0.999, 1e-4
 SCENE_ALPHA_CUT, RAIN_ALPHA_CUT = 1 / 255, 1 / 65536
@@ -26,14 +26,14 @@ class _Splat(NamedTuple):
 
 
 def rasterize_slowly(
-    parts: Sequence[Part], camera: Camera, rain: Sequence[Bool[np.ndarray, " _"] | None] | None = None
+    parts: Sequence[DrawItem], camera: Camera, rain: Sequence[Bool[np.ndarray, " _"] | None] | None = None
 ) -> Float64[np.ndarray, "h w 5"]:
     """Render premultiplied colour, alpha and alpha-weighted depth, as 3DGS defines them (Kerbl et al. 2023)."""
     return _blended(_nearest_first(parts, camera, rain), camera)
 
 
 def rasterize_in_linear_light_slowly(
-    parts: Sequence[Part],
+    parts: Sequence[DrawItem],
     camera: Camera,
     rain: Sequence[Bool[np.ndarray, " _"] | None],
     light_linear: Float[np.ndarray, "3"],
@@ -70,7 +70,7 @@ def shares_slowly(splats: Sequence[_Splat], camera: Camera) -> Float64[np.ndarra
 
 
 def _nearest_first(
-    parts: Sequence[Part], camera: Camera, rain: Sequence[Bool[np.ndarray, " _"] | None] | None
+    parts: Sequence[DrawItem], camera: Camera, rain: Sequence[Bool[np.ndarray, " _"] | None] | None
 ) -> list[_Splat]:
     splats: list[_Splat] = []
     for index, part in enumerate(parts):
@@ -111,7 +111,7 @@ def _alpha(splat: _Splat, camera: Camera) -> Float64[np.ndarray, "h w"]:
     return np.where(alpha >= splat.cut, np.minimum(alpha, MAX_ALPHA), 0)
 
 
-def _projected(part: Part, i: int, camera: Camera, is_rain: bool) -> _Splat | None:
+def _projected(part: DrawItem, i: int, camera: Camera, is_rain: bool) -> _Splat | None:
     g = part.gaussians
     numbers = [g.means[i], g.scales[i], g.quaternions[i], g.opacities[i], g.sh[i]]
     if part.is_wet and part.wet_sh is not None:
@@ -137,7 +137,7 @@ def _projected(part: Part, i: int, camera: Camera, is_rain: bool) -> _Splat | No
     return _Splat(center, covariance, opacity, cut, _color(part, i, camera), float(z), is_rain)
 
 
-def _color(part: Part, i: int, camera: Camera) -> Float64[np.ndarray, "3"]:
+def _color(part: DrawItem, i: int, camera: Camera) -> Float64[np.ndarray, "3"]:
     eye = np.linalg.inv(part.to_world) @ np.append(camera.position, 1)
     direction = part.gaussians.means[i] - eye[:3]
     sh = part.gaussians.sh[i].astype(np.float64)

@@ -1,14 +1,14 @@
-"""The streak physics in plain NumPy, float64: `make_visible_streaks` must make the same."""
+"""The streak physics in plain NumPy, float64: `streak_gaussians` must make the same."""
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from gsrain_engine.rain.settings import Rain
+from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.streaks import (
     AXIS_RATIO_OFFSET,
     AXIS_RATIO_SLOPE,
-    Shutter,
-    Streaks,
+    ShutterModel,
+    StreakGaussians,
     circle_of_confusion_m,
     visible_distance_m,
 )
@@ -23,9 +23,9 @@ def make_streaks(
     positions_m: Float64[np.ndarray, "m 3"],
     diameters_mm: Float64[np.ndarray, " m"],
     velocities_m_s: Float64[np.ndarray, "m 3"],
-    shutter: Shutter,
-    rain: Rain,
-) -> Streaks:
+    shutter: ShutterModel,
+    rain: RainSettings,
+) -> StreakGaussians:
     """Turn drops into one to n_max Gaussians each, along the path the drop takes through the picture.
 
     Opacity: eq. 5 with the speed across the line of sight (`world`: V itself, the paper's form), times eq. 7's
@@ -66,7 +66,7 @@ def make_streaks(
     owner, place = _copies(copies)
     direction = seen / np.maximum(speed, 1e-9)[:, None]
     offset = place * (length / copies)[owner]
-    return Streaks(
+    return StreakGaussians(
         means=(positions_m[owner] + offset[:, None] * direction[owner]).astype(np.float32),
         scales=np.stack([across_sigma, across_sigma, along_sigma], axis=1)[owner].astype(np.float32),
         quaternions=_turn_z_to(direction)[owner].astype(np.float32),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gsrain_engine.presets import shipped_folder, shipped_names
+from gsrain_engine.presets import shipped_config_names, shipped_folder
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGES = ("app", "ui", "gsrain", "gsrain_engine")
@@ -42,11 +42,11 @@ def test_the_wheel_holds_nothing_else(in_wheel):
 
 def test_data_is_found_in_a_checkout_and_where_it_is_installed(tmp_path, monkeypatch):
     assert shipped_folder("shaders") == REPOSITORY / "shaders"
-    assert "published" in shipped_names("calibrations")
+    assert "published" in shipped_config_names("calibrations")
     (tmp_path / "gsrain_engine" / "sample_configs" / "calibrations").mkdir(parents=True)
     (tmp_path / "gsrain_engine" / "sample_configs" / "calibrations" / "own.yaml").touch()
     monkeypatch.setattr("gsrain_engine.presets.__file__", str(tmp_path / "gsrain_engine" / "shipped_configs.py"))
-    assert shipped_names("calibrations") == ["own"]
+    assert shipped_config_names("calibrations") == ["own"]
 
 
 def test_the_newest_release_among_the_changes_is_this_version():

@@ -13,7 +13,7 @@ import gsrain as gr
 from app.main import run
 from gsrain_engine.disdrometer.netcdf import write_spectra
 from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
-from gsrain_engine.rain.simulation import Rainfall
+from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.scene.geometry import linear_to_srgb
 from small_scene import small_scene
 
@@ -70,7 +70,7 @@ def test_rain_names_the_argument_that_is_wrong(given, message):
 def test_rain_from_a_disdrometer(tmp_path):
     logs = [tmp_path / f"{intensity}.nc" for intensity in (2.0, 8.0)]
     for log in logs:
-        rainfall = Rainfall.start(gr.Rain(float(log.stem)))
+        rainfall = RainSimulation.start(gr.Rain(float(log.stem)))
         write_spectra(log, VirtualDisdrometer(rainfall).measure(np.arange(0.0, 301.0, 60.0)).spectra)
     rain = gr.Rain.from_disdrometer(logs, save_to=tmp_path / "here" / "cal.yaml")
     assert rain.intensity_mm_h == pytest.approx(5.0, rel=0.05)

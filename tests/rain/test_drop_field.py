@@ -4,14 +4,14 @@ from scipy import stats
 
 from gsrain_engine.rain.drop_field import (
     CLASS_STRIDE,
-    Culling,
+    DropCulling,
     count_in_region,
-    drops_at,
-    find_drops,
-    offsets,
-    offsets_of,
+    drop_phases,
+    drop_phases_of_motion,
     pcg4d,
     pcg4d_scalar,
+    place_drops,
+    visible_drops,
 )
 from gsrain_engine.rain.drop_motion import DropMotion, Wind
 from gsrain_engine.rain.properties import CLASSES
@@ -28,13 +28,13 @@ def displaced(time_s, wind=(0.0, 0.0)):
 
 def positions_at(time_s, center=(0.0, 0.0, 0.0), wind=(0.0, 0.0), count=20_000):
     center = np.array(center, float)
-    drops = drops_at(np.arange(count), 7, offsets(displaced(time_s, wind), center, PERIOD))
+    drops = place_drops(np.arange(count), 7, drop_phases(displaced(time_s, wind), center, PERIOD))
     return drops.positions(PERIOD) + center, drops
 
 
 def culling(camera=(-1.0, 0.3, 0.2), far=2.0, yaw=0.4):
     c, s = np.cos(yaw), np.sin(yaw)
-    return Culling(
+    return DropCulling(
         region_rotation=np.array([[c, s], [-s, c]]),
         region_half=np.array([2.8, 2.8, 3.0]),
         camera_position=np.array(camera),
@@ -78,10 +78,10 @@ def test_every_class_comes_once_in_a_round():
 
 @pytest.mark.parametrize("time_s", [0.0, 12.3, 9_999.9])
 def test_compiled_search_finds_what_the_reference_places(time_s):
-    where = offsets(displaced(time_s, (1.0, -2.0)), np.array([1.0, 2.0, 3.0]), PERIOD)
+    where = drop_phases(displaced(time_s, (1.0, -2.0)), np.array([1.0, 2.0, 3.0]), PERIOD)
     cull = culling()
-    found = find_drops(50_000, 7, where, PERIOD, cull)
-    every = drops_at(np.arange(50_000), 7, where)
+    found = visible_drops(50_000, 7, where, PERIOD, cull)
+    every = place_drops(np.arange(50_000), 7, where)
     p = every.positions(PERIOD)
     in_region = np.all(np.abs(p[:, :2] @ cull.region_rotation.T) <= cull.region_half[:2], axis=1)
     in_region &= np.abs(p[:, 2]) <= cull.region_half[2]
@@ -144,7 +144,7 @@ def test_a_motion_gives_the_offsets_of_its_displacement_to_the_bit():
     center = np.array([3.0, -2.0, 0.5])
     motion = DropMotion(Wind((1.3, -0.4), 2.0, 5), FALL)
     for moving in (motion, motion.changed(7.0, Wind((4.0, 0.0)), 2 * FALL), motion.without_drift()):
-        ours = offsets_of(moving, 1234.5, center, PERIOD)
-        expected = offsets(moving.displacement(1234.5), center, PERIOD)
+        ours = drop_phases_of_motion(moving, 1234.5, center, PERIOD)
+        expected = drop_phases(moving.displacement(1234.5), center, PERIOD)
         np.testing.assert_array_equal(ours.wraps, expected.wraps)
         np.testing.assert_array_equal(ours.fractions, expected.fractions)

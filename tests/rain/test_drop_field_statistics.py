@@ -10,23 +10,23 @@ from scipy import special, stats
 
 from gsrain_engine.rain.drop_field import (
     FIRST_OF_CLASS,
-    Culling,
-    Offsets,
+    DropCulling,
+    DropPhases,
     count_in_region,
-    drops_at,
-    find_drops,
-    offsets,
+    drop_phases,
+    place_drops,
+    visible_drops,
 )
 from gsrain_engine.rain.properties import CLASSES, LARGEST_MM, SMALLEST_MM, fall_speed
-from gsrain_engine.rain.settings import Rain
-from gsrain_engine.rain.simulation import Rainfall, View
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.simulation import RainCamera, RainSimulation
 from gsrain_engine.scene.camera import Camera, look_at
 
 SPEED, YAW_RATE, CLIMB, WIND = 12.0, 0.25, 0.3, (2.0, -1.5)
 
 
 def rain(intensity, **changes):
-    return Rain(intensity_mm_h=intensity, wind_m_s=WIND, seed=11, **changes)
+    return RainSettings(intensity_mm_h=intensity, wind_m_s=WIND, seed=11, **changes)
 
 
 def drive(time_s):
@@ -37,13 +37,13 @@ def drive(time_s):
     anchor = np.eye(4)
     anchor[:3, 0], anchor[:3, 1], anchor[:3, 3] = ahead, np.cross([0.0, 0.0, 1.0], ahead), here
     camera = Camera.from_fov(32, 20, 60.0, look_at(here, here + ahead, np.array([0, 0, 1.0])))
-    return View(camera, anchor, SPEED * ahead + [0, 0, CLIMB])
+    return RainCamera(camera, anchor, SPEED * ahead + [0, 0, CLIMB])
 
 
 def drops_around(rainfall, time_s, view=None):
     """Every drop of the lattice, and its place in the ego's axes from the middle of the region."""
     field = rainfall.streak_field(time_s, view or drive(time_s))
-    drops = drops_at(np.arange(field.count), field.rain.seed, field.where)
+    drops = place_drops(np.arange(field.count), field.rain.seed, field.where)
     at = drops.positions(field.period_m)
     at[:, :2] = at[:, :2] @ field.culling.region_rotation.T
     return drops, at, field
@@ -60,7 +60,7 @@ def test_drops_are_uniform_in_the_region(time_s):
     A density that is 5 % too high in half the boxes and too low in the others adds 220 to an expected 215, whose
     standard deviation is 21: found 999 times in 1000. The last lines see to it.
     """
-    _, at, field = drops_around(Rainfall.start(rain(1.2)), time_s)
+    _, at, field = drops_around(RainSimulation.start(rain(1.2)), time_s)
     within = at[inside(at, field)] / field.culling.region_half
     assert len(within) > 80_000
     assert evenness(within) > 1e-4
@@ -87,7 +87,7 @@ def test_diameters_follow_the_gamma_law(intensity):
     Classes are filled evenly, so the distance is smaller than chance would make it. A scale that is 2 % off moves the
     distribution by 0.014 and more, its critical distance is 0.011: found every time, as the last lines see to.
     """
-    rainfall = Rainfall.start(rain(intensity))
+    rainfall = RainSimulation.start(rain(intensity))
     drops, at, field = drops_around(rainfall, 21.0)
     diameters = field.diameters_mm[drops.class_index[inside(at, field)]][:30_000]
     state = rainfall.state
@@ -99,7 +99,7 @@ def test_diameters_follow_the_gamma_law(intensity):
 @pytest.mark.parametrize("velocity", ["calibration", "atlas"])
 def test_every_drop_falls_at_the_speed_of_its_diameter(velocity):
     """No chance here: between two moments each drop moves by V(D) dt and the wind, to 0.1 um, or has met a face."""
-    rainfall, dt, view = Rainfall.start(rain(0.3, velocity=velocity)), 0.01, drive(0.0)
+    rainfall, dt, view = RainSimulation.start(rain(0.3, velocity=velocity)), 0.01, drive(0.0)
     drops, before, field = drops_around(rainfall, 40.0, view)
     _, after, _ = drops_around(rainfall, 40.0 + dt, view)
     diameters = field.diameters_mm[drops.class_index]
@@ -116,11 +116,11 @@ def rainfall_speed(rainfall):
 
 def likeness(numbers, *, drawn_anew=True, heights=True):
     """How alike pictures of x and z are that lie 0.6 to 15 s apart; without heights, each row less its mean."""
-    rainfall, view, pictures = Rainfall.start(Rain(intensity_mm_h=8.5, seed=4)), drive(0.0), []
+    rainfall, view, pictures = RainSimulation.start(RainSettings(intensity_mm_h=8.5, seed=4)), drive(0.0), []
     for time_s in np.arange(0, 30, 0.2):
         field = rainfall.streak_field(time_s, view)
-        where = field.where if drawn_anew else Offsets(0 * field.where.wraps, field.where.fractions)
-        at = drops_at(numbers, 4, where).positions(field.period_m)
+        where = field.where if drawn_anew else DropPhases(0 * field.where.wraps, field.where.fractions)
+        at = place_drops(numbers, 4, where).positions(field.period_m)
         x, z = field.period_m[[0, 2]] / 2
         pictures.append(np.histogram2d(at[:, 0], at[:, 2], (17, 12), [(-x, x), (-z, z)])[0])
     seen = np.stack(pictures)
@@ -150,7 +150,7 @@ def test_no_period_is_visible_in_the_rain():
 def draws(wrap_z, wrap_x=0, count=100_000):
     """What drops are given when they have wrapped so often: z, x, y as shares of the lattice."""
     wraps = np.tile(np.array([wrap_x, 0, wrap_z], np.int32), (CLASSES, 1))
-    placed = drops_at(np.arange(count), 3, Offsets(wraps, np.zeros((CLASSES, 3), np.uint32)))
+    placed = place_drops(np.arange(count), 3, DropPhases(wraps, np.zeros((CLASSES, 3), np.uint32)))
     x, y, z = placed.fractions.T * 2.0**-32
     return {"x": x, "y": y, "z": z}
 
@@ -222,7 +222,7 @@ def test_density_and_flux_are_steady_while_the_ego_drives_and_turns_and_the_rain
     found 99 times in 100. Flux: the same for each of the 12 ways through a face. Standard errors of the sums are 0.8 %
     (front, back), 1.8 % (top, bottom) and 2.8 to 3.8 % (sides): 5, 10 and 20 % off are found 95 times in 100.
     """
-    dt, rainfall = 0.004, Rainfall.start(rain(changing(0)))
+    dt, rainfall = 0.004, RainSimulation.start(rain(changing(0)))
     counts, expected_counts, spreads = [], [], []
     seen = {(axis, side, way): [] for axis in range(3) for side in (-1, 1) for way in ("in", "out")}
     expected = {key: [] for key in seen}
@@ -272,7 +272,7 @@ def ego_step(velocity, at, view, field):
 
 def test_a_drop_jumps_only_at_a_face_of_the_lattice_whatever_changes():
     """While the ego drives, the wind turns and R changes, each drop moves on from where it is, or has met a face."""
-    rainfall, dt = Rainfall.start(rain(0.2)), 2e-3
+    rainfall, dt = RainSimulation.start(rain(0.2)), 2e-3
     for step in range(12):
         time_s = 1.1 * step
         view, later = drive(time_s), drive(time_s + dt)
@@ -299,10 +299,10 @@ FAR_M = np.array([8_000.0, -6_000.0, 120.0])
 
 def test_compiled_search_places_drops_to_the_last_bit_far_and_late():
     """At 10,000 s and 10 km a drop is found in a box that ends exactly on it, but in none a rounding step smaller."""
-    where_then = Rainfall.start(rain(0.2, gust_m_s=5.0)).motion.displacement(10_000.0)
+    where_then = RainSimulation.start(rain(0.2, gust_m_s=5.0)).motion.displacement(10_000.0)
     period = np.array([8.5, 8.5, 6.0])
-    where = offsets(where_then, FAR_M, period)
-    drops = drops_at(np.arange(CLASSES), 3, where)
+    where = drop_phases(where_then, FAR_M, period)
+    drops = place_drops(np.arange(CLASSES), 3, where)
     distance = np.abs(drops.positions(period))
     for number in range(0, CLASSES, 2048):
         for smaller in (None, 0, 1, 2):
@@ -310,7 +310,7 @@ def test_compiled_search_places_drops_to_the_last_bit_far_and_late():
             if smaller is not None:
                 half[smaller] = np.nextafter(half[smaller], 0)
             box = culling(half)
-            found = find_drops(CLASSES, 3, where, period, box).numbers
+            found = visible_drops(CLASSES, 3, where, period, box).numbers
             expected = np.flatnonzero(np.all(distance <= half, axis=1))
             np.testing.assert_array_equal(found, expected)
             assert (number in found) == (smaller is None)
@@ -319,7 +319,7 @@ def test_compiled_search_places_drops_to_the_last_bit_far_and_late():
 
 def culling(half):
     """A box around the middle of the lattice, all of it in view."""
-    return Culling(
+    return DropCulling(
         region_rotation=np.eye(2),
         region_half=half,
         camera_position=np.array([-1000.0, 0.0, 0.0]),

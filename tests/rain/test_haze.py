@@ -3,22 +3,22 @@ import pytest
 
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.haze import LIFETIME_S, RAMP_M, make_haze
-from gsrain_engine.rain.properties import rain_state
-from gsrain_engine.rain.settings import Rain
+from gsrain_engine.rain.properties import rain_properties
+from gsrain_engine.rain.settings import RainSettings
 
 ANCHOR = np.eye(4)
 FAR_AWAY = np.array([-1000.0, 0, 0])
 
 
 def haze(time_s=0.0, count=20_000, camera=FAR_AWAY, anchor=ANCHOR, **fields):
-    return make_haze(Rain(intensity_mm_h=8.5, **fields), count, time_s, anchor, camera)
+    return make_haze(RainSettings(intensity_mm_h=8.5, **fields), count, time_s, anchor, camera)
 
 
 @pytest.mark.parametrize("reset", ["fade", "paper"])
 @pytest.mark.parametrize("time_s", [0.0, 2.9, 1234.5])
 def test_opacity_in_the_region_is_that_of_m_gaussians(reset, time_s):
     """Sum of opacities inside the region is M alpha_m at any moment: 20,000 of them count to 1 %."""
-    rain = Rain(haze_reset=reset)
+    rain = RainSettings(haze_reset=reset)
     made = haze(time_s, haze_reset=reset)
     inside = np.all((made.means >= rain.haze_region.minimum_m) & (made.means <= rain.haze_region.maximum_m), axis=1)
     assert made.opacities[inside].sum() == pytest.approx(20_000 * rain.haze_opacity, rel=0.03)
@@ -27,7 +27,7 @@ def test_opacity_in_the_region_is_that_of_m_gaussians(reset, time_s):
 @pytest.mark.parametrize("reset", ["fade", "paper"])
 def test_haze_fills_the_region_of_a_car_that_has_turned_and_driven_on(reset):
     """In the car's own axes all of it is within 3 sigma of the region, and each eighth of it holds its eighth."""
-    rain, anchor = Rain(haze_reset=reset), np.eye(4)
+    rain, anchor = RainSettings(haze_reset=reset), np.eye(4)
     cosine, sine = np.cos(0.7), np.sin(0.7)
     anchor[:2, :2], anchor[:3, 3] = [[cosine, -sine], [sine, cosine]], (300.0, -20.0, 2.0)
     made = haze(7.3, anchor=anchor, haze_reset=reset)
@@ -44,8 +44,8 @@ def test_haze_fills_the_region_of_a_car_that_has_turned_and_driven_on(reset):
 @pytest.mark.parametrize(("count", "shares"), [(16_000, 1), (1000, 4), (160, 10), (10, 16)])
 def test_few_gaussians_are_split_up_into_the_geometric_mean_with_16000(count, shares):
     made = haze(count=count)
-    assert made.opacities.max() == pytest.approx(Rain().haze_opacity / shares, rel=1e-3)
-    rain = Rain()
+    assert made.opacities.max() == pytest.approx(RainSettings().haze_opacity / shares, rel=1e-3)
+    rain = RainSettings()
     inside = np.all(np.abs(made.means - rain.haze_region.center_m) <= np.array(rain.haze_region.size_m) / 2, axis=1)
     assert made.opacities[inside].sum() == pytest.approx(count * rain.haze_opacity, rel=0.5)
     assert len(haze(count=0).means) == 0
@@ -55,7 +55,7 @@ def test_haze_begins_3_m_from_the_camera_and_is_whole_at_5_m():
     camera = np.array([10.0, 2.0, 1.0])
     made = haze(1.0, camera=camera, count=60_000, haze_reset="paper")
     x = np.clip((np.linalg.norm(made.means - camera, axis=1) - 3) / 2, 0, 1)
-    assert made.opacities == pytest.approx(Rain().haze_opacity * x**2 * (3 - 2 * x), abs=1e-6)
+    assert made.opacities == pytest.approx(RainSettings().haze_opacity * x**2 * (3 - 2 * x), abs=1e-6)
     assert x.min() < 0.3 and np.sum(x < 1) > 20
 
 
@@ -110,7 +110,7 @@ def test_near_haze_leaves_room_for_streaks():
 
 def haze_at(intensity_mm_h, **fields):
     """Haze of an intensity, M and beta as they follow from it."""
-    state = rain_state(Rain(intensity_mm_h=intensity_mm_h), load_calibration("published"))
+    state = rain_properties(RainSettings(intensity_mm_h=intensity_mm_h), load_calibration("published"))
     return haze(count=state.haze_gaussians, **fields), state
 
 

@@ -7,14 +7,14 @@ import pytest
 
 from given_rain import given_rain
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.settings import Rain
-from gsrain_engine.rain.simulation import Rainfall, View
-from gsrain_engine.rain.streaks import Shutter, make_visible_streaks
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.simulation import RainCamera, RainSimulation
+from gsrain_engine.rain.streaks import ShutterModel, streak_gaussians
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.scene import DrawItem
 
 FOCAL = 1000.0
 UP, AHEAD = np.array([0.0, 0, 1]), np.array([1.0, 0, 0])
@@ -35,7 +35,7 @@ def eye_at(position, width, height, focal):
 def wall(distance_m, grey):
     """An opaque plane across the view, flat along x."""
     f = np.float32
-    return Part(
+    return DrawItem(
         Gaussians(
             np.array([[distance_m, 0, 0]], f),
             np.array([[1e-3, 1e4, 1e4]], f),
@@ -57,9 +57,9 @@ def streak_picture(renderer, diameter_mm, distance_m, exposure_s, phase=(0.0, 0.
     camera = eye_at((0.0, 0, 0), 48, int(3 * length_px) + 48, FOCAL)
     at = np.array([[distance_m, phase[0] * distance_m / FOCAL, phase[1] * distance_m / FOCAL]])
     velocity = np.array([[0.0, 0, -fall_speed(diameter_mm)]])
-    rain = Rain(**fields)
-    made = make_visible_streaks(
-        at, np.array([diameter_mm]), velocity, Shutter(camera, np.zeros(3), exposure_s, FOCAL), rain
+    rain = RainSettings(**fields)
+    made = streak_gaussians(
+        at, np.array([diameter_mm]), velocity, ShutterModel(camera, np.zeros(3), exposure_s, FOCAL), rain
     )
     color = np.full((len(made.means), 3), grey, np.float32)
     drops = Gaussians(made.means, made.scales, made.quaternions, made.opacities, sh_from_color(color))
@@ -122,8 +122,8 @@ def test_no_drop_whose_blur_reaches_the_picture_is_left_out(renderer):
     camera = eye_at((0.0, 0, 1.5), 32, 24, 60.0)
     anchor = np.eye(4)
     anchor[:3, 3] = 0.0, 0.0, 1.5
-    view = View(camera, anchor, np.zeros(3), focal_px=FOCAL)
-    field = Rainfall.start(Rain(intensity_mm_h=1.2, **lens)).streak_field(3.0, view)
+    view = RainCamera(camera, anchor, np.zeros(3), focal_px=FOCAL)
+    field = RainSimulation.start(RainSettings(intensity_mm_h=1.2, **lens)).streak_field(3.0, view)
     wider = replace(field, culling=field.culling._replace(slopes=np.array([-9.0, 9, -9, 9])))
     alphas = []
     for each in (field, wider):
@@ -166,12 +166,14 @@ class HazeFields:
 
     def __init__(self, renderer):
         self.renderer = renderer
-        self.rainfall = Rainfall.start(Rain(intensity_mm_h=12.0, streaks=False, drop_color=(0.0, 0.0, 0.0)))
+        self.rainfall = RainSimulation.start(
+            RainSettings(intensity_mm_h=12.0, streaks=False, drop_color=(0.0, 0.0, 0.0))
+        )
         self.camera = eye_at((0.0, 0, 0), 20, 16, 70.0)
         # The camera stands at one end of the haze region, half-way up: a ray of 66 m stays inside.
         anchor = np.eye(4)
         anchor[:3, 3] = 9.0, 0.0, -9.5
-        self.view = View(self.camera, anchor, np.zeros(3))
+        self.view = RainCamera(self.camera, anchor, np.zeros(3))
 
     def mean_transmittance(self, distances_m, fields):
         """Mean over pixels and fields of what haze nearer than each distance lets through.

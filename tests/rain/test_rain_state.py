@@ -5,14 +5,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsrain_engine.rain.calibration import calibration_names, load_calibration
-from gsrain_engine.rain.properties import fall_speed, flux_mm_h, intensity_of, rain_state
-from gsrain_engine.rain.settings import Rain, load_preset
+from gsrain_engine.rain.properties import fall_speed, flux_mm_h, intensity_for_density, rain_properties
+from gsrain_engine.rain.settings import RainSettings, load_preset
 
 PUBLISHED = load_calibration("published")
 
 
 def state(**fields):
-    return rain_state(Rain(**fields), PUBLISHED)
+    return rain_properties(RainSettings(**fields), PUBLISHED)
 
 
 def test_the_faintest_rain_that_can_be_written_is_rain_that_nothing_is_hidden_by():
@@ -33,7 +33,7 @@ def test_published_rows_come_back_exactly(intensity, density, shape, scale, impl
 
 def test_paper_preset_has_its_drops():
     rain = load_preset("paper")
-    paper = rain_state(rain, PUBLISHED)
+    paper = rain_properties(rain, PUBLISHED)
     assert rain.streak_region.volume_m3 == 216
     assert paper.drops == 257_040
     assert rain.exposure_s == 0.05
@@ -43,8 +43,8 @@ def test_paper_preset_has_its_drops():
 @given(st.floats(0.01, 100))
 @settings(max_examples=60, deadline=None)
 def test_density_closure_carries_the_requested_rate(intensity):
-    rain = Rain(intensity_mm_h=intensity)
-    closed = rain_state(rain, PUBLISHED)
+    rain = RainSettings(intensity_mm_h=intensity)
+    closed = rain_properties(rain, PUBLISHED)
     assert flux_mm_h(closed.density_m3, closed.sizes, fall_speed(rain, PUBLISHED)) == pytest.approx(intensity, rel=1e-9)
     assert closed.implied_mm_h == intensity
 
@@ -69,26 +69,27 @@ def test_state_is_continuous_in_the_intensity(intensity):
 @given(st.floats(0.01, 100), st.sampled_from(calibration_names()), st.sampled_from(["density", "published"]))
 @settings(max_examples=60, deadline=None)
 def test_every_calibration_closes_goes_on_smoothly_and_is_found_again_by_its_density(intensity, name, closure):
-    rain, calibration = Rain(intensity_mm_h=intensity, closure=closure), load_calibration(name)
-    here = rain_state(rain, calibration)
+    rain, calibration = RainSettings(intensity_mm_h=intensity, closure=closure), load_calibration(name)
+    here = rain_properties(rain, calibration)
     carried = flux_mm_h(here.density_m3, here.sizes, fall_speed(rain, calibration))
     assert carried == pytest.approx(intensity if closure == "density" else here.table_implied_mm_h, rel=1e-9)
-    beside = rain_state(msgspec.structs.replace(rain, intensity_mm_h=intensity * (1 - 1e-6)), calibration)
+    beside = rain_properties(msgspec.structs.replace(rain, intensity_mm_h=intensity * (1 - 1e-6)), calibration)
     for number in ("density_m3", "shape", "scale_mm", "extinction_per_m"):
         assert getattr(beside, number) == pytest.approx(getattr(here, number), rel=1e-4)
     assert beside.table_density_m3 < here.table_density_m3
-    found = rain_state(
-        msgspec.structs.replace(rain, intensity_mm_h=intensity_of(here.density_m3, rain, calibration)), calibration
+    found = rain_properties(
+        msgspec.structs.replace(rain, intensity_mm_h=intensity_for_density(here.density_m3, rain, calibration)),
+        calibration,
     )
     assert found.density_m3 == pytest.approx(here.density_m3, rel=1e-6)
 
 
 def test_more_drops_than_100_mm_h_have_no_intensity():
-    assert intensity_of(0.0, Rain(), PUBLISHED) == 0
-    assert intensity_of(1190, Rain(closure="published"), PUBLISHED) == pytest.approx(8.5)
+    assert intensity_for_density(0.0, RainSettings(), PUBLISHED) == 0
+    assert intensity_for_density(1190, RainSettings(closure="published"), PUBLISHED) == pytest.approx(8.5)
     for density in (1e9, -1.0, float("nan")):
         with pytest.raises(ValueError, match="at 100 mm/h"):
-            intensity_of(density, Rain(), PUBLISHED)
+            intensity_for_density(density, RainSettings(), PUBLISHED)
 
 
 def test_no_rain_is_no_rain_at_all():
@@ -105,8 +106,8 @@ def test_calibration_ends_at_13():
 def test_gains_scale_what_they_name():
     plain, hazier = state(intensity_mm_h=8.5), state(intensity_mm_h=8.5, haze_gain=3.0)
     assert hazier.extinction_per_m == pytest.approx(3 * plain.extinction_per_m)
-    assert "haze x3 exaggerated" in Rain(haze_gain=3.0).exaggeration
-    assert Rain().exaggeration == ""
+    assert "haze x3 exaggerated" in RainSettings(haze_gain=3.0).exaggeration
+    assert RainSettings().exaggeration == ""
 
 
 def test_visibility_leaves_a_twentieth_of_a_beam():
@@ -138,4 +139,4 @@ def test_unknown_preset_lists_the_known_ones():
 
 def test_rain_survives_a_round_trip_through_yaml():
     rain = load_preset("paper")
-    assert msgspec.yaml.decode(msgspec.yaml.encode(rain), type=Rain) == rain
+    assert msgspec.yaml.decode(msgspec.yaml.encode(rain), type=RainSettings) == rain

@@ -2,8 +2,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.settings import Rain, load_preset
-from gsrain_engine.rain.simulation import Rainfall, View, mean_sky
+from gsrain_engine.rain.settings import RainSettings, load_preset
+from gsrain_engine.rain.simulation import RainCamera, RainSimulation, mean_linear_color
 from gsrain_engine.scene.camera import Camera, look_at
 
 UP = np.array([0.0, 0, 1])
@@ -15,7 +15,7 @@ def view(position=(0.0, 0, 1.5), heading=0.0, velocity=(0.0, 0, 0), anchor_at=No
     anchor = np.eye(4)
     anchor[:2, :2] = [[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]]
     anchor[:3, 3] = eye if anchor_at is None else anchor_at
-    return View(Camera.from_fov(960, 640, 36.0, pose), anchor, np.array(velocity))
+    return RainCamera(Camera.from_fov(960, 640, 36.0, pose), anchor, np.array(velocity))
 
 
 def arrays(rain):
@@ -24,27 +24,27 @@ def arrays(rain):
 
 
 def test_no_rain_draws_nothing():
-    assert Rainfall.start(load_preset("clear")).at(3.0, view()) is None
+    assert RainSimulation.start(load_preset("clear")).at(3.0, view()) is None
 
 
 def test_same_seed_and_time_same_bytes():
-    first, again = (Rainfall.start(load_preset("8.5")).at(4.2, view()) for _ in range(2))
+    first, again = (RainSimulation.start(load_preset("8.5")).at(4.2, view()) for _ in range(2))
     assert first is not None and again is not None
     assert all(np.array_equal(a, b) for a, b in zip(arrays(first), arrays(again), strict=True))
-    other = Rainfall.start(msgspec.structs.replace(load_preset("8.5"), seed=1)).at(4.2, view())
+    other = RainSimulation.start(msgspec.structs.replace(load_preset("8.5"), seed=1)).at(4.2, view())
     assert other is not None
     assert not np.array_equal(other.gaussians.means, first.gaussians.means)
 
 
 def test_paper_preset_has_exactly_its_drops_in_the_region():
-    rainfall = Rainfall.start(load_preset("paper"))
+    rainfall = RainSimulation.start(load_preset("paper"))
     assert rainfall.drops_in_region(0.7, view()) == 257_040
     assert rainfall.drops_in_region(31.0, view((12.0, 3, 2), 1.0)) == 257_040
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.8, -2.4])
 def test_density_in_the_region_is_that_of_the_state_whatever_the_heading(heading):
-    rainfall = Rainfall.start(load_preset("8.5"))
+    rainfall = RainSimulation.start(load_preset("8.5"))
     counted = rainfall.drops_in_region(6.0, view((50.0, -20, 1.5), heading))
     expected = rainfall.state.drops
     # Drops of a lattice cell of 432 m3 fall inside the 216 m3 by chance: standard deviation sqrt(n / 2).
@@ -53,7 +53,7 @@ def test_density_in_the_region_is_that_of_the_state_whatever_the_heading(heading
 
 def test_changing_the_intensity_moves_no_drop():
     """At the moment of the change every drop that exists before and after stands where it stood."""
-    before = Rainfall.start(load_preset("8.5"))
+    before = RainSimulation.start(load_preset("8.5"))
     after = before.changed(msgspec.structs.replace(before.rain, intensity_mm_h=8.6), 100.0)
     assert np.allclose(after.motion.displacement(100.0), before.motion.displacement(100.0))
     speed = after.motion.displacement(101.0) - after.motion.displacement(100.0)
@@ -61,7 +61,7 @@ def test_changing_the_intensity_moves_no_drop():
 
 
 def test_gusts_integrate_to_their_displacement():
-    rainfall = Rainfall.start(Rain(intensity_mm_h=5.0, wind_m_s=(3.0, -1.0), gust_m_s=2.0, seed=5))
+    rainfall = RainSimulation.start(RainSettings(intensity_mm_h=5.0, wind_m_s=(3.0, -1.0), gust_m_s=2.0, seed=5))
     wind = rainfall.motion.wind
     t = np.linspace(0, 20, 20_001)
     velocity = np.stack([wind.velocity(x) for x in t])
@@ -71,7 +71,7 @@ def test_gusts_integrate_to_their_displacement():
 
 def test_cameras_of_a_rig_see_the_same_drops():
     """Two cameras on one anchor: streaks that both draw stand at the same places."""
-    rainfall = Rainfall.start(msgspec.structs.replace(load_preset("8.5"), haze=False))
+    rainfall = RainSimulation.start(msgspec.structs.replace(load_preset("8.5"), haze=False))
     left, right = (rainfall.at(2.0, view((0.0, y, 1.5), anchor_at=(0.0, 0, 1.5))) for y in (0.05, -0.05))
     assert left is not None and right is not None
     shared = {tuple(np.round(p, 4)) for p in left.gaussians.means} & {
@@ -81,14 +81,14 @@ def test_cameras_of_a_rig_see_the_same_drops():
 
 
 def test_reduced_preview_keeps_the_same_drops():
-    rainfall = Rainfall.start(msgspec.structs.replace(load_preset("8.5"), haze=False))
+    rainfall = RainSimulation.start(msgspec.structs.replace(load_preset("8.5"), haze=False))
     full = view()
-    half = View(full.camera.resized(480, 320), full.anchor_to_world, full.velocity_m_s, focal_px=full.camera.fx)
+    half = RainCamera(full.camera.resized(480, 320), full.anchor_to_world, full.velocity_m_s, focal_px=full.camera.fx)
     a, b = rainfall.at(1.0, full), rainfall.at(1.0, half)
     assert a is not None and b is not None
     assert a.drops_drawn == b.drops_drawn
 
 
 def test_sky_is_averaged_in_linear_light():
-    color = mean_sky(np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]))
+    color = mean_linear_color(np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]))
     assert color == pytest.approx((0.7354,) * 3, abs=1e-3)  # enc(1/2)

@@ -4,16 +4,16 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.drop_field import drops_at
-from gsrain_engine.rain.settings import Rain, load_preset
-from gsrain_engine.rain.shelter_map import CELL_M, Roofs, find_roofs, roofs_of
-from gsrain_engine.rain.simulation import Rainfall, View
+from gsrain_engine.rain.drop_field import place_drops
+from gsrain_engine.rain.settings import RainSettings, load_preset
+from gsrain_engine.rain.shelter_map import CELL_M, ShelterMap, build_shelter_map, shelter_map_of
+from gsrain_engine.rain.simulation import RainCamera, RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import Shot, rain_in
+from gsrain_engine.render.draw import RenderView, rain_frame_of
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.scene import Layer, Part, Scene
+from gsrain_engine.scene.scene import DrawItem, Layer, Scene
 
 UP = np.array([0.0, 0, 1])
 SKY = (0.8, 0.8, 0.8)
@@ -56,11 +56,11 @@ def scene(*sets):
 
 
 def parts(*sets):
-    return [Part(each, np.eye(4)) for each in sets]
+    return [DrawItem(each, np.eye(4)) for each in sets]
 
 
 def test_a_bridge_shelters_what_is_under_it_and_nothing_else():
-    roofs = find_roofs(parts(ROAD, BRIDGE))
+    roofs = build_shelter_map(parts(ROAD, BRIDGE))
     x, y = np.meshgrid(np.arange(-8, 28.1, 0.2), np.arange(-8, 8.1, 0.2))
     for height, expected in ((0.5, True), (4.5, True), (5.5, False)):
         places = np.stack([x.ravel(), y.ravel(), np.full(x.size, height)], axis=1)
@@ -76,7 +76,7 @@ def test_a_bridge_shelters_what_is_under_it_and_nothing_else():
     "sets", [(ROAD,), (ROAD, WALL), (ROAD, POLE), (HILL,), (ROAD, floaters()), (Gaussians.empty(),), ()]
 )
 def test_roads_walls_poles_and_floaters_are_no_roofs(sets):
-    assert find_roofs(parts(*sets)) is None
+    assert build_shelter_map(parts(*sets)) is None
 
 
 def test_a_canopy_of_three_by_three_cells_is_a_roof_wherever_it_stands():
@@ -84,19 +84,19 @@ def test_a_canopy_of_three_by_three_cells_is_a_roof_wherever_it_stands():
     for x, y in ((0.0, 0.0), (5.25, 3.4), (11.1, -6.8)):
         canopy = sheet((x, y, 3), (x + 1.5, y + 1.5, 3), spacing=0.1, thickness=0.005)
         lamp = sheet((x, y, 3), (x + 0.3, y + 0.3, 3), spacing=0.1, thickness=0.005)
-        assert find_roofs(parts(ROAD, lamp)) is None
+        assert build_shelter_map(parts(ROAD, lamp)) is None
         middle = np.array([[x + 0.75, y + 0.75, 1.0], [x + 0.75, y + 3.5, 1.0], [x - 2.5, y + 0.75, 1.0]])
-        assert find_roofs(parts(ROAD, canopy)).shelter(middle).tolist() == [True, False, False]
+        assert build_shelter_map(parts(ROAD, canopy)).shelter(middle).tolist() == [True, False, False]
 
 
 def test_strays_far_away_change_nothing():
     strays = sheet((0, 0, 0), (0, 0, 0))
     away = [np.array([[x, x, 3.0]], np.float32) for x in (1e12, -1e12, 4e4)]
     far = [Gaussians(place, strays.scales, strays.quaternions, strays.opacities, strays.sh) for place in away]
-    roofs = find_roofs(parts(Gaussians.concatenate([ROAD, BRIDGE, *far])))
+    roofs = build_shelter_map(parts(Gaussians.concatenate([ROAD, BRIDGE, *far])))
     places = np.array([[13.0, 1.0, 2.0], [5.0, 1.0, 2.0], [13.0, 1.0, 6.0]])
     assert roofs.shelter(places).tolist() == [True, False, False]
-    assert find_roofs(parts(Gaussians.concatenate(far))) is None
+    assert build_shelter_map(parts(Gaussians.concatenate(far))) is None
 
 
 def test_a_roof_of_few_large_gaussians_is_one_too_and_holes_in_it_are_closed():
@@ -104,7 +104,7 @@ def test_a_roof_of_few_large_gaussians_is_one_too_and_holes_in_it_are_closed():
     torn = BRIDGE.take(np.flatnonzero(~((abs(BRIDGE.means[:, 0] - 13) < 0.3) & (abs(BRIDGE.means[:, 1]) < 0.3))))
     assert len(torn) < len(BRIDGE)
     for bridge in (coarse, torn):
-        roofs = find_roofs(parts(ROAD, bridge))
+        roofs = build_shelter_map(parts(ROAD, bridge))
         places = np.random.default_rng(0).uniform((11, -8, 1), (15, 8, 4), (500, 3))
         assert np.mean(roofs.shelter(places)) > 0.97
 
@@ -117,20 +117,20 @@ def test_roofs_follow_the_scene_s_units_and_axes():
         scales = 100 * g.scales[:, [0, 2, 1]]
         turned.append(Layer("x", Gaussians((100 * g.means @ to_file.T).astype(np.float32), scales.astype(np.float32),
                                            g.quaternions, g.opacities, g.sh)))  # fmt: skip
-    roofs = roofs_of(Scene("centimetres", tuple(turned), metres_per_unit=0.01, up=(0.0, 1.0, 0.0)))
-    direct = roofs_of(scene(ROAD, BRIDGE))
+    roofs = shelter_map_of(Scene("centimetres", tuple(turned), metres_per_unit=0.01, up=(0.0, 1.0, 0.0)))
+    direct = shelter_map_of(scene(ROAD, BRIDGE))
     places = np.random.default_rng(1).uniform((-8, -8, 0.5), (28, 8, 7), (4000, 3))
     assert np.mean(roofs.shelter(places) == direct.shelter(places)) > 0.98
 
 
 def test_sky_and_hidden_layers_are_no_roofs():
     for changes in ({"kind": "sky"}, {"visible": False}):
-        assert roofs_of(Scene("test", (Layer("road", ROAD), Layer("bridge", BRIDGE, **changes)))) is None
+        assert shelter_map_of(Scene("test", (Layer("road", ROAD), Layer("bridge", BRIDGE, **changes)))) is None
 
 
 def test_a_piece_covers_its_whole_circle_wherever_that_lies():
     random = np.random.default_rng(8)
-    roofs = Roofs(random.uniform(1, 5, (20, 30)).astype(np.float32), (-7.0, -4.0), 0.5)
+    roofs = ShelterMap(random.uniform(1, 5, (20, 30)).astype(np.float32), (-7.0, -4.0), 0.5)
     for x, y, reach in random.uniform((-8, -5, 0.1), (9, 7, 3), (50, 3)).tolist():
         angle, radius = random.uniform(0, 2 * np.pi, 200), reach * np.sqrt(random.uniform(0, 1, 200))
         places = np.stack([x + radius * np.cos(angle), y + radius * np.sin(angle), np.full(200, 0.5)], axis=1)
@@ -141,7 +141,7 @@ def test_a_piece_covers_its_whole_circle_wherever_that_lies():
 
 
 def test_a_piece_shelters_as_the_whole_does():
-    roofs = find_roofs(parts(ROAD, BRIDGE))
+    roofs = build_shelter_map(parts(ROAD, BRIDGE))
     piece = roofs.around(11.0, 1.0, 4.0)
     assert piece is not None and piece.heights_m.size < 0.2 * roofs.heights_m.size
     places = np.random.default_rng(2).uniform((7.1, -2.9, 0), (14.9, 4.9, 8), (4000, 3))
@@ -155,16 +155,16 @@ def camera(eye=EYE):
 
 
 def rain(**fields):
-    return Rainfall.start(msgspec.structs.replace(load_preset("12.0"), **fields))
+    return RainSimulation.start(msgspec.structs.replace(load_preset("12.0"), **fields))
 
 
 @pytest.mark.parametrize("reset", ["lattice", "paper"])
 def test_no_drop_and_no_haze_is_under_the_bridge(reset):
     street = scene(ROAD, BRIDGE)
     fields = {"streak_reset": reset, "intensity_mm_h": 50.0, "haze_opacity": 0.01}
-    shot = Shot(camera(), 3.0, focal_px=1000.0)
-    open_air, kept_out = (rain_in(street, rain(roofs=on, **fields), SKY, shot) for on in (False, True))
-    roofs = roofs_of(street)
+    shot = RenderView(camera(), 3.0, focal_px=1000.0)
+    open_air, kept_out = (rain_frame_of(street, rain(roofs=on, **fields), SKY, shot) for on in (False, True))
+    roofs = shelter_map_of(street)
     field, everywhere = kept_out.streak_field, open_air.streak_field.drops()
     under = roofs.shelter(open_air.streak_field.positions(everywhere))
     assert 0.1 < np.mean(under) < 1
@@ -182,22 +182,22 @@ def test_the_open_street_does_not_change_by_it():
     for street in (scene(ROAD, WALL), scene(ROAD, WALL, far_road, far_bridge)):
         for on in (False, True):
             renderer = CpuRenderer()
-            falling = rain_in(street, rain(roofs=on), SKY, Shot(camera(), 3.0))
+            falling = rain_frame_of(street, rain(roofs=on), SKY, RenderView(camera(), 3.0))
             renderer.draw(street.parts(), camera(), falling)
             pictures.append(renderer.read().rgba.tobytes())
-    assert roofs_of(scene(ROAD, WALL, far_road, far_bridge)) is not None
+    assert shelter_map_of(scene(ROAD, WALL, far_road, far_bridge)) is not None
     assert pictures[0] == pictures[1] and pictures[2] == pictures[3]
 
 
 def test_rain_reaches_everywhere_unless_it_is_asked_for():
-    assert not Rain().roofs
+    assert not RainSettings().roofs
 
 
 def test_a_drop_above_the_roof_is_drawn():
-    field = rain(seed=5).streak_field(1.0, View(camera(), _anchor(EYE), np.zeros(3)))
-    drops = drops_at(np.arange(4000), field.rain.seed, field.where)
+    field = rain(seed=5).streak_field(1.0, RainCamera(camera(), _anchor(EYE), np.zeros(3)))
+    drops = place_drops(np.arange(4000), field.rain.seed, field.where)
     heights = np.full((40, 40), 3.0, np.float32)
-    roofs = Roofs(heights, (EYE[0] - 10, EYE[1] - 10))
+    roofs = ShelterMap(heights, (EYE[0] - 10, EYE[1] - 10))
     places = field.positions(drops)
     np.testing.assert_array_equal(roofs.shelter(places), places[:, 2] < 3.0)
 
@@ -211,7 +211,9 @@ def _anchor(position):
 def test_a_selection_is_no_reason_to_find_roofs_again():
     before = scene(ROAD, BRIDGE)
     key = before.layers[0].key
-    chosen = before.with_member(key, marks=Marks(selected=Mask.all(len(before.layers[0].gaussians))))
-    assert roofs_of(chosen) is roofs_of(before) is not None
-    gone = before.with_member(before.layers[1].key, marks=Marks(deleted=Mask.all(len(before.layers[1].gaussians))))
-    assert roofs_of(gone) is None
+    chosen = before.with_member(key, marks=SelectionFlags(selected=BitMask.all(len(before.layers[0].gaussians))))
+    assert shelter_map_of(chosen) is shelter_map_of(before) is not None
+    gone = before.with_member(
+        before.layers[1].key, marks=SelectionFlags(deleted=BitMask.all(len(before.layers[1].gaussians)))
+    )
+    assert shelter_map_of(gone) is None

@@ -5,19 +5,19 @@ import numpy as np
 import pytest
 
 from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
-from gsrain_engine.rain.drop_field import drops_at
-from gsrain_engine.rain.keyframes import Weather, WeatherKey
-from gsrain_engine.rain.properties import ClassTable, rain_state
-from gsrain_engine.rain.settings import Box, Rain
-from gsrain_engine.rain.simulation import Rainfall, View
+from gsrain_engine.rain.drop_field import place_drops
+from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
+from gsrain_engine.rain.properties import DropClassTable, rain_properties
+from gsrain_engine.rain.settings import RainSettings, RegionBox
+from gsrain_engine.rain.simulation import RainCamera, RainSimulation
 from gsrain_engine.scene.camera import Camera
 
-HERE = View(Camera.from_fov(64, 48, 60.0, np.eye(4)), np.eye(4), np.zeros(3))
-SMALL = Box(minimum_m=(0.0, 0.0, 0.0), maximum_m=(3.0, 2.0, 2.0))
+HERE = RainCamera(Camera.from_fov(64, 48, 60.0, np.eye(4)), np.eye(4), np.zeros(3))
+SMALL = RegionBox(minimum_m=(0.0, 0.0, 0.0), maximum_m=(3.0, 2.0, 2.0))
 
 
 def weather(*pairs, **fields):
-    return Weather(keys=tuple(WeatherKey(time_s=at, intensity_mm_h=rate) for at, rate in pairs), **fields)
+    return RainKeyframes(keys=tuple(RainKeyframe(time_s=at, intensity_mm_h=rate) for at, rate in pairs), **fields)
 
 
 TRIANGLE = weather((3.0, 0.0), (18.0, 12.0), (33.0, 0.0))
@@ -29,7 +29,7 @@ def test_the_disdrometer_measures_the_integral_of_a_shower():
 
     A shower that carries 4 % more is found in more than 99 of 100 cases, a right one refused 3 times in 1000.
     """
-    shower = Rainfall.start(Rain(seed=3, intensity_mm_h=50.0, streak_region=SMALL), weather=TRIANGLE)
+    shower = RainSimulation.start(RainSettings(seed=3, intensity_mm_h=50.0, streak_region=SMALL), weather=TRIANGLE)
     times = np.arange(0.0, 37.0)
     records = VirtualDisdrometer(shower, 0.5).records(times)
     water = sum(each.rate_mm_h for each in records)
@@ -50,11 +50,11 @@ def test_a_frame_alone_is_the_frame_among_others():
         g = falling.gaussians
         return b"".join(each.tobytes() for each in (g.means, g.scales, g.quaternions, g.opacities, g.sh))
 
-    rain = Rain(seed=5, gust_m_s=2.0, streak_region=SMALL)
-    film = Rainfall.start(rain, weather=GUSTY)
+    rain = RainSettings(seed=5, gust_m_s=2.0, streak_region=SMALL)
+    film = RainSimulation.start(rain, weather=GUSTY)
     forward = [frame(film, time_s) for time_s in times]
     backward = [frame(film, time_s) for time_s in reversed(times)][::-1]
-    alone = [frame(Rainfall.start(rain, weather=GUSTY), time_s) for time_s in times]
+    alone = [frame(RainSimulation.start(rain, weather=GUSTY), time_s) for time_s in times]
     assert forward == backward == alone
     assert len(set(forward)) == len(times)
     assert forward[0] == b""
@@ -64,17 +64,17 @@ def test_a_frame_alone_is_the_frame_among_others():
 def test_displacement_is_the_integral_of_the_speeds(between):
     """Against a trapezoid sum in steps of 40 ms, to 5 mm after 30 s; a speed that is 0.01 % off would show."""
     changing = msgspec.structs.replace(GUSTY, between=between)
-    rainfall = Rainfall.start(Rain(seed=5, gust_m_s=3.0), weather=changing)
+    rainfall = RainSimulation.start(RainSettings(seed=5, gust_m_s=3.0), weather=changing)
     times = np.arange(-2.0, 34.0, 0.04)
     some = np.array([0, 5_000, 11_000, 16_383])
     speeds = np.empty((len(times), len(some) + 2))
     for k, time_s in enumerate(times):
-        motion = rainfall.moment(float(time_s)).motion
+        motion = rainfall.frozen_at(float(time_s)).motion
         speeds[k] = *motion.wind.velocity(float(time_s)), *-motion.fall_speed_m_s[some]
     summed = np.cumsum(0.5 * (speeds[1:] + speeds[:-1]) * 0.04, axis=0)
 
     def place(time_s):
-        moved = rainfall.moment(time_s).motion.displacement(time_s)
+        moved = rainfall.frozen_at(time_s).motion.displacement(time_s)
         return np.concatenate([moved[0, :2], moved[some, 2]])
 
     for k in (50, 216, 499, 898):
@@ -84,9 +84,9 @@ def test_displacement_is_the_integral_of_the_speeds(between):
 
 def test_no_drop_jumps_at_a_key_or_between():
     """From one thousandth of a second to the next no class moves farther than its speed, at keys and node crossings."""
-    rainfall = Rainfall.start(Rain(seed=5, gust_m_s=1.0), weather=GUSTY)
+    rainfall = RainSimulation.start(RainSettings(seed=5, gust_m_s=1.0), weather=GUSTY)
     for at in (0.0, 3.0, 18.0, 20.0, 33.0, *np.random.default_rng(2).uniform(0, 35, 12)):
-        before, after = (rainfall.moment(float(at) + step).motion for step in (-5e-4, 5e-4))
+        before, after = (rainfall.frozen_at(float(at) + step).motion for step in (-5e-4, 5e-4))
         moved = after.displacement(float(at) + 5e-4) - before.displacement(float(at) - 5e-4)
         expected = -1e-3 * 0.5 * (before.fall_speed_m_s + after.fall_speed_m_s)
         assert np.abs(moved[:, 2] - expected).max() < 1e-6
@@ -94,38 +94,38 @@ def test_no_drop_jumps_at_a_key_or_between():
 
 
 def test_drops_come_and_go_by_number_and_those_that_stay_fall_on():
-    rainfall = Rainfall.start(Rain(seed=5, streak_region=SMALL), weather=TRIANGLE)
+    rainfall = RainSimulation.start(RainSettings(seed=5, streak_region=SMALL), weather=TRIANGLE)
     early, late = (rainfall.streak_field(at, HERE) for at in (10.0, 10.01))
     assert late.count > early.count > 10_000
     numbers = np.arange(early.count)
-    before = drops_at(numbers, 5, early.where)
-    after = drops_at(numbers, 5, late.where)
+    before = place_drops(numbers, 5, early.where)
+    after = place_drops(numbers, 5, late.where)
     moved = after.positions(late.period_m)[:, 2] - before.positions(early.period_m)[:, 2]
     moved = (moved + 1.0) % 2.0 - 1.0  # the cell is 2 m high
     assert moved == pytest.approx(-0.01 * early.fall_speed_m_s[before.class_index], abs=1e-4)
 
 
 def test_haze_and_numbers_follow_the_intensity():
-    rain = Rain(seed=1, roofs=False)
-    rainfall = Rainfall.start(rain, weather=TRIANGLE)
+    rain = RainSettings(seed=1, roofs=False)
+    rainfall = RainSimulation.start(rain, weather=TRIANGLE)
     for at, rate in ((10.5, 6.0), (18.0, 12.0)):
-        state = rain_state(msgspec.structs.replace(rain, intensity_mm_h=rate), rainfall.calibration)
+        state = rain_properties(msgspec.structs.replace(rain, intensity_mm_h=rate), rainfall.calibration)
         assert rainfall.state_at(at) == state
         field = rainfall.streak_field(at, HERE)
         assert field.count == round(state.density_m3 * np.prod(field.period_m))
-        constant = Rainfall.start(msgspec.structs.replace(rain, intensity_mm_h=rate))
+        constant = RainSimulation.start(msgspec.structs.replace(rain, intensity_mm_h=rate))
         assert np.array_equal(rainfall.at(at, HERE).haze.means, constant.at(at, HERE).haze.means)
         assert field.diameters_mm == pytest.approx(constant.diameters_mm, rel=1e-3)
     assert rainfall.at(40.0, HERE) is None
     assert rainfall.can_rain
-    assert not Rainfall.start(Rain(intensity_mm_h=3.0), weather=weather((0.0, 0.0))).can_rain
+    assert not RainSimulation.start(RainSettings(intensity_mm_h=3.0), weather=weather((0.0, 0.0))).can_rain
 
 
 def test_one_key_is_constant_rain():
     """To the byte: offsets, sizes, number."""
-    rain = Rain(seed=9, wind_m_s=(2.0, 1.0), gust_m_s=1.0)
-    keyed = Rainfall.start(rain, weather=weather((7.0, 8.5))).streak_field(4.0, HERE)
-    constant = Rainfall.start(msgspec.structs.replace(rain, intensity_mm_h=8.5)).streak_field(4.0, HERE)
+    rain = RainSettings(seed=9, wind_m_s=(2.0, 1.0), gust_m_s=1.0)
+    keyed = RainSimulation.start(rain, weather=weather((7.0, 8.5))).streak_field(4.0, HERE)
+    constant = RainSimulation.start(msgspec.structs.replace(rain, intensity_mm_h=8.5)).streak_field(4.0, HERE)
     assert keyed.count == constant.count
     assert np.array_equal(keyed.diameters_mm, constant.diameters_mm)
     assert np.array_equal(keyed.where.wraps, constant.where.wraps)
@@ -134,39 +134,41 @@ def test_one_key_is_constant_rain():
 
 
 def test_a_keyed_exposure_lengthens_streaks():
-    rain = Rain(intensity_mm_h=8.5, haze=False, streak_region=SMALL)
-    exposures = Weather(keys=(WeatherKey(time_s=0.0, exposure_s=0.002), WeatherKey(time_s=10.0, exposure_s=0.02)))
-    rainfall = Rainfall.start(rain, weather=exposures)
+    rain = RainSettings(intensity_mm_h=8.5, haze=False, streak_region=SMALL)
+    exposures = RainKeyframes(
+        keys=(RainKeyframe(time_s=0.0, exposure_s=0.002), RainKeyframe(time_s=10.0, exposure_s=0.02))
+    )
+    rainfall = RainSimulation.start(rain, weather=exposures)
     assert rainfall.streak_field(5.0, HERE).shutter.exposure_s == pytest.approx(0.011)
     long, short = (rainfall.at(at, HERE).gaussians.scales.max() for at in (10.0, 0.0))
     assert long > 5 * short
 
 
 def test_the_papers_reset_falls_straight_under_any_weather():
-    rainfall = Rainfall.start(Rain(streak_reset="paper", gust_m_s=2.0), weather=GUSTY)
-    assert np.array_equal(rainfall.moment(12.0).motion.drift(12.0), np.zeros(2))
+    rainfall = RainSimulation.start(RainSettings(streak_reset="paper", gust_m_s=2.0), weather=GUSTY)
+    assert np.array_equal(rainfall.frozen_at(12.0).motion.drift(12.0), np.zeros(2))
 
 
 def test_changing_the_weather_moves_no_drop():
-    rainfall = Rainfall.start(Rain(seed=5, intensity_mm_h=3.0, wind_m_s=(1.0, 0.0)))
-    for changed in (GUSTY, TRIANGLE, Weather(), GUSTY):
+    rainfall = RainSimulation.start(RainSettings(seed=5, intensity_mm_h=3.0, wind_m_s=(1.0, 0.0)))
+    for changed in (GUSTY, TRIANGLE, RainKeyframes(), GUSTY):
         following = rainfall.changed(rainfall.rain, 12.0, changed)
-        expected = rainfall.moment(12.0).motion.displacement(12.0)
-        assert np.allclose(following.moment(12.0).motion.displacement(12.0), expected, atol=1e-9)
+        expected = rainfall.frozen_at(12.0).motion.displacement(12.0)
+        assert np.allclose(following.frozen_at(12.0).motion.displacement(12.0), expected, atol=1e-9)
         rainfall = following
     unmoved = rainfall.changed(msgspec.structs.replace(rainfall.rain, haze=False), 15.0)
-    assert not unmoved.moment(15.0).rain.haze
-    assert np.array_equal(unmoved.moment(20.0).motion.fallen(20.0), rainfall.moment(20.0).motion.fallen(20.0))
+    assert not unmoved.frozen_at(15.0).rain.haze
+    assert np.array_equal(unmoved.frozen_at(20.0).motion.fallen(20.0), rainfall.frozen_at(20.0).motion.fallen(20.0))
 
 
 def test_between_the_nodes_diameters_are_within_the_promised_share():
     """At the geometric middles, against the law of each intensity itself."""
-    rain = Rain()
-    calibration = Rainfall.start(rain).calibration
-    table = ClassTable.between(0.3, 30.0, rain, calibration)
+    rain = RainSettings()
+    calibration = RainSimulation.start(rain).calibration
+    table = DropClassTable.between(0.3, 30.0, rain, calibration)
     middles = np.sqrt(table.nodes_mm_h[:-1] * table.nodes_mm_h[1:]).tolist()
     for rate in (middles[0], middles[-1], next(each for each in middles if each > 8.5)):
-        alone = ClassTable.between(rate, rate, rain, calibration)
+        alone = DropClassTable.between(rate, rate, rain, calibration)
         off = np.abs(table.at(table.diameters_mm, rate) / alone.diameters_mm[0] - 1)
         assert len(alone.nodes_mm_h) == 1
         if 1.2 < rate < 12:
@@ -178,8 +180,8 @@ def test_between_the_nodes_diameters_are_within_the_promised_share():
 @pytest.mark.parametrize(("start", "end"), [(0.0, 12.0), (11.0, 0.3), (5.0, 5.0), (0.0, 0.0), (12.0, 12.0)])
 def test_mean_shares_are_exact(start, end):
     """Against the mean over 20,000 moments on the way."""
-    rain = Rain()
-    table = ClassTable.between(0.0, 12.0, rain, Rainfall.start(rain).calibration)
+    rain = RainSettings()
+    table = DropClassTable.between(0.0, 12.0, rain, RainSimulation.start(rain).calibration)
     mean = table.mean_shares(np.array([start]), np.array([end]))[0]
     rates = start + (end - start) * (np.arange(20_000) + 0.5) / 20_000
     expected = [np.interp(rates, table.nodes_mm_h, row).mean() for row in np.eye(len(table.nodes_mm_h))]

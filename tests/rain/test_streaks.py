@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.settings import Rain
-from gsrain_engine.rain.streaks import Shutter, circle_of_confusion_m, make_visible_streaks
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.streaks import ShutterModel, circle_of_confusion_m, streak_gaussians
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.geometry import matrices_from_quaternions
 from oracles.streaks import axis_ratio, make_streaks
@@ -17,7 +17,7 @@ EYE = look_at(np.zeros(3), np.array([1.0, 0, 0]), np.array([0.0, 0, 1.0]))
 
 
 def shutter(exposure_s=0.004, velocity=(0.0, 0, 0)):
-    return Shutter(Camera(960, 640, F, F, 480.0, 320.0, EYE), np.array(velocity, float), exposure_s, F)
+    return ShutterModel(Camera(960, 640, F, F, 480.0, 320.0, EYE), np.array(velocity, float), exposure_s, F)
 
 
 def streak(distance_m, diameter_mm, fall_m_s=4.0, exposure_s=0.004, velocity=(0.0, 0, 0), **rain):
@@ -26,7 +26,7 @@ def streak(distance_m, diameter_mm, fall_m_s=4.0, exposure_s=0.004, velocity=(0.
         np.array([diameter_mm]),
         np.array([[0.0, 0, -fall_m_s]]),
         shutter(exposure_s, velocity),
-        Rain(**rain),
+        RainSettings(**rain),
     )
 
 
@@ -80,7 +80,7 @@ def test_the_paper_s_form_takes_the_fall_speed_whatever_the_line_of_sight():
     """Eq. 5: D / (V T), for a drop that is seen at 30 degrees above the horizon too."""
     for frame, speed in (("world", 4.0), ("camera", 4.0 * np.cos(np.pi / 6))):
         position = np.array([[np.cos(np.pi / 6), 0, np.sin(np.pi / 6)]])
-        rain = Rain(streak_frame=frame, max_copies=1)
+        rain = RainSettings(streak_frame=frame, max_copies=1)
         made = make_streaks(position, np.array([2.0]), np.array([[0.0, 0, -4.0]]), shutter(0.01), rain)
         alpha = 1 - (1 - float(made.opacities[0])) ** np.sqrt(2 * np.pi)
         assert alpha == pytest.approx(2e-3 / (speed * 0.01), rel=1e-5)
@@ -106,8 +106,8 @@ def test_the_compiled_form_makes_the_same_streaks_and_leaves_out_what_is_not_see
     positions = random.uniform((-0.5, -2, -2), (4, 2, 2), (3000, 3))
     diameters = random.uniform(0.1, 4, 3000)
     velocities = np.stack([random.normal(size=3000), random.normal(size=3000), -PUBLISHED.velocity(diameters)], axis=1)
-    given = (positions, diameters, velocities, shutter(velocity=(8.0, 1.0, 0.0)), Rain(**fields))
-    plain, compiled = make_streaks(*given), make_visible_streaks(*given)
+    given = (positions, diameters, velocities, shutter(velocity=(8.0, 1.0, 0.0)), RainSettings(**fields))
+    plain, compiled = make_streaks(*given), streak_gaussians(*given)
     away, rows = cKDTree(plain.means).query(compiled.means)
     assert away.max() < 1e-5
     assert np.all(np.diff(rows) > 0) and 0 < len(rows) < 0.5 * len(plain.means)
@@ -128,8 +128,14 @@ def test_a_tilted_camera_away_from_the_origin_leaves_out_what_is_outside_its_own
     positions = eye + random.uniform(-4, 4, (4000, 3))
     diameters = random.uniform(0.3, 4, 4000)
     velocities = np.stack([random.normal(size=4000), random.normal(size=4000), -PUBLISHED.velocity(diameters)], axis=1)
-    given = (positions, diameters, velocities, Shutter(camera, np.array([8.0, 1.0, 0.5]), 0.008, F), Rain())
-    plain, compiled = make_streaks(*given), make_visible_streaks(*given)
+    given = (
+        positions,
+        diameters,
+        velocities,
+        ShutterModel(camera, np.array([8.0, 1.0, 0.5]), 0.008, F),
+        RainSettings(),
+    )
+    plain, compiled = make_streaks(*given), streak_gaussians(*given)
     m, reach = camera.world_to_camera, 4.8 * plain.scales[:, 2]
     u, v, depth = (plain.means.astype(np.float64) @ m[:3, :3].T + m[:3, 3]).T
     wide = np.maximum(depth + reach, 0)
@@ -147,7 +153,7 @@ def test_a_pinhole_and_drops_in_focus_are_sharp():
     sharp, focused = streak(2.0, 1.0), streak(2.0, 1.0, aperture_mm=6.0, focus_distance_m=2.0)
     for name in ("means", "scales", "opacities"):
         assert np.array_equal(getattr(sharp, name), getattr(focused, name))
-    circle = circle_of_confusion_m(np.array([1.0, 2.0, 4.0]), Rain(aperture_mm=6.0, focus_distance_m=2.0))
+    circle = circle_of_confusion_m(np.array([1.0, 2.0, 4.0]), RainSettings(aperture_mm=6.0, focus_distance_m=2.0))
     assert circle == pytest.approx([3e-3, 0, 6e-3])
 
 

@@ -8,24 +8,24 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from gsrain_engine.disdrometer.file_summary import open_measured
+from gsrain_engine.disdrometer.file_summary import open_disdrometer_file
 from gsrain_engine.disdrometer.fit import calibrate_files
 from gsrain_engine.disdrometer.fit_models import FitOptions
 from gsrain_engine.disdrometer.netcdf import write_spectra
 from gsrain_engine.disdrometer.open import read_disdrometer
 from gsrain_engine.disdrometer.spectra import DisdrometerFileError
 from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
-from gsrain_engine.rain.drop_field import drops_at
-from gsrain_engine.rain.settings import Box, Rain
-from gsrain_engine.rain.simulation import Rainfall, View
+from gsrain_engine.rain.drop_field import place_drops
+from gsrain_engine.rain.settings import RainSettings, RegionBox
+from gsrain_engine.rain.simulation import RainCamera, RainSimulation
 from gsrain_engine.scene.camera import Camera
 
-HERE = View(Camera.from_fov(8, 8, 45.0, np.eye(4)), np.eye(4), np.zeros(3))
+HERE = RainCamera(Camera.from_fov(8, 8, 45.0, np.eye(4)), np.eye(4), np.zeros(3))
 MINUTE = np.array([0.0, 60.0])
 
 
 def measure(times=MINUTE, area=0.5, **rain):
-    return VirtualDisdrometer(Rainfall.start(Rain(**rain)), area).measure(np.asarray(times, float))
+    return VirtualDisdrometer(RainSimulation.start(RainSettings(**rain)), area).measure(np.asarray(times, float))
 
 
 def misfit(counted, expected=None):
@@ -55,7 +55,7 @@ def test_the_published_table_carries_less_than_its_label():
     "rain",
     [
         {"wind_m_s": (9.0, -4.0), "gust_m_s": 3.0}, {"streak_reset": "paper"}, {"velocity": "atlas"}, {"seed": 123},
-        {"streak_region": Box(minimum_m=(0.0, 0.0, 0.0), maximum_m=(3.0, 2.0, 1.0))},
+        {"streak_region": RegionBox(minimum_m=(0.0, 0.0, 0.0), maximum_m=(3.0, 2.0, 1.0))},
     ],
 )  # fmt: skip
 def test_any_rain_keeps_its_rate(rain):
@@ -64,24 +64,24 @@ def test_any_rain_keeps_its_rate(rain):
 
 
 def test_an_hour_later_and_after_a_change_the_rate_is_right():
-    rainfall = Rainfall.start(Rain(intensity_mm_h=20.0, wind_m_s=(3.0, 1.0)))
+    rainfall = RainSimulation.start(RainSettings(intensity_mm_h=20.0, wind_m_s=(3.0, 1.0)))
     late = np.array([10_000.0, 10_060.0])
     assert misfit(VirtualDisdrometer(rainfall).measure(late)) < 3
-    less = rainfall.changed(Rain(intensity_mm_h=2.0), 10_000.0)
+    less = rainfall.changed(RainSettings(intensity_mm_h=2.0), 10_000.0)
     assert misfit(VirtualDisdrometer(less).measure(late), 2.0) < 3
 
 
 def test_counts_what_single_frames_of_the_field_show():
     """Frame by frame, a drop that was above the middle and is below it is placed at the moment when it was there."""
-    small = Box(minimum_m=(0.0, 0.0, 0.0), maximum_m=(2.0, 2.0, 2.0))
-    rain = Rain(intensity_mm_h=0.6, streak_region=small, wind_m_s=(3.0, -2.0), gust_m_s=8.0, seed=5)
-    rainfall = Rainfall.start(rain)
+    small = RegionBox(minimum_m=(0.0, 0.0, 0.0), maximum_m=(2.0, 2.0, 2.0))
+    rain = RainSettings(intensity_mm_h=0.6, streak_region=small, wind_m_s=(3.0, -2.0), gust_m_s=8.0, seed=5)
+    rainfall = RainSimulation.start(rain)
     start, end, frames, area = 31.0, 31.3, 30, 1.5
     numbers = np.arange(rainfall.streak_field(start, HERE).count)
 
     def placed(time_s, which):
         field = rainfall.streak_field(time_s, HERE)
-        drops = drops_at(which, rain.seed, field.where)
+        drops = place_drops(which, rain.seed, field.where)
         return drops, drops.positions(field.period_m)
 
     expected = np.zeros(len(rainfall.diameters_mm), int)
@@ -131,7 +131,9 @@ def test_spectra_hold_every_drop_with_its_speed():
     np.testing.assert_array_equal(spectra.times, np.array([60_000, 90_000], "datetime64[ms]"))
     np.testing.assert_allclose(spectra.rate_mm_h, spectra.reported_mm_h, rtol=5e-3)
     row, column = np.nonzero(spectra.counts[0])
-    low, high = (Rainfall.start(Rain()).calibration.velocity(spectra.diameter_edges_mm[row + up]) for up in (0, 1))
+    low, high = (
+        RainSimulation.start(RainSettings()).calibration.velocity(spectra.diameter_edges_mm[row + up]) for up in (0, 1)
+    )
     assert np.all(spectra.velocity_edges_m_s[column + 1] >= low)
     assert np.all(spectra.velocity_edges_m_s[column] <= high)
 
@@ -146,7 +148,7 @@ def test_no_rain_is_no_drops():
 @pytest.mark.parametrize("area", [0.0, 72.1, float("nan")])
 def test_refuses_an_area_that_sees_a_drop_twice(area):
     with pytest.raises(ValueError, match=r"must be within 0.0001..72 m²"):
-        VirtualDisdrometer(Rainfall.start(Rain(intensity_mm_h=8.5)), area)
+        VirtualDisdrometer(RainSimulation.start(RainSettings(intensity_mm_h=8.5)), area)
 
 
 def test_the_whole_period_catches_every_drop():
@@ -216,15 +218,15 @@ def test_a_fit_of_the_simulation_gives_its_own_parameters_back(tmp_path):
     for intensity in intensities:
         file = tmp_path / f"{intensity}.nc"
         write_spectra(file, measure(np.arange(0, 601, 60), 1.0, intensity_mm_h=intensity).spectra)
-        files.append(open_measured(file))
+        files.append(open_disdrometer_file(file))
     options = FitOptions(intensities_mm_h=intensities, resamples=0)
     fitted = calibrate_files(files, name="again", options=options)
     for intensity, row in zip(intensities, fitted.calibration.rows, strict=True):
-        asked = Rainfall.start(Rain(intensity_mm_h=intensity)).state
+        asked = RainSimulation.start(RainSettings(intensity_mm_h=intensity)).state
         assert row.intensity_mm_h == pytest.approx(intensity, rel=0.02)
         assert row.density_m3 == pytest.approx(asked.density_m3, rel=0.03)
         assert row.shape == pytest.approx(asked.shape, rel=0.05)
         assert row.scale_mm == pytest.approx(asked.scale_mm, rel=0.05)
     d = np.linspace(0.4, 2.5, 22)
-    velocity = Rainfall.start(Rain()).calibration.velocity
+    velocity = RainSimulation.start(RainSettings()).calibration.velocity
     np.testing.assert_allclose(fitted.calibration.velocity(d), velocity(d), rtol=0.03)

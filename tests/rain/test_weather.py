@@ -9,15 +9,15 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gsrain_engine.disdrometer.open import read_disdrometer
-from gsrain_engine.disdrometer.rain_rates import from_spectra
-from gsrain_engine.disdrometer.spectra import Reading
-from gsrain_engine.rain.keyframes import Weather, WeatherKey, from_series, passing_shower
-from gsrain_engine.rain.settings import Rain
+from gsrain_engine.disdrometer.rain_rates import keyframes_from_spectra
+from gsrain_engine.disdrometer.spectra import DisdrometerReading
+from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes, keyframes_from_series, shower_keyframes
+from gsrain_engine.rain.settings import RainSettings
 from measured_rain import measured_rain
 
 
 def shower(*pairs, **fields):
-    return Weather(keys=tuple(WeatherKey(time_s=at, intensity_mm_h=rate) for at, rate in pairs), **fields)
+    return RainKeyframes(keys=tuple(RainKeyframe(time_s=at, intensity_mm_h=rate) for at, rate in pairs), **fields)
 
 
 TRIANGLE = shower((10.0, 0.0), (40.0, 12.0), (70.0, 0.0))
@@ -27,16 +27,16 @@ TRIANGLE = shower((10.0, 0.0), (40.0, 12.0), (70.0, 0.0))
     ("at", "expected"), [(-100.0, 0.0), (10.0, 0.0), (25.0, 6.0), (40.0, 12.0), (62.5, 3.0), (1e6, 0.0)]
 )
 def test_straight_between_keys_and_held_beyond_them(at, expected):
-    assert TRIANGLE.rain_at(Rain(intensity_mm_h=50.0), at).intensity_mm_h == pytest.approx(expected)
+    assert TRIANGLE.rain_at(RainSettings(intensity_mm_h=50.0), at).intensity_mm_h == pytest.approx(expected)
 
 
 def test_each_field_has_keys_of_its_own():
     weather = TRIANGLE.with_key(20.0, wind_m_s=(2.0, 0.0)).with_key(40.0, wind_m_s=(4.0, -2.0), exposure_s=0.01)
-    rain = weather.rain_at(Rain(seed=7), 30.0)
+    rain = weather.rain_at(RainSettings(seed=7), 30.0)
     assert rain.intensity_mm_h == pytest.approx(8.0)
     assert rain.wind_m_s == pytest.approx((3.0, -1.0))
     assert (rain.exposure_s, rain.seed) == (0.01, 7)
-    assert weather.without("intensity_mm_h").rain_at(Rain(intensity_mm_h=1.0), 30.0).intensity_mm_h == 1.0
+    assert weather.without("intensity_mm_h").rain_at(RainSettings(intensity_mm_h=1.0), 30.0).intensity_mm_h == 1.0
     assert weather.without("wind_m_s").key_times["wind_m_s"].tolist() == []
     assert weather.key_at(40.0).intensity_mm_h == 12.0
 
@@ -66,11 +66,11 @@ def test_smooth_goes_through_its_keys_and_never_beyond_its_neighbours(pairs, at)
     pairs = sorted((round(time, 3), rate) for time, rate in {round(t, 3): (t, r) for t, r in pairs}.values())
     weather = shower(*pairs, between="smooth")
     for key_s, rate in pairs:
-        assert weather.rain_at(Rain(), key_s).intensity_mm_h == rate
+        assert weather.rain_at(RainSettings(), key_s).intensity_mm_h == rate
     times, rates = zip(*pairs, strict=True)
     after = int(np.searchsorted(times, at, side="right"))
     near = rates[max(after - 1, 0) : after + 1]
-    assert min(near) - 1e-9 <= weather.rain_at(Rain(), at).intensity_mm_h <= max(near) + 1e-9
+    assert min(near) - 1e-9 <= weather.rain_at(RainSettings(), at).intensity_mm_h <= max(near) + 1e-9
 
 
 def test_smooth_has_no_corners():
@@ -78,7 +78,7 @@ def test_smooth_has_no_corners():
     smooth = shower((10.0, 0.0), (40.0, 12.0), (70.0, 0.0), between="smooth")
 
     def turn(weather, at):
-        before, here, after = (weather.rain_at(Rain(), at + step).intensity_mm_h for step in (-1.0, 0.0, 1.0))
+        before, here, after = (weather.rain_at(RainSettings(), at + step).intensity_mm_h for step in (-1.0, 0.0, 1.0))
         return abs(before - 2 * here + after)
 
     for at in (10.0, 40.0, 70.0):
@@ -87,9 +87,9 @@ def test_smooth_has_no_corners():
 
 
 def test_weather_is_plain_values_and_comes_back():
-    weather = passing_shower(5.0).with_key(3.0, wind_m_s=(1.0, -2.0), exposure_s=0.002)
+    weather = shower_keyframes(5.0).with_key(3.0, wind_m_s=(1.0, -2.0), exposure_s=0.002)
     values = msgspec.json.decode(msgspec.json.encode(msgspec.to_builtins(weather)))
-    assert msgspec.convert(values, Weather) == weather
+    assert msgspec.convert(values, RainKeyframes) == weather
     assert values["keys"][0] == {"time_s": 3.0, "wind_m_s": [1.0, -2.0], "exposure_s": 0.002}
 
 
@@ -106,41 +106,46 @@ def test_weather_is_plain_values_and_comes_back():
 )
 def test_keys_out_of_bounds_are_told(key, message):
     with pytest.raises(msgspec.ValidationError, match=message):
-        msgspec.convert({"keys": [{"time_s": 0.0, "intensity_mm_h": 1.0}, {"time_s": 5.0} | key]}, Weather)
+        msgspec.convert({"keys": [{"time_s": 0.0, "intensity_mm_h": 1.0}, {"time_s": 5.0} | key]}, RainKeyframes)
 
 
 def test_a_passing_shower_rises_to_its_peak_and_ends():
-    weather = passing_shower(20.0)
-    assert [weather.rain_at(Rain(), at).intensity_mm_h for at in (0.0, 20.0, 50.0, 80.0)] == [0.0, 0.0, 12.0, 0.0]
-    rising = [weather.rain_at(Rain(), at).intensity_mm_h for at in np.linspace(20, 50, 200)]
+    weather = shower_keyframes(20.0)
+    assert [weather.rain_at(RainSettings(), at).intensity_mm_h for at in (0.0, 20.0, 50.0, 80.0)] == [
+        0.0,
+        0.0,
+        12.0,
+        0.0,
+    ]
+    rising = [weather.rain_at(RainSettings(), at).intensity_mm_h for at in np.linspace(20, 50, 200)]
     assert np.all(np.diff(rising) >= 0)
 
 
 def test_a_long_series_is_fast():
     """100,000 records: looking up a moment may not go through them all (which takes over 5 ms)."""
     n = 100_000
-    weather = from_series(30.0 * np.arange(n), np.random.default_rng(1).gamma(1, 5, n))
-    weather.rain_at(Rain(), 0.0)
+    weather = keyframes_from_series(30.0 * np.arange(n), np.random.default_rng(1).gamma(1, 5, n))
+    weather.rain_at(RainSettings(), 0.0)
     started = time.perf_counter()
     for k in range(1000):
-        weather.rain_at(Rain(), 2999.0 * k)
+        weather.rain_at(RainSettings(), 2999.0 * k)
     assert time.perf_counter() - started < 2.0
-    assert weather.heaviest_mm_h(Rain()) <= 100.0
+    assert weather.heaviest_mm_h(RainSettings()) <= 100.0
 
 
 def test_a_series_is_cut_off_at_100_mm_h():
-    weather = from_series(np.array([0.0, 60.0]), np.array([250.0, 3.0]))
+    weather = keyframes_from_series(np.array([0.0, 60.0]), np.array([250.0, 3.0]))
     assert [key.intensity_mm_h for key in weather.keys] == [100.0, 3.0]
     with pytest.raises(ValueError, match="0 mm/h or more"):
-        from_series(np.array([0.0]), np.array([-1.0]))
+        keyframes_from_series(np.array([0.0]), np.array([-1.0]))
     with pytest.raises(ValueError, match="rise in time"):
-        from_series(np.array([0.0, 0.0]), np.array([1.0, 1.0]))
+        keyframes_from_series(np.array([0.0, 0.0]), np.array([1.0, 1.0]))
 
 
 def test_a_disdrometers_day_becomes_a_weather(test_data):
     """Against the file's own records: rates, order, spacing, and the speed-up."""
     reading = read_disdrometer(test_data / "disdrometer" / "locarno_parsivel_20181029.dat.gz")
-    measured = from_spectra(reading, speed_up=60.0, start_s=5.0)
+    measured = keyframes_from_spectra(reading, speed_up=60.0, start_s=5.0)
     spectra = reading.spectra
     assert measured.records + measured.left_out == len(spectra)
     assert measured.weather.keys[0].time_s == 5.0
@@ -150,13 +155,13 @@ def test_a_disdrometers_day_becomes_a_weather(test_data):
     assert rates.max() == pytest.approx(min(100.0, np.nanmax(spectra.reported_mm_h)))
     assert f"{measured.records:,} records" in measured.told
     with pytest.raises(ValueError, match="speed-up"):
-        from_spectra(reading, speed_up=0.0)
+        keyframes_from_spectra(reading, speed_up=0.0)
 
 
 def test_a_file_with_one_rate_is_one_key(test_data):
     file = next((test_data / "weather" / "rainsense").glob("*/*/*/context/rainfall_intensity.txt"))
     reading = read_disdrometer(file)
-    measured = from_spectra(reading, start_s=3.0)
+    measured = keyframes_from_spectra(reading, start_s=3.0)
     (key,) = measured.weather.keys
     assert (key.time_s, key.intensity_mm_h) == (3.0, reading.spectra.reported_mm_h[0])
 
@@ -165,9 +170,9 @@ def test_records_without_time_or_rate_are_left_out_and_none_at_all_is_told():
     spectra = measured_rain(500.0, 5.0, 0.2, minutes=3, seed=1)
     spectra.times[2] = np.datetime64("NaT")
     spectra.times[4] = spectra.times[3]
-    measured = from_spectra(Reading(spectra=spectra))
+    measured = keyframes_from_spectra(DisdrometerReading(spectra=spectra))
     assert (measured.records, measured.left_out) == (4, 2)
     assert measured.weather.keys[2].time_s == 90.0
     spectra.times[:] = np.datetime64("NaT")
     with pytest.raises(ValueError, match="no record has a time"):
-        from_spectra(Reading(spectra=spectra))
+        keyframes_from_spectra(DisdrometerReading(spectra=spectra))

@@ -6,15 +6,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.rain.keyframes import Weather, WeatherCurve, WeatherKey, passing_shower
-from gsrain_engine.rain.settings import Rain
-from gsrain_engine.rain.simulation import Rainfall
-from gsrain_engine.rain.wetness import WetnessCourse, water_depth_mm, wetness
+from gsrain_engine.rain.keyframes import KeyframeCurve, RainKeyframe, RainKeyframes, shower_keyframes
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.rain.wetness import WetnessCurve, water_depth_mm, wetness
 
 
-def curve(*keys: tuple[float, float]) -> WeatherCurve:
+def curve(*keys: tuple[float, float]) -> KeyframeCurve:
     times, rates = np.array(keys, np.float64).T
-    return WeatherCurve(times, rates[:, None])
+    return KeyframeCurve(times, rates[:, None])
 
 
 def test_water_lies_as_deep_as_gallaway_says():
@@ -34,7 +34,7 @@ def test_wetness_begins_at_zero_rises_and_saturates():
 
 
 def test_without_drying_it_follows_the_intensity():
-    course = WetnessCourse(curve((0, 0), (10, 12), (20, 0)), 0.0)
+    course = WetnessCurve(curve((0, 0), (10, 12), (20, 0)), 0.0)
     assert [course.at(t) for t in (-5.0, 5.0, 10.0, 15.0, 99.0)] == pytest.approx(
         [0, wetness(6), wetness(12), wetness(6), 0]
     )
@@ -48,7 +48,7 @@ def test_without_drying_it_follows_the_intensity():
 def test_what_dries_is_the_largest_of_all_moments_before(steps, drying_s, time_s):
     """Against a search of many moments, which finds a little less, and of the stretches between, which finds more."""
     times, rates = np.cumsum([step for step, _ in steps]), [rate for _, rate in steps]
-    found = WetnessCourse(WeatherCurve(times, np.array(rates)[:, None]), drying_s).at(time_s)
+    found = WetnessCurve(KeyframeCurve(times, np.array(rates)[:, None]), drying_s).at(time_s)
     moments = np.unique([*np.linspace(min(times[0], time_s) - 1, time_s, 301), *times[times < time_s]])
     wet = np.array([wetness(rate) for rate in np.interp(moments, times, rates).tolist()])
     dried = np.exp(-(time_s - moments) / drying_s)
@@ -61,7 +61,7 @@ def test_rain_that_stops_slowly_is_remembered_from_its_turning_point():
 
     ln w(R(s)) + s / 20 is concave on the way down: a fine search brackets its top.
     """
-    course = WetnessCourse(curve((0, 12), (60, 0)), 20.0)
+    course = WetnessCurve(curve((0, 12), (60, 0)), 20.0)
     moments = np.linspace(0, 60, 200_001)
     wet = -np.expm1(-water_depth_mm(1.0) * (12 - moments / 5) ** 0.59 / 0.2)
     for time_s in (30.0, 60.0, 75.0, 100.0):
@@ -73,22 +73,22 @@ def test_rain_that_stops_slowly_is_remembered_from_its_turning_point():
 
 def test_a_course_remembers_one_moment():
     """Drawing asks for it many times in a frame; a drive of hours must not grow by it."""
-    course = WetnessCourse(curve((0, 0), (10, 12)), 30.0)
+    course = WetnessCurve(curve((0, 0), (10, 12)), 30.0)
     for time_s in np.linspace(0, 20, 50).tolist():
         course.at(time_s)
     assert len(course._at) == 1
 
 
 def test_after_a_shower_it_dries_by_its_time_constant():
-    course = WetnessCourse(curve((0, 0), (10, 12), (10.001, 0)), 30.0)
+    course = WetnessCurve(curve((0, 0), (10, 12), (10.001, 0)), 30.0)
     assert course.at(10.0) == pytest.approx(wetness(12))
     assert course.at(40.0) == pytest.approx(course.at(70.0) * math.e)
     assert course.at(40.0) == pytest.approx(wetness(12) / math.e, rel=1e-3)
 
 
 def test_moments_in_any_order_are_the_same():
-    shower = passing_shower(duration_s=60).curves["intensity_mm_h"]
-    there, back = WetnessCourse(shower, 20.0), WetnessCourse(shower, 20.0)
+    shower = shower_keyframes(duration_s=60).curves["intensity_mm_h"]
+    there, back = WetnessCurve(shower, 20.0), WetnessCurve(shower, 20.0)
     times = np.linspace(-5, 90, 40).tolist()
     forward = [there.at(t) for t in times]
     assert forward == [back.at(t) for t in reversed(times)][::-1]
@@ -96,25 +96,25 @@ def test_moments_in_any_order_are_the_same():
 
 
 def test_a_rainfall_knows_its_wetness():
-    steady = Rainfall.start(Rain(intensity_mm_h=8.5))
+    steady = RainSimulation.start(RainSettings(intensity_mm_h=8.5))
     assert steady.wetness_at(3.0) == wetness(8.5)
-    assert Rainfall.start(Rain()).wetness_at(0.0) == 0
-    assert Rainfall.start(Rain(wetness=0.4)).wetness_at(0.0) == 0.4
-    assert Rainfall.start(Rain(intensity_mm_h=8.5, wetness=0.0)).wetness_at(0.0) == 0
-    keys = (WeatherKey(time_s=0, intensity_mm_h=0), WeatherKey(time_s=10, intensity_mm_h=12))
-    weather = Weather(keys=(*keys, WeatherKey(time_s=20, intensity_mm_h=0)))
-    shower, slow = (Rainfall.start(Rain(drying_s=s), weather=weather) for s in (0.0, 60.0))
+    assert RainSimulation.start(RainSettings()).wetness_at(0.0) == 0
+    assert RainSimulation.start(RainSettings(wetness=0.4)).wetness_at(0.0) == 0.4
+    assert RainSimulation.start(RainSettings(intensity_mm_h=8.5, wetness=0.0)).wetness_at(0.0) == 0
+    keys = (RainKeyframe(time_s=0, intensity_mm_h=0), RainKeyframe(time_s=10, intensity_mm_h=12))
+    weather = RainKeyframes(keys=(*keys, RainKeyframe(time_s=20, intensity_mm_h=0)))
+    shower, slow = (RainSimulation.start(RainSettings(drying_s=s), weather=weather) for s in (0.0, 60.0))
     assert shower.wetness_at(5.0) == slow.wetness_at(5.0) == pytest.approx(wetness(6))
     assert shower.wetness_at(20.0) == 0
     assert slow.wetness_at(20.0) > 0.7
-    assert slow.changed(Rain(), 20.0).wetness_at(20.0) == 0
+    assert slow.changed(RainSettings(), 20.0).wetness_at(20.0) == 0
 
 
 def test_the_clear_twin_is_dry():
-    assert Rainfall.start(Rain(intensity_mm_h=8.5, wetness=0.7).without_rain).wetness_at(0.0) == 0
+    assert RainSimulation.start(RainSettings(intensity_mm_h=8.5, wetness=0.7).without_rain).wetness_at(0.0) == 0
 
 
 @pytest.mark.parametrize("value", [-0.1, 1.1, float("nan")])
 def test_wetness_out_of_bounds_is_refused(value):
     with pytest.raises(ValueError, match=r"wetness must be within 0\.\.1"):
-        msgspec.convert({"wetness": value}, Rain)
+        msgspec.convert({"wetness": value}, RainSettings)

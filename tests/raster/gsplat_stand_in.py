@@ -8,7 +8,7 @@ from gsrain_engine.render.cpu.projection import project
 from gsrain_engine.render.cpu.tiles import bin_into_tiles
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.scene import DrawItem
 
 
 def rasterization(
@@ -42,7 +42,7 @@ def rasterization(
     gaussians = Gaussians(*numbers, np.zeros((n, 1, 3), np.float32))
     (fx, _, cx), (_, fy, cy), _ = Ks[0].tolist()
     camera = Camera(width, height, fx, fy, cx, cy, viewmats[0].numpy().astype(np.float64))
-    splats = project([Part(gaussians, np.eye(4))], camera)
+    splats = project([DrawItem(gaussians, np.eye(4))], camera)
     order = splats.nearest_first()
     tiles = bin_into_tiles(splats.shapes, order, width, height)
     channels = np.zeros((len(splats), -(-colors.shape[1] // 4) * 4), np.float32)

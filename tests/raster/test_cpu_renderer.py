@@ -11,7 +11,7 @@ from gsrain_engine.render.cpu.tiles import TILE
 from gsrain_engine.render.renderer import Frame
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.scene import DrawItem
 from oracles.rasterizer import rasterize_in_linear_light_slowly, rasterize_slowly
 
 from .raster_scenes import random_gaussians, small_camera
@@ -19,10 +19,10 @@ from .raster_scenes import random_gaussians, small_camera
 LIGHT = np.array([0.6, 0.5, 0.4], np.float32)
 
 
-def scene(count: int = 120, seed: int = 0, opacity: float | None = None) -> list[Part]:
+def scene(count: int = 120, seed: int = 0, opacity: float | None = None) -> list[DrawItem]:
     g = random_gaussians(count, seed, 1)
     opacities = g.opacities if opacity is None else np.full(count, opacity, np.float32)
-    return [Part(Gaussians(g.means, g.scales, g.quaternions, opacities, g.sh), np.eye(4))]
+    return [DrawItem(Gaussians(g.means, g.scales, g.quaternions, opacities, g.sh), np.eye(4))]
 
 
 def drops(mixing: str = "linear", opacity: float = 0.3, seed: int = 9, count: int = 80) -> GivenRain:
@@ -40,7 +40,7 @@ def drawn(parts, rain=None, camera=None, with_depth=True) -> Frame:
 
 
 def slowly(parts, rain: GivenRain) -> np.ndarray:
-    everything = [*parts, Part(rain.gaussians, np.eye(4))]
+    everything = [*parts, DrawItem(rain.gaussians, np.eye(4))]
     flags = [None] * len(parts) + [np.ones(len(rain.gaussians), bool)]
     if rain.mixing == "linear":
         return rasterize_in_linear_light_slowly(everything, small_camera(), flags, LIGHT)
@@ -99,7 +99,7 @@ def test_rain_behind_a_wall_is_not_seen():
         np.array([[0, 0, 0.5]] * 4, np.float32), np.full((4, 3), 5, np.float32),
         np.array([[1, 0, 0, 0]] * 4, np.float32), np.ones(4, np.float32), np.zeros((4, 1, 3), np.float32),
     )  # fmt: skip
-    parts = [Part(wall, np.eye(4))]
+    parts = [DrawItem(wall, np.eye(4))]
     np.testing.assert_array_equal(drawn(parts, drops(opacity=1)).rgba, drawn(parts).rgba)
 
 

@@ -11,15 +11,15 @@ from app.main import BAD_INPUT, run
 from gsrain_engine import backends
 from gsrain_engine.backends import NoCudaError, open_renderer
 from gsrain_engine.rain.settings import load_preset
-from gsrain_engine.rain.simulation import OVERCAST, Rainfall
+from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
 from gsrain_engine.render.cpu.projection import project
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.cuda.rain import SLABS, cut_into_slabs
-from gsrain_engine.render.draw import Shot, draw_shot
+from gsrain_engine.render.cuda.rain import SLABS, split_into_depth_slabs
+from gsrain_engine.render.draw import RenderView, draw_view
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import Layer, Part, Scene
+from gsrain_engine.scene.scene import DrawItem, Layer, Scene
 from raster.raster_scenes import random_gaussians, small_camera
 from raster.test_marked_parts import COLORS, some_of
 
@@ -68,7 +68,7 @@ def streetlike():
     scene = Scene("small", (Layer("all", Gaussians(*(np.ascontiguousarray(each, np.float32) for each in numbers))),))
     eye = np.array([0.0, 0.0, 1.6])
     camera = Camera.from_fov(240, 150, 45.0, look_at(eye, eye + np.array([1, 0.1, 0.1]), UP))
-    return scene, Shot(camera, 2.0, np.array([8.0, 0.0, 0.0]))
+    return scene, RenderView(camera, 2.0, np.array([8.0, 0.0, 0.0]))
 
 
 def test_it_is_a_renderer(cuda):
@@ -79,14 +79,14 @@ def test_it_is_a_renderer(cuda):
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_parts_in_any_place_are_one_picture(cuda, degree):
     parts = [
-        Part(random_gaussians(300, 1, degree), np.eye(4)),
-        Part(random_gaussians(200, 2, degree), similarity(1.7, 0.4, (0.3, -0.2, 0.5))),
-        Part(random_gaussians(200, 3, 0), similarity(0.3, -1.1, (0.0, 0.4, 3.0)), limit=50),
+        DrawItem(random_gaussians(300, 1, degree), np.eye(4)),
+        DrawItem(random_gaussians(200, 2, degree), similarity(1.7, 0.4, (0.3, -0.2, 0.5))),
+        DrawItem(random_gaussians(200, 3, 0), similarity(0.3, -1.1, (0.0, 0.4, 3.0)), limit=50),
     ]
     camera = replace(small_camera(), world_to_camera=similarity(1.0, 0.1, (0.1, 0.0, 0.2)))
-    parts[2] = Part(parts[2].gaussians.take(slice(0, 50)), parts[2].to_world)
+    parts[2] = DrawItem(parts[2].gaussians.take(slice(0, 50)), parts[2].to_world)
     expected = drawn(CpuRenderer(), parts, camera, with_depth=True)
-    parts[2] = Part(random_gaussians(200, 3, 0), parts[2].to_world, limit=50)
+    parts[2] = DrawItem(random_gaussians(200, 3, 0), parts[2].to_world, limit=50)
     found = drawn(cuda, parts, camera, with_depth=True)
     assert psnr_db(found, expected) > 80
     assert ((found.depth > 0) == (expected.depth > 0)).mean() > 0.999
@@ -98,9 +98,9 @@ def test_parts_in_any_place_are_one_picture(cuda, degree):
 
 def test_far_from_the_origin_nothing_is_lost(cuda):
     far = np.array([4e5, 5e6, 100.0])
-    part = Part(random_gaussians(200), similarity(1.0, 0.0, far))
+    part = DrawItem(random_gaussians(200), similarity(1.0, 0.0, far))
     camera = replace(small_camera(), world_to_camera=similarity(1.0, 0.0, -far))
-    expected = drawn(CpuRenderer(), [Part(part.gaussians, np.eye(4))], small_camera())
+    expected = drawn(CpuRenderer(), [DrawItem(part.gaussians, np.eye(4))], small_camera())
     assert psnr_db(drawn(cuda, [part], camera), expected) > 80
 
 
@@ -113,7 +113,7 @@ def test_rain_adds_the_same_light(cuda, mixing, exposure_s, haze):
     frames = []
     for renderer in (CpuRenderer(), cuda):
         for each in (load_preset("clear"), rain):
-            draw_shot(renderer, scene, Rainfall.start(each), OVERCAST, shot, with_depth=True)
+            draw_view(renderer, scene, RainSimulation.start(each), OVERCAST, shot, with_depth=True)
             frames.append(renderer.read())
     expected_clear, expected, clear, rainy = frames
     assert psnr_db(rainy, expected) >= LEAST_PSNR_DB
@@ -129,7 +129,7 @@ def test_rain_adds_the_same_light(cuda, mixing, exposure_s, haze):
 def test_rain_falls_before_nothing(cuda):
     _, shot = streetlike()
     rainy, expected = (
-        (draw_shot(each, Scene("empty"), Rainfall.start(load_preset("12.0")), OVERCAST, shot), each.read())[1]
+        (draw_view(each, Scene("empty"), RainSimulation.start(load_preset("12.0")), OVERCAST, shot), each.read())[1]
         for each in (cuda, CpuRenderer())
     )
     assert expected.rgba[..., 3].max() > 0.02
@@ -138,10 +138,10 @@ def test_rain_falls_before_nothing(cuda):
 
 def test_the_same_frame_is_the_same_bytes(cuda):
     scene, shot = streetlike()
-    falling = Rainfall.start(load_preset("8.5"))
+    falling = RainSimulation.start(load_preset("8.5"))
     frames = []
     for moment in (2.0, 3.0, 2.0):
-        draw_shot(cuda, scene, falling, OVERCAST, replace(shot, time_s=moment))
+        draw_view(cuda, scene, falling, OVERCAST, replace(shot, time_s=moment))
         frames.append(cuda.read().rgba.tobytes())
     assert frames[0] == frames[2] != frames[1]
 
@@ -151,19 +151,19 @@ def test_what_is_not_finite_is_left_out(cuda, field):
     g = random_gaussians(60)
     arrays = {name: getattr(g, name).copy() for name in ("means", "scales", "quaternions", "opacities", "sh")}
     arrays[field].reshape(60, -1)[7, 0] = np.nan
-    expected = drawn(CpuRenderer(), [Part(g.take(np.delete(np.arange(60), 7)), np.eye(4))], small_camera())
-    assert psnr_db(drawn(cuda, [Part(Gaussians(**arrays), np.eye(4))], small_camera()), expected) > 80
+    expected = drawn(CpuRenderer(), [DrawItem(g.take(np.delete(np.arange(60), 7)), np.eye(4))], small_camera())
+    assert psnr_db(drawn(cuda, [DrawItem(Gaussians(**arrays), np.eye(4))], small_camera()), expected) > 80
 
 
 def test_nothing_is_nothing(cuda):
-    for parts in ([], [Part(Gaussians.empty(), np.eye(4))]):
+    for parts in ([], [DrawItem(Gaussians.empty(), np.eye(4))]):
         frame = drawn(cuda, parts, small_camera(), with_depth=True)
         assert not frame.rgba.any()
         assert not frame.depth.any()
 
 
 def test_gaussians_are_uploaded_once(cuda, monkeypatch):
-    first, second = (Part(random_gaussians(20, seed), np.eye(4)) for seed in (1, 2))
+    first, second = (DrawItem(random_gaussians(20, seed), np.eye(4)) for seed in (1, 2))
     sizes = []
     uploaded = cuda._arrays._uploaded
     monkeypatch.setattr(cuda._arrays, "_uploaded", lambda values: sizes.append(np.size(values)) or uploaded(values))
@@ -181,8 +181,8 @@ def test_other_looks_are_refused(cuda):
 
 
 def test_slabs_weigh_the_same():
-    splats = project([Part(random_gaussians(3000), np.eye(4))], small_camera())
-    slabs = cut_into_slabs(splats)
+    splats = project([DrawItem(random_gaussians(3000), np.eye(4))], small_camera())
+    slabs = split_into_depth_slabs(splats)
     assert len(slabs.starts) == len(slabs.edges_m) == SLABS + 1
     assert (slabs.starts[0], slabs.starts[-1]) == (0, len(splats.nearest_first())) == (0, len(slabs.shapes))
     assert (np.diff(slabs.edges_m) >= 0).all()
@@ -190,7 +190,7 @@ def test_slabs_weigh_the_same():
     weights = np.exp(shapes[:, 5]) / np.sqrt(shapes[:, 3] * shapes[:, 4])
     of_slab = np.add.reduceat(weights, slabs.starts[:-1])
     assert np.abs(of_slab - weights.sum() / SLABS).max() <= weights.max()
-    none = cut_into_slabs(project([Part(Gaussians.empty(), np.eye(4))], small_camera()))
+    none = split_into_depth_slabs(project([DrawItem(Gaussians.empty(), np.eye(4))], small_camera()))
     assert (len(none.shapes), len(none.edges_m)) == (0, SLABS + 1)
 
 
@@ -217,7 +217,7 @@ def test_gsplat_draws_the_same():
     torch = pytest.importorskip("torch")
     if not torch.cuda.is_available():
         pytest.skip("no NVIDIA GPU")
-    parts = [Part(random_gaussians(3000, 1, 3), np.eye(4))]
+    parts = [DrawItem(random_gaussians(3000, 1, 3), np.eye(4))]
     with open_renderer("cuda") as renderer:
         found = drawn(renderer, parts, small_camera())
     assert psnr_db(found, drawn(CpuRenderer(), parts, small_camera())) >= LEAST_PSNR_DB
@@ -225,14 +225,14 @@ def test_gsplat_draws_the_same():
 
 def test_marks_opacity_and_colours_are_obeyed(cuda):
     parts = [
-        Part(
+        DrawItem(
             random_gaussians(400, 1, 2), np.eye(4), limit=300, growth=1.2, opacity=0.6, colors=COLORS,
             left_out=some_of(400), selected=some_of(400, 0.5, 1),
         ),
-        Part(random_gaussians(200, 2), similarity(1.7, 0.4, (0.3, -0.2, 0.5)), selected=some_of(200)),
-        Part(random_gaussians(100, 3), np.eye(4), opacity=0.0),
+        DrawItem(random_gaussians(200, 2), similarity(1.7, 0.4, (0.3, -0.2, 0.5)), selected=some_of(200)),
+        DrawItem(random_gaussians(100, 3), np.eye(4), opacity=0.0),
     ]  # fmt: skip
     expected = drawn(CpuRenderer(), parts, small_camera())
     assert psnr_db(drawn(cuda, parts, small_camera()), expected) > 80
-    unmarked = [Part(part.gaussians, part.to_world) for part in parts]
+    unmarked = [DrawItem(part.gaussians, part.to_world) for part in parts]
     assert psnr_db(drawn(cuda, unmarked, small_camera()), expected) < 30

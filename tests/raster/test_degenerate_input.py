@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from given_rain import GivenRain, given_rain
 from gsrain_engine.render.cpu.projection import NEAR_M, project
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.renderer import Frame, Look
+from gsrain_engine.render.renderer import Frame, RenderMode
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.scene import DrawItem
 from oracles.rasterizer import rasterize_slowly
 
 from .raster_scenes import random_gaussians, small_camera
@@ -18,7 +18,7 @@ from .raster_scenes import random_gaussians, small_camera
 COUNT = 40
 HERE = np.eye(4)
 FIELDS = ("means", "scales", "quaternions", "opacities", "sh")
-LOOKS: tuple[Look, ...] = ("splats", "points", "ellipsoids", "normals", "opacity", "overdraw")
+LOOKS: tuple[RenderMode, ...] = ("splats", "points", "ellipsoids", "normals", "opacity", "overdraw")
 
 just_before, just_behind = (float(np.nextafter(np.float32(NEAR_M), np.float32(end))) for end in (0, 1))
 strange_numbers = st.sampled_from(
@@ -39,9 +39,9 @@ def changed(gaussians: Gaussians, what: list[tuple[str, int, int, float]]) -> Ga
     return Gaussians(**arrays)
 
 
-def drawn(gaussians: Gaussians, look: Look = "splats", rain: GivenRain | None = None) -> Frame:
+def drawn(gaussians: Gaussians, look: RenderMode = "splats", rain: GivenRain | None = None) -> Frame:
     renderer = CpuRenderer()
-    renderer.draw([Part(gaussians, HERE)], small_camera(), rain, with_depth=True, look=look)
+    renderer.draw([DrawItem(gaussians, HERE)], small_camera(), rain, with_depth=True, look=look)
     return renderer.read()
 
 
@@ -77,11 +77,11 @@ def test_strange_rain_stays_finite_and_repeats_itself(what, mixing):
 @given(what=changes)
 def test_what_is_left_out_leaves_the_others_alone(what):
     gaussians = changed(random_gaussians(COUNT, 1, 1), what)
-    splats = project([Part(gaussians, HERE)], small_camera())
+    splats = project([DrawItem(gaussians, HERE)], small_camera())
     seen = np.sort(splats.indices[splats.nearest_first()])
     np.testing.assert_array_equal(drawn(gaussians).rgba, drawn(gaussians.take(seen)).rgba)
     touched = {row for _, row, _, _ in what}
-    whole = project([Part(random_gaussians(COUNT, 1, 1), HERE)], small_camera())
+    whole = project([DrawItem(random_gaussians(COUNT, 1, 1), HERE)], small_camera())
     visible = set(whole.indices[whole.nearest_first()].tolist())
     assert visible - touched == set(seen.tolist()) - touched
 
@@ -110,7 +110,7 @@ def test_needles_and_planes_agree_with_the_reference(seed, longest, opacity):
     thin = np.where(np.arange(COUNT) % 2, 1e-4, 1.0)[:, None] * np.array([[1.0, 1e-4, 0]])
     opacities = np.where(np.arange(COUNT) % 3, g.opacities, opacity).astype(np.float32)
     gaussians = Gaussians(g.means, (longest * thin).astype(np.float32), g.quaternions, opacities, g.sh)
-    frame, slow = drawn(gaussians), rasterize_slowly([Part(gaussians, HERE)], small_camera())
+    frame, slow = drawn(gaussians), rasterize_slowly([DrawItem(gaussians, HERE)], small_camera())
     difference = np.abs(frame.rgba - slow[..., :4]).max(axis=-1)
     assert difference.max() < 2e-2
     assert (difference > 3e-4).mean() < 0.01

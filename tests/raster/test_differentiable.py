@@ -9,7 +9,7 @@ from hypothesis import strategies as st  # noqa: E402
 
 from gsrain_engine.render.autodiff.differentiable import render_gaussians  # noqa: E402
 from gsrain_engine.scene.camera import Camera  # noqa: E402
-from gsrain_engine.scene.scene import Part  # noqa: E402
+from gsrain_engine.scene.scene import DrawItem  # noqa: E402
 from oracles.dense_gradients import render_densely  # noqa: E402
 from rasterized import rasterize  # noqa: E402
 
@@ -127,7 +127,7 @@ def test_colors_alone_get_the_same_gradients():
 def test_the_picture_is_the_renderers():
     gaussians = random_gaussians(3000, 1, 3)
     view = small_camera(200, 130)
-    frame = rasterize([Part(gaussians, np.eye(4))], view)
+    frame = rasterize([DrawItem(gaussians, np.eye(4))], view)
     g = gaussians
     r = render_gaussians(*map(torch.from_numpy, (g.means, g.scales, g.quaternions, g.opacities, g.sh)), view)
     error = np.dstack([r.color.numpy(), r.alpha.numpy()]) - frame.rgba

@@ -6,17 +6,17 @@ import pytest
 
 from given_rain import given_rain
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.images import heat_colors, layer_color
-from gsrain_engine.render.renderer import FARTHEST_M, MOST_FRAGMENTS, NEAREST_M, Frame, Look
+from gsrain_engine.render.images import layer_color, turbo_colors
+from gsrain_engine.render.renderer import FARTHEST_M, MAX_FRAGMENTS, NEAREST_M, Frame, RenderMode
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.scene import DrawItem
 from oracles.rasterizer import rasterize_slowly
 
 from .raster_scenes import random_gaussians, small_camera
 
 HERE = np.eye(4)
-LOOKS: tuple[Look, ...] = get_args(Look)
+LOOKS: tuple[RenderMode, ...] = get_args(RenderMode)
 
 
 def one(
@@ -28,11 +28,11 @@ def one(
     return Gaussians(means, scale, turn, alpha, sh_from_color(np.array([color], np.float32)))
 
 
-def drawn(gaussians: Gaussians, look: Look, camera: Camera | None = None, **more) -> Frame:
-    return seen([Part(gaussians, HERE)], look, camera, **more)
+def drawn(gaussians: Gaussians, look: RenderMode, camera: Camera | None = None, **more) -> Frame:
+    return seen([DrawItem(gaussians, HERE)], look, camera, **more)
 
 
-def seen(parts, look: Look, camera: Camera | None = None, **more) -> Frame:
+def seen(parts, look: RenderMode, camera: Camera | None = None, **more) -> Frame:
     renderer = CpuRenderer()
     renderer.draw(parts, camera or square_camera(), look=look, **more)
     return renderer.read()
@@ -50,7 +50,7 @@ def straight(frame: Frame, row: int = 20, column: int = 20) -> np.ndarray:
 
 @pytest.mark.parametrize("look", [look for look in LOOKS if look != "splats"])
 def test_looks_show_the_scene_without_rain_and_are_finite(look):
-    parts = [Part(random_gaussians(300, 1, 1), HERE), Part(random_gaussians(100, 2), HERE)]
+    parts = [DrawItem(random_gaussians(300, 1, 1), HERE), DrawItem(random_gaussians(100, 2), HERE)]
     rain = given_rain(random_gaussians(50, 3), np.ones(3, np.float32), "linear")
     frame = seen(parts, look, small_camera())
     assert np.isfinite(frame.rgba).all()
@@ -74,7 +74,7 @@ def test_points_are_opaque_dots_of_one_pixel():
 def test_an_ellipsoid_is_where_alpha_is_a_quarter_and_shaded_like_a_ball(opacity):
     gaussians = one(opacity=opacity, scales=(0.7, 0.3, 0.2))
     rgba = drawn(gaussians, "ellipsoids").rgba
-    alpha = rasterize_slowly([Part(gaussians, HERE)], square_camera())[..., 3]
+    alpha = rasterize_slowly([DrawItem(gaussians, HERE)], square_camera())[..., 3]
     inside = np.abs(alpha - 0.25) > 1e-4
     np.testing.assert_array_equal(rgba[inside, 3], (alpha >= 0.25)[inside])
     shade = 0.5 + 0.5 * np.sqrt(np.clip(1 - np.log(opacity / np.maximum(alpha, 1e-9)) / np.log(4 * opacity), 0, 1))
@@ -110,7 +110,7 @@ def test_normals_are_the_shortest_axes_turned_to_the_camera():
         square_camera(), world_to_camera=look_at(np.array([3.0, 0, 5]), np.array([0.0, 0, 8]), np.array([0, 1.0, 0]))
     )
     expected = 0.5 + 0.5 * np.array([0, -half, -half])
-    np.testing.assert_allclose(straight(seen([Part(leaning, turned)], "normals", camera)), expected, atol=1e-5)
+    np.testing.assert_allclose(straight(seen([DrawItem(leaning, turned)], "normals", camera)), expected, atol=1e-5)
     splats = drawn(leaning, "splats").rgba[..., 3]
     np.testing.assert_array_equal(drawn(leaning, "normals").rgba[..., 3], splats)
 
@@ -118,27 +118,27 @@ def test_normals_are_the_shortest_axes_turned_to_the_camera():
 def test_opacity_and_layers_are_composited_in_colors_of_their_own():
     faint, solid = one(5.0, 0.9, (2, 2, 2)), one(3.0, 0.25, (1, 1, 1))
     frame = drawn(Gaussians.concatenate([faint, solid]), "opacity")
-    colors = heat_colors(np.array([0.25, 0.9], np.float32))
-    weights = rasterize_slowly([Part(solid, HERE)], square_camera())[..., 3], 0.9
+    colors = turbo_colors(np.array([0.25, 0.9], np.float32))
+    weights = rasterize_slowly([DrawItem(solid, HERE)], square_camera())[..., 3], 0.9
     expected = weights[0][20, 20] * colors[0] + (1 - weights[0][20, 20]) * 0.9 * colors[1]
     np.testing.assert_allclose(frame.rgba[20, 20, :3], expected, atol=1e-3)
-    parts = [Part(solid, HERE), Part(random_gaussians(4, depth_m=(-9, -8)), HERE), Part(faint, HERE)]
+    parts = [DrawItem(solid, HERE), DrawItem(random_gaussians(4, depth_m=(-9, -8)), HERE), DrawItem(faint, HERE)]
     expected = 0.25 * np.array(layer_color(0)) + 0.75 * 0.9 * np.array(layer_color(2))
     np.testing.assert_allclose(seen(parts, "layers").rgba[20, 20, :3], expected, atol=2e-3)
 
 
 def test_layers_keep_their_color_where_parts_are_drawn_in_part():
     near, far = one(3.0, 0.9, (1, 1, 1)), one(5.0, 0.9, (2, 2, 2))
-    part = Part(Gaussians.concatenate([far, near]), HERE, 1)
+    part = DrawItem(Gaussians.concatenate([far, near]), HERE, 1)
     expected = 0.9 * np.array(layer_color(1))
-    np.testing.assert_allclose(seen([Part(near, HERE, 0), part], "layers").rgba[20, 20, :3], expected, atol=1e-3)
+    np.testing.assert_allclose(seen([DrawItem(near, HERE, 0), part], "layers").rgba[20, 20, :3], expected, atol=1e-3)
 
 
 @pytest.mark.parametrize("depth", [0.5, 3.0, 200.0, 900.0])
 def test_depth_is_the_heat_of_its_logarithm(depth):
     frame = drawn(one(depth, 1.0, (depth, depth, 0.1)), "depth")
     t = np.float32(np.clip(np.log(depth / NEAREST_M) / np.log(FARTHEST_M / NEAREST_M), 0, 1))
-    np.testing.assert_allclose(frame.rgba[20, 20], [*heat_colors(np.array([t]))[0], 1], atol=1e-4)
+    np.testing.assert_allclose(frame.rgba[20, 20], [*turbo_colors(np.array([t]))[0], 1], atol=1e-4)
     assert frame.depth is not None
     assert frame.depth[20, 20] == pytest.approx(depth, rel=1e-4)
     thin = drawn(one(depth, 0.4, (depth, depth, 0.1)), "depth")
@@ -149,16 +149,16 @@ def test_overdraw_counts_fragments_also_behind_what_is_opaque():
     walls = Gaussians.concatenate([one(2.0 + i, 1.0, (9, 9, 9)) for i in range(40)])
     dot = one(1.0, 1.0, (0.02, 0.02, 0.02))
     rgba = drawn(Gaussians.concatenate([walls, dot]), "overdraw").rgba
-    colors = heat_colors(np.array([40, 41], np.float32) / np.float32(MOST_FRAGMENTS))
+    colors = turbo_colors(np.array([40, 41], np.float32) / np.float32(MAX_FRAGMENTS))
     np.testing.assert_allclose(rgba[0, 0], [*colors[0], 1], atol=1e-6)
     np.testing.assert_allclose(rgba[20, 20], [*colors[1], 1], atol=1e-6)
-    alpha = rasterize_slowly([Part(dot, HERE)], square_camera())[..., 3]
+    alpha = rasterize_slowly([DrawItem(dot, HERE)], square_camera())[..., 3]
     alone = drawn(dot, "overdraw").rgba[..., 3]
     np.testing.assert_array_equal(alone, alpha > 0)
 
 
 def test_depth_beside_a_look_is_the_scenes():
-    parts = [Part(random_gaussians(300, 1, 1), HERE)]
+    parts = [DrawItem(random_gaussians(300, 1, 1), HERE)]
     scene = seen(parts, "splats", small_camera(), with_depth=True).depth
     assert (scene > 0).any()
     for look in ("ellipsoids", "depth", "normals", "opacity", "overdraw", "layers"):

@@ -9,39 +9,39 @@ import pytest
 from gsrain_engine.editor.drawing.textures import compile_kernels
 from gsrain_engine.presets import shipped_folder
 from gsrain_engine.render.cpu import projection
-from gsrain_engine.render.cpu.compositing import view_weights
+from gsrain_engine.render.cpu.compositing import color_operator
 from gsrain_engine.render.cpu.projection import FEW, project
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.renderer import Look
-from gsrain_engine.scene.flags import Mask
+from gsrain_engine.render.renderer import RenderMode
+from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import Grading, Part, graded
+from gsrain_engine.scene.scene import ColorGrading, DrawItem, grade_sh
 from oracles.rasterizer import rasterize_slowly
 from rasterized import rasterize
 
 from .raster_scenes import random_gaussians, small_camera
 
 HERE = np.eye(4)
-COLORS = Grading(exposure_ev=0.7, temperature=0.3, contrast=1.3, saturation=0.4).matrix
+COLORS = ColorGrading(exposure_ev=0.7, temperature=0.3, contrast=1.3, saturation=0.4).matrix
 COUNTS = [300, FEW + 40]
 
 
-def part_of(count: int, seed: int = 1, **fields) -> Part:
-    return Part(random_gaussians(count, seed, 1), HERE, **fields)
+def part_of(count: int, seed: int = 1, **fields) -> DrawItem:
+    return DrawItem(random_gaussians(count, seed, 1), HERE, **fields)
 
 
-def some_of(count: int, share: float = 0.4, seed: int = 0) -> Mask:
-    return Mask.of(np.random.default_rng(seed).random(count) < share)
+def some_of(count: int, share: float = 0.4, seed: int = 0) -> BitMask:
+    return BitMask.of(np.random.default_rng(seed).random(count) < share)
 
 
-def baked(part: Part) -> Part:
+def baked(part: DrawItem) -> DrawItem:
     """The same picture without marks, opacity and colours of the part's own."""
     g = part.gaussians.take(slice(0, part.drawn_count))
     if part.left_out is not None:
         g = g.take(np.flatnonzero(~part.left_out.flags[: part.drawn_count]))
     scales, opacities = g.scales * np.float32(part.growth), g.opacities * np.float32(part.opacity)
-    sh = g.sh if part.colors is None else graded(g.sh, part.colors)
-    return Part(Gaussians(g.means, scales, g.quaternions, opacities, sh), part.to_world)
+    sh = g.sh if part.colors is None else grade_sh(g.sh, part.colors)
+    return DrawItem(Gaussians(g.means, scales, g.quaternions, opacities, sh), part.to_world)
 
 
 @pytest.mark.parametrize("count", COUNTS)
@@ -86,7 +86,7 @@ def test_the_readable_reference_agrees():
     assert (difference > 3e-4).mean() < 0.01
 
 
-@pytest.mark.parametrize("look", get_args(Look))
+@pytest.mark.parametrize("look", get_args(RenderMode))
 def test_a_layer_of_no_opacity_shows_nothing_whatever_the_look(look):
     renderer = CpuRenderer()
     renderer.draw([part_of(300, opacity=0.0)], small_camera(), look=look)
@@ -126,8 +126,8 @@ def test_the_opacity_look_shows_the_layers_own_too():
 
 def test_what_is_left_out_has_no_weight_in_a_view():
     mask, camera = some_of(300), small_camera()
-    seen = view_weights([part_of(300, left_out=mask, opacity=0.6)], camera)
-    rest = view_weights([baked(part_of(300, left_out=mask, opacity=0.6))], camera)
+    seen = color_operator([part_of(300, left_out=mask, opacity=0.6)], camera)
+    rest = color_operator([baked(part_of(300, left_out=mask, opacity=0.6))], camera)
     assert not mask.flags[seen.splats.indices].any()
     np.testing.assert_array_equal(seen.squared_sums(), rest.squared_sums())
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from gsrain_engine.render.cpu.projection import project
 from gsrain_engine.scene.camera import Camera, look_at, read_camera
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.scene import DrawItem
 from oracles.rasterizer import rasterize_slowly, sh_basis_slowly
 from rasterized import rasterize
 
@@ -28,11 +28,13 @@ def similarity(scale: float, seed: int) -> np.ndarray:
     return matrix
 
 
-def moved(gaussians: Gaussians, to_world: np.ndarray) -> Part:
+def moved(gaussians: Gaussians, to_world: np.ndarray) -> DrawItem:
     """Put Gaussians elsewhere in their own frame so that `to_world` brings their means back."""
     rotation = to_world[:3, :3]
     means = np.linalg.solve(rotation, gaussians.means.T - to_world[:3, 3:]).T.astype(np.float32)
-    return Part(Gaussians(means, gaussians.scales, gaussians.quaternions, gaussians.opacities, gaussians.sh), to_world)
+    return DrawItem(
+        Gaussians(means, gaussians.scales, gaussians.quaternions, gaussians.opacities, gaussians.sh), to_world
+    )
 
 
 def assert_like_the_reference(parts, camera, rain=None) -> None:
@@ -51,12 +53,12 @@ def assert_like_the_reference(parts, camera, rain=None) -> None:
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_agrees_with_the_reference_at_every_sh_degree(degree):
-    assert_like_the_reference([Part(random_gaussians(150, degree, degree), HERE)], small_camera())
+    assert_like_the_reference([DrawItem(random_gaussians(150, degree, degree), HERE)], small_camera())
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_agrees_with_the_reference_where_parts_are_turned_and_scaled(seed):
-    parts = [Part(random_gaussians(60, seed, 1), HERE)]
+    parts = [DrawItem(random_gaussians(60, seed, 1), HERE)]
     parts += [moved(random_gaussians(60, 10 + seed, 3), similarity(0.5 + seed, seed))]
     assert_like_the_reference(parts, small_camera())
 
@@ -64,7 +66,7 @@ def test_agrees_with_the_reference_where_parts_are_turned_and_scaled(seed):
 def test_agrees_with_the_reference_from_another_place():
     pose = look_at(np.array([1.0, 0.5, -1]), np.array([0.3, 0, 4]), np.array([0.1, -1, 0]))
     camera = Camera(40, 64, 60, 60, 30, 20, pose)
-    assert_like_the_reference([Part(random_gaussians(150, 5, 2), HERE)], camera)
+    assert_like_the_reference([DrawItem(random_gaussians(150, 5, 2), HERE)], camera)
 
 
 def test_agrees_with_the_reference_where_pixels_finish_early():
@@ -72,9 +74,9 @@ def test_agrees_with_the_reference_where_pixels_finish_early():
     gaussians = Gaussians(
         gaussians.means, 4 * gaussians.scales, gaussians.quaternions, np.full(400, 0.97, np.float32), gaussians.sh
     )
-    frame = rasterize([Part(gaussians, HERE)], small_camera())
+    frame = rasterize([DrawItem(gaussians, HERE)], small_camera())
     assert (1 - frame.rgba[..., 3] < 2e-3).mean() > 0.8  # it does finish
-    assert_like_the_reference([Part(gaussians, HERE)], small_camera())
+    assert_like_the_reference([DrawItem(gaussians, HERE)], small_camera())
 
 
 def test_agrees_with_the_reference_for_needles_and_grains():
@@ -83,14 +85,14 @@ def test_agrees_with_the_reference_for_needles_and_grains():
     scales[:40] = (3.0, 1e-3, 1e-3)
     scales[40:60] = 1e-5
     gaussians = Gaussians(gaussians.means, scales, gaussians.quaternions, gaussians.opacities, gaussians.sh)
-    assert_like_the_reference([Part(gaussians, HERE)], small_camera())
+    assert_like_the_reference([DrawItem(gaussians, HERE)], small_camera())
 
 
 def test_rain_is_cut_later_and_keeps_its_integral():
     gaussians = random_gaussians(60, 4)
     scales = (gaussians.scales * 0.02).astype(np.float32)
     faint = Gaussians(gaussians.means, scales, gaussians.quaternions, gaussians.opacities * 0.02, gaussians.sh)
-    parts = [Part(random_gaussians(40, 2), HERE), Part(faint, HERE)]
+    parts = [DrawItem(random_gaussians(40, 2), HERE), DrawItem(faint, HERE)]
     rain = [None, np.arange(60) % 3 > 0]
     assert_like_the_reference(parts, small_camera(), rain)
     alone = rasterize(parts[1:], small_camera(), [np.ones(60, bool)]).rgba[..., 3]
@@ -107,7 +109,7 @@ def test_one_small_rain_splat_covers_its_own_cross_section():
         np.array([[1, 0, 0, 0]], np.float32), np.array([opacity], np.float32), np.zeros((1, 1, 3), np.float32),
     )  # fmt: skip
     camera = Camera(64, 64, 300, 300, 32, 32)
-    alpha = rasterize([Part(drop, HERE)], camera, [np.ones(1, bool)]).rgba[..., 3]
+    alpha = rasterize([DrawItem(drop, HERE)], camera, [np.ones(1, bool)]).rgba[..., 3]
     assert alpha.sum() == pytest.approx(2 * np.pi * (sigma * 300 / depth) ** 2 * opacity, rel=0.02)
 
 
@@ -119,9 +121,9 @@ def test_equal_depths_keep_their_index():
         np.full(2, 0.9, np.float32), np.concatenate([red, blue]),
     )  # fmt: skip
     camera = small_camera()
-    center = rasterize([Part(pair, HERE)], camera).rgba[int(camera.cy), int(camera.cx)]
+    center = rasterize([DrawItem(pair, HERE)], camera).rgba[int(camera.cy), int(camera.cx)]
     assert center[0] > 0.8 > 0.2 > center[2]
-    flipped = rasterize([Part(pair.take(np.array([1, 0])), HERE)], camera).rgba[int(camera.cy), int(camera.cx)]
+    flipped = rasterize([DrawItem(pair.take(np.array([1, 0])), HERE)], camera).rgba[int(camera.cy), int(camera.cx)]
     assert flipped[2] > 0.8 > 0.2 > flipped[0]
 
 
@@ -135,13 +137,13 @@ def test_numbers_that_are_none_neither_crash_nor_smear(field, value, row):
     gaussians = random_gaussians(20, 1, 1)
     arrays = {name: getattr(gaussians, name).copy() for name in FIELDS}
     arrays[field].reshape(20, -1)[row, -1] = value
-    frame = rasterize([Part(Gaussians(**arrays), HERE)], small_camera())
+    frame = rasterize([DrawItem(Gaussians(**arrays), HERE)], small_camera())
     assert np.isfinite(frame.rgba).all()
     assert np.isfinite(frame.depth).all()
     assert frame.rgba[..., 3].max() <= 1 + 1e-5
     if not np.isfinite(value) and field != "opacities":
         without = gaussians.take(np.delete(np.arange(20), row))
-        np.testing.assert_array_equal(frame.rgba, rasterize([Part(without, HERE)], small_camera()).rgba)
+        np.testing.assert_array_equal(frame.rgba, rasterize([DrawItem(without, HERE)], small_camera()).rgba)
 
 
 def test_zero_scale_is_a_dot_of_the_pixels_own_footprint():
@@ -150,13 +152,13 @@ def test_zero_scale_is_a_dot_of_the_pixels_own_footprint():
         np.array([[0, 0, 2]], np.float32), np.zeros((1, 3), np.float32), dot.quaternions, np.ones(1, np.float32), dot.sh
     )
     camera = Camera(33, 33, 40, 40, 16.5, 16.5)
-    alpha = rasterize([Part(dot, HERE)], camera).rgba[..., 3]
+    alpha = rasterize([DrawItem(dot, HERE)], camera).rgba[..., 3]
     assert alpha[16, 16] == np.float32(0.999)
     assert alpha.sum() == pytest.approx(2 * np.pi * 0.3, rel=0.03)
 
 
 def test_nothing_gives_an_empty_picture():
-    for parts in ([], [Part(Gaussians.empty(), HERE)], [Part(random_gaussians(5, depth_m=(-9, 0.2)), HERE)]):
+    for parts in ([], [DrawItem(Gaussians.empty(), HERE)], [DrawItem(random_gaussians(5, depth_m=(-9, 0.2)), HERE)]):
         frame = rasterize(parts, small_camera())
         assert frame.rgba.shape == (53, 75, 4)
         assert not frame.rgba.any()
@@ -164,7 +166,7 @@ def test_nothing_gives_an_empty_picture():
 
 
 def test_the_same_bytes_at_any_thread_count():
-    parts = [Part(random_gaussians(3000, 6, 1), HERE)]
+    parts = [DrawItem(random_gaussians(3000, 6, 1), HERE)]
     digests, before = set[str](), numba.get_num_threads()
     try:
         for threads in range(1, numba.config.NUMBA_NUM_THREADS + 1):
@@ -240,18 +242,18 @@ def test_golden_images(case, least_db):
         gaussians = read_splat_rows(folder.parent / "data" / "scenes" / "plant.splat")
     else:
         gaussians = read_3dgs_ply(folder / f"{case}.ply")
-    frame = rasterize([Part(gaussians, HERE)], read_camera(folder / f"{case}.camera.json"))
+    frame = rasterize([DrawItem(gaussians, HERE)], read_camera(folder / f"{case}.camera.json"))
     reference = np.load(folder / f"{case}.reference.npz")["rgb"].astype(np.float64)
     psnr_db = -10 * np.log10(np.mean((frame.rgba[..., :3] - reference) ** 2))
     assert psnr_db > least_db
 
 
 def test_a_limit_draws_the_first_ones_and_indices_count_all():
-    parts = [Part(random_gaussians(80, 1, 1), HERE, 30), Part(random_gaussians(50, 2), HERE)]
-    cut = [Part(parts[0].gaussians.take(slice(0, 30)), HERE), parts[1]]
+    parts = [DrawItem(random_gaussians(80, 1, 1), HERE, 30), DrawItem(random_gaussians(50, 2), HERE)]
+    cut = [DrawItem(parts[0].gaussians.take(slice(0, 30)), HERE), parts[1]]
     camera = small_camera()
     np.testing.assert_array_equal(rasterize(parts, camera).rgba, rasterize(cut, camera).rgba)
-    splats, whole = project(parts, camera), project([Part(part.gaussians, HERE) for part in parts], camera)
+    splats, whole = project(parts, camera), project([DrawItem(part.gaussians, HERE) for part in parts], camera)
     kept = (whole.indices < 30) | (whole.indices >= 80)
     assert 0 < kept.sum() < len(kept)
     np.testing.assert_array_equal(splats.indices, whole.indices[kept])
@@ -264,7 +266,7 @@ def test_memory_is_taken_for_what_may_be_seen_only():
     aside = random_gaussians(500, 2)
     aside = Gaussians(aside.means + np.float32([200, 0, 0]), *(getattr(aside, name) for name in FIELDS[1:]))
     seen = random_gaussians(20, 3)
-    assert len(project([Part(each, HERE) for each in (behind, seen, aside)], small_camera())) == 20
+    assert len(project([DrawItem(each, HERE) for each in (behind, seen, aside)], small_camera())) == 20
 
 
 @settings(max_examples=30)
@@ -277,6 +279,6 @@ def test_no_gaussian_that_is_seen_is_left_out(seed, size, enlarged):
     splats = project([part], camera)
     found = set(splats.indices[splats.nearest_first()].tolist())
     for i in range(0, 200, 7):
-        one = Part(part.gaussians.take(np.array([i])), part.to_world)
+        one = DrawItem(part.gaussians.take(np.array([i])), part.to_world)
         if rasterize_slowly([one], camera).any():
             assert i in found

@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 
 from gsrain_engine.render.cpu.projection import project
 from gsrain_engine.render.cpu.tiles import TILE, bin_into_tiles
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.scene import DrawItem
 
 from .raster_scenes import random_gaussians, small_camera
 
@@ -23,7 +23,7 @@ def test_a_tile_is_listed_exactly_where_the_ellipse_touches_it(seed, stretch):
     gaussians = random_gaussians(12, seed)
     gaussians.scales[:, 0] *= stretch
     camera = small_camera(90, 70)
-    splats = project([Part(gaussians, np.eye(4))], camera)
+    splats = project([DrawItem(gaussians, np.eye(4))], camera)
     tiles = bin_into_tiles(splats.shapes, splats.nearest_first(), 90, 70)
     listed = [set(tiles.members[a:b].tolist()) for a, b in zip(tiles.starts[:-1], tiles.starts[1:], strict=True)]
     for n in splats.nearest_first():
@@ -50,7 +50,7 @@ def reaches(shape: np.ndarray, column: int, row: int) -> bool:
 
 
 def test_lists_keep_the_order_of_the_splats():
-    splats = project([Part(random_gaussians(4000, 1), np.eye(4))], small_camera(300, 200))
+    splats = project([DrawItem(random_gaussians(4000, 1), np.eye(4))], small_camera(300, 200))
     order = splats.nearest_first()
     tiles = bin_into_tiles(splats.shapes, order, 300, 200)
     places = np.empty(len(splats), int)
@@ -61,7 +61,7 @@ def test_lists_keep_the_order_of_the_splats():
 
 
 def test_splats_are_sorted_by_depth():
-    splats = project([Part(random_gaussians(500, 2), np.eye(4))], small_camera())
+    splats = project([DrawItem(random_gaussians(500, 2), np.eye(4))], small_camera())
     order = splats.nearest_first()
     assert len(order) > 300
     assert (np.diff(splats.colors[order, 3]) >= 0).all()

@@ -2,28 +2,28 @@ import numba
 import numpy as np
 import pytest
 
-from gsrain_engine.render.cpu.compositing import view_weights
+from gsrain_engine.render.cpu.compositing import color_operator
 from gsrain_engine.render.cpu.fast_math import harmonics
 from gsrain_engine.render.cpu.projection import view_directions
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.scene import DrawItem
 from oracles.rasterizer import rasterize_slowly, sh_basis_slowly
 from rasterized import rasterize
 
 from .raster_scenes import random_gaussians, small_camera
 
 
-def scene(count: int = 2000, seed: int = 0, opacity: float | None = None) -> list[Part]:
+def scene(count: int = 2000, seed: int = 0, opacity: float | None = None) -> list[DrawItem]:
     gaussians = random_gaussians(count, seed, 1)
     if opacity is not None:
         opacities = np.full(count, opacity, np.float32)
         gaussians = Gaussians(gaussians.means, gaussians.scales, gaussians.quaternions, opacities, gaussians.sh)
-    return [Part(gaussians, np.eye(4))]
+    return [DrawItem(gaussians, np.eye(4))]
 
 
 @pytest.mark.parametrize(("seed", "opacity"), [(0, None), (1, 0.98), (2, 0.01)])
 def test_blending_and_accumulating_are_transposes_of_each_other(seed, opacity):
-    weights = view_weights(scene(2000, seed, opacity), small_camera(200, 130))
+    weights = color_operator(scene(2000, seed, opacity), small_camera(200, 130))
     r = np.random.default_rng(seed)
     colors = r.normal(size=(len(weights.splats), 3)).astype(np.float32)
     image = r.normal(size=(130, 200, 3)).astype(np.float32)
@@ -39,7 +39,7 @@ def test_blending_and_accumulating_are_transposes_of_each_other(seed, opacity):
 def test_blending_a_splats_own_colors_is_rendering():
     parts = scene()
     camera = small_camera(100, 70)
-    weights = view_weights(parts, camera)
+    weights = color_operator(parts, camera)
     np.testing.assert_array_equal(weights.blend(weights.splats.colors[:, :3]), rasterize(parts, camera).rgba[..., :3])
     four = weights.blend(weights.splats.colors)
     np.testing.assert_array_equal(four[..., 2], rasterize(parts, camera).rgba[..., 2])
@@ -48,7 +48,7 @@ def test_blending_a_splats_own_colors_is_rendering():
 def test_squared_sums_are_the_diagonal_of_the_normal_matrix():
     camera = small_camera(40, 30)
     one_by_one = scene(12, 3)
-    weights = view_weights(one_by_one, camera)
+    weights = color_operator(one_by_one, camera)
     for n in range(len(weights.splats)):
         unit = np.zeros((len(weights.splats), 1), np.float32)
         unit[n] = 1
@@ -65,14 +65,14 @@ def test_weights_of_one_splat_are_the_references():
         white = Gaussians(
             gaussians.means, gaussians.scales, gaussians.quaternions, gaussians.opacities, sh_from_color(colors)
         )
-        weights = view_weights(parts, camera)
+        weights = color_operator(parts, camera)
         unit = (weights.splats.indices == row).astype(np.float32)[:, None]
-        slow = rasterize_slowly([Part(white, np.eye(4))], camera)[..., 0]
+        slow = rasterize_slowly([DrawItem(white, np.eye(4))], camera)[..., 0]
         np.testing.assert_allclose(weights.blend(unit)[..., 0], slow, atol=2e-4)
 
 
 def test_accumulating_gives_the_same_bytes_at_any_thread_count():
-    weights = view_weights(scene(), small_camera(200, 130))
+    weights = color_operator(scene(), small_camera(200, 130))
     image = np.random.default_rng(0).normal(size=(130, 200, 3)).astype(np.float32)
     results, before = [], numba.get_num_threads()
     try:
@@ -87,7 +87,7 @@ def test_accumulating_gives_the_same_bytes_at_any_thread_count():
 def test_directions_are_in_each_parts_own_frame():
     turned = np.array([[0, -2, 0, 1], [2, 0, 0, 0], [0, 0, 2, 0], [0, 0, 0, 1]], float)
     camera = small_camera()
-    parts = [*scene(5), Part(random_gaussians(7, 1, 0), turned)]
+    parts = [*scene(5), DrawItem(random_gaussians(7, 1, 0), turned)]
     indices = np.array([11, 0, 4, 5], np.int64)
     directions = view_directions(parts, camera, indices)
     world = turned[:3, :3] / 2 @ directions[0]

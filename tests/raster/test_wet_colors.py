@@ -5,8 +5,8 @@ import pytest
 
 from gsrain_engine.render.cpu.projection import FEW, project
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.scene.scene import Part
-from gsrain_engine.scene.transforms import blended_sh
+from gsrain_engine.scene.scene import DrawItem
+from gsrain_engine.scene.transforms import blend_wet_sh
 from oracles.rasterizer import rasterize_slowly
 from rasterized import rasterize
 
@@ -16,14 +16,14 @@ from .test_marked_parts import COLORS, some_of
 HERE = np.eye(4)
 
 
-def wet_part(count=300, degree=1, **fields) -> Part:
+def wet_part(count=300, degree=1, **fields) -> DrawItem:
     wet_sh = np.random.default_rng(3).normal(0, 0.5, (count, (degree + 1) ** 2, 3)).astype(np.float32)
-    return Part(random_gaussians(count, 1, degree), HERE, wet_sh=wet_sh, **fields)
+    return DrawItem(random_gaussians(count, 1, degree), HERE, wet_sh=wet_sh, **fields)
 
 
-def blended(part: Part) -> Part:
+def blended(part: DrawItem) -> DrawItem:
     """The same picture without wet colours."""
-    sh = blended_sh(part.gaussians.sh, part.wet_sh, part.wetness)
+    sh = blend_wet_sh(part.gaussians.sh, part.wet_sh, part.wetness)
     return part._replace(gaussians=part.gaussians.with_sh(sh), wet_sh=None, wetness=0.0)
 
 
@@ -40,7 +40,7 @@ def renderer(request):
     return CpuRenderer() if request.param == "cpu" else cuda_renderer()
 
 
-def drawn(renderer, part: Part, **options):
+def drawn(renderer, part: DrawItem, **options):
     renderer.draw([part], small_camera(), **options)
     return renderer.read().rgba
 

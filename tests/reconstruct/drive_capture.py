@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from gsrain_engine.datasets.capture import Capture, Sweep, TrackedBox, View
+from gsrain_engine.datasets.capture import Capture, CaptureFrame, LidarSweep, TrackedBox
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.scene import Track
+from gsrain_engine.scene.scene import PoseTrack
 
 WALL_X, WALL_HEIGHT, ROAD_Z = 30.0, 4.0, -1.5
 SKY = np.array([0.45, 0.62, 0.9])
@@ -21,8 +21,8 @@ def drive_capture(frames: int = 6, step_m: float = 1.0, bonnet: int = 0, **chang
         image = (np.clip(world_colors(camera), 0, 1) * 255 + 0.5).astype(np.uint8)
         if bonnet:
             image[-bonnet:] = body(bonnet)
-        views.append(View(f"{k}", camera, image, float(k), "FRONT"))
-        sweeps.append(Sweep(float(k), scan(eye), eye))
+        views.append(CaptureFrame(f"{k}", camera, image, float(k), "FRONT"))
+        sweeps.append(LidarSweep(float(k), scan(eye), eye))
     values = {"views": tuple(views), "sweeps": tuple(sweeps), **changes}
     return Capture("drive", **values)  # type: ignore[arg-type]
 
@@ -79,5 +79,5 @@ def box(name: str, start: tuple[float, float], speed_m_s: float, seconds: int = 
     """A box of 4 x 2 x 1.5 m on the road that drives along x."""
     times = np.arange(seconds, dtype=np.float64)
     places = np.stack([start[0] + speed_m_s * times, np.full(seconds, start[1]), np.full(seconds, ROAD_Z)], axis=1)
-    track = Track(times, places, np.tile([1.0, 0, 0, 0], (seconds, 1)), np.ones(seconds, np.bool_))
+    track = PoseTrack(times, places, np.tile([1.0, 0, 0, 0], (seconds, 1)), np.ones(seconds, np.bool_))
     return TrackedBox(name, label, (4.0, 2.0, 1.5), track)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.scene import Actor, Layer, RigCamera, Scene, Track
+from gsrain_engine.scene.scene import Actor, Layer, PoseTrack, RigCamera, Scene
 
 # Camera axes (x right, y down, z forward) in the ego frame (x forward, y left, z up).
 FORWARD = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
@@ -29,9 +29,9 @@ def flat_patch(
     )  # fmt: skip
 
 
-def still_track(*positions: tuple[float, float, float]) -> Track:
+def still_track(*positions: tuple[float, float, float]) -> PoseTrack:
     count = len(positions)
-    return Track(
+    return PoseTrack(
         np.arange(count, dtype=float), np.array(positions, float), np.tile([1.0, 0, 0, 0], (count, 1)),
         np.ones(count, bool),
     )  # fmt: skip

@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.datasets.capture import Capture, View
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.datasets.capture import Capture, CaptureFrame
+from gsrain_engine.scene.scene import DrawItem
 from gsrain_engine.training.init import actor_layers, points_of_box
 from rasterized import rasterize
 
@@ -54,7 +54,7 @@ def test_a_car_becomes_an_actor_in_its_colour(car) -> None:
     assert actor.track is car.track
     assert np.abs(actor.gaussians.means[:, 1]).max() < 1.0
     view = capture.views[2]
-    frame = rasterize([Part(actor.gaussians, actor.way(view.time_s))], view.camera)
+    frame = rasterize([DrawItem(actor.gaussians, actor.way(view.time_s))], view.camera)
     pose = car.track.pose(view.time_s)
     middle = view.camera.world_to_camera[:3] @ (pose @ [-1.95, 0, 0.8, 1])
     row = int(middle[1] / middle[2] * view.camera.fy + view.camera.cy)
@@ -76,6 +76,6 @@ def test_what_stands_or_has_few_points_is_no_actor(car) -> None:
 
 def test_what_no_view_shows_is_no_actor(car) -> None:
     capture = with_car(drive_capture(4), car)
-    away: list[View] = [replace(view, camera=replace(view.camera, cx=1e6)) for view in capture.views]
+    away: list[CaptureFrame] = [replace(view, camera=replace(view.camera, cx=1e6)) for view in capture.views]
     assert actor_layers(capture, away) == ()
     assert ROAD_Z < 0

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.recolor.problem import fit_color_change
+from gsrain_engine.recolor.problem import fit_color_prior
 from gsrain_engine.scene.gaussians import SH_C0, sh_from_color
 
 MATRIX = np.array([[0.6, 0.1, 0.0], [0.05, 0.6, 0.0], [0.0, 0.1, 0.7]])
@@ -16,7 +16,7 @@ def pixels(count: int = 4000) -> tuple[np.ndarray, np.ndarray]:
 def test_an_affine_change_is_found_again_and_applied_to_harmonics():
     clear, changed = pixels()
     shares = np.tile(np.array([0, 1, 0], np.float32), (len(clear), 1))
-    change = fit_color_change(*([each[:1000], each[1000:]] for each in (clear, changed, shares)))
+    change = fit_color_prior(*([each[:1000], each[1000:]] for each in (clear, changed, shares)))
     colors = np.array([[0.2, 0.5, 0.9], [0.0, 1.0, 0.3]], np.float32)
     sh = np.concatenate([sh_from_color(colors), np.full((2, 3, 3), 0.1, np.float32)], axis=1)
     moved = change.of_sh(sh, shares[:2])
@@ -29,7 +29,7 @@ def test_each_kind_of_surface_has_its_own_change():
     shares = np.zeros((len(clear), 3), np.float32)
     shares[::2, 0], shares[1::2, 2] = 1, 1
     target = np.where(shares[:, :1] > 0, np.float32(0.7), changed)
-    change = fit_color_change([clear], [target], [shares])
+    change = fit_color_prior([clear], [target], [shares])
     grey = sh_from_color(np.full((1, 3), 0.4, np.float32))
     sky = 0.5 + SH_C0 * change.of_sh(grey, np.array([[1, 0, 0]], np.float32))[0, 0]
     other = 0.5 + SH_C0 * change.of_sh(grey, np.array([[0, 0, 1]], np.float32))[0, 0]
@@ -42,7 +42,7 @@ def test_each_kind_of_surface_has_its_own_change():
 def test_a_kind_without_pixels_gets_the_change_of_all():
     clear, changed = pixels()
     shares = np.tile(np.array([0, 0, 1], np.float32), (len(clear), 1))
-    change = fit_color_change([clear], [changed], [shares])
+    change = fit_color_prior([clear], [changed], [shares])
     np.testing.assert_array_equal(change.matrices[0], change.matrices[2])
 
 
@@ -50,7 +50,7 @@ def test_a_kind_without_pixels_gets_the_change_of_all():
 def test_pixels_of_one_color_give_a_tame_map(color):
     clear = np.full((1000, 3), color, np.float32)
     shares = np.tile(np.array([0, 1, 0], np.float32), (1000, 1))
-    change = fit_color_change([clear], [np.full((1000, 3), 0.2, np.float32)], [shares])
+    change = fit_color_prior([clear], [np.full((1000, 3), 0.2, np.float32)], [shares])
     assert np.abs(change.matrices).max() < 1.5
     shown = 0.5 + SH_C0 * change.of_sh(sh_from_color(clear[:1]), shares[:1])[0, 0]
     np.testing.assert_allclose(shown, 0.2, atol=0.02)

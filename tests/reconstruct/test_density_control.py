@@ -5,24 +5,24 @@ import pytest
 
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.scene import DrawItem
 from rasterized import rasterize
 
 from .random_splats import random_splats
 
 torch = pytest.importorskip("torch")
 from gsrain_engine.training.mcmc import (  # noqa: E402
-    MOST_COPIES,
-    MonteCarloDensity,
-    MonteCarloSettings,
-    relocated,
+    MAX_COPIES,
+    MCMCSettings,
+    MCMCStrategy,
+    relocation_factors,
 )
 from gsrain_engine.training.parameters import SplatParameters  # noqa: E402
 from gsrain_engine.training.strategy import (  # noqa: E402
-    AdaptiveDensity,
-    AdaptiveSettings,
-    DensityControl,
-    rotated,
+    DefaultStrategy,
+    DefaultStrategySettings,
+    Strategy,
+    rotate_vectors,
 )
 
 
@@ -30,14 +30,14 @@ def generator(seed: int = 0):
     return torch.Generator().manual_seed(seed)
 
 
-def adaptive(**changes: object) -> AdaptiveDensity:
+def adaptive(**changes: object) -> DefaultStrategy:
     values = {"extent": 10.0, "most": 1000, "first_step": 0, "last_step": 100, "every": 10, "reset_every": 0}
-    return AdaptiveDensity(AdaptiveSettings(**(values | changes)))
+    return DefaultStrategy(DefaultStrategySettings(**(values | changes)))
 
 
-def monte_carlo(**changes: object) -> MonteCarloDensity:
+def monte_carlo(**changes: object) -> MCMCStrategy:
     values = {"most": 1000, "means_rate": lambda step: 0.0, "first_step": 0, "last_step": 100, "every": 10}
-    return MonteCarloDensity(MonteCarloSettings(**(values | changes)))
+    return MCMCStrategy(MCMCSettings(**(values | changes)))
 
 
 def picture(gradients, radii=None):
@@ -55,7 +55,7 @@ def parameters(scales=(0.01, 0.01, 1.0, 1.0), opacities=(0.5, 0.5, 0.5, 0.001)) 
 
 
 def test_both_keep_the_contract() -> None:
-    assert isinstance(adaptive(), DensityControl) and isinstance(monte_carlo(), DensityControl)
+    assert isinstance(adaptive(), Strategy) and isinstance(monte_carlo(), Strategy)
 
 
 # A gradient of g per px is 100 g in normalized device units at 200 px.
@@ -81,7 +81,7 @@ def test_children_lie_as_their_parent_did() -> None:
     control.observe(9, picture(np.full(n, 1e-3)))
     control.adapt(10, splats, generator())
     means = splats.to_gaussians().means.astype(np.float64)
-    turn = rotated(torch.as_tensor(g.quaternions).double().repeat(3, 1), torch.eye(3).double()).numpy()
+    turn = rotate_vectors(torch.as_tensor(g.quaternions).double().repeat(3, 1), torch.eye(3).double()).numpy()
     assert len(means) == 2 * n
     np.testing.assert_allclose((means - g.means).mean(axis=0), 0, atol=0.08)
     np.testing.assert_allclose(np.std((means - g.means) @ turn.T, axis=0), [0.5, 2.0, 0.1], rtol=0.05)
@@ -140,11 +140,11 @@ def test_notes_come_back_from_a_checkpoint() -> None:
     assert np.array_equal(results[0].means, results[1].means)
 
 
-@pytest.mark.parametrize("copies", [1, 2, 3, 10, MOST_COPIES])
+@pytest.mark.parametrize("copies", [1, 2, 3, 10, MAX_COPIES])
 @pytest.mark.parametrize("opacity", [0.02, 0.5, 0.9, 0.995])
 def test_a_stack_has_the_opacity_and_the_integral_of_the_one(opacity: float, copies: int) -> None:
     old = torch.tensor([opacity], dtype=torch.float64)
-    new, shrink = relocated(old, torch.tensor([copies]))
+    new, shrink = relocation_factors(old, torch.tensor([copies]))
     x = np.linspace(-12, 12, 40_001)
     one = opacity * np.exp(-0.5 * x**2)
     stack = 1 - (1 - float(new) * np.exp(-0.5 * (x / float(shrink)) ** 2)) ** copies
@@ -159,11 +159,11 @@ def test_relocation_keeps_the_picture() -> None:
         np.array([0.6], np.float32), g.sh,
     )  # fmt: skip
     camera = Camera(120, 120, 120.0, 120.0, 60.0, 60.0)
-    before = rasterize([Part(wide, np.eye(4))], camera).rgba[..., 3].astype(np.float64)
+    before = rasterize([DrawItem(wide, np.eye(4))], camera).rgba[..., 3].astype(np.float64)
     splats = SplatParameters.from_gaussians(wide, 0)
     monte_carlo(growth=1.0).adapt(10, splats, generator())
     assert len(splats) == 2
-    after = rasterize([Part(splats.to_gaussians(), np.eye(4))], camera).rgba[..., 3].astype(np.float64)
+    after = rasterize([DrawItem(splats.to_gaussians(), np.eye(4))], camera).rgba[..., 3].astype(np.float64)
     assert after.max() == pytest.approx(before.max(), rel=0.01)
     assert np.abs(after - before).max() < 0.02  # eq. 9 keeps integrals of lines, not the profile itself
     middle = before.argmax() // 120
@@ -213,7 +213,7 @@ def test_noise_follows_the_covariance_and_spares_the_opaque() -> None:
     splats = SplatParameters.from_gaussians(many, 0)
     monte_carlo(means_rate=lambda step: 1e-3, noise=10.0).adapt(3, splats, generator())
     moved = (splats.to_gaussians().means - many.means).astype(np.float64)
-    turn = rotated(torch.as_tensor(g.quaternions).double().repeat(3, 1), torch.eye(3).double()).numpy()
+    turn = rotate_vectors(torch.as_tensor(g.quaternions).double().repeat(3, 1), torch.eye(3).double()).numpy()
     strength = 1e-2 / (1 + np.exp(-100 * (1 - 0.004 - 0.995)))
     np.testing.assert_allclose(np.std(moved[:n] @ turn.T, axis=0), strength * np.array([0.09, 0.01, 1e-4]), rtol=0.06)
     assert np.abs(moved[n:]).max() == 0
@@ -239,9 +239,9 @@ def test_the_same_seed_gives_the_same_bytes(make) -> None:
 
 
 def test_schedules_scale_with_the_run() -> None:
-    paper = AdaptiveSettings.for_run(30_000, 1.0, 10)
+    paper = DefaultStrategySettings.for_run(30_000, 1.0, 10)
     assert (paper.first_step, paper.last_step, paper.every, paper.reset_every) == (500, 15_000, 100, 3000)
-    short = AdaptiveSettings.for_run(1000, 1.0, 10)
+    short = DefaultStrategySettings.for_run(1000, 1.0, 10)
     assert short.last_step == 500 and short.reset_every > short.last_step
-    sampled = MonteCarloSettings.for_run(3000, 10, lambda step: 0.0)
+    sampled = MCMCSettings.for_run(3000, 10, lambda step: 0.0)
     assert (sampled.first_step, sampled.last_step, sampled.every) == (50, 2500, 25)

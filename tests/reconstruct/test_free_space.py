@@ -6,32 +6,32 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from gsrain_engine.training.free_space import (  # noqa: E402
-    ClearedDensity,
-    FreeSpace,
-    clear,
-    shorten,
+    FreeSpaceCarving,
+    FreeSpaceStrategy,
+    clip_long_gaussians,
+    prune_free_space,
 )
 from gsrain_engine.training.mcmc import (  # noqa: E402
-    MonteCarloDensity,
-    MonteCarloSettings,
+    MCMCSettings,
+    MCMCStrategy,
 )
 from gsrain_engine.training.parameters import SplatParameters  # noqa: E402
-from gsrain_engine.training.strategy import DensityControl  # noqa: E402
+from gsrain_engine.training.strategy import Strategy  # noqa: E402
 from gsrain_engine.training.surfels import (  # noqa: E402
     LONGEST,
-    camera_way,
+    camera_trajectory,
 )
 
 from .drive_capture import drive_capture, world_depth  # noqa: E402
 from .random_splats import random_splats  # noqa: E402
 
 
-def free(share: float = 0.4, measured: bool = True) -> FreeSpace | None:
+def free(share: float = 0.4, measured: bool = True) -> FreeSpaceCarving | None:
     views = drive_capture(3).views
     depths = [np.where(np.isfinite(d := world_depth(v.camera)), d, 0).astype(np.float32) for v in views]
     if not measured:
         depths = [np.zeros_like(depth) for depth in depths]
-    return FreeSpace.of([view.camera for view in views], depths, camera_way(views, 20.0), share)
+    return FreeSpaceCarving.of([view.camera for view in views], depths, camera_trajectory(views, 20.0), share)
 
 
 def splats(means: list[list[float]]) -> SplatParameters:
@@ -72,9 +72,9 @@ def test_clearing_keeps_the_others_and_tells_how_many_went() -> None:
     space = free()
     assert space is not None
     found = splats([[8, 0, 1], [29, 0, 1], [12, 0.5, 0.3]])
-    assert clear(found, space) == 2
+    assert prune_free_space(found, space) == 2
     assert found.tensors["means"].tolist() == [[29, 0, 1]]
-    assert clear(found, space) == 0
+    assert prune_free_space(found, space) == 0
 
 
 def test_what_is_near_the_cameras_may_not_become_long() -> None:
@@ -82,7 +82,7 @@ def test_what_is_near_the_cameras_may_not_become_long() -> None:
     assert space is not None
     found = splats([[1.0, 0, -1.5], [29, 0, 1]])
     found.put("log_scales", slice(None), torch.full((2, 3), np.log(2.0)))
-    shorten(found, space)
+    clip_long_gaussians(found, space)
     near, far = found.scales.detach().amax(dim=1).tolist()
     assert near < 5 * LONGEST * 1.5 and far == pytest.approx(2.0)
 
@@ -90,9 +90,9 @@ def test_what_is_near_the_cameras_may_not_become_long() -> None:
 def test_a_control_clears_now_and_then_and_at_the_end() -> None:
     space = free()
     assert space is not None
-    inner = MonteCarloDensity(MonteCarloSettings(most=3, means_rate=lambda step: 0.0, first_step=1000))
-    control = ClearedDensity(inner, space, steps=40)
-    assert isinstance(control, DensityControl)
+    inner = MCMCStrategy(MCMCSettings(most=3, means_rate=lambda step: 0.0, first_step=1000))
+    control = FreeSpaceStrategy(inner, space, steps=40)
+    assert isinstance(control, Strategy)
     generator = torch.Generator().manual_seed(0)
     for step, done in ((7, None), (25, "1 cleared away"), (39, "1 cleared away")):
         found = splats([[8, 0, 1], [29, 0, 1]])

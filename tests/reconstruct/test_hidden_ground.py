@@ -5,9 +5,9 @@ import pytest
 
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import Part
-from gsrain_engine.training.init import hidden_ground
-from gsrain_engine.training.surfels import LONGEST, SPREAD, camera_way, shortened
+from gsrain_engine.scene.scene import DrawItem
+from gsrain_engine.training.init import inpaint_road
+from gsrain_engine.training.surfels import LONGEST, SPREAD, camera_trajectory, split_long_gaussians
 from rasterized import rasterize
 
 from .drive_capture import ROAD_Z, drive_capture
@@ -24,13 +24,13 @@ def road_with_a_hole() -> Gaussians:
 
 def from_above(gaussians: Gaussians) -> np.ndarray:
     pose = look_at(np.array([2.0, 0, 4]), np.array([2.0, 0, 0]), np.array([1.0, 0, 0]))
-    return rasterize([Part(gaussians, np.eye(4))], Camera(60, 60, 60.0, 60.0, 30.0, 30.0, pose)).rgba
+    return rasterize([DrawItem(gaussians, np.eye(4))], Camera(60, 60, 60.0, 60.0, 30.0, 30.0, pose)).rgba
 
 
 def test_a_hole_under_the_cameras_is_filled_with_the_road_around_it() -> None:
     road, views = road_with_a_hole(), drive_capture(5).views
     assert from_above(road)[30, 30, 3] < 0.05
-    found = hidden_ground(road, views, camera_way(views, 20.0), UP, 5000, 0.85)
+    found = inpaint_road(road, views, camera_trajectory(views, 20.0), UP, 5000, 0.85)
     assert 100 < len(found) <= 5000
     assert np.abs(found.means[:, 2] - ROAD_Z).max() < 0.05
     middle = from_above(Gaussians.concatenate([road, found]))[20:40, 20:40]
@@ -40,13 +40,13 @@ def test_a_hole_under_the_cameras_is_filled_with_the_road_around_it() -> None:
 
 def test_fewer_are_larger_and_no_road_is_invented() -> None:
     road, views = road_with_a_hole(), drive_capture(5).views
-    few = hidden_ground(road, views, camera_way(views, 20.0), UP, 400, 0.85)
+    few = inpaint_road(road, views, camera_trajectory(views, 20.0), UP, 400, 0.85)
     assert 0 < len(few) <= 400
-    assert len(hidden_ground(road, views, camera_way(views, 20.0), UP, 20, 0.85)) == 0
-    assert few.scales.max() > hidden_ground(road, views, camera_way(views, 20.0), UP, 5000, 0.85).scales.max()
-    assert len(hidden_ground(Gaussians.empty(), views, camera_way(views, 20.0), UP, 5000, 0.85)) == 0
+    assert len(inpaint_road(road, views, camera_trajectory(views, 20.0), UP, 20, 0.85)) == 0
+    assert few.scales.max() > inpaint_road(road, views, camera_trajectory(views, 20.0), UP, 5000, 0.85).scales.max()
+    assert len(inpaint_road(Gaussians.empty(), views, camera_trajectory(views, 20.0), UP, 5000, 0.85)) == 0
     wall = flat_patch((30, -5, ROAD_Z), (0, 10, 0), (0, 0, 6), (0.5, 0.5, 0.5), 0.3)
-    assert len(hidden_ground(wall, views, camera_way(views, 20.0), UP, 5000, 0.85)) == 0
+    assert len(inpaint_road(wall, views, camera_trajectory(views, 20.0), UP, 5000, 0.85)) == 0
 
 
 def long_disc() -> Gaussians:
@@ -61,8 +61,8 @@ def long_disc() -> Gaussians:
 
 
 def test_long_pieces_near_the_cameras_are_cut_and_cover_the_same() -> None:
-    way = camera_way(drive_capture(5).views, 20.0)
-    cut = shortened(long_disc(), way, 1000)
+    way = camera_trajectory(drive_capture(5).views, 20.0)
+    cut = split_long_gaussians(long_disc(), way, 1000)
     assert len(cut) > 20
     distance = np.linalg.norm(cut.means[:, None] - way[None], axis=2).min(axis=1)
     near = cut.means[:, 0] < 10
@@ -76,14 +76,14 @@ def test_long_pieces_near_the_cameras_are_cut_and_cover_the_same() -> None:
 
 
 def test_the_number_is_bounded() -> None:
-    way = camera_way(drive_capture(5).views, 20.0)
-    few = shortened(long_disc(), way, 3)
+    way = camera_trajectory(drive_capture(5).views, 20.0)
+    few = split_long_gaussians(long_disc(), way, 3)
     assert len(few) == 3
     assert few.scales[:2].max() <= LONGEST * 1.81
 
 
 def test_the_way_goes_on_between_pictures() -> None:
     drive = drive_capture(3, step_m=2.0).views
-    assert sorted(camera_way(drive, 20.0)[:, 0].tolist()) == np.arange(0, 4.01, 0.25).tolist()
-    assert len(camera_way(drive, 3.0)) == 3  # they may have gone round something
-    assert len(camera_way(drive_capture(3, step_m=0.0).views, 20.0)) == 3
+    assert sorted(camera_trajectory(drive, 20.0)[:, 0].tolist()) == np.arange(0, 4.01, 0.25).tolist()
+    assert len(camera_trajectory(drive, 3.0)) == 3  # they may have gone round something
+    assert len(camera_trajectory(drive_capture(3, step_m=0.0).views, 20.0)) == 3

@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.sky_masks import sky_masks
-from gsrain_engine.datasets.undistort import prepared
+from gsrain_engine.datasets.undistort import undistort_frame
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.scene import DrawItem
 from gsrain_engine.training.init import dome_directions, dome_radius, initial_gaussians, initial_sky, round_gaussians
 from gsrain_engine.training.surfels import point_colors
 from rasterized import rasterize
@@ -35,7 +35,7 @@ def psnr(a: np.ndarray, b: np.ndarray) -> float:
 def test_surfaces_are_covered_in_their_colours(drive: Capture, first: Gaussians) -> None:
     assert 1000 < len(first) <= 3000
     for view in drive.views:
-        frame = rasterize([Part(first, np.eye(4))], view.camera)
+        frame = rasterize([DrawItem(first, np.eye(4))], view.camera)
         ground = np.isfinite(world_depth(view.camera))
         assert np.median(frame.rgba[ground, 3]) > 0.9
         assert psnr(frame.rgba[ground][:, :3], world_colors(view.camera)[ground]) > 17
@@ -79,7 +79,7 @@ def test_movers_leave_a_street_that_goes_on(drive: Capture) -> None:
     capture = replace(drive, boxes=(car,))
     found = initial_gaussians(capture, capture.views, 3000)
     view = capture.views[0]
-    frame = rasterize([Part(found, np.eye(4))], view.camera)
+    frame = rasterize([DrawItem(found, np.eye(4))], view.camera)
     assert frame.rgba[34:44, 44:52, 3].min() > 0.5
     at = world_colors(view.camera)[34:44, 44:52]
     assert np.abs(frame.rgba[34:44, 44:52, :3].mean(axis=(0, 1)) - at.mean(axis=(0, 1))).max() < 0.15
@@ -89,7 +89,7 @@ def test_depth_pictures_are_used_where_there_are_some(drive: Capture) -> None:
     depths = [np.where(np.isfinite(d := world_depth(v.camera)), d, 0).astype(np.float32) for v in drive.views]
     views = [replace(view, depth_source=depth) for view, depth in zip(drive.views, depths, strict=True)]
     found = initial_gaussians(Capture("depth", tuple(views)), views, 3000)
-    frame = rasterize([Part(found, np.eye(4))], views[0].camera)
+    frame = rasterize([DrawItem(found, np.eye(4))], views[0].camera)
     assert frame.depth is not None
     ground = depths[0] > 0
     assert np.median(np.abs(frame.depth[ground] / depths[0][ground] - 1)) < 0.05
@@ -141,7 +141,7 @@ def test_the_dome_shows_the_sky_everywhere(drive: Capture, first: Gaussians) -> 
     far = dome_radius(first, drive.views[0].camera.position, True)
     assert far >= 400
     view = drive.views[0]
-    frame = rasterize([Part(sky, np.eye(4))], view.camera)
+    frame = rasterize([DrawItem(sky, np.eye(4))], view.camera)
     above = ~np.isfinite(world_depth(view.camera))
     assert frame.rgba[above, 3].min() > 0.97
     np.testing.assert_allclose(frame.rgba[above][:, :3], np.broadcast_to(SKY, (above.sum(), 3)), atol=0.05)
@@ -160,9 +160,9 @@ def test_directions_are_even_and_above_the_horizon() -> None:
 
 def test_a_real_street_begins_as_a_coarse_picture_of_itself(test_data: Path) -> None:
     capture = open_capture(test_data / "driving" / "dgp")
-    front = [prepared(view, 160).held() for view in capture.views if view.sensor == "CAMERA_01"]
+    front = [undistort_frame(view, 160).held() for view in capture.views if view.sensor == "CAMERA_01"]
     found = initial_gaussians(capture, front, 8000)
     sky = initial_sky(capture, front, found, count=2000)
-    frame = rasterize([Part(found, np.eye(4)), Part(sky, np.eye(4))], front[1].camera)
+    frame = rasterize([DrawItem(found, np.eye(4)), DrawItem(sky, np.eye(4))], front[1].camera)
     assert frame.rgba[..., 3].mean() > 0.95
     assert psnr(frame.rgba[..., :3], front[1].image / 255.0) > 15

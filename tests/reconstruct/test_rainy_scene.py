@@ -6,15 +6,15 @@ import pytest
 
 from gsrain_engine.appearance.base import ClearView, RainyView, Transfer
 from gsrain_engine.appearance.scene_views import PlacedCamera, ViewChoice, chosen_cameras, scene_views
-from gsrain_engine.appearance.wet_look.environment import SceneSurroundings
+from gsrain_engine.appearance.wet_look.environment import SceneEnvironment
 from gsrain_engine.appearance.wet_look.settings import WetSettings
 from gsrain_engine.appearance.wet_look.translator import WetTransfer
 from gsrain_engine.recolor.rainy_scene import rainy_scene
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.gaussians import SH_C0
 from gsrain_engine.scene.progress import Progress
-from gsrain_engine.scene.scene import Grading, Scene
+from gsrain_engine.scene.scene import ColorGrading, Scene
 from rasterized import rasterize
 
 from .small_street import small_street
@@ -107,7 +107,7 @@ def test_gaussians_that_no_view_sees_change_as_their_neighbours_do(overcast):
 
 def test_the_wet_look_makes_a_street_grey_and_its_road_darker():
     scene = small_street()
-    transfer = WetTransfer(WetSettings(), SceneSurroundings(scene))
+    transfer = WetTransfer(WetSettings(), SceneEnvironment(scene))
     wet, _ = finished_with(scene, transfer, views_of(scene))
     before, after = drawn(wet, 0.0), drawn(wet, 1.0)
     sky = (slice(2, 12), slice(30, 66))
@@ -145,9 +145,9 @@ def test_a_view_of_nothing_is_no_harm():
 def test_deleted_gaussians_and_grading_stay_what_they_are():
     scene = small_street()
     road = scene.layers[0]
-    deleted = Mask.of(np.arange(len(road.gaussians)) % 3 == 0)
-    scene = scene.with_member(road.key, marks=Marks(deleted=deleted))
-    graded = scene.with_member(road.key, grading=Grading(exposure_ev=-2.0))
+    deleted = BitMask.of(np.arange(len(road.gaussians)) % 3 == 0)
+    scene = scene.with_member(road.key, marks=SelectionFlags(deleted=deleted))
+    graded = scene.with_member(road.key, grading=ColorGrading(exposure_ev=-2.0))
     plain, same = (finished_with(each, Overcast(), views_of(each, 1))[0] for each in (scene, graded))
     for one, other in zip(plain.members, same.members, strict=True):
         np.testing.assert_array_equal(one.wet_sh, other.wet_sh)

@@ -5,16 +5,16 @@ from gsrain_engine.recolor.solver import (
     TIKHONOV,
     ColorTarget,
     apply_normal,
-    colors_seen,
+    evaluate_colors,
     solve_colors,
 )
 from gsrain_engine.recolor.weights import weights_of
-from gsrain_engine.render.cpu.compositing import view_weights
+from gsrain_engine.render.cpu.compositing import color_operator
 from gsrain_engine.render.cpu.fast_math import harmonics
 from gsrain_engine.render.cpu.projection import view_directions
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.scene import DrawItem
 
 
 def plain_pull(k: int, tikhonov: float = TIKHONOV) -> np.ndarray:
@@ -22,7 +22,7 @@ def plain_pull(k: int, tikhonov: float = TIKHONOV) -> np.ndarray:
     return (tikhonov * np.where(np.arange(k) == 0, 1, DIRECTIONAL_TIKHONOV)).astype(np.float32)[None, :, None]
 
 
-def ball(count: int = 300, seed: int = 0) -> Part:
+def ball(count: int = 300, seed: int = 0) -> DrawItem:
     r = np.random.default_rng(seed)
     quaternions = r.normal(size=(count, 4))
     numbers = (
@@ -30,7 +30,7 @@ def ball(count: int = 300, seed: int = 0) -> Part:
         quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True), r.uniform(0.2, 1, count),
         np.zeros((count, 1, 3)),
     )  # fmt: skip
-    return Part(Gaussians(*(each.astype(np.float32) for each in numbers)), np.eye(4))
+    return DrawItem(Gaussians(*(each.astype(np.float32) for each in numbers)), np.eye(4))
 
 
 def around(angle: float) -> Camera:
@@ -38,15 +38,15 @@ def around(angle: float) -> Camera:
     return Camera.from_fov(48, 40, 40, look_at(eye, np.zeros(3), np.array([0.0, 0, 1])))
 
 
-def views_of(part: Part, truth: np.ndarray, count: int = 6, most_bytes: float = np.inf) -> list[ColorTarget]:
+def views_of(part: DrawItem, truth: np.ndarray, count: int = 6, most_bytes: float = np.inf) -> list[ColorTarget]:
     targets = []
     for angle in np.linspace(0, 2 * np.pi, count, endpoint=False):
         camera = around(angle)
-        view = view_weights([part], camera)
+        view = color_operator([part], camera)
         weights = weights_of(view, most_bytes)
         indices = view.splats.indices[weights.rows]
         basis = harmonics(view_directions([part], camera, indices), truth.shape[1])
-        wanted = weights.blend(colors_seen(truth, indices, basis))
+        wanted = weights.blend(evaluate_colors(truth, indices, basis))
         targets.append(ColorTarget(weights, indices, basis, wanted, np.ones(wanted.shape[:2], np.float32)))
     return targets
 
@@ -66,7 +66,7 @@ def truth_of(count: int, k: int = 4) -> np.ndarray:
 
 def squared_error(targets, change) -> float:
     return sum(
-        float(((t.weights.blend(colors_seen(change, t.indices, t.basis)) - t.residual) ** 2).sum()) for t in targets
+        float(((t.weights.blend(evaluate_colors(change, t.indices, t.basis)) - t.residual) ** 2).sum()) for t in targets
     )
 
 
@@ -112,7 +112,7 @@ def test_what_no_view_sees_does_not_change():
     part = ball(50)
     g = part.gaussians
     behind = Gaussians(g.means + np.float32(100), g.scales, g.quaternions, g.opacities, g.sh)
-    both = Part(Gaussians.concatenate([g, behind]), np.eye(4))
+    both = DrawItem(Gaussians.concatenate([g, behind]), np.eye(4))
     _, change = run(solve_colors(views_of(both, truth_of(100)), 100, 8, plain_pull(4)))
     assert not change[50:].any()
     assert np.abs(change[:50]).max() > 0.1

@@ -6,7 +6,7 @@ import pytest
 
 from gsrain_engine.evaluation.image_metrics import psnr
 from gsrain_engine.recolor.problem import RecolorSettings
-from gsrain_engine.recolor.recolor import Recolored, recolor_scene
+from gsrain_engine.recolor.recolor import RecolorResult, recolor_scene
 from gsrain_engine.scene.gaussians import SH_C0
 from gsrain_engine.scene.scene import Scene
 from rasterized import rasterize
@@ -16,7 +16,7 @@ from .changed_street import changed, pictures, street_and_pictures, with_image
 PLAIN = RecolorSettings(exposure=False, robust=False, rounds=1, tikhonov=0.3)
 
 
-def run(scene: Scene, targets, held_out=(), settings: RecolorSettings = PLAIN) -> Recolored:
+def run(scene: Scene, targets, held_out=(), settings: RecolorSettings = PLAIN) -> RecolorResult:
     steps = recolor_scene(scene, targets, held_out, settings)
     while True:
         try:
@@ -25,7 +25,7 @@ def run(scene: Scene, targets, held_out=(), settings: RecolorSettings = PLAIN) -
             return finished.value
 
 
-def mean_psnr(result: Recolored, names=None) -> float:
+def mean_psnr(result: RecolorResult, names=None) -> float:
     return float(np.mean([view.psnr_db for view in result.views if names is None or view.name in names]))
 
 
@@ -35,7 +35,7 @@ def street():
 
 
 @pytest.fixture(scope="module")
-def solved(street) -> Recolored:
+def solved(street) -> RecolorResult:
     clear, _, targets = street
     return run(clear, targets[:5], targets[5:])
 

@@ -1,25 +1,25 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.recolor.weights import LEAST, STEP, StoredWeights, WalkedWeights, stored_weights, weights_of
-from gsrain_engine.render.cpu.compositing import view_weights
+from gsrain_engine.recolor.weights import MIN_PIECE, STEP, LazyWeights, StoredWeights, stored_weights, weights_of
+from gsrain_engine.render.cpu.compositing import color_operator
 from gsrain_engine.scene.camera import Camera, look_at
 
 from .test_recolor import around, ball
 
 
 @pytest.fixture(scope="module")
-def both() -> tuple[StoredWeights, WalkedWeights]:
-    view = view_weights([ball()], around(0.4))
+def both() -> tuple[StoredWeights, LazyWeights]:
+    view = color_operator([ball()], around(0.4))
     stored = weights_of(view)
     assert isinstance(stored, StoredWeights)
-    return stored, WalkedWeights(view)
+    return stored, LazyWeights(view)
 
 
 def test_stored_weights_blend_as_compositing_does(both):
     stored, walked = both
     colors = np.random.default_rng(0).uniform(0, 1, (len(walked.rows), 3)).astype(np.float32)
-    left_out = 60 * LEAST * STEP  # a few dozen splats of each pixel may each lose that much
+    left_out = 60 * MIN_PIECE * STEP  # a few dozen splats of each pixel may each lose that much
     np.testing.assert_allclose(stored.blend(colors[stored.rows]), walked.blend(colors), atol=left_out)
     assert walked.blend(colors).max() > 0.5
 
@@ -56,7 +56,7 @@ def test_evidence_is_the_diagonal(both):
 
 def test_pictures_whose_size_is_no_multiple_of_a_tile():
     camera = Camera.from_fov(37, 21, 40, look_at(np.array([4.0, 0, 0]), np.zeros(3), np.array([0.0, 0, 1])))
-    view = view_weights([ball()], camera)
+    view = color_operator([ball()], camera)
     stored = weights_of(view)
     colors = np.ones((len(stored.rows), 3), np.float32)
     np.testing.assert_allclose(
@@ -66,9 +66,9 @@ def test_pictures_whose_size_is_no_multiple_of_a_tile():
 
 
 def test_without_room_nothing_is_stored():
-    view = view_weights([ball()], around(0.0))
+    view = color_operator([ball()], around(0.0))
     assert stored_weights(view, most_bytes=100) is None
-    assert isinstance(weights_of(view, most_bytes=100), WalkedWeights)
+    assert isinstance(weights_of(view, most_bytes=100), LazyWeights)
     stored = stored_weights(view)
     assert stored is not None
     assert stored.nbytes > 100

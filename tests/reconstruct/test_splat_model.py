@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.scene import Actor, Track
+from gsrain_engine.scene.scene import Actor, PoseTrack
 
 from .random_splats import random_splats
 
@@ -30,7 +30,7 @@ def camera() -> Camera:
 
 def model() -> SplatModel:
     w_last = TURN.as_quat()
-    track = Track(
+    track = PoseTrack(
         np.array([0.0, 1.0]), np.tile(PLACE, (2, 1)), np.tile(np.roll(w_last, 1), (2, 1)), np.array([True, False])
     )
     van = Actor(id="van", class_name="car", size_lwh=(4.0, 2.0, 2.0), gaussians=random_splats(30, 0, 1), track=track)

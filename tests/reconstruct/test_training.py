@@ -15,10 +15,10 @@ from gsrain_engine.datasets.capture import CaptureError
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.progress import Progress
-from gsrain_engine.training.model import CheckpointError
+from gsrain_engine.training.model import TrainingCheckpointError
 from gsrain_engine.training.settings import TrainingSettings, load_settings
 from gsrain_engine.training.task import ReconstructionTask
-from gsrain_engine.training.train import Reconstruction, reconstruct
+from gsrain_engine.training.train import TrainingReport, reconstruct
 from small_capture import small_capture
 
 QUICK = {"steps": 40, "gaussians": 3000, "held_out": 4, "measured_every": 20, "saved_every": 15}
@@ -30,7 +30,7 @@ def task_of(folder: Path, resume: bool = False, **changes: object) -> Reconstruc
     )
 
 
-def finished(task: ReconstructionTask, said: list[Progress] | None = None) -> Reconstruction:
+def finished(task: ReconstructionTask, said: list[Progress] | None = None) -> TrainingReport:
     work = reconstruct(task, small_capture())
     while True:
         try:
@@ -47,12 +47,12 @@ def bytes_of(folder: Path) -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Reconstruction, list[Progress]]]:
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, TrainingReport, list[Progress]]]:
     folder, said = tmp_path_factory.mktemp("whole"), list[Progress]()
     yield folder, finished(task_of(folder), said), said
 
 
-def test_views_that_it_never_saw_become_more_alike(whole: tuple[Path, Reconstruction, list[Progress]]) -> None:
+def test_views_that_it_never_saw_become_more_alike(whole: tuple[Path, TrainingReport, list[Progress]]) -> None:
     numbers = whole[1].numbers
     assert numbers["psnr_held_out_db"] > numbers["psnr_before_db"] + 1
     assert numbers["psnr_held_out_db"] > 22
@@ -60,7 +60,7 @@ def test_views_that_it_never_saw_become_more_alike(whole: tuple[Path, Reconstruc
     assert {"seconds", "gaussians", "views"} <= set(numbers)
 
 
-def test_progress_never_falls_and_ends_at_one(whole: tuple[Path, Reconstruction, list[Progress]]) -> None:
+def test_progress_never_falls_and_ends_at_one(whole: tuple[Path, TrainingReport, list[Progress]]) -> None:
     fractions = [progress.fraction for progress in whole[2]]
     assert all(b >= a for a, b in pairwise(fractions))
     assert fractions[-1] == 1.0
@@ -69,7 +69,7 @@ def test_progress_never_falls_and_ends_at_one(whole: tuple[Path, Reconstruction,
     assert pictures and pictures[0].dtype == np.uint8 and pictures[0].shape[2] == 3
 
 
-def test_the_scene_has_what_the_capture_had(whole: tuple[Path, Reconstruction, list[Progress]]) -> None:
+def test_the_scene_has_what_the_capture_had(whole: tuple[Path, TrainingReport, list[Progress]]) -> None:
     scene = read_scene(whole[0] / "scene")
     assert [layer.kind for layer in scene.layers] == ["background", "sky"]
     assert 500 < len(scene.member("layers/background").gaussians) <= 3000
@@ -79,18 +79,18 @@ def test_the_scene_has_what_the_capture_had(whole: tuple[Path, Reconstruction, l
     assert not (whole[0] / "scene.checkpoint.npz").exists()
 
 
-def test_two_runs_give_the_same_bytes(whole: tuple[Path, Reconstruction, list[Progress]], tmp_path: Path) -> None:
+def test_two_runs_give_the_same_bytes(whole: tuple[Path, TrainingReport, list[Progress]], tmp_path: Path) -> None:
     finished(task_of(tmp_path))
     assert bytes_of(tmp_path / "scene") == bytes_of(whole[0] / "scene")
 
 
-def test_another_seed_gives_another_scene(whole: tuple[Path, Reconstruction, list[Progress]], tmp_path: Path) -> None:
+def test_another_seed_gives_another_scene(whole: tuple[Path, TrainingReport, list[Progress]], tmp_path: Path) -> None:
     finished(task_of(tmp_path, seed=1, steps=40))
     assert bytes_of(tmp_path / "scene") != bytes_of(whole[0] / "scene")
 
 
 def test_a_stopped_training_goes_on_as_if_it_never_was(
-    whole: tuple[Path, Reconstruction, list[Progress]], tmp_path: Path
+    whole: tuple[Path, TrainingReport, list[Progress]], tmp_path: Path
 ) -> None:
     stopped = reconstruct(task_of(tmp_path), small_capture())
     for progress in stopped:
@@ -111,18 +111,18 @@ def test_a_checkpoint_of_other_settings_is_refused(tmp_path: Path) -> None:
     for progress in stopped:
         if progress.message.startswith("Saved"):
             break
-    with pytest.raises(CheckpointError, match=r"scene\.checkpoint\.npz: made with d_ssim 0\.2, now it is 0\.5"):
+    with pytest.raises(TrainingCheckpointError, match=r"scene\.checkpoint\.npz: made with d_ssim 0\.2, now it is 0\.5"):
         finished(task_of(tmp_path, resume=True, d_ssim=0.5))
-    with pytest.raises(CheckpointError, match="made from other views"):
+    with pytest.raises(TrainingCheckpointError, match="made from other views"):
         next_one = reconstruct(task_of(tmp_path, resume=True), small_capture(moments=5))
         for _ in next_one:
             pass
     file = tmp_path / "scene.checkpoint.npz"
     file.write_bytes(file.read_bytes()[:1000])
-    with pytest.raises(CheckpointError, match="damaged"):
+    with pytest.raises(TrainingCheckpointError, match="damaged"):
         finished(task_of(tmp_path, resume=True))
     file.unlink()
-    with pytest.raises(CheckpointError, match="no checkpoint to resume from"):
+    with pytest.raises(TrainingCheckpointError, match="no checkpoint to resume from"):
         finished(task_of(tmp_path, resume=True))
 
 

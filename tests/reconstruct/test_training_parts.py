@@ -9,7 +9,7 @@ from small_capture import small_capture
 
 torch = pytest.importorskip("torch")
 
-from gsrain_engine.datasets.capture import View  # noqa: E402
+from gsrain_engine.datasets.capture import CaptureFrame  # noqa: E402
 from gsrain_engine.evaluation.image_metrics import (  # noqa: E402
     fitted_affine,
     with_affine,
@@ -20,23 +20,23 @@ from gsrain_engine.render.autodiff.types import (  # noqa: E402
 )
 from gsrain_engine.scene.camera import Camera  # noqa: E402
 from gsrain_engine.training.data import (  # noqa: E402
-    Level,
+    PyramidLevel,
     TrainingView,
-    halved,
+    half_size,
 )
 from gsrain_engine.training.evaluation import (  # noqa: E402
     TrainingCurves,
-    held_out_indices,
     score,
+    validation_indices,
 )
 from gsrain_engine.training.model import (  # noqa: E402
-    Picture,
+    TrainingRender,
     recorded_path,
 )
 from gsrain_engine.training.settings import TrainingSettings  # noqa: E402
 from gsrain_engine.training.step import (  # noqa: E402
     ExposureAffine,
-    Truth,
+    TrainingTarget,
     view_loss,
 )
 
@@ -88,13 +88,13 @@ def test_a_fitted_map_undoes_an_exposure_and_only_where_the_mask_says():
 
 def test_held_out_views_lie_inside_every_stretch_or_are_named():
     names = [f"v{k}" for k in range(18)]
-    assert held_out_indices(names, 8) == [4, 12]
-    assert held_out_indices(names, 0) == []
-    assert held_out_indices(names, 8, ("v3", "v1")) == [1, 3]
+    assert validation_indices(names, 8) == [4, 12]
+    assert validation_indices(names, 0) == []
+    assert validation_indices(names, 8, ("v3", "v1")) == [1, 3]
     with pytest.raises(ValueError, match="no view is named 'nobody'; the first is 'v0'"):
-        held_out_indices(names, 8, ("nobody",))
+        validation_indices(names, 8, ("nobody",))
     with pytest.raises(ValueError, match="none is left"):
-        held_out_indices(names, 1)
+        validation_indices(names, 1)
 
 
 def test_an_exposure_is_seen_in_the_raw_score_and_not_in_the_exposed_one():
@@ -117,11 +117,11 @@ def level(height=100, width=120):
     mask[0, 0] = False
     image = np.full((height, width, 3), 100, np.uint8)
     image[::2] = 200
-    return Level(Camera(width, height, 90, 80, 61, 52), image, mask, depth, np.zeros((height, width), bool))
+    return PyramidLevel(Camera(width, height, 90, 80, 61, 52), image, mask, depth, np.zeros((height, width), bool))
 
 
 def test_halving_averages_colours_takes_the_nearest_depth_and_is_strict_with_masks():
-    half = halved(level())
+    half = half_size(level())
     assert (half.camera.width, half.camera.height, half.camera.fx, half.camera.cx) == (60, 50, 45, 30.5)
     assert np.all(half.image == 150)
     assert set(np.unique(half.depth)) == {0, 5}
@@ -130,14 +130,14 @@ def test_halving_averages_colours_takes_the_nearest_depth_and_is_strict_with_mas
 
 def test_odd_sizes_lose_a_row_and_small_pictures_stay():
     odd = level(101, 121)
-    assert halved(odd).image.shape == (50, 60, 3)
-    view = View("v", odd.camera, odd.image)
+    assert half_size(odd).image.shape == (50, 60, 3)
+    view = CaptureFrame("v", odd.camera, odd.image)
     ready = TrainingView.of(view, odd.depth, odd.mask, odd.sky)
     assert [each.camera.height for each in ready.levels] == [101, 50, 50]
 
 
 def flat_picture(color, alpha, depth, sky=None):
-    return Picture(
+    return TrainingRender(
         color, Rendered(color, alpha, depth, Footprint(torch.zeros(0))), slice(0, 0), {},
         None if sky is None else Rendered(color, alpha, depth, Footprint(torch.zeros(0))),
     )  # fmt: skip
@@ -150,8 +150,8 @@ def test_depth_counts_where_it_was_measured_alike_for_near_and_far():
     for distance in (2.0, 50.0):
         depth = np.zeros(shape, np.float32)
         depth[3, 4] = distance
-        truth = Truth.of(
-            Level(Camera(20, 20, 9, 9, 9, 9), np.full((*shape, 3), 127, np.uint8), None, depth, None), "cpu"
+        truth = TrainingTarget.of(
+            PyramidLevel(Camera(20, 20, 9, 9, 9, 9), np.full((*shape, 3), 127, np.uint8), None, depth, None), "cpu"
         )
         picture = flat_picture(truth_color, torch.full(shape, 0.8), torch.full(shape, 0.8 * 1.1 * distance))
         losses.append(float(view_loss(picture, truth_color, truth, settings).depth))
@@ -163,7 +163,9 @@ def test_holes_before_a_surface_and_veils_before_the_sky_cost():
     shape = (20, 20)
     depth, sky = np.zeros(shape, np.float32), np.zeros(shape, bool)
     depth[10:], sky[:10] = 3, True
-    truth = Truth.of(Level(Camera(20, 20, 9, 9, 9, 9), np.zeros((*shape, 3), np.uint8), None, depth, sky), "cpu")
+    truth = TrainingTarget.of(
+        PyramidLevel(Camera(20, 20, 9, 9, 9, 9), np.zeros((*shape, 3), np.uint8), None, depth, sky), "cpu"
+    )
     settings = TrainingSettings(d_ssim=0.0, depth=0.0, cover=1.0)
     color = torch.zeros((*shape, 3))
 

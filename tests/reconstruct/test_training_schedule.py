@@ -4,10 +4,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.datasets.capture import View
+from gsrain_engine.datasets.capture import CaptureFrame
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.training.settings import (
-    Schedule,
+    TrainingSchedule,
     TrainingSettings,
     camera_extent,
     help_of,
@@ -18,7 +18,7 @@ from gsrain_engine.training.settings import (
 
 
 def test_the_means_slow_down_exponentially_from_the_papers_first_rate_to_its_last():
-    schedule = Schedule(TrainingSettings(steps=101, haste=1.0), extent=3.0)
+    schedule = TrainingSchedule(TrainingSettings(steps=101, haste=1.0), extent=3.0)
     means = [schedule.rates(step)["means"] for step in (0, 50, 100)]
     assert means == pytest.approx([1.6e-4 * 3, 1.6e-5 * 3, 1.6e-6 * 3])
     assert schedule.rates(0)["opacity_logits"] == 5e-2
@@ -26,16 +26,16 @@ def test_the_means_slow_down_exponentially_from_the_papers_first_rate_to_its_las
 
 
 def test_haste_multiplies_every_rate():
-    slow, fast = (Schedule(TrainingSettings(haste=haste), 1.0).rates(7) for haste in (1.0, 3.0))
+    slow, fast = (TrainingSchedule(TrainingSettings(haste=haste), 1.0).rates(7) for haste in (1.0, 3.0))
     assert fast == pytest.approx({name: 3 * rate for name, rate in slow.items()})
 
 
 def test_pictures_grow_and_harmonics_join_in():
-    schedule = Schedule(TrainingSettings(steps=100, coarse=0.4, sh_degree=3), 1.0)
+    schedule = TrainingSchedule(TrainingSettings(steps=100, coarse=0.4, sh_degree=3), 1.0)
     assert [schedule.level(step) for step in (0, 19, 20, 39, 40, 99)] == [2, 2, 1, 1, 0, 0]
     assert [schedule.sh_degree(step) for step in (0, 19, 20, 40, 60, 99)] == [0, 0, 1, 2, 3, 3]
-    assert Schedule(TrainingSettings(steps=100, coarse=0.0), 1.0).level(0) == 0
-    assert Schedule(TrainingSettings(steps=100, sh_degree=1), 1.0).sh_degree(99) == 1
+    assert TrainingSchedule(TrainingSettings(steps=100, coarse=0.0), 1.0).level(0) == 0
+    assert TrainingSchedule(TrainingSettings(steps=100, sh_degree=1), 1.0).sh_degree(99) == 1
 
 
 def test_every_view_comes_once_an_epoch_in_changing_order():
@@ -53,7 +53,7 @@ def test_the_extent_is_that_of_the_cameras():
     for x in (0.0, 20.0):
         pose = np.eye(4)
         pose[0, 3] = -x
-        views.append(View(str(x), Camera(8, 8, 8, 8, 4, 4, pose), np.zeros((8, 8, 3), np.uint8)))
+        views.append(CaptureFrame(str(x), Camera(8, 8, 8, 8, 4, 4, pose), np.zeros((8, 8, 3), np.uint8)))
     assert camera_extent(views) == pytest.approx(11)
     assert camera_extent(views[:1]) == 1
 

@@ -25,10 +25,10 @@ use_kernel_cache()
 
 import numpy as np  # noqa: E402
 
-from gsrain_engine.editor.editor import Session  # noqa: E402
+from gsrain_engine.editor.editor import Editor  # noqa: E402
 from gsrain_engine.scene.flags import (  # noqa: E402
-    Marks,
-    Mask,
+    BitMask,
+    SelectionFlags,
 )
 from gsrain_engine.scene.formats.scene_files import write_scene  # noqa: E402
 from reliability.dying import run_in_child  # noqa: E402
@@ -37,7 +37,7 @@ from small_scene import small_scene  # noqa: E402
 _STEPS = 6
 
 
-def settle(session: Session) -> None:
+def settle(session: Editor) -> None:
     """Let background work end and take it in, without a live view."""
     for _ in range(4):
         wait(session.pending_files, timeout=60)
@@ -45,15 +45,15 @@ def settle(session: Session) -> None:
         session.swap_in()
 
 
-def step_of(session: Session) -> int:
+def step_of(session: Editor) -> int:
     """How many Gaussians are deleted."""
     marked = session.scene.members[0].marks.deleted if session.scene.members else None
     return 0 if marked is None else marked.size
 
 
-def recovered(home: Path) -> Session:
+def recovered(home: Path) -> Editor:
     """A session with all that there is of the scene."""
-    session = Session()
+    session = Editor()
     session.open(str(home))
     session.files.offer_recovery()
     settle(session)
@@ -63,7 +63,7 @@ def recovered(home: Path) -> Session:
     return session
 
 
-def answered(session: Session, label: str) -> None:
+def answered(session: Editor, label: str) -> None:
     """Answer what is asked, if anything is."""
     if session.questions.present is not None:
         session.questions.answer(next(each for each in session.questions.present.answers if each.label == label))
@@ -76,8 +76,8 @@ def work_on(home: Path) -> int:
     first = step_of(session) + 1
     for number in range(first, first + _STEPS):
         member = session.scene.members[0]
-        deleted = Mask.of(np.arange(len(member.gaussians)) < number)
-        session.set_scene("Delete", session.scene.with_member(member.key, marks=Marks(deleted=deleted)))
+        deleted = BitMask.of(np.arange(len(member.gaussians)) < number)
+        session.set_scene("Delete", session.scene.with_member(member.key, marks=SelectionFlags(deleted=deleted)))
         session.update(0.0)
         late = session.files.recovery.now() + 1000
         session.files.recovery.now = lambda late=late: late

@@ -12,7 +12,7 @@ import moderngl
 from imgui_bundle import glfw_utils
 
 from app.main import run
-from gsrain_engine.render.opengl.context import watch_of
+from gsrain_engine.render.opengl.context import context_monitor
 from ui.workspace import Workspace
 
 _INNOCENT_CONTEXT_RESET = 0x8254
@@ -42,7 +42,7 @@ class _Acting(Workspace):
         )
         if int(_LOSSES) <= _TIMES:
             session.files.give_up()
-            session.leave()
+            session.request_quit()
         elif not (session.has_changes or "unchanged" in _HOW):
             session.change_rain("Change the intensity", intensity_mm_h=77.0)
         if int(_LOSSES) > _TIMES and "raise" not in _HOW:
@@ -57,7 +57,7 @@ class _Acting(Workspace):
 
 def lose(context: moderngl.Context) -> None:
     """Let the driver say that it restarts, as often as it is asked for a second; then that all is well."""
-    watcher, answers = watch_of(context), iter([_INNOCENT_CONTEXT_RESET] * 20)
+    watcher, answers = context_monitor(context), iter([_INNOCENT_CONTEXT_RESET] * 20)
     assert watcher is not None and watcher.ask() == 0
     watcher.ask = lambda: next(answers, 0)
 

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from gsrain_engine.editor.jobs.job import JobFolder
-from gsrain_engine.editor.jobs.process import Job
+from gsrain_engine.editor.jobs.job import JobTempDir
+from gsrain_engine.editor.jobs.process import WorkerProcess
 from gsrain_engine.scene.progress import Progress
 
 
@@ -25,13 +25,13 @@ def silent(place: Path) -> Iterator[Progress]:
 def main() -> None:
     """Do as the module says."""
     files = ThreadPoolExecutor(max_workers=1)
-    folder = JobFolder(files)
+    folder = JobTempDir(files)
     place = folder.do(lambda path: path).result()
-    job = Job("Silent", silent, place)
+    job = WorkerProcess("Silent", silent, place)
     while job.progress.message != "at it":
         job.waitable.poll(60)
         job.poll()
-    print(job._process.pid, place, job._picture.name, flush=True)
+    print(job._process.pid, place, job._image.name, flush=True)
     sys.stdin.read()
 
 

@@ -12,7 +12,7 @@ import psutil
 import pytest
 
 from gsrain_engine.editor.jobs import job
-from gsrain_engine.editor.jobs.job import JobFolder, remove_abandoned_folders
+from gsrain_engine.editor.jobs.job import JobTempDir, remove_abandoned_job_folders
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs kill -9 and locks as POSIX has them")
 
@@ -31,13 +31,13 @@ def test_a_killed_window_takes_its_workers_along_and_the_next_one_removes_its_fo
     ) as window:
         pid, place, memory = window.stdout.readline().split()
         worker = psutil.Process(int(pid))
-        remove_abandoned_folders()
+        remove_abandoned_job_folders()
         assert (Path(place) / "big").is_file()  # it lives
         window.kill()
     psutil.wait_procs([worker], timeout=20)
     assert not worker.is_running() or worker.status() == psutil.STATUS_ZOMBIE
     assert list(tmp_path.iterdir()) == [Path(place)]
-    remove_abandoned_folders()
+    remove_abandoned_job_folders()
     assert not list(tmp_path.iterdir())
     tracker_is_done = [each for each in psutil.process_iter() if _tracks(each, memory)]
     psutil.wait_procs(tracker_is_done, timeout=20)
@@ -55,10 +55,10 @@ def _tracks(process, memory):
 
 def test_a_job_s_folder_goes_with_it_and_is_nobody_else_s(tmp_path):
     with ThreadPoolExecutor(max_workers=1) as files:
-        folder = JobFolder(files)
+        folder = JobTempDir(files)
         place = folder.do(lambda path: path).result()
         assert place.parent == tmp_path
-        remove_abandoned_folders()
+        remove_abandoned_job_folders()
         assert place.is_dir()
         folder.remove(None)
     assert not place.exists()
@@ -69,7 +69,7 @@ def test_other_folders_and_links_stay(tmp_path):
     (tmp_path / "far").mkdir()
     (tmp_path / f"{job._PREFIX}link").symlink_to(tmp_path / "far")
     (tmp_path / f"{job._PREFIX}dead").mkdir()
-    remove_abandoned_folders()
+    remove_abandoned_job_folders()
     assert {each.name for each in tmp_path.iterdir()} == {"gsrain-tests-1", "far", f"{job._PREFIX}link"}
 
 
@@ -79,12 +79,12 @@ def test_a_folder_that_is_removed_before_it_is_locked_is_made_again(tmp_path, mo
     def taken_at_once(prefix):
         made.append(mkdtemp(prefix=prefix))
         if len(made) == 1:
-            remove_abandoned_folders()
+            remove_abandoned_job_folders()
         return made[-1]
 
     monkeypatch.setattr(job.tempfile, "mkdtemp", taken_at_once)
     with ThreadPoolExecutor(max_workers=1) as files:
-        folder = JobFolder(files)
+        folder = JobTempDir(files)
         assert folder.do(lambda path: path).result() == Path(made[1])
         folder.remove(None)
     assert len(made) == 2 and not list(tmp_path.iterdir())

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gsrain_engine.editor.autosave import beside
+from gsrain_engine.editor.autosave import autosave_folder
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from small_scene import small_scene
 from window_driver import testing  # noqa: F401  skips where no window can open
@@ -47,5 +47,5 @@ def test_changes_are_kept_when_nobody_can_be_asked(tmp_path, how):
     else:
         assert (ended.returncode, ended.stderr.splitlines()[-1]) == (
             2, f"gsrain: the window was ended from outside ({how})")  # fmt: skip
-    kept = read_scene(beside(tmp_path / "road") / "scene")
+    kept = read_scene(autosave_folder(tmp_path / "road") / "scene")
     assert kept.members[0].marks.deleted is not None

@@ -12,7 +12,7 @@ import pytest
 
 from app.main import run
 from gsrain_engine.editor import autosave
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from reliability.commands import complaints, leftovers
 from small_scene import small_scene
@@ -110,7 +110,7 @@ def settle(session):
 def session(scene_folder, tmp_path):
     home = tmp_path / "home" / "road"
     shutil.copytree(scene_folder, home)
-    opened = Session()
+    opened = Editor()
     opened.open(str(home))
     settle(opened)
     yield opened
@@ -162,7 +162,7 @@ def test_an_autosave_goes_to_another_disk_where_that_of_the_scene_is_full(sessio
     duplicated(session)
     keep_now(session)
     assert session.problem is None
-    assert not autosave.beside(home).exists()
+    assert not autosave.autosave_folder(home).exists()
     (kept,) = (tmp_path / "state" / "gsrain" / "unsaved").iterdir()
     read_scene(kept / "scene")
     session.undo()
@@ -176,5 +176,5 @@ def test_an_autosave_that_fits_nowhere_leaves_nothing_half(session, tmp_path):
     with files_of_at_most(4000):
         keep_now(session)
     assert session.problem == "The autosave can't be written: File too large"
-    assert not autosave.beside(home).exists() or not leftovers(autosave.beside(home))
+    assert not autosave.autosave_folder(home).exists() or not leftovers(autosave.autosave_folder(home))
     assert not list((tmp_path / "state" / "gsrain" / "unsaved").iterdir())

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gsrain_engine.editor.autosave import beside
+from gsrain_engine.editor.autosave import autosave_folder
 from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
 from window_driver import testing  # noqa: F401  skips where no window can open
@@ -40,7 +40,7 @@ def test_another_window_goes_on_with_the_work(scene):
     assert "What was changed is kept for the next window.\nThe graphics card was lost; the window begins again." in said
     assert "Traceback" not in said
     assert code == 0
-    assert not beside(scene).exists()  # the second window was told not to save
+    assert not autosave_folder(scene).exists()  # the second window was told not to save
     assert (scene.parent / "config" / "gsrain" / "window.ini").is_file()  # and both had the same layout
 
 
@@ -56,7 +56,7 @@ def test_it_does_not_begin_again_for_ever(scene):
     assert (code, len(shown)) == (2, 1)
     assert "What was changed is kept for the next window." in said
     assert said.endswith("gsrain: the graphics card was lost 4 times in a row: its driver does not come back\n")
-    assert (beside(scene) / "autosave.json").is_file()
+    assert (autosave_folder(scene) / "autosave.json").is_file()
 
 
 def test_a_driver_that_fails_in_a_frame_costs_no_work(scene):
@@ -64,4 +64,4 @@ def test_a_driver_that_fails_in_a_frame_costs_no_work(scene):
     assert (code, len(shown)) == (2, 1)
     assert "What was changed is kept for the next window." in said
     assert said.endswith("gsrain: the graphics driver has failed: cannot create texture\n")
-    assert (beside(scene) / "autosave.json").is_file()
+    assert (autosave_folder(scene) / "autosave.json").is_file()

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from app.main import run
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.jobs.job import new_report
-from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from small_scene import small_scene
 
@@ -37,7 +37,7 @@ def sessions():
     every = []
 
     def make():
-        every.append(Session())
+        every.append(Editor())
         return every[-1]
 
     yield make
@@ -68,7 +68,7 @@ def answer(session, label):
 
 def edited_and_kept(session):
     member = session.scene.members[0]
-    marks = Marks(deleted=Mask.of(np.arange(len(member.gaussians)) < 7))
+    marks = SelectionFlags(deleted=BitMask.of(np.arange(len(member.gaussians)) < 7))
     session.set_scene("Delete", session.scene.with_member(member.key, marks=marks))
     session.update(0.0)
     late = session.files.recovery.now() + session.preferences.autosave_s

@@ -10,7 +10,7 @@ import numpy as np
 import psutil
 import pytest
 
-from gsrain_engine.editor.jobs.process import Job, Silence
+from gsrain_engine.editor.jobs.process import WorkerProcess, WorkerWatchdog
 from gsrain_engine.scene.progress import Progress
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs signals and limits as POSIX has them")
@@ -54,7 +54,7 @@ def heard(job, words):
 
 
 def test_a_stopped_worker_is_told_of_goes_on_and_ends_at_once_when_it_is_cancelled():
-    job = Job("Endless", endless)
+    job = WorkerProcess("Endless", endless)
     heard(job, "still at it")
     pid = job._process.pid
     os.kill(pid, signal.SIGSTOP)
@@ -73,7 +73,7 @@ def test_a_stopped_worker_is_told_of_goes_on_and_ends_at_once_when_it_is_cancell
 
 def test_silence_is_told_by_the_minute():
     now = [0.0]
-    silence = Silence(os.getpid(), lambda: now[0])
+    silence = WorkerWatchdog(os.getpid(), lambda: now[0])
     told = []
     for now[0] in (30.0, 59.0, 61.0, 119.0, 125.0):
         told.append(silence.words)
@@ -84,19 +84,19 @@ def test_silence_is_told_by_the_minute():
 
 def test_a_process_that_is_gone_is_not_stopped():
     now = [0.0]
-    silence = Silence(2**22 + 1, lambda: now[0])
+    silence = WorkerWatchdog(2**22 + 1, lambda: now[0])
     now[0] = 10.0
     assert silence.words == ""
 
 
 def test_too_little_memory_is_a_sentence():
-    job = finished(Job("Hungry", with_little_memory))
+    job = finished(WorkerProcess("Hungry", with_little_memory))
     assert job.state == "failed"
     assert job.error.startswith("the machine ran out of memory: close other programs")
     job.close()
 
 
 def test_a_crash_is_told_by_its_name():
-    job = finished(Job("Crash", crashing))
+    job = finished(WorkerProcess("Crash", crashing))
     assert (job.state, job.error) == ("failed", "the worker died of SIGSEGV")
     job.close()

@@ -13,9 +13,9 @@ import pytest
 
 from app.main import BAD_INPUT, run
 from gsrain_engine.scene import files
-from gsrain_engine.scene.files import HeldError, holding, lock_file, locked, whole_file, whole_folder
+from gsrain_engine.scene.files import PathInUseError, hold_for_writing, lock_file, lock_path, whole_file, whole_folder
 from gsrain_engine.scene.formats.scene_files import write_scene
-from gsrain_engine.scene.open import open_scene
+from gsrain_engine.scene.open import load_scene
 from small_scene import small_scene
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs links, permissions and locks as POSIX has them")
@@ -82,7 +82,7 @@ def test_a_folder_that_somebody_writes_to_stays_whatever_the_clock_says(tmp_path
     for part in (held, forgotten):
         part.mkdir()
         os.utime(part, (0, 0))
-    with locked(held):
+    with lock_path(held):
         write(tmp_path / "c.txt")
     assert held.is_dir() and not forgotten.is_dir()
 
@@ -184,9 +184,9 @@ def test_the_loser_of_two_commands_says_who_has_the_folder(inputs, tmp_path, cap
 def test_a_saved_scene_is_refused_too_and_in_the_end_nothing_is_left(tmp_path):
     write_scene(small_scene("old"), tmp_path / "there")
     for place in (tmp_path / "new", tmp_path / "there"):
-        with another_process(place) as holder, pytest.raises(HeldError, match=f"process {holder.pid} "):
+        with another_process(place) as holder, pytest.raises(PathInUseError, match=f"process {holder.pid} "):
             write_scene(small_scene("mine"), place)
-    assert open_scene(str(tmp_path / "there")).name == "old"
+    assert load_scene(str(tmp_path / "there")).name == "old"
     write_scene(small_scene("mine"), tmp_path / "new")
     assert sorted(each.name for each in tmp_path.iterdir()) == ["new", "there"]
 
@@ -199,7 +199,7 @@ def test_the_lock_of_a_dead_process_is_taken_over(tmp_path):
         assert note["pid"] == holder.pid
         # The number of a process is given to others later: this one is not asked for by it.
         lock_file(tmp_path / "out").write_text(json.dumps(note | {"pid": os.getpid()}))
-        with holding(tmp_path / "out"):
+        with hold_for_writing(tmp_path / "out"):
             assert json.loads(lock_file(tmp_path / "out").read_text())["pid"] == os.getpid()
     assert list(tmp_path.iterdir()) == []
 
@@ -207,24 +207,24 @@ def test_the_lock_of_a_dead_process_is_taken_over(tmp_path):
 def test_shares_of_a_sweep_hold_a_folder_together(tmp_path):
     out = tmp_path / "out"
     with another_process(out, "shared") as holder:
-        with holding(out, shared=True):
+        with hold_for_writing(out, shared=True):
             pass
         assert lock_file(out).exists()  # the other one still has it
-        with pytest.raises(HeldError), holding(out):
+        with pytest.raises(PathInUseError), hold_for_writing(out):
             pass
         holder.stdin.close()
         holder.wait()
-    with holding(out):
+    with hold_for_writing(out):
         pass
     assert list(tmp_path.iterdir()) == []
 
 
 def test_one_process_may_hold_a_place_twice(tmp_path):
-    with holding(tmp_path / "new" / "out"):
+    with hold_for_writing(tmp_path / "new" / "out"):
         with whole_folder(tmp_path / "new" / "out"):
             pass
         assert lock_file(tmp_path / "new" / "out").exists()
-    with holding(tmp_path / "other" / "out"):
+    with hold_for_writing(tmp_path / "other" / "out"):
         pass
     assert [each.name for each in tmp_path.iterdir()] == ["new"]  # folders made for a lock alone go with it
     assert [each.name for each in (tmp_path / "new").iterdir()] == ["out"]
@@ -238,7 +238,7 @@ def test_what_is_no_lock_s_file_is_left_alone(tmp_path, kind):
     make = {"link": lambda: lock.symlink_to(precious), "second name": lambda: lock.hardlink_to(precious),
             "pipe": lambda: os.mkfifo(lock), "folder": lock.mkdir}  # fmt: skip
     make[kind]()
-    with holding(tmp_path / "out"):
+    with hold_for_writing(tmp_path / "out"):
         pass
     assert precious.read_text() == "precious" and (lock.exists() or lock.is_symlink())
 
@@ -247,7 +247,7 @@ def test_names_as_long_as_disks_take_can_be_held(tmp_path):
     places = [tmp_path / ("ä" * 120 + str(number)) for number in range(2)]
     assert lock_file(places[0]) != lock_file(places[1])
     for place in places:
-        with holding(place):
+        with hold_for_writing(place):
             assert lock_file(place).is_file()
 
 
@@ -255,5 +255,8 @@ def test_a_lock_s_words_that_are_no_note(tmp_path):
     with another_process(tmp_path / "out"):
         for text in ("", "[]", '{"pid": 3}', "\xff", "[" * 3000):
             lock_file(tmp_path / "out").write_text(text, encoding="latin-1")
-            with pytest.raises(HeldError, match="another process is writing it"), holding(tmp_path / "out"):
+            with (
+                pytest.raises(PathInUseError, match="another process is writing it"),
+                hold_for_writing(tmp_path / "out"),
+            ):
                 pass

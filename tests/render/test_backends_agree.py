@@ -8,12 +8,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.rain.settings import Rain, load_preset
-from gsrain_engine.rain.simulation import OVERCAST, Rainfall
+from gsrain_engine.rain.settings import RainSettings, load_preset
+from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import Shot, draw_shot
+from gsrain_engine.render.draw import RenderView, draw_view
 from gsrain_engine.render.opengl.renderer import SplatRenderer
-from gsrain_engine.render.renderer import Frame, Look, Renderer
+from gsrain_engine.render.renderer import Frame, Renderer, RenderMode
 from gsrain_engine.render.sky_color import sky_color
 from gsrain_engine.scene.camera import Camera, look_at, read_camera
 from gsrain_engine.scene.formats.scene_files import read_scene
@@ -44,20 +44,20 @@ def small_scene() -> Scene:
     return Scene("small", (Layer("all", gaussians),))
 
 
-def small_shot() -> Shot:
+def small_shot() -> RenderView:
     eye = np.array([0.0, 0.0, 1.6])
     camera = Camera.from_fov(320, 200, 45.0, look_at(eye, eye + np.array([1, 0.1, 0.1]), UP))
-    return Shot(camera, 2.0, np.array([8.0, 0.0, 0.0]))
+    return RenderView(camera, 2.0, np.array([8.0, 0.0, 0.0]))
 
 
 @pytest.fixture(params=["small", "golden"])
-def scene_and_shot(request) -> tuple[Scene, Shot]:
+def scene_and_shot(request) -> tuple[Scene, RenderView]:
     """Two scenes; the golden street is in metres, z up."""
     if request.param == "small":
         return small_scene(), small_shot()
     golden = request.getfixturevalue("golden")
     street = Scene("street", read_scene(golden / "street_sh3.ply").layers)
-    return street, Shot(read_camera(golden / "street_sh3.camera.json"), 2.0)
+    return street, RenderView(read_camera(golden / "street_sh3.camera.json"), 2.0)
 
 
 @pytest.fixture
@@ -65,12 +65,12 @@ def renderers(context) -> tuple[Renderer, Renderer]:
     return SplatRenderer(context), CpuRenderer()
 
 
-def seen(renderer: Renderer, scene: Scene, shot: Shot, rain: Rain, *, with_depth: bool = False) -> Frame:
-    draw_shot(renderer, scene, Rainfall.start(rain), OVERCAST, shot, with_depth=with_depth)
+def seen(renderer: Renderer, scene: Scene, shot: RenderView, rain: RainSettings, *, with_depth: bool = False) -> Frame:
+    draw_view(renderer, scene, RainSimulation.start(rain), OVERCAST, shot, with_depth=with_depth)
     return renderer.read()
 
 
-def raining(**changes) -> Rain:
+def raining(**changes) -> RainSettings:
     return msgspec.structs.replace(load_preset("8.5"), **changes)
 
 
@@ -122,7 +122,7 @@ def test_the_same_frame_is_the_same_bytes(renderers, mixing):
     for renderer in renderers:
         look = partial(seen, renderer, small_scene(), rain=raining(rain_light=mixing))
         first = look(small_shot()).rgba.tobytes()
-        look(Shot(small_shot().camera, 3.0))
+        look(RenderView(small_shot().camera, 3.0))
         assert look(small_shot()).rgba.tobytes() == first
 
 
@@ -156,7 +156,7 @@ def test_parts_that_are_thinned_out_are_drawn_the_same(renderers):
         np.testing.assert_allclose(renderer.read().rgba, expected, atol=2e-4)
 
 
-@pytest.mark.parametrize("look", [each for each in get_args(Look) if each != "splats"])
+@pytest.mark.parametrize("look", [each for each in get_args(RenderMode) if each != "splats"])
 def test_every_look_agrees(renderers, look):
     """But for pixels where a threshold falls to one side here and to the other there."""
     scene, shot = small_scene(), small_shot()

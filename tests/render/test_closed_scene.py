@@ -6,7 +6,7 @@ import weakref
 import pytest
 
 from gsrain_engine.editor.drawing.live_view import LiveView
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.rain.settings import load_preset
 from small_scene import small_scene
 
@@ -15,7 +15,7 @@ SIZE = (96, 64)
 
 @pytest.mark.parametrize("backend", ["opengl", "cpu"])
 def test_a_closed_scene_is_free(context, backend):
-    session = Session(small_scene(), load_preset("8.5"))
+    session = Editor(small_scene(), load_preset("8.5"))
     session.clock.playing = False
     view = LiveView(context, session, backend)
     session.view.split = "clear | rainy"

@@ -6,11 +6,11 @@ import pytest
 from gsrain_engine.render.opengl.sort import (
     KEY_BITS,
     KEYS_BY_GROUP,
+    CpuSort,
     DepthSort,
-    HostSort,
-    check_order,
+    check_sort,
     nearest_first,
-    order_faults,
+    sort_faults,
 )
 
 
@@ -28,7 +28,7 @@ def sorted_by(sorter, context, keys, slots):
     return np.frombuffer(sorter.sort(work_for(context, len(keys))).read(), np.uint32)[: len(keys)]
 
 
-@pytest.mark.parametrize("sort", [DepthSort, HostSort])
+@pytest.mark.parametrize("sort", [DepthSort, CpuSort])
 @pytest.mark.parametrize("count", [0, 1, 255, 256, 257, KEYS_BY_GROUP - 1, KEYS_BY_GROUP + 1, 3 * KEYS_BY_GROUP + 77])
 @pytest.mark.parametrize("different", [1, 3, 1 << KEY_BITS])
 def test_sorts_stably(context, sort, count, different):
@@ -48,7 +48,7 @@ def test_the_largest_keys_are_sorted_too(context):
 
 
 def test_the_check_finds_the_order_of_a_software_rasterizer_right(context):
-    check = check_order(context, 100_000)
+    check = check_sort(context, 100_000)
     assert check == (100_000, 0, 0, 0)
     assert check.is_right
 
@@ -56,7 +56,7 @@ def test_the_check_finds_the_order_of_a_software_rasterizer_right(context):
 @pytest.mark.parametrize("count", [1_000_000, 3_000_000])
 def test_a_gpu_orders_all_splats_and_twice_the_same(gpu_context, count):
     """An H100 lost 9,239 of 895,842 and half of 2,687,623 while a barrier was missing."""
-    assert check_order(gpu_context, count) == (count, 0, 0, 0)
+    assert check_sort(gpu_context, count) == (count, 0, 0, 0)
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_a_gpu_orders_all_splats_and_twice_the_same(gpu_context, count):
     ],
 )
 def test_the_check_counts_what_is_wrong(order, second, faults):
-    check = order_faults(np.array([5, 2, 9, 2], np.uint32), np.array(order, np.uint32), np.array(second, np.uint32))
+    check = sort_faults(np.array([5, 2, 9, 2], np.uint32), np.array(order, np.uint32), np.array(second, np.uint32))
     assert check == faults
     assert check.is_right == (faults == (4, 0, 0, 0))
 
@@ -86,7 +86,7 @@ def test_the_check_sees_a_sort_that_loses_splats(context, monkeypatch):
         return order
 
     monkeypatch.setattr(DepthSort, "sort", losing)
-    check = check_order(context, 10_000)
+    check = check_sort(context, 10_000)
     assert check.missing == 100
     assert 1 <= check.inversions <= 2
     assert check.changed == 200

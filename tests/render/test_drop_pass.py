@@ -8,13 +8,13 @@ import pytest
 
 from given_rain import given_rain
 from gsrain_engine.presets import shipped_folder
-from gsrain_engine.rain.drop_field import CLASS_STRIDE, drops_at
-from gsrain_engine.rain.keyframes import Weather, WeatherKey
+from gsrain_engine.rain.drop_field import CLASS_STRIDE, place_drops
+from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
 from gsrain_engine.rain.properties import CLASSES
 from gsrain_engine.rain.settings import load_preset
-from gsrain_engine.rain.shelter_map import Roofs
-from gsrain_engine.rain.simulation import Rainfall, View
-from gsrain_engine.render.opengl.rain import DropPass, class_rows
+from gsrain_engine.rain.shelter_map import ShelterMap
+from gsrain_engine.rain.simulation import RainCamera, RainSimulation
+from gsrain_engine.render.opengl.rain import RainPass, class_rows
 from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.scene.camera import Camera, look_at
 
@@ -24,11 +24,11 @@ ANCHOR = np.eye(4)
 ANCHOR[:3, 3] = EYE
 
 
-SHOWER = Weather(
+SHOWER = RainKeyframes(
     keys=(
-        WeatherKey(time_s=-3.0, intensity_mm_h=0.5, wind_m_s=(8.0, -3.0)),
-        WeatherKey(time_s=20.0, intensity_mm_h=12.0),
-        WeatherKey(time_s=12_000.0, intensity_mm_h=2.0, wind_m_s=(-5.0, 1.0)),
+        RainKeyframe(time_s=-3.0, intensity_mm_h=0.5, wind_m_s=(8.0, -3.0)),
+        RainKeyframe(time_s=20.0, intensity_mm_h=12.0),
+        RainKeyframe(time_s=12_000.0, intensity_mm_h=2.0, wind_m_s=(-5.0, 1.0)),
     ),
     between="smooth",
 )
@@ -38,7 +38,7 @@ def falling(time_s=12.3, velocity=(9.0, 1.0, 0.0), travelled=(0.0, 0.0, 0.0), we
     rain = msgspec.structs.replace(load_preset("8.5"), wind_m_s=(2.0, -1.0), seed=3, **changes)
     anchor = ANCHOR.copy()
     anchor[:3, 3] += travelled
-    return Rainfall.start(rain, weather=weather).at(time_s, View(CAMERA, anchor, np.array(velocity)))
+    return RainSimulation.start(rain, weather=weather).at(time_s, RainCamera(CAMERA, anchor, np.array(velocity)))
 
 
 @pytest.mark.parametrize(
@@ -72,7 +72,7 @@ def test_every_drop_is_at_the_same_place_to_the_bit(context, time_s, travelled, 
     shader["seed"] = field.rain.seed
     shader.run(count // 256)
     ours = np.frombuffer(placed.read(), np.uint32).reshape(-1, 3)
-    np.testing.assert_array_equal(ours, drops_at(np.arange(count), field.rain.seed, field.where).fractions)
+    np.testing.assert_array_equal(ours, place_drops(np.arange(count), field.rain.seed, field.where).fractions)
 
 
 @pytest.mark.parametrize(
@@ -81,10 +81,10 @@ def test_every_drop_is_at_the_same_place_to_the_bit(context, time_s, travelled, 
 )
 def test_finds_the_drops_that_the_compiled_search_finds(context, changes):
     field = falling(**changes).streak_field
-    drops = DropPass(context)
+    drops = RainPass(context)
     drops.find(field)
     expected, found = set(field.drops().numbers.tolist()), drops.found().tolist()
-    assert len(found) == len(set(found)) == drops.found_count() <= field.most_drops
+    assert len(found) == len(set(found)) == drops.found_count() <= field.max_drops
     assert len(expected) > 0
     assert len(expected ^ set(found)) <= 0.002 * len(expected)  # float32 decides at the edges
 
@@ -123,14 +123,14 @@ def test_rain_comes_and_goes_in_one_renderer(context):
 @pytest.mark.parametrize("changes", [{}, {"streak_reset": "paper"}])
 def test_roofs_keep_out_the_same_drops_on_the_gpu(context, changes):
     heights = np.where(np.add.outer(np.arange(30), np.arange(30)) % 7 < 4, 1.7, -np.inf).astype(np.float32)
-    roofs = Roofs(heights, (EYE[0] - 7.6, EYE[1] - 7.3))
+    roofs = ShelterMap(heights, (EYE[0] - 7.6, EYE[1] - 7.3))
     turned = ANCHOR.copy()
     turned[:2, :2] = [[0.8, -0.6], [0.6, 0.8]]
     rain = msgspec.structs.replace(load_preset("8.5"), seed=3, **changes)
-    view = View(CAMERA, turned, np.zeros(3), focal_px=1500.0)
-    drops, fields = DropPass(context), []
+    view = RainCamera(CAMERA, turned, np.zeros(3), focal_px=1500.0)
+    drops, fields = RainPass(context), []
     for each in (view, replace(view, roofs=roofs), view):
-        fields.append(Rainfall.start(rain).at(12.3, each).streak_field)
+        fields.append(RainSimulation.start(rain).at(12.3, each).streak_field)
         drops.find(fields[-1])
         expected, found = set(fields[-1].drops().numbers.tolist()), drops.found().tolist()
         assert len(expected ^ set(found)) <= 0.002 * len(expected)

@@ -5,10 +5,10 @@ import pytest
 
 from gsrain_engine.editor.drawing import textures
 from gsrain_engine.editor.drawing.live_view import LiveView
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.editor.viewport_state import StagedScene
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.viewport_state import PendingScene
 from gsrain_engine.render.opengl import buffers
-from gsrain_engine.render.opengl.buffers import GrowingBuffer, reserved
+from gsrain_engine.render.opengl.buffers import GrowableBuffer, reserve_buffer
 from raster.raster_scenes import random_gaussians
 from small_scene import small_scene
 
@@ -37,17 +37,17 @@ def refuse(context, size):
 
 @pytest.fixture
 def session():
-    opened = Session(small_scene())
+    opened = Editor(small_scene())
     opened.clock.playing = False
     yield opened
     opened.close()
 
 
-@pytest.mark.parametrize("reserve", [reserved, lambda context, size: GrowingBuffer(context).reserve(size, size)])
+@pytest.mark.parametrize("reserve", [reserve_buffer, lambda context, size: GrowableBuffer(context).reserve(size, size)])
 def test_what_the_driver_refuses_is_said(context, reserve):
     with pytest.raises(MemoryError, match=r"the graphics card has no room for 67108864 MiB more"):
         reserve(context, TOO_LARGE)
-    assert reserved(context, 1024).size == 1024
+    assert reserve_buffer(context, 1024).size == 1024
 
 
 def test_an_upload_that_does_not_fit_leaves_nothing_behind(context, monkeypatch):
@@ -56,10 +56,10 @@ def test_an_upload_that_does_not_fit_leaves_nothing_behind(context, monkeypatch)
     def two_fit(context, size):
         if len(made) == 2:
             refuse(context, size)
-        made.append(reserved(context, size))
+        made.append(reserve_buffer(context, size))
         return made[-1]
 
-    monkeypatch.setattr(buffers, "reserved", two_fit)
+    monkeypatch.setattr(buffers, "reserve_buffer", two_fit)
     gaussians = random_gaussians(100)
     with pytest.raises(MemoryError):
         list(arrays.upload(gaussians))
@@ -73,7 +73,7 @@ def test_an_upload_that_does_not_fit_leaves_nothing_behind(context, monkeypatch)
 def test_the_processor_goes_on_where_the_card_is_full(context, session, monkeypatch, change):
     view = LiveView(context, session, "opengl")
     before = picture(view)
-    monkeypatch.setattr(buffers, "reserved", refuse)
+    monkeypatch.setattr(buffers, "reserve_buffer", refuse)
     monkeypatch.setattr(textures, "compile_kernels", lambda: None)  # those that are needed compile as they are
     scene = session.scene
     for each in scene.members:
@@ -82,7 +82,7 @@ def test_the_processor_goes_on_where_the_card_is_full(context, session, monkeypa
     if change == "edit":
         session.set_scene("Darker", scene)
     else:
-        session.stage(StagedScene("Darker", scene))
+        session.stage(PendingScene("Darker", scene))
     after = settled_picture(view)
     assert session.staged is None
     assert [each.gaussians for each in session.scene.members] == [each.gaussians for each in scene.members]

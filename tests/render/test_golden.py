@@ -11,7 +11,7 @@ from gsrain_engine.render.opengl.context import open_context
 from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.scene.camera import read_camera
 from gsrain_engine.scene.formats.scene_files import read_scene
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.scene import DrawItem
 
 CASES = {"street_sh3": "golden/street_sh3.ply", "plant": "data/scenes/plant.splat"}
 LEAST_PSNR_DB = 50.0
@@ -21,7 +21,7 @@ def psnr_db(golden: Path, case: str, renderer: SplatRenderer) -> float:
     """PSNR of a case, in the file's own axes, as the reference was made."""
     layer = read_scene(golden.parent / CASES[case]).layers[0]
     camera = read_camera(golden / f"{case}.camera.json")
-    renderer.draw([Part(layer.gaussians, np.eye(4))], camera)
+    renderer.draw([DrawItem(layer.gaussians, np.eye(4))], camera)
     reference = np.load(golden / f"{case}.reference.npz")["rgb"].astype(np.float32)
     return float(-10 * np.log10(np.mean((renderer.read().rgba[..., :3] - reference) ** 2)))
 

@@ -10,13 +10,13 @@ from PIL import Image
 from app.main import BAD_INPUT, run
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.editor.drawing.live_view import LiveView
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.render.opengl import context
-from gsrain_engine.render.opengl.context import LostContextError, NoOpenGLError, open_context, watch_of
+from gsrain_engine.render.opengl.context import DeviceLostError, NoOpenGLError, context_monitor, open_context
 from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.formats.scene_files import write_scene
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.scene import DrawItem
 from raster.raster_scenes import random_gaussians
 from small_scene import small_scene
 
@@ -55,7 +55,7 @@ def test_contexts_are_made_to_tell_of_resets(own_context):
     strategy = ctypes.c_int()
     ctypes.CFUNCTYPE(None, ctypes.c_uint, ctypes.POINTER(ctypes.c_int))(address)(_RESET_NOTIFICATION_STRATEGY, strategy)
     assert strategy.value == _LOSE_CONTEXT_ON_RESET
-    assert watch_of(own_context).ask() == 0
+    assert context_monitor(own_context).ask() == 0
     assert own_context.error == "GL_NO_ERROR"
 
 
@@ -72,9 +72,9 @@ def test_where_the_driver_tells_nothing_another_context_is_taken(monkeypatch):
 
     monkeypatch.setattr("gsrain_engine.render.opengl.context.EglContext.__init__", none)
     with open_context("egl") as context:
-        assert watch_of(context) is None
+        assert context_monitor(context) is None
         renderer = SplatRenderer(context)
-        renderer.draw([Part(random_gaussians(10), np.eye(4))], CAMERA)
+        renderer.draw([DrawItem(random_gaussians(10), np.eye(4))], CAMERA)
         assert renderer.read().rgba.any()
     context.release()
 
@@ -82,7 +82,7 @@ def test_where_the_driver_tells_nothing_another_context_is_taken(monkeypatch):
 def test_what_a_driver_says_only_once_is_remembered(lost_after):
     lost_after(1)
     with open_context("egl") as context:
-        watcher = watch_of(context)
+        watcher = context_monitor(context)
         assert [watcher.is_lost() for _ in range(4)] == [False, True, True, True]
         watcher.wait_for_driver(60)
     context.release()
@@ -90,14 +90,14 @@ def test_what_a_driver_says_only_once_is_remembered(lost_after):
 
 def test_no_picture_comes_from_a_lost_context(lost_after):
     lost_after(1)
-    with pytest.raises(LostContextError), open_renderer("opengl") as renderer:
+    with pytest.raises(DeviceLostError), open_renderer("opengl") as renderer:
         for _ in range(2):
-            renderer.draw([Part(random_gaussians(10), np.eye(4))], CAMERA)
+            renderer.draw([DrawItem(random_gaussians(10), np.eye(4))], CAMERA)
             assert renderer.read().rgba.any()
         pytest.fail("the second picture is none")
 
 
-@pytest.mark.parametrize(("healthy", "raised"), [(0, LostContextError), (1, moderngl.Error)])
+@pytest.mark.parametrize(("healthy", "raised"), [(0, DeviceLostError), (1, moderngl.Error)])
 def test_errors_in_a_lost_context_are_its_loss(lost_after, healthy, raised):
     lost_after(healthy)
     with pytest.raises(raised), open_renderer("opengl"):
@@ -122,12 +122,12 @@ def test_a_command_ends_in_a_sentence_and_writes_no_empty_picture(tmp_path, caps
 
 
 def test_a_screenshot_of_nothing_is_not_saved(own_context, tmp_path):
-    session = Session(small_scene())
+    session = Editor(small_scene())
     view = LiveView(own_context, session, "opengl")
     view.draw(64, 48)
     session.screenshot = tmp_path / "picture.png"
-    watch_of(own_context).ask = lambda: GUILTY_CONTEXT_RESET
-    with pytest.raises(LostContextError):
+    context_monitor(own_context).ask = lambda: GUILTY_CONTEXT_RESET
+    with pytest.raises(DeviceLostError):
         view.draw(64, 48)
     session.close()
     assert not list(tmp_path.iterdir())

@@ -8,8 +8,8 @@ import pytest
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.opengl import buffers
 from gsrain_engine.render.opengl.renderer import SplatRenderer
-from gsrain_engine.scene.flags import Marks, Mask
-from gsrain_engine.scene.scene import Actor, Grading, Layer, Part, Scene, Track
+from gsrain_engine.scene.flags import BitMask, SelectionFlags
+from gsrain_engine.scene.scene import Actor, ColorGrading, DrawItem, Layer, PoseTrack, Scene
 from raster.raster_scenes import random_gaussians, small_camera
 from raster.test_marked_parts import COLORS, baked, part_of, some_of
 
@@ -52,16 +52,16 @@ def test_masks_are_cut_where_buffers_are(renderer, monkeypatch):
         monkeypatch.setattr(f"gsrain_engine.render.opengl.{module}.CHUNK", 256)
     part = part_of(1000, left_out=some_of(1000), selected=some_of(1000, 0.5, 3))
     kept = np.flatnonzero(~part.left_out.flags)
-    rest = Part(part.gaussians.take(kept), part.to_world, selected=part.selected.take(kept))
+    rest = DrawItem(part.gaussians.take(kept), part.to_world, selected=part.selected.take(kept))
     assert psnr_db(drawn(renderer, [part]), drawn(renderer, [rest])) > LEAST_PSNR_DB
 
 
 def test_the_tint_is_where_selected_splats_are_and_nowhere_else(renderer):
     g = random_gaussians(400, 2)
-    left = Mask.of(g.means[:, 0] < 0)
-    both = drawn(renderer, [Part(g, np.eye(4))]), drawn(renderer, [Part(g, np.eye(4), selected=left)])
+    left = BitMask.of(g.means[:, 0] < 0)
+    both = drawn(renderer, [DrawItem(g, np.eye(4))]), drawn(renderer, [DrawItem(g, np.eye(4), selected=left)])
     difference = np.abs(both[0] - both[1]).max(axis=-1)
-    alone = drawn(renderer, [Part(g.take(left.indices), np.eye(4))])[..., 3] > 0
+    alone = drawn(renderer, [DrawItem(g.take(left.indices), np.eye(4))])[..., 3] > 0
     assert 0.1 < alone.mean() < 0.95
     assert difference[alone].max() > 0.1
     assert not difference[~alone].any()
@@ -79,17 +79,19 @@ def test_a_layer_of_no_opacity_is_not_there(renderer):
 def scene_with_an_actor() -> Scene:
     """A layer, and an actor that moves 0.5 m/s to the right."""
     places = np.array([[0.0, 0, 0], [1, 0, 0]])
-    track = Track(np.array([0.0, 2.0]), places, np.tile([1.0, 0, 0, 0], (2, 1)), np.ones(2, bool))
+    track = PoseTrack(np.array([0.0, 2.0]), places, np.tile([1.0, 0, 0, 0], (2, 1)), np.ones(2, bool))
     actor = Actor("one", "car", (1.0, 1.0, 1.0), random_gaussians(200, 4, 1), track)
     return Scene("small", (Layer("all", random_gaussians(600, 3, 1)),), (actor,))
 
 
 def marked(scene: Scene) -> Scene:
     """The scene with its layer and its actor both marked, faded and graded."""
-    grading = Grading(exposure_ev=0.5, saturation=0.5)
+    grading = ColorGrading(exposure_ev=0.5, saturation=0.5)
     for each in scene.members:
         count = len(each.gaussians)
-        marks = Marks(selected=some_of(count, 0.3, 1), hidden=some_of(count, 0.1, 2), deleted=some_of(count, 0.1, 3))
+        marks = SelectionFlags(
+            selected=some_of(count, 0.3, 1), hidden=some_of(count, 0.1, 2), deleted=some_of(count, 0.1, 3)
+        )
         scene = scene.with_member(each.key, marks=marks, opacity=0.8, grading=grading)
     return scene
 
@@ -106,22 +108,22 @@ def test_back_ends_agree_on_marked_scenes(renderer, look):
 
 def test_marks_go_back_when_they_are_gone(context, renderer):
     g = random_gaussians(200)
-    before = drawn(renderer, [Part(g, np.eye(4))])
+    before = drawn(renderer, [DrawItem(g, np.eye(4))])
     for seed in range(3):
-        drawn(renderer, [Part(g, np.eye(4), selected=some_of(200, 0.5, seed))])
-    assert drawn(renderer, [Part(g, np.eye(4))]).tobytes() == before.tobytes()
+        drawn(renderer, [DrawItem(g, np.eye(4), selected=some_of(200, 0.5, seed))])
+    assert drawn(renderer, [DrawItem(g, np.eye(4))]).tobytes() == before.tobytes()
     assert renderer.arrays.mark_count == 0
 
 
 def test_a_step_back_finds_its_colours_still_there(context, renderer, monkeypatch):
     g = random_gaussians(300)
     other = g.with_sh(g.sh * np.float32(0.5))
-    drawn(renderer, [Part(g, np.eye(4))])
-    drawn(renderer, [Part(other, np.eye(4))])
+    drawn(renderer, [DrawItem(g, np.eye(4))])
+    drawn(renderer, [DrawItem(other, np.eye(4))])
     assert renderer.arrays.missing(g) == 0
     monkeypatch.setattr(buffers, "_RESTING_BYTES", 0)
-    drawn(renderer, [Part(other, np.eye(4))])
+    drawn(renderer, [DrawItem(other, np.eye(4))])
     assert renderer.arrays.missing(g) == 300
     assert renderer.arrays.missing(replace(other)) == 0
-    first = drawn(renderer, [Part(g, np.eye(4))])
-    np.testing.assert_array_equal(first, drawn(SplatRenderer(context, harmonics="single"), [Part(g, np.eye(4))]))
+    first = drawn(renderer, [DrawItem(g, np.eye(4))])
+    np.testing.assert_array_equal(first, drawn(SplatRenderer(context, harmonics="single"), [DrawItem(g, np.eye(4))]))

@@ -6,14 +6,14 @@ import numpy as np
 
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.scene import DrawItem
 from raster.raster_scenes import random_gaussians
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 32.0, 24.0)
 
 
 def picture(renderer, seed):
-    renderer.draw([Part(random_gaussians(200, seed), np.eye(4))], CAMERA)
+    renderer.draw([DrawItem(random_gaussians(200, seed), np.eye(4))], CAMERA)
     return renderer.read().rgba
 
 

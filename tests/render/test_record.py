@@ -13,19 +13,19 @@ import OpenEXR
 import pytest
 from PIL import Image
 
-from gsrain_engine.rain.settings import Rain
-from gsrain_engine.rain.simulation import Rainfall
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import draw_shot
-from gsrain_engine.render.export import frame_numbers, record, sequences_of
-from gsrain_engine.render.export_settings import Recording
-from gsrain_engine.render.images import to_display, to_light
+from gsrain_engine.render.draw import draw_view
+from gsrain_engine.render.export import export_frames, export_sequences, frame_numbers
+from gsrain_engine.render.export_settings import ExportSettings
+from gsrain_engine.render.images import to_display, to_linear_light
 from gsrain_engine.render.object_labels import draw_labels
 from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.render.renderer import Frame
-from gsrain_engine.render.sequence import FrameSequence, mounted_cameras
+from gsrain_engine.render.sequence import FrameSequence, find_rig_cameras
 from gsrain_engine.scene.camera_path import CameraPath
-from gsrain_engine.scene.rig import drive_path
+from gsrain_engine.scene.rig import rig_camera_path
 from gsrain_engine.scene.scene import Scene
 from small_scene import small_scene
 
@@ -39,18 +39,18 @@ def scene() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def rainfall() -> Rainfall:
-    return Rainfall.start(Rain(intensity_mm_h=12.0, exposure_s=0.02, drop_color=GREY))
+def rainfall() -> RainSimulation:
+    return RainSimulation.start(RainSettings(intensity_mm_h=12.0, exposure_s=0.02, drop_color=GREY))
 
 
 @pytest.fixture(scope="module")
 def path(scene) -> CameraPath:
-    return drive_path(scene, scene.rigs["one"][0], *SIZE)
+    return rig_camera_path(scene, scene.rigs["one"][0], *SIZE)
 
 
 def recorded(recording, scene, rainfall, path, numbers=None):
-    sequences = sequences_of(recording, scene, rainfall, path, in_scene_time=True)
-    steps = list(record(CpuRenderer(), recording, sequences, numbers or frame_numbers(recording, sequences)))
+    sequences = export_sequences(recording, scene, rainfall, path, in_scene_time=True)
+    steps = list(export_frames(CpuRenderer(), recording, sequences, numbers or frame_numbers(recording, sequences)))
     assert steps[-1].fraction == 1
     return steps
 
@@ -67,7 +67,7 @@ def test_samples_of_a_pixel_are_averaged_and_the_drops_stay_the_same(scene, rain
     frame = sequence.frame(renderer, 30, sky)
     shot = sequence.shot(30)
     camera = shot.camera.resized(192, 128)
-    draw_shot(fine, scene, rainfall, sky.color, replace(shot, camera=camera, focal_px=shot.camera.fx))
+    draw_view(fine, scene, rainfall, sky.color, replace(shot, camera=camera, focal_px=shot.camera.fx))
     blocks = fine.read().rgba.reshape(64, 2, 96, 2, 4)
     assert frame.rgba.shape == (64, 96, 4)
     assert np.allclose(frame.rgba, blocks.mean(axis=(1, 3)), atol=1e-6)
@@ -76,7 +76,7 @@ def test_samples_of_a_pixel_are_averaged_and_the_drops_stay_the_same(scene, rain
     # Streaks at the picture's edge may fall outside of it at one size and not at the other.
     assert renderer.statistics.drops_drawn == pytest.approx(plain.statistics.drops_drawn, rel=0.02)
     with_more = CpuRenderer()
-    draw_shot(with_more, scene, rainfall, sky.color, replace(shot, camera=camera))
+    draw_view(with_more, scene, rainfall, sky.color, replace(shot, camera=camera))
     assert with_more.statistics.drops_drawn > 1.2 * plain.statistics.drops_drawn
 
 
@@ -88,8 +88,8 @@ def test_sub_frames_share_the_exposure_and_are_averaged_in_linear_light(scene, r
     light = []
     for t in 1.0 + 0.02 * np.array([-0.375, -0.125, 0.125, 0.375]):
         shot = replace(sequence.shot_at(t), exposure_share=0.25)
-        draw_shot(alone, scene, rainfall, sky.color, shot)
-        light.append(to_light(alone.read().rgba))
+        draw_view(alone, scene, rainfall, sky.color, shot)
+        light.append(to_linear_light(alone.read().rgba))
     assert np.allclose(frame.rgba, to_display(np.mean(light, axis=0)), atol=1e-5)
 
 
@@ -102,7 +102,7 @@ def test_motion_blur_keeps_the_rain_s_light(scene, rainfall, path):
     for k in (1, 4):
         blurred = replace(sequence, motion_blur=k)
         rainy, clear = blurred.frame(renderer, 30, sky), blurred.frame(renderer, 30, None)
-        added.append(float((to_light(rainy.rgba) - to_light(clear.rgba))[..., :3].sum()))
+        added.append(float((to_linear_light(rainy.rgba) - to_linear_light(clear.rgba))[..., :3].sum()))
     assert added[1] == pytest.approx(added[0], rel=0.05)
     assert abs(added[0]) > 1
 
@@ -110,13 +110,13 @@ def test_motion_blur_keeps_the_rain_s_light(scene, rainfall, path):
 def test_linear_light_and_back():
     rgba = np.random.default_rng(0).uniform(0.0, 1.0, (4, 5, 4)).astype(np.float32)
     rgba[..., :3] *= rgba[..., 3:]
-    assert np.allclose(to_display(to_light(rgba)), rgba, atol=1e-6)
+    assert np.allclose(to_display(to_linear_light(rgba)), rgba, atol=1e-6)
     grey = np.array([[[0.25, 0.25, 0.25, 0.5]]], np.float32)  # display grey 0.5 at half cover
-    assert to_light(grey)[0, 0, :3] == pytest.approx([0.5 * 0.21404] * 3, abs=1e-5)
+    assert to_linear_light(grey)[0, 0, :3] == pytest.approx([0.5 * 0.21404] * 3, abs=1e-5)
 
 
 def test_labels_name_what_is_in_front(scene, rainfall, path, tmp_path):
-    recording = Recording(output=str(tmp_path / "a.png"), size_px=SIZE, passes=("labels",))
+    recording = ExportSettings(output=str(tmp_path / "a.png"), size_px=SIZE, passes=("labels",))
     recorded(recording, scene, rainfall, path)
     image = Image.open(tmp_path / "a.labels.png")
     assert image.mode == "P"
@@ -148,13 +148,13 @@ def test_many_labels_take_sixteen_bits(tmp_path):
 
 def test_exr_is_scene_linear_with_depth(scene, rainfall, path, tmp_path):
     passes = ("color", "depth")
-    recorded(Recording(output=str(tmp_path / "a.exr"), size_px=SIZE, passes=passes), scene, rainfall, path)
-    recorded(Recording(output=str(tmp_path / "a.npy"), size_px=SIZE, passes=passes), scene, rainfall, path)
+    recorded(ExportSettings(output=str(tmp_path / "a.exr"), size_px=SIZE, passes=passes), scene, rainfall, path)
+    recorded(ExportSettings(output=str(tmp_path / "a.npy"), size_px=SIZE, passes=passes), scene, rainfall, path)
     rgba, depth = np.load(tmp_path / "a.npy"), np.load(tmp_path / "a.depth.npy")
     with OpenEXR.File(str(tmp_path / "a.exr")) as file:
         channels = {name: channel.pixels.copy() for name, channel in file.channels().items()}
     assert channels["RGBA"].dtype == np.float16
-    assert np.array_equal(channels["RGBA"], to_light(rgba).astype(np.float16))
+    assert np.array_equal(channels["RGBA"], to_linear_light(rgba).astype(np.float16))
     assert channels["Z"].dtype == np.float32
     assert np.array_equal(channels["Z"], depth)
 
@@ -163,7 +163,7 @@ def test_depth_is_one_sample_a_pixel_whatever_the_picture_is_made_of(scene, rain
     for name, samples in (("plain", {}), ("fine", {"supersampling": 2, "motion_blur": 2})):
         output = str(tmp_path / f"{name}.png")
         recorded(
-            Recording(output=output, size_px=SIZE, first_s=1.0, passes=("color", "depth", "alpha"), **samples),
+            ExportSettings(output=output, size_px=SIZE, first_s=1.0, passes=("color", "depth", "alpha"), **samples),
             scene, rainfall, path,
         )  # fmt: skip
     depths = [np.asarray(Image.open(tmp_path / f"{name}.depth.png")) for name in ("plain", "fine")]
@@ -178,9 +178,9 @@ def test_depth_is_one_sample_a_pixel_whatever_the_picture_is_made_of(scene, rain
 def test_the_twin_is_the_clip_at_0_mm_h(scene, rainfall, path, tmp_path):
     fields = {"size_px": SIZE, "fps": 10.0, "last_s": 0.3}
     passes = ("color", "depth")
-    recorded(Recording(output=str(tmp_path / "a"), twin=True, passes=passes, **fields), scene, rainfall, path)
-    dry = Rainfall.start(msgspec.structs.replace(rainfall.rain, intensity_mm_h=0.0))
-    recorded(Recording(output=str(tmp_path / "b"), **fields), scene, dry, path)
+    recorded(ExportSettings(output=str(tmp_path / "a"), twin=True, passes=passes, **fields), scene, rainfall, path)
+    dry = RainSimulation.start(msgspec.structs.replace(rainfall.rain, intensity_mm_h=0.0))
+    recorded(ExportSettings(output=str(tmp_path / "b"), **fields), scene, dry, path)
     assert [each.name for each in sorted((tmp_path / "a.clear").iterdir())] == [f"00000{k}.png" for k in range(3)]
     for frame in (tmp_path / "b").iterdir():
         assert (tmp_path / "a.clear" / frame.name).read_bytes() == frame.read_bytes()
@@ -191,20 +191,22 @@ def test_the_twin_is_the_clip_at_0_mm_h(scene, rainfall, path, tmp_path):
 def test_rig_cameras_are_recorded_together(scene, rainfall, path, tmp_path):
     front = scene.rigs["one"][0]
     scene = replace(scene, rigs={"one": (front, replace(front, name="LEFT", width=960, height=480, cy=240.0))})
-    recording = Recording(output=str(tmp_path / "rig.mp4"), cameras=("one",), size_px=SIZE, fps=10.0, last_s=0.2)
+    recording = ExportSettings(output=str(tmp_path / "rig.mp4"), cameras=("one",), size_px=SIZE, fps=10.0, last_s=0.2)
     recorded(recording, scene, rainfall, path)
     assert sorted(each.name for each in (tmp_path / "rig").iterdir()) == ["FRONT.mp4", "LEFT.mp4"]
     assert len(frames_of(tmp_path / "rig" / "LEFT.mp4")) == 2
-    sequences = sequences_of(Recording(output="x", cameras=("LEFT",)), scene, rainfall, path, in_scene_time=True)
+    sequences = export_sequences(
+        ExportSettings(output="x", cameras=("LEFT",)), scene, rainfall, path, in_scene_time=True
+    )
     (left,) = sequences.values()
     assert (left.width, left.height) == (960, 480)
     assert left.length_s == 5.0
     assert left.shot_at(1.0).velocity_m_s == pytest.approx([2, 0, 0], abs=1e-6)
     assert left.shot_at(9.0).velocity_m_s == pytest.approx([0, 0, 0])
     with pytest.raises(ValueError, match="no camera 'TOP', only one/FRONT, one/LEFT"):
-        mounted_cameras(scene, ("TOP",))
+        find_rig_cameras(scene, ("TOP",))
     with pytest.raises(ValueError, match="no vehicle with cameras"):
-        mounted_cameras(replace(scene, rigs={}), ("all",))
+        find_rig_cameras(replace(scene, rigs={}), ("all",))
 
 
 def test_a_path_of_the_scene_goes_by_the_scene_s_time(scene, rainfall):
@@ -214,8 +216,8 @@ def test_a_path_of_the_scene_goes_by_the_scene_s_time(scene, rainfall):
         np.tile([0.5, -0.5, 0.5, -0.5], (2, 1)),
         np.full(2, 50.0),
     )
-    recording = Recording(output="x", size_px=SIZE, first_s=1.0, fps=10.0)
-    (sequence,) = sequences_of(recording, scene, rainfall, path, in_scene_time=True).values()
+    recording = ExportSettings(output="x", size_px=SIZE, first_s=1.0, fps=10.0)
+    (sequence,) = export_sequences(recording, scene, rainfall, path, in_scene_time=True).values()
     assert sequence.shot_at(3.0).camera.position == pytest.approx([2, 0, 2])
     assert len(frame_numbers(recording, {"": sequence})) == 30
     own = replace(sequence, in_scene_time=False)
@@ -227,9 +229,9 @@ def test_a_path_of_the_scene_goes_by_the_scene_s_time(scene, rainfall):
 
 
 def test_a_recording_that_is_left_can_be_played(scene, rainfall, path, tmp_path):
-    recording = Recording(output=str(tmp_path / "a.mp4"), size_px=SIZE, passes=("color", "depth"))
-    sequences = sequences_of(recording, scene, rainfall, path, in_scene_time=True)
-    steps = record(CpuRenderer(), recording, sequences, range(100))
+    recording = ExportSettings(output=str(tmp_path / "a.mp4"), size_px=SIZE, passes=("color", "depth"))
+    sequences = export_sequences(recording, scene, rainfall, path, in_scene_time=True)
+    steps = export_frames(CpuRenderer(), recording, sequences, range(100))
     said = list(islice(steps, 4))  # the sky, then three frames
     steps.close()
     assert len(frames_of(tmp_path / "a.mp4")) == 3
@@ -244,10 +246,10 @@ def test_a_recording_that_is_left_can_be_played(scene, rainfall, path, tmp_path)
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 def test_a_full_disk_is_one_sentence(scene, rainfall, path, tmp_path):
     (tmp_path / "a.mp4").symlink_to("/dev/full")
-    recording = Recording(output=str(tmp_path / "a.mp4"), size_px=SIZE, last_s=3.0)
-    sequences = sequences_of(recording, scene, rainfall, path, in_scene_time=True)
+    recording = ExportSettings(output=str(tmp_path / "a.mp4"), size_px=SIZE, last_s=3.0)
+    sequences = export_sequences(recording, scene, rainfall, path, in_scene_time=True)
     with pytest.raises(OSError, match=r"a.mp4 can't be written on after \d+ frames: No space left on device; what"):
-        list(record(CpuRenderer(), recording, sequences, frame_numbers(recording, sequences)))
+        list(export_frames(CpuRenderer(), recording, sequences, frame_numbers(recording, sequences)))
 
 
 def test_large_previews_are_made_small():

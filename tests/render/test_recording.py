@@ -8,9 +8,9 @@ from cyclopts import App
 
 from app.options import parse_size
 from app.render import RecordingOptions
-from gsrain_engine.render.export import recording_command
-from gsrain_engine.render.export_settings import Recording, outputs, recorded_files
-from gsrain_engine.safe_io.errors import converted
+from gsrain_engine.render.export import export_command
+from gsrain_engine.render.export_settings import ExportSettings, export_files, export_outputs
+from gsrain_engine.safe_io.errors import convert_checked
 
 
 @pytest.mark.parametrize(
@@ -30,7 +30,7 @@ from gsrain_engine.safe_io.errors import converted
 )
 def test_what_is_out_of_bounds_is_named(fields, words):
     with pytest.raises(msgspec.ValidationError) as error:
-        converted({"output": "a.mp4", **fields}, Recording)
+        convert_checked({"output": "a.mp4", **fields}, ExportSettings)
     assert words in str(error.value)
 
 
@@ -50,7 +50,7 @@ def test_what_is_out_of_bounds_is_named(fields, words):
 )
 def test_what_contradicts_itself_is_refused(fields, words):
     with pytest.raises(ValueError) as error:
-        Recording(**fields).check()
+        ExportSettings(**fields).check()
     assert words in str(error.value)
 
 
@@ -72,30 +72,30 @@ def test_what_contradicts_itself_is_refused(fields, words):
     ],
 )  # fmt: skip
 def test_files_are_called(fields, cameras, expected):
-    assert [path.as_posix() for path in outputs(Recording(**fields), cameras)] == expected
+    assert [path.as_posix() for path in export_outputs(ExportSettings(**fields), cameras)] == expected
 
 
 def test_long_names_of_cameras_are_shortened_and_stay_apart():
-    paths = outputs(Recording(output="a", codec="jpeg", twin=True), ["F" * 300, "F" * 301])
+    paths = export_outputs(ExportSettings(output="a", codec="jpeg", twin=True), ["F" * 300, "F" * 301])
     assert len(set(paths)) == 4
     assert all(len(path.name) < 200 for path in paths)
-    assert recorded_files(Recording(output="a", codec="jpeg"), None).color(3).as_posix() == "a/000003.jpg"
+    assert export_files(ExportSettings(output="a", codec="jpeg"), None).color(3).as_posix() == "a/000003.jpg"
 
 
 def test_passes_lie_beside_their_frames():
     passes = ("color", "depth", "labels")
-    folder = recorded_files(Recording(output="run", passes=passes), None)
-    assert [folder.color(7).as_posix(), folder.beside(7, "depth").as_posix()] == [
+    folder = export_files(ExportSettings(output="run", passes=passes), None)
+    assert [folder.color(7).as_posix(), folder.pass_file(7, "depth").as_posix()] == [
         "run/000007.png",
         "run/000007.depth.png",
     ]
     assert folder.legend.as_posix() == "run/labels.json"
-    video = recorded_files(Recording(output="run.mp4", passes=passes), None)
-    assert video.beside(7, "labels").as_posix() == "run.labels/000007.png"
+    video = export_files(ExportSettings(output="run.mp4", passes=passes), None)
+    assert video.pass_file(7, "labels").as_posix() == "run.labels/000007.png"
     assert video.legend.as_posix() == "run.labels/labels.json"
-    twin = recorded_files(Recording(output="run"), None, is_clear=True)
+    twin = export_files(ExportSettings(output="run"), None, is_clear=True)
     assert twin.color(7).as_posix() == "run.clear/000007.png"
-    still = recorded_files(Recording(output="still.png", passes=passes), None)
+    still = export_files(ExportSettings(output="still.png", passes=passes), None)
     assert still.legend.as_posix() == "still.labels.json"
 
 
@@ -109,13 +109,13 @@ def test_passes_lie_beside_their_frames():
     ],
 )
 def test_the_command_line_says_the_same(fields):
-    recording, said = Recording(**fields), []
+    recording, said = ExportSettings(**fields), []
 
     def render(scene: str, /, *, output: str, size: str | None = None, recording: RecordingOptions | None = None):
         size_px = parse_size(size) if size else None
         said.append((scene, (recording or RecordingOptions()).recording(output, size_px, depth=False)))
 
-    program, *words = shlex.split(recording_command(recording, "my scene"))
+    program, *words = shlex.split(export_command(recording, "my scene"))
     assert (program, words[0]) == ("gsrain", "render")
     app = App()
     app.default(render)

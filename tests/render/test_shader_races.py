@@ -10,19 +10,19 @@ import pytest
 from gsrain_engine.presets import shipped_folder
 from gsrain_engine.rain.properties import CLASSES
 from gsrain_engine.rain.settings import load_preset
-from gsrain_engine.rain.shelter_map import Roofs
-from gsrain_engine.rain.simulation import Rainfall, View
+from gsrain_engine.rain.shelter_map import ShelterMap
+from gsrain_engine.rain.simulation import RainCamera, RainSimulation
 from gsrain_engine.render.opengl import shaders, sort
-from gsrain_engine.render.opengl.buffers import GpuArrays, SplatStore
+from gsrain_engine.render.opengl.buffers import GpuArrays, ProjectedSplatBuffer
 from gsrain_engine.render.opengl.prefix_sum import COUNT_OFFSET
 from gsrain_engine.render.opengl.projection import ProjectionPass
-from gsrain_engine.render.opengl.rain import DropPass, streak_slots
+from gsrain_engine.render.opengl.rain import RainPass, streak_slots
 from gsrain_engine.render.opengl.renderer import SplatRenderer
-from gsrain_engine.render.opengl.sort import DIGIT_BITS, KEYS_BY_GROUP, DepthSort, order_faults
+from gsrain_engine.render.opengl.sort import DIGIT_BITS, KEYS_BY_GROUP, DepthSort, sort_faults
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.flags import Mask
+from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.scene import DrawItem
 from interpreted_gpu.context import InterpretedContext
 
 EYE = np.array([3.0, -2.0, 1.5])
@@ -90,7 +90,7 @@ def test_finds_the_round_that_began_before_the_last_one_was_over(edit, one_digit
     context, keys = InterpretedContext(1, warps=warps), keys_of(700)
     order = order_of(context, keys)
     assert any("radix_scatter.comp:" in fault and "mask" in fault for fault in context.faults)
-    check = order_faults(keys, order, order_of(InterpretedContext(2, warps=warps), keys))
+    check = sort_faults(keys, order, order_of(InterpretedContext(2, warps=warps), keys))
     assert check.missing > 0
     assert check.inversions > 0
     assert check.changed > 0
@@ -127,7 +127,7 @@ def scene(count, harmonics):
 def drops_of(**changes):
     """A shower of few drops, many of which the camera may see."""
     rain = msgspec.structs.replace(load_preset("8.5"), seed=3, max_copies=2, haze=False, **changes)
-    falling = Rainfall.start(rain).at(12.3, View(CAMERA, ANCHOR, np.zeros(3)))
+    falling = RainSimulation.start(rain).at(12.3, RainCamera(CAMERA, ANCHOR, np.zeros(3)))
     field = falling.streak_field
     culling = field.culling._replace(class_far_m=np.full(CLASSES, 30.0), slopes=np.array([-2.0, 2.0, -2.0, 2.0]))
     return replace(falling, streak_field=replace(field, count=400, culling=culling))
@@ -137,11 +137,11 @@ def filled(context, parts, harmonics="half", rain=None, look="splats"):
     """Project and bring together as a frame does; returns keys and slots of what can be seen."""
     projection, store, sorter = (
         ProjectionPass(context, GpuArrays(context, harmonics)),
-        SplatStore(context),
+        ProjectedSplatBuffer(context),
         DepthSort(context),
     )
     slots = projection.project(store, parts, CAMERA, rain, look)
-    projection.bring_together(store, sorter, slots)
+    projection.compact_visible(store, sorter, slots)
     visible = int(np.frombuffer(store.work.read(4, offset=COUNT_OFFSET), np.uint32)[0])
     return [np.frombuffer(each.read(4 * visible), np.uint32) for each in sorter.unsorted]
 
@@ -158,10 +158,10 @@ def filled(context, parts, harmonics="half", rain=None, look="splats"):
 def test_projects_without_a_race_what_a_driver_projects(context, harmonics, changes, look):
     """Across three workgroups and two parts, the last one partly filled."""
     rng, gaussians = np.random.default_rng(1), scene(530, 9)
-    masks = {name: Mask.of(rng.random(530) < 0.3) for name in ("selected", "left_out") if name in changes}
-    part = Part(gaussians, np.eye(4), **masks, wetness=changes.get("wetness", 0.0))
+    masks = {name: BitMask.of(rng.random(530) < 0.3) for name in ("selected", "left_out") if name in changes}
+    part = DrawItem(gaussians, np.eye(4), **masks, wetness=changes.get("wetness", 0.0))
     part = part._replace(wet_sh=scene(530, 9).sh) if part.wetness else part
-    other = Part(scene(40, 1), np.eye(4), growth=1.5, opacity=0.5)
+    other = DrawItem(scene(40, 1), np.eye(4), growth=1.5, opacity=0.5)
     interpreted = InterpretedContext(5)
     keys, slots = filled(interpreted, [part, other], harmonics, look=look)
     assert list(interpreted.faults) == []
@@ -174,9 +174,9 @@ def test_projects_without_a_race_what_a_driver_projects(context, harmonics, chan
 def test_a_frame_in_rain_runs_every_shader_without_a_race(context, one_digit):
     interpreted, results = InterpretedContext(7, warps=True), []
     for each in (interpreted, context):
-        projection, store, sorter = ProjectionPass(each, GpuArrays(each)), SplatStore(each), DepthSort(each)
-        slots = projection.project(store, [Part(scene(300, 1), np.eye(4))], CAMERA, drops_of(), "splats")
-        projection.bring_together(store, sorter, slots)
+        projection, store, sorter = ProjectionPass(each, GpuArrays(each)), ProjectedSplatBuffer(each), DepthSort(each)
+        slots = projection.project(store, [DrawItem(scene(300, 1), np.eye(4))], CAMERA, drops_of(), "splats")
+        projection.compact_visible(store, sorter, slots)
         visible = int(np.frombuffer(store.work.read(4, offset=COUNT_OFFSET), np.uint32)[0])
         gathered = np.frombuffer(sorter.unsorted[1].read(4 * visible), np.uint32)
         sorter.sort(store.work)
@@ -193,9 +193,9 @@ def test_drops_under_roofs_are_left_out_without_a_race():
     field = drops_of().streak_field
     heights = np.where(np.add.outer(np.arange(30), np.arange(30)) % 7 < 4, 1.7, -np.inf).astype(np.float32)
     found = []
-    for roofs in (None, Roofs(heights, (EYE[0] - 7.6, EYE[1] - 7.3))):
+    for roofs in (None, ShelterMap(heights, (EYE[0] - 7.6, EYE[1] - 7.3))):
         interpreted = InterpretedContext(2)
-        drops = DropPass(interpreted)
+        drops = RainPass(interpreted)
         drops.find(replace(field, roofs=roofs))
         assert list(interpreted.faults) == []
         found.append(set(drops.found().tolist()))
@@ -213,7 +213,7 @@ def test_misses_each_barrier_of_emit(edit, number):
         "barrier();".join(parts[:number]) + "barrier();".join(parts[number:]),
     )
     interpreted, field = InterpretedContext(number), drops_of().streak_field
-    drops, store = DropPass(interpreted), SplatStore(interpreted)
+    drops, store = RainPass(interpreted), ProjectedSplatBuffer(interpreted)
     store.reserve(streak_slots(field))
     drops.find(field)
     drops.project(store, field, np.ones(3), 0)
@@ -249,7 +249,7 @@ def test_a_frame_waits_for_those_who_read_the_last_one(context, monkeypatch):
         noted(moderngl.ComputeShader, name, "dispatch")
     renderer, rain = SplatRenderer(context), drops_of()
     for _ in range(3):
-        renderer.draw([Part(scene(300, 1), np.eye(4))], CAMERA, rain)
+        renderer.draw([DrawItem(scene(300, 1), np.eye(4))], CAMERA, rain)
     draws = [at for at, what in enumerate(done) if what == "draw"]
     assert len(draws) == 3
     for at in draws:

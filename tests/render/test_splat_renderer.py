@@ -11,7 +11,7 @@ from gsrain_engine.render.opengl.sort import DepthSort
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
-from gsrain_engine.scene.scene import Part
+from gsrain_engine.scene.scene import DrawItem
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0)
 
@@ -38,7 +38,7 @@ def renderer(context):
 
 
 def draw(renderer, set_, camera=CAMERA, **options):
-    renderer.draw([Part(set_, np.eye(4))], camera, **options)
+    renderer.draw([DrawItem(set_, np.eye(4))], camera, **options)
     return renderer.read()
 
 
@@ -74,7 +74,7 @@ def test_camera_scaling_and_turning_the_world_changes_nothing(renderer):
     set_ = gaussians([[0.1, 0.05, 2.0], [-0.2, 0.1, 3.0]], [0.2, 0.05, 0.1])
     similarity = np.array([[0, 0, 2.0, 5], [-2.0, 0, 0, 6], [0, -2.0, 0, 7], [0, 0, 0, 1]])
     plain = draw(renderer, set_)
-    renderer.draw([Part(set_, similarity)], CAMERA.moved(similarity), with_depth=True)
+    renderer.draw([DrawItem(set_, similarity)], CAMERA.moved(similarity), with_depth=True)
     moved = renderer.read()
     assert np.allclose(moved.rgba, plain.rgba, atol=1e-5)
     assert moved.depth is not None
@@ -222,7 +222,7 @@ def test_too_many_gaussians_say_so(context, monkeypatch):
 
 def test_only_the_first_are_drawn_where_a_part_says_so(renderer):
     set_ = gaussians([[0, 0, 2.0], [0.5, 0, 2.0]])
-    renderer.draw([Part(set_, np.eye(4), 1)], CAMERA)
+    renderer.draw([DrawItem(set_, np.eye(4), 1)], CAMERA)
     assert renderer.statistics.gaussians == 1
     assert renderer.read().rgba.tobytes() == draw(renderer, set_.take(slice(0, 1))).rgba.tobytes()
 
@@ -232,7 +232,7 @@ def test_sorting_on_the_gpu_draws_the_same(context, monkeypatch):
     rng = np.random.default_rng(3)
     set_ = gaussians(rng.uniform([-2, -1, 1], [2, 1, 9], (9000, 3)), 0.1, 0.5)
     by_host = draw(SplatRenderer(context), set_).rgba
-    monkeypatch.setattr("gsrain_engine.render.opengl.renderer.HostSort", DepthSort)
+    monkeypatch.setattr("gsrain_engine.render.opengl.renderer.CpuSort", DepthSort)
     by_gpu = SplatRenderer(context)
     assert draw(by_gpu, set_).rgba.tobytes() == by_host.tobytes()
     assert by_gpu.statistics.splats_drawn > 3000

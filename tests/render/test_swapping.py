@@ -7,16 +7,16 @@ from PIL import Image
 
 from gsrain_engine.editor.drawing import live_view, uploads
 from gsrain_engine.editor.drawing.live_view import LiveView
-from gsrain_engine.editor.drawing.uploads import SkyWatch
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.editor.viewport_state import StagedScene
+from gsrain_engine.editor.drawing.uploads import SkyColorSampler
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.viewport_state import PendingScene
 from gsrain_engine.rain.settings import load_preset
-from gsrain_engine.render.draw import Thinning
+from gsrain_engine.render.draw import LodSubset
 from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.render.sky_color import sky_color
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.flags import Marks, Mask
-from gsrain_engine.scene.scene import Part, Scene
+from gsrain_engine.scene.flags import BitMask, SelectionFlags
+from gsrain_engine.scene.scene import DrawItem, Scene
 from raster.raster_scenes import random_gaussians, small_camera
 from small_scene import small_scene
 
@@ -39,7 +39,7 @@ def picture(view):
 
 @pytest.fixture
 def session():
-    opened = Session(small_scene())
+    opened = Editor(small_scene())
     opened.clock.playing = False
     yield opened
     opened.close()
@@ -48,7 +48,7 @@ def session():
 @pytest.fixture
 def slow_view(context, session, monkeypatch):
     """A live view that uploads one slice a frame."""
-    monkeypatch.setattr(live_view, "_AT_ONCE", 0)
+    monkeypatch.setattr(live_view, "_CHUNK_SIZE", 0)
     monkeypatch.setattr(live_view, "_UPLOAD_S", 1e-9)
     return LiveView(context, session, "opengl")
 
@@ -96,7 +96,7 @@ def test_a_screenshot_does_not_wait(context, session, slow_view, tmp_path):
 
 def test_a_staged_scene_comes_when_all_of_it_is_uploaded(context, session, slow_view):
     before, first = picture(slow_view), session.scene
-    session.stage(StagedScene("Darker", darkened(session.scene)))
+    session.stage(PendingScene("Darker", darkened(session.scene)))
     frames = 0
     while session.staged is not None:
         assert session.scene is first
@@ -111,7 +111,7 @@ def test_a_staged_scene_comes_when_all_of_it_is_uploaded(context, session, slow_
 def test_a_scene_that_is_opened_lets_go_of_the_last_one(context, session):
     view, first = LiveView(context, session, "opengl"), session.scene
     picture(view)
-    session.stage(StagedScene("other", darkened(small_scene("other")), is_opened=True))
+    session.stage(PendingScene("other", darkened(small_scene("other")), is_opened=True))
     while session.staged is not None:
         picture(view)
     picture(view)
@@ -120,7 +120,7 @@ def test_a_scene_that_is_opened_lets_go_of_the_last_one(context, session):
 
 def test_giving_up_an_upload_keeps_what_is_shown(context):
     renderer, g, other = SplatRenderer(context), random_gaussians(300, 1), random_gaussians(300, 2)
-    renderer.draw([Part(g, np.eye(4))], small_camera())
+    renderer.draw([DrawItem(g, np.eye(4))], small_camera())
     slices = renderer.upload(other, slice_size=100)
     for _ in range(7):  # two arrays, and a third of the third
         next(slices)
@@ -149,7 +149,7 @@ def renderer(context):
 
 
 def test_the_first_look_at_the_sky_is_at_once_and_the_next_a_picture_a_frame(renderer):
-    watch, scene = SkyWatch(), small_scene()
+    watch, scene = SkyColorSampler(), small_scene()
     first = watch.look(renderer, scene, HERE, resting=False)
     assert first == sky_color(renderer, scene, HERE)
     assert first.found
@@ -172,7 +172,7 @@ def test_the_first_look_at_the_sky_is_at_once_and_the_next_a_picture_a_frame(ren
 
 def test_only_a_scene_that_is_there_is_said_to_have_no_sky(renderer, caplog):
     caplog.set_level("INFO", logger="gsrain")
-    watch, scene = SkyWatch(), small_scene()
+    watch, scene = SkyColorSampler(), small_scene()
     watch.look(renderer, Scene("to be opened"), HERE, resting=False)
     assert "shows no sky" not in caplog.text
     walled = scene.with_member("layers/sky", visible=False).with_member("layers/wall", visible=False)
@@ -181,11 +181,11 @@ def test_only_a_scene_that_is_there_is_said_to_have_no_sky(renderer, caplog):
 
 
 def test_no_look_while_something_is_dragged_nor_when_only_the_selection_changes(renderer):
-    watch, scene = SkyWatch(), small_scene()
+    watch, scene = SkyColorSampler(), small_scene()
     watch.look(renderer, scene, HERE, resting=False)
     renderer.limits.clear()
     g = scene.layers[0].gaussians
-    selected = scene.with_member("layers/road", marks=Marks(selected=Mask.all(len(g))))
+    selected = scene.with_member("layers/road", marks=SelectionFlags(selected=BitMask.all(len(g))))
     assert watch.look(renderer, selected, HERE, resting=True) is None
     assert watch.is_through
     for step in range(5):
@@ -197,7 +197,7 @@ def test_no_look_while_something_is_dragged_nor_when_only_the_selection_changes(
 
 
 def test_large_scenes_are_looked_at_in_part_first_and_in_full_at_rest(renderer, monkeypatch):
-    watch, scene = SkyWatch(), small_scene()
+    watch, scene = SkyColorSampler(), small_scene()
     watch.look(renderer, scene, HERE, resting=False)
     monkeypatch.setattr(uploads, "_QUICK", 500)
     other, looks = darkened(scene), []
@@ -231,10 +231,10 @@ def test_a_screenshot_finds_the_exact_sky(context, session, monkeypatch, tmp_pat
 
 def test_growth_is_worked_out_once_for_all_colours(monkeypatch):
     calls = []
-    monkeypatch.setattr("gsrain_engine.render.draw.growth_of", lambda g, share: calls.append(share) or 1.5)
-    g, thinning = random_gaussians(100), Thinning(0.25)
+    monkeypatch.setattr("gsrain_engine.render.draw.lod_growth", lambda g, share: calls.append(share) or 1.5)
+    g, thinning = random_gaussians(100), LodSubset(0.25)
     for sh in (g.sh, g.sh * np.float32(2)):
-        part = thinning(Part(g.with_sh(sh), np.eye(4)))
+        part = thinning(DrawItem(g.with_sh(sh), np.eye(4)))
         assert (part.limit, part.growth) == (25, 1.5)
     assert calls == [0.25]
     thinning.forget_all_but([g])

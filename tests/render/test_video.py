@@ -8,7 +8,7 @@ import av
 import numpy as np
 import pytest
 
-from gsrain_engine.render.video import TornFile, VideoWriter, can_write_videos
+from gsrain_engine.render.video import ErrorCapturingFile, VideoWriter, can_write_videos
 
 
 def frames(count=12, width=64, height=48):
@@ -61,7 +61,7 @@ def test_an_interrupted_video_is_playable(tmp_path):
 
 
 def test_ctrl_c_is_heard_while_the_file_is_written(tmp_path, monkeypatch):
-    path, written = tmp_path / "stopped.mp4", TornFile.write
+    path, written = tmp_path / "stopped.mp4", ErrorCapturingFile.write
     pressed = []
 
     def write(file, data):
@@ -70,7 +70,7 @@ def test_ctrl_c_is_heard_while_the_file_is_written(tmp_path, monkeypatch):
             signal.raise_signal(signal.SIGINT)
         return written(file, data)
 
-    monkeypatch.setattr(TornFile, "write", write)
+    monkeypatch.setattr(ErrorCapturingFile, "write", write)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         with pytest.raises(KeyboardInterrupt), VideoWriter(path, 64, 48, 30.0) as video:

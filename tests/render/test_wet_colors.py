@@ -8,18 +8,18 @@ import pytest
 
 from gsrain_engine.editor.drawing import live_view
 from gsrain_engine.editor.drawing.live_view import LiveView
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.editor.viewport_state import StagedScene
-from gsrain_engine.rain.keyframes import Weather, WeatherKey
-from gsrain_engine.rain.settings import Rain, load_preset
-from gsrain_engine.rain.simulation import Rainfall
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.viewport_state import PendingScene
+from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
+from gsrain_engine.rain.settings import RainSettings, load_preset
+from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.rain.wetness import wetness
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.render.sequence import FrameSequence
-from gsrain_engine.render.sky_color import Sky, sky_color
+from gsrain_engine.render.sky_color import SkyColor, sky_color
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.flags import Mask
+from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.transforms import with_wetness_baked
 from raster.raster_scenes import small_camera
 from raster.test_marked_parts import COLORS
@@ -51,7 +51,7 @@ def test_opengl_blends_as_the_processor_does(context, harmonics, degree):
     assert drawn(opengl, part).tobytes() == clear
     soaked = part._replace(wetness=1.0)
     assert drawn(opengl, soaked).tobytes() == drawn(opengl, blended(soaked)).tobytes() != clear
-    between = part._replace(wetness=0.4, colors=COLORS, selected=Mask.of(np.arange(300) % 3 == 0))
+    between = part._replace(wetness=0.4, colors=COLORS, selected=BitMask.of(np.arange(300) % 3 == 0))
     atol = {"single": 2e-3, "half": 3e-3, "byte": 5e-2}[harmonics]
     np.testing.assert_allclose(drawn(opengl, between), drawn(CpuRenderer(), between), atol=atol)
     dry = wet_part(degree=2)._replace(wet_sh=None)
@@ -96,13 +96,13 @@ def test_the_sky_gets_as_dark_as_it_looks():
     between = sky_color(renderer, with_wetness_baked(scene, 0.5), HERE).color
     assert sky.at(0.5) == pytest.approx(between, abs=2e-3)
     assert max(sky.at(0.5)) < max(sky.at(0.0)) - 0.05
-    assert Sky((0.1, 0.2, 0.3), True).at(0.7) == (0.1, 0.2, 0.3)
+    assert SkyColor((0.1, 0.2, 0.3), True).at(0.7) == (0.1, 0.2, 0.3)
 
 
 def test_a_sequence_gets_wet_as_its_weather_does():
     """Frame by frame as the same scene in the colours of that wetness, drops included."""
-    keys = (WeatherKey(time_s=0, intensity_mm_h=0.0), WeatherKey(time_s=4, intensity_mm_h=12.0))
-    rain = Rainfall.start(Rain(seed=3), weather=Weather(keys=keys))
+    keys = (RainKeyframe(time_s=0, intensity_mm_h=0.0), RainKeyframe(time_s=4, intensity_mm_h=12.0))
+    rain = RainSimulation.start(RainSettings(seed=3), weather=RainKeyframes(keys=keys))
     scene, renderer = darker(small_scene()), CpuRenderer()
     sequence = FrameSequence(scene, rain, HERE, *SIZE, fps=1.0)
     sky = sequence.sky(renderer)
@@ -112,15 +112,15 @@ def test_a_sequence_gets_wet_as_its_weather_does():
     assert brightness[0] > brightness[4] + 0.05
     np.testing.assert_array_equal(frames[0], sequence.frame(renderer, 0, None).rgba)
     alone = replace(sequence, scene=small_scene(), rainfall=rain)
-    assert np.abs(frames[4] - alone.frame(renderer, 4, Sky(sky.at(wetness(12.0)), True)).rgba).mean() > 0.05
-    held = Rainfall.start(Rain(seed=3, wetness=wetness(12.0)), weather=Weather(keys=keys))
+    assert np.abs(frames[4] - alone.frame(renderer, 4, SkyColor(sky.at(wetness(12.0)), True)).rgba).mean() > 0.05
+    held = RainSimulation.start(RainSettings(seed=3, wetness=wetness(12.0)), weather=RainKeyframes(keys=keys))
     fixed = replace(sequence, rainfall=held)
     np.testing.assert_array_equal(fixed.frame(renderer, 4, sky).rgba, frames[4])
 
 
 @pytest.fixture
 def session():
-    opened = Session(small_scene())
+    opened = Editor(small_scene())
     opened.clock.playing = False
     yield opened
     opened.close()
@@ -170,12 +170,12 @@ def test_drops_take_the_wet_skys_colour(context, session):
 
 
 def test_finished_wet_colours_are_one_step_and_come_in_slices(context, session, monkeypatch):
-    monkeypatch.setattr(live_view, "_AT_ONCE", 0)
+    monkeypatch.setattr(live_view, "_CHUNK_SIZE", 0)
     monkeypatch.setattr(live_view, "_UPLOAD_S", 1e-9)
     rain_at(session, 12.0, streaks=False, haze=False)
     view = LiveView(context, session, "opengl")
     clear, before = picture(view), session.scene
-    session.stage(StagedScene("Make it rainy", darker(session.scene), only_wet_colors=True))
+    session.stage(PendingScene("Make it rainy", darker(session.scene), only_wet_colors=True))
     shown = []
     while session.staged is not None:
         shown.append(picture(view))
@@ -192,7 +192,7 @@ def test_finished_wet_colours_are_one_step_and_come_in_slices(context, session, 
 
 
 def test_wet_colours_that_fit_nothing_are_told(session):
-    session.stage(StagedScene("Make it rainy", session.scene, only_wet_colors=True))
+    session.stage(PendingScene("Make it rainy", session.scene, only_wet_colors=True))
     session.swap_in()
     assert (
         session.problem == "The scene has changed so much that the new wet colours fit none of its layers and actors."

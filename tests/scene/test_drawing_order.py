@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.lod_order import drawing_order, growth_of, in_drawing_order, level_ends, put_into_drawing_order
+from gsrain_engine.scene.lod_order import in_lod_order, lod_growth, lod_level_ends, lod_order, sort_into_lod_order
 
 NUMBERS = st.one_of(st.sampled_from([0.0, 1e-30, 1e30, 1.0]), st.floats(0, 10, width=32))
 
@@ -53,10 +53,10 @@ def arrays_of(gaussians):
 def test_levels_hold_everything_once_and_what_contributes_nothing_last(gaussians):
     with np.errstate(over="ignore"):
         values = contributions(gaussians)
-    order = drawing_order(gaussians)
+    order = lod_order(gaussians)
     assert sorted(order) == list(range(len(gaussians)))
-    np.testing.assert_array_equal(order, drawing_order(gaussians))
-    ends = level_ends(len(gaussians))
+    np.testing.assert_array_equal(order, lod_order(gaussians))
+    ends = lod_level_ends(len(gaussians))
     assert ends[-1] == len(gaussians)
     for end in ends:
         if (values[order[:end]] == 0).any():
@@ -70,7 +70,7 @@ def test_large_ones_come_first_and_equal_ones_evenly():
     scales[:100] = 1.0
     means = np.random.default_rng(1).uniform(0, 1, (4100, 3)).astype(np.float32)
     gaussians = Gaussians(means, scales, many.quaternions, np.ones(4100, np.float32), many.sh)
-    first = drawing_order(gaussians)[: level_ends(4100)[0]]
+    first = lod_order(gaussians)[: lod_level_ends(4100)[0]]
     assert np.sum(first < 100) == 100  # a chance of 1 in e^10 each to come later
     equal = first[first >= 100]
     left = np.mean(means[equal, 0] < 0.5)
@@ -79,11 +79,11 @@ def test_large_ones_come_first_and_equal_ones_evenly():
 
 @given(odd_gaussians(), st.sampled_from([1 / 8, 1 / 4, 1 / 2, 1.0]))
 def test_what_is_kept_grows_to_cover_what_all_did(gaussians, share):
-    ordered = in_drawing_order(gaussians)
+    ordered = in_lod_order(gaussians)
     with np.errstate(over="ignore"):
         values = contributions(ordered).astype(np.float64)
     kept = values[: int(np.ceil(share * len(ordered)))].sum()
-    growth = growth_of(ordered, share)
+    growth = lod_growth(ordered, share)
     assert growth >= 1
     if kept > 0:
         np.testing.assert_allclose(growth**2 * kept, values.sum(), rtol=1e-6)
@@ -91,9 +91,9 @@ def test_what_is_kept_grows_to_cover_what_all_did(gaussians, share):
 
 @given(odd_gaussians())
 def test_in_place_is_the_same_order(gaussians):
-    expected = in_drawing_order(gaussians)
+    expected = in_lod_order(gaussians)
     own = Gaussians(**{name: array.copy() for name, array in arrays_of(gaussians).items()})
-    put_into_drawing_order(own)
+    sort_into_lod_order(own)
     for name, array in arrays_of(expected).items():
         np.testing.assert_array_equal(array, getattr(own, name))
 
@@ -103,23 +103,23 @@ def test_in_place_is_the_same_order(gaussians):
 def test_what_is_not_finite_is_ordered_too(field, value):
     values = arrays_of(random_gaussians(100))
     values[field][3] = value
-    order = drawing_order(Gaussians(**values))
+    order = lod_order(Gaussians(**values))
     assert sorted(order) == list(range(100))
     if field != "means":
-        assert 3 in order[level_ends(100)[-2] :]
+        assert 3 in order[lod_level_ends(100)[-2] :]
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_a_few_are_ordered(count):
     gaussians = random_gaussians(count, degree=3)
-    assert sorted(drawing_order(gaussians)) == list(range(count))
-    put_into_drawing_order(gaussians)
+    assert sorted(lod_order(gaussians)) == list(range(count))
+    sort_into_lod_order(gaussians)
     assert len(gaussians) == count
 
 
 def test_a_level_is_a_path_through_space():
-    gaussians = in_drawing_order(random_gaussians(8000))
-    first = gaussians.means[: level_ends(8000)[0]]
+    gaussians = in_lod_order(random_gaussians(8000))
+    first = gaussians.means[: lod_level_ends(8000)[0]]
     step = np.linalg.norm(np.diff(first, axis=0), axis=1).mean()
     shuffled = np.random.default_rng(1).permutation(first)
     assert step < 0.35 * np.linalg.norm(np.diff(shuffled, axis=0), axis=1).mean()
@@ -129,4 +129,4 @@ def test_arrays_that_must_not_be_written_are_refused():
     gaussians = random_gaussians(5)
     gaussians.scales.flags.writeable = False
     with pytest.raises(ValueError, match="scales must be contiguous and writable"):
-        put_into_drawing_order(gaussians)
+        sort_into_lod_order(gaussians)

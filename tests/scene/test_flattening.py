@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from gsrain_engine.scene.gaussians import Gaussians, evaluate_sh
 from gsrain_engine.scene.geometry import matrices_from_quaternions, normalized
-from gsrain_engine.scene.scene import Actor, Layer, Scene, Track
-from gsrain_engine.scene.transforms import FILE_UP, flattened, moved
+from gsrain_engine.scene.scene import Actor, Layer, PoseTrack, Scene
+from gsrain_engine.scene.transforms import FILE_UP, flatten_scene, transform_gaussians
 
 
 def sample(count: int, sh_degree: int = 3, seed: int = 1) -> Gaussians:
@@ -42,7 +42,7 @@ def similarity(seed: int, scale: float) -> np.ndarray:
 @settings(max_examples=25, deadline=None)
 def test_moved_gaussians_have_the_moved_ellipsoids_and_colours(seed: int, scale: float) -> None:
     g, matrix = sample(20, seed=seed % 7), similarity(seed, scale)
-    m = moved(g, matrix)
+    m = transform_gaussians(g, matrix)
     a = matrix[:3, :3]
     np.testing.assert_allclose(m.means, g.means @ a.T + matrix[:3, 3], rtol=1e-5, atol=1e-4 * max(scale, 1))
     np.testing.assert_allclose(covariances(m), a @ covariances(g) @ a.T, atol=1e-5 * scale**2)
@@ -55,40 +55,40 @@ def test_moved_gaussians_have_the_moved_ellipsoids_and_colours(seed: int, scale:
 
 def test_the_identity_changes_nothing() -> None:
     g = sample(4)
-    assert moved(g, np.eye(4)) is g
+    assert transform_gaussians(g, np.eye(4)) is g
 
 
 def car(time_on_track: float = 0.0) -> Actor:
     quarter_left = np.array([[np.sqrt(0.5), 0, 0, np.sqrt(0.5)]] * 2)
     times = np.array([0.0, 1.0]) + time_on_track
-    track = Track(times, np.array([[10.0, 0, 0], [20, 0, 0]]), quarter_left, np.ones(2, np.bool_))
+    track = PoseTrack(times, np.array([[10.0, 0, 0], [20, 0, 0]]), quarter_left, np.ones(2, np.bool_))
     return Actor("a", "car", (4.5, 1.8, 1.5), sample(6, 1, seed=4), track)
 
 
 def test_visible_layers_and_actors_at_time_0_are_joined() -> None:
     layers = (Layer("a", sample(5)), Layer("b", sample(7), visible=False), Layer("sky", sample(3, 2), kind="sky"))
     scene = Scene("s", layers, (car(), replace(car(), visible=False)), up=FILE_UP)
-    joined = flattened(scene)
+    joined = flatten_scene(scene)
     assert len(joined) == 5 + 3 + 6
     np.testing.assert_array_equal(joined.means[:5], layers[0].gaussians.means)
     np.testing.assert_array_equal(joined.sh[:5], layers[0].gaussians.sh)
     np.testing.assert_array_equal(joined.sh[5:8, :9], layers[2].gaussians.sh)
     x, y, z = car().gaussians.means.T
     np.testing.assert_allclose(joined.means[8:], np.stack([10 - y, x, z], axis=1), atol=1e-5)
-    np.testing.assert_allclose(flattened(scene, 1.0).means[8:, 0], 20 - y, atol=1e-5)
+    np.testing.assert_allclose(flatten_scene(scene, 1.0).means[8:, 0], 20 - y, atol=1e-5)
 
 
 @pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (0.3, 0.2, -0.7)])
 def test_files_show_in_the_world_what_the_scene_shows(up: tuple[float, float, float]) -> None:
     scene = Scene("s", (Layer("a", sample(9)),), (car(),), metres_per_unit=2.5, up=up)
-    read_back = Scene("t", (Layer("t", flattened(scene)),), up=FILE_UP)
-    before = Gaussians.concatenate([moved(part.gaussians, part.to_world) for part in scene.parts()])
+    read_back = Scene("t", (Layer("t", flatten_scene(scene)),), up=FILE_UP)
+    before = Gaussians.concatenate([transform_gaussians(part.gaussians, part.to_world) for part in scene.parts()])
     (part,) = read_back.parts()
-    after = moved(part.gaussians, part.to_world)
+    after = transform_gaussians(part.gaussians, part.to_world)
     np.testing.assert_allclose(after.means, before.means, atol=1e-4)
     np.testing.assert_allclose(covariances(after), covariances(before), atol=1e-5)
     np.testing.assert_allclose(after.sh, before.sh, atol=1e-5)
 
 
 def test_a_scene_without_anything_visible_is_empty() -> None:
-    assert len(flattened(Scene("s", (Layer("a", sample(5), visible=False),)))) == 0
+    assert len(flatten_scene(Scene("s", (Layer("a", sample(5), visible=False),)))) == 0

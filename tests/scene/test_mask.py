@@ -3,14 +3,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.scene.flags import Mask, union
+from gsrain_engine.scene.flags import BitMask, mask_union
 
 flags = st.lists(st.booleans(), max_size=100).map(lambda each: np.array(each, np.bool_))
 
 
 @given(flags)
 def test_flags_come_back(given_flags):
-    mask = Mask.of(given_flags)
+    mask = BitMask.of(given_flags)
     assert np.array_equal(mask.flags, given_flags)
     assert mask.size == given_flags.sum()
     assert bool(mask) == given_flags.any()
@@ -20,7 +20,7 @@ def test_flags_come_back(given_flags):
 @given(st.integers(0, 100).flatmap(lambda n: st.tuples(*[st.lists(st.booleans(), min_size=n, max_size=n)] * 2)))
 def test_masks_combine_as_sets(pair):
     a, b = (np.array(each, np.bool_) for each in pair)
-    x, y = Mask.of(a), Mask.of(b)
+    x, y = BitMask.of(a), BitMask.of(b)
     assert np.array_equal((x & y).flags, a & b)
     assert np.array_equal((x | y).flags, a | b)
     assert np.array_equal((x - y).flags, a & ~b)
@@ -30,13 +30,13 @@ def test_masks_combine_as_sets(pair):
 
 
 def test_a_million_take_125_kb_and_unions_are_the_same_value():
-    mask = Mask.all(1_000_000)
+    mask = BitMask.all(1_000_000)
     assert mask.words.nbytes == 125_000
-    none = Mask.none(1_000_000)
-    assert union(mask, none) is union(mask, none)
-    assert Mask.of(np.arange(40) % 3 == 0).take(np.array([3, 1, 39])).flags.tolist() == [True, False, True]
+    none = BitMask.none(1_000_000)
+    assert mask_union(mask, none) is mask_union(mask, none)
+    assert BitMask.of(np.arange(40) % 3 == 0).take(np.array([3, 1, 39])).flags.tolist() == [True, False, True]
 
 
 def test_a_mask_of_another_length_is_refused():
     with pytest.raises(ValueError, match="2 words, not 1"):
-        Mask(33, np.zeros(1, np.uint32))
+        BitMask(33, np.zeros(1, np.uint32))

@@ -7,13 +7,13 @@ import pytest
 
 from boxy_scene import boxy_scene
 from gsrain_engine.scene.objects import COCO_CATEGORIES, scene_objects
-from gsrain_engine.scene.open import cached_street
+from gsrain_engine.scene.open import load_street
 from gsrain_engine.scene.street.layout import StreetParameters, plan_street
 
 
 @pytest.fixture(scope="module")
 def street():
-    return cached_street()
+    return load_street()
 
 
 def test_the_street_has_its_lead_car_and_every_parked_vehicle(street):

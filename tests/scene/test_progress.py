@@ -1,6 +1,6 @@
 import pytest
 
-from gsrain_engine.scene.progress import Progress, finished
+from gsrain_engine.scene.progress import Progress, run_to_end
 
 
 def work(stops_at=None):
@@ -13,13 +13,13 @@ def work(stops_at=None):
 
 def test_work_is_done_to_its_end_and_every_step_is_told():
     told = []
-    assert finished(work(), told.append) == "a scene"
+    assert run_to_end(work(), told.append) == "a scene"
     assert [step.message for step in told] == ["step 0", "step 1", "step 2"]
-    assert finished(work()) == "a scene"
+    assert run_to_end(work()) == "a scene"
 
 
 def test_what_work_raises_comes_through():
     told = []
     with pytest.raises(ValueError, match="disk is full"):
-        finished(work(stops_at=2), told.append)
+        run_to_end(work(stops_at=2), told.append)
     assert len(told) == 2

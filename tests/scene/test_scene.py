@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.geometry import matrices_from_quaternions, quaternion_product, quaternions_from_matrices
-from gsrain_engine.scene.scene import Actor, Layer, Scene, Track, rotation_to_z_up
+from gsrain_engine.scene.scene import Actor, Layer, PoseTrack, Scene, rotation_to_z_up
 
 unit = (
     st.tuples(*[st.floats(-1, 1)] * 4)
@@ -25,7 +25,7 @@ def some(n=3, k=1):
 
 def track(valid=(True, True, True)):
     quarter = Rotation.from_euler("z", [[0], [90], [90]], degrees=True).as_quat()[:, [3, 0, 1, 2]]
-    return Track(np.array([0.0, 1, 3]), np.array([[0.0, 0, 0], [2, 0, 0], [2, 4, 0]]), quarter, np.array(valid))
+    return PoseTrack(np.array([0.0, 1, 3]), np.array([[0.0, 0, 0], [2, 0, 0], [2, 4, 0]]), quarter, np.array(valid))
 
 
 @given(unit)

@@ -20,13 +20,13 @@ from gsrain_engine.trusted_code import (
     check_named,
     check_trusted,
     check_unchanged,
-    expect,
+    expect_trusted,
     importable,
     is_trusted,
     read_code,
-    remember,
     run_main,
     trust,  # fmt: skip
+    trust_permanently,
 )
 
 
@@ -117,7 +117,7 @@ def test_answers_are_remembered_by_content_in_a_private_file(driver):
         UntrustedCodeError, match=rf"s\.yaml: names Python code.*driver\.py \(SHA-256 {code.digest[:12]}"
     ):
         check_trusted("s.yaml", [code])
-    remember([code])
+    trust_permanently([code])
     assert stat.S_IMODE(answers_file().stat().st_mode) == 0o600
     trusted_code._trusted.clear()  # another process
     check_trusted("s.yaml", [read_code(driver)])
@@ -126,16 +126,16 @@ def test_answers_are_remembered_by_content_in_a_private_file(driver):
     driver.write_text("import os\n")
     with pytest.raises(UntrustedCodeError):
         check_trusted("s.yaml", [read_code(driver)])
-    remember([read_code(driver)])
+    trust_permanently([read_code(driver)])
     assert len(json.loads(answers_file().read_bytes())["trusted"]) == 2
 
 
 def test_answers_that_others_could_have_written_do_not_count(driver, caplog):
-    remember([read_code(driver)])
+    trust_permanently([read_code(driver)])
     trusted_code._trusted.clear()
     answers_file().chmod(0o620)
     assert not is_trusted(read_code(driver)) and "others could have written it" in caplog.text
-    remember([read_code(driver)])
+    trust_permanently([read_code(driver)])
     trusted_code._trusted.clear()
     assert is_trusted(read_code(driver)) and stat.S_IMODE(answers_file().stat().st_mode) == 0o600
 
@@ -150,14 +150,14 @@ def test_a_damaged_file_of_answers_allows_nothing(driver, text):
 def test_an_answer_that_can_not_be_written_down_holds_for_now(driver, tmp_path, caplog, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "file"))
-    remember([read_code(driver)])
+    trust_permanently([read_code(driver)])
     assert is_trusted(read_code(driver)) and "is not remembered" in caplog.text
 
 
 def test_what_comes_after_the_answer_is_checked_when_it_runs(tmp_path):
     program = tmp_path / "program.py"
     check_unchanged(_code(program, "A = 1\n"))  # a person named it
-    expect({str(program): _code(program, "A = 1\n").digest})
+    expect_trusted({str(program): _code(program, "A = 1\n").digest})
     check_unchanged(_code(program, "A = 1\n"))
     with pytest.raises(UntrustedCodeError):
         check_unchanged(_code(program, "A = 2\n"))

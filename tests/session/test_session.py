@@ -11,23 +11,23 @@ import numpy as np
 import psutil
 import pytest
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.transform import pivot
 from gsrain_engine.editor.rain_regions import project_edges, region_outlines
-from gsrain_engine.editor.viewport.camera import Navigation
-from gsrain_engine.malloc_tuning import FreedMemory, return_freed_memory
-from gsrain_engine.rain.settings import Rain
-from gsrain_engine.rain.shelter_map import roofs_of
+from gsrain_engine.editor.viewport.camera import OrbitCamera
+from gsrain_engine.malloc_tuning import MemoryTrimmer, trim_memory
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.shelter_map import shelter_map_of
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
-from gsrain_engine.scene.scene import Core
-from gsrain_engine.simulation.ground import ground_of
+from gsrain_engine.scene.scene import SceneCore
+from gsrain_engine.simulation.ground import road_surface_of
 from gsrain_engine.simulation.obstacles import occupied_space_of
 from small_scene import small_scene
 
 
 @pytest.fixture
 def session():
-    opened = Session(small_scene())
+    opened = Editor(small_scene())
     yield opened
     opened.close()
 
@@ -131,7 +131,7 @@ def test_rain_saved_with_a_scene_is_plain_values(session):
 
 
 def test_orbit_keeps_its_target_and_its_distance():
-    eye = Navigation()
+    eye = OrbitCamera()
     target = eye.target.copy()
     eye.orbit(0.3, 0.2)
     assert eye.target == pytest.approx(target)
@@ -141,9 +141,9 @@ def test_orbit_keeps_its_target_and_its_distance():
 
 
 def test_frame_shows_the_whole_box():
-    eye = Navigation()
+    eye = OrbitCamera()
     low, high = np.array([-3.0, 1, 0]), np.array([5.0, 9, 4])
-    eye.frame(Core(low, high))
+    eye.frame(SceneCore(low, high))
     camera = eye.camera(600, 400)
     corners = np.array([[x, y, z] for x in (-3, 5) for y in (1, 9) for z in (0, 4)], float)
     seen = corners @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
@@ -153,7 +153,7 @@ def test_frame_shows_the_whole_box():
 
 
 def test_flying_moves_along_the_sight_and_stops():
-    eye = Navigation(heading=np.pi / 2, speed_m_s=4.0)
+    eye = OrbitCamera(heading=np.pi / 2, speed_m_s=4.0)
     start = eye.position.copy()
     eye.fly(1.0, 0.0, 0.0, 0.5)
     assert eye.position - start == pytest.approx([0, 2, 0], abs=1e-12)
@@ -176,13 +176,13 @@ def test_region_edges_are_cut_at_the_camera(session):
 
 
 def test_roofs_are_found_behind_the_window_and_rain_falls_through_them_until_then():
-    session = Session(small_scene(), Rain(intensity_mm_h=8.5, roofs=True))
+    session = Editor(small_scene(), RainSettings(intensity_mm_h=8.5, roofs=True))
     assert session.busy == "Finding roofs"
-    assert not session.sides[0].rainfall.rain.roofs
+    assert not session.split_panes[0].rainfall.rain.roofs
     session.update(0.0)
     wait(session.pending_files, timeout=60)
     assert session.busy is None
-    assert session.sides[0].rainfall is session.rainfall
+    assert session.split_panes[0].rainfall is session.rainfall
     session.show_member(session.scene.layers[0].key, visible=False)  # another scene, as seen from above
     assert session.busy == "Finding roofs"
     session.close()
@@ -195,7 +195,7 @@ def test_freed_memory_goes_back_to_the_system():
     kept = blocks[::200]
     del blocks
     full = psutil.Process().memory_info().rss
-    return_freed_memory()
+    trim_memory()
     assert psutil.Process().memory_info().rss < full - 100e6
     assert len(kept) == 200
 
@@ -240,11 +240,11 @@ def test_memory_that_threads_free_goes_back_only_from_one_arena():
 
 def test_memory_is_returned_a_second_after_work(monkeypatch):
     asked = []
-    monkeypatch.setattr("gsrain_engine.malloc_tuning.return_freed_memory", lambda: asked.append(now[0]))
+    monkeypatch.setattr("gsrain_engine.malloc_tuning.trim_memory", lambda: asked.append(now[0]))
     now = [10.0]
     monkeypatch.setattr("gsrain_engine.malloc_tuning.time.monotonic", lambda: now[0])
     with ThreadPoolExecutor(1) as thread:
-        memory = FreedMemory(thread)
+        memory = MemoryTrimmer(thread)
         memory.poll()
         for now[0] in (10.0, 10.9):  # goes on
             memory.note_work()
@@ -255,9 +255,9 @@ def test_memory_is_returned_a_second_after_work(monkeypatch):
 
 
 def test_nothing_holds_on_to_a_closed_scene():
-    session = Session(small_scene())
-    occupied_space_of(session.scene, ground_of(session.scene))
-    roofs_of(session.scene)
+    session = Editor(small_scene())
+    occupied_space_of(session.scene, road_surface_of(session.scene))
+    shelter_map_of(session.scene)
     pivot(session.scene, session.scene.members[0].key)
     means = [weakref.ref(each.gaussians.means) for each in session.scene.members]
     session.files.close_scene()
@@ -271,9 +271,9 @@ def test_nothing_holds_on_to_a_closed_scene():
 
 def test_a_closed_scene_gives_its_memory_back(monkeypatch):
     returned = Event()
-    monkeypatch.setattr("gsrain_engine.malloc_tuning.return_freed_memory", returned.set)
+    monkeypatch.setattr("gsrain_engine.malloc_tuning.trim_memory", returned.set)
     monkeypatch.setattr("gsrain_engine.malloc_tuning._REST_S", 0.0)
-    session = Session(small_scene())
+    session = Editor(small_scene())
     session.files.close_scene()
     session.update(0.1)
     assert returned.wait(10)

@@ -6,23 +6,23 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.rain.keyframes import Weather, WeatherKey, passing_shower
-from gsrain_engine.rain.settings import Rain
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes, shower_keyframes
+from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
 
 
 @pytest.fixture
 def session():
-    session = Session(small_scene())
+    session = Editor(small_scene())
     session.clock.playing = False
     yield session
     session.close()
 
 
 def keys(*pairs):
-    return Weather(keys=tuple(WeatherKey(time_s=time, intensity_mm_h=rate) for time, rate in pairs))
+    return RainKeyframes(keys=tuple(RainKeyframe(time_s=time, intensity_mm_h=rate) for time, rate in pairs))
 
 
 def test_weather_is_part_of_the_document_and_is_undone(session):
@@ -59,7 +59,7 @@ def test_drops_go_on_from_where_they_are_when_keys_change(session):
     session.clock.time_s = 6.0
 
     def displacement():
-        return session.rainfall.moment(6.0).motion.displacement(6.0)
+        return session.rainfall.frozen_at(6.0).motion.displacement(6.0)
 
     before = displacement()
     session.set_weather("Shower", keys((0.0, 0.0), (10.0, 10.0)))
@@ -72,11 +72,11 @@ def test_drops_go_on_from_where_they_are_when_keys_change(session):
 
 
 def test_weather_is_saved_with_the_scene_and_comes_back(session, tmp_path):
-    shower = passing_shower(2.0)
+    shower = shower_keyframes(2.0)
     session.set_weather("Shower", shower)
     session.save(tmp_path / "wet")
     settle(session)
-    other = Session()
+    other = Editor()
     other.open(str(tmp_path / "wet"))
     settle(other)
     other.swap_in()
@@ -86,10 +86,11 @@ def test_weather_is_saved_with_the_scene_and_comes_back(session, tmp_path):
 
 
 def test_weather_that_cannot_be_used_is_logged_and_ignored(session, tmp_path):
-    bad = msgspec.to_builtins(passing_shower())
+    bad = msgspec.to_builtins(shower_keyframes())
     bad["keys"][1]["intensity_mm_h"] = 5000.0
     write_scene(
-        replace(small_scene(), weather=bad, rain=msgspec.to_builtins(Rain(intensity_mm_h=2.0))), tmp_path / "bad"
+        replace(small_scene(), weather=bad, rain=msgspec.to_builtins(RainSettings(intensity_mm_h=2.0))),
+        tmp_path / "bad",
     )
     session.open(str(tmp_path / "bad"))
     settle(session)
@@ -108,10 +109,10 @@ def settle(session):
 def test_before_and_after_each_have_their_weather(session):
     session.set_weather("Shower", keys((0.0, 6.0), (10.0, 10.0)))
     session.view.split = "before | after"
-    before, after = session.sides
+    before, after = session.split_panes
     assert before.rainfall.state_at(5.0).intensity_mm_h == 0.0
     assert after.rainfall.state_at(5.0).intensity_mm_h == 8.0
     session.view.split = "clear | rainy"
-    clear, rainy = session.sides
+    clear, rainy = session.split_panes
     assert clear.rainfall.state_at(5.0).intensity_mm_h == 0.0
     assert rainy.rainfall.state_at(5.0).intensity_mm_h == 8.0

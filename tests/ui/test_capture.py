@@ -4,7 +4,7 @@ import numpy as np
 from imgui_bundle import ImVec2
 
 from gsrain_engine.editor import capture_view
-from gsrain_engine.editor.capture_view import LARGE_PX, THUMBNAIL_PX, Wish, shown_points
+from gsrain_engine.editor.capture_view import LARGE_PX, THUMBNAIL_PX, ImageRequest, sample_points
 from session.capture.small_capture import COLORS, small_capture, written_capture
 from window_driver import Driver, imgui
 
@@ -51,7 +51,7 @@ def test_a_capture_is_opened_listed_looked_from_and_closed(tmp_path):
         assert captures.chosen == 1
         assert captures.stands_at(driver.session) == 1
         _idle(driver)
-        assert Wish(1, LARGE_PX) in captures.textures
+        assert ImageRequest(1, LARGE_PX) in captures.textures
         assert _share(driver.screen(), COLORS[1]) > 0.05
 
         # Keys go from view to view; the slider and the switch lay the picture over the render.
@@ -131,7 +131,7 @@ def test_what_cannot_be_opened_is_told(tmp_path):
 
 def test_measured_points_are_drawn_over_the_picture(tmp_path, monkeypatch):
     capture = small_capture()
-    monkeypatch.setattr(capture_view, "_read", lambda path: (capture, shown_points(capture)))
+    monkeypatch.setattr(capture_view, "_read", lambda path: (capture, sample_points(capture)))
     driver = Driver(tmp_path, backend="opengl")
     session, captures = driver.session, driver.session.captures
 

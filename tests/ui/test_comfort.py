@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.notifications import Answer, Question, nothing
+from gsrain_engine.editor.notifications import Answer, Question, do_nothing
 from gsrain_engine.scene.scene import Scene
 from ui.commands.base import chord, chord_name
 from ui.commands.registry import ACTIONS
@@ -42,7 +42,7 @@ def test_fields_have_edges_and_questions_darken_the_rest(driver, tmp_path, monke
     session, screens = driver.session, []
 
     def script():
-        session.prefer(theme=theme)
+        session.set_preference(theme=theme)
         driver.ctx.window_focus("//Rain")
         driver.frames(3)
         item = driver.ctx.item_info("//Rain/Roofs").rect_full
@@ -50,7 +50,7 @@ def test_fields_have_edges_and_questions_darken_the_rest(driver, tmp_path, monke
         low, middle = (int(item.min.x), int(item.min.y)), int(item.min.y + imgui.get_font_size() / 2)
         box = screens[0][middle, low[0] - 3 : low[0] + 12]
         assert np.abs(np.diff(box.sum(axis=1))).max() > 60  # not white on white
-        session.questions.ask(Question("Well?", "Well?", (Answer("OK", nothing),)))
+        session.questions.ask(Question("Well?", "Well?", (Answer("OK", do_nothing),)))
         driver.frames(30)  # it fades in
         screens.append(driver.screen())
         assert screens[1][:60].mean() < 0.8 * screens[0][:60].mean()

@@ -55,7 +55,7 @@ def test_a_scenario_is_changed_saved_and_driven_from_the_panel(driver, tmp_path)
         driver.ctx.item_input_value("**/##duration_s", 1.0)
         driver.ctx.item_input_value("**/##speed_m_s", 2.5)
         driver.frames()
-        assert drives.wanted.is_changed
+        assert drives.settings.is_changed
         driver.ctx.item_click("**/###save scenario")
         choose(driver, "Save the scenario", tmp_path / "short.yaml", "Save")
         saved = load_scenario(tmp_path / "short.yaml")
@@ -93,7 +93,7 @@ def test_a_drive_that_plays_is_filmed_and_a_film_is_only_replaced_when_asked(dri
         choose(driver, "Film the drive", film, "Save")
         driver.until(lambda: len(session.jobs) == 1)
         job = session.jobs[0]
-        assert session.drives.why_no_film(session) == "A film is being made."
+        assert session.drives.why_no_video(session) == "A film is being made."
         driver.until(lambda: job.state != "running", 100_000)
         assert (job.state, job.error) == ("finished", None)
         driver.click("//Record/Film the drive...")

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.flags import Mask
-from gsrain_engine.scene.scene import Actor, Track
+from gsrain_engine.scene.flags import BitMask
+from gsrain_engine.scene.scene import Actor, PoseTrack
 from small_scene import patch, small_scene
 from ui.commands.base import chord
 from ui.tools.registry import TOOLS
@@ -21,7 +21,7 @@ def driver(tmp_path):
 def with_car():
     """The small scene with a car that drives 3 m/s."""
     times = np.arange(5.0)
-    track = Track(times, np.stack([8 + 3 * times, 0 * times, 0 * times], axis=1), np.tile([1.0, 0, 0, 0], (5, 1)),
+    track = PoseTrack(times, np.stack([8 + 3 * times, 0 * times, 0 * times], axis=1), np.tile([1.0, 0, 0, 0], (5, 1)),
                   np.ones(5, bool))  # fmt: skip
     body = patch((-2, -1, 0.2), np.array([0, 2.0, 0]), np.array([0, 0, 1.4]), 8, (0.8, 0.1, 0.1))
     return replace(small_scene(), actors=(Actor("car", "car", (4.0, 2.0, 1.5), body, track),))
@@ -64,7 +64,7 @@ def click_on(driver, point_m):
 
 
 def select(session, key, flags):
-    marks = replace(session.scene.member(key).marks, selected=Mask.of(flags))
+    marks = replace(session.scene.member(key).marks, selected=BitMask.of(flags))
     session.set_scene("Select", session.scene.with_member(key, marks=marks))
 
 

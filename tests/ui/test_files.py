@@ -6,9 +6,9 @@ from functools import partial
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.notifications import Answer, Question
-from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from session.files.open_document import HeldJob
 from small_scene import small_scene
@@ -204,7 +204,7 @@ def test_what_was_kept_is_recovered_and_a_change_on_the_disk_is_asked_about(tmp_
     died = before.session
     died.files.home = home
     member = died.scene.members[0]
-    marks = Marks(deleted=Mask.of(np.arange(len(member.gaussians)) < 100))
+    marks = SelectionFlags(deleted=BitMask.of(np.arange(len(member.gaussians)) < 100))
     died.set_scene("Delete", died.scene.with_member(member.key, marks=marks))
     died.files.recovery.enter(home, died.history.previous)
     died.update(0.0)
@@ -213,7 +213,7 @@ def test_what_was_kept_is_recovered_and_a_change_on_the_disk_is_asked_about(tmp_
     died.update(0.0)
     died.close()  # without an answer to what becomes of the changes
     driver = Driver(tmp_path)
-    driver.session = Session()
+    driver.session = Editor()
     driver.session.clock.playing = False
     driver.session.open(str(home))
 

@@ -42,7 +42,7 @@ def test_layers_cameras_steps_and_files(tmp_path, monkeypatch):
 def test_a_label_shows_all_of_a_name(name):
     drawn = text.label(name, str(Path("/home") / name))
     shown, _, identity = drawn.partition("##")
-    assert "#" not in identity and shown.replace(" ", "") == text.escaped(name).replace(" ", "")
+    assert "#" not in identity and shown.replace(" ", "") == text.escape_invisible(name).replace(" ", "")
 
 
 def test_titles_and_choices_hide_nothing(monkeypatch):

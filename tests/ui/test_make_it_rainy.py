@@ -90,7 +90,7 @@ def test_closing_the_window_ends_the_worker(driver):
         driver.click(f"{PANEL}###make")
         (job,) = session.jobs
         driver.until(lambda: job.state != "running" or job.progress.message.startswith("Making"), 1_000_000)
-        works.extend([job._worker._process.pid, job._folder._path, job._worker._picture.name])
+        works.extend([job._worker._process.pid, job._folder._path, job._worker._image.name])
 
     driver.run(script)
     process, folder, picture = works

@@ -3,7 +3,7 @@
 import numpy as np
 from imgui_bundle import ImVec2
 
-from gsrain_engine.appearance.correspondence import COLORS, Outcome
+from gsrain_engine.appearance.correspondence import COLORS, MatchOutcome
 from gsrain_engine.datasets.capture_folder import write_views
 from session.matching.test_matching_view import deep_capture
 from window_driver import Driver, imgui
@@ -46,7 +46,7 @@ def test_matches_are_shown_over_the_recorded_view(tmp_path):
         middle = int((corner.min.y + corner.max.y) / 2), int((corner.min.x + corner.max.x) / 2)
         where = np.s_[middle[0] - 20 : middle[0] + 20, middle[1] - 20 : middle[1] + 20]
         tint = (shown[where] - 0.55 * before[where]).mean(axis=(0, 1)) / 0.45
-        np.testing.assert_allclose(tint / 255, COLORS[Outcome.MATCHED], atol=0.06)
+        np.testing.assert_allclose(tint / 255, COLORS[MatchOutcome.MATCHED], atol=0.06)
 
         # Under the mouse, the tooltip tells where the pixel is there; the picture stays as it is, and so does the eye.
         place = session.navigation.position.copy()

@@ -4,7 +4,7 @@ import pytest
 
 from gsrain_engine.appearance.base import TransferSettings
 from gsrain_engine.appearance.scene_views import ViewChoice
-from gsrain_engine.rain.settings import Rain
+from gsrain_engine.rain.settings import RainSettings
 from window_driver import Driver
 
 pytest.importorskip("imgui_bundle")
@@ -22,7 +22,7 @@ def test_what_a_field_says_about_being_left_out():
     )  # fmt: skip
     assert field_info("count", ViewChoice).none is not None
     assert field_info("seed", TransferSettings).none is None and field_info("weights", TransferSettings).none is None
-    assert field_info("intensity_mm_h", Rain).none is None
+    assert field_info("intensity_mm_h", RainSettings).none is None
 
 
 def test_a_number_is_given_and_left_out(tmp_path):

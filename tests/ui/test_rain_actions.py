@@ -4,8 +4,8 @@ import pytest
 
 pytest.importorskip("imgui_bundle")
 
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.rain.keyframes import passing_shower
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.rain.keyframes import shower_keyframes
 from small_scene import small_scene
 from ui.commands.registry import ACTIONS
 from ui.tools.registry import TOOLS
@@ -13,7 +13,7 @@ from ui.tools.registry import TOOLS
 
 @pytest.fixture
 def session():
-    session = Session(small_scene())
+    session = Editor(small_scene())
     session.clock.playing = False
     yield session
     session.close()
@@ -62,7 +62,7 @@ def test_regions_and_tools(session):
 def test_keys_and_shower(session):
     session.clock.time_s = 3.0
     do(session, "Let a shower pass")
-    assert session.weather == passing_shower(3.0)
+    assert session.weather == shower_keyframes(3.0)
     session.clock.time_s = 8.0
     for name, field in (("intensity", "intensity_mm_h"), ("wind", "wind_m_s"), ("exposure", "exposure_s")):
         do(session, f"Key the {name} now")

@@ -69,42 +69,42 @@ def test_the_panel_s_fields_say_what_is_recorded(driver, tmp_path):
         driver.ctx.combo_click("##format/EXR frames")
         driver.ctx.combo_click("##size/1280 x 720")
         driver.frames()
-        assert (recorder.wanted.codec, recorder.wanted.size_px) == ("exr", (1280, 720))
+        assert (recorder.settings.codec, recorder.settings.size_px) == ("exr", (1280, 720))
         driver.ctx.item_click("depth")
         driver.ctx.item_click("labels")
         driver.ctx.item_click("color")
         driver.frames()
-        assert recorder.wanted.passes == ("depth", "labels")
+        assert recorder.settings.passes == ("depth", "labels")
         driver.ctx.item_click("Clear twin")
         driver.ctx.item_input_value("##supersampling", 3)
         driver.ctx.item_input_value("##motion_blur", 8)
         driver.ctx.item_input_value("##fps", 24.0)
         driver.frames()
-        wanted = recorder.wanted
+        wanted = recorder.settings
         assert (wanted.twin, wanted.supersampling, wanted.motion_blur, wanted.fps) == (True, 3, 8, 24.0)
         assert driver.session.timeline.fps == 24.0
         assert recorder.end_s == 5.0
         driver.ctx.item_click("its end")
         driver.frames()
-        assert recorder.wanted.last_s == 5.0
+        assert recorder.settings.last_s == 5.0
         driver.ctx.item_input_value("##first_s", 1.5)
         driver.ctx.item_input_value("##last_s", 2.0)
         driver.frames()
-        assert (recorder.wanted.first_s, recorder.wanted.last_s, recorder.extent().frames) == (1.5, 2.0, 12)
+        assert (recorder.settings.first_s, recorder.settings.last_s, recorder.extent().frames) == (1.5, 2.0, 12)
         driver.ctx.item_input_value("##first_s", 3.0)  # after the end: not taken
         driver.frames()
-        assert recorder.wanted.first_s == 1.5
+        assert recorder.settings.first_s == 1.5
         driver.ctx.combo_click("##format/MP4 (H.264)")
         driver.ctx.item_click("usual")
         driver.ctx.item_input_value("##quality", 30)
         driver.frames()
-        assert (recorder.wanted.codec, recorder.wanted.quality) == ("h264", 30)
+        assert (recorder.settings.codec, recorder.settings.quality) == ("h264", 30)
         driver.ctx.combo_click("##size/the rig's own")
         driver.ctx.item_click("##cameras")
         driver.frames()
         driver.ctx.item_click("//$FOCUSED/FRONT  (960 x 640)##one\\/FRONT")
         driver.frames()
-        assert (recorder.wanted.size_px, recorder.wanted.cameras) == (None, ("one/FRONT",))
+        assert (recorder.settings.size_px, recorder.settings.cameras) == (None, ("one/FRONT",))
         assert recorder.extent().cameras == 1
 
     driver.run(script)

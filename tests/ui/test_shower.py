@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from imgui_bundle import implot
 
-from gsrain_engine.editor.rain_regions import face_handles, inset_shot
-from gsrain_engine.rain.keyframes import Weather, WeatherKey
+from gsrain_engine.editor.rain_regions import face_handles, inset_view
+from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
 from gsrain_engine.render.draw import rain_anchor
 from ui.panels import rain_keyframe_plot
 from window_driver import Driver, imgui
@@ -18,7 +18,7 @@ def driver(tmp_path):
 
 def hill():
     keys = ((0.0, 0.0), (10.0, 8.0), (20.0, 0.0))
-    return Weather(keys=tuple(WeatherKey(time_s=at, intensity_mm_h=rate) for at, rate in keys))
+    return RainKeyframes(keys=tuple(RainKeyframe(time_s=at, intensity_mm_h=rate) for at, rate in keys))
 
 
 @pytest.fixture
@@ -187,7 +187,7 @@ def test_a_face_of_the_region_is_dragged_from_outside(driver):
         shot = session.shot(int(width), int(height))
         anchor = rain_anchor(session.scene, session.rainfall, shot)
         box = session.rain.streak_region
-        camera = inset_shot(box, anchor, wide, high).camera
+        camera = inset_view(box, anchor, wide, high).camera
         (top,) = [each for each in face_handles(box, anchor, camera, inset=0.0) if each.face == (2, True)]
         x, y, z = camera.world_to_camera[:3, :3] @ top.point_m + camera.world_to_camera[:3, 3]
         at_x = corner.x + width - wide - 0.6 * em + camera.fx * x / z + camera.cx

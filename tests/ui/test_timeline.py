@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.editor import camera_path
-from gsrain_engine.editor.overlays import path_drawing
+from gsrain_engine.editor.overlays import path_overlay_of
 from gsrain_engine.scene.camera_path_io import read_camera_path
 from ui.commands.base import chord
 from window_driver import Driver, imgui
@@ -140,7 +140,7 @@ def test_a_key_is_dragged_in_the_picture(driver):
         camera = session.shot(int(width), int(height)).camera
 
         def handle(key):
-            return corner + next(each.handle_px for each in path_drawing(session, camera).keys if each.key == key)
+            return corner + next(each.handle_px for each in path_overlay_of(session, camera).keys if each.key == key)
 
         steps = len(session.history.labels)
         start = handle(2)
@@ -180,7 +180,7 @@ def test_numbers_of_a_key_and_of_the_path(driver):
         assert session.scene.path.positions[3, 1] == pytest.approx(2.5)
         driver.ctx.item_input_value(f"//{window}/##key look/$$2", 20.0)
         driver.frames()
-        assert camera_path.key_look(session, 3).roll_deg == pytest.approx(20)
+        assert camera_path.key_angles(session, 3).roll_deg == pytest.approx(20)
         driver.ctx.item_input_value(f"//{window}/##key focal", 35.0)
         driver.frames()
         assert session.scene.path.vertical_fov_deg[3] == pytest.approx(37.8, abs=0.1)
@@ -233,10 +233,10 @@ def test_playing_repeats_within_the_grips_and_frames_are_stepped(driver):
         assert session.clock.time_s == session.span_s[1]
         # the wheel zooms in on what is under the mouse
         driver.ctx.mouse_move("//Timeline/ruler")
-        shown = session.timeline.ruler.shown_s
+        shown = session.timeline.ruler.visible_span_s
         driver.ctx.mouse_wheel_y(2)
         driver.frames()
-        assert session.timeline.ruler.shown_s == pytest.approx(0.64 * shown)
+        assert session.timeline.ruler.visible_span_s == pytest.approx(0.64 * shown)
 
     driver.run(script)
 

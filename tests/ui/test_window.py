@@ -8,7 +8,7 @@ from imgui_bundle import im_file_dialog
 from PIL import Image
 
 from gsrain_engine.disdrometer.netcdf import write_spectra
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.scene.formats.scene_files import write_scene
 from measured_rain import measured_rain
 from small_scene import small_scene
@@ -205,7 +205,7 @@ def test_opens_in_the_background_of_an_empty_window(tmp_path):
             assert any("Opened" in line.text for line in self.session.log.lines)
 
     driver = Opening(tmp_path)
-    driver.session = Session()
+    driver.session = Editor()
     driver.session.clock.playing = False
     seen.append(driver.session.scene.gaussian_count)
     driver.session.open(str(tmp_path / "wall.ply"))
@@ -215,7 +215,7 @@ def test_opens_in_the_background_of_an_empty_window(tmp_path):
 
 def test_a_scene_that_can_not_be_opened_leaves_a_window_that_says_why(tmp_path):
     driver = Driver(tmp_path)
-    driver.session = Session()
+    driver.session = Editor()
     driver.session.open(str(tmp_path / "missing.ply"))
 
     def script():
@@ -325,7 +325,7 @@ def test_calibration_and_disdrometer_panels_measure_the_rain(driver):
         driver.ctx.set_ref("//Calibration")
         driver.ctx.combo_click("##compared/marshall_palmer")
         driver.frames()
-        assert lab.beside.name == "marshall_palmer"
+        assert lab.pass_file.name == "marshall_palmer"
         driver.ctx.combo_click("##calibration/marshall_palmer")
         driver.frames()
         assert driver.session.rainfall.calibration.name == "marshall_palmer"

@@ -10,7 +10,7 @@ from PIL import Image
 
 from app.main import BAD_INPUT, run
 from gsrain_engine.datasets.capture import CaptureError
-from gsrain_engine.datasets.io.images import picture_size, read_color
+from gsrain_engine.datasets.io.images import image_size, read_color
 from gsrain_engine.disdrometer.open import read_disdrometer
 from gsrain_engine.disdrometer.spectra import UnknownKindError
 from gsrain_engine.safe_io.limits import kind_of_bytes, kind_of_file
@@ -88,7 +88,7 @@ def test_archives_are_no_disdrometers(tmp_path: Path) -> None:
 )
 def test_broken_pictures_are_named_without_words_of_pillow(tmp_path: Path, data: bytes, told: str) -> None:
     file = written(tmp_path / "a.jpg", data)
-    for read in (picture_size, read_color):
+    for read in (image_size, read_color):
         with pytest.raises(CaptureError, match=f"a.jpg: not a readable picture: {told}") as error:
             read(file)
         assert "identify" not in str(error.value) and "BytesIO" not in str(error.value)

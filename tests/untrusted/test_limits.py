@@ -18,8 +18,8 @@ from gsrain_engine.safe_io.limits import (
     ByteBudget,
     Deadline,
     InputError,
+    ServerConnection,
     TooLargeError,
-    Wire,
     check_file,
     open_file,
     open_pipe,
@@ -249,7 +249,9 @@ def test_an_end_that_leaves_nothing_behind_is_not_waited_for():
 def test_a_wire_to_a_server_that_drips_has_one_deadline_for_all(drip, to_server):
     """Each part comes or goes in time; all of them together don't."""
     with socket.create_server(("127.0.0.1", 0)) as server:
-        wire = Wire("127.0.0.1", server.getsockname()[1], Deadline(0.3), ByteBudget(1000, "server"), is_secure=False)
+        wire = ServerConnection(
+            "127.0.0.1", server.getsockname()[1], Deadline(0.3), ByteBudget(1000, "server"), is_secure=False
+        )
         with server.accept()[0] as theirs:
             drip((lambda: theirs.recv(1 << 18)) if to_server else (lambda: theirs.send(b"x")))
             with pytest.raises(TimeoutError):
@@ -262,7 +264,9 @@ def test_a_wire_to_a_server_that_drips_has_one_deadline_for_all(drip, to_server)
 
 def test_a_wire_counts_what_comes_and_sends_all_of_it():
     with socket.create_server(("127.0.0.1", 0)) as server:
-        wire = Wire("127.0.0.1", server.getsockname()[1], Deadline(20), ByteBudget(10, "server"), is_secure=False)
+        wire = ServerConnection(
+            "127.0.0.1", server.getsockname()[1], Deadline(20), ByteBudget(10, "server"), is_secure=False
+        )
         with server.accept()[0] as theirs, theirs.makefile("rb") as stream:
             got = []
             thread = threading.Thread(target=lambda: got.append(stream.read(3_000_000)), daemon=True)
@@ -287,15 +291,15 @@ def test_the_first_address_that_answers_is_spoken_to(monkeypatch):
         other.close()
         found = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", each)) for each in (closed, port)]
         monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
-        wire = Wire("somewhere", 80, Deadline(20), ByteBudget(10, "somewhere"), is_secure=False)
+        wire = ServerConnection("somewhere", 80, Deadline(20), ByteBudget(10, "somewhere"), is_secure=False)
         server.accept()[0].close()
         wire.close()
         monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found[:1])
         with pytest.raises(ConnectionRefusedError):
-            Wire("somewhere", 80, Deadline(20), ByteBudget(10, "somewhere"), is_secure=False)
+            ServerConnection("somewhere", 80, Deadline(20), ByteBudget(10, "somewhere"), is_secure=False)
         monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: [])
         with pytest.raises(OSError, match="it has no address"):
-            Wire("somewhere", 80, Deadline(20), ByteBudget(10, "somewhere"), is_secure=False)
+            ServerConnection("somewhere", 80, Deadline(20), ByteBudget(10, "somewhere"), is_secure=False)
 
 
 def test_only_pipes_are_opened_as_pipes(tmp_path, fifo):
@@ -323,18 +327,18 @@ def test_a_name_server_that_is_silent_is_not_waited_for(monkeypatch):
     over = threading.Event()
     monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: over.wait(20) and [])
     with pytest.raises(TimeoutError, match=r"no address of it within 0\.1 s"):
-        Wire("somewhere", 80, Deadline(0.1), ByteBudget(10, "somewhere"), is_secure=False)
+        ServerConnection("somewhere", 80, Deadline(0.1), ByteBudget(10, "somewhere"), is_secure=False)
     over.set()
 
 
 def test_a_server_that_does_not_shake_hands_is_not_waited_for():
     with socket.create_server(("127.0.0.1", 0)) as server, pytest.raises(TimeoutError):
-        Wire("127.0.0.1", server.getsockname()[1], Deadline(0.2), ByteBudget(10, "server"), is_secure=True)
+        ServerConnection("127.0.0.1", server.getsockname()[1], Deadline(0.2), ByteBudget(10, "server"), is_secure=True)
 
 
 def test_a_name_that_no_server_can_have():
     with pytest.raises(OSError, match="not a name that a server can have"):
-        Wire("a" * 70, 80, Deadline(5), ByteBudget(10, "server"), is_secure=False)
+        ServerConnection("a" * 70, 80, Deadline(5), ByteBudget(10, "server"), is_secure=False)
 
 
 ALLOWED = {

@@ -5,31 +5,31 @@ from dataclasses import dataclass
 
 from imgui_bundle import imgui
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 
 
-def always(session: Session) -> bool:
+def always(session: Editor) -> bool:
     """Whether it can be done: at any time."""
     return True
 
 
 @dataclass(frozen=True)
-class Action:
+class Command:
     """One thing to do."""
 
     name: str
     """As in menu and palette: a verb first. Unique."""
-    run: Callable[[Session], None]
+    run: Callable[[Editor], None]
     menu: str = ""
     """Title of the menu that it stands in; "" is in none, only in palette and keys."""
     keys: int | tuple[int, ...] = ()
     """Key chords, the first one shown; see `chord`."""
     help: str = ""
     """One sentence, with units where there are numbers."""
-    is_possible: Callable[[Session], bool] = always
-    is_on: Callable[[Session], bool] | None = None
+    is_possible: Callable[[Editor], bool] = always
+    is_on: Callable[[Editor], bool] | None = None
     """For what is switched on and off: whether it is on."""
-    more: Callable[[Session], str] | None = None
+    more: Callable[[Editor], str] | None = None
     """What follows the name in the menu, such as the step that undo would take back."""
 
     @property
@@ -40,11 +40,11 @@ class Action:
     def key_names(self) -> str:
         return " or ".join(map(chord_name, self.chords))
 
-    def title(self, session: Session) -> str:
+    def title(self, session: Editor) -> str:
         """Name with what follows it now."""
         return f"{self.name} {self.more(session)}".strip() if self.more is not None else self.name
 
-    def perform(self, session: Session) -> None:
+    def perform(self, session: Editor) -> None:
         """Do it, if it is possible."""
         if self.is_possible(session):
             self.run(session)

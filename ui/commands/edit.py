@@ -2,7 +2,7 @@
 
 from imgui_bundle import imgui
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits import layers
 from gsrain_engine.editor.edits.gaussians import (
     compact,
@@ -16,25 +16,25 @@ from gsrain_engine.editor.edits.gaussians import (
 from gsrain_engine.editor.edits.level import level_from_ground
 from gsrain_engine.editor.selection import commands
 
-from .base import Action, chord
+from .base import Command, chord
 
 _KEY = imgui.Key
 
 
-def _has_selection(session: Session) -> bool:
+def _has_selection(session: Editor) -> bool:
     return bool(selected_count(session.scene))
 
 
-def _has_member(session: Session) -> bool:
+def _has_member(session: Editor) -> bool:
     return any(each.key == session.view.member for each in session.scene.members)
 
 
-def _delete(session: Session) -> None:
+def _delete(session: Editor) -> None:
     if not session.timeline.takes_keys or session.timeline.key is None:  # there, Delete means the chosen camera key
         session.edit("Delete the selection", delete_selected)
 
 
-def _duplicate(session: Session) -> None:
+def _duplicate(session: Editor) -> None:
     before = {each.key for each in session.scene.members}
     name = session.scene.member(session.view.member).name
     session.edit(f"Duplicate {name}", layers.duplicate, session.view.member)
@@ -43,14 +43,14 @@ def _duplicate(session: Session) -> None:
     )
 
 
-def _follow(session: Session) -> None:
+def _follow(session: Editor) -> None:
     member, following = session.view.member, session.following
     following.follow("" if following.key == member else member)
     session.view.follow_path = False
 
 
 EDIT_ACTIONS = (
-    Action(
+    Command(
         "Delete the selection",
         _delete,
         "Edit",
@@ -58,7 +58,7 @@ EDIT_ACTIONS = (
         "Delete the selected Gaussians; undo brings them back.",
         is_possible=_has_selection,
     ),
-    Action(
+    Command(
         "Hide the selection",
         lambda session: session.edit("Hide the selection", hide_selected),
         "Edit",
@@ -66,7 +66,7 @@ EDIT_ACTIONS = (
         "Do not draw the selected Gaussians.",
         is_possible=_has_selection,
     ),
-    Action(
+    Command(
         "Isolate the selection",
         lambda session: session.edit("Isolate the selection", isolate_selected),
         "Edit",
@@ -74,7 +74,7 @@ EDIT_ACTIONS = (
         "Hide everything but the selected Gaussians; locked layers stay as they are.",
         is_possible=_has_selection,
     ),
-    Action(
+    Command(
         "Show all",
         lambda session: session.edit("Show all", show_all),
         "Edit",
@@ -82,7 +82,7 @@ EDIT_ACTIONS = (
         "Draw everything again that was hidden.",
         is_possible=lambda session: any(each.marks.hidden for each in session.scene.members),
     ),
-    Action(
+    Command(
         "Duplicate",
         _duplicate,
         "Edit",
@@ -91,7 +91,7 @@ EDIT_ACTIONS = (
         is_possible=_has_member,
         more=lambda session: session.view.member.partition("/")[2],
     ),
-    Action(
+    Command(
         "Separate the selection",
         lambda session: session.edit("Separate the selection", layers.separate),
         "Edit",
@@ -99,7 +99,7 @@ EDIT_ACTIONS = (
         "Make the selected Gaussians a layer of their own.",
         is_possible=_has_selection,
     ),
-    Action(
+    Command(
         "Remove deleted Gaussians for good",
         lambda session: session.edit("Remove what is deleted", compact),
         "Edit",
@@ -107,7 +107,7 @@ EDIT_ACTIONS = (
         "Make new arrays without them; undo still has the old ones.",
         is_possible=lambda session: deleted_count(session.scene) > 0,
     ),
-    Action(
+    Command(
         "Level by the ground",
         lambda session: session.edit("Level by the ground", level_from_ground),
         "Edit",
@@ -115,7 +115,7 @@ EDIT_ACTIONS = (
         "Find the largest low plane of the scene and make it level.",
         is_possible=lambda session: bool(session.scene.layers),
     ),
-    Action(
+    Command(
         "Follow the actor with the camera",
         _follow,
         "Edit",
@@ -131,19 +131,19 @@ EDIT_ACTIONS = (
 _CTRL, _SHIFT, _SELECTION_KEY = imgui.Key.mod_ctrl, imgui.Key.mod_shift, imgui.Key
 
 
-def _save_set(session: Session) -> None:
+def _save_set(session: Editor) -> None:
     commands.save_set(session)
 
 
 SELECTION_ACTIONS = (
-    Action(
+    Command(
         "Select all",
         commands.select_all,
         "Select",
         chord(_CTRL, _SELECTION_KEY.a),
         "Select every Gaussian that is shown, of layers and actors that are not locked.",
     ),
-    Action(
+    Command(
         "Select none",
         commands.select_none,
         "Select",
@@ -151,14 +151,14 @@ SELECTION_ACTIONS = (
         "Let go of everything.",
         is_possible=commands.has_selection,
     ),
-    Action(
+    Command(
         "Invert the selection",
         commands.invert,
         "Select",
         chord(_CTRL, _SELECTION_KEY.i),
         "Select what is shown and was not selected.",
     ),
-    Action(
+    Command(
         "Grow the selection",
         lambda session: commands.grow(session, session.selecting.distance_m),
         "Select",
@@ -166,7 +166,7 @@ SELECTION_ACTIONS = (
         "Take in what is near the selection, as many metres as the Select panel says.",
         is_possible=commands.has_selection,
     ),
-    Action(
+    Command(
         "Shrink the selection",
         lambda session: commands.shrink(session, session.selecting.distance_m),
         "Select",
@@ -174,7 +174,7 @@ SELECTION_ACTIONS = (
         "Let go of what is near something that is not selected, as many metres as the Select panel says.",
         is_possible=commands.has_selection,
     ),
-    Action(
+    Command(
         "Save the selection as a set",
         _save_set,
         "Select",

@@ -4,13 +4,13 @@ from pathlib import Path
 
 from imgui_bundle import imgui
 
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.editor.jobs.make_rainy import RAINY_SCENE_TITLE
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.jobs.make_rainy import MAKE_RAINY_TITLE
 from gsrain_engine.scene.formats.registry import scene_suffixes
 
 from ..panels.record import ask_where_to_record, ask_where_to_record_still
 from ..widgets.fields import SCENE_FOLDERS, ask_what_to_open, ask_where_to_save, exported_kinds
-from .base import Action, chord
+from .base import Command, chord
 
 _KEY = imgui.Key
 
@@ -25,11 +25,11 @@ def _chosen(path: Path) -> str:
     return str(path.parent if path.name == "scene.json" else path)
 
 
-def _ask_what_to_open(session: Session) -> None:
+def _ask_what_to_open(session: Editor) -> None:
     ask_what_to_open("Open a scene", _scenes(), lambda chosen: session.open(_chosen(chosen[0])))
 
 
-def _ask_what_to_import(session: Session) -> None:
+def _ask_what_to_import(session: Editor) -> None:
     def take(chosen: list[Path]) -> None:
         for path in chosen:
             session.files.import_from(_chosen(path))
@@ -37,27 +37,27 @@ def _ask_what_to_import(session: Session) -> None:
     ask_what_to_open("Import into this scene", _scenes(), take, several=True)
 
 
-def _ask_where_to_save(session: Session) -> None:
+def _ask_where_to_save(session: Editor) -> None:
     ask_where_to_save("Save the scene", SCENE_FOLDERS, lambda chosen: session.files.save_as(chosen[0]))
 
 
-def _ask_where_to_export(session: Session) -> None:
+def _ask_where_to_export(session: Editor) -> None:
     ask_where_to_save("Export a file", exported_kinds(), lambda chosen: session.files.export_to(chosen[0]))
 
 
-def _has_scene(session: Session) -> bool:
+def _has_scene(session: Editor) -> bool:
     return bool(session.scene.members)
 
 
 OPEN_ACTIONS = (
-    Action(
+    Command(
         "Open...",
         _ask_what_to_open,
         "File",
         chord(_KEY.mod_ctrl, _KEY.o),
         "Open a scene file, or a scene folder by its scene.json.",
     ),
-    Action(
+    Command(
         "Open the built-in street",
         lambda session: session.open("street"),
         "File",
@@ -66,14 +66,14 @@ OPEN_ACTIONS = (
 )
 
 IMPORT_ACTIONS = (
-    Action(
+    Command(
         "Import into this scene...",
         _ask_what_to_import,
         "File",
         chord(_KEY.mod_ctrl, _KEY.mod_shift, _KEY.o),
         "Add the layers and actors of other scenes, where they lie in the world (metres).",
     ),
-    Action(
+    Command(
         "Import the built-in street",
         lambda session: session.files.import_from("street"),
         "File",
@@ -83,7 +83,7 @@ IMPORT_ACTIONS = (
 )
 
 SAVING_ACTIONS = (
-    Action(
+    Command(
         "Save",
         lambda session: session.files.save(),
         "File",
@@ -91,7 +91,7 @@ SAVING_ACTIONS = (
         "Save to the scene folder that this was opened from or saved to; where there is none, ask for a place.",
         _has_scene,
     ),
-    Action(
+    Command(
         "Save as...",
         _ask_where_to_save,
         "File",
@@ -99,7 +99,7 @@ SAVING_ACTIONS = (
         "Save to another scene folder, which keeps everything.",
         _has_scene,
     ),
-    Action(
+    Command(
         "Export...",
         _ask_where_to_export,
         "File",
@@ -107,14 +107,14 @@ SAVING_ACTIONS = (
         "Write one file of what can be seen (.ply, .splat, .spz), for other programs; the document stays unsaved.",
         _has_scene,
     ),
-    Action(
+    Command(
         "Revert",
         lambda session: session.files.revert(),
         "File",
         help="Read the scene from the disk again; all changes since it was saved are lost.",
         is_possible=lambda session: session.files.source is not None,
     ),
-    Action(
+    Command(
         "Close the scene",
         lambda session: session.files.close_scene(),
         "File",
@@ -125,9 +125,9 @@ SAVING_ACTIONS = (
 )
 
 LEAVING_ACTIONS = (
-    Action(
+    Command(
         "Quit",
-        lambda session: session.leave(),
+        lambda session: session.request_quit(),
         "File",
         chord(_KEY.mod_ctrl, _KEY.q),
         "End the program; unsaved changes are asked about.",
@@ -139,7 +139,7 @@ LEAVING_ACTIONS = (
 _CTRL, _SHIFT = imgui.Key.mod_ctrl, imgui.Key.mod_shift
 
 HISTORY_ACTIONS = (
-    Action(
+    Command(
         "Undo",
         lambda session: session.undo(),
         "Edit",
@@ -148,7 +148,7 @@ HISTORY_ACTIONS = (
         is_possible=lambda session: session.history.undo_label is not None,
         more=lambda session: session.history.undo_label or "",
     ),
-    Action(
+    Command(
         "Redo",
         lambda session: session.redo(),
         "Edit",
@@ -162,21 +162,21 @@ HISTORY_ACTIONS = (
 # § Finding out what there is.
 
 HELP_ACTIONS = (
-    Action(
+    Command(
         "Find a command...",
         lambda session: setattr(session.view, "dialog", "commands"),
         "Help",
         (chord(imgui.Key.mod_ctrl, imgui.Key.p), chord(imgui.Key.mod_ctrl, imgui.Key.mod_shift, imgui.Key.p)),
         "Type part of a name; Enter does it.",
     ),
-    Action(
+    Command(
         "Keyboard and mouse",
         lambda session: setattr(session.view, "dialog", "keys"),
         "Help",
         chord(imgui.Key.f1),
         "Everything with its key, on one page.",
     ),
-    Action(
+    Command(
         "About GSRAIN",
         lambda session: setattr(session.view, "dialog", "about"),
         "Help",
@@ -187,21 +187,21 @@ HELP_ACTIONS = (
 # § Work that goes on behind the window.
 
 JOB_ACTIONS = (
-    Action(
-        RAINY_SCENE_TITLE,
+    Command(
+        MAKE_RAINY_TITLE,
         lambda session: session.rainy.make(session),
         "Scene",
         help="Transfer views and solve for wet colours, in the background, as the panel of this name says.",
         is_possible=lambda session: session.rainy.why_not(session) is None,
     ),
-    Action(
+    Command(
         "Preview this view in rain",
         lambda session: session.rainy.preview(session),
         "Scene",
         help="Transfer what the view shows, and lay it beside the live picture.",
         is_possible=lambda session: session.rainy.why_no_preview(session) is None,
     ),
-    Action(
+    Command(
         "Compare clear and rainy",
         lambda session: session.rainy.compare(session),
         "View",
@@ -213,12 +213,12 @@ JOB_ACTIONS = (
 # § Recording clips and stills.
 
 
-def _can_record(session: Session) -> bool:
+def _can_record(session: Editor) -> bool:
     return bool(session.scene.members) and not session.recorder.is_recording
 
 
 RECORD_ACTIONS = (
-    Action(
+    Command(
         "Record the timeline...",
         ask_where_to_record,
         "File",
@@ -226,7 +226,7 @@ RECORD_ACTIONS = (
         "Record the camera path, or rig cameras, as the Record panel says: a video or frames, in the background.",
         is_possible=_can_record,
     ),
-    Action(
+    Command(
         "Record a still...",
         ask_where_to_record_still,
         "File",

@@ -2,51 +2,51 @@
 
 from collections.abc import Callable
 
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.rain.keyframes import WITHOUT_CHANGE
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.rain.keyframes import NO_KEYFRAMES
 
 from ..panels.rain import PICK_TOOL
-from ..panels.rain_keyframes import add_shower, ask_for_series
-from ..widgets.fields import toggle_key
-from .base import Action
+from ..panels.rain_keyframes import add_passing_shower, ask_for_rate_file
+from ..widgets.fields import toggle_keyframe
+from .base import Command
 
 _MENU = "Rain"
 
 
-def _set_intensity(rate: float) -> Callable[[Session], None]:
+def _set_intensity(rate: float) -> Callable[[Editor], None]:
     return lambda session: session.change_rain(f"Intensity {rate:g} mm/h", intensity_mm_h=rate)
 
 
-def _switch(field: str, title: str) -> Callable[[Session], None]:
-    def run(session: Session) -> None:
+def _switch(field: str, title: str) -> Callable[[Editor], None]:
+    def run(session: Editor) -> None:
         is_on = not getattr(session.rain, field)
         session.change_rain(f"{title} {'on' if is_on else 'off'}", None, **{field: is_on})
 
     return run
 
 
-def _is_on(field: str) -> Callable[[Session], bool]:
+def _is_on(field: str) -> Callable[[Editor], bool]:
     return lambda session: getattr(session.rain, field)
 
 
-def _shows_regions(session: Session) -> bool:
+def _shows_regions(session: Editor) -> bool:
     return session.view.show_streak_region and session.view.show_haze_region
 
 
-def _show_regions(session: Session) -> None:
+def _show_regions(session: Editor) -> None:
     session.view.show_streak_region = session.view.show_haze_region = not _shows_regions(session)
 
 
-def _use(tool: str) -> Callable[[Session], None]:
+def _use(tool: str) -> Callable[[Editor], None]:
     return lambda session: setattr(session.view, "tool", "" if session.view.tool == tool else tool)
 
 
-def _uses(tool: str) -> Callable[[Session], bool]:
+def _uses(tool: str) -> Callable[[Editor], bool]:
     return lambda session: session.view.tool == tool
 
 
 INTENSITY_ACTIONS = tuple(
-    Action(
+    Command(
         "Set no rain" if rate == 0 else f"Set {rate:g} mm/h",
         _set_intensity(rate),
         _MENU,
@@ -57,33 +57,33 @@ INTENSITY_ACTIONS = tuple(
 )
 
 RAIN_ACTIONS = (
-    Action(
+    Command(
         "Draw streaks", _switch("streaks", "Streaks"), _MENU, help="Near drops as streaks.", is_on=_is_on("streaks")
     ),
-    Action("Draw haze", _switch("haze", "Haze"), _MENU, help="For far drops.", is_on=_is_on("haze")),
-    Action(
+    Command("Draw haze", _switch("haze", "Haze"), _MENU, help="For far drops.", is_on=_is_on("haze")),
+    Command(
         "Keep rain from under roofs",
         _switch("roofs", "Roofs"),
         _MENU,
         help="Looks for bridges, canopies and trees once.",
         is_on=_is_on("roofs"),
     ),
-    Action("Show rain regions", _show_regions, _MENU, help="Draw their edges in the view.", is_on=_shows_regions),
-    Action(
+    Command("Show rain regions", _show_regions, _MENU, help="Draw their edges in the view.", is_on=_shows_regions),
+    Command(
         "Edit rain regions",
         _use("Rain regions"),
         _MENU,
         help="Drag the faces of the boxes that drops and haze stand in.",
         is_on=_uses("Rain regions"),
     ),
-    Action(
+    Command(
         "Pick the drop colour",
         _use(PICK_TOOL),
         _MENU,
         help="Click a pixel of the view or drag a rectangle: drops take its colour.",
         is_on=_uses(PICK_TOOL),
     ),
-    Action(
+    Command(
         "Take the drop colour from the sky",
         lambda session: session.change_rain("Drop colour from the sky", drop_color=None),
         _MENU,
@@ -93,35 +93,37 @@ RAIN_ACTIONS = (
 )
 
 WEATHER_ACTIONS = (
-    Action(
+    Command(
         "Key the intensity now",
-        lambda session: toggle_key(session, "intensity_mm_h"),
+        lambda session: toggle_keyframe(session, "intensity_mm_h"),
         _MENU,
         help="Keep the present intensity as a key at the clock's time, or remove the key that is there.",
     ),
-    Action(
+    Command(
         "Key the wind now",
-        lambda session: toggle_key(session, "wind_m_s"),
+        lambda session: toggle_keyframe(session, "wind_m_s"),
         _MENU,
         help="Keep the present wind as a key at the clock's time, or remove the key that is there.",
     ),
-    Action(
+    Command(
         "Key the exposure now",
-        lambda session: toggle_key(session, "exposure_s"),
+        lambda session: toggle_keyframe(session, "exposure_s"),
         _MENU,
         help="Keep the present shutter time as a key at the clock's time, or remove the key that is there.",
     ),
-    Action("Let a shower pass", add_shower, _MENU, help="60 s from now on: from 0 to 12 mm/h and back, smooth."),
-    Action(
+    Command(
+        "Let a shower pass", add_passing_shower, _MENU, help="60 s from now on: from 0 to 12 mm/h and back, smooth."
+    ),
+    Command(
         "Import a disdrometer's series...",
-        ask_for_series,
+        ask_for_rate_file,
         _MENU,
         help="Its rain rates become keys of the intensity.",
         is_possible=lambda session: session.lab.busy is None,
     ),
-    Action(
+    Command(
         "Clear the weather's keys",
-        lambda session: session.set_weather("Clear the keys", WITHOUT_CHANGE),
+        lambda session: session.set_weather("Clear the keys", NO_KEYFRAMES),
         _MENU,
         help="The rain stays as it is set.",
         is_possible=lambda session: bool(session.weather.keys),

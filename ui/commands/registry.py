@@ -1,6 +1,6 @@
 """The one table of actions, in the order of the menus."""
 
-from .base import Action
+from .base import Command
 from .edit import EDIT_ACTIONS, SELECTION_ACTIONS
 from .file import (
     HELP_ACTIONS,
@@ -24,7 +24,7 @@ from .view import (
     VIEW_ACTIONS,
 )
 
-ACTION_GROUPS: tuple[tuple[Action, ...], ...] = (
+ACTION_GROUPS: tuple[tuple[Command, ...], ...] = (
     OPEN_ACTIONS,
     IMPORT_ACTIONS,
     SAVING_ACTIONS,

@@ -6,9 +6,9 @@ import numpy as np
 from imgui_bundle import imgui, implot
 
 from gsrain_engine.disdrometer.fit_models import FittedCalibration
-from gsrain_engine.disdrometer.measurement import CountedDrops
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.editor.rain import RainLab, compare_calibration, use_calibration, use_fitted_calibration
+from gsrain_engine.disdrometer.measurement import DisdrometerMeasurement
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.rain import CalibrationTools, compare_calibration, use_calibration, use_fitted_calibration
 from gsrain_engine.rain.calibration import Calibration
 from gsrain_engine.rain.properties import CalibrationCurves, calibration_curves, spectrum_at
 
@@ -24,7 +24,7 @@ _MEASUREMENTS = "Disdrometer files{.*}"
 _CALIBRATIONS = "Calibrations{.yaml,.yml},All files{.*}"
 
 
-def calibration_panel(session: Session) -> None:
+def calibration_panel(session: Editor) -> None:
     lab = session.lab
     own = session.rainfall.calibration
     _choose(session)
@@ -33,11 +33,11 @@ def calibration_panel(session: Session) -> None:
     shown = {own.name: own}
     if lab.fitted is not None:
         shown.setdefault(lab.fitted.calibration.name, lab.fitted.calibration)
-    shown.setdefault(lab.beside.name, lab.beside)
+    shown.setdefault(lab.pass_file.name, lab.pass_file)
     _plots(session, shown)
 
 
-def _choose(session: Session) -> None:
+def _choose(session: Editor) -> None:
     lab, present = session.lab, session.rain.calibration
     lab.add_file(present)
     names = lab.calibrations
@@ -65,7 +65,7 @@ def _choose(session: Session) -> None:
     )
 
 
-def _fit(session: Session) -> None:
+def _fit(session: Editor) -> None:
     lab, fitted = session.lab, session.lab.fitted
     if lab.busy is not None:
         imgui.text_disabled(lab.busy)
@@ -84,7 +84,7 @@ def _fit(session: Session) -> None:
     _measured(lab)
 
 
-def _fitted(session: Session, lab: RainLab, fitted: FittedCalibration) -> None:
+def _fitted(session: Editor, lab: CalibrationTools, fitted: FittedCalibration) -> None:
     imgui.separator_text(visible_name(f"Fitted: {fitted.calibration.name}"))
     imgui.text_wrapped(f"{fitted.records_used:,} of {fitted.records:,} records in {len(fitted.rows)} rows")
     if fitted.rate_check is not None and len(lab.measured) > 1:
@@ -96,7 +96,7 @@ def _fitted(session: Session, lab: RainLab, fitted: FittedCalibration) -> None:
     imgui.set_item_tooltip("Save it among your calibrations, and let the rain follow it.")
 
 
-def _measured(lab: RainLab) -> None:
+def _measured(lab: CalibrationTools) -> None:
     """Draw, for each chosen file, its drops and rain, rejected records with reasons, and how well its rates agree."""
     if lab.measured:
         imgui.separator_text("Measured")
@@ -109,7 +109,7 @@ def _measured(lab: RainLab) -> None:
         imgui.unindent()
 
 
-def _plots(session: Session, shown: dict[str, Calibration]) -> None:
+def _plots(session: Editor, shown: dict[str, Calibration]) -> None:
     curves = {name: calibration_curves(each) for name, each in shown.items()}
     _density(shown, curves)
     _sizes(shown, curves)
@@ -136,7 +136,7 @@ def _sizes(shown: dict[str, Calibration], curves: dict[str, CalibrationCurves]) 
                 points(name, np.array([r.intensity_mm_h for r in rows]), np.array([r.shape * r.scale_mm for r in rows]))
 
 
-def _spectra(session: Session, shown: dict[str, Calibration], curves: dict[str, CalibrationCurves]) -> None:
+def _spectra(session: Editor, shown: dict[str, Calibration], curves: dict[str, CalibrationCurves]) -> None:
     intensity = session.rain.intensity_mm_h or 8.5
     with plot(f"Spectrum at {intensity:.3g} mm/h###spectrum", "mm", "N(D) per m\u00b3 and mm", log_y=True) as seen:
         if seen:
@@ -153,7 +153,7 @@ def _spectra(session: Session, shown: dict[str, Calibration], curves: dict[str, 
                 points(measured, middles[there], nearest.spectrum_m3_mm[there])
 
 
-def _speeds(session: Session, curves: dict[str, CalibrationCurves]) -> None:
+def _speeds(session: Editor, curves: dict[str, CalibrationCurves]) -> None:
     with plot("Fall speed", "mm", "m/s") as seen:
         if seen:
             for name, each in curves.items():
@@ -177,7 +177,7 @@ def _closure(curves: dict[str, CalibrationCurves]) -> None:
 _STEP_MM = 0.1
 
 
-def disdrometer_panel(session: Session) -> None:
+def disdrometer_panel(session: Editor) -> None:
     lab, rain = session.lab, session.rain_now
     plain_label("Area (m\u00b2)", "Of the horizontal square that catches drops.")
     _, lab.area_m2 = imgui.slider_float("##area", lab.area_m2, 0.005, 10, "%.3g", _LOGARITHMIC)
@@ -204,7 +204,7 @@ def disdrometer_panel(session: Session) -> None:
 _LOGARITHMIC = imgui.SliderFlags_.logarithmic | imgui.SliderFlags_.always_clamp
 
 
-def _result(counted: CountedDrops) -> None:
+def _result(counted: DisdrometerMeasurement) -> None:
     state = counted.state
     rows = (
         ("Asked for", f"{state.implied_mm_h:.3f} mm/h", "What the drops in the air should carry."),
@@ -226,12 +226,12 @@ def _result(counted: CountedDrops) -> None:
     _spectrum(counted)
 
 
-def _off(counted: CountedDrops) -> float:
+def _off(counted: DisdrometerMeasurement) -> float:
     error = counted.standard_error_mm_h
     return (counted.rate_mm_h - counted.state.implied_mm_h) / error if error > 0 else 0.0
 
 
-def _spectrum(counted: CountedDrops) -> None:
+def _spectrum(counted: DisdrometerMeasurement) -> None:
     edges = counted.spectra.diameter_edges_mm
     middles = 0.5 * (edges[:-1] + edges[1:])
     in_air, _ = np.histogram(counted.diameters_mm, edges, weights=counted.in_air_m3)

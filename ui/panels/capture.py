@@ -3,8 +3,8 @@
 from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 
 from gsrain_engine.datasets.capture import Capture
-from gsrain_engine.editor.capture_view import THUMBNAIL_PX, Wish
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.capture_view import THUMBNAIL_PX, ImageRequest
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.matching import AGAINST, Against
 from gsrain_engine.editor.viewport.options import MODES, Mode
 
@@ -19,7 +19,7 @@ _ICONS = icons_fontawesome_6
 _ROW_EM = 3.6
 
 
-def capture_panel(session: Session) -> None:
+def capture_panel(session: Editor) -> None:
     captures = session.captures
     if captures.busy is not None:
         imgui.progress_bar(-imgui.get_time(), (-1, 0), captures.busy)
@@ -28,7 +28,7 @@ def capture_panel(session: Session) -> None:
         return
     capture = captures.capture
     _head(session, capture)
-    _shown(session)
+    _display_options(session)
     _steps(session, capture)
     _problems(session)
     if imgui.tree_node("Matching"):
@@ -40,7 +40,7 @@ def capture_panel(session: Session) -> None:
     _list(session, capture)
 
 
-def _nothing_open(session: Session) -> None:
+def _nothing_open(session: Editor) -> None:
     imgui.text_wrapped("Recorded pictures, cameras and points, to compare the scene with.")
     if imgui.button("Open a capture...", (-1, 0)):
         ask_for_capture_folder(session)
@@ -52,7 +52,7 @@ def _nothing_open(session: Session) -> None:
     imgui.set_item_tooltip("A capture that is one file, such as transforms.json.")
 
 
-def _head(session: Session, capture: Capture) -> None:
+def _head(session: Editor, capture: Capture) -> None:
     captures = session.captures
     close = f"{_ICONS.ICON_FA_XMARK}###close capture"
     width = imgui.calc_text_size(_ICONS.ICON_FA_XMARK).x + 2 * imgui.get_style().frame_padding.x
@@ -78,7 +78,7 @@ def _head(session: Session, capture: Capture) -> None:
     imgui.text_disabled(", ".join(parts))
 
 
-def _shown(session: Session) -> None:
+def _display_options(session: Editor) -> None:
     captures = session.captures
     _, captures.show_frustums = imgui.checkbox("Cameras", captures.show_frustums)
     imgui.set_item_tooltip("Show where the pictures were taken, and the nearest of them there.")
@@ -102,7 +102,7 @@ def _shown(session: Session) -> None:
         imgui.tree_pop()
 
 
-def _more(session: Session) -> None:
+def _more(session: Editor) -> None:
     captures = session.captures
     imgui.set_next_item_width(-6.5 * imgui.get_font_size())
     unit = "m" if captures.capture is not None and captures.capture.is_metric else "units"
@@ -118,7 +118,7 @@ def _more(session: Session) -> None:
     )
 
 
-def _steps(session: Session, capture: Capture) -> None:
+def _steps(session: Editor, capture: Capture) -> None:
     captures = session.captures
     if len(capture.sensors) > 1:
         names = ["all cameras", *capture.sensors]
@@ -141,7 +141,7 @@ def _steps(session: Session, capture: Capture) -> None:
     imgui.set_item_tooltip("Go to where the chosen picture was taken, with its field of view (Shift+V).")
 
 
-def _problems(session: Session) -> None:
+def _problems(session: Editor) -> None:
     problems = session.captures.problems
     if not problems:
         return
@@ -156,7 +156,7 @@ def _problems(session: Session) -> None:
         imgui.tree_pop()
 
 
-def _list(session: Session, capture: Capture) -> None:
+def _list(session: Editor, capture: Capture) -> None:
     captures, row = session.captures, _ROW_EM * imgui.get_font_size()
     listed = captures.listed
     imgui.begin_child("views", (0, max(imgui.get_content_region_avail().y, 2.5 * row)), imgui.ChildFlags_.borders)
@@ -168,7 +168,7 @@ def _list(session: Session, capture: Capture) -> None:
     imgui.end_child()
 
 
-def _row(session: Session, capture: Capture, index: int, height: float) -> None:
+def _row(session: Editor, capture: Capture, index: int, height: float) -> None:
     captures, view = session.captures, capture[index]
     at = imgui.get_cursor_screen_pos()
     flags = imgui.SelectableFlags_.allow_double_click
@@ -194,11 +194,11 @@ def _row(session: Session, capture: Capture, index: int, height: float) -> None:
     draw.add_text(ImVec2(left, top + 1.3 * line), color(WARNING) if fault else faint, words)
 
 
-def _thumbnail(session: Session, index: int, at: ImVec2, size: ImVec2) -> None:
+def _thumbnail(session: Editor, index: int, at: ImVec2, size: ImVec2) -> None:
     captures, draw = session.captures, imgui.get_window_draw_list()
     if captures.pictures is not None:
         captures.pictures.want(index, THUMBNAIL_PX)
-    texture = captures.textures.get(Wish(index, THUMBNAIL_PX))
+    texture = captures.textures.get(ImageRequest(index, THUMBNAIL_PX))
     end = ImVec2(at.x + size.x, at.y + size.y)
     if texture is None:
         draw.add_rect_filled(at, end, color(BACKGROUND))
@@ -211,11 +211,11 @@ def _thumbnail(session: Session, index: int, at: ImVec2, size: ImVec2) -> None:
 _FILES = "Captures{.json,.tfrecord,.pkl,.parquet},All files{.*}"
 
 
-def ask_for_capture_folder(session: Session) -> None:
+def ask_for_capture_folder(session: Editor) -> None:
     ask_what_to_open("Open a capture (folder)", "", lambda chosen: session.captures.open(chosen[0]))
 
 
-def ask_for_capture_file(session: Session) -> None:
+def ask_for_capture_file(session: Editor) -> None:
     ask_what_to_open("Open a capture (file)", _FILES, lambda chosen: session.captures.open(chosen[0]))
 
 
@@ -231,7 +231,7 @@ _AGAINST: dict[Against, str] = {
 _MODES: dict[Mode, str] = {"picture": "that view, from here", "difference": "difference", "pixels": "which match"}
 
 
-def matching_fields(session: Session) -> None:
+def matching_fields(session: Editor) -> None:
     matching = session.matching
     _, matching.is_on = imgui.checkbox("Show matches", matching.is_on)
     imgui.set_item_tooltip(

@@ -3,11 +3,11 @@
 from imgui_bundle import ImVec2, imgui
 
 from gsrain_engine.editor import camera_path
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.render.opengl.buffers import Harmonics
 
 from ..widgets.fields import plain_label
-from .timeline import HEIGHT_EM, key_menu, numbers, playhead, rows, strip, transport
+from .timeline import HEIGHT_EM, keyframe_menu, keyframe_number_fields, playhead, rows, time_ruler, transport
 
 _STORAGES: dict[Harmonics, str] = {"single": "32 bits", "half": "16 bits", "byte": "8 bits"}
 
@@ -15,7 +15,7 @@ _held: dict[str, float] = {}
 """Sliders that are being dragged, by the preference they are of."""
 
 
-def display_panel(session: Session) -> None:
+def display_panel(session: Editor) -> None:
     view = session.view
     plain_label("Background", "Shown where the scene has nothing.")
     _, color = imgui.color_edit3("##background", list(view.background))
@@ -51,7 +51,7 @@ def display_panel(session: Session) -> None:
     themes = ["dark", "light"]
     changed, index = imgui.combo("##theme", themes.index(preferences.theme), themes)
     if changed:
-        session.prefer(theme=themes[index])
+        session.set_preference(theme=themes[index])
     _preference(session, "font_scale", "Text size", "Times the usual size.", 0.5, 3.0, "%.2f")
     _preference(session, "ui_scale", "Spacing", "Size of buttons and gaps, times the usual.", 0.5, 3.0, "%.2f")
     _preference(
@@ -59,7 +59,7 @@ def display_panel(session: Session) -> None:
     )
 
 
-def _preference(session: Session, name: str, title: str, help_text: str, low: float, high: float, text: str) -> None:
+def _preference(session: Editor, name: str, title: str, help_text: str, low: float, high: float, text: str) -> None:
     """Edit a preference; it is taken when the slider is let go, so that nothing jumps under the hand."""
     plain_label(title, help_text)
     held = _held.get(name, getattr(session.preferences, name))
@@ -67,7 +67,7 @@ def _preference(session: Session, name: str, title: str, help_text: str, low: fl
     if changed:
         _held[name] = value
     if imgui.is_item_deactivated_after_edit() and name in _held:
-        session.prefer(**{name: _held.pop(name)})
+        session.set_preference(**{name: _held.pop(name)})
 
 
 # § The Timeline panel: time is scrubbed, camera keys are set and moved, and all that has a time is seen.
@@ -78,7 +78,7 @@ _NARROW_EM = 50.0
 """Below this width the numbers make room for the rows."""
 
 
-def timeline_panel(session: Session) -> None:
+def timeline_panel(session: Editor) -> None:
     em, timeline = imgui.get_font_size(), session.timeline
     transport(session)
     avail = imgui.get_content_region_avail()
@@ -96,7 +96,7 @@ def timeline_panel(session: Session) -> None:
     height = HEIGHT_EM * em
     imgui.set_cursor_screen_pos(ImVec2(start.x + titles, start.y))
     imgui.begin_group()
-    strip(session, width)
+    time_ruler(session, width)
     playhead(session, ImVec2(start.x + titles, start.y), width, height, with_head=True)
     imgui.end_group()
     imgui.set_cursor_screen_pos(ImVec2(start.x, start.y + height))
@@ -104,12 +104,12 @@ def timeline_panel(session: Session) -> None:
     if beside:
         imgui.set_cursor_screen_pos(ImVec2(start.x + avail.x - beside + 8, start.y))
         if imgui.begin_child("numbers", ImVec2(beside - 8, 0)):
-            numbers(session)
+            keyframe_number_fields(session)
         imgui.end_child()
     _keyboard(session)
 
 
-def _rows(session: Session, titles: float, width: float) -> None:
+def _rows(session: Editor, titles: float, width: float) -> None:
     size = ImVec2(titles + width + imgui.get_style().scrollbar_size, 0)
     flags = imgui.WindowFlags_.no_scroll_with_mouse
     shown = imgui.begin_child("rows", size, window_flags=flags)
@@ -121,13 +121,13 @@ def _rows(session: Session, titles: float, width: float) -> None:
         io = imgui.get_io()
         if io.key_shift and io.mouse_wheel and imgui.is_window_hovered():
             imgui.set_scroll_y(imgui.get_scroll_y() - io.mouse_wheel * imgui.get_text_line_height())
-        key_menu(session)
+        keyframe_menu(session)
         playhead(session, ImVec2(corner.x + titles, corner.y), width, height, with_head=False)
     imgui.end_child()
     _wheel(session, corner.x + titles)
 
 
-def _wheel(session: Session, left: float) -> None:
+def _wheel(session: Editor, left: float) -> None:
     """Zoom by the wheel and pan by the middle button, over ruler and rows; Shift and the wheel scroll the rows."""
     io, ruler = imgui.get_io(), session.timeline.ruler
     x = imgui.get_mouse_pos().x - left
@@ -139,10 +139,10 @@ def _wheel(session: Session, left: float) -> None:
         ruler.pan(io.mouse_delta.x)
 
 
-def _keyboard(session: Session) -> None:
-    key = camera_path.chosen_key(session)
+def _keyboard(session: Editor) -> None:
+    key = camera_path.active_keyframe(session)
     session.timeline.takes_keys = imgui.is_window_focused(imgui.FocusedFlags_.child_windows)
     if imgui.get_io().want_text_input or key is None:
         return
     if session.timeline.takes_keys and imgui.is_key_pressed(imgui.Key.delete):
-        camera_path.delete_key(session, key)
+        camera_path.delete_keyframe(session, key)

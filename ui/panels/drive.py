@@ -7,9 +7,9 @@ from typing import TypeVar, get_args
 import msgspec
 from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 
-from gsrain_engine.editor.drive import Drives, WantedDrive
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.editor.jobs.drive import OpenedRollout
+from gsrain_engine.editor.drive import DriveSetup, RolloutPlayer
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.jobs.drive import LoadedRollout
 from gsrain_engine.editor.viewport.camera_follow import ChaseMode
 from gsrain_engine.simulation.scenario import ScenarioUser
 
@@ -18,9 +18,9 @@ from ..widgets.fields import (
     ALL_FILES,
     ask_what_to_open,
     ask_where_to_save,
-    edited,
+    edit_field,
     field_info,
-    place,
+    path_field,
     plain_label,
     square_button,
 )
@@ -37,8 +37,8 @@ _HELP = (
 )
 
 
-def drive_panel(session: Session) -> None:
-    wanted = session.drives.wanted
+def drive_panel(session: Editor) -> None:
+    wanted = session.drives.settings
     scenario_choice(session)
     if imgui.tree_node("Change the scenario"):
         scenario_fields(wanted)
@@ -54,7 +54,7 @@ def drive_panel(session: Session) -> None:
         drive_metrics(session)
 
 
-def _begin(session: Session) -> None:
+def _begin(session: Editor) -> None:
     newest = session.drives.newest_job(session)
     if newest is not None and newest[1].state == "running":
         imgui.separator_text(newest[1].title)
@@ -89,9 +89,9 @@ _BLIND = ("constant-velocity", "oracle-idm")
 """Agents that look at no pictures and ask nobody."""
 
 
-def scenario_choice(session: Session) -> None:
+def scenario_choice(session: Editor) -> None:
     """Pick a shipped scenario, or one from a file."""
-    wanted = session.drives.wanted
+    wanted = session.drives.settings
     plain_label("Scenario", wanted.scenario.description or "What happens on the road.")
     names = wanted.scenario_names
     shown = wanted.source if wanted.source in names else Path(wanted.source).name
@@ -110,12 +110,12 @@ def scenario_choice(session: Session) -> None:
     imgui.set_item_tooltip("Open a scenario: our YAML, HUGSIM's YAML, or OpenSCENARIO.")
 
 
-def ask_for_scenario(session: Session) -> None:
+def ask_for_scenario(session: Editor) -> None:
     """Ask for a scenario's file."""
-    ask_what_to_open("Open a scenario", _SCENARIOS, lambda chosen: session.drives.wanted.load(chosen[0]))
+    ask_what_to_open("Open a scenario", _SCENARIOS, lambda chosen: session.drives.settings.load(chosen[0]))
 
 
-def agent_fields(wanted: WantedDrive) -> None:
+def agent_fields(wanted: DriveSetup) -> None:
     """Pick who drives, and what it needs."""
     wishes, names = wanted.wishes, wanted.agent_names
     plain_label("Agent", field_info("agent", type(wishes)).help)
@@ -129,30 +129,30 @@ def agent_fields(wanted: WantedDrive) -> None:
         wanted.wishes = msgspec.structs.replace(wishes, agent=names[at])
     if wanted.wishes.agent in _BLIND:
         return
-    place(wanted.wishes, "detector", _DETECTORS, partial(_take_detector, wanted))
+    path_field(wanted.wishes, "detector", _DETECTORS, partial(_take_detector, wanted))
     _text(wanted, "description", "found by its name")
     if wanted.wishes.agent != "camera-idm":
         _text(wanted, "url", "none")
 
 
-def rain_fields(session: Session) -> None:
-    wanted = session.drives.wanted
-    wishes = edited(wanted.wishes, "rain")
+def rain_fields(session: Editor) -> None:
+    wanted = session.drives.settings
+    wishes = edit_field(wanted.wishes, "rain")
     if wishes.rain == "one intensity":
-        wishes = edited(wishes, "intensity_mm_h")
+        wishes = edit_field(wishes, "intensity_mm_h")
     elif wishes.rain == "as the scene":
         plain_label("", "")
         imgui.text_disabled(f"{session.rain_now.intensity_mm_h:.3g} mm/h")
         imgui.set_item_tooltip("Set it in the Rain panel; a shower is driven at its present intensity.")
-    wanted.wishes = edited(wishes, "seed")
+    wanted.wishes = edit_field(wishes, "seed")
 
 
-def _take_detector(wanted: WantedDrive, text: str) -> None:
+def _take_detector(wanted: DriveSetup, text: str) -> None:
     detector = Path(text).expanduser() if text.strip() else None
     wanted.wishes = msgspec.structs.replace(wanted.wishes, detector=detector)
 
 
-def _text(wanted: WantedDrive, name: str, hint: str) -> None:
+def _text(wanted: DriveSetup, name: str, hint: str) -> None:
     info, value = field_info(name, type(wanted.wishes)), getattr(wanted.wishes, name) or ""
     plain_label(info.title, info.help)
     _, typed = imgui.input_text_with_hint(f"##{name}", hint, value)
@@ -165,9 +165,9 @@ def _text(wanted: WantedDrive, name: str, hint: str) -> None:
 
 _KINDS = "Roll-outs{.jsonl,.parquet}"
 
-_FILMS = "MP4{.mp4},WebM{.webm}"
+_VIDEOS = "MP4{.mp4},WebM{.webm}"
 
-FILM_HELP = (
+VIDEO_HELP = (
     "Film the drive that plays, as `gsrain drive` does: what the front camera sees, figures, and all from above.\n"
     "In the background, with the Record panel's frame rate, at most 60 a second."
 )
@@ -179,7 +179,7 @@ _MODES: dict[ChaseMode, str] = {
 }
 
 
-def rollout_fields(session: Session) -> None:
+def rollout_fields(session: Editor) -> None:
     drives = session.drives
     third = (imgui.get_content_region_avail().x - 2 * imgui.get_style().item_spacing.x) / 3
     if imgui.button(f"{_ICONS.ICON_FA_FOLDER_OPEN}  Open...###open roll-out", (third, 0)):
@@ -192,12 +192,12 @@ def rollout_fields(session: Session) -> None:
     imgui.set_item_tooltip("Write the one that plays as JSON lines or Parquet.")
     imgui.end_disabled()
     imgui.same_line()
-    why_not = drives.why_no_film(session)
+    why_not = drives.why_no_video(session)
     imgui.begin_disabled(why_not is not None)
     if imgui.button(f"{_ICONS.ICON_FA_FILM}  Film...###film roll-out", (third, 0)):
-        ask_where_to_film(session)
+        ask_where_to_video(session)
     imgui.end_disabled()
-    imgui.set_item_tooltip(why_not or FILM_HELP)
+    imgui.set_item_tooltip(why_not or VIDEO_HELP)
     if not drives.opened:
         imgui.text_wrapped("None is open. Drive, or open a finished drive: it plays in the view, on the timeline.")
         return
@@ -210,10 +210,10 @@ def rollout_fields(session: Session) -> None:
         imgui.pop_style_color()
     _jumps(session)
     _camera(session)
-    _shown(drives)
+    _display_options(drives)
 
 
-def ask_for_rollout(session: Session) -> None:
+def ask_for_rollout(session: Editor) -> None:
     """Ask for a roll-out's file."""
     kinds = f"{_KINDS},{ALL_FILES}"
 
@@ -224,15 +224,15 @@ def ask_for_rollout(session: Session) -> None:
     ask_what_to_open("Open a roll-out", kinds, take, several=True)
 
 
-def ask_where_to_save_rollout(session: Session) -> None:
+def ask_where_to_save_rollout(session: Editor) -> None:
     ask_where_to_save("Save the roll-out", _KINDS, lambda chosen: session.drives.save_as(session, chosen[0]))
 
 
-def ask_where_to_film(session: Session) -> None:
-    ask_where_to_save("Film the drive", _FILMS, lambda chosen: session.drives.film_to(session, chosen[0]))
+def ask_where_to_video(session: Editor) -> None:
+    ask_where_to_save("Film the drive", _VIDEOS, lambda chosen: session.drives.video_to(session, chosen[0]))
 
 
-def _row(session: Session, number: int, opened: OpenedRollout, hue: int) -> None:
+def _row(session: Editor, number: int, opened: LoadedRollout, hue: int) -> None:
     drives, height = session.drives, imgui.get_frame_height()
     imgui.push_id(number)
     at, width = imgui.get_cursor_screen_pos(), imgui.get_content_region_avail().x
@@ -257,7 +257,7 @@ def _row(session: Session, number: int, opened: OpenedRollout, hue: int) -> None
     imgui.pop_id()
 
 
-def _jumps(session: Session) -> None:
+def _jumps(session: Editor) -> None:
     drives = session.drives
     playing = drives.playing
     if playing is None:
@@ -271,14 +271,14 @@ def _jumps(session: Session) -> None:
     words = "Nothing was hit." if hit is None else f"Go to {hit:.2f} s, where {playing.metrics.collided_with} was hit."
     imgui.set_item_tooltip(words)
     imgui.same_line()
-    critical = playing.curves.most_critical_s
+    critical = playing.curves.min_ttc_time_s
     if imgui.button(f"{_ICONS.ICON_FA_STOPWATCH}  Smallest TTC###smallest ttc", (half, 0)):
         drives.jump(session, critical)
     least = float(playing.curves.ttc_s.min())
     imgui.set_item_tooltip(f"Go to {critical:.2f} s, where the time to collision is {least:.2f} s (from 0 to 10 s).")
 
 
-def _camera(session: Session) -> None:
+def _camera(session: Editor) -> None:
     chase = session.drives.chase
     imgui.align_text_to_frame_padding()
     imgui.text("Camera")
@@ -289,7 +289,7 @@ def _camera(session: Session) -> None:
         imgui.set_item_tooltip(_MODES[mode])
 
 
-def _shown(drives: Drives) -> None:
+def _display_options(drives: RolloutPlayer) -> None:
     _, drives.show_boxes = imgui.checkbox("Boxes", drives.show_boxes)
     imgui.set_item_tooltip(
         "Draw everybody's box with its name and its speed in m/s; red is who is hit.\n"
@@ -318,7 +318,7 @@ _START = ("speed_m_s", "left_m", "duration_s", "step_s")
 _USER = ("ahead_m", "left_m", "turned_deg", "speed_m_s")
 
 
-def scenario_fields(wanted: WantedDrive) -> None:
+def scenario_fields(wanted: DriveSetup) -> None:
     """Draw them, with a button that saves the scenario."""
     scenario = wanted.scenario
     for name in _START:
@@ -341,7 +341,7 @@ def scenario_fields(wanted: WantedDrive) -> None:
     imgui.set_item_tooltip("As YAML, which `gsrain drive` and this panel open again.")
 
 
-def ask_where_to_save_scenario(wanted: WantedDrive) -> None:
+def ask_where_to_save_scenario(wanted: DriveSetup) -> None:
     """Ask for the scenario's file."""
     ask_where_to_save("Save the scenario", "Scenario{.yaml}", lambda chosen: wanted.save(chosen[0]))
 
@@ -375,7 +375,7 @@ def _field(settings: _Settings, name: str) -> _Settings:
     """Draw a field's widget; numbers with decimals are dragged, since their bounds are far apart."""
     value = getattr(settings, name)
     if not isinstance(value, float):
-        return edited(settings, name)
+        return edit_field(settings, name)
     info = field_info(name, type(settings))
     plain_label(f"{info.title} ({info.unit})" if info.unit else info.title, info.help)
     speed = min((info.high - info.low) / _DRAG_PX, _FASTEST)

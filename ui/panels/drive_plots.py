@@ -8,9 +8,9 @@ import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
 from jaxtyping import Float64
 
-from gsrain_engine.editor.drive_curves import Curves
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.editor.jobs.drive import OpenedRollout
+from gsrain_engine.editor.drive_curves import RolloutCurves
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.jobs.drive import LoadedRollout
 from gsrain_engine.editor.overlays_drive import mosaic_rows
 from gsrain_engine.scene.scene import RigCamera
 from gsrain_engine.simulation.metrics.summary import DriveMetrics
@@ -20,7 +20,7 @@ from ..widgets.draw import BACKGROUND, OUTLINE, PLAYHEAD, color
 _WIDE = 1.6
 """From so many times wider than high on, plots stand side by side."""
 
-_LEAST_EM, _HIGHEST_EM = 8.0, 14.0
+_MIN_EM, _HIGHEST_EM = 8.0, 14.0
 
 _MARGIN = 0.08
 
@@ -33,7 +33,7 @@ _HIT = ImVec4(0.95, 0.33, 0.28, 1.0)
 @dataclass(frozen=True)
 class _Plot:
     field: str
-    """Of `Curves`."""
+    """Of `RolloutCurves`."""
     title: str
     unit: str
     help: str
@@ -41,7 +41,7 @@ class _Plot:
     high: float
     """What is seen at least."""
 
-    def of(self, curves: Curves) -> Float64[np.ndarray, " n"]:
+    def of(self, curves: RolloutCurves) -> Float64[np.ndarray, " n"]:
         return getattr(curves, self.field)
 
 
@@ -53,7 +53,7 @@ _PLOTS = (
 )
 
 
-def drive_plots(session: Session) -> None:
+def drive_plots(session: Editor) -> None:
     drives = session.drives
     if drives.playing is None:
         imgui.text_wrapped("No roll-out is open: drive, or open one, in the Drive panel.")
@@ -64,7 +64,7 @@ def drive_plots(session: Session) -> None:
     rows = -(-len(_PLOTS) // columns)
     width = (room.x - (columns - 1) * gap.x) / columns
     most = room.y if rows == 1 else _HIGHEST_EM * em
-    height = float(np.clip((room.y - (rows - 1) * gap.y) / rows, _LEAST_EM * em, max(most, _LEAST_EM * em)))
+    height = float(np.clip((room.y - (rows - 1) * gap.y) / rows, _MIN_EM * em, max(most, _MIN_EM * em)))
     for number, plot in enumerate(_PLOTS):
         if number % columns:
             imgui.same_line()
@@ -73,9 +73,9 @@ def drive_plots(session: Session) -> None:
         imgui.end_group()
 
 
-def _plot(session: Session, plot: _Plot, size: ImVec2) -> None:
+def _plot(session: Editor, plot: _Plot, size: ImVec2) -> None:
     drives = session.drives
-    playing, shown = drives.playing, drives.shown_in(session)
+    playing, shown = drives.playing, drives.placed_in(session)
     assert playing is not None
     now_s = session.clock.time_s - (shown.start_s if shown is not None else 0.0)
     now = float(np.interp(now_s, playing.curves.times_s, plot.of(playing.curves)))
@@ -98,7 +98,7 @@ def _plot(session: Session, plot: _Plot, size: ImVec2) -> None:
     implot.pop_style_var()
 
 
-def _axes(opened: list[OpenedRollout], plot: _Plot) -> None:
+def _axes(opened: list[LoadedRollout], plot: _Plot) -> None:
     flags = implot.AxisFlags_.no_highlight | implot.AxisFlags_.lock | implot.AxisFlags_.no_menus
     implot.setup_axes("", "", flags, flags)
     longest = max(each.duration_s for each in opened)
@@ -112,7 +112,7 @@ def _axes(opened: list[OpenedRollout], plot: _Plot) -> None:
     implot.setup_axis_format(implot.ImAxis_.x1, "%g s")
 
 
-def _curve(opened: OpenedRollout, plot: _Plot, hue: ImVec4, *, is_playing: bool) -> None:
+def _curve(opened: LoadedRollout, plot: _Plot, hue: ImVec4, *, is_playing: bool) -> None:
     times, values = opened.curves.times_s, np.ascontiguousarray(plot.of(opened.curves))
     spec = implot.Spec(line_color=hue, line_weight=2.5 if is_playing else 1.2)
     implot.plot_line(f"{id(opened)}", times, values, spec=spec)
@@ -144,7 +144,7 @@ _DARKER = 0.72
 _FEW = 3
 
 
-def curve_colors(opened: Sequence[OpenedRollout]) -> list[ImVec4]:
+def curve_colors(opened: Sequence[LoadedRollout]) -> list[ImVec4]:
     """A colour for each, in their order."""
     colors: list[ImVec4] = []
     for number, each in enumerate(opened):
@@ -164,7 +164,7 @@ def _rain_color(intensity_mm_h: float) -> tuple[float, ...]:
 
 # § The table of metrics: a column for each roll-out that is open.
 
-_MOST = 5
+_MAX_COLUMNS = 5
 
 _NONE = "-"
 
@@ -199,10 +199,10 @@ _ROWS: tuple[tuple[str, str, Callable[[DriveMetrics], str]], ...] = (
 )  # fmt: skip
 
 
-def drive_metrics(session: Session) -> None:
+def drive_metrics(session: Editor) -> None:
     drives = session.drives
     runs = sorted(zip(drives.opened, curve_colors(drives.opened), strict=True), key=lambda each: each[0].intensity_mm_h)
-    runs = runs[:_MOST]
+    runs = runs[:_MAX_COLUMNS]
     flags = imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_stretch_prop
     if not imgui.begin_table("metrics", 1 + len(runs), flags):
         return
@@ -233,7 +233,7 @@ def drive_metrics(session: Session) -> None:
 _GAP = 3.0
 
 
-def camera_mosaic_panel(session: Session) -> None:
+def camera_mosaic_panel(session: Editor) -> None:
     """Draw the panel; pictures are only drawn while it is to be seen."""
     mosaic, scene = session.drives.mosaic, session.scene
     if scene.ego is None or not scene.rigs:
@@ -255,7 +255,7 @@ def camera_mosaic_panel(session: Session) -> None:
     for row in rows:
         height = max(width * each.height / each.width for each in row)
         for column, camera in enumerate(row):
-            _picture(session, camera, ImVec2(start.x + column * (width + _GAP), top), width)
+            _image(session, camera, ImVec2(start.x + column * (width + _GAP), top), width)
         top += height + _GAP
     imgui.set_cursor_screen_pos(start)
     imgui.dummy(ImVec2(max(map(len, rows)) * (width + _GAP), top - start.y))
@@ -269,7 +269,7 @@ def _width(rows: list[list[RigCamera]]) -> float:
     return max(min(by_width, by_height), 60.0)
 
 
-def _picture(session: Session, camera: RigCamera, at: ImVec2, width: float) -> None:
+def _image(session: Editor, camera: RigCamera, at: ImVec2, width: float) -> None:
     draw, em = imgui.get_window_draw_list(), imgui.get_font_size()
     end = ImVec2(at.x + width, at.y + width * camera.height / camera.width)
     picture = session.drives.mosaic.pictures.get(camera.name)

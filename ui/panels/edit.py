@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import msgspec
 from imgui_bundle import ImVec2, imgui
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.actors import duration_of, retime_actor, start_of, turn_actor
 from gsrain_engine.editor.edits.floaters import FloaterRules
 from gsrain_engine.editor.edits.gaussians import (
@@ -27,7 +27,7 @@ from ..widgets.text import label
 from .layers import grading_fields
 
 
-def edit_panel(session: Session) -> None:
+def edit_panel(session: Editor) -> None:
     _selection(session)
     member = next((each for each in session.scene.members if each.key == session.view.member), None)
     if member is None:
@@ -39,7 +39,7 @@ def edit_panel(session: Session) -> None:
         floater_fields(session)
 
 
-def _selection(session: Session) -> None:
+def _selection(session: Editor) -> None:
     scene = session.scene
     count, deleted = selected_count(scene), deleted_count(scene)
     imgui.separator_text(f"{count:,} selected" if count else "Nothing selected")
@@ -71,7 +71,7 @@ def _selection(session: Session) -> None:
         )
 
 
-def _member(session: Session, member: Layer | Actor) -> None:
+def _member(session: Editor, member: Layer | Actor) -> None:
     imgui.separator_text(member.name)
     if member.locked:
         imgui.text_disabled("It is locked.")
@@ -89,19 +89,19 @@ def _member(session: Session, member: Layer | Actor) -> None:
 
 
 @dataclass(slots=True)
-class _Chosen:
+class _FloaterChoice:
     """The rules that are set; they are no part of the document."""
 
     rules: FloaterRules
 
 
-_chosen = _Chosen(FloaterRules())
+_chosen = _FloaterChoice(FloaterRules())
 
 _RANGES = {"opacity_below": (1.0, "%.3g"), "size_above_m": (20.0, "%.3g"), "isolation_above": (50.0, "%.3g x median")}
 """Where each slider ends, and how its value is written."""
 
 
-def floater_fields(session: Session) -> None:
+def floater_fields(session: Editor) -> None:
     """Edit the rules, search, delete."""
     for name, (high, written) in _RANGES.items():
         info, value = field_info(name, FloaterRules), getattr(_chosen.rules, name)
@@ -135,7 +135,7 @@ def floater_fields(session: Session) -> None:
 # § Where a layer or an actor lies, as numbers.
 
 
-def place_fields(session: Session, member: Layer | Actor) -> None:
+def place_fields(session: Editor, member: Layer | Actor) -> None:
     """Edit position, turn and scale."""
     time_s = session.clock.time_s
     pose = layer_pose(session.scene, member.key, time_s)
@@ -160,7 +160,7 @@ def place_fields(session: Session, member: Layer | Actor) -> None:
     end_gesture_when_released(session)
 
 
-def _place(session: Session, member: Layer | Actor, pose: Pose) -> None:
+def _place(session: Editor, member: Layer | Actor, pose: Pose) -> None:
     label = f"Place {member.name}"
     session.edit(label, set_layer_pose, member.key, pose, session.clock.time_s, gesture=f"place {member.key}")
 
@@ -170,7 +170,7 @@ _CLAMP = imgui.SliderFlags_.always_clamp | imgui.SliderFlags_.logarithmic
 # § How an actor drives: when, how fast, which way it faces; and the camera that goes with it.
 
 
-def actor_fields(session: Session, actor: Actor) -> None:
+def actor_fields(session: Editor, actor: Actor) -> None:
     """Edit times and heading; copy, remove, follow."""
     key, start, duration = actor.key, start_of(actor), duration_of(actor)
     plain_label("Starts at (s)", "Second of the scene's clock at which its drive begins.")
@@ -212,13 +212,13 @@ _ACTOR_CLAMP = imgui.SliderFlags_.always_clamp
 # § The History panel: every step; a click goes there.
 
 
-class _Seen:
+class _ScrollState:
     """The step that the list was last scrolled to."""
 
     cursor = -1
 
 
-def history_panel(session: Session) -> None:
+def history_panel(session: Editor) -> None:
     history = session.history
     chosen = None
     for number, step in enumerate(history.labels):
@@ -230,8 +230,8 @@ def history_panel(session: Session) -> None:
         if is_undone:
             imgui.pop_style_color()
         imgui.set_item_tooltip("Go to this step." if number != history.cursor else "The document as it is now.")
-        if number == history.cursor != _Seen.cursor:
+        if number == history.cursor != _ScrollState.cursor:
             imgui.set_scroll_here_y(0.8)
-    _Seen.cursor = history.cursor
+    _ScrollState.cursor = history.cursor
     if chosen is not None:
         session.go_to_step(chosen)

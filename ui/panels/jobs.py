@@ -5,14 +5,14 @@ import webbrowser
 
 from imgui_bundle import ImVec2, ImVec4, imgui
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.jobs.job import BackgroundJob, SceneJob
 from gsrain_engine.editor.notifications import LogLine
 
 from .rain import WARNING
 
 
-def jobs_panel(session: Session) -> None:
+def jobs_panel(session: Editor) -> None:
     if not session.jobs:
         imgui.text_wrapped("Nothing goes on in the background. Make it rainy, Capture, Drive and Record start jobs.")
     for number, job in reversed(list(enumerate(session.jobs))):
@@ -27,7 +27,7 @@ def jobs_panel(session: Session) -> None:
 _HIGHEST_PREVIEW_EM = 9.0
 
 
-def job_fields(session: Session, job: BackgroundJob, number: int) -> None:
+def job_fields(session: Editor, job: BackgroundJob, number: int) -> None:
     """Draw a job; `number` tells it from the others of the panel."""
     if job.state == "running":
         imgui.progress_bar(job.progress.fraction, (-1, 0), f"{100 * job.progress.fraction:.0f} %")
@@ -50,7 +50,7 @@ def job_fields(session: Session, job: BackgroundJob, number: int) -> None:
             imgui.set_item_tooltip(f"Show figures, views and timings in a browser: {job.report}")
 
 
-def _preview(session: Session, job: BackgroundJob) -> None:
+def _preview(session: Editor, job: BackgroundJob) -> None:
     """Show the job's newest picture, as wide as the panel and not too high."""
     if (preview := session.previews.get(job)) is None:
         return
@@ -68,26 +68,26 @@ _COLORS = {logging.ERROR: ImVec4(0.95, 0.45, 0.38, 1.0), logging.WARNING: ImVec4
 _LEVELS = {"all": logging.INFO, "warnings": logging.WARNING, "errors": logging.ERROR}
 
 
-class _Filter:
+class _LogFilter:
     """What is shown."""
 
     level = "all"
     words = ""
 
 
-def log_panel(session: Session) -> None:
+def log_panel(session: Editor) -> None:
     imgui.set_next_item_width(7 * imgui.get_font_size())
     names = list(_LEVELS)
-    changed, picked = imgui.combo("##level", names.index(_Filter.level), names)
+    changed, picked = imgui.combo("##level", names.index(_LogFilter.level), names)
     if changed:
-        _Filter.level = names[picked]
+        _LogFilter.level = names[picked]
     imgui.set_item_tooltip("Show everything, or only what may be wrong.")
     imgui.same_line()
     copy_width = imgui.calc_text_size("Copy").x + 4 * imgui.get_style().frame_padding.x
     imgui.set_next_item_width(-copy_width)
-    _, _Filter.words = imgui.input_text_with_hint("##words", "words", _Filter.words)
+    _, _LogFilter.words = imgui.input_text_with_hint("##words", "words", _LogFilter.words)
     imgui.set_item_tooltip("Show only lines with these words.")
-    shown = [line for line in session.log.lines if _is_shown(line)]
+    shown = [line for line in session.log.lines if _passes_filter(line)]
     imgui.same_line()
     if imgui.button("Copy"):
         imgui.set_clipboard_text("\n".join(f"{line.at:%H:%M:%S} {line.text}\n{line.details}".strip() for line in shown))
@@ -102,9 +102,9 @@ def log_panel(session: Session) -> None:
     imgui.end_child()
 
 
-def _is_shown(line: LogLine) -> bool:
+def _passes_filter(line: LogLine) -> bool:
     text = f"{line.text} {line.details}".lower()
-    return line.level >= _LEVELS[_Filter.level] and all(word in text for word in _Filter.words.lower().split())
+    return line.level >= _LEVELS[_LogFilter.level] and all(word in text for word in _LogFilter.words.lower().split())
 
 
 def _line(line: LogLine, number: int) -> None:
@@ -125,7 +125,7 @@ def _line(line: LogLine, number: int) -> None:
 # § The Statistics panel: frames a second, milliseconds a stage, what was drawn.
 
 
-def statistics_panel(session: Session) -> None:
+def statistics_panel(session: Editor) -> None:
     imgui.text_wrapped(f"{imgui.get_io().framerate:.1f} frames a second, back end: {session.backend}")
     if not session.detail.is_exact:
         imgui.text_colored(WARNING, f"while the camera moves: {session.detail}")

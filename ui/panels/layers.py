@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 import msgspec
 from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits import layers
-from gsrain_engine.scene.scene import UNCHANGED, Actor, Grading, Layer
+from gsrain_engine.scene.scene import UNCHANGED, Actor, ColorGrading, Layer
 from gsrain_engine.scene.transforms import without_wet_colors
 
 from ..widgets.fields import end_gesture_when_released, field_info, plain_label
@@ -38,7 +38,7 @@ class _Marked:
 _naming, _marked = _Naming(), _Marked()
 
 
-def layers_panel(session: Session) -> None:
+def layers_panel(session: Editor) -> None:
     scene = session.scene
     imgui.text_wrapped(f"{scene.name}: {scene.gaussian_count:,} Gaussians")
     _marked.keys = [key for key in _marked.keys if any(each.key == key for each in scene.members)]
@@ -56,7 +56,7 @@ def layers_panel(session: Session) -> None:
     _buttons(session)
 
 
-def _group(session: Session, title: str, members: Sequence[Layer | Actor]) -> None:
+def _group(session: Editor, title: str, members: Sequence[Layer | Actor]) -> None:
     if not members:
         return
     imgui.table_next_row()
@@ -68,7 +68,7 @@ def _group(session: Session, title: str, members: Sequence[Layer | Actor]) -> No
             _row(session, member)
 
 
-def _row(session: Session, member: Layer | Actor) -> None:
+def _row(session: Editor, member: Layer | Actor) -> None:
     key = member.key
     imgui.table_next_row()
     imgui.table_next_column()
@@ -107,7 +107,7 @@ def _icon(icon: str, name: str, help_text: str, *, bright: bool) -> bool:
     return clicked
 
 
-def _name(session: Session, member: Layer | Actor) -> None:
+def _name(session: Editor, member: Layer | Actor) -> None:
     key = member.key
     is_chosen = session.view.member == key or key in _marked.keys
     drop = "" if member.wet_sh is None else f" {_ICONS.ICON_FA_DROPLET}"
@@ -135,7 +135,7 @@ def _begin_naming(member: Layer | Actor) -> None:
     _naming.key, _naming.typed, _naming.is_new = member.key, member.name, True
 
 
-def _rename(session: Session, member: Layer | Actor) -> None:
+def _rename(session: Editor, member: Layer | Actor) -> None:
     imgui.set_next_item_width(-1)
     if _naming.is_new:
         imgui.set_keyboard_focus_here()
@@ -150,7 +150,7 @@ def _rename(session: Session, member: Layer | Actor) -> None:
     _naming.is_new = False
 
 
-def _menu(session: Session, member: Layer | Actor) -> None:
+def _menu(session: Editor, member: Layer | Actor) -> None:
     key, name = member.key, member.name
     if imgui.menu_item("Rename", "", False)[0]:
         _begin_naming(member)
@@ -167,7 +167,7 @@ def _menu(session: Session, member: Layer | Actor) -> None:
         session.edit(f"Remove {name}", layers.remove, key)
 
 
-def _opacity(session: Session) -> None:
+def _opacity(session: Editor) -> None:
     chosen = next((each for each in session.scene.members if each.key == session.view.member), None)
     if chosen is None:
         imgui.push_style_color(imgui.Col_.text, imgui.get_style_color_vec4(imgui.Col_.text_disabled))
@@ -184,7 +184,7 @@ def _opacity(session: Session) -> None:
     end_gesture_when_released(session)
 
 
-def _buttons(session: Session) -> None:
+def _buttons(session: Editor) -> None:
     chosen = next((each for each in session.scene.members if each.key == session.view.member), None)
     marked = [key for key in _marked.keys if key.startswith("layers/")]
     is_selected = any(each.marks.selected for each in session.scene.members)
@@ -218,7 +218,7 @@ def _buttons(session: Session) -> None:
 _RESET = icons_fontawesome_6.ICON_FA_ROTATE_LEFT
 
 
-def grading_fields(session: Session, member: Layer | Actor) -> None:
+def grading_fields(session: Editor, member: Layer | Actor) -> None:
     """One slider a field, each with a button that takes it back."""
     plain_label("Opacity", f"Multiplies that of every Gaussian of {member.name}; 1 leaves it.")
     changed, value = _slider("opacity", member.opacity, 0.0, 1.0, 1.0)
@@ -229,8 +229,8 @@ def grading_fields(session: Session, member: Layer | Actor) -> None:
             gesture=f"opacity {member.key}",
         )
     end_gesture_when_released(session)
-    for name in Grading.__struct_fields__:
-        info = field_info(name, Grading)
+    for name in ColorGrading.__struct_fields__:
+        info = field_info(name, ColorGrading)
         plain_label(f"{info.title} ({info.unit})" if info.unit else info.title, info.help)
         changed, value = _slider(name, getattr(member.grading, name), info.low, info.high, getattr(UNCHANGED, name))
         if changed:
@@ -244,7 +244,7 @@ def grading_fields(session: Session, member: Layer | Actor) -> None:
     imgui.set_item_tooltip("Take the grading back; opacity stays.")
 
 
-def _grade(session: Session, member: Layer | Actor, what: str, grading: Grading) -> None:
+def _grade(session: Editor, member: Layer | Actor, what: str, grading: ColorGrading) -> None:
     scene = session.scene.with_member(member.key, grading=grading)
     session.set_scene(f"{what} of {member.name}", scene, gesture=f"{what} {member.key}")
 

@@ -8,13 +8,13 @@ from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 
 from gsrain_engine.appearance.base import TransferSettings
 from gsrain_engine.appearance.registry import usable_methods
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.editor.jobs.make_rainy import RAINY_SCENE_TITLE
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.jobs.make_rainy import MAKE_RAINY_TITLE
 from gsrain_engine.editor.make_rainy import SOURCES, TITLES, why_no_views
 from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H
 
 from ..widgets import fields
-from ..widgets.fields import ALL_FILES, edited, place
+from ..widgets.fields import ALL_FILES, edit_field, path_field
 from .jobs import job_fields
 from .rain import WARNING, wetness_fields
 from .training import transfer_training_fields
@@ -45,7 +45,7 @@ _PREVIEW_HELP = (
 )
 
 
-def make_rainy_panel(session: Session) -> None:
+def wet_look_panel(session: Editor) -> None:
     _method(session)
     _views(session)
     imgui.spacing()
@@ -56,7 +56,7 @@ def make_rainy_panel(session: Session) -> None:
         transfer_training_fields(session)
 
 
-def _method(session: Session) -> None:
+def _method(session: Editor) -> None:
     rainy = session.rainy
     fields.plain_label("Method", "What makes a view look rainy.")
     methods = usable_methods()
@@ -84,21 +84,21 @@ def _concerns(name: str, settings: TransferSettings) -> bool:
     return (name != "guide" or settings.normals != "none") and (name != "neighbours" or settings.mutual_attention)
 
 
-def _setting(session: Session, name: str) -> None:
+def _setting(session: Editor, name: str) -> None:
     rainy = session.rainy
     if name in _PLACES:
         take = partial(_take, session, name)
         is_folder = name == "normals_weights" and rainy.settings.normals == "marigold"
-        place(rainy.settings, name, "" if is_folder else _PLACES[name], take, label=_LABELS.get(name))
+        path_field(rainy.settings, name, "" if is_folder else _PLACES[name], take, label=_LABELS.get(name))
     else:
-        rainy.settings = edited(rainy.settings, name, label=_LABELS.get(name))
+        rainy.settings = edit_field(rainy.settings, name, label=_LABELS.get(name))
 
 
-def _take(session: Session, name: str, text: str) -> None:
+def _take(session: Editor, name: str, text: str) -> None:
     session.rainy.change(**{name: Path(text).expanduser() if text.strip() else None})
 
 
-def _views(session: Session) -> None:
+def _views(session: Editor) -> None:
     rainy = session.rainy
     choice = rainy.choice
     fields.plain_label("Views", fields.field_info("source", type(choice)).help)
@@ -109,13 +109,13 @@ def _views(session: Session) -> None:
     )
     if changed:
         choice = msgspec.structs.replace(choice, source=SOURCES[at])
-    choice = edited(choice, "count", label="How many")
-    rainy.choice = edited(choice, "width_px", label="Width (px)", step=16)
+    choice = edit_field(choice, "count", label="How many")
+    rainy.choice = edit_field(choice, "width_px", label="Width (px)", step=16)
     if (why_not := why_no_views(session, choice.source)) is not None:
         _warn(why_not)
 
 
-def _preview(session: Session) -> None:
+def _preview(session: Editor) -> None:
     rainy = session.rainy
     why_not = rainy.why_no_preview(session)
     imgui.begin_disabled(why_not is not None)
@@ -142,7 +142,7 @@ def _preview(session: Session) -> None:
             imgui.set_item_tooltip("Look from where the preview was made.")
 
 
-def _make(session: Session) -> None:
+def _make(session: Editor) -> None:
     rainy, newest = session.rainy, session.rainy.newest(session)
     if newest is not None and newest[1].state == "running":
         imgui.separator_text(newest[1].title)
@@ -151,7 +151,7 @@ def _make(session: Session) -> None:
     why_not = rainy.why_not(session)
     imgui.begin_disabled(why_not is not None)
     if imgui.button(
-        f"{_ICONS.ICON_FA_CLOUD_SHOWERS_HEAVY}  {RAINY_SCENE_TITLE}###make", (-1, 1.5 * imgui.get_frame_height())
+        f"{_ICONS.ICON_FA_CLOUD_SHOWERS_HEAVY}  {MAKE_RAINY_TITLE}###make", (-1, 1.5 * imgui.get_frame_height())
     ):
         rainy.make(session)
     imgui.end_disabled()
@@ -161,7 +161,7 @@ def _make(session: Session) -> None:
         job_fields(session, newest[1], newest[0])
 
 
-def _result(session: Session) -> None:
+def _result(session: Editor) -> None:
     """What blends wet colours in, and what shows them beside the clear ones."""
     if not session.scene.has_wet_colors:
         return

@@ -5,13 +5,13 @@ from functools import cache, lru_cache
 import msgspec
 from imgui_bundle import ImVec4, icons_fontawesome_6, imgui
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.rain.calibration import Calibration
-from gsrain_engine.rain.properties import intensity_of
-from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H, Rain, load_preset, preset_names
+from gsrain_engine.rain.properties import intensity_for_density
+from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H, RainSettings, load_preset, preset_names
 
 from ..widgets import fields
-from ..widgets.fields import key_button, key_button_width, keyed_slider, tint_keyed
+from ..widgets.fields import keyframe_button, keyframe_button_width, keyframed_slider, tint_keyframed
 from ..widgets.text import readings
 
 WARNING = ImVec4(1.0, 0.72, 0.3, 1.0)
@@ -19,7 +19,7 @@ WARNING = ImVec4(1.0, 0.72, 0.3, 1.0)
 _HIGHEST_MM_H = 100.0
 
 
-def rain_panel(session: Session) -> None:
+def rain_panel(session: Editor) -> None:
     _presets(session)
     _intensity(session)
     _exposure(session)
@@ -53,11 +53,11 @@ def rain_panel(session: Session) -> None:
 
 
 @cache
-def _shipped() -> dict[str, Rain]:
+def _shipped() -> dict[str, RainSettings]:
     return {name: load_preset(name) for name in preset_names()}
 
 
-def _presets(session: Session) -> None:
+def _presets(session: Editor) -> None:
     presets = _shipped()
     spacing = imgui.get_style().item_spacing.x
     width = (imgui.get_content_region_avail().x - spacing * (len(presets) - 1)) / len(presets)
@@ -75,10 +75,10 @@ def _presets(session: Session) -> None:
             imgui.same_line()
 
 
-def _intensity(session: Session) -> None:
+def _intensity(session: Editor) -> None:
     intensity = session.rain_now.intensity_mm_h
     beyond = session.view.beyond_calibration or intensity > CALIBRATED_UP_TO_MM_H
-    keyed_slider(session, "intensity_mm_h", high=_HIGHEST_MM_H if beyond else CALIBRATED_UP_TO_MM_H)
+    keyframed_slider(session, "intensity_mm_h", high=_HIGHEST_MM_H if beyond else CALIBRATED_UP_TO_MM_H)
     changed, wanted = imgui.checkbox("up to 100 mm/h", beyond)
     imgui.set_item_tooltip("Above 13 mm/h the calibration is extrapolated.")
     if changed:
@@ -90,13 +90,15 @@ def _intensity(session: Session) -> None:
         imgui.text_colored(WARNING, "beyond calibration")
 
 
-def _exposure(session: Session) -> None:
+def _exposure(session: Editor) -> None:
     exposure, is_keyed = session.rain_now.exposure_s, session.weather.is_keyed("exposure_s")
     own = exposure is None
     camera_s = session.shot(16, 16).camera.exposure_s
     fields.plain_label("Exposure (ms)", fields.field_info("exposure_s").help)
-    imgui.set_next_item_width(-1.3 * imgui.get_frame_height() - imgui.get_style().item_spacing.x - key_button_width())
-    colors = tint_keyed(session, "exposure_s")
+    imgui.set_next_item_width(
+        -1.3 * imgui.get_frame_height() - imgui.get_style().item_spacing.x - keyframe_button_width()
+    )
+    colors = tint_keyframed(session, "exposure_s")
     imgui.begin_disabled(own)
     milliseconds = 1000 * (camera_s if exposure is None else exposure)
     flags = imgui.SliderFlags_.logarithmic | imgui.SliderFlags_.always_clamp
@@ -118,22 +120,22 @@ def _exposure(session: Session) -> None:
     if imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip | imgui.HoveredFlags_.allow_when_disabled):
         why = " Not while the exposure has keys." if is_keyed else ""
         imgui.set_tooltip(f"Take the camera's own shutter time, {1000 * camera_s:.1f} ms.{why}")
-    key_button(session, "exposure_s")
+    keyframe_button(session, "exposure_s")
 
 
-def _wind(session: Session) -> None:
+def _wind(session: Editor) -> None:
     fields.label("wind_m_s")
-    imgui.set_next_item_width(-key_button_width())
-    colors = tint_keyed(session, "wind_m_s")
+    imgui.set_next_item_width(-keyframe_button_width())
+    colors = tint_keyframed(session, "wind_m_s")
     changed, wind = imgui.slider_float2("##wind_m_s", list(session.rain_now.wind_m_s), -20, 20, "%.1f")
     imgui.pop_style_color(colors)
     if changed:
         session.change_rain("Wind", "wind_m_s", wind_m_s=tuple(wind))
     fields.end_gesture_when_released(session)
-    key_button(session, "wind_m_s")
+    keyframe_button(session, "wind_m_s")
 
 
-def _regions(session: Session) -> None:
+def _regions(session: Editor) -> None:
     view = session.view
     _, view.show_streak_region = imgui.checkbox("Show streak region", view.show_streak_region)
     imgui.set_item_tooltip("Draw the region's edges in the view.")
@@ -148,7 +150,7 @@ def _regions(session: Session) -> None:
 PICK_TOOL = "Pick sky colour"
 
 
-def drop_color(session: Session) -> None:
+def drop_color(session: Editor) -> None:
     fields.label("drop_color")
     own = session.rain.drop_color
     flags = imgui.ColorEditFlags_.no_inputs | imgui.ColorEditFlags_.no_label
@@ -181,7 +183,7 @@ def drop_color(session: Session) -> None:
 _NO_WET_COLORS = 'The scene has no wet colours yet: the panel "Make it rainy" or recolouring in Capture makes them.'
 
 
-def wetness_fields(session: Session) -> None:
+def wetness_fields(session: Editor) -> None:
     own, now = session.rain.wetness, session.wetness_now
     has_colors = session.scene.has_wet_colors
     beside = imgui.calc_text_size("auto").x + imgui.get_frame_height() + 2 * imgui.get_style().item_spacing.x
@@ -207,7 +209,7 @@ def wetness_fields(session: Session) -> None:
 # § The Read-out panel: what follows from the intensity.
 
 
-def rain_readout_panel(session: Session) -> None:
+def rain_properties_panel(session: Editor) -> None:
     state = session.shown_rainfall.state_at(session.clock.time_s)
     if state.intensity_mm_h == 0:
         imgui.text_wrapped("0 mm/h now: no rain at all." if session.weather.keys else "0 mm/h: no rain at all.")
@@ -248,6 +250,6 @@ def rain_readout_panel(session: Session) -> None:
 @lru_cache(maxsize=4)
 def _by_number(density_m3: float, calibration: Calibration) -> str:
     try:
-        return f"{intensity_of(density_m3, Rain(closure='published'), calibration):.2f} mm/h"
+        return f"{intensity_for_density(density_m3, RainSettings(closure='published'), calibration):.2f} mm/h"
     except ValueError:
         return "over 100 mm/h"

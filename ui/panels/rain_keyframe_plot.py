@@ -4,7 +4,7 @@ import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
 from jaxtyping import Float64
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.rain.keyframes import HEAVIEST_MM_H, Keyed
 from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H
 
@@ -18,11 +18,11 @@ _NOW = ImVec4(1.0, 0.45, 0.35, 1.0)
 
 _LIMIT = ImVec4(1.0, 0.72, 0.3, 0.55)
 
-_HEIGHT_EM, _LEAST_EM, _ROW_EM = 12.0, 7.0, 1.5
+_HEIGHT_EM, _MIN_EM, _ROW_EM = 12.0, 7.0, 1.5
 
 _GRIP_PX = 8.0
 
-_MOST_KEYS, _MOST_POINTS = 150, 20_000
+_MAX_KEYS, _MAX_POINTS = 150, 20_000
 
 _CLOSEST_S = 0.01
 """Two keys never come nearer."""
@@ -30,7 +30,7 @@ _CLOSEST_S = 0.01
 _ROWS: tuple[tuple[Keyed, str], ...] = (("wind_m_s", "wind"), ("exposure_s", "exposure"))
 
 
-def shower_plot(session: Session, width: float) -> None:
+def rain_keyframe_plot(session: Editor, width: float) -> None:
     """Draw the plot, so many pixels wide, and act on the mouse."""
     shower, weather = session.shower, session.weather
     shower.follow(weather, weather.heaviest_mm_h(session.rain))
@@ -40,7 +40,7 @@ def shower_plot(session: Session, width: float) -> None:
     flags |= implot.Flags_.no_legend | implot.Flags_.no_title
     em = imgui.get_font_size()
     below = em * _ROW_EM * sum(weather.is_keyed(name) for name, _ in _ROWS)
-    height = min(max(imgui.get_content_region_avail().y - below, _LEAST_EM * em), _HEIGHT_EM * em)
+    height = min(max(imgui.get_content_region_avail().y - below, _MIN_EM * em), _HEIGHT_EM * em)
     if implot.begin_plot("##shower", ImVec2(width, height), flags):
         _axes(session)
         _curve(session)
@@ -58,7 +58,7 @@ def shower_plot(session: Session, width: float) -> None:
     implot.get_input_map().fit, implot.get_input_map().menu = fit, menu
 
 
-def _axes(session: Session) -> None:
+def _axes(session: Editor) -> None:
     shower, always = session.shower, imgui.Cond_.always
     implot.setup_axes("", "mm/h", implot.AxisFlags_.no_highlight, implot.AxisFlags_.no_highlight)
     first, last = shower.span_s(session.weather, session.clock.time_s)
@@ -68,7 +68,7 @@ def _axes(session: Session) -> None:
     implot.setup_axis_limits(implot.ImAxis_.y1, 0.0, shower.top_mm_h, always)
 
 
-def _curve(session: Session) -> None:
+def _curve(session: Editor) -> None:
     limits = implot.get_plot_limits()
     times, rates = _points(session, limits.x.min, limits.x.max)
     implot.plot_shaded("fill", times, rates, spec=implot.Spec(fill_color=_FILL))
@@ -87,19 +87,19 @@ def _curve(session: Session) -> None:
         implot.pop_plot_clip_rect()
 
 
-def _points(session: Session, first: float, last: float) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+def _points(session: Editor, first: float, last: float) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
     """The curve where it is seen: its corners, or of very many as many as there is room for."""
     curve = session.weather.curves.get("intensity_mm_h")
     if curve is None:
         return np.array([first, last]), np.full(2, session.rain.intensity_mm_h)
     inside = curve.times_s[(curve.times_s > first) & (curve.times_s < last)]
-    if len(inside) > _MOST_POINTS:
-        inside = np.linspace(first, last, _MOST_POINTS)[1:-1]
+    if len(inside) > _MAX_POINTS:
+        inside = np.linspace(first, last, _MAX_POINTS)[1:-1]
     times = np.concatenate([[first], inside, [last]])
     return times, np.interp(times, curve.times_s, curve.values[:, 0])
 
 
-def _clock(session: Session) -> None:
+def _clock(session: Editor) -> None:
     now_s, clock = session.clock.time_s, session.clock
     changed, moved, *_ = implot.drag_line_x(1, now_s, _NOW, 1.5, implot.DragToolFlags_.no_fit, False, False, False)
     if changed:
@@ -107,12 +107,12 @@ def _clock(session: Session) -> None:
     implot.tag_x(now_s, _NOW, f"{now_s:.2f}")
 
 
-def _keys(session: Session) -> bool:
+def _keys(session: Editor) -> bool:
     """Draw the keys of the intensity and drag them; returns whether the mouse has one of them."""
     shower, weather, limits = session.shower, session.weather, implot.get_plot_limits()
     times = weather.key_times["intensity_mm_h"]
     seen = range(*np.searchsorted(times, (limits.x.min, limits.x.max)).tolist())
-    if len(seen) > _MOST_KEYS:
+    if len(seen) > _MAX_KEYS:
         implot.push_plot_clip_rect()
         corner = implot.get_plot_pos()
         words = f"{len(seen):,} keys: zoom in to drag"
@@ -145,7 +145,7 @@ def _keys(session: Session) -> bool:
     return is_over
 
 
-def _deletes(session: Session) -> bool:
+def _deletes(session: Editor) -> bool:
     """Whether the Delete key means what is under the mouse: selected Gaussians come first."""
     selected = any(each.marks.selected is not None for each in session.scene.members)
     return imgui.is_key_pressed(imgui.Key.delete) and not selected
@@ -158,7 +158,7 @@ def _between(times: Float64[np.ndarray, " n"], number: int, wanted: float) -> fl
 
 
 def _row(
-    session: Session, name: Keyed, title: str, position: ImVec2, size: ImVec2, shown_s: tuple[float, float]
+    session: Editor, name: Keyed, title: str, position: ImVec2, size: ImVec2, shown_s: tuple[float, float]
 ) -> None:
     """Draw the keys of another field as diamonds on a strip under the plot; they are dragged in time."""
     height, draw = _ROW_EM * imgui.get_font_size(), imgui.get_window_draw_list()
@@ -173,7 +173,7 @@ def _row(
     scale = size.x / (shown_s[1] - shown_s[0])
     times = session.weather.key_times[name]
     first, end = np.searchsorted(times, shown_s).tolist()
-    for number in range(first, min(end, first + _MOST_KEYS)):
+    for number in range(first, min(end, first + _MAX_KEYS)):
         key = session.weather.key_at(times[number])
         assert key is not None, "a key stands at each of its times"
         x = position.x + (key.time_s - shown_s[0]) * scale
@@ -181,7 +181,7 @@ def _row(
         imgui.invisible_button(f"{name} {number}", ImVec2(2 * _GRIP_PX, 2 * _GRIP_PX))
         _diamond(draw, x, middle, bright=imgui.is_item_hovered() or imgui.is_item_active())
         imgui.set_item_tooltip(
-            f"{_told(name, getattr(key, name))} at {key.time_s:.2f} s. Drag it; right click or Delete removes it."
+            f"{_value_text(name, getattr(key, name))} at {key.time_s:.2f} s. Drag it; right click or Delete removes it."
         )
         if imgui.is_item_clicked(imgui.MouseButton_.right) or (imgui.is_item_hovered() and _deletes(session)):
             session.set_weather("Remove a key", session.weather.without_key(key.time_s, name))
@@ -202,7 +202,7 @@ def _diamond(draw: imgui.ImDrawList, x: float, y: float, *, bright: bool) -> Non
     draw.add_quad_filled(*corners, imgui.get_color_u32(_KEY))
 
 
-def _told(name: Keyed, value: float | tuple[float, float]) -> str:
+def _value_text(name: Keyed, value: float | tuple[float, float]) -> str:
     if isinstance(value, tuple):
         return f"wind {value[0]:.1f}, {value[1]:.1f} m/s"
     return f"{name.removesuffix('_s')} {1000 * value:.2f} ms"

@@ -5,15 +5,22 @@ from typing import Literal
 
 from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 
-from gsrain_engine.disdrometer.rain_rates import MeasuredWeather, from_spectra
-from gsrain_engine.disdrometer.spectra import Reading
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.editor.rain import TypedNumber
-from gsrain_engine.rain.keyframes import HEAVIEST_MM_H, KEYED, WITHOUT_CHANGE, Weather, WeatherKey, passing_shower
+from gsrain_engine.disdrometer.rain_rates import MeasuredKeyframes, keyframes_from_spectra
+from gsrain_engine.disdrometer.spectra import DisdrometerReading
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.rain import PendingInput
+from gsrain_engine.rain.keyframes import (
+    HEAVIEST_MM_H,
+    KEYED,
+    NO_KEYFRAMES,
+    RainKeyframe,
+    RainKeyframes,
+    shower_keyframes,
+)
 
-from ..widgets.fields import ask_what_to_open, square_button, toggle_key
+from ..widgets.fields import ask_what_to_open, square_button, toggle_keyframe
 from .rain import WARNING
-from .rain_keyframe_plot import shower_plot
+from .rain_keyframe_plot import rain_keyframe_plot
 
 _WAYS: tuple[tuple[Literal["linear", "smooth"], str], ...] = (
     ("linear", "Straight from key to key."),
@@ -26,7 +33,7 @@ _WIDE_EM, _NUMBERS_EM = 50.0, 22.0
 SERIES_FILES = "Disdrometer files{.nc,.cdf,.dat,.txt,.csv,.log,.mis,.gz},All files{.*}"
 
 
-def shower_panel(session: Session) -> None:
+def rain_keyframes_panel(session: Editor) -> None:
     room, em = imgui.get_content_region_avail(), imgui.get_font_size()
     is_wide = room.x > _WIDE_EM * em
     _buttons(session)
@@ -34,22 +41,22 @@ def shower_panel(session: Session) -> None:
         _series(session)
     width = room.x - _NUMBERS_EM * em if is_wide else room.x
     imgui.begin_group()
-    shower_plot(session, width)
+    rain_keyframe_plot(session, width)
     imgui.end_group()
     if is_wide:
         imgui.same_line()
     imgui.begin_group()
     if session.weather.keys:
         _between(session)
-        shower_table(session)
+        rain_keyframe_table(session)
     else:
         imgui.text_wrapped("No keys: the rain stays as it is set. Double click in the plot to set the first one.")
     imgui.end_group()
 
 
-def add_shower(session: Session) -> None:
+def add_passing_shower(session: Editor) -> None:
     """Let a shower pass that begins now; keys of wind and exposure stay."""
-    shower = passing_shower(session.clock.time_s)
+    shower = shower_keyframes(session.clock.time_s)
     kept = session.weather.without("intensity_mm_h")
     for key in kept.keys:
         values = {name: value for name in ("wind_m_s", "exposure_s") if (value := getattr(key, name)) is not None}
@@ -58,38 +65,38 @@ def add_shower(session: Session) -> None:
     session.shower.refit = True
 
 
-def ask_for_series(session: Session) -> None:
+def ask_for_rate_file(session: Editor) -> None:
     """Ask for a disdrometer file and read it in the background."""
     ask_what_to_open("Import a series", SERIES_FILES, lambda paths: session.lab.read_series(paths[0]))
 
 
-def _buttons(session: Session) -> None:
+def _buttons(session: Editor) -> None:
     now_s = session.clock.time_s
     present = session.weather.key_at(now_s)
     is_here = present is not None and present.intensity_mm_h is not None
     if imgui.button("Remove key###now" if is_here else "Key now###now"):
-        toggle_key(session, "intensity_mm_h")
+        toggle_keyframe(session, "intensity_mm_h")
     imgui.set_item_tooltip(
         f"{'Remove the key' if is_here else 'Keep the present intensity as a key'} at the clock's time, {now_s:.2f} s."
     )
-    _beside("A shower that passes")
+    _same_line_if_fits("A shower that passes")
     if imgui.button("A shower that passes"):
-        add_shower(session)
+        add_passing_shower(session)
     imgui.set_item_tooltip("60 s from now on: from 0 to 12 mm/h and back, smooth.")
-    _beside("Import...")
+    _same_line_if_fits("Import...")
     imgui.begin_disabled(session.lab.busy is not None)
     if imgui.button("Import..."):
-        ask_for_series(session)
+        ask_for_rate_file(session)
     imgui.end_disabled()
     imgui.set_item_tooltip("Take the rain rates of a disdrometer's file as keys, in mm/h; above 100 they are cut off.")
-    _beside("Fit##shower")
+    _same_line_if_fits("Fit##shower")
     if imgui.button(f"{icons_fontawesome_6.ICON_FA_MAXIMIZE}###fit shower"):
         session.shower.refit = True
     imgui.set_item_tooltip("Show all keys. Wheel: zoom in time; drag the plot: go along.")
-    _beside("Clear keys")
+    _same_line_if_fits("Clear keys")
     imgui.begin_disabled(not session.weather.keys)
     if imgui.button("Clear keys"):
-        session.set_weather("Clear the keys", WITHOUT_CHANGE)
+        session.set_weather("Clear the keys", NO_KEYFRAMES)
     imgui.end_disabled()
     imgui.set_item_tooltip("Remove all keys: the rain stays as it is set in the Rain panel.")
     if session.lab.busy is not None:
@@ -100,7 +107,7 @@ def _buttons(session: Session) -> None:
         imgui.pop_style_color()
 
 
-def _beside(label: str) -> None:
+def _same_line_if_fits(label: str) -> None:
     """Go on in the same line if the next button still fits."""
     style = imgui.get_style()
     width = imgui.calc_text_size(label, hide_text_after_double_hash=True).x + 2 * style.frame_padding.x
@@ -109,25 +116,25 @@ def _beside(label: str) -> None:
         imgui.same_line()
 
 
-def _between(session: Session) -> None:
+def _between(session: Editor) -> None:
     weather = session.weather
     imgui.align_text_to_frame_padding()
     imgui.text("Between keys")
     for choice, help_text in _WAYS:
         imgui.same_line()
         if imgui.radio_button(choice, weather.between == choice) and weather.between != choice:
-            session.set_weather(f"Keys {choice}", Weather(keys=weather.keys, between=choice))
+            session.set_weather(f"Keys {choice}", RainKeyframes(keys=weather.keys, between=choice))
         imgui.set_item_tooltip(help_text)
 
 
-def _series(session: Session) -> None:
+def _series(session: Editor) -> None:
     """Ask how a series that has been read is to be taken."""
     lab, shower = session.lab, session.shower
     assert lab.series is not None
     name, reading = lab.series
     imgui.separator_text(name)
     try:
-        measured = _taken(reading, shower.speed_up, shower.start_s)
+        measured = _accept_reading(reading, shower.speed_up, shower.start_s)
     except ValueError as error:
         lab.series, lab.problem = None, f"{name}: {error}"
         return
@@ -152,13 +159,13 @@ def _series(session: Session) -> None:
 
 
 @lru_cache(maxsize=1)
-def _taken(reading: Reading, speed_up: float, start_s: float) -> MeasuredWeather:
-    return from_spectra(reading, speed_up=speed_up, start_s=start_s)
+def _accept_reading(reading: DisdrometerReading, speed_up: float, start_s: float) -> MeasuredKeyframes:
+    return keyframes_from_spectra(reading, speed_up=speed_up, start_s=start_s)
 
 
 # § The keys of the weather as numbers, to be read and typed.
 
-_ROWS_SHOWN = 8
+_VISIBLE_ROWS = 8
 
 _TITLES = {
     "time": ("s", "Time of the key in the scene, in seconds."),
@@ -169,14 +176,14 @@ _TITLES = {
 }
 
 
-def shower_table(session: Session) -> None:
+def rain_keyframe_table(session: Editor) -> None:
     """Draw the table; a number counts when its field is left."""
     weather = session.weather
     columns = ["time", "intensity_mm_h"]
     columns += ["wind x", "wind y"] if weather.is_keyed("wind_m_s") else []
     columns += ["exposure_s"] if weather.is_keyed("exposure_s") else []
     row = imgui.get_frame_height_with_spacing()
-    height = row * (min(len(weather.keys), _ROWS_SHOWN) + 1) + 4
+    height = row * (min(len(weather.keys), _VISIBLE_ROWS) + 1) + 4
     flags = imgui.TableFlags_.scroll_y | imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_stretch_same
     if not imgui.begin_table("keys", len(columns) + 1, flags, ImVec2(0, height)):
         return
@@ -198,7 +205,7 @@ def shower_table(session: Session) -> None:
     imgui.end_table()
 
 
-def _row(session: Session, key: WeatherKey, number: int, columns: list[str]) -> None:
+def _row(session: Editor, key: RainKeyframe, number: int, columns: list[str]) -> None:
     imgui.table_next_row()
     for name in columns:
         imgui.table_next_column()
@@ -210,7 +217,7 @@ def _row(session: Session, key: WeatherKey, number: int, columns: list[str]) -> 
     imgui.set_item_tooltip("Remove all that is keyed at this time.")
 
 
-def _cell(session: Session, key: WeatherKey, number: int, name: str) -> None:
+def _cell(session: Editor, key: RainKeyframe, number: int, name: str) -> None:
     shower, value = session.shower, _number(key, name)
     if value is None:
         imgui.align_text_to_frame_padding()
@@ -222,14 +229,14 @@ def _cell(session: Session, key: WeatherKey, number: int, name: str) -> None:
     changed, shown = imgui.input_float(f"##{name} {number}", shown, 0, 0, "%.2f")
     imgui.set_item_tooltip(_TITLES[name][1])
     if changed:
-        shower.typed = TypedNumber(key.time_s, name, shown)
+        shower.typed = PendingInput(key.time_s, name, shown)
     if imgui.is_item_deactivated_after_edit() and shower.typed is not None:
         label = "Move a key" if name == "time" else "Change a key"
         typed, shower.typed = shower.typed, None
         session.set_weather(label, _changed(session.weather, key, name, typed.value))
 
 
-def _number(key: WeatherKey, name: str) -> float | None:
+def _number(key: RainKeyframe, name: str) -> float | None:
     if name == "time":
         return key.time_s
     if name == "intensity_mm_h":
@@ -239,7 +246,7 @@ def _number(key: WeatherKey, name: str) -> float | None:
     return None if key.wind_m_s is None else key.wind_m_s[name == "wind y"]
 
 
-def _changed(weather: Weather, key: WeatherKey, name: str, value: float) -> Weather:
+def _changed(weather: RainKeyframes, key: RainKeyframe, name: str, value: float) -> RainKeyframes:
     """Return the weather with one number of a key as it was typed, within its bounds."""
     if name == "time":
         for each in KEYED:  # those that are not keyed here stay out of it

@@ -5,13 +5,13 @@ from pathlib import Path
 
 from imgui_bundle import ImVec2, imgui
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.render.export import LONGEST_DEFAULT_S
-from gsrain_engine.render.export_settings import LARGEST_PX, USUAL_QUALITY, Codec, Pass, Recording
+from gsrain_engine.render.export_settings import DEFAULT_QUALITY, LARGEST_PX, Codec, ExportSettings, Pass
 
 from ..widgets.fields import FieldInfo, ask_where_to_save, field_info, plain_label
 from ..widgets.text import label, visible_name
-from .drive import FILM_HELP, ask_where_to_film
+from .drive import VIDEO_HELP, ask_where_to_video
 from .rain import WARNING
 
 _LONG_S = 60.0
@@ -26,7 +26,7 @@ _KINDS = {
 }
 
 
-def record_panel(session: Session) -> None:
+def record_panel(session: Editor) -> None:
     format_fields(session)
     camera_field(session)
     size_fields(session)
@@ -37,7 +37,7 @@ def record_panel(session: Session) -> None:
     pass_fields(session)
     imgui.separator()
     if session.drives.playing is not None:
-        _film_instead(session)
+        _video_instead(session)
     can_begin = _extent(session)
     imgui.begin_disabled(not can_begin)
     half = (imgui.get_content_region_avail().x - imgui.get_style().item_spacing.x) / 2
@@ -53,26 +53,26 @@ def record_panel(session: Session) -> None:
     imgui.end_disabled()
 
 
-def _film_instead(session: Session) -> None:
+def _video_instead(session: Editor) -> None:
     """Say that a drive which plays is not in the clip, and how it is filmed."""
     imgui.push_style_color(imgui.Col_.text, WARNING)
     imgui.text_wrapped("A clip shows the scene with its own traffic, not the drive that plays.")
     imgui.pop_style_color()
-    why_not = session.drives.why_no_film(session)
+    why_not = session.drives.why_no_video(session)
     imgui.begin_disabled(why_not is not None)
     if imgui.button("Film the drive...", ImVec2(-1, 0)):
-        ask_where_to_film(session)
+        ask_where_to_video(session)
     imgui.end_disabled()
-    imgui.set_item_tooltip(why_not or FILM_HELP)
+    imgui.set_item_tooltip(why_not or VIDEO_HELP)
 
 
-def ask_where_to_record(session: Session) -> None:
+def ask_where_to_record(session: Editor) -> None:
     """Show the dialog for the timeline's clip."""
-    kinds = _KINDS[session.recorder.wanted.codec]
+    kinds = _KINDS[session.recorder.settings.codec]
     ask_where_to_save("Record the timeline", kinds, lambda chosen: session.recorder.record_to(_plain(chosen[0])))
 
 
-def ask_where_to_record_still(session: Session) -> None:
+def ask_where_to_record_still(session: Editor) -> None:
     kinds = "PNG{.png},JPEG{.jpg},EXR{.exr}"
     ask_where_to_save("Record a still", kinds, lambda chosen: session.recorder.record_still_to(chosen[0]))
 
@@ -82,7 +82,7 @@ def _plain(path: Path) -> Path:
     return path.with_suffix("") if path.suffix == ".*" else path
 
 
-def _extent(session: Session) -> bool:
+def _extent(session: Editor) -> bool:
     """Say how much it is; returns whether it can begin."""
     extent = session.recorder.extent()
     if isinstance(extent, str):
@@ -139,21 +139,21 @@ _PASS_HELP: dict[Pass, str] = {
 }
 
 
-def format_fields(session: Session) -> None:
+def format_fields(session: Editor) -> None:
     """Pick what is written, and how good."""
-    wanted = session.recorder.wanted
+    wanted = session.recorder.settings
     titles = list(_FORMATS)
     plain_label("Format", "What is written: a video, or a folder of numbered frames.")
     changed, picked = imgui.combo("##format", list(_FORMATS.values()).index(wanted.codec), titles)
     if changed:
         session.recorder.change(codec=_FORMATS[titles[picked]], quality=None)
-    if not session.recorder.wanted.is_video:
+    if not session.recorder.settings.is_video:
         return
     _label("quality")
     highest = 51 if wanted.codec == "h264" else 63
     imgui.set_next_item_width(-_CHECKBOX_EM * imgui.get_font_size())
     imgui.begin_disabled(wanted.quality is None)
-    usual = USUAL_QUALITY.get(wanted.codec, 0)
+    usual = DEFAULT_QUALITY.get(wanted.codec, 0)
     changed, quality = imgui.slider_int("##quality", usual if wanted.quality is None else wanted.quality, 0, highest)
     imgui.end_disabled()
     if changed:
@@ -165,9 +165,9 @@ def format_fields(session: Session) -> None:
         session.recorder.change(quality=None if is_usual else usual)
 
 
-def size_fields(session: Session) -> None:
+def size_fields(session: Editor) -> None:
     """Pick a usual size, or type another."""
-    present, titles = session.recorder.wanted.size_px, list(_SIZES)
+    present, titles = session.recorder.settings.size_px, list(_SIZES)
     shown = next((title for title, size in _SIZES.items() if size == present), _OTHER)
     _label("size_px")
     if imgui.begin_combo("##size", shown):
@@ -185,10 +185,10 @@ def size_fields(session: Session) -> None:
         session.recorder.change(size_px=(width, height))
 
 
-def camera_field(session: Session) -> None:
+def camera_field(session: Editor) -> None:
     """Pick the camera path, one camera of the rig, or several at once."""
     _label("cameras")
-    wanted = session.recorder.wanted.cameras
+    wanted = session.recorder.settings.cameras
     shown = ", ".join(wanted) or _PATH
     if not imgui.begin_combo("##cameras", "all rig cameras" if wanted == ("all",) else shown):
         return
@@ -210,9 +210,9 @@ def camera_field(session: Session) -> None:
     imgui.end_combo()
 
 
-def moment_fields(session: Session) -> None:
+def moment_fields(session: Editor) -> None:
     """Set the frame rate, and from when to when."""
-    wanted = session.recorder.wanted
+    wanted = session.recorder.settings
     _label("fps")
     changed, fps = imgui.input_float("##fps", wanted.fps, 0.0, 0.0, "%.6g")
     if changed:
@@ -240,15 +240,15 @@ def moment_fields(session: Session) -> None:
         session.recorder.change(last_s=None if ends_itself else end_s)
 
 
-def sample_fields(session: Session) -> None:
+def sample_fields(session: Editor) -> None:
     """Set how many pictures a frame is the mean of."""
     _count(session, "supersampling", 4, lambda n: "off" if n == 1 else f"{n} x {n} a pixel")
     _count(session, "motion_blur", 64, lambda n: "off" if n == 1 else f"{n} sub-frames")
 
 
-def pass_fields(session: Session) -> None:
+def pass_fields(session: Editor) -> None:
     """Pick what is written beside the picture, and whether there is a clear twin."""
-    wanted = session.recorder.wanted
+    wanted = session.recorder.settings
     for name, words in _PASS_HELP.items():
         changed, on = imgui.checkbox(name, name in wanted.passes)
         imgui.set_item_tooltip(words)
@@ -263,9 +263,9 @@ def pass_fields(session: Session) -> None:
         session.recorder.change(twin=twin)
 
 
-def _count(session: Session, name: str, most: int, words: Callable[[int], str]) -> None:
+def _count(session: Editor, name: str, most: int, words: Callable[[int], str]) -> None:
     _label(name)
-    value = getattr(session.recorder.wanted, name)
+    value = getattr(session.recorder.settings, name)
     flags = imgui.SliderFlags_.always_clamp | (imgui.SliderFlags_.logarithmic if most > 8 else 0)
     changed, value = imgui.slider_int(f"##{name}", value, 1, most, words(value), flags)
     if changed:
@@ -273,7 +273,7 @@ def _count(session: Session, name: str, most: int, words: Callable[[int], str]) 
 
 
 def _info(name: str) -> FieldInfo:
-    return field_info(name, Recording)
+    return field_info(name, ExportSettings)
 
 
 def _label(name: str) -> None:

@@ -7,8 +7,8 @@ from typing import Literal, get_args
 
 from imgui_bundle import imgui
 
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.plugins import PANELS, Extension, loaded, say_once
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.plugins import PANELS, Extension, load_extensions, warn_once
 
 from .calibration import calibration_panel, disdrometer_panel
 from .capture import capture_panel
@@ -18,9 +18,9 @@ from .drive_plots import camera_mosaic_panel, drive_plots
 from .edit import edit_panel, history_panel
 from .jobs import jobs_panel, log_panel, statistics_panel
 from .layers import layers_panel
-from .make_rainy import make_rainy_panel
-from .rain import rain_panel, rain_readout_panel
-from .rain_keyframes import shower_panel
+from .make_rainy import wet_look_panel
+from .rain import rain_panel, rain_properties_panel
+from .rain_keyframes import rain_keyframes_panel
 from .record import record_panel
 from .select import select_panel
 
@@ -33,7 +33,7 @@ class Panel:
 
     title: str
     side: DockSide
-    draw: Callable[[Session], None]
+    draw: Callable[[Editor], None]
 
 
 # § The one table of panels, and those of installed packages after them.
@@ -45,17 +45,17 @@ BUILT_IN_PANELS = (
     Panel("Edit", "left bottom", edit_panel),
     Panel("Select", "left bottom", select_panel),
     Panel("Rain", "right", rain_panel),
-    Panel("Make it rainy", "right", make_rainy_panel),
+    Panel("Make it rainy", "right", wet_look_panel),
     Panel("Drive", "right", drive_panel),
     Panel("Capture", "right", capture_panel),
     Panel("Record", "right", record_panel),
     Panel("Display", "right", display_panel),
-    Panel("Read-out", "right bottom", rain_readout_panel),
+    Panel("Read-out", "right bottom", rain_properties_panel),
     Panel("Disdrometer", "right bottom", disdrometer_panel),
     Panel("Calibration", "right bottom", calibration_panel),
     Panel("Rig cameras", "right bottom", camera_mosaic_panel),
     Panel("Timeline", "bottom", timeline_panel),
-    Panel("Shower", "bottom", shower_panel),
+    Panel("Shower", "bottom", rain_keyframes_panel),
     Panel("Drive plots", "bottom", drive_plots),
     Panel("Jobs", "bottom", jobs_panel),
     Panel("Log", "bottom", log_panel),
@@ -78,11 +78,11 @@ def installed_panels(taken: set[str]) -> tuple[Panel, ...]:
     `taken` are the titles that there are already.
     """
     fit: list[Panel] = []
-    for extension, panel in loaded(PANELS, Panel):
+    for extension, panel in load_extensions(PANELS, Panel):
         if panel.title in taken | {each.title for each in fit}:
-            say_once(str(extension.unfit(f"there is a panel {panel.title!r} already")))
+            warn_once(str(extension.unfit(f"there is a panel {panel.title!r} already")))
         elif panel.side not in get_args(DockSide):
-            say_once(str(extension.unfit(f"side {panel.side!r} is none of {', '.join(get_args(DockSide))}")))
+            warn_once(str(extension.unfit(f"side {panel.side!r} is none of {', '.join(get_args(DockSide))}")))
         else:
             fit.append(replace(panel, draw=_Guarded(extension, panel)))
     return tuple(fit)
@@ -96,7 +96,7 @@ class _Guarded:
         self._draw = panel.draw
         self._failure = ""
 
-    def __call__(self, session: Session) -> None:
+    def __call__(self, session: Editor) -> None:
         if not self._failure:
             before = imgui.internal.ErrorRecoveryState()
             imgui.internal.error_recovery_store_state(before)

@@ -5,16 +5,16 @@ from typing import get_args
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, icons_fontawesome_6, imgui, implot
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.selection import commands
-from gsrain_engine.editor.selection.attributes import ATTRIBUTES, Histogram, in_range, layer_names
+from gsrain_engine.editor.selection.attributes import ATTRIBUTES, Histogram, layer_names, select_attribute_range
 from gsrain_engine.editor.selection.candidates import Mode, selectable_count, selected_count
 from gsrain_engine.editor.selection.commands import select
 
 from ..widgets.text import label
 
 
-def select_panel(session: Session) -> None:
+def select_panel(session: Editor) -> None:
     count = selected_count(session.scene)
     imgui.align_text_to_frame_padding()
     imgui.text(f"{count:,} of {selectable_count(session.scene):,} selected")
@@ -27,7 +27,7 @@ def select_panel(session: Session) -> None:
     selection_sets(session, count)
 
 
-def _everything(session: Session, count: int) -> None:
+def _everything(session: Editor, count: int) -> None:
     if imgui.button("All"):
         commands.select_all(session)
     imgui.set_item_tooltip("Select everything that is shown (Ctrl+A).")
@@ -46,7 +46,7 @@ def _everything(session: Session, count: int) -> None:
     imgui.set_item_tooltip("Show the selected ones tinted (Shift+S).")
 
 
-def _more_or_less(session: Session, count: int) -> None:
+def _more_or_less(session: Editor, count: int) -> None:
     options = session.selecting
     imgui.begin_disabled(count == 0)
     if imgui.button("Grow"):
@@ -77,12 +77,12 @@ _SIGNS: dict[Mode, tuple[str, str]] = {
 }
 
 
-def selection_sets(session: Session, count: int) -> None:
+def selection_sets(session: Editor, count: int) -> None:
     options = session.selecting
     imgui.begin_disabled(count == 0)
     imgui.set_next_item_width(-4.5 * imgui.get_font_size())
     flags = imgui.InputTextFlags_.enter_returns_true
-    hint = commands.free_name(session.scene)
+    hint = commands.unused_set_name(session.scene)
     entered, options.set_name = imgui.input_text_with_hint("##set name", hint, options.set_name, flags)
     imgui.set_item_tooltip("What the set is called; a set of the same name is replaced.")
     imgui.same_line()
@@ -103,7 +103,7 @@ def selection_sets(session: Session, count: int) -> None:
         imgui.end_table()
 
 
-def _row(session: Session, name: str, size: int) -> None:
+def _row(session: Editor, name: str, size: int) -> None:
     imgui.table_next_row()
     imgui.table_next_column()
     _name(session, name)
@@ -123,7 +123,7 @@ def _row(session: Session, name: str, size: int) -> None:
     imgui.set_item_tooltip("Forget this set; what is selected stays.")
 
 
-def _name(session: Session, name: str) -> None:
+def _name(session: Editor, name: str) -> None:
     """Draw the name; a double click lets it be typed."""
     options = session.selecting
     if options.renamed_set != name:
@@ -152,7 +152,7 @@ _SIZE = 16
 
 _HEIGHT_EM = 8.0
 
-_SHOWN, _SELECTED = ImVec4(0.55, 0.6, 0.68, 1.0), ImVec4(1.0, 0.72, 0.2, 1.0)
+_HISTOGRAM_COLORS, _SELECTED = ImVec4(0.55, 0.6, 0.68, 1.0), ImVec4(1.0, 0.72, 0.2, 1.0)
 
 _LINE, _INSIDE = ImVec4(0.3, 0.75, 1.0, 1.0), (0.3, 0.75, 1.0, 0.18)
 
@@ -164,7 +164,7 @@ _HELP: dict[Mode, str] = {
 }
 
 
-def attribute_range(session: Session) -> None:
+def attribute_range(session: Editor) -> None:
     """Draw the choice of an attribute, its histogram, and what to do with the range."""
     options, shot = session.selecting, session.shot(_SIZE, _SIZE)
     names = list(ATTRIBUTES)
@@ -188,7 +188,9 @@ def attribute_range(session: Session) -> None:
         if number:
             imgui.same_line()
         if imgui.button(f"{mode.capitalize()}##range"):
-            found = in_range(session.scene, shot.time_s, shot.camera, options.attribute, *histogram.opened(low, high))
+            found = select_attribute_range(
+                session.scene, shot.time_s, shot.camera, options.attribute, *histogram.opened(low, high)
+            )
             select(session, found, mode, options.attribute)
         imgui.set_item_tooltip(_HELP[mode])
 
@@ -214,7 +216,7 @@ def _plot(name: str, histogram: Histogram, low: float, high: float) -> tuple[flo
     first, last = float(histogram.edges[0]), float(histogram.edges[-1])
     left, right = _with_margin(first, last, ATTRIBUTES[name].logarithmic)
     implot.setup_axes_limits(left, right, 0, 1.5 * max(int(histogram.shown.max()), 1), imgui.Cond_.always)
-    _bars("shown", histogram, histogram.shown, _SHOWN)
+    _bars("shown", histogram, histogram.shown, _HISTOGRAM_COLORS)
     _bars("selected", histogram, histogram.selected, _SELECTED)
     low, high = _dragged(low, high, first, last)
     implot.end_plot()

@@ -6,10 +6,10 @@ import numpy as np
 from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 
 from gsrain_engine.editor import camera_path
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.timeline import TimelineRow, ego_speed_km_h, speed_of, track_rows, weather_row
 from gsrain_engine.scene.camera_path import CameraPath, Easing, Interpolation
-from gsrain_engine.scene.camera_path_edit import LookAngles, focal_length_mm, fov_of_focal_length
+from gsrain_engine.scene.camera_path_edit import ViewAngles, focal_length_mm, fov_of_focal_length
 
 from ..widgets.draw import (
     CHOSEN,
@@ -40,12 +40,12 @@ _APART_PX = 3.0
 """Keys that stand closer are left out until the timeline is zoomed in: imported paths have thousands."""
 
 
-def camera_keys(session: Session, corner: ImVec2, width: float, height: float) -> None:
+def camera_keyframes(session: Editor, corner: ImVec2, width: float, height: float) -> None:
     """Draw the keys of the person's path into a row, and act on the mouse."""
     path, ruler = session.scene.path, session.timeline.ruler
     if path is None:
         return
-    last_x, chosen = -_RADIUS - _APART_PX, camera_path.chosen_key(session)
+    last_x, chosen = -_RADIUS - _APART_PX, camera_path.active_keyframe(session)
     for key, moment in enumerate(path.times_s.tolist()):
         x = ruler.x(moment)
         if key == chosen or last_x + _APART_PX <= x <= width + _RADIUS:
@@ -54,29 +54,29 @@ def camera_keys(session: Session, corner: ImVec2, width: float, height: float) -
     _drag(session)
 
 
-def key_menu(session: Session) -> None:
+def keyframe_menu(session: Editor) -> None:
     """Draw the menu that a right click on a key opened; in the window that the keys are in."""
     if not imgui.begin_popup("key menu"):
         return
-    key = camera_path.chosen_key(session)
+    key = camera_path.active_keyframe(session)
     if key is not None:
         if _item("Look through it", "Ride along, stopped at this key."):
-            camera_path.go_to_key(session, key)
+            camera_path.go_to_keyframe(session, key)
         if _item("Update from the view", "Give this key what the view shows."):
-            camera_path.update_key(session, key)
+            camera_path.update_keyframe(session, key)
         if _item("Copy to the present time", "Put the same camera at the playhead."):
-            camera_path.copy_key(session, key, session.clock.time_s)
+            camera_path.copy_keyframe(session, key, session.clock.time_s)
         if _item("Move to the present time", "Move this key to the playhead."):
-            camera_path.retime_key(session, key, session.clock.time_s)
+            camera_path.retime_keyframe(session, key, session.clock.time_s)
         if _item("Snap to the drive", "Lay it onto the nearest place of the recorded drive, looking as it does there."):
-            camera_path.snap_key(session, key)
+            camera_path.snap_keyframe(session, key)
         imgui.separator()
         if _item("Delete", "Take this key away."):
-            camera_path.delete_key(session, key)
+            camera_path.delete_keyframe(session, key)
     imgui.end_popup()
 
 
-def _key(session: Session, key: int, moment: float, at: ImVec2) -> None:
+def _key(session: Editor, key: int, moment: float, at: ImVec2) -> None:
     imgui.set_cursor_screen_pos(ImVec2(at.x - _RADIUS, at.y - _RADIUS))
     imgui.set_next_item_allow_overlap()
     imgui.invisible_button(f"key {key}", ImVec2(2 * _RADIUS, 2 * _RADIUS))
@@ -91,14 +91,14 @@ def _key(session: Session, key: int, moment: float, at: ImVec2) -> None:
             f"Camera key {key + 1} at {moment:.2f} s. Click: look through it. Drag: move in time. Ctrl+drag: copy. "
             "Delete: remove. Right click: more."
         )
-    draw, is_chosen = imgui.get_window_draw_list(), camera_path.chosen_key(session) == key
+    draw, is_chosen = imgui.get_window_draw_list(), camera_path.active_keyframe(session) == key
     r = _RADIUS + (1.5 if hovered else 0)
     for size, hue in ((r + 1.5, OUTLINE), (r, CHOSEN if is_chosen else KEY)):
         left, right = ImVec2(at.x - size, at.y), ImVec2(at.x + size, at.y)
         draw.add_quad_filled(left, ImVec2(at.x, at.y - size), right, ImVec2(at.x, at.y + size), color(hue))
 
 
-def _drag(session: Session) -> None:
+def _drag(session: Editor) -> None:
     """Go on with a drag that began on a key of this row: keys change their numbers under the hand."""
     timeline = session.timeline
     if timeline.drag is None or timeline.drag.in_view:
@@ -108,12 +108,12 @@ def _drag(session: Session) -> None:
         timeline.drag = timeline.drag.begun()
     if timeline.drag.has_moved:
         camera_path.drag_in_time(session, timeline.ruler.seconds(moved))
-        imgui.set_tooltip(f"{camera_path.chosen_time(session):.2f} s")
+        imgui.set_tooltip(f"{camera_path.active_keyframe_time(session):.2f} s")
     if not imgui.is_mouse_down(_LEFT):
         key, has_moved = timeline.drag.key, timeline.drag.has_moved
         camera_path.end_drag(session)
         if not has_moved:
-            camera_path.go_to_key(session, key)
+            camera_path.go_to_keyframe(session, key)
 
 
 def _item(name: str, help_text: str) -> bool:
@@ -129,20 +129,20 @@ _TOO_FAST = (0.95, 0.45, 0.38, 1.0)
 _LABEL_EM = 6.5
 
 
-def numbers(session: Session) -> None:
-    key, path = camera_path.chosen_key(session), session.scene.path
+def keyframe_number_fields(session: Editor) -> None:
+    key, path = camera_path.active_keyframe(session), session.scene.path
     if path is not None and key is not None:
         _keyframe(session, path, key)
     else:
         _path(session, path)
 
 
-def _keyframe(session: Session, path: CameraPath, key: int) -> None:
+def _keyframe(session: Editor, path: CameraPath, key: int) -> None:
     _label(f"Key {key + 1} of {len(path.times_s)}", "Moment of the key in seconds, on a frame of the film.")
     imgui.set_next_item_width(0.5 * imgui.get_content_region_avail().x - 3)
     typed = typed_number("##key time", float(path.times_s[key]), "%.2f s")
     if typed is not None:
-        camera_path.retime_key(session, key, typed)
+        camera_path.retime_keyframe(session, key, typed)
     imgui.same_line(spacing=6)
     if imgui.button("Whole path", ImVec2(-1, 0)):
         session.timeline.key = None
@@ -153,7 +153,7 @@ def _keyframe(session: Session, path: CameraPath, key: int) -> None:
     changed, moved = imgui.drag_float3("##key place", place.tolist(), 0.02, 0, 0, "%.2f")
     imgui.set_item_tooltip(words)
     if changed:
-        camera_path.place_key(
+        camera_path.place_keyframe(
             session, key, "Move camera key", position_m=np.array(moved, np.float64), gesture="key place"
         )
     end_gesture_when_released(session)
@@ -161,17 +161,19 @@ def _keyframe(session: Session, path: CameraPath, key: int) -> None:
     _lens(session, path, key)
 
 
-def _look(session: Session, key: int) -> None:
+def _look(session: Editor, key: int) -> None:
     words = "Heading from +x to +y, pitch upwards, and roll to the right; degrees."
     _label("Angles", words)
-    changed, angles = imgui.drag_float3("##key look", list(camera_path.key_look(session, key)), 0.1, 0, 0, "%.1f\u00b0")
+    changed, angles = imgui.drag_float3(
+        "##key look", list(camera_path.key_angles(session, key)), 0.1, 0, 0, "%.1f\u00b0"
+    )
     imgui.set_item_tooltip(words)
     if changed:
-        camera_path.place_key(session, key, "Turn camera key", look=LookAngles(*angles), gesture="key look")
+        camera_path.place_keyframe(session, key, "Turn camera key", look=ViewAngles(*angles), gesture="key look")
     end_gesture_when_released(session)
 
 
-def _lens(session: Session, path: CameraPath, key: int) -> None:
+def _lens(session: Editor, path: CameraPath, key: int) -> None:
     fov = float(path.vertical_fov_deg[key])
     _label("Field of view", "Vertical, in degrees; and the focal length that sees as much on 35 mm film.")
     half = 0.5 * imgui.get_content_region_avail().x - 3
@@ -180,7 +182,7 @@ def _lens(session: Session, path: CameraPath, key: int) -> None:
     changed, angle = imgui.drag_float("##key fov", fov, 0.1, 2, 150, "%.1f\u00b0", flags)
     imgui.set_item_tooltip("Vertical field of view in degrees.")
     if changed:
-        camera_path.place_key(session, key, "Field of view of a key", vertical_fov_deg=angle, gesture="key fov")
+        camera_path.place_keyframe(session, key, "Field of view of a key", vertical_fov_deg=angle, gesture="key fov")
     end_gesture_when_released(session)
     imgui.same_line(spacing=6)
     imgui.set_next_item_width(half)
@@ -188,11 +190,11 @@ def _lens(session: Session, path: CameraPath, key: int) -> None:
     imgui.set_item_tooltip("Focal length in mm of the lens that sees as much from top to bottom on 35 mm film.")
     if changed:
         angle = fov_of_focal_length(focal)
-        camera_path.place_key(session, key, "Field of view of a key", vertical_fov_deg=angle, gesture="key focal")
+        camera_path.place_keyframe(session, key, "Field of view of a key", vertical_fov_deg=angle, gesture="key focal")
     end_gesture_when_released(session)
 
 
-def _path(session: Session, path: CameraPath | None) -> None:
+def _path(session: Editor, path: CameraPath | None) -> None:
     imgui.begin_disabled(path is None)
     shown = path or session.path
     _label("Way, easing", "What lies between the keys.")
@@ -219,14 +221,14 @@ def _path(session: Session, path: CameraPath | None) -> None:
     _read_out(session)
 
 
-def _choice(session: Session, title: str, field: str, choices: tuple[str, ...], path: CameraPath, words: str) -> None:
+def _choice(session: Editor, title: str, field: str, choices: tuple[str, ...], path: CameraPath, words: str) -> None:
     changed, picked = imgui.combo(f"##{field}", choices.index(getattr(path, field)), list(choices))
     imgui.set_item_tooltip(words)
     if changed:
         camera_path.change_path(session, f"{title}: {choices[picked]}", **{field: choices[picked]})
 
 
-def _read_out(session: Session) -> None:
+def _read_out(session: Editor) -> None:
     speed, t = speed_of(session.path), session.clock.time_s
     ego = ego_speed_km_h(session.shown_scene, t)
     now = 3.6 * float(np.linalg.norm(session.path.velocity(t)))
@@ -252,7 +254,7 @@ _FRAME_RATES = (10.0, 24.0, 25.0, 30.0, 50.0, 60.0)
 _JSON = "Camera paths{.json},All files{.*}"
 
 
-def path_menu(session: Session) -> None:
+def path_menu(session: Editor) -> None:
     """Draw the button, and its menu while it is open."""
     if icon_button(
         f"Path {icons_fontawesome_6.ICON_FA_CARET_DOWN}", "path", "Files, the drive, and the path as a whole."
@@ -271,17 +273,17 @@ def path_menu(session: Session) -> None:
         imgui.end_popup()
 
 
-def ask_for_import(session: Session) -> None:
+def ask_for_import(session: Editor) -> None:
     """Show the dialog for a path to read."""
     ask_what_to_open("Import a camera path", _JSON, lambda chosen: camera_path.import_path(session, chosen[0]))
 
 
-def ask_for_export(session: Session) -> None:
+def ask_for_export(session: Editor) -> None:
     """Show the dialog for a path to write."""
     ask_where_to_save("Export the camera path", _JSON, lambda chosen: camera_path.export_path(session, chosen[0]))
 
 
-def _files(session: Session) -> None:
+def _files(session: Editor) -> None:
     if _menu_item("Import...", "Read a camera path: ours, nerfstudio's camera_path.json, or 3DGS's cameras.json."):
         ask_for_import(session)
     if not imgui.begin_menu("Export"):
@@ -299,7 +301,7 @@ def _files(session: Session) -> None:
     imgui.end_menu()
 
 
-def _drives(session: Session) -> None:
+def _drives(session: Editor) -> None:
     cameras = camera_path.rig_cameras(session)
     if not imgui.begin_menu("From the drive", bool(cameras)):
         imgui.set_item_tooltip("Fly as a camera of the recording vehicle did. This scene has no such vehicle.")
@@ -315,7 +317,7 @@ def _drives(session: Session) -> None:
     imgui.end_menu()
 
 
-def _whole(session: Session) -> None:
+def _whole(session: Editor) -> None:
     if imgui.begin_menu("Frames a second"):
         for fps in _FRAME_RATES:
             if imgui.menu_item(f"{fps:g}", "", session.timeline.fps == fps)[0]:
@@ -342,18 +344,18 @@ ROW_EM = 1.3
 _ROW_RADIUS = 4.0
 
 
-def rows(session: Session, titles_px: float, width: float) -> None:
+def rows(session: Editor, titles_px: float, width: float) -> None:
     """Draw all rows from the cursor on, with their titles to the left."""
     _camera(session, titles_px, width)
     ruler, weather = session.timeline.ruler, session.weather
-    last_s = ruler.first_s + ruler.shown_s
+    last_s = ruler.first_s + ruler.visible_span_s
     if weather.keys:
         _row(session, weather_row(weather, ruler.first_s, last_s, int(width / 6)), titles_px, width, is_rain=True)
     for row in track_rows(session.shown_scene):
         _row(session, row, titles_px, width)
 
 
-def _camera(session: Session, titles_px: float, width: float) -> None:
+def _camera(session: Editor, titles_px: float, width: float) -> None:
     corner, height = _begin("camera", "Keys of the camera path.", titles_px, width)
     draw, ruler, path = imgui.get_window_draw_list(), session.timeline.ruler, session.scene.path
     if path is None:
@@ -367,13 +369,13 @@ def _camera(session: Session, titles_px: float, width: float) -> None:
             draw.add_rect_filled(
                 ImVec2(x0, corner.y + 0.4 * height), ImVec2(max(x1, x0 + 2), corner.y + 0.6 * height), color(hue), 2.0
             )
-        camera_keys(session, corner, width, height)
+        camera_keyframes(session, corner, width, height)
     draw.pop_clip_rect()
     imgui.set_cursor_screen_pos(ImVec2(corner.x - titles_px, corner.y))
     imgui.dummy(ImVec2(titles_px + width, height))
 
 
-def _row(session: Session, row: TimelineRow, titles_px: float, width: float, *, is_rain: bool = False) -> None:
+def _row(session: Editor, row: TimelineRow, titles_px: float, width: float, *, is_rain: bool = False) -> None:
     corner, height = _begin(row.title, row.help, titles_px, width)
     draw, ruler = imgui.get_window_draw_list(), session.timeline.ruler
     inset = 0.4 if is_rain else 0.25
@@ -420,7 +422,7 @@ _HELP = (
 )
 
 
-def strip(session: Session, width: float) -> None:
+def time_ruler(session: Editor, width: float) -> None:
     """Draw the ruler at the cursor, and scrub while it is held."""
     corner, height = imgui.get_cursor_screen_pos(), HEIGHT_EM * imgui.get_font_size()
     ruler = session.timeline.ruler
@@ -430,14 +432,14 @@ def strip(session: Session, width: float) -> None:
     if imgui.is_item_hovered() and imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
         ruler.fit(*session.span_s)
     elif imgui.is_item_active() and not imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
-        session.clock.seek(camera_path.on_frame(session, ruler.time(imgui.get_mouse_pos().x - corner.x)))
+        session.clock.seek(camera_path.nearest_frame_time(session, ruler.time(imgui.get_mouse_pos().x - corner.x)))
     _marks(session, corner, width, height)
     _span(session, corner, width, height)
     imgui.set_cursor_screen_pos(corner)
     imgui.dummy(ImVec2(width, height))
 
 
-def playhead(session: Session, corner: ImVec2, width: float, height: float, *, with_head: bool) -> None:
+def playhead(session: Editor, corner: ImVec2, width: float, height: float, *, with_head: bool) -> None:
     """Draw the line of the present moment."""
     x = session.timeline.ruler.x(session.clock.time_s)
     if not -1 <= x <= width + 1:
@@ -449,7 +451,7 @@ def playhead(session: Session, corner: ImVec2, width: float, height: float, *, w
         draw.add_triangle_filled(ImVec2(at - 6, low - 9), ImVec2(at + 6, low - 9), ImVec2(at, low), color(PLAYHEAD))
 
 
-def _marks(session: Session, corner: ImVec2, width: float, height: float) -> None:
+def _marks(session: Editor, corner: ImVec2, width: float, height: float) -> None:
     draw, ruler = imgui.get_window_draw_list(), session.timeline.ruler
     low = corner.y + height
     for t in ruler.marks(_MARKS_APART_PX):
@@ -463,7 +465,7 @@ def _marks(session: Session, corner: ImVec2, width: float, height: float) -> Non
         draw.add_text(ImVec2(x + 3, corner.y), color(DIM), f"{abs(t):.{digits}f} s")
 
 
-def _span(session: Session, corner: ImVec2, width: float, height: float) -> None:
+def _span(session: Editor, corner: ImVec2, width: float, height: float) -> None:
     """A band over what plays, with a grip at either end."""
     draw, ruler = imgui.get_window_draw_list(), session.timeline.ruler
     start, end = session.span_s
@@ -499,7 +501,7 @@ _SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 _GAP = 18.0
 
 
-def transport(session: Session) -> None:
+def transport(session: Editor) -> None:
     clock, timeline = session.clock, session.timeline
     start, end = session.span_s
     if icon_button(_FA.ICON_FA_BACKWARD_FAST, "to start", "To the start (Ctrl+Left)."):
@@ -539,7 +541,7 @@ def transport(session: Session) -> None:
     path_menu(session)
 
 
-def _speed(session: Session) -> None:
+def _speed(session: Editor) -> None:
     imgui.set_next_item_width(4.2 * imgui.get_font_size())
     speed = session.clock.speed
     if imgui.begin_combo("##speed", f"{speed:g}\u00d7"):
@@ -550,7 +552,7 @@ def _speed(session: Session) -> None:
     imgui.set_item_tooltip("How fast time plays, in seconds of the scene a second. Recordings don't care.")
 
 
-def _time(session: Session, end: float) -> None:
+def _time(session: Editor, end: float) -> None:
     if session.timeline.asks_for_time:
         imgui.set_keyboard_focus_here()
         session.timeline.asks_for_time = False
@@ -565,18 +567,18 @@ def _time(session: Session, end: float) -> None:
     imgui.set_item_tooltip("Where playing ends. Drag the grips on the ruler to play less or more.")
 
 
-def _keys(session: Session) -> None:
-    key = camera_path.chosen_key(session)
+def _keys(session: Editor) -> None:
+    key = camera_path.active_keyframe(session)
     words = "Keep what the view shows as a camera key at the present time (K). Shift+K: after the last key."
     if icon_button(f"{_FA.ICON_FA_PLUS} Key", "add key", words):
-        camera_path.add_key(session)
+        camera_path.add_keyframe(session)
     imgui.begin_disabled(key is None)
     imgui.same_line()
     if icon_button(_FA.ICON_FA_CAMERA, "update key", "Give the chosen key what the view shows.") and key is not None:
-        camera_path.update_key(session, key)
+        camera_path.update_keyframe(session, key)
     imgui.same_line()
     if icon_button(_FA.ICON_FA_TRASH, "delete key", "Delete the chosen key (Delete).") and key is not None:
-        camera_path.delete_key(session, key)
+        camera_path.delete_keyframe(session, key)
     imgui.end_disabled()
 
 

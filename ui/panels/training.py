@@ -9,27 +9,33 @@ import msgspec
 from imgui_bundle import icons_fontawesome_6, imgui
 
 from gsrain_engine.appearance.finetune.settings import finetuning_names
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.editor.finetune import TrainingChoice
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.finetune import FinetuneChoice
 from gsrain_engine.editor.jobs.job import SceneJob
-from gsrain_engine.editor.jobs.training import HOW_TO_GET_TORCH, Losses, Recoloring, Reconstruction, has_torch
+from gsrain_engine.editor.jobs.training import (
+    HOW_TO_GET_TORCH,
+    Losses,
+    RecolorJobKind,
+    ReconstructionJobKind,
+    has_torch,
+)
 from gsrain_engine.training.settings import TrainingSettings, load_settings, settings_names
 
 from ..widgets.draw import line, plot
-from ..widgets.fields import ALL_FILES, ask_what_to_open, edited, field_info, place, plain_label
+from ..widgets.fields import ALL_FILES, ask_what_to_open, edit_field, field_info, path_field, plain_label
 from .jobs import job_fields
 from .rain import WARNING
 
 
 @dataclass(slots=True)
-class _Chosen:
+class _ReconstructionChoice:
     """The settings of the next reconstruction; they are no part of the document."""
 
     preset: str
     settings: TrainingSettings
 
 
-_chosen = _Chosen("laptop", load_settings("laptop"))
+_chosen = _ReconstructionChoice("laptop", load_settings("laptop"))
 
 _PRESETS = {
     "draft": "A first look: two minutes on two processor cores.",
@@ -55,7 +61,7 @@ _RECOLOR_HELP = (
 _RECOLOR_OTHERS_HELP = "The same with pictures from a folder, such as transferred ones, named like the capture's own."
 
 
-def reconstruct_fields(session: Session) -> None:
+def reconstruct_fields(session: Editor) -> None:
     """Choose settings, start, and follow what was started."""
     captures = session.captures
     if captures.capture is None or captures.path is None:
@@ -71,7 +77,9 @@ def reconstruct_fields(session: Session) -> None:
     if has_torch():
         _settings()
         if _button("Reconstruct", _RECONSTRUCT_HELP, why_not):
-            session.start_task(Reconstruction(captures.path, _chosen.settings, allow_outside=captures.allows_outside))
+            session.start_task(
+                ReconstructionJobKind(captures.path, _chosen.settings, allow_outside=captures.allows_outside)
+            )
     else:
         imgui.text_wrapped(f"To reconstruct, torch is needed, which is not installed: {HOW_TO_GET_TORCH}")
     if not session.scene.gaussian_count:
@@ -85,7 +93,7 @@ def reconstruct_fields(session: Session) -> None:
         job_fields(session, newest[1], newest[0])
 
 
-def _why_not(session: Session) -> str | None:
+def _why_not(session: Editor) -> str | None:
     """Why nothing can be started now; None where it can."""
     if session.running_jobs:
         return f"Wait for {session.running_jobs[0].title}, or cancel it."
@@ -100,19 +108,19 @@ def _button(label: str, help_text: str, why_not: str | None) -> bool:
     return is_pressed
 
 
-def _newest(session: Session) -> tuple[int, SceneJob] | None:
+def _newest(session: Editor) -> tuple[int, SceneJob] | None:
     """Return the last of these jobs, with its place among all."""
     own = [
         (number, job)
         for number, job in enumerate(session.jobs)
-        if isinstance(job, SceneJob) and isinstance(job.task, Reconstruction | Recoloring)
+        if isinstance(job, SceneJob) and isinstance(job.task, ReconstructionJobKind | RecolorJobKind)
     ]
     return own[-1] if own else None
 
 
-def _recolor(session: Session, capture: Path, chosen: list[Path]) -> None:
+def _recolor(session: Editor, capture: Path, chosen: list[Path]) -> None:
     images, allowed = chosen[0] if chosen else None, session.captures.allows_outside
-    session.start_task(Recoloring(session.scene, session.files.known, capture, images, allow_outside=allowed))
+    session.start_task(RecolorJobKind(session.scene, session.files.known, capture, images, allow_outside=allowed))
 
 
 def _settings() -> None:
@@ -182,7 +190,7 @@ _CURVES = {
 """Losses by plot: what shall fall, and what shall hold each other in balance."""
 
 
-def transfer_training_fields(session: Session) -> None:
+def transfer_training_fields(session: Editor) -> None:
     studio = session.studio
     job = studio.job
     if job is None or job.state != "running":
@@ -199,23 +207,23 @@ def transfer_training_fields(session: Session) -> None:
     _curves(job.losses)
 
 
-def _choices(session: Session) -> None:
+def _choices(session: Editor) -> None:
     studio = session.studio
     _config(session)
     for name in ("clear", "rainy", "output"):
-        place(studio.choice, name, "", partial(_take, session, name))
-    studio.choice = edited(studio.choice, "steps", step=100)
+        path_field(studio.choice, name, "", partial(_take, session, name))
+    studio.choice = edit_field(studio.choice, "steps", step=100)
 
 
-def _config(session: Session) -> None:
+def _config(session: Editor) -> None:
     choice = session.studio.choice
     names = [*finetuning_names(), "from a file..."]
     own = choice.config not in names
     shown = [Path(choice.config).name, *names] if own else names
     help_text = (
-        choice.config if own else _FINETUNE_PRESETS.get(choice.config, field_info("config", TrainingChoice).help)
+        choice.config if own else _FINETUNE_PRESETS.get(choice.config, field_info("config", FinetuneChoice).help)
     )
-    plain_label("Settings", field_info("config", TrainingChoice).help)
+    plain_label("Settings", field_info("config", FinetuneChoice).help)
     changed, at = imgui.combo("##config", 0 if own else names.index(choice.config), shown)
     imgui.set_item_tooltip(help_text)
     if changed and shown[at] == names[-1]:
@@ -224,16 +232,16 @@ def _config(session: Session) -> None:
         session.studio.choice = msgspec.structs.replace(choice, config=shown[at])
 
 
-def _take_file(session: Session, chosen: list[Path]) -> None:
+def _take_file(session: Editor, chosen: list[Path]) -> None:
     session.studio.choice = msgspec.structs.replace(session.studio.choice, config=str(chosen[0]))
 
 
-def _take(session: Session, name: str, text: str) -> None:
+def _take(session: Editor, name: str, text: str) -> None:
     path = Path(text).expanduser() if text.strip() else None
     session.studio.choice = msgspec.structs.replace(session.studio.choice, **{name: path})
 
 
-def _start(session: Session) -> None:
+def _start(session: Editor) -> None:
     studio = session.studio
     why_not, can_resume = studio.why_not(session), studio.can_resume
     imgui.begin_disabled(why_not is not None)

@@ -7,7 +7,7 @@ from typing import Literal, Protocol, runtime_checkable
 from imgui_bundle import ImVec4, imgui
 from imgui_bundle.imgui import ImVec2Like
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 
 from ..widgets.draw import Viewport
 
@@ -25,11 +25,11 @@ class Tool(Protocol):
     help: str
     """What it does and which keys it knows, for the tooltip."""
 
-    def draw(self, session: Session, viewport: Viewport) -> bool:
+    def draw(self, session: Editor, viewport: Viewport) -> bool:
         """Draw over the picture and act on the mouse, each frame; returns whether the left button is its own now."""
         ...
 
-    def options(self, session: Session) -> None:
+    def options(self, session: Editor) -> None:
         """Draw its few settings into the bar above the picture."""
         ...
 
@@ -87,7 +87,7 @@ KNOB_PX = 7.0
 Pixel = tuple[float, float]
 
 
-def line(viewport: Viewport, points: Sequence[Sequence[float]], *, closed: bool = False) -> None:
+def draw_polyline(viewport: Viewport, points: Sequence[Sequence[float]], *, closed: bool = False) -> None:
     """Draw a line through pixels."""
     on_screen: list[ImVec2Like] = [viewport.on_screen(x, y) for x, y in points]
     flags = imgui.ImDrawFlags_.closed if closed else 0
@@ -95,28 +95,28 @@ def line(viewport: Viewport, points: Sequence[Sequence[float]], *, closed: bool 
         imgui.get_window_draw_list().add_polyline(on_screen, imgui.get_color_u32(color), thickness=width, flags=flags)
 
 
-def box(viewport: Viewport, first: Pixel, second: Pixel) -> None:
+def draw_rectangle(viewport: Viewport, first: Pixel, second: Pixel) -> None:
     """Draw a rectangle between two pixels, lightly filled."""
     low, high = viewport.on_screen(*first), viewport.on_screen(*second)
     draw = imgui.get_window_draw_list()
     draw.add_rect_filled(low, high, imgui.get_color_u32(_FILL))
-    line(viewport, [first, (second[0], first[1]), second, (first[0], second[1])], closed=True)
+    draw_polyline(viewport, [first, (second[0], first[1]), second, (first[0], second[1])], closed=True)
 
 
-def ring(viewport: Viewport, center: Pixel, radius_px: float) -> None:
+def draw_ring(viewport: Viewport, center: Pixel, radius_px: float) -> None:
     draw, at = imgui.get_window_draw_list(), viewport.on_screen(*center)
     for color, width in ((_DARK, 3.5), (_LIGHT, 1.5)):
         draw.add_circle(at, radius_px, imgui.get_color_u32(color), 0, width)
 
 
-def knob(viewport: Viewport, at: Pixel, *, is_lit: bool) -> None:
+def draw_knob(viewport: Viewport, at: Pixel, *, is_lit: bool) -> None:
     """Draw something that can be dragged."""
     draw, center = imgui.get_window_draw_list(), viewport.on_screen(*at)
     draw.add_circle_filled(center, KNOB_PX if is_lit else KNOB_PX - 2, imgui.get_color_u32(_DARK))
     draw.add_circle_filled(center, KNOB_PX - (2 if is_lit else 3.5), imgui.get_color_u32(_LIGHT))
 
 
-def is_at(viewport: Viewport, at: Pixel | None) -> bool:
+def is_mouse_at(viewport: Viewport, at: Pixel | None) -> bool:
     """Whether the mouse is over a knob."""
     if at is None:
         return False
@@ -124,7 +124,7 @@ def is_at(viewport: Viewport, at: Pixel | None) -> bool:
     return max(abs(x - at[0]), abs(y - at[1])) <= KNOB_PX + 2
 
 
-def faint(viewport: Viewport, first: Pixel, second: Pixel) -> None:
+def draw_faint_line(viewport: Viewport, first: Pixel, second: Pixel) -> None:
     """Draw a thin line: how a shape would close."""
     draw = imgui.get_window_draw_list()
     draw.add_line(viewport.on_screen(*first), viewport.on_screen(*second), imgui.get_color_u32(_FAINT), 1.0)

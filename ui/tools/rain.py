@@ -6,19 +6,19 @@ import numpy as np
 from imgui_bundle import icons_fontawesome_6, imgui
 from jaxtyping import Float64
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.rain_regions import (
+    BoxFaceDrag,
     FaceHandle,
-    FacePull,
     RegionName,
     face_handles,
     frustum_lines,
-    inset_shot,
+    inset_view,
     project_edges,
 )
-from gsrain_engine.editor.viewport.picking import SkyPick
-from gsrain_engine.rain.settings import HAZE_REGION, STREAK_REGION, Box
-from gsrain_engine.render.draw import Shot, rain_anchor
+from gsrain_engine.editor.viewport.picking import SkyColorPick
+from gsrain_engine.rain.settings import HAZE_REGION, STREAK_REGION, RegionBox
+from gsrain_engine.render.draw import RenderView, rain_anchor
 
 from ..panels.rain import PICK_TOOL
 from ..widgets.draw import Rgba, Viewport, draw_hint, draw_line, draw_point, draw_words
@@ -51,10 +51,10 @@ class RegionTool:
 
     def __init__(self) -> None:
         self._region: RegionName = "streak_region"
-        self._pull: FacePull | None = None
-        self._frozen: Shot | None = None
+        self._pull: BoxFaceDrag | None = None
+        self._frozen: RenderView | None = None
 
-    def draw(self, session: Session, viewport: Viewport) -> bool:
+    def draw(self, session: Editor, viewport: Viewport) -> bool:
         """Draw the region with a dot on each face that is seen, and the same from outside; act on the mouse."""
         box = getattr(session.rain, self._region)
         anchor = rain_anchor(session.shown_scene, session.shown_rainfall, viewport.shot)
@@ -65,7 +65,7 @@ class RegionTool:
         place, there = (inset, outside) if inset.hovered else (viewport, handles)
         under = _under_mouse(place, there)
         if under is not None and self._pull is None and imgui.is_mouse_clicked(imgui.MouseButton_.left):
-            self._pull = FacePull(under, box, self._region, place.shot.camera, place.mouse_px)
+            self._pull = BoxFaceDrag(under, box, self._region, place.shot.camera, place.mouse_px)
             self._frozen = inset.shot
         held = self._drag(session, viewport, inset)
         face = held if held is not None else None if under is None else under.face
@@ -78,7 +78,7 @@ class RegionTool:
         return held is not None or inset.hovered or under is not None
 
     def _dots(
-        self, viewport: Viewport, box: Box, handles: list[FaceHandle], face: Face | None, *, labelled: bool
+        self, viewport: Viewport, box: RegionBox, handles: list[FaceHandle], face: Face | None, *, labelled: bool
     ) -> None:
         for handle in handles:
             bright = handle.face == face
@@ -88,17 +88,17 @@ class RegionTool:
                 place = (box.maximum_m if handle.upper else box.minimum_m)[handle.axis]
                 draw_words(viewport, handle.point_m, f"{'xyz'[handle.axis]} {place:.2f} m")
 
-    def _inset(self, viewport: Viewport, box: Box, anchor: Float64[np.ndarray, "4 4"]) -> Viewport:
+    def _inset(self, viewport: Viewport, box: RegionBox, anchor: Float64[np.ndarray, "4 4"]) -> Viewport:
         """The lower right corner of the picture; while a face is held it keeps its camera."""
         em = imgui.get_font_size()
         width, height = int(min(15 * em, 0.5 * viewport.width)), int(min(11 * em, 0.5 * viewport.height))
         corner = viewport.on_screen(viewport.width - width - 0.6 * em, viewport.height - height - 0.6 * em)
-        shot = self._frozen if self._frozen is not None else inset_shot(box, anchor, width, height)
+        shot = self._frozen if self._frozen is not None else inset_view(box, anchor, width, height)
         inset = Viewport(corner, width, height, shot, viewport.hovered, viewport.active)
         x, y = inset.mouse_px
         return replace(inset, hovered=viewport.hovered and 0 <= x < width and 0 <= y < height)
 
-    def options(self, session: Session) -> None:
+    def options(self, session: Editor) -> None:
         for region, label in _LABELS.items():
             if imgui.radio_button(label, self._region == region):
                 self._region, self._pull = region, None
@@ -118,7 +118,7 @@ class RegionTool:
             )
         imgui.set_item_tooltip("The region of the paper's setup.")
 
-    def _drag(self, session: Session, viewport: Viewport, inset: Viewport) -> Face | None:
+    def _drag(self, session: Editor, viewport: Viewport, inset: Viewport) -> Face | None:
         """Let the face that is held follow the mouse; returns it."""
         if self._pull is None:
             return None
@@ -134,7 +134,7 @@ class RegionTool:
         return self._pull.handle.face
 
 
-def _edges(viewport: Viewport, box: Box, anchor: Float64[np.ndarray, "4 4"], color: Rgba) -> None:
+def _edges(viewport: Viewport, box: RegionBox, anchor: Float64[np.ndarray, "4 4"], color: Rgba) -> None:
     draw = imgui.get_window_draw_list()
     for start, end in project_edges(box, anchor, viewport.shot.camera).tolist():
         draw.add_line(viewport.on_screen(*start), viewport.on_screen(*end), imgui.get_color_u32(color), 2.0)
@@ -172,22 +172,22 @@ class SkyPickTool:
     def __init__(self) -> None:
         self._drag = LeftDrag()
 
-    def draw(self, session: Session, viewport: Viewport) -> bool:
+    def draw(self, session: Editor, viewport: Viewport) -> bool:
         """Draw the rectangle, and ask for its colour when it is let go."""
         state = self._drag.follow(viewport)
         if state in ("pressed", "dragged") and self._drag.has_moved:
-            base.box(viewport, self._drag.points[0], self._drag.points[-1])
+            base.draw_rectangle(viewport, self._drag.points[0], self._drag.points[-1])
         elif state == "released":
             start, end = self._drag.points[0], self._drag.points[-1] if self._drag.has_moved else self._drag.points[0]
             size = viewport.width, viewport.height
-            session.sky_pick = SkyPick.between(
+            session.sky_pick = SkyColorPick.between(
                 (start[0] / size[0], start[1] / size[1]), (end[0] / size[0], end[1] / size[1])
             )
             self._drag.drop()
         draw_hint(viewport, "Click the sky, or drag a rectangle over it")
         return True
 
-    def options(self, session: Session) -> None:
+    def options(self, session: Editor) -> None:
         own = session.rain.drop_color
         red, green, blue = own or session.sky
         imgui.color_button("##drops now", (red, green, blue, 1.0))

@@ -5,19 +5,19 @@ from typing import get_args
 import numpy as np
 from imgui_bundle import icons_fontawesome_6, imgui
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.selection import screen
-from gsrain_engine.editor.selection.candidates import Mode, alike, base_color, is_editable
+from gsrain_engine.editor.selection.candidates import Mode, base_color, is_selectable, select_similar_colors
 from gsrain_engine.editor.selection.commands import select
-from gsrain_engine.editor.selection.screen import Depths, in_picture
-from gsrain_engine.editor.selection.volume import Volume, flooded, in_volume
-from gsrain_engine.editor.viewport.picking import Picked, pick
+from gsrain_engine.editor.selection.screen import Depths, select_in_screen_shape
+from gsrain_engine.editor.selection.volume import Volume, flood_select, in_volume
+from gsrain_engine.editor.viewport.picking import PickResult, pick
 
 from ..widgets.draw import Viewport, is_clicked
 from . import base
 from .base import LeftDrag
 
-_LEAST_PX, _MOST_PX = 2.0, 300.0
+_MIN_PX, _MAX_PX = 2.0, 300.0
 
 _STEP = 1.2
 
@@ -37,12 +37,12 @@ class BrushTool:
     def __init__(self) -> None:
         self._drag = LeftDrag()
 
-    def draw(self, session: Session, viewport: Viewport) -> bool:
+    def draw(self, session: Editor, viewport: Viewport) -> bool:
         options = session.selecting
         if not (imgui.get_io().want_text_input or imgui.get_io().key_ctrl):
             for key, factor in ((imgui.Key.left_bracket, 1 / _STEP), (imgui.Key.right_bracket, _STEP)):
                 if imgui.is_key_pressed(key):
-                    options.brush_radius_px = min(max(options.brush_radius_px * factor, _LEAST_PX), _MOST_PX)
+                    options.brush_radius_px = min(max(options.brush_radius_px * factor, _MIN_PX), _MAX_PX)
         state = self._drag.follow(viewport)
         if state != "none":
             size = viewport.width, viewport.height
@@ -52,19 +52,19 @@ class BrushTool:
                 self._drag.drop()
             else:
                 for edge in screen.outlines(pixels):
-                    base.line(viewport, edge.tolist(), closed=True)
+                    base.draw_polyline(viewport, edge.tolist(), closed=True)
         if viewport.hovered or viewport.active:
-            base.ring(viewport, viewport.mouse_px, options.brush_radius_px)
+            base.draw_ring(viewport, viewport.mouse_px, options.brush_radius_px)
         return True
 
-    def options(self, session: Session) -> None:
+    def options(self, session: Editor) -> None:
         options = session.selecting
         shape_options(session)
-        beside(7)
+        same_line_if_fits(7)
         imgui.set_next_item_width(7 * imgui.get_font_size())
         flags = imgui.SliderFlags_.always_clamp
         _, options.brush_radius_px = imgui.drag_float(
-            "##radius", options.brush_radius_px, 0.5, _LEAST_PX, _MOST_PX, "radius %.0f px", flags
+            "##radius", options.brush_radius_px, 0.5, _MIN_PX, _MAX_PX, "radius %.0f px", flags
         )
         imgui.set_item_tooltip("Radius of the brush in pixels ([ and ]).")
 
@@ -83,11 +83,11 @@ class LassoTool:
     def __init__(self) -> None:
         self._drag = LeftDrag()
 
-    def draw(self, session: Session, viewport: Viewport) -> bool:
+    def draw(self, session: Editor, viewport: Viewport) -> bool:
         state = self._drag.follow(viewport)
         if state in ("pressed", "dragged"):
-            base.line(viewport, self._drag.points)
-            base.faint(viewport, self._drag.points[-1], self._drag.points[0])
+            base.draw_polyline(viewport, self._drag.points)
+            base.draw_faint_line(viewport, self._drag.points[-1], self._drag.points[0])
         elif state == "released":
             if self._drag.has_moved:
                 pixels = screen.polygon(self._drag.points, viewport.width, viewport.height)
@@ -95,7 +95,7 @@ class LassoTool:
             self._drag.drop()
         return True
 
-    def options(self, session: Session) -> None:
+    def options(self, session: Editor) -> None:
         shape_options(session)
 
 
@@ -114,13 +114,13 @@ class PolygonTool:
         self._corners: list[tuple[float, float]] = []
         self._frame = -1
 
-    def draw(self, session: Session, viewport: Viewport) -> bool:
+    def draw(self, session: Editor, viewport: Viewport) -> bool:
         if imgui.get_frame_count() != self._frame + 1:
             self._corners.clear()
         self._frame = imgui.get_frame_count()
         closes = self._take_keys()
         if viewport.hovered and imgui.is_mouse_clicked(imgui.MouseButton_.left):
-            if len(self._corners) >= 3 and base.is_at(viewport, self._corners[0]):
+            if len(self._corners) >= 3 and base.is_mouse_at(viewport, self._corners[0]):
                 closes = True
             else:
                 self._corners.append(viewport.mouse_px)
@@ -131,9 +131,9 @@ class PolygonTool:
         self._show(viewport)
         return True
 
-    def options(self, session: Session) -> None:
+    def options(self, session: Editor) -> None:
         shape_options(session)
-        beside(10)
+        same_line_if_fits(10)
         imgui.align_text_to_frame_padding()
         imgui.text_disabled("click corners, Enter closes" if self._corners else "click corners")
         imgui.set_item_tooltip("Enter or a click on the first corner closes; Backspace drops the last; Esc drops all.")
@@ -150,11 +150,11 @@ class PolygonTool:
             return
         if viewport.hovered:
             for end in {self._corners[0], self._corners[-1]}:
-                base.faint(viewport, end, viewport.mouse_px)
-        base.line(viewport, self._corners)
+                base.draw_faint_line(viewport, end, viewport.mouse_px)
+        base.draw_polyline(viewport, self._corners)
         for corner in self._corners:
             is_end = corner is self._corners[0] and len(self._corners) >= 3
-            base.knob(viewport, corner, is_lit=is_end and base.is_at(viewport, corner))
+            base.draw_knob(viewport, corner, is_lit=is_end and base.is_mouse_at(viewport, corner))
 
 
 # § Select by a rectangle drawn over the picture.
@@ -171,10 +171,10 @@ class RectangleTool:
     def __init__(self) -> None:
         self._drag = LeftDrag()
 
-    def draw(self, session: Session, viewport: Viewport) -> bool:
+    def draw(self, session: Editor, viewport: Viewport) -> bool:
         state = self._drag.follow(viewport)
         if state in ("pressed", "dragged"):
-            base.box(viewport, self._drag.points[0], self._drag.points[-1])
+            base.draw_rectangle(viewport, self._drag.points[0], self._drag.points[-1])
         elif state == "released":
             if self._drag.has_moved:
                 ends = self._drag.points[0], self._drag.points[-1]
@@ -183,7 +183,7 @@ class RectangleTool:
             self._drag.drop()
         return True
 
-    def options(self, session: Session) -> None:
+    def options(self, session: Editor) -> None:
         shape_options(session)
 
 
@@ -198,20 +198,22 @@ class FloodTool:
     key: imgui.Key | None = imgui.Key.g
     help = f"Click on what to select as far as it hangs together and looks alike. {MODIFIERS}"
 
-    def draw(self, session: Session, viewport: Viewport) -> bool:
+    def draw(self, session: Editor, viewport: Viewport) -> bool:
         options, picked = session.selecting, _clicked(session, viewport)
         if picked is not None:
             moment = viewport.shot.time_s
-            found = flooded(session.scene, moment, picked.key, picked.gaussian, options.tolerance, options.flood_reach)
+            found = flood_select(
+                session.scene, moment, picked.key, picked.gaussian, options.tolerance, options.flood_reach
+            )
             select(session, found, mode_now(session), "flood")
         return False
 
-    def options(self, session: Session) -> None:
+    def options(self, session: Editor) -> None:
         options = session.selecting
         mode_options(session)
-        beside(9)
+        same_line_if_fits(9)
         tolerance_option(session)
-        beside(9)
+        same_line_if_fits(9)
         imgui.set_next_item_width(9 * imgui.get_font_size())
         flags = imgui.SliderFlags_.always_clamp
         _, options.flood_reach = imgui.drag_float(
@@ -230,25 +232,25 @@ class ColorPickTool:
     key: imgui.Key | None = imgui.Key.i
     help = f"Click on a colour to select it everywhere. {MODIFIERS}"
 
-    def draw(self, session: Session, viewport: Viewport) -> bool:
+    def draw(self, session: Editor, viewport: Viewport) -> bool:
         picked = _clicked(session, viewport)
         if picked is not None:
             part = session.scene.part(session.scene.member(picked.key), viewport.shot.time_s)
             assert part is not None, "what was picked is there"
             color = base_color(part, picked.gaussian)
-            found = alike(session.scene, viewport.shot.time_s, color, session.selecting.tolerance)
+            found = select_similar_colors(session.scene, viewport.shot.time_s, color, session.selecting.tolerance)
             select(session, found, mode_now(session), "colour")
         return False
 
-    def options(self, session: Session) -> None:
+    def options(self, session: Editor) -> None:
         mode_options(session)
-        beside(9)
+        same_line_if_fits(9)
         tolerance_option(session)
 
 
-def _clicked(session: Session, viewport: Viewport) -> Picked | None:
+def _clicked(session: Editor, viewport: Viewport) -> PickResult | None:
     """What a click has hit that has just been let go, among what can be selected."""
-    return pick(session.scene, viewport.shot, *viewport.mouse_px, is_editable) if is_clicked(viewport) else None
+    return pick(session.scene, viewport.shot, *viewport.mouse_px, is_selectable) if is_clicked(viewport) else None
 
 
 _MODE_HELP: dict[Mode, str] = {
@@ -265,7 +267,7 @@ _DEPTH_HELP = (
 )
 
 
-def mode_now(session: Session) -> Mode:
+def mode_now(session: Editor) -> Mode:
     """How what is found is taken: by the keys that are held, else as chosen in the bar."""
     io = imgui.get_io()
     removes = io.key_ctrl or io.key_alt
@@ -274,12 +276,12 @@ def mode_now(session: Session) -> Mode:
     return "remove" if removes else session.selecting.mode
 
 
-def take_shape(session: Session, viewport: Viewport, pixels: np.ndarray, by: str) -> None:
-    found = in_picture(session.scene, viewport.shot, pixels, session.selecting.reach)
+def take_shape(session: Editor, viewport: Viewport, pixels: np.ndarray, by: str) -> None:
+    found = select_in_screen_shape(session.scene, viewport.shot, pixels, session.selecting.reach)
     select(session, found, mode_now(session), by)
 
 
-def apply_volume(session: Session, time_s: float, volume: Volume, by: str, *, now: bool = False) -> None:
+def apply_volume(session: Editor, time_s: float, volume: Volume, by: str, *, now: bool = False) -> None:
     """Select what lies in a volume, if Enter was pressed or `now`."""
     keys = (imgui.Key.enter, imgui.Key.keypad_enter)
     is_entered = not imgui.get_io().want_text_input and any(imgui.is_key_pressed(key, False) for key in keys)
@@ -287,7 +289,7 @@ def apply_volume(session: Session, time_s: float, volume: Volume, by: str, *, no
         select(session, in_volume(session.scene, time_s, volume), mode_now(session), by)
 
 
-def mode_options(session: Session) -> None:
+def mode_options(session: Editor) -> None:
     """Draw the four ways to take what is found; the one that holds now is lit."""
     now = mode_now(session)
     for number, mode in enumerate(get_args(Mode)):
@@ -303,11 +305,11 @@ def mode_options(session: Session) -> None:
         imgui.set_item_tooltip(_MODE_HELP[mode])
 
 
-def shape_options(session: Session) -> None:
+def shape_options(session: Editor) -> None:
     """Draw the settings of tools that draw a shape over the picture."""
     options = session.selecting
     mode_options(session)
-    beside(14)
+    same_line_if_fits(14)
     choices = get_args(Depths)
     imgui.set_next_item_width(7.5 * imgui.get_font_size())
     changed, picked = imgui.combo("##depths", choices.index(options.depths), list(choices))
@@ -315,18 +317,18 @@ def shape_options(session: Session) -> None:
     if changed:
         options.depths = choices[picked]
     if options.depths == "to a depth":
-        beside(5.5)
+        same_line_if_fits(5.5)
         imgui.set_next_item_width(5.5 * imgui.get_font_size())
         _, options.depth_m = imgui.drag_float("##depth_m", options.depth_m, 0.1, 0.2, 2000.0, "%.1f m")
         imgui.set_item_tooltip("How deep, in metres from the camera along its view axis.")
-    beside(6)
+    same_line_if_fits(6)
     _, options.touching = imgui.checkbox("Touching", options.touching)
     imgui.set_item_tooltip(
         "Take in Gaussians that the shape touches within one standard deviation, not only those whose centre it covers."
     )
 
 
-def tolerance_option(session: Session) -> None:
+def tolerance_option(session: Editor) -> None:
     """Draw how far colours may differ."""
     options = session.selecting
     imgui.set_next_item_width(9 * imgui.get_font_size())
@@ -338,9 +340,9 @@ def tolerance_option(session: Session) -> None:
     )
 
 
-def volume_buttons(session: Session, volume: Volume, name: str) -> bool:
+def volume_buttons(session: Editor, volume: Volume, name: str) -> bool:
     """Draw what can be done with a volume as it stands; returns whether it is to be taken away."""
-    beside(11)
+    same_line_if_fits(11)
     if imgui.button(f"Apply##{name}"):
         apply_volume(session, session.clock.time_s, volume, name, now=True)
     imgui.set_item_tooltip("Select what is inside (Enter), whether the camera sees it or not.")
@@ -350,7 +352,7 @@ def volume_buttons(session: Session, volume: Volume, name: str) -> bool:
     return is_dropped
 
 
-def beside(width_em: float) -> None:
+def same_line_if_fits(width_em: float) -> None:
     """Go on in the same line, after a gap, if so much still fits into it; else in the next."""
     imgui.same_line(0, 10)
     if imgui.get_content_region_avail().x < width_em * imgui.get_font_size():

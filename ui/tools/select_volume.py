@@ -4,16 +4,16 @@ from dataclasses import dataclass, replace
 
 from imgui_bundle import icons_fontawesome_6, imgui
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.gaussians import CropBox, box_around, crop
-from gsrain_engine.editor.selection.volume import Ball, standing_on
+from gsrain_engine.editor.selection.volume import Sphere, placed_on
 from gsrain_engine.editor.viewport.picking import pick_point
 from gsrain_engine.scene.scene import Scene
 
 from ..widgets.draw import YELLOW, Viewport, draw_hint, draw_line, draw_point
 from . import base
 from .base import LeftDrag
-from .select_screen import MODIFIERS, apply_volume, beside, mode_options, volume_buttons
+from .select_screen import MODIFIERS, apply_volume, mode_options, same_line_if_fits, volume_buttons
 
 _FIRST_SIZE_M = (2.0, 2.0, 2.0)
 
@@ -29,7 +29,7 @@ class BoxTool:
     def __init__(self) -> None:
         self._held: Face | None = None
 
-    def draw(self, session: Session, viewport: Viewport) -> bool:
+    def draw(self, session: Editor, viewport: Viewport) -> bool:
         options = session.selecting
         if is_pressed(viewport):
             self._held = face_under_mouse(viewport, options.box) if options.box is not None else None
@@ -47,25 +47,25 @@ class BoxTool:
         apply_volume(session, viewport.shot.time_s, options.box, "box")
         return True
 
-    def options(self, session: Session) -> None:
+    def options(self, session: Editor) -> None:
         options = session.selecting
         mode_options(session)
         box = options.box
         if box is None:
             return
-        beside(14.5)
+        same_line_if_fits(14.5)
         em = imgui.get_font_size()
         _word("at")
         imgui.set_next_item_width(12 * em)
         _, center = imgui.drag_float3("##center", list(box.center_m), 0.02, -1e5, 1e5, "%.2f")
         imgui.set_item_tooltip("Middle of the box in the world: x, y, z in metres.")
-        beside(14.5)
+        same_line_if_fits(14.5)
         _word("size")
         imgui.set_next_item_width(12 * em)
         flags = imgui.SliderFlags_.always_clamp
         _, size = imgui.drag_float3("##size", list(box.size_m), 0.02, 0.01, 1e5, "%.2f", flags)
         imgui.set_item_tooltip("Size of the box along its own x, y, z in metres.")
-        beside(7)
+        same_line_if_fits(7)
         _word("turn")
         imgui.set_next_item_width(4.5 * em)
         _, yaw = imgui.drag_float("##yaw", box.yaw_deg, 0.5, -180.0, 180.0, "%.1f°", flags)
@@ -74,12 +74,12 @@ class BoxTool:
         if volume_buttons(session, options.box, "box"):
             options.box = None
 
-    def _place(self, session: Session, viewport: Viewport) -> None:
+    def _place(self, session: Editor, viewport: Viewport) -> None:
         """Stand the box on the surface under the mouse, as large as it was before."""
         point = pick_point(session.scene, viewport.shot, *viewport.mouse_px)
         if point is not None:
             before = session.selecting.box or CropBox((0.0, 0.0, 0.0), _FIRST_SIZE_M)
-            session.selecting.box = standing_on(before, point)
+            session.selecting.box = placed_on(before, point)
 
 
 def _word(text: str) -> None:
@@ -107,13 +107,13 @@ class SphereTool:
         self._drag = LeftDrag()
         self._radius_m = _FIRST_RADIUS_M
 
-    def draw(self, session: Session, viewport: Viewport) -> bool:
+    def draw(self, session: Editor, viewport: Viewport) -> bool:
         options = session.selecting
         if is_pressed(viewport):
             point = pick_point(session.scene, viewport.shot, *viewport.mouse_px)
             if point is not None:
                 x, y, z = point.tolist()
-                options.ball = Ball((x, y, z), self._radius_m)
+                options.ball = Sphere((x, y, z), self._radius_m)
         state = self._drag.follow(viewport)
         if state == "dragged" and self._drag.has_moved and options.ball is not None:
             options.ball = options.ball.reaching(*viewport.ray(*viewport.mouse_px))
@@ -128,36 +128,36 @@ class SphereTool:
         apply_volume(session, viewport.shot.time_s, options.ball, "sphere")
         return True
 
-    def options(self, session: Session) -> None:
+    def options(self, session: Editor) -> None:
         options = session.selecting
         mode_options(session)
         ball = options.ball
         if ball is None:
             return
-        beside(13)
+        same_line_if_fits(13)
         em = imgui.get_font_size()
         imgui.set_next_item_width(13 * em)
         moved, center = imgui.drag_float3("##center", list(ball.center_m), 0.02, -1e5, 1e5, "%.2f")
         imgui.set_item_tooltip("Centre of the sphere in the world: x, y, z in metres.")
-        beside(7)
+        same_line_if_fits(7)
         imgui.set_next_item_width(7 * em)
         flags = imgui.SliderFlags_.always_clamp | imgui.SliderFlags_.logarithmic
         sized, radius = imgui.drag_float("##radius_m", ball.radius_m, 0.01, 0.01, 1e4, "radius %.2f m", flags)
         imgui.set_item_tooltip("Radius of the sphere in metres.")
         if moved or sized:
-            options.ball = Ball((center[0], center[1], center[2]), radius)
+            options.ball = Sphere((center[0], center[1], center[2]), radius)
             self._radius_m = radius
         if volume_buttons(session, options.ball or ball, "sphere"):
             options.ball = None
 
 
-def _draw_ball(viewport: Viewport, ball: Ball) -> None:
+def _draw_ball(viewport: Viewport, ball: Sphere) -> None:
     """Draw its three great circles, and a dot in the middle."""
     for circle in ball.circles_m(_RING):
         pixels = [viewport.pixel(point) for point in circle]
         seen = [pixel for pixel in pixels if pixel is not None]
         if len(seen) == len(pixels):
-            base.line(viewport, seen, closed=True)
+            base.draw_polyline(viewport, seen, closed=True)
     draw_point(viewport, ball.middle, radius=4)
 
 
@@ -181,7 +181,7 @@ class CropTool:
     _scene_name: str = ""
     _held: Face | None = None
 
-    def draw(self, session: Session, viewport: Viewport) -> bool:
+    def draw(self, session: Editor, viewport: Viewport) -> bool:
         box = self._box_of(session.scene)
         under = face_under_mouse(viewport, box)
         if under is not None and is_pressed(viewport):
@@ -194,7 +194,7 @@ class CropTool:
         draw_hint(viewport, "Drag the dots on the faces, then Apply")
         return self._held is not None or under is not None
 
-    def options(self, session: Session) -> None:
+    def options(self, session: Editor) -> None:
         box = self._box_of(session.scene)
         if imgui.button("Apply##crop"):
             session.edit("Crop to the box", crop, box)

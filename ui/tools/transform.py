@@ -7,7 +7,7 @@ import numpy as np
 from imgui_bundle import icons_fontawesome_6, imgui
 from jaxtyping import Float64
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.actors import SENSOR_HEIGHT_M, set_ego_start, set_origin
 from gsrain_engine.editor.edits.gaussians import selected_count
 from gsrain_engine.editor.edits.level import (
@@ -17,8 +17,8 @@ from gsrain_engine.editor.edits.level import (
     set_ground_height,
     set_length,
 )
-from gsrain_engine.editor.edits.transform import move_member, move_selected, moving, pivot
-from gsrain_engine.editor.viewport.picking import Handle, pick_point, standing_at
+from gsrain_engine.editor.edits.transform import move_member, move_selected, pivot, preview_move
+from gsrain_engine.editor.viewport.picking import Handle, frame_at, pick_point
 from gsrain_engine.scene.scene import Scene
 
 from ..widgets.draw import Gizmo, Viewport, draw_hint, draw_line, draw_point, draw_words, is_clicked
@@ -53,7 +53,7 @@ class MoveTool:
     _drag: _Drag | None = None
     _frame: int = 0
 
-    def draw(self, session: Session, viewport: Viewport) -> bool:
+    def draw(self, session: Editor, viewport: Viewport) -> bool:
         """Draw the gizmo where the thing is and show the thing where the gizmo has it; one drag is one step."""
         scene = session.scene
         was_put_away, self._frame = self._frame < imgui.get_frame_count() - 1, imgui.get_frame_count()
@@ -66,15 +66,15 @@ class MoveTool:
         if middle is None:
             draw_hint(viewport, "Select something, or pick an unlocked layer or actor in Layers")
             return False
-        delta, is_taken = self._gizmo.draw(viewport, standing_at(middle), self.handle)
+        delta, is_taken = self._gizmo.draw(viewport, frame_at(middle), self.handle)
         if delta is not None:
             self._drag = _Drag(scene, key, time_s, delta)
-            session.preview = moving(scene, key, delta, time_s)
+            session.preview = preview_move(scene, key, delta, time_s)
         elif self._drag is not None:
             self._finish(session, self._drag)
         return is_taken
 
-    def options(self, session: Session) -> None:
+    def options(self, session: Editor) -> None:
         for handle, (verb, help_text) in _VERBS.items():
             if imgui.radio_button(f"{verb}##handle", self.handle == handle):
                 self.handle = handle
@@ -85,7 +85,7 @@ class MoveTool:
         imgui.text_disabled(name)
         imgui.set_item_tooltip("What the gizmo acts on: the selection, else the layer or actor picked in Layers.")
 
-    def _finish(self, session: Session, drag: _Drag) -> None:
+    def _finish(self, session: Editor, drag: _Drag) -> None:
         self._drag, verb = None, _VERBS[self.handle][0]
         if np.array_equal(drag.delta, np.eye(4)):
             return
@@ -96,7 +96,7 @@ class MoveTool:
             session.edit(f"{verb} {name}", move_member, drag.key, drag.delta)
 
 
-def _target(session: Session) -> str | None:
+def _target(session: Editor) -> str | None:
     """None for the selection, the key of a member, "" for nothing."""
     if selected_count(session.scene):
         return None
@@ -119,7 +119,7 @@ class LevelTool:
     help: str = "Click three points of the ground, far from one another: the scene is turned until they lie level."
     _points_m: list[Float64[np.ndarray, "3"]] = field(default_factory=list[Float64[np.ndarray, "3"]])
 
-    def draw(self, session: Session, viewport: Viewport) -> bool:
+    def draw(self, session: Editor, viewport: Viewport) -> bool:
         if is_clicked(viewport):
             point = pick_point(session.scene, viewport.shot, *viewport.mouse_px)
             if point is not None:
@@ -134,7 +134,7 @@ class LevelTool:
         draw_hint(viewport, f"Click the {_ORDINALS[len(self._points_m)]} point of the ground")
         return False
 
-    def options(self, session: Session) -> None:
+    def options(self, session: Editor) -> None:
         if imgui.button("From the ground"):
             self._points_m = []
             session.edit("Level by the ground", level_from_ground)
@@ -181,7 +181,7 @@ class OriginTool:
     )
     meaning: Meaning = "Ego start"
 
-    def draw(self, session: Session, viewport: Viewport) -> bool:
+    def draw(self, session: Editor, viewport: Viewport) -> bool:
         ego = session.scene.ego_to_world(session.clock.time_s)
         if ego is not None:
             draw_point(viewport, ego[:3, 3])
@@ -198,7 +198,7 @@ class OriginTool:
                 session.navigation.position = session.navigation.position - point
         return False
 
-    def options(self, session: Session) -> None:
+    def options(self, session: Editor) -> None:
         meanings: tuple[Meaning, ...] = get_args(Meaning)
         for meaning in meanings:
             if imgui.radio_button(meaning, self.meaning == meaning):
@@ -223,7 +223,7 @@ class MeasureTool:
     _points_m: list[Float64[np.ndarray, "3"]] = field(default_factory=list[Float64[np.ndarray, "3"]])
     _scene_to_world: Float64[np.ndarray, "4 4"] | None = None
 
-    def draw(self, session: Session, viewport: Viewport) -> bool:
+    def draw(self, session: Editor, viewport: Viewport) -> bool:
         self._forget_other_worlds(session.scene)
         if is_clicked(viewport):
             point = pick_point(session.scene, viewport.shot, *viewport.mouse_px)
@@ -241,7 +241,7 @@ class MeasureTool:
             draw_words(viewport, (first + second) / 2, _in_words(length))
         return False
 
-    def options(self, session: Session) -> None:
+    def options(self, session: Editor) -> None:
         length = self._length_m
         imgui.begin_disabled(length is None)
         imgui.align_text_to_frame_padding()

@@ -6,36 +6,36 @@ import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
 from jaxtyping import Float64
 
-from gsrain_engine.appearance.correspondence import COLORS, Outcome
+from gsrain_engine.appearance.correspondence import COLORS, MatchOutcome
 from gsrain_engine.editor import camera_path
-from gsrain_engine.editor.capture_view import LARGE_PX, THUMBNAIL_PX, Wish
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.editor.matching import Shown
-from gsrain_engine.editor.overlays import Frustum, KeyMark, drag_in_view, frustums, path_drawing, picture_grid
-from gsrain_engine.editor.overlays_drive import BoxMark, RolloutDrawing, SeenBox, rollout_drawing, seen_boxes
+from gsrain_engine.editor.capture_view import LARGE_PX, THUMBNAIL_PX, ImageRequest
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.matching import MatchResult
+from gsrain_engine.editor.overlays import Frustum, KeyHandle, drag_in_view, frustums, image_grid, path_overlay_of
+from gsrain_engine.editor.overlays_drive import BoxMark, DetectionBox, RolloutOverlay, detection_boxes, rollout_overlay
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.simulation.metrics.collisions import LONGEST_S
 
 from ..widgets.draw import CHOSEN, KEY, OUTLINE, PLAYHEAD, Viewport, color
 
-Overlay = Callable[[Session, Viewport], bool]
+Overlay = Callable[[Editor, Viewport], bool]
 """Draws into the window's draw list; returns whether the left mouse button is its own now (a handle is held)."""
 
 # § The camera path in the picture: its way, its seconds, and its keys as small cameras that are dragged.
 
 
-def path_overlay(session: Session, viewport: Viewport) -> bool:
+def path_overlay(session: Editor, viewport: Viewport) -> bool:
     """Draw the path unless it is ridden along; returns whether a key is in the hand or under it."""
     timeline = session.timeline
     drag = timeline.drag if timeline.drag is not None and timeline.drag.in_view else None
     if not timeline.show_path or session.view.follow_path:
         return False
-    drawing = path_drawing(session, viewport.shot.camera)
+    drawing = path_overlay_of(session, viewport.shot.camera)
     if drawing is None:
         return False
-    _lines(viewport, drawing.way_px, _WAY, 2.0)
+    _lines(viewport, drawing.path_px, _PATH_COLOR, 2.0)
     for x, y in drawing.ticks_px.tolist():
-        imgui.get_window_draw_list().add_circle_filled(viewport.on_screen(x, y), 2.5, color(_WAY))
+        imgui.get_window_draw_list().add_circle_filled(viewport.on_screen(x, y), 2.5, color(_PATH_COLOR))
     _lines(viewport, drawing.now_px, PLAYHEAD, 1.5)
     under = _under_the_mouse(viewport, drawing.keys) if session.view.tool == "" or drag is not None else None
     for mark in drawing.keys:
@@ -56,7 +56,7 @@ def path_overlay(session: Session, viewport: Viewport) -> bool:
 # § The open capture in the picture: measured points, recorded cameras with their pictures, and the one looked from.
 
 
-def capture_overlay(session: Session, viewport: Viewport) -> bool:
+def capture_overlay(session: Editor, viewport: Viewport) -> bool:
     """Draw what is shown of the capture; returns whether the mouse is at one of its cameras."""
     captures = session.captures
     captures.viewport_px = viewport.width, viewport.height
@@ -64,7 +64,7 @@ def capture_overlay(session: Session, viewport: Viewport) -> bool:
         return False
     here = captures.stands_at(session)
     if here is not None:
-        _recorded_picture(session, viewport, here)
+        _recorded_image(session, viewport, here)
     if captures.points_texture is not None:
         low, high = viewport.corner, viewport.on_screen(viewport.width, viewport.height)
         imgui.get_window_draw_list().add_image(imgui.ImTextureRef(captures.points_texture.name), low, high)
@@ -77,8 +77,8 @@ def capture_overlay(session: Session, viewport: Viewport) -> bool:
     found = frustums(cameras, captures.listed, length, viewport.shot.camera)
     under = _capture_under_the_mouse(viewport, found) if viewport.hovered and session.view.tool == "" else None
     for number, each in enumerate(found):
-        if number >= len(found) - _PICTURES:
-            _picture(session, viewport, cameras[each.view], each.view, THUMBNAIL_PX, 1.0)
+        if number >= len(found) - _IMAGES:
+            _image(session, viewport, cameras[each.view], each.view, THUMBNAIL_PX, 1.0)
         _frustum(session, viewport, each, is_near=under is each)
     return under is not None and _act(session, under)
 
@@ -86,7 +86,7 @@ def capture_overlay(session: Session, viewport: Viewport) -> bool:
 # § Matching over the picture: another view warped onto this one, and where the pixel at the mouse lies in it.
 
 
-def matching_overlay(session: Session, viewport: Viewport) -> bool:
+def matching_overlay(session: Editor, viewport: Viewport) -> bool:
     """Draw what is matched, if that is switched on; never takes the mouse."""
     matching = session.matching
     if not matching.is_on:
@@ -96,17 +96,17 @@ def matching_overlay(session: Session, viewport: Viewport) -> bool:
         _card(viewport, matching.problem or "Matching...", [])
         return False
     texture = session.matching.texture
-    grid = picture_grid(shown.camera, 1.0, viewport.shot.camera, _CELLS)
+    grid = image_grid(shown.camera, 1.0, viewport.shot.camera, _CELLS)
     if texture is None or grid is None:
         return False
-    draw_placed_picture(viewport, texture.name, grid, 1.0)
+    draw_placed_image(viewport, texture.name, grid, 1.0)
     if matching.lines:
         _matching_lines(viewport, shown, grid)
     under = _match_under_the_mouse(viewport, shown, grid)
     _inset(session, viewport, shown, under)
-    named = [each for each in shown.shares.items() if each[1] >= _LEAST_SHARE]
+    named = [each for each in shown.shares.items() if each[1] >= _MIN_SHARE]
     if matching.mode != "pixels":  # what matches has its own colours, and the title tells how much it is
-        named = [each for each in named if each[0] != Outcome.MATCHED]
+        named = [each for each in named if each[0] != MatchOutcome.MATCHED]
     _card(viewport, _title(shown), named)
     return False
 
@@ -114,14 +114,14 @@ def matching_overlay(session: Session, viewport: Viewport) -> bool:
 # § A roll-out over the picture: boxes with names, the plan on the road, the driven way, figures of the moment.
 
 
-def drive_overlay(session: Session, viewport: Viewport) -> bool:
+def drive_overlay(session: Editor, viewport: Viewport) -> bool:
     """Draw the moment of the roll-out that plays; never takes the mouse."""
     drives = session.drives
-    shown = drives.shown_in(session)
+    shown = drives.placed_in(session)
     if shown is None:
         return False
     inside = drives.chase.mode == "front camera"
-    drawing = rollout_drawing(shown, session.clock.time_s, viewport.shot.camera, from_inside=inside)
+    drawing = rollout_overlay(shown, session.clock.time_s, viewport.shot.camera, from_inside=inside)
     if drives.show_plan:
         _plan(viewport, drawing)
     if drives.show_boxes:
@@ -129,15 +129,15 @@ def drive_overlay(session: Session, viewport: Viewport) -> bool:
             _box(viewport, box)
     if drives.show_boxes and inside and shown.front_camera is not None:
         step = shown.played.step(shown.own_time_s(session.clock.time_s))
-        for seen in seen_boxes(step, shown.front_camera, viewport.shot.camera):
-            _seen(viewport, seen)
+        for seen in detection_boxes(step, shown.front_camera, viewport.shot.camera):
+            _draw_detection(viewport, seen)
     _figures(session, viewport)
     return False
 
 
 OVERLAYS: tuple[Overlay, ...] = (capture_overlay, matching_overlay, path_overlay, drive_overlay)
 
-_WAY = ImVec4(0.55, 0.78, 1.0, 0.9)
+_PATH_COLOR = ImVec4(0.55, 0.78, 1.0, 0.9)
 
 _HANDLE, _REACH = 5.5, 10.0
 
@@ -146,7 +146,7 @@ _LEFT = imgui.MouseButton_.left
 _DRAG_PX = 2.0
 
 
-def _drag(session: Session, viewport: Viewport) -> None:
+def _drag(session: Editor, viewport: Viewport) -> None:
     drag, moved = session.timeline.drag, imgui.get_mouse_drag_delta(_LEFT, _DRAG_PX)
     if drag is None:
         return
@@ -158,7 +158,7 @@ def _drag(session: Session, viewport: Viewport) -> None:
         camera_path.end_drag(session)
 
 
-def _under_the_mouse(viewport: Viewport, keys: list[KeyMark]) -> int | None:
+def _under_the_mouse(viewport: Viewport, keys: list[KeyHandle]) -> int | None:
     """The key whose handle the mouse is at; of several, the one that is drawn last."""
     x, y = viewport.mouse_px
     for mark in reversed(keys):
@@ -167,8 +167,8 @@ def _under_the_mouse(viewport: Viewport, keys: list[KeyMark]) -> int | None:
     return None
 
 
-def _key(session: Session, viewport: Viewport, mark: KeyMark, *, is_near: bool) -> None:
-    draw, hue = imgui.get_window_draw_list(), CHOSEN if camera_path.chosen_key(session) == mark.key else KEY
+def _key(session: Editor, viewport: Viewport, mark: KeyHandle, *, is_near: bool) -> None:
+    draw, hue = imgui.get_window_draw_list(), CHOSEN if camera_path.active_keyframe(session) == mark.key else KEY
     _lines(viewport, mark.frustum_px, hue, 1.5)
     at = viewport.on_screen(*mark.handle_px)
     radius = _HANDLE + (2 if is_near else 0)
@@ -191,38 +191,38 @@ _CAMERA = ImVec4(0.5, 0.85, 0.62, 0.9)
 
 _CAPTURE_HANDLE, _CAPTURE_REACH = 4.0, 9.0
 
-_PICTURES = 24
+_IMAGES = 24
 """So many of the nearest cameras show their pictures."""
 
 
-def _recorded_picture(session: Session, viewport: Viewport, view: int) -> None:
+def _recorded_image(session: Editor, viewport: Viewport, view: int) -> None:
     captures = session.captures
     camera = captures.cameras(session.scene)[view]
     if captures.show_picture and captures.opacity > 0:
-        is_there = Wish(view, LARGE_PX) in captures.textures
+        is_there = ImageRequest(view, LARGE_PX) in captures.textures
         if captures.pictures is not None:
             captures.pictures.want(view, LARGE_PX)
-        _picture(session, viewport, camera, view, LARGE_PX if is_there else THUMBNAIL_PX, captures.opacity)
-    grid = picture_grid(camera, captures.length_m(session.scene), viewport.shot.camera, (1, 1))
+        _image(session, viewport, camera, view, LARGE_PX if is_there else THUMBNAIL_PX, captures.opacity)
+    grid = image_grid(camera, captures.length_m(session.scene), viewport.shot.camera, (1, 1))
     if grid is not None:
         a, b, d, c = (viewport.on_screen(x, y) for x, y in grid.reshape(4, 2).tolist())
         imgui.get_window_draw_list().add_quad(a, b, c, d, color(CHOSEN), 1.5)
 
 
-def _picture(session: Session, viewport: Viewport, camera: Camera, view: int, width: int, opacity: float) -> None:
+def _image(session: Editor, viewport: Viewport, camera: Camera, view: int, width: int, opacity: float) -> None:
     """Draw a recorded picture where its camera saw it; in cells, since draw lists know no perspective."""
     captures = session.captures
     if captures.pictures is None:
         return
     captures.pictures.want(view, width)
-    texture = captures.textures.get(Wish(view, width))
+    texture = captures.textures.get(ImageRequest(view, width))
     cells = (4, 3) if width == THUMBNAIL_PX else (8, 6)
-    grid = picture_grid(camera, captures.length_m(session.scene), viewport.shot.camera, cells)
+    grid = image_grid(camera, captures.length_m(session.scene), viewport.shot.camera, cells)
     if texture is not None and grid is not None:
-        draw_placed_picture(viewport, texture.name, grid, opacity)
+        draw_placed_image(viewport, texture.name, grid, opacity)
 
 
-def _frustum(session: Session, viewport: Viewport, frustum: Frustum, *, is_near: bool) -> None:
+def _frustum(session: Editor, viewport: Viewport, frustum: Frustum, *, is_near: bool) -> None:
     draw, is_chosen = imgui.get_window_draw_list(), session.captures.chosen == frustum.view
     hue = CHOSEN if is_chosen or is_near else _CAMERA
     for (x0, y0), (x1, y1) in frustum.lines_px.tolist():
@@ -243,7 +243,7 @@ def _capture_under_the_mouse(viewport: Viewport, found: list[Frustum]) -> Frustu
     return near[-1] if near else None
 
 
-def _act(session: Session, frustum: Frustum) -> bool:
+def _act(session: Editor, frustum: Frustum) -> bool:
     captures = session.captures
     assert captures.capture is not None, "only a capture has cameras"
     view = captures.capture[frustum.view]
@@ -259,7 +259,7 @@ def _act(session: Session, frustum: Frustum) -> bool:
 # § A picture that lies somewhere in the viewport; in cells, since draw lists know no perspective.
 
 
-def draw_placed_picture(
+def draw_placed_image(
     viewport: Viewport, texture: int, grid: Float64[np.ndarray, "rows columns 2"], opacity: float
 ) -> None:
     """Draw a texture (its OpenGL name) with its first row on top, so that it fills a grid of pixels of the viewport."""
@@ -287,23 +287,23 @@ def draw_placed_picture(
             )
 
 
-WORDS: dict[Outcome, str] = {
-    Outcome.MATCHED: "matched",
-    Outcome.HIDDEN: "hidden there",
-    Outcome.EDGE: "edge of something",
-    Outcome.MOVING: "may have moved",
-    Outcome.UNKNOWN: "depth unknown",
-    Outcome.OUTSIDE: "outside that view",
+WORDS: dict[MatchOutcome, str] = {
+    MatchOutcome.MATCHED: "matched",
+    MatchOutcome.HIDDEN: "hidden there",
+    MatchOutcome.EDGE: "edge of something",
+    MatchOutcome.MOVING: "may have moved",
+    MatchOutcome.UNKNOWN: "depth unknown",
+    MatchOutcome.OUTSIDE: "outside that view",
 }
 
 _CELLS = (8, 6)
 
-_LEAST_SHARE = 0.005
+_MIN_SHARE = 0.005
 """Of the picture, from which on the legend names something."""
 
 _LINE = ImVec4(0.35, 0.95, 0.6, 0.85)
 
-_INSET_SHARE, _MOST_INSET_EM, _MARGIN = 0.3, 16.0, 10.0
+_INSET_SHARE, _MAX_INSET_EM, _MARGIN = 0.3, 16.0, 10.0
 
 _PAPER = ImVec4(0.06, 0.065, 0.08, 0.82)
 
@@ -312,11 +312,11 @@ _INK = ImVec4(0.94, 0.94, 0.96, 1.0)
 _FAINT = ImVec4(0.7, 0.71, 0.75, 1.0)
 
 
-def _title(shown: Shown) -> str:
+def _title(shown: MatchResult) -> str:
     return f"{shown.matched.found.valid.mean():.0%} matched with {shown.matched.to.name}"
 
 
-def _matching_lines(viewport: Viewport, shown: Shown, grid: Float64[np.ndarray, "rows columns 2"]) -> None:
+def _matching_lines(viewport: Viewport, shown: MatchResult, grid: Float64[np.ndarray, "rows columns 2"]) -> None:
     draw = imgui.get_window_draw_list()
     starts, ends = (_on_grid(shown.lines[:, k], grid) for k in (0, 1))
     for (x0, y0), (x1, y1) in zip(starts.tolist(), ends.tolist(), strict=True):
@@ -336,7 +336,7 @@ def _on_grid(shares: np.ndarray, grid: Float64[np.ndarray, "rows columns 2"]) ->
 
 
 def _match_under_the_mouse(
-    viewport: Viewport, shown: Shown, grid: Float64[np.ndarray, "rows columns 2"]
+    viewport: Viewport, shown: MatchResult, grid: Float64[np.ndarray, "rows columns 2"]
 ) -> tuple[int, int] | None:
     """Row and column of the matched picture under the mouse; None beside it."""
     if not viewport.hovered:
@@ -349,16 +349,16 @@ def _match_under_the_mouse(
     return (row, column) if 0 <= row < height and 0 <= column < width else None
 
 
-def _inset(session: Session, viewport: Viewport, shown: Shown, under: tuple[int, int] | None) -> None:
+def _inset(session: Editor, viewport: Viewport, shown: MatchResult, under: tuple[int, int] | None) -> None:
     """The other view in the corner, with a cross at what is under the mouse."""
     captures, other = session.captures, shown.matched.to
     if captures.pictures is None:
         return
-    captures.pictures.want(shown.wish.to, THUMBNAIL_PX)
-    texture = captures.textures.get(Wish(shown.wish.to, THUMBNAIL_PX))
+    captures.pictures.want(shown.request.to, THUMBNAIL_PX)
+    texture = captures.textures.get(ImageRequest(shown.request.to, THUMBNAIL_PX))
     if texture is None:
         return
-    width = min(_INSET_SHARE * viewport.width, _MOST_INSET_EM * imgui.get_font_size())
+    width = min(_INSET_SHARE * viewport.width, _MAX_INSET_EM * imgui.get_font_size())
     height = width * other.camera.height / other.camera.width
     low = viewport.on_screen(viewport.width - width - _MARGIN, _MARGIN)
     high = ImVec2(low.x + width, low.y + height)
@@ -367,8 +367,8 @@ def _inset(session: Session, viewport: Viewport, shown: Shown, under: tuple[int,
     draw.add_rect(low, high, color(CHOSEN), thickness=1.5)
     if under is None:
         return
-    outcome = Outcome(int(shown.matched.found.outcome[under]))
-    if outcome == Outcome.MATCHED:
+    outcome = MatchOutcome(int(shown.matched.found.outcome[under]))
+    if outcome == MatchOutcome.MATCHED:
         x, y = shown.matched.found.places[under].tolist()
         at = ImVec2(low.x + x / other.camera.width * width, low.y + y / other.camera.height * height)
         for line, thick in ((OUTLINE, 3.5), (CHOSEN, 1.5)):
@@ -379,7 +379,7 @@ def _inset(session: Session, viewport: Viewport, shown: Shown, under: tuple[int,
         imgui.set_tooltip(f"No match in {other.name}: {WORDS[outcome]}.")
 
 
-def _card(viewport: Viewport, title: str, shares: list[tuple[Outcome, float]]) -> None:
+def _card(viewport: Viewport, title: str, shares: list[tuple[MatchOutcome, float]]) -> None:
     """The legend, in the lower right corner: tools are on the left."""
     draw, em = imgui.get_window_draw_list(), imgui.get_font_size()
     line = imgui.get_text_line_height() * 1.2
@@ -411,7 +411,7 @@ _HIT = ImVec4(1.0, 0.3, 0.25, 1.0)
 
 _ROLLOUT_PAPER = ImVec4(0.06, 0.065, 0.08, 0.8)
 
-_SEEN = ImVec4(1.0, 0.5, 0.85, 0.95)
+_DETECTION_COLOR = ImVec4(1.0, 0.5, 0.85, 0.95)
 
 _ROLLOUT_MARGIN = 10.0
 
@@ -424,7 +424,7 @@ _ENDS = {
 }
 
 
-def _plan(viewport: Viewport, drawing: RolloutDrawing) -> None:
+def _plan(viewport: Viewport, drawing: RolloutOverlay) -> None:
     draw = imgui.get_window_draw_list()
     for (x0, y0), (x1, y1) in drawing.driven_px.tolist():
         draw.add_line(viewport.on_screen(x0, y0), viewport.on_screen(x1, y1), color(_DRIVEN), 2.0)
@@ -451,8 +451,8 @@ def _box(viewport: Viewport, box: BoxMark) -> None:
     draw.add_text(ImVec2(low.x + 5, low.y + 2), color(hue), words)
 
 
-def _seen(viewport: Viewport, seen: SeenBox) -> None:
-    draw, hue = imgui.get_window_draw_list(), _PLAN if seen.is_lead else _SEEN
+def _draw_detection(viewport: Viewport, seen: DetectionBox) -> None:
+    draw, hue = imgui.get_window_draw_list(), _PLAN if seen.is_lead else _DETECTION_COLOR
     low, high = viewport.on_screen(*seen.low_px), viewport.on_screen(*seen.high_px)
     draw.add_rect(low, high, color(hue), 2.0, thickness=2.0 if seen.is_lead else 1.2)
     size = imgui.calc_text_size(seen.words)
@@ -461,10 +461,10 @@ def _seen(viewport: Viewport, seen: SeenBox) -> None:
     draw.add_text(ImVec2(low.x + 4, corner.y), color(hue), seen.words)
 
 
-def _figures(session: Session, viewport: Viewport) -> None:
+def _figures(session: Editor, viewport: Viewport) -> None:
     """Say how the ego vehicle drives now, at the lower edge; above it, what was hit."""
     drives = session.drives
-    step, playing, shown = drives.step_now(session), drives.playing, drives.shown_in(session)
+    step, playing, shown = drives.step_now(session), drives.playing, drives.placed_in(session)
     if step is None or playing is None or shown is None:
         return
     time_s = shown.own_time_s(session.clock.time_s)
@@ -501,7 +501,7 @@ _HALF_GRIP = 6.0
 _DIVIDER_MARGIN = 8.0
 
 
-def draw_divider(session: Session, labels: tuple[str, str], corner: ImVec2, width: int, height: int) -> None:
+def draw_divider(session: Editor, labels: tuple[str, str], corner: ImVec2, width: int, height: int) -> None:
     """Draw the line between what is labelled so, over the picture at a corner of the screen, and let it be moved."""
     view = session.view
     x = corner.x + view.divider * width
@@ -518,7 +518,7 @@ def draw_divider(session: Session, labels: tuple[str, str], corner: ImVec2, widt
 
 
 def _line_and_labels(
-    session: Session, labels: tuple[str, str], corner: ImVec2, width: int, height: int, *, bright: bool
+    session: Editor, labels: tuple[str, str], corner: ImVec2, width: int, height: int, *, bright: bool
 ) -> None:
     left, right = labels
     x = corner.x + session.view.divider * width
@@ -545,7 +545,7 @@ def _label(draw: imgui.ImDrawList, text: str, at: ImVec2) -> None:
 LABELS = "now", "preview, soaked"
 
 
-def preview_side(session: Session, corner: ImVec2, width: int, height: int) -> tuple[str, str] | None:
+def preview_side(session: Editor, corner: ImVec2, width: int, height: int) -> tuple[str, str] | None:
     """Lay the preview over the right part of the picture; returns the labels of both sides, or None."""
     rainy = session.rainy
     rainy.viewport_px = width, height

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from imgui_bundle import ImVec2, ImVec4, icons_fontawesome_6, imgui
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.rain_regions import region_outlines
 
 from ..commands.registry import ACTIONS
@@ -29,7 +29,7 @@ _KEYS = {
 }  # fmt: skip
 
 
-def viewport_panel(session: Session, textures_of: TexturesOf) -> None:
+def viewport_panel(session: Editor, textures_of: TexturesOf) -> None:
     view_bar(session)
     size = imgui.get_content_region_avail()
     width, height = max(int(size.x), 16), max(int(size.y), 16)
@@ -43,7 +43,7 @@ def viewport_panel(session: Session, textures_of: TexturesOf) -> None:
         imgui.image(imgui.ImTextureRef(textures[-1]), ImVec2(width - at, height), ImVec2(at / width, 0), ImVec2(1, 1))
     labels = preview_side(session, corner, width, height)
     if len(textures) == 2:
-        labels = session.sides[0].label, session.sides[1].label
+        labels = session.split_panes[0].label, session.split_panes[1].label
     if labels is not None:
         draw_divider(session, labels, corner, width, height)
     imgui.set_cursor_screen_pos(corner)
@@ -66,7 +66,7 @@ def viewport_panel(session: Session, textures_of: TexturesOf) -> None:
     draw_notice(session, corner, width, height)
 
 
-def _outlines(session: Session, corner: ImVec2, width: int, height: int) -> None:
+def _outlines(session: Editor, corner: ImVec2, width: int, height: int) -> None:
     draw = imgui.get_window_draw_list()
     for outline in region_outlines(session, width, height):
         color = imgui.get_color_u32(_OUTLINE[outline.name])
@@ -74,7 +74,7 @@ def _outlines(session: Session, corner: ImVec2, width: int, height: int) -> None
             draw.add_line(ImVec2(corner.x + x0, corner.y + y0), ImVec2(corner.x + x1, corner.y + y1), color, 1.5)
 
 
-def _mouse(session: Session, viewport: Viewport, is_taken: bool) -> None:
+def _mouse(session: Editor, viewport: Viewport, is_taken: bool) -> None:
     navigation, io = session.navigation, imgui.get_io()
     if viewport.active:
         moved = io.mouse_delta
@@ -96,7 +96,7 @@ def _mouse(session: Session, viewport: Viewport, is_taken: bool) -> None:
             session.dolly(io.mouse_wheel)
 
 
-def _keyboard(session: Session) -> None:
+def _keyboard(session: Editor) -> None:
     io = imgui.get_io()
     if io.want_text_input or not imgui.is_window_hovered(imgui.HoveredFlags_.root_and_child_windows):
         session.navigation.stop()
@@ -119,10 +119,10 @@ _WIDTH_EM = 30.0
 
 _OFFERED = ("Open...", "Open the built-in street")
 
-_MOST_RECENT = 6
+_MAX_RECENT = 6
 
 
-def empty_state(session: Session, corner: ImVec2, width: int, height: int) -> None:
+def empty_state(session: Editor, corner: ImVec2, width: int, height: int) -> None:
     """Draw the offers while there is no scene and none is on its way."""
     if session.scene.members or session.busy is not None:
         return
@@ -135,7 +135,7 @@ def empty_state(session: Session, corner: ImVec2, width: int, height: int) -> No
         for action in ACTIONS:
             if action.name in _OFFERED and imgui.button(action.name, ImVec2(-1, 0)):
                 action.perform(session)
-        recent = session.files.recent[:_MOST_RECENT]
+        recent = session.files.recent[:_MAX_RECENT]
         if recent:
             imgui.separator_text("Recent")
         for path in recent:
@@ -154,7 +154,7 @@ _NOTICE_WIDTH_EM = 34.0
 _MARGIN = 10.0
 
 
-def draw_notice(session: Session, corner: ImVec2, width: int, height: int) -> None:
+def draw_notice(session: Editor, corner: ImVec2, width: int, height: int) -> None:
     """Draw a bar that moves while a scene is opened, and say what went wrong; nothing at other times."""
     if session.busy is not None:
         _busy(session.busy, corner, width, height)
@@ -171,7 +171,7 @@ def _busy(words: str, corner: ImVec2, width: int, height: int) -> None:
     _end()
 
 
-def _problem(session: Session, problem: str, corner: ImVec2, width: int, height: int) -> None:
+def _problem(session: Editor, problem: str, corner: ImVec2, width: int, height: int) -> None:
     wide = min(_NOTICE_WIDTH_EM * imgui.get_font_size(), width - 2 * _MARGIN)
     padding = imgui.get_style().window_padding
     words = f"{icons_fontawesome_6.ICON_FA_TRIANGLE_EXCLAMATION}  {problem}"

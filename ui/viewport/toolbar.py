@@ -4,9 +4,9 @@ from typing import get_args
 
 from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.viewport.options import Split, ViewOptions
-from gsrain_engine.render.renderer import Look
+from gsrain_engine.render.renderer import RenderMode
 
 from ..commands.base import chord_name
 from ..tools.registry import TOOLS
@@ -16,7 +16,7 @@ _GAP = 3.0
 _NAVIGATE = icons_fontawesome_6.ICON_FA_ARROW_POINTER
 
 
-def tool_bar(session: Session, corner: ImVec2, height: float) -> float:
+def tool_bar(session: Editor, corner: ImVec2, height: float) -> float:
     """Draw the bar over the picture; a click picks a tool, a second one puts it away. Returns how far right it goes."""
     side = 1.9 * imgui.get_font_size()
     columns = -(-(len(TOOLS) + 1) // max(int((height - 24) / (side + _GAP)), 1))
@@ -61,7 +61,7 @@ def _panel_color() -> tuple[float, float, float]:
 _PADDING = 5.0
 
 
-def tool_options(session: Session, corner: ImVec2, left: float, width: float) -> None:
+def tool_options(session: Editor, corner: ImVec2, left: float, width: float) -> None:
     """Draw the bar over the picture, from `left` on; nothing while no tool is in use."""
     tool = next((each for each in TOOLS if each.name == session.view.tool), None)
     if tool is None:
@@ -88,7 +88,7 @@ def tool_options(session: Session, corner: ImVec2, left: float, width: float) ->
 _ICONS = icons_fontawesome_6
 
 
-def view_bar(session: Session) -> None:
+def view_bar(session: Editor) -> None:
     playing = session.clock.playing
     icon = _ICONS.ICON_FA_PAUSE if playing else _ICONS.ICON_FA_PLAY
     if _view_button(icon, "Play", "Let time go on or stop it (Space)."):
@@ -106,7 +106,9 @@ def view_bar(session: Session) -> None:
     _, session.view.follow_path = imgui.checkbox("Ride along", session.view.follow_path)
     imgui.set_item_tooltip("Ride along the camera path: your own keys, else the ego vehicle's drive or a swing (V).")
     imgui.same_line()
-    _choice("##look", session.view, "look", get_args(Look), "Look: the picture, or what it is made of.", 9, "Look: ")
+    _choice(
+        "##look", session.view, "look", get_args(RenderMode), "Look: the picture, or what it is made of.", 9, "Look: "
+    )
     imgui.same_line()
     _choice("##split", session.view, "split", get_args(Split), "Compare two pictures side by side.", 11, "Compare: ")
     imgui.same_line()

@@ -11,13 +11,13 @@ from jaxtyping import Float64
 from gsrain_engine.editor.viewport.picking import (
     Handle,
     column_major,
-    dragged_by,
     from_column_major,
+    gizmo_delta,
     opengl_projection,
     opengl_view,
-    projected_point,
+    project_point,
 )
-from gsrain_engine.render.draw import Shot
+from gsrain_engine.render.draw import RenderView
 
 from .text import visible_name
 
@@ -76,7 +76,7 @@ class Viewport:
     """On the screen."""
     width: int
     height: int
-    shot: Shot
+    shot: RenderView
     """What it shows: a camera of this size, in the world (metres)."""
     hovered: bool
     """Whether the mouse is over the picture, and nothing else on top of it."""
@@ -101,7 +101,7 @@ class Viewport:
 
     def pixel(self, point_m: Float64[np.ndarray, "3"]) -> tuple[float, float] | None:
         """Pixel at which a point of the world is seen; None behind the eye."""
-        seen = projected_point(point_m, self.shot.camera)
+        seen = project_point(point_m, self.shot.camera)
         return seen and (seen.x, seen.y)
 
 
@@ -247,7 +247,7 @@ class Gizmo:
         matrix = _GIZMO.Matrix16(column_major(present))
         snap = _GIZMO.Matrix3([_STEPS[handle]] * 3) if imgui.get_io().key_ctrl else None
         camera = viewport.shot.camera
-        with _nothing_in_the_way(viewport):
+        with _hide_viewport_button(viewport):
             _GIZMO.manipulate(
                 _GIZMO.Matrix16(opengl_view(camera)),
                 _GIZMO.Matrix16(opengl_projection(camera)),
@@ -263,11 +263,11 @@ class Gizmo:
             self.let_go()
             return None, hovered
         self._start, self._present = start, from_column_major(matrix.values)
-        return dragged_by(handle, start, self._present), True
+        return gizmo_delta(handle, start, self._present), True
 
 
 @contextmanager
-def _nothing_in_the_way(viewport: Viewport) -> Generator[None]:
+def _hide_viewport_button(viewport: Viewport) -> Generator[None]:
     """Hide the picture's own button: ImGuizmo takes no click where another item is under the mouse."""
     context = imgui.get_current_context()
     hovered, before, active = context.hovered_id, context.hovered_id_previous_frame, context.active_id

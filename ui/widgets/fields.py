@@ -10,15 +10,15 @@ from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_origin, ge
 import msgspec
 from imgui_bundle import ImVec2, ImVec4, icons_fontawesome_6, im_file_dialog, imgui
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.rain.keyframes import Keyed
-from gsrain_engine.rain.settings import Box, Rain
+from gsrain_engine.rain.settings import RainSettings, RegionBox
 from gsrain_engine.scene.formats.registry import writable_suffixes
 
 LABEL_WIDTH = 0.42
 """Share of a panel's width that labels take; longer ones take more."""
 
-_BESIDE_EM = 1.0
+_SIDE_MARGIN_EM = 1.0
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class FieldInfo:
 
 
 @cache
-def field_info(name: str, owner: type[msgspec.Struct] = Rain) -> FieldInfo:
+def field_info(name: str, owner: type[msgspec.Struct] = RainSettings) -> FieldInfo:
     """Read the declaration of a field, of the rain or of another struct."""
     hint = get_type_hints(owner, include_extras=True)[name]
     is_optional = type(None) in get_args(hint)
@@ -70,13 +70,15 @@ def plain_label(text: str, help_text: str) -> None:
     imgui.text(text)
     if help_text:
         imgui.set_item_tooltip(help_text)
-    at = max(LABEL_WIDTH * imgui.get_window_width(), imgui.calc_text_size(text).x + _BESIDE_EM * imgui.get_font_size())
+    at = max(
+        LABEL_WIDTH * imgui.get_window_width(), imgui.calc_text_size(text).x + _SIDE_MARGIN_EM * imgui.get_font_size()
+    )
     imgui.same_line(at)
     imgui.set_next_item_width(-1)
 
 
 def slider(
-    session: Session, name: str, *, high: float | None = None, logarithmic: bool = False, beside_px: float = 0.0
+    session: Editor, name: str, *, high: float | None = None, logarithmic: bool = False, beside_px: float = 0.0
 ) -> None:
     """Edit a number between its bounds, as it is now; one drag is one step of undo. `beside_px` stays free."""
     info = field_info(name)
@@ -91,7 +93,7 @@ def slider(
     end_gesture_when_released(session)
 
 
-def integer(session: Session, name: str) -> None:
+def integer(session: Editor, name: str) -> None:
     """Edit a whole number."""
     info = field_info(name)
     label(name)
@@ -101,7 +103,7 @@ def integer(session: Session, name: str) -> None:
     end_gesture_when_released(session)
 
 
-def choice(session: Session, name: str) -> None:
+def choice(session: Editor, name: str) -> None:
     """Pick one of the field's words."""
     info = field_info(name)
     label(name)
@@ -111,7 +113,7 @@ def choice(session: Session, name: str) -> None:
         session.change_rain(info.title, **{name: info.choices[picked]})
 
 
-def toggle(session: Session, name: str) -> None:
+def toggle(session: Editor, name: str) -> None:
     """Switch a field on or off."""
     info = field_info(name)
     changed, value = imgui.checkbox(info.title, getattr(session.rain, name))
@@ -120,7 +122,7 @@ def toggle(session: Session, name: str) -> None:
         session.change_rain(f"{info.title} {'on' if value else 'off'}", **{name: value})
 
 
-def box(session: Session, name: str) -> None:
+def box(session: Editor, name: str) -> None:
     """Edit the lower and upper corner of a region in metres; a corner that would turn it inside out is not taken."""
     info, region = field_info(name), getattr(session.rain, name)
     for corner, words in (("minimum_m", "from"), ("maximum_m", "to")):
@@ -129,11 +131,11 @@ def box(session: Session, name: str) -> None:
         if changed:
             corners = {"minimum_m": region.minimum_m, "maximum_m": region.maximum_m} | {corner: tuple(value)}
             if all(low + 0.1 <= high for low, high in zip(*corners.values(), strict=True)):
-                session.change_rain(info.title, f"{name}.{corner}", **{name: Box(**corners)})
+                session.change_rain(info.title, f"{name}.{corner}", **{name: RegionBox(**corners)})
         end_gesture_when_released(session)
 
 
-def end_gesture_when_released(session: Session) -> None:
+def end_gesture_when_released(session: Editor) -> None:
     """Close the step of undo when the last widget is let go."""
     if imgui.is_item_deactivated():
         session.end_gesture()
@@ -146,7 +148,7 @@ _Settings = TypeVar("_Settings", bound=msgspec.Struct)
 ALL_FILES = "All files{.*}"
 
 
-def edited(settings: _Settings, name: str, *, label: str | None = None, step: int = 1) -> _Settings:
+def edit_field(settings: _Settings, name: str, *, label: str | None = None, step: int = 1) -> _Settings:
     """Draw a field's widget; returns the settings as they are now.
 
     `label` stands for a title that is too long for a panel; `step` is that of a whole number's buttons.
@@ -157,7 +159,7 @@ def edited(settings: _Settings, name: str, *, label: str | None = None, step: in
     else:
         plain_label(label or (f"{info.title} ({info.unit})" if info.unit else info.title), info.help)
         if info.none is not None:
-            switched, value = _given(name, info, value)
+            switched, value = _optional_toggle(name, info, value)
             if switched or value is None:
                 return _with(settings, name, value) if switched else settings
         if info.choices:
@@ -174,7 +176,7 @@ def edited(settings: _Settings, name: str, *, label: str | None = None, step: in
     return _with(settings, name, value) if changed else settings
 
 
-def place(
+def path_field(
     settings: msgspec.Struct, name: str, kinds: str, take: Callable[[str], None], *, label: str | None = None
 ) -> None:
     """Draw a file's place with a button that asks for it: `kinds` as in a file dialog, "" for a folder.
@@ -201,7 +203,7 @@ def _first(chosen: Sequence[Path]) -> str:
     return str(chosen[0])
 
 
-def _given(name: str, info: FieldInfo, value: float | None) -> tuple[bool, float | None]:
+def _optional_toggle(name: str, info: FieldInfo, value: float | None) -> tuple[bool, float | None]:
     """Draw whether an optional number is given, and the word for that it is not; the number's widget comes after it."""
     changed, is_given = imgui.checkbox(f"##{name} given", value is not None)
     imgui.set_item_tooltip(f"{info.help}\nOff: {info.none}.")
@@ -236,12 +238,12 @@ HERE = ImVec4(1.0, 0.93, 0.45, 1.0)
 _TITLES = {"intensity_mm_h": "intensity", "wind_m_s": "wind", "exposure_s": "exposure"}
 
 
-def key_button_width() -> float:
+def keyframe_button_width() -> float:
     """Room that the button takes, with the gap before it."""
     return imgui.get_frame_height() + imgui.get_style().item_spacing.x
 
 
-def key_button(session: Session, name: Keyed) -> None:
+def keyframe_button(session: Editor, name: Keyed) -> None:
     """Draw the button at the end of a field's row."""
     weather, now_s, title = session.weather, session.clock.time_s, _TITLES[name]
     is_keyed = weather.is_keyed(name)
@@ -262,10 +264,10 @@ def key_button(session: Session, name: Keyed) -> None:
     else:
         imgui.set_item_tooltip(f"Let the {title} change over time: set its first key at {now_s:.2f} s.")
     if clicked:
-        toggle_key(session, name)
+        toggle_keyframe(session, name)
 
 
-def toggle_key(session: Session, name: Keyed) -> None:
+def toggle_keyframe(session: Editor, name: Keyed) -> None:
     """Set a field's key at the present time to its present value, or remove the one that is there."""
     weather, now_s, title = session.weather, session.clock.time_s, _TITLES[name]
     present = weather.key_at(now_s)
@@ -278,7 +280,7 @@ def toggle_key(session: Session, name: Keyed) -> None:
     session.set_weather(f"Key the {title}", weather.with_key(now_s, **{name: value}))
 
 
-def tint_keyed(session: Session, name: Keyed) -> int:
+def tint_keyframed(session: Editor, name: Keyed) -> int:
     """Tint the frame of the next field if it has keys; returns how many colours to pop."""
     if not session.weather.is_keyed(name):
         return 0
@@ -286,12 +288,12 @@ def tint_keyed(session: Session, name: Keyed) -> int:
     return 1
 
 
-def keyed_slider(session: Session, name: Keyed, *, high: float) -> None:
+def keyframed_slider(session: Editor, name: Keyed, *, high: float) -> None:
     """Edit a number that can have keys."""
-    colors = tint_keyed(session, name)
-    slider(session, name, high=high, beside_px=key_button_width())
+    colors = tint_keyframed(session, name)
+    slider(session, name, high=high, beside_px=keyframe_button_width())
     imgui.pop_style_color(colors)
-    key_button(session, name)
+    keyframe_button(session, name)
 
 
 # § File dialogs: who asks says what to do with the answer, which comes in a later frame.
@@ -329,7 +331,7 @@ def ask_where_to_save(title: str, kinds: str, answer: Answer) -> None:
     im_file_dialog.FileDialog.instance().save(title, title, kinds)
 
 
-def answer_dialogs(session: Session) -> None:
+def answer_dialogs(session: Editor) -> None:
     """Act on dialogs that were closed. Once a frame."""
     dialogs = im_file_dialog.FileDialog.instance()
     for title in list(_waiting):

@@ -7,7 +7,7 @@ from typing import Any
 
 from imgui_bundle import imgui
 
-from gsrain_engine.safe_io.text_files import escaped
+from gsrain_engine.safe_io.text_files import escape_invisible
 
 
 def readings(table: str, rows: Iterable[tuple[str, str, str]]) -> None:
@@ -52,12 +52,12 @@ def label(name: str, identity: str = "") -> str:
 
 
 def visible_name(name: str) -> str:
-    return _all_words(escaped(name))
+    return _all_words(escape_invisible(name))
 
 
 def plain_identity(name: str) -> str:
     """Return a name as the identity of a widget, behind ## or ###: different names stay different."""
-    return escaped(name.replace("%", "%25").replace("#", "%23").replace("\\", "%5C"))
+    return escape_invisible(name.replace("%", "%25").replace("#", "%23").replace("\\", "%5C"))
 
 
 def escape_all_text() -> None:

@@ -13,8 +13,8 @@ from numpy import ndarray
 
 from ..base import ClearView
 from ..correspondence import Correspondence
-from ..covisibility import neighbours
-from .settings import MutualAttention, Window
+from ..covisibility import rank_neighbors
+from .settings import CrossViewAttention, TileWindow
 
 torch: Any = import_module("torch")
 
@@ -22,29 +22,29 @@ Tensor = Any
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Element:
+class BatchElement:
     """One entry of a batch: a view, or a tile of one."""
 
     view: int
-    window: Window
+    window: TileWindow
     sources: tuple[tuple[int, Correspondence], ...] = ()
     """Views that it looks at, each with the places of this view's pixels in it."""
     is_source: bool = False
     """Whether any view looks at this one."""
 
 
-class Exchange:
+class CrossViewExchange:
     """Knows what is in the batch, keeps features of views, and hands each layer what its queries may also look at."""
 
-    def __init__(self, settings: MutualAttention) -> None:
+    def __init__(self, settings: CrossViewAttention) -> None:
         self.settings = settings
         self.maps = FeatureMaps()
-        self._elements: tuple[Element, ...] = ()
+        self._elements: tuple[BatchElement, ...] = ()
         self._latent: tuple[int, int] = (0, 0)
         self._grids: dict[tuple[int, int, int, int], tuple[Float32[ndarray, "_ _ 2"], Bool[ndarray, "_ _"]]] = {}
 
     @contextmanager
-    def batch(self, elements: Sequence[Element]) -> Generator[None]:
+    def batch(self, elements: Sequence[BatchElement]) -> Generator[None]:
         """Tell what the next pass through the network is made of; outside of it attention is the plain one."""
         self._elements = tuple(elements)
         try:
@@ -77,7 +77,7 @@ class Exchange:
                 self.maps.put(element.view, layer, own, window)
         return [self._sources(layer, each, window) for each, window in zip(self._elements, windows, strict=True)]
 
-    def _sources(self, layer: str, element: Element, window: Window) -> Tensor | None:
+    def _sources(self, layer: str, element: BatchElement, window: TileWindow) -> Tensor | None:
         found: list[Tensor] = []
         for source, correspondence in element.sources:
             grid, valid = self._grid(element.view, source, correspondence, window)
@@ -86,7 +86,7 @@ class Exchange:
         return torch.cat(found) if found else None
 
     def _grid(
-        self, view: int, source: int, correspondence: Correspondence, window: Window
+        self, view: int, source: int, correspondence: Correspondence, window: TileWindow
     ) -> tuple[Float32[ndarray, "h w 2"], Bool[ndarray, "h w"]]:
         key = (view, source, *window.frame)
         if key not in self._grids:
@@ -108,12 +108,12 @@ class Exchange:
 
 
 @contextmanager
-def exchanging(unet: Any, settings: MutualAttention) -> Generator[Exchange]:
+def cross_view_attention(unet: Any, settings: CrossViewAttention) -> Generator[CrossViewExchange]:
     """Let the self-attention (attn1) of a diffusers UNet look at other views, and put its own processors back after.
 
     Raises ValueError where no layer has one of the names.
     """
-    exchange = Exchange(settings)
+    exchange = CrossViewExchange(settings)
     before = dict(unet.attn_processors)
     layers = {name: name.removesuffix(".processor") for name in before}
     chosen = {
@@ -142,7 +142,7 @@ class FeatureMaps:
         self._sums: dict[tuple[int, str], Tensor] = {}
         self._weights: dict[tuple[int, str], Tensor] = {}
 
-    def put(self, view: int, layer: str, features: Tensor, window: Window) -> None:
+    def put(self, view: int, layer: str, features: Tensor, window: TileWindow) -> None:
         """Keep (tokens, channels) of a window, which is in tokens."""
         part = features.detach().T.reshape(-1, window.height, window.width)
         key = (view, layer)
@@ -192,7 +192,7 @@ _LONGEST_MOMENT_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class AttentionStep:
     """Views that go through the network at once, and for each the views that it looks at, best first."""
 
     views: tuple[int, ...]
@@ -200,10 +200,10 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class AttentionPlan:
     """All steps. A step looks at its own views and at those of earlier steps."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[AttentionStep, ...]
 
     def last_use(self) -> dict[int, int]:
         """Return for each view that is looked at the last step which does so; its features can go after it."""
@@ -212,63 +212,65 @@ class Plan:
         }
 
 
-def separate_plan(count: int) -> Plan:
+def plan_separately(count: int) -> AttentionPlan:
     """Return one step a view; nobody looks at anybody."""
-    return Plan(tuple(Step((view,), ((),)) for view in range(count)))
+    return AttentionPlan(tuple(AttentionStep((view,), ((),)) for view in range(count)))
 
 
-def outward_plan(ranked: Sequence[Sequence[int]], neighbours: int) -> Plan:
+def plan_outward(ranked: Sequence[Sequence[int]], neighbours: int) -> AttentionPlan:
     """Begin at the view that most others name, then take the best connected; each looks at views already done.
 
     `ranked` has for each view the others that see what it sees, best first. What has no connection to anything done
     gets an anchor of its own. Ties go to the lower index: the same lists give the same plan.
     """
-    steps: list[Step] = []
+    steps: list[AttentionStep] = []
     done: set[int] = set()
     for view in _outward_order(ranked):
         sources = tuple(other for other in _connected(ranked, view) if other in done)[:neighbours]
-        steps.append(Step((view,), (sources,)))
+        steps.append(AttentionStep((view,), (sources,)))
         done.add(view)
-    return Plan(tuple(steps))
+    return AttentionPlan(tuple(steps))
 
 
-def together_plan(ranked: Sequence[Sequence[int]], neighbours: int, group: int, sizes: Sequence[object]) -> Plan:
+def plan_in_groups(
+    ranked: Sequence[Sequence[int]], neighbours: int, group: int, sizes: Sequence[object]
+) -> AttentionPlan:
     """Cut the outward order into groups of views of one size; each looks at its own group and at earlier ones."""
     groups: list[list[int]] = []
     for view in _outward_order(ranked):
         if not groups or len(groups[-1]) == group or sizes[groups[-1][0]] != sizes[view]:
             groups.append([])
         groups[-1].append(view)
-    steps: list[Step] = []
+    steps: list[AttentionStep] = []
     done: set[int] = set()
     for views in groups:
         done.update(views)
         sources = (tuple(o for o in _connected(ranked, view) if o in done)[:neighbours] for view in views)
-        steps.append(Step(tuple(views), tuple(sources)))
-    return Plan(tuple(steps))
+        steps.append(AttentionStep(tuple(views), tuple(sources)))
+    return AttentionPlan(tuple(steps))
 
 
-def planned(views: Sequence[ClearView], settings: MutualAttention | None) -> Plan:
+def attention_plan(views: Sequence[ClearView], settings: CrossViewAttention | None) -> AttentionPlan:
     """Return the plan for views whose overlap is found by their depth; None or no neighbours: each for itself."""
     if settings is None or not settings.neighbours or len(views) < 2:
-        return separate_plan(len(views))
+        return plan_separately(len(views))
     ranked = _ranked(views, settings)
     if settings.order == "outward":
-        return outward_plan(ranked, settings.neighbours)
+        return plan_outward(ranked, settings.neighbours)
     sizes = [(view.camera.width, view.camera.height) for view in views]
-    return together_plan(ranked, settings.neighbours, settings.group, sizes)
+    return plan_in_groups(ranked, settings.neighbours, settings.group, sizes)
 
 
-def _ranked(views: Sequence[ClearView], settings: MutualAttention) -> list[tuple[int, ...]]:
+def _ranked(views: Sequence[ClearView], settings: CrossViewAttention) -> list[tuple[int, ...]]:
     """Neighbours of each view, best first; more than it may look at, since not all of them come before it."""
     count = settings.neighbours + _SPARE
     if settings.among == "all":
-        return neighbours(views, count)
+        return rank_neighbors(views, count)
     taken = [(view.time_s, view.sensor) for view in views]
     sets = _moments(taken) if settings.among == "cameras" else _cameras(taken)
     ranked: list[tuple[int, ...]] = [()] * len(views)
     for members in sets:
-        for index, others in zip(members, neighbours(_Chosen(views, members), count), strict=True):
+        for index, others in zip(members, rank_neighbors(_ViewSubset(views, members), count), strict=True):
             ranked[index] = tuple(members[other] for other in others)
     return ranked
 
@@ -293,7 +295,7 @@ def _moments(taken: Sequence[tuple[float, str]]) -> list[list[int]]:
     return sets
 
 
-class _Chosen(Sequence[ClearView]):
+class _ViewSubset(Sequence[ClearView]):
     """Some of the views, still each one worked out only when it is asked for."""
 
     def __init__(self, views: Sequence[ClearView], indices: Sequence[int]) -> None:
@@ -305,7 +307,7 @@ class _Chosen(Sequence[ClearView]):
     def __getitem__(self, index: slice) -> Sequence[ClearView]: ...
     def __getitem__(self, index: int | slice) -> ClearView | Sequence[ClearView]:
         if isinstance(index, slice):
-            return _Chosen(self._views, self._indices[index])
+            return _ViewSubset(self._views, self._indices[index])
         return self._views[self._indices[index]]
 
     def __len__(self) -> int:
@@ -344,7 +346,7 @@ diffusers_attention: Any = import_module("diffusers.models.attention_processor")
 
 
 @runtime_checkable
-class LooksAround(Protocol):
+class AttentionContext(Protocol):
     """Knows what the queries of a layer may look at besides their own view."""
 
     def looked_at(self, layer: str, features: Tensor) -> list[Tensor | None]:
@@ -360,7 +362,7 @@ class MutualSelfAttention:
     attention.
     """
 
-    def __init__(self, layer: str, around: LooksAround, most_scores: int) -> None:
+    def __init__(self, layer: str, around: AttentionContext, most_scores: int) -> None:
         self.layer, self.around, self.most_scores = layer, around, most_scores
         self._plain = diffusers_attention.AttnProcessor2_0()
 
@@ -396,14 +398,14 @@ class MutualSelfAttention:
         query = _heads(attn, attn.to_q(features), attn.norm_q)
         key, value = _keys(attn, features)
         if all(other is None for other in others):
-            return _joined(attended(query, key, value, attn.scale, self.most_scores))
+            return _joined(chunked_attention(query, key, value, attn.scale, self.most_scores))
         outputs: list[Tensor] = []
         for i, other in enumerate(others):
             q, k, v = query[i : i + 1], key[i : i + 1], value[i : i + 1]
             if other is not None:
                 other_k, other_v = _keys(attn, other[None])
                 k, v = torch.cat([other_k, k], dim=2), torch.cat([other_v, v], dim=2)
-            outputs.append(attended(q, k, v, attn.scale, self.most_scores))
+            outputs.append(chunked_attention(q, k, v, attn.scale, self.most_scores))
         return _joined(torch.cat(outputs))
 
 
@@ -426,7 +428,7 @@ def _joined(found: Tensor) -> Tensor:
 # § Attention whose memory is bounded: queries come in chunks.
 
 
-def attended(query: Tensor, key: Tensor, value: Tensor, scale: float, most_scores: int) -> Tensor:
+def chunked_attention(query: Tensor, key: Tensor, value: Tensor, scale: float, most_scores: int) -> Tensor:
     """Return softmax(scale query key^T) value of (b, heads, tokens, d) tensors.
 
     The keys' number may differ from the queries'. Not more than `most_scores` scores (b x heads x queries x keys)

@@ -79,7 +79,7 @@ def unet_targets(unet: Module) -> tuple[list[str], list[str], list[str]]:
     return encoder, decoder, others
 
 
-def targeted(layers: Iterable[str], targets: Sequence[str]) -> list[str]:
+def match_targets(layers: Iterable[str], targets: Sequence[str]) -> list[str]:
     """Those of some layers whose names are a target, or end in one after a dot: peft's rule."""
     ends = tuple(f".{target}" for target in targets)
     return [name for name in layers if name in targets or name.endswith(ends)]

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ...safe_io.limits import read_file
-from ...safe_io.text_files import MOST_BYTES
+from ...safe_io.text_files import MAX_BYTES
 from .lora import LoraRanks, add_adapters
 
 torch: Any = import_module("torch")
@@ -136,7 +136,7 @@ class CycleGanTurbo(torch.nn.Module):
         if self.takes_guides:
             fourth = torch.zeros_like(pictures[:, :1]) if guides is None else guides.to(pictures.dtype)
             pictures = torch.cat([pictures, fourth], dim=1)
-        return encoded(self.autoencoder(direction), pictures)
+        return encode_images(self.autoencoder(direction), pictures)
 
     def denoise(self, latents: Tensor, direction: Direction = "a2b") -> Tensor:
         """The UNet's one step: latents of the same shape, in the other domain."""
@@ -147,13 +147,13 @@ class CycleGanTurbo(torch.nn.Module):
 
     def decode(self, latents: Tensor, skips: list[Tensor], direction: Direction = "a2b") -> Tensor:
         """Pictures (b, 3, h, w) in [-1, 1]."""
-        return decoded(self.autoencoder(direction), latents, skips)
+        return decode_latents(self.autoencoder(direction), latents, skips)
 
     def autoencoder(self, direction: Direction) -> Any:
         return self.vae if direction == "a2b" else self.vae_b2a
 
 
-def build(
+def build_random_model(
     architecture: TurboArchitecture, normals: bool = True, lora: LoraRanks | None = None, seed: int = 0
 ) -> CycleGanTurbo:
     """Build with random weights and random captions of this seed: for tests and for measuring, not for pictures.
@@ -170,12 +170,12 @@ def build(
         unet = diffusers.UNet2DConditionModel(**architecture.unet)
         vae = diffusers.AutoencoderKL(**architecture.vae)
         captions = torch.randn(2, *architecture.caption_shape)
-        model = assembled(architecture, unet, vae, captions, normals=normals, lora=lora)
+        model = assemble_model(architecture, unet, vae, captions, normals=normals, lora=lora)
     model.seed = seed
     return model
 
 
-def assembled(
+def assemble_model(
     architecture: TurboArchitecture,
     unet: Any,
     vae: Any,
@@ -272,7 +272,7 @@ def check_base(folder: Path, architecture: TurboArchitecture) -> None:
 
 def _check(file: Path, wanted: Mapping[str, Any]) -> None:
     try:
-        found: Any = json.loads(read_file(file, MOST_BYTES).decode("utf-8"))
+        found: Any = json.loads(read_file(file, MAX_BYTES).decode("utf-8"))
     except OSError as error:
         raise FileNotFoundError(f"{file}: no such file; a folder of SD-Turbo in diffusers' layout has it") from error
     except ValueError as error:
@@ -371,20 +371,20 @@ def add_guide_channel(vae: Autoencoder) -> None:
         dtype=narrow.weight.dtype,
     )
     with torch.no_grad():
-        wide.weight.copy_(widened(narrow.weight, wide.in_channels))
+        wide.weight.copy_(widen_kernel(narrow.weight, wide.in_channels))
         wide.bias.copy_(narrow.bias)
     wide.requires_grad_(narrow.weight.requires_grad)
     vae.encoder.conv_in = wide
     vae.register_to_config(in_channels=wide.in_channels)
 
 
-def widened(weight: Tensor, channels: int) -> Tensor:
+def widen_kernel(weight: Tensor, channels: int) -> Tensor:
     """A kernel (out, in, h, w), or a low-rank factor of it, that takes this many channels; the new ones are zero."""
     missing = weight.new_zeros(weight.shape[0], channels - weight.shape[1], *weight.shape[2:])
     return torch.cat([weight, missing], dim=1)
 
 
-def encoded(vae: Autoencoder, pictures: Tensor) -> tuple[Tensor, list[Tensor]]:
+def encode_images(vae: Autoencoder, pictures: Tensor) -> tuple[Tensor, list[Tensor]]:
     """Scaled latents (b, 4, h / 8, w / 8), and what each down block took, from fine to deep.
 
     Args:
@@ -405,7 +405,7 @@ def encoded(vae: Autoencoder, pictures: Tensor) -> tuple[Tensor, list[Tensor]]:
     return mean * vae.config.scaling_factor, skips
 
 
-def decoded(vae: Autoencoder, latents: Tensor, skips: Sequence[Tensor], strength: float = 1.0) -> Tensor:
+def decode_latents(vae: Autoencoder, latents: Tensor, skips: Sequence[Tensor], strength: float = 1.0) -> Tensor:
     """Pictures (b, 3, h, w) in [-1, 1] from scaled latents and what `encoded` gave beside them.
 
     `strength` scales what the skips carry: 1 as trained (img2img-turbo's gamma), 0 leaves them out.

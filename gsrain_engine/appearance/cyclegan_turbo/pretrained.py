@@ -9,9 +9,18 @@ from typing import Any
 from ...safe_io.limits import check_file
 from ...scene.files import whole_file
 from .lora import LoraRanks
-from .model import ARCHITECTURES, CAPTIONS, CycleGanTurbo, TurboArchitecture, assembled, build, check_base, sd_turbo
-from .weight_paths import captions_file, find_base, how_to_get_base, text_encoder_folder
-from .weights import open_weights, take_in
+from .model import (
+    ARCHITECTURES,
+    CAPTIONS,
+    CycleGanTurbo,
+    TurboArchitecture,
+    assemble_model,
+    build_random_model,
+    check_base,
+    sd_turbo,
+)
+from .weight_paths import base_model_instructions, captions_file, find_base_model, text_encoder_folder
+from .weights import apply_adapter_weights, open_weights
 
 torch: Any = import_module("torch")
 
@@ -120,13 +129,13 @@ def open_model(
     normals = normals or (file is not None and file.takes_guides)
     if file is not None and file.random_base_seed is not None:
         log.warning("%s: trained upon random weights, for a test: the pictures will mean nothing", weights)
-        model = build(ARCHITECTURES[file.architecture](), normals, lora, file.random_base_seed)
+        model = build_random_model(ARCHITECTURES[file.architecture](), normals, lora, file.random_base_seed)
     else:
         architecture = sd_turbo() if file is None else ARCHITECTURES[file.architecture]()
         texts = CAPTIONS if file is None else file.texts(weather)
-        model = read_base(find_base(base), architecture, normals=normals, lora=lora, texts=texts)
+        model = read_base(find_base_model(base), architecture, normals=normals, lora=lora, texts=texts)
     if file is not None:
-        take_in(model, file.delta(model, weather))
+        apply_adapter_weights(model, file.delta(model, weather))
     return model
 
 
@@ -152,7 +161,7 @@ def read_base(
         captions = torch.zeros(2, *architecture.caption_shape)
     else:
         captions = torch.stack(caption_embeddings(texts, folder, architecture))
-    model = assembled(architecture, unet, vae, captions, normals=normals, lora=lora)
+    model = assemble_model(architecture, unet, vae, captions, normals=normals, lora=lora)
     model.texts = CAPTIONS if texts is None else texts
     return model
 
@@ -161,7 +170,9 @@ def _part(kind: Any, folder: Path) -> Any:
     """One network; a weight that is missing would be random, so that is an error."""
     files = list(folder.glob("*.safetensors"))
     if not files:
-        raise FileNotFoundError(f"{folder}: no weights (diffusion_pytorch_model.safetensors): {how_to_get_base()}")
+        raise FileNotFoundError(
+            f"{folder}: no weights (diffusion_pytorch_model.safetensors): {base_model_instructions()}"
+        )
     variant = "fp16" if all("fp16" in file.name for file in files) else None
     try:
         part, found = kind.from_pretrained(

@@ -8,7 +8,7 @@ from msgspec import Meta, Struct
 from ..normals import GuideKind
 
 
-class MutualAttention(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class CrossViewAttention(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Which views attend to which others (eq. 16-19), and in which layers of the network."""
 
     neighbours: Annotated[
@@ -49,7 +49,7 @@ class MutualAttention(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class TileWindow:
     """A rectangle of a picture, in its pixels; the whole picture where it is not cut into tiles."""
 
     top: int
@@ -60,20 +60,20 @@ class Window:
     """Height and width of the whole picture."""
 
     @classmethod
-    def whole(cls, height: int, width: int) -> "Window":
+    def whole(cls, height: int, width: int) -> "TileWindow":
         return cls(0, 0, height, width, (height, width))
 
     @property
     def is_whole(self) -> bool:
         return (self.height, self.width) == self.frame
 
-    def in_tokens(self, height: int, width: int) -> "Window":
+    def in_tokens(self, height: int, width: int) -> "TileWindow":
         """The same in a map whose part for this window has `height` x `width` tokens.
 
         Raises ValueError where the window does not begin at a token or the tokens don't cover the picture evenly.
         """
         if self.is_whole:
-            return Window.whole(height, width)
+            return TileWindow.whole(height, width)
         scaled = [
             value * tokens / pixels
             for value, tokens, pixels in (
@@ -86,7 +86,7 @@ class Window:
         if any(value != int(value) for value in scaled):
             raise ValueError(f"{self} does not fall on whole tokens of a map of {height} x {width}")
         top, left, frame_height, frame_width = (int(value) for value in scaled)
-        return Window(top, left, height, width, (frame_height, frame_width))
+        return TileWindow(top, left, height, width, (frame_height, frame_width))
 
 
 # § How CycleGAN-Turbo is run over views: one value, which a command or a panel fills in.
@@ -134,5 +134,5 @@ class RunSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         GuideKind, Meta(title="Guide", description="How normals become one channel: up-ness in the world, or luma.")
     ] = "up"
     mutual: Annotated[
-        MutualAttention | None, Meta(title="Mutual attention", description="None: each view for itself.")
-    ] = MutualAttention()
+        CrossViewAttention | None, Meta(title="Mutual attention", description="None: each view for itself.")
+    ] = CrossViewAttention()

@@ -16,12 +16,19 @@ from jaxtyping import Float, Float32
 from ..base import ClearView, RainyView
 from ..correspondence import correspondence
 from ..normal_estimators import NormalEstimator, open_estimator
-from ..normals import grey_guide
-from .cross_view_attention import Element, Exchange, Plan, Step, exchanging, planned
+from ..normals import normals_to_gray
+from .cross_view_attention import (
+    AttentionPlan,
+    AttentionStep,
+    BatchElement,
+    CrossViewExchange,
+    attention_plan,
+    cross_view_attention,
+)
 from .model import CycleGanTurbo
 from .pretrained import open_model
-from .settings import MutualAttention, RunSettings, Window
-from .weight_paths import find_weights
+from .settings import CrossViewAttention, RunSettings, TileWindow
+from .weight_paths import find_transfer_weights
 
 if TYPE_CHECKING:
     from ..base import TransferSettings
@@ -33,7 +40,7 @@ Tensor = Any
 _LEVELS = 8
 """The UNet halves its latent three times: tiles begin where its coarsest tokens do."""
 
-_LEAST_MATCHED = 0.02
+_MIN_MATCHED = 0.02
 """Share of a view's pixels with a place in another one from which it attends to it."""
 
 WITHOUT_POSE = "no attention between views: it is not known where their cameras stood"
@@ -45,7 +52,7 @@ log = logging.getLogger(__name__)
 
 # § Pictures as the network takes them: sizes, tiles, and the way back to the clear picture's size.
 
-Picture = Float32[np.ndarray, "_ _ c"]
+Image = Float32[np.ndarray, "_ _ c"]
 
 
 class CycleGanTurboTransfer:
@@ -72,14 +79,16 @@ class CycleGanTurboTransfer:
     def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
         """Make views rainy, in the order of the plan; see `Transfer`. Holds what later views look at, nothing else."""
         mutual, self._count = self.settings.mutual, len(views)
-        plan = planned(views, mutual)
+        plan = attention_plan(views, mutual)
         if mutual is None or not plan.last_use():
             yield from self._steps(views, plan, None)
             return
-        with exchanging(self.model.unet, mutual) as talk:
+        with cross_view_attention(self.model.unet, mutual) as talk:
             yield from self._steps(views, plan, talk)
 
-    def _steps(self, views: Sequence[ClearView], plan: Plan, talk: Exchange | None) -> Iterator[RainyView]:
+    def _steps(
+        self, views: Sequence[ClearView], plan: AttentionPlan, talk: CrossViewExchange | None
+    ) -> Iterator[RainyView]:
         last_use = plan.last_use()
         held: dict[int, ClearView] = {}
         for number, step in enumerate(plan.steps):
@@ -107,28 +116,29 @@ class CycleGanTurboTransfer:
             log.info("%s: %d views will take about %.0f s on %s", self.name, count, seconds, self._device)
 
     def _step(
-        self, held: dict[int, ClearView], step: Step, is_source: Container[int], talk: Exchange | None
+        self, held: dict[int, ClearView], step: AttentionStep, is_source: Container[int], talk: CrossViewExchange | None
     ) -> Iterator[RainyView]:
         frames = [self._frame(held[index]) for index in step.views]
         entries: list[_Entry] = []
         looks: dict[int, bool] = {}
         for index, sources, frame in zip(step.views, step.sources, frames, strict=True):
             found = ((source, correspondence(held[index], held[source])) for source in sources)
-            places = tuple(each for each in found if each[1].valid.mean() >= _LEAST_MATCHED)
+            places = tuple(each for each in found if each[1].valid.mean() >= _MIN_MATCHED)
             looks[index] = bool(places) or index in is_source
             entries += [
-                _Entry(frame, window, Element(index, window, places, index in is_source)) for window in frame.windows
+                _Entry(frame, window, BatchElement(index, window, places, index in is_source))
+                for window in frame.windows
             ]
         # Views of one step may look at each other in every layer; tiles of one view never do.
         size = len(entries) if len(step.views) > 1 else 1
-        made: list[Picture] = []
+        made: list[Image] = []
         for start in range(0, len(entries), size):
             made += self._made(entries[start : start + size], talk)
         for index, frame in zip(step.views, frames, strict=True):
             parts, made = made[: len(frame.windows)], made[len(frame.windows) :]
-            small = blended(parts, frame.windows, self.settings.overlap_px)
+            small = blend_tiles(parts, frame.windows, self.settings.overlap_px)
             clear = held[index]
-            image = brought_back(small, frame.picture, clear.image, self.settings.detail)
+            image = restore_size(small, frame.picture, clear.image, self.settings.detail)
             yield RainyView(clear, image, left_out="" if looks[index] else self._why_alone(clear))
 
     def _why_alone(self, view: ClearView) -> str:
@@ -138,7 +148,7 @@ class CycleGanTurboTransfer:
             return ""
         return NO_OVERLAP if view.has_pose else WITHOUT_POSE
 
-    def _made(self, entries: Sequence["_Entry"], talk: Exchange | None) -> list[Picture]:
+    def _made(self, entries: Sequence["_Entry"], talk: CrossViewExchange | None) -> list[Image]:
         """Run entries of one size through the network at once; display colour, 0..1."""
         pictures = torch.stack([self._tensor(2 * _part(e.frame.picture, e.window) - 1) for e in entries])
         guided = self.model.takes_guides and all(e.frame.guide is not None for e in entries)
@@ -158,15 +168,15 @@ class CycleGanTurboTransfer:
             windows,
         )
 
-    def _windows(self, width: int, height: int) -> tuple[Window, ...]:
+    def _windows(self, width: int, height: int) -> tuple[TileWindow, ...]:
         """A clear picture of this size as the network takes it: in one piece or in tiles."""
         settings, multiple = self.settings, self.model.architecture.side_multiple
         frame = frame_size(height, width, settings.side_px, multiple)
         if settings.tile_px is None or max(frame) <= settings.tile_px:
-            return (Window.whole(*frame),)
+            return (TileWindow.whole(*frame),)
         multiple *= _LEVELS
         frame = frame_size(height, width, settings.side_px, multiple)
-        return tiles(*frame, settings.tile_px, settings.overlap_px, multiple)
+        return split_into_tiles(*frame, settings.tile_px, settings.overlap_px, multiple)
 
     def _guide(self, view: ClearView) -> Float32[np.ndarray, "h w"] | None:
         if self.settings.normals == "none" or not self.model.takes_guides:
@@ -175,28 +185,28 @@ class CycleGanTurboTransfer:
         if not normals.any() and not self._has_warned:
             log.warning("%s: nothing tells its normals; a network can (normals: dsine, marigold)", view.name)
             self._has_warned = True
-        return grey_guide(normals, view.camera, self.settings.guide)
+        return normals_to_gray(normals, view.camera, self.settings.guide)
 
-    def _tensor(self, values: Picture) -> Tensor:
+    def _tensor(self, values: Image) -> Tensor:
         channels = torch.from_numpy(np.ascontiguousarray(values.transpose(2, 0, 1), np.float32))
         return channels.to(self._device, self._dtype)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Frame:
-    picture: Picture
+    picture: Image
     guide: Float32[np.ndarray, "h w 1"] | None
-    windows: tuple[Window, ...]
+    windows: tuple[TileWindow, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Entry:
     frame: _Frame
-    window: Window
-    element: Element
+    window: TileWindow
+    element: BatchElement
 
 
-def _part(values: Picture | None, window: Window) -> Picture:
+def _part(values: Image | None, window: TileWindow) -> Image:
     assert values is not None
     return values[window.top : window.top + window.height, window.left : window.left + window.width]
 
@@ -210,7 +220,7 @@ def open_cyclegan_turbo(settings: "TransferSettings") -> CycleGanTurboTransfer:
     Raises FileNotFoundError, with how to get what is missing, and ValueError for files and settings that don't fit
     each other.
     """
-    weights = settings.weights or find_weights()
+    weights = settings.weights or find_transfer_weights()
     wants_normals = settings.normals != "none"
     model = open_model(weights, settings.base, normals=wants_normals)
     if wants_normals and model.guide == "mask":
@@ -229,7 +239,7 @@ def open_cyclegan_turbo(settings: "TransferSettings") -> CycleGanTurboTransfer:
         tile_px=settings.tile_px,
         normals=settings.normals if model.guide else "none",
         guide=settings.guide,
-        mutual=MutualAttention(neighbours=settings.neighbours) if settings.mutual_attention else None,
+        mutual=CrossViewAttention(neighbours=settings.neighbours) if settings.mutual_attention else None,
     )
     model = model.to(device, getattr(torch, settings.precision))
     return CycleGanTurboTransfer(model, run, estimator)
@@ -293,7 +303,7 @@ def frame_size(height: int, width: int, side_px: int | None, multiple: int) -> t
     return rows * multiple, columns * multiple
 
 
-def resized(image: Picture, height: int, width: int) -> Picture:
+def resized(image: Image, height: int, width: int) -> Image:
     """Bring a picture (h, w, c) to another size: by area where it shrinks (nothing aliases), cubic where it grows."""
     if image.shape[:2] == (height, width):
         return image
@@ -302,7 +312,7 @@ def resized(image: Picture, height: int, width: int) -> Picture:
     return found.reshape(height, width, image.shape[2]).astype(np.float32)
 
 
-def brought_back(made: Picture, seen: Picture, clear: Picture, detail: bool) -> Picture:
+def restore_size(made: Image, seen: Image, clear: Image, detail: bool) -> Image:
     """Bring what the network made of `seen` to the size of the clear picture that `seen` was made from; display, 0..1.
 
     With `detail`, what the clear picture has beyond `seen` is added: the top band of a Laplacian pyramid (Burt and
@@ -315,14 +325,14 @@ def brought_back(made: Picture, seen: Picture, clear: Picture, detail: bool) -> 
     return np.clip(large, 0, 1)
 
 
-def tiles(height: int, width: int, tile_px: int, overlap_px: int, multiple: int) -> tuple[Window, ...]:
+def split_into_tiles(height: int, width: int, tile_px: int, overlap_px: int, multiple: int) -> tuple[TileWindow, ...]:
     """Cut a picture into windows of at most `tile_px` a side that overlap, all beginning at multiples of `multiple`."""
     tall, wide = min(tile_px, height), min(tile_px, width)
     rows, columns = _starts(height, tall, overlap_px, multiple), _starts(width, wide, overlap_px, multiple)
-    return tuple(Window(top, left, tall, wide, (height, width)) for top in rows for left in columns)
+    return tuple(TileWindow(top, left, tall, wide, (height, width)) for top in rows for left in columns)
 
 
-def blended(parts: Sequence[Picture], windows: Sequence[Window], overlap_px: int) -> Picture:
+def blend_tiles(parts: Sequence[Image], windows: Sequence[TileWindow], overlap_px: int) -> Image:
     """Put tiles together again; where they overlap, each fades out towards its own border."""
     if len(parts) == 1:
         return parts[0]

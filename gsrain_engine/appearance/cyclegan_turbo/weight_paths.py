@@ -29,40 +29,40 @@ def data_folder() -> Path:
     return platformdirs.user_data_path("gsrain", appauthor=False)
 
 
-def base_places() -> tuple[Path, ...]:
+def base_model_folders() -> tuple[Path, ...]:
     """Folders in which SD-Turbo may lie: GSRAIN_SD_TURBO if set, else the data folder and Hugging Face's cache."""
     own = os.environ.get(BASE_VARIABLE)
     return (Path(own),) if own else (data_folder() / "sd-turbo", *hub_snapshots(_HUB_NAME))
 
 
-def is_base(folder: Path) -> bool:
+def is_base_model(folder: Path) -> bool:
     """Whether a folder has UNet and autoencoder as diffusers lays them out."""
     return all((folder / part / "config.json").is_file() for part in _PARTS)
 
 
-def find_base(folder: Path | None = None) -> Path:
+def find_base_model(folder: Path | None = None) -> Path:
     """The folder with SD-Turbo: the given one, or the first place that has it.
 
     Raises FileNotFoundError, with where it was looked for and how to get it.
     """
-    places = base_places() if folder is None else (folder,)
+    places = base_model_folders() if folder is None else (folder,)
     for place in places:
-        if is_base(place):
+        if is_base_model(place):
             return place
     looked = places if folder is not None or os.environ.get(BASE_VARIABLE) else (*places, _hub_cache(_HUB_NAME))
     where = " and ".join(map(str, looked))
-    raise FileNotFoundError(f"no SD-Turbo (unet/config.json, vae/config.json) at {where}: {how_to_get_base()}")
+    raise FileNotFoundError(f"no SD-Turbo (unet/config.json, vae/config.json) at {where}: {base_model_instructions()}")
 
 
-def check_complete(base: Path) -> None:
+def check_base_complete(base: Path) -> None:
     """Raise FileNotFoundError where a part of SD-Turbo has its configuration but no weights, naming the folder."""
     for part in _PARTS:
         if not any((base / part).glob("diffusion_pytorch_model*.safetensors")):
             missing = f"{base / part}: no weights (diffusion_pytorch_model.safetensors)"
-            raise FileNotFoundError(f"{missing}: {how_to_get_base()}")
+            raise FileNotFoundError(f"{missing}: {base_model_instructions()}")
 
 
-def how_to_get_base() -> str:
+def base_model_instructions() -> str:
     kinds = " ".join(f"--include '{kind}'" for kind in ("*.json", "*.txt", "*model.safetensors"))
     return (
         f"hf download {_HUB_NAME} {kinds} --local-dir {data_folder() / 'sd-turbo'} (5 GB, under the licence of "
@@ -70,24 +70,24 @@ def how_to_get_base() -> str:
     )
 
 
-def weights_places() -> tuple[Path, ...]:
+def transfer_weight_paths() -> tuple[Path, ...]:
     """Where transfer weights are looked for: the file of GSRAIN_TRANSFER_WEIGHTS, else a folder of such files."""
     own = os.environ.get(WEIGHTS_VARIABLE)
     return (Path(own),) if own else (data_folder() / "transfer",)
 
 
-def find_weights() -> Path:
+def find_transfer_weights() -> Path:
     """The file with transfer weights: clear2rainy.pkl, else the first by name.
 
     Raises FileNotFoundError, with where it was looked for and how to get one.
     """
-    for place in weights_places():
+    for place in transfer_weight_paths():
         if place.is_file():
             return place
         files = sorted(file for file in place.glob("*") if file.suffix in _SUFFIXES)
         if files:
             return min(files, key=lambda file: file.name != "clear2rainy.pkl")
-    looked = " and ".join(map(str, weights_places()))
+    looked = " and ".join(map(str, transfer_weight_paths()))
     raise FileNotFoundError(
         f"no transfer weights at {looked}: put {PUBLISHED_URL} there, or name a file by --weights or {WEIGHTS_VARIABLE}"
     )

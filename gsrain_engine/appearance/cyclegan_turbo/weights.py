@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from ...safe_io.limits import check_file, open_file
-from ...safe_io.text_files import printable
+from ...safe_io.text_files import printable_line
 from ...scene.files import whole_file
-from .lora import VAE_ADAPTER, VAE_ALPHA, LoraRanks, LowRank, adapted_layers, addition_of, plain_name, targeted
-from .model import ARCHITECTURES, CAPTIONS, CycleGanTurbo, Guide, widened
+from .lora import VAE_ADAPTER, VAE_ALPHA, LoraRanks, LowRank, adapted_layers, addition_of, match_targets, plain_name
+from .model import ARCHITECTURES, CAPTIONS, CycleGanTurbo, Guide, widen_kernel
 
 torch: Any = import_module("torch")
 
@@ -22,7 +22,7 @@ Tensor = Any
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TurboDelta:
+class AdapterWeights:
     """Weights of one transfer relative to SD-Turbo. Names are of the whole model, as they are without peft."""
 
     source: str
@@ -83,18 +83,18 @@ class WeightsFile:
         """Captions that the text encoder has to encode, for a2b and b2a; None where the file has their embeddings."""
         return None if is_own(self.metadata) else published_texts(self.state, weather)
 
-    def delta(self, model: CycleGanTurbo, weather: str = "rainy") -> TurboDelta:
+    def delta(self, model: CycleGanTurbo, weather: str = "rainy") -> AdapterWeights:
         """What the file adds to SD-Turbo; raises ValueError, with the first bad key, where it isn't for this model."""
         try:
             return self._delta(model, weather)
         except ValueError as error:
-            raise ValueError(printable(error)) from None
+            raise ValueError(printable_line(error)) from None
         except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError) as error:
             # A value where a tensor belongs, a tensor where a number belongs: whatever damage has put there.
-            words = printable(str(error).split("\n")[0])
+            words = printable_line(str(error).split("\n")[0])
             raise ValueError(f"{self.path}: its weights are damaged: {words or type(error).__name__}") from None
 
-    def _delta(self, model: CycleGanTurbo, weather: str) -> TurboDelta:
+    def _delta(self, model: CycleGanTurbo, weather: str) -> AdapterWeights:
         source = str(self.path)
         if is_own(self.metadata):
             return read_own(self.state, self.metadata, model, source)
@@ -123,7 +123,7 @@ def open_weights(path: Path) -> WeightsFile:
             state = torch.load(stream, map_location="cpu", weights_only=True)
     except Exception as error:  # torch fails in many ways; its words are the finding
         first = str(error).split("\n")[0].strip() or type(error).__name__
-        raise ValueError(f"{path}: not a readable file of torch weights: {printable(first)}") from None
+        raise ValueError(f"{path}: not a readable file of torch weights: {printable_line(first)}") from None
     if not isinstance(state, Mapping):
         raise ValueError(f"{path}: holds {type(state).__name__}, not weights by name")
     return WeightsFile(path, dict(state.items()), {})
@@ -150,7 +150,7 @@ def _safetensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
             names: list[str] = file.keys()
             return {name: file.get_tensor(name) for name in names}, dict(file.metadata() or {})
     except (safetensors.SafetensorError, AttributeError, OSError, RuntimeError, TypeError, ValueError) as error:
-        raise ValueError(f"{path}: not a readable .safetensors: {printable(error)}") from None
+        raise ValueError(f"{path}: not a readable .safetensors: {printable_line(error)}") from None
 
 
 _ENCODER_INPUTS = ("vae.encoder.conv_in", "vae_b2a.encoder.conv_in")
@@ -166,7 +166,7 @@ def plain_layers(model: CycleGanTurbo) -> list[str]:
     return [name.removesuffix(".weight") for name, each in plain_tensors(model).items() if each.ndim > 1]
 
 
-def take_in(model: CycleGanTurbo, delta: TurboDelta) -> None:
+def apply_adapter_weights(model: CycleGanTurbo, delta: AdapterWeights) -> None:
     """Put weights into a model: into its peft adapters where it has them, else merged into its layers.
 
     Raises ValueError, which names the first one, for layers and tensors that don't fit; the model is as it was then.
@@ -192,7 +192,7 @@ def take_in(model: CycleGanTurbo, delta: TurboDelta) -> None:
     model.delta = None if model.adapted else delta
 
 
-def given_out(model: CycleGanTurbo) -> TurboDelta:
+def extract_adapter_weights(model: CycleGanTurbo) -> AdapterWeights:
     """What a model has beyond SD-Turbo, with everything that may have been trained, whether it is another or not.
 
     Raises ValueError for a model that has neither adapters nor loaded weights.
@@ -209,7 +209,7 @@ def given_out(model: CycleGanTurbo) -> TurboDelta:
         if each.requires_grad or name.startswith(("unet.conv_in.", *_ENCODER_INPUTS)) or ".skip_conv_" in name
     }
     guide: Guide = ("normals" if model.guide == "" else model.guide) if model.takes_guides else ""
-    return TurboDelta("the model", additions, whole, guide, captions, model.texts)
+    return AdapterWeights("the model", additions, whole, guide, captions, model.texts)
 
 
 def check_names(found: Iterable[str], wanted: Iterable[str], where: str) -> None:
@@ -226,7 +226,7 @@ def _first(names: set[str]) -> str:
     return f"{min(names)!r}{others}"
 
 
-def _fitted(delta: TurboDelta, tensors: Mapping[str, Tensor]) -> TurboDelta:
+def _fitted(delta: AdapterWeights, tensors: Mapping[str, Tensor]) -> AdapterWeights:
     """The delta with kernels widened to the model's channels and without tensors that are the model's own anyway."""
     takes = tensors[f"{_ENCODER_INPUTS[0]}.weight"].shape[1]
     if delta.takes_guides and takes == 3:
@@ -237,9 +237,9 @@ def _fitted(delta: TurboDelta, tensors: Mapping[str, Tensor]) -> TurboDelta:
     additions, replaced = dict(delta.additions), dict(delta.replaced)
     for layer in _ENCODER_INPUTS:
         if layer in additions:
-            additions[layer] = replace(additions[layer], down=widened(additions[layer].down, takes))
+            additions[layer] = replace(additions[layer], down=widen_kernel(additions[layer].down, takes))
         if (kernel := f"{layer}.weight") in replaced:
-            replaced[kernel] = widened(replaced[kernel], takes)
+            replaced[kernel] = widen_kernel(replaced[kernel], takes)
     for name, addition in additions.items():
         try:
             addition.check(tuple(tensors[f"{name}.weight"].shape))
@@ -259,7 +259,7 @@ def _equal(a: Tensor, b: Tensor) -> bool:
     return a.dtype == b.dtype and torch.equal(a, b.to(a.device))
 
 
-def _into_adapters(model: CycleGanTurbo, delta: TurboDelta) -> None:
+def _into_adapters(model: CycleGanTurbo, delta: AdapterWeights) -> None:
     own = {name: addition_of(layer) for name, layer in adapted_layers(model)}
     check_names(delta.additions, own, f"{delta.source}, to be trained on")
     for name, mine in own.items():
@@ -297,7 +297,7 @@ def is_own(metadata: Mapping[str, str]) -> bool:
 
 def write_own(model: CycleGanTurbo, path: Path) -> None:
     """Write what a model has beyond SD-Turbo; raises ValueError where that is nothing."""
-    delta = given_out(model)
+    delta = extract_adapter_weights(model)
     tensors: dict[str, Tensor] = {f"base.{_PROBE}": plain_tensors(model)[_PROBE]}
     for name, addition in delta.additions.items():
         alpha = addition.down.new_tensor(addition.scale * addition.down.shape[0])
@@ -328,7 +328,7 @@ def write_own(model: CycleGanTurbo, path: Path) -> None:
 
 def read_own(
     tensors: Mapping[str, Tensor], metadata: Mapping[str, str], model: CycleGanTurbo, source: str
-) -> TurboDelta:
+) -> AdapterWeights:
     """Weights of such a file; raises ValueError for another version, architecture or base, and for unknown keys."""
     check_header(metadata, source)
     if metadata["architecture"] != model.architecture.name:
@@ -345,7 +345,7 @@ def read_own(
         down, up, alpha = (tensors[f"{layer}.{factor}"] for factor in _FACTORS)
         additions[layer] = LowRank(down, up, float(alpha) / down.shape[0])
     guide = metadata["guide"]
-    return TurboDelta(
+    return AdapterWeights(
         source,
         additions,
         {name: tensors[name] for name in whole},
@@ -407,7 +407,9 @@ def published_texts(state: Mapping[str, Any], weather: str) -> tuple[str, str]:
     return (WEATHEREDIT_CAPTION.format(weather) if "sd_rainy_encoder" in state else a2b), b2a
 
 
-def read_published(state: Mapping[str, Any], model: CycleGanTurbo, source: str, weather: str = "rainy") -> TurboDelta:
+def read_published(
+    state: Mapping[str, Any], model: CycleGanTurbo, source: str, weather: str = "rainy"
+) -> AdapterWeights:
     """Weights of a checkpoint.
 
     Args:
@@ -428,7 +430,7 @@ def read_published(state: Mapping[str, Any], model: CycleGanTurbo, source: str, 
         additions |= _unet_additions(state[key], state[names], f"{source}: {key}", int(state["rank_unet"]))
     vae_additions, replaced = _autoencoders(state, model, source)
     fourth = replaced["vae.encoder.conv_in.weight"].shape[1] > 3
-    return TurboDelta(
+    return AdapterWeights(
         source, additions | vae_additions, replaced, "mask" if fourth else "", texts=published_texts(state, weather)
     )
 
@@ -457,7 +459,7 @@ def _autoencoders(
 ) -> tuple[dict[str, LowRank], dict[str, Any]]:
     """Additions and whole tensors of both autoencoders, which the file holds twice: the later one counts."""
     layers = [name.removeprefix("vae.") for name in plain_layers(model) if name.startswith("vae.")]
-    adapted = targeted(layers, state["vae_lora_target_modules"])
+    adapted = match_targets(layers, state["vae_lora_target_modules"])
     wanted = {prefix + _stored(name, adapted) for prefix in _VAES for name in _vae_tensors(model)}
     wanted |= {f"{prefix}{layer}.{_factor(f)}" for prefix in _VAES for layer in adapted for f in "AB"}
     for key in ("sd_vae_enc", "sd_vae_dec"):
@@ -513,7 +515,7 @@ def is_diffusers_lora(names: Mapping[str, Any]) -> bool:
 
 def read_diffusers_lora(
     tensors: Mapping[str, Tensor], metadata: Mapping[str, str], model: CycleGanTurbo, source: str
-) -> TurboDelta:
+) -> AdapterWeights:
     """Additions of a LoRA file: scaled by alpha / rank where it tells alpha, else once.
 
     Raises ValueError, naming the first key, for parts that don't belong to the UNet and for factors without the other.
@@ -534,7 +536,7 @@ def read_diffusers_lora(
         alpha = float(factors["alpha"]) if "alpha" in factors else _alpha(settings, layer, rank)
         weight = _as_layer(factors, shapes[f"{_PREFIX}{layer}.weight"])
         additions[_PREFIX + layer] = LowRank(*weight, alpha / rank)
-    return TurboDelta(source, additions, {})
+    return AdapterWeights(source, additions, {})
 
 
 def _named(name: str, layers: set[str], flat: Mapping[str, str], source: str) -> tuple[str, str]:

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from ...safe_io.limits import check_file
-from ...safe_io.text_files import printable
+from ...safe_io.text_files import printable_line
 from ...scene.files import whole_file
 from .settings import FinetuningSettings
 
@@ -33,7 +33,7 @@ class FinetuningCheckpointError(ValueError):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Checkpoint:
+class FinetuneCheckpoint:
     """Everything that a training goes on from. Random numbers and the order of pictures follow from `step`."""
 
     step: int
@@ -45,7 +45,7 @@ class Checkpoint:
     """Whether LPIPS was a part of the losses."""
 
 
-class _Head(msgspec.Struct, frozen=True, kw_only=True):
+class _FinetuneHeader(msgspec.Struct, frozen=True, kw_only=True):
     version: int
     step: int
     seconds: float
@@ -54,9 +54,11 @@ class _Head(msgspec.Struct, frozen=True, kw_only=True):
     settings: FinetuningSettings
 
 
-def write_checkpoint(file: Path, checkpoint: Checkpoint, settings: FinetuningSettings, pictures: str) -> None:
+def write_finetune_checkpoint(
+    file: Path, checkpoint: FinetuneCheckpoint, settings: FinetuningSettings, pictures: str
+) -> None:
     """Write a checkpoint; `pictures` is a text that tells sets of pictures apart."""
-    head = _Head(
+    head = _FinetuneHeader(
         version=_VERSION, step=checkpoint.step, seconds=checkpoint.seconds, perceptual=checkpoint.perceptual,
         pictures=pictures, settings=settings,
     )  # fmt: skip
@@ -65,27 +67,29 @@ def write_checkpoint(file: Path, checkpoint: Checkpoint, settings: FinetuningSet
         safetensors_torch.save_file(dict(checkpoint.tensors), str(beside), metadata={_HEAD: text})
 
 
-def read_checkpoint(file: Path, settings: FinetuningSettings, pictures: str, perceptual: bool) -> Checkpoint:
+def read_finetune_checkpoint(
+    file: Path, settings: FinetuningSettings, pictures: str, perceptual: bool
+) -> FinetuneCheckpoint:
     """Read a checkpoint of the same training. Raises `FinetuningCheckpointError` where it is damaged or of another."""
     if not file.is_file():
         raise FinetuningCheckpointError(f"{file}: there is no checkpoint to resume from; begin anew without --resume")
     try:
         check_file(file)
         with safetensors.safe_open(str(file), "pt") as opened:
-            head = msgspec.json.decode((opened.metadata() or {})[_HEAD], type=_Head)
+            head = msgspec.json.decode((opened.metadata() or {})[_HEAD], type=_FinetuneHeader)
             tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118 (no mapping)
     except (
         AttributeError, KeyError, OSError, RecursionError, RuntimeError, TypeError, ValueError,
         msgspec.MsgspecError, safetensors.SafetensorError,
     ) as error:  # fmt: skip
         raise FinetuningCheckpointError(
-            f"{file}: not a checkpoint of a training, or damaged: {printable(error)}"
+            f"{file}: not a checkpoint of a training, or damaged: {printable_line(error)}"
         ) from None
     if head.version != _VERSION:
         raise FinetuningCheckpointError(f"{file}: a checkpoint of version {head.version}, expected {_VERSION}")
     if head.pictures != pictures:
         raise FinetuningCheckpointError(
-            f"{file}: made from other pictures ({printable(head.pictures)}), now they are {pictures}"
+            f"{file}: made from other pictures ({printable_line(head.pictures)}), now they are {pictures}"
         )
     if head.perceptual != perceptual:
         missing = (
@@ -96,4 +100,4 @@ def read_checkpoint(file: Path, settings: FinetuningSettings, pictures: str, per
         before, now = getattr(head.settings, name), getattr(settings, name)
         if before != now and name not in _FREE:
             raise FinetuningCheckpointError(f"{file}: made with {name} {before}, now it is {now}")
-    return Checkpoint(head.step, head.seconds, tensors, head.perceptual)
+    return FinetuneCheckpoint(head.step, head.seconds, tensors, head.perceptual)

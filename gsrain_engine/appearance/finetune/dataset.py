@@ -12,17 +12,17 @@ from jaxtyping import Float32
 from msgspec import Meta, Struct
 from PIL import Image
 
-from ...datasets.capture import CaptureError, View, readable_pictures
+from ...datasets.capture import CaptureError, CaptureFrame, readable_images
 from ...datasets.capture_folder import NO_POSES
 from ...datasets.open_capture import open_capture
 from ...datasets.rainsense import RAIN
-from ...datasets.undistort import prepared
+from ...datasets.undistort import undistort_frame
 from ...safe_io.limits import open_file
 from ...scene.files import whole_file
 from ..normal_estimators import NormalEstimator
-from ..normals import grey_guide, normals_from_depth
+from ..normals import normals_from_depth, normals_to_gray
 
-_Guide = Callable[[View], Float32[np.ndarray, "_ _"] | None]
+_Guide = Callable[[CaptureFrame], Float32[np.ndarray, "_ _"] | None]
 
 # § A picture as training takes it: framed, in floats, with its guide.
 
@@ -30,20 +30,20 @@ Framing = Literal["stretch", "crop"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
+class DatasetImage:
     """One picture of a data set, read when it is asked for."""
 
     name: str
-    view: View
+    view: CaptureFrame
     width: int
     height: int
     framing: Framing = "stretch"
-    guide: Callable[[View], Float32[np.ndarray, "_ _"] | None] | None = None
+    guide: Callable[[CaptureFrame], Float32[np.ndarray, "_ _"] | None] | None = None
     """Works out the guide of a straightened view; None trains without one."""
 
     def read(self) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"] | None]:
         """Display colour 0..1, and the guide -1..1 or None. Raises `CaptureError` where the file is broken."""
-        view = prepared(self.view)
+        view = undistort_frame(self.view)
         pixels = Image.fromarray(self._cut(view.image)).resize((self.width, self.height), Image.Resampling.LANCZOS)
         guide = None if self.guide is None else self.guide(view)
         if guide is not None:
@@ -63,19 +63,19 @@ class Picture:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class UnpairedPictures:
+class UnpairedImages:
     """Pictures of two looks; none belongs to one of the other look."""
 
-    source: tuple[Picture, ...]
-    target: tuple[Picture, ...]
+    source: tuple[DatasetImage, ...]
+    target: tuple[DatasetImage, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PictureSplit:
+class ImageSplit:
     """What a training learns from, and what it never sees."""
 
-    train: UnpairedPictures
-    test: UnpairedPictures
+    train: UnpairedImages
+    test: UnpairedImages
     table: tuple[tuple[str, str, int, int], ...]
     """A row a source: its path, clear or rainy, pictures in all, and how many of them are for testing."""
     problems: tuple[str, ...] = ()
@@ -89,7 +89,7 @@ class PictureSplit:
 # § Which pictures a transfer is trained on: one value, which is a part of the training's YAML file.
 
 
-class PictureSource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ImageSource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Pictures of one data set, by what its own labels say of the weather."""
 
     path: Annotated[str, Meta(title="Path", description="Any capture, data set or folder of pictures.")]
@@ -106,11 +106,11 @@ class PictureSource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     ] = None
 
 
-class PictureSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ImageSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Two sets of pictures that show no place twice, how they are framed, and what guides the encoder beside them."""
 
-    clear: Annotated[tuple[PictureSource, ...], Meta(min_length=1, title="Clear", description="In dry weather.")]
-    rainy: Annotated[tuple[PictureSource, ...], Meta(min_length=1, title="Rainy", description="In rain.")]
+    clear: Annotated[tuple[ImageSource, ...], Meta(min_length=1, title="Clear", description="In dry weather.")]
+    rainy: Annotated[tuple[ImageSource, ...], Meta(min_length=1, title="Rainy", description="In rain.")]
     test_share: Annotated[
         float, Meta(ge=0, lt=1, title="Test share", description="Share of each source that is never trained on.")
     ] = 0.2
@@ -136,7 +136,7 @@ class PictureSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     seed: Annotated[int, Meta(ge=0, le=2**31 - 1, title="Seed", description="Which pictures are for testing.")] = 0
 
 
-def open_pictures(settings: PictureSettings, cache: Path | None = None) -> PictureSplit:
+def open_images(settings: ImageSettings, cache: Path | None = None) -> ImageSplit:
     """Open all sources; estimated guides are kept in the folder `cache`.
 
     Each source is split by itself, so that both parts are made up alike. Broken pictures are left out and named.
@@ -145,7 +145,7 @@ def open_pictures(settings: PictureSettings, cache: Path | None = None) -> Pictu
     guide = _guides(settings, cache)
     rows: list[tuple[str, str, int, int]] = []
     problems: list[str] = []
-    parts: dict[str, tuple[list[Picture], list[Picture]]] = {}
+    parts: dict[str, tuple[list[DatasetImage], list[DatasetImage]]] = {}
     for look, sources in (("clear", settings.clear), ("rainy", settings.rainy)):
         train, test = parts.setdefault(look, ([], []))
         for number, source in enumerate(sources):
@@ -155,30 +155,30 @@ def open_pictures(settings: PictureSettings, cache: Path | None = None) -> Pictu
             held = set(order[:tested].tolist())
             for i, view in enumerate(views):
                 name = f"{Path(source.path).name}/{view.name}"
-                picture = Picture(name, view, settings.width_px, settings.height_px, settings.framing, guide)
+                picture = DatasetImage(name, view, settings.width_px, settings.height_px, settings.framing, guide)
                 (test if i in held else train).append(picture)
             rows.append((source.path, look, len(views), tested))
         if not train:
             raise CaptureError(f"no {look} picture is left to train on: lower test_share {settings.test_share:g}")
-    train = UnpairedPictures(tuple(parts["clear"][0]), tuple(parts["rainy"][0]))
-    test = UnpairedPictures(tuple(parts["clear"][1]), tuple(parts["rainy"][1]))
-    return PictureSplit(train, test, tuple(rows), tuple(problems))
+    train = UnpairedImages(tuple(parts["clear"][0]), tuple(parts["rainy"][0]))
+    test = UnpairedImages(tuple(parts["clear"][1]), tuple(parts["rainy"][1]))
+    return ImageSplit(train, test, tuple(rows), tuple(problems))
 
 
-def _guides(settings: PictureSettings, cache: Path | None) -> _Guide | None:
+def _guides(settings: ImageSettings, cache: Path | None) -> _Guide | None:
     if settings.guide == "none":
         return None
     if settings.normals == "none":
-        return Guides(settings.guide)
+        return ConditioningImages(settings.guide)
     from ..normal_estimators import open_estimator  # loads torch
 
     weights = None if settings.normals_weights is None else Path(settings.normals_weights)
     checkout = None if settings.normals_checkout is None else Path(settings.normals_checkout)
     estimator = open_estimator(settings.normals, weights=weights, checkout=checkout)
-    return Guides(settings.guide, estimator, settings.normals, cache)
+    return ConditioningImages(settings.guide, estimator, settings.normals, cache)
 
 
-def _chosen(source: PictureSource, problems: list[str]) -> list[View]:
+def _chosen(source: ImageSource, problems: list[str]) -> list[CaptureFrame]:
     capture = open_capture(source.path)
     if source.weather != "any" and not any(weather_of(view.attributes) for view in capture):
         raise CaptureError(
@@ -198,21 +198,21 @@ def _chosen(source: PictureSource, problems: list[str]) -> list[View]:
         if source.count > len(views):
             raise CaptureError(f"{source.path}: count {source.count} is more than the {len(views)} pictures there are")
         views = _spread(views, source.count)
-    readable = readable_pictures(replace(capture, views=tuple(views)))
+    readable = readable_images(replace(capture, views=tuple(views)))
     problems.extend(problem for problem in readable.problems if problem != NO_POSES)
     return list(readable.views)
 
 
-def _spread(views: Sequence[View], count: int) -> list[View]:
+def _spread(views: Sequence[CaptureFrame], count: int) -> list[CaptureFrame]:
     """Choose evenly from all sequences: neighbours in time show nearly the same picture."""
-    groups: dict[str, list[View]] = {}
+    groups: dict[str, list[CaptureFrame]] = {}
     for view in views:
         groups.setdefault(view.sensor, []).append(view)
     shares = dict.fromkeys(groups, 0)
     while sum(shares.values()) < count:
         open_groups = [name for name in groups if shares[name] < len(groups[name])]
         shares[min(open_groups, key=shares.__getitem__)] += 1
-    chosen: list[View] = []
+    chosen: list[CaptureFrame] = []
     for name, members in groups.items():
         places = (np.arange(shares[name]) + 0.5) * len(members) / max(shares[name], 1)
         chosen += [members[int(place)] for place in places]
@@ -248,7 +248,7 @@ def is_daylight(attributes: Mapping[str, str]) -> bool:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Guides:
+class ConditioningImages:
     """Works out guides; a call with a view gives its guide, or None where nothing tells its surfaces."""
 
     kind: Literal["up", "luma"]
@@ -258,22 +258,22 @@ class Guides:
     folder: Path | None = None
     """Where estimated guides are kept; None keeps none."""
 
-    def __call__(self, view: View) -> Float32[np.ndarray, "_ _"] | None:
+    def __call__(self, view: CaptureFrame) -> Float32[np.ndarray, "_ _"] | None:
         """Return -1..1 per pixel of a view without lens."""
         normals = self._known(view)
         if normals is not None:
-            return grey_guide(normals, view.camera, self.kind)
+            return normals_to_gray(normals, view.camera, self.kind)
         if self.estimator is None:
             return None
         return self._estimated(view, self.estimator)
 
-    def _known(self, view: View) -> Float32[np.ndarray, "_ _ 3"] | None:
+    def _known(self, view: CaptureFrame) -> Float32[np.ndarray, "_ _ 3"] | None:
         if (normals := view.normals) is not None:
             return normals.astype(np.float32)
         depth = view.depth
         return None if depth is None else normals_from_depth(depth, view.camera)
 
-    def _estimated(self, view: View, estimator: NormalEstimator) -> Float32[np.ndarray, "_ _"]:
+    def _estimated(self, view: CaptureFrame, estimator: NormalEstimator) -> Float32[np.ndarray, "_ _"]:
         image, camera = view.image, view.camera
         asked = f"{self.estimator_name} {self.kind} {camera.fx} {camera.fy} {camera.cx} {camera.cy} {image.shape}"
         file = None
@@ -282,7 +282,9 @@ class Guides:
             file = self.folder / f"{key}.npy"
             if (kept := _read(file, image.shape[:2])) is not None:
                 return kept
-        guide = grey_guide(estimator.normals(image.astype(np.float32) / np.float32(255), camera), camera, self.kind)
+        guide = normals_to_gray(
+            estimator.normals(image.astype(np.float32) / np.float32(255), camera), camera, self.kind
+        )
         # Kept and used with the same 8 bits: the first time a picture is seen is like every other.
         steps = np.round(guide * 127).astype(np.int8)
         if file is not None:

@@ -74,7 +74,7 @@ class Discriminator(torch.nn.Module):
     def __init__(self, features: ClipFeatures, augmentations: Sequence[str], channels: int = 256) -> None:
         """Several discriminators may look through the same `features`."""
         super().__init__()
-        self._seen = (features,)  # in a tuple: no part of this module, its numbers are not saved with it
+        self._camera_panel = (features,)  # in a tuple: no part of this module, its numbers are not saved with it
         self._augmentations = tuple(augmentations)
         self.maps = torch.nn.ModuleList(_MapHead(features.map_channels, channels) for _ in features.taps)
         self.whole = torch.nn.Sequential(
@@ -85,7 +85,7 @@ class Discriminator(torch.nn.Module):
 
     def forward(self, pictures: Tensor, generator: Any) -> list[Tensor]:
         """Logits of "real" for pictures (b, 3, h, w) of values -1..1, a tensor a level; augments with `generator`."""
-        *maps, whole = self._seen[0](augmented(pictures, self._augmentations, generator))
+        *maps, whole = self._camera_panel[0](augment_images(pictures, self._augmentations, generator))
         return [*(head(each) for head, each in zip(self.maps, maps, strict=True)), self.whole(whole)]
 
 
@@ -161,7 +161,7 @@ _HOLE = 1 / 2
 """Side of the hole, as a share of the picture's side."""
 
 
-def augmented(pictures: Tensor, kinds: Sequence[str], generator: Any) -> Tensor:
+def augment_images(pictures: Tensor, kinds: Sequence[str], generator: Any) -> Tensor:
     """Change pictures (b, 3, h, w) of values -1..1 at random, each in its own way; gradients go through.
 
     `kinds` are "color", "translation" and "cutout", done in this order. `generator` is torch's, on the CPU, so that

@@ -120,7 +120,7 @@ _WON = 0.1
 _WINDOW = 100
 
 
-def look_distance(
+def color_distance(
     source: Iterable[Float32[np.ndarray, "_ _ 3"]], target: Iterable[Float32[np.ndarray, "_ _ 3"]]
 ) -> float:
     """How far apart two sets of pictures of values 0..1 are in their colours alone: a mean over red, green and blue.
@@ -132,7 +132,7 @@ def look_distance(
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class CollapseVerdict:
     """How a training looks over its last iterations."""
 
     change: float
@@ -143,7 +143,7 @@ class Verdict:
     """What is wrong, as a sentence or two; None where all is well, or it is too early to tell."""
 
 
-class EarlyWarning:
+class CollapseMonitor:
     """Watches the losses of a training."""
 
     def __init__(self, distance: float, gan_weight: float, warned_after: int) -> None:
@@ -155,16 +155,16 @@ class EarlyWarning:
     def add(self, losses: Mapping[str, float]) -> None:
         self._recent.append(losses)
 
-    def verdict(self, step: int) -> Verdict:
+    def verdict(self, step: int) -> CollapseVerdict:
         """Judge after so many iterations."""
         if not self._recent:
-            return Verdict(0.0, 0.0, None)
+            return CollapseVerdict(0.0, 0.0, None)
         mean = {name: sum(each[name] for each in self._recent) / len(self._recent) for name in self._recent[-1]}
         change = mean["change"]
         share = change / self.distance
         if step < self._warned_after:
-            return Verdict(change, share, None)
-        return Verdict(change, share, self._warning(step, mean, share))
+            return CollapseVerdict(change, share, None)
+        return CollapseVerdict(change, share, self._warning(step, mean, share))
 
     def _warning(self, step: int, mean: Mapping[str, float], share: float) -> str | None:
         judged = [self._of_chance(mean, look) for look in ("rainy", "clear")] if self._gan_weight else []
@@ -190,7 +190,7 @@ class EarlyWarning:
         return (mean[f"judge_{look}_made"] + mean[f"judge_{look}_real"]) / (self._gan_weight * CHANCE)
 
 
-def counted(pictures: Sequence[object]) -> list[int]:
+def distance_sample(pictures: Sequence[object]) -> list[int]:
     """Which pictures of a set the distance is measured on: evenly spread, at most 64."""
     return np.unique(np.linspace(0, len(pictures) - 1, min(len(pictures), _COUNTED)).round().astype(int)).tolist()
 

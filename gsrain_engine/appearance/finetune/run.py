@@ -15,21 +15,26 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from ...render.images import write_picture
-from ...scene.files import holding
+from ...render.images import write_png
+from ...scene.files import hold_for_writing
 from ...scene.progress import Progress
 from ..cyclegan_turbo.lora import LoraRanks
-from ..cyclegan_turbo.model import build, tiny
+from ..cyclegan_turbo.model import build_random_model, tiny
 from ..cyclegan_turbo.pretrained import open_model
 from ..cyclegan_turbo.weights import save_weights
-from .checkpoint import Checkpoint, FinetuningCheckpointError, read_checkpoint, write_checkpoint
-from .dataset import Picture, PictureSplit, UnpairedPictures, open_pictures
+from .checkpoint import (
+    FinetuneCheckpoint,
+    FinetuningCheckpointError,
+    read_finetune_checkpoint,
+    write_finetune_checkpoint,
+)
+from .dataset import DatasetImage, ImageSplit, UnpairedImages, open_images
 from .discriminator import ClipFeatures, Discriminator
-from .loss_log import EarlyWarning, LossLog, counted, look_distance, read_losses
-from .sampler import PictureOrder, fingerprint
+from .loss_log import CollapseMonitor, LossLog, color_distance, distance_sample, read_losses
+from .sampler import PairSampler, fingerprint
 from .settings import FinetuningSettings, write_finetuning
-from .step import Done, Perceptual, Training
-from .task import TrainingResult, TrainingTask, with_warning
+from .step import FinetuneStepResult, FinetuneTrainer, Perceptual
+from .task import FinetuneResult, FinetuneTask, with_warning
 
 torch: Any = import_module("torch")
 
@@ -38,7 +43,7 @@ logger = logging.getLogger("gsrain")
 _STARTED, _TRAINED = 0.02, 0.99
 """Shares of the whole work after which training begins, and is over."""
 
-_SHOWN_EVERY_S = 2.0
+_PREVIEW_INTERVAL_S = 2.0
 
 _FLUSHED_EVERY_S = 1.0
 
@@ -46,7 +51,7 @@ _RECENT = 100
 """Iterations that the result's losses are means over."""
 
 
-def finetune(task: TrainingTask, perceptual: Perceptual | None = None) -> Generator[Progress, None, TrainingResult]:
+def finetune(task: FinetuneTask, perceptual: Perceptual | None = None) -> Generator[Progress, None, FinetuneResult]:
     """Fine-tune, and write weights, checkpoint, losses, samples and settings into the task's folder.
 
     Args:
@@ -65,13 +70,13 @@ def finetune(task: TrainingTask, perceptual: Perceptual | None = None) -> Genera
         MemoryError: Where the device has too little.
         HeldError: Where another process writes into the folder.
     """
-    with holding(task.output):
+    with hold_for_writing(task.output):
         return (yield from _finetuned(task, perceptual))
 
 
-def _finetuned(task: TrainingTask, perceptual: Perceptual | None) -> Generator[Progress, None, TrainingResult]:
+def _finetuned(task: FinetuneTask, perceptual: Perceptual | None) -> Generator[Progress, None, FinetuneResult]:
     yield Progress(0.0, "Looking through the pictures")
-    split = open_pictures(task.settings.pictures, task.pictures_cache)
+    split = open_images(task.settings.pictures, task.images_cache)
     for line in (*split.counted(), *split.problems):
         logger.info("%s", line)
     if task.checkpoint.is_file() and not task.resume:
@@ -80,24 +85,24 @@ def _finetuned(task: TrainingTask, perceptual: Perceptual | None) -> Generator[P
     yield Progress(0.0, "Building the model")
     with _repeatable():
         training = start_finetuning(task.settings, split.train, perceptual)
-        learning = _Learning(task, split, training, perceptual is not None)
+        learning = _FinetuneLoop(task, split, training, perceptual is not None)
         yield from learning.learn()
     yield Progress(1.0, "Trained")
     return learning.result()
 
 
-class _Learning:
+class _FinetuneLoop:
     """One training from its first iteration to its last, with what is noted on the way."""
 
-    def __init__(self, task: TrainingTask, split: PictureSplit, training: Training, perceptual: bool) -> None:
+    def __init__(self, task: FinetuneTask, split: ImageSplit, training: FinetuneTrainer, perceptual: bool) -> None:
         self._task, self._split, self._training, self._perceptual = task, split, training, perceptual
         self._settings = task.settings
         self._began = time.perf_counter()
         self._first = 0
         if task.resume:
             self._go_on()
-        self._shown = sampled(split.test.source or split.train.source, task.settings.samples)
-        self._warning: EarlyWarning = start_warning(task.settings, split.train)
+        self._shown = choose_samples(split.test.source or split.train.source, task.settings.samples)
+        self._warning: CollapseMonitor = start_warning(task.settings, split.train)
         self._told: str | None = None
         self._previewed_at = self._flushed_at = -np.inf
         self._grid: Path = task.samples
@@ -125,7 +130,7 @@ class _Learning:
                     log.flush()
                     self._flushed_at = now
 
-    def _iterate(self, number: int) -> Done:
+    def _iterate(self, number: int) -> FinetuneStepResult:
         try:
             return self._training.iterate(number)
         except RuntimeError as error:
@@ -136,11 +141,11 @@ class _Learning:
             )
             raise MemoryError(f"too little memory for this training: {spare}smaller pictures ({error})") from None
 
-    def result(self) -> TrainingResult:
+    def result(self) -> FinetuneResult:
         recent = read_losses(self._task.losses)[-_RECENT:]
         names = [name for name in recent[-1] if name != "step"]
         verdict = self._warning.verdict(self._settings.steps)
-        return TrainingResult(
+        return FinetuneResult(
             weights=self._task.weights,
             grid=self._grid,
             steps=self._settings.steps,
@@ -155,7 +160,7 @@ class _Learning:
 
     def _go_on(self) -> None:
         file = self._task.checkpoint
-        checkpoint = read_checkpoint(file, self._settings, self._pictures, self._perceptual)
+        checkpoint = read_finetune_checkpoint(file, self._settings, self._pictures, self._perceptual)
         if checkpoint.step >= self._settings.steps:
             raise FinetuningCheckpointError(f"{file}: {checkpoint.step:,} iterations are done; ask for more with steps")
         try:
@@ -166,17 +171,17 @@ class _Learning:
         self._began -= checkpoint.seconds
 
     def _save(self, step: int) -> None:
-        checkpoint = Checkpoint(step, self._seconds, self._training.state(), self._perceptual)
-        write_checkpoint(self._task.checkpoint, checkpoint, self._settings, self._pictures)
+        checkpoint = FinetuneCheckpoint(step, self._seconds, self._training.state(), self._perceptual)
+        write_finetune_checkpoint(self._task.checkpoint, checkpoint, self._settings, self._pictures)
         save_weights(self._training.model, self._task.weights)
 
     def _sample(self, number: int) -> UInt8[np.ndarray, "h w 3"]:
         grid = sample_grid(self._training, self._shown)
         self._grid = self._task.samples / f"step_{number + 1:06d}.png"
-        write_picture(self._grid, grid)
+        write_png(self._grid, grid)
         return grid
 
-    def _line(self, number: int, done: Done) -> str:
+    def _line(self, number: int, done: FinetuneStepResult) -> str:
         """Say what an iteration did; a warning once, when it comes up, in the log too."""
         verdict = self._warning.verdict(number + 1)
         if verdict.warning is not None and self._told is None:
@@ -190,12 +195,12 @@ class _Learning:
         )
         return with_warning(told, verdict.warning)
 
-    def _preview(self, done: Done) -> UInt8[np.ndarray, "h w 3"] | None:
+    def _preview(self, done: FinetuneStepResult) -> UInt8[np.ndarray, "h w 3"] | None:
         now = time.perf_counter()
-        if now - self._previewed_at < _SHOWN_EVERY_S:
+        if now - self._previewed_at < _PREVIEW_INTERVAL_S:
             return None
         self._previewed_at = now
-        return beside(done.clear, done.translated)
+        return join_horizontally(done.clear, done.translated)
 
     def _said(self, number: int, message: str, preview: UInt8[np.ndarray, "h w 3"] | None = None) -> Progress:
         share = (number + 1) / self._settings.steps
@@ -245,8 +250,8 @@ def chosen_device(name: str) -> str:
 
 
 def start_finetuning(
-    settings: FinetuningSettings, pictures: UnpairedPictures, perceptual: Perceptual | None = None
-) -> Training:
+    settings: FinetuningSettings, pictures: UnpairedImages, perceptual: Perceptual | None = None
+) -> FinetuneTrainer:
     """Build everything, from the seed where it is new.
 
     Raises:
@@ -265,20 +270,20 @@ def start_finetuning(
             "LPIPS has no weights here: its losses, most of the recipe, are OFF, and what comes out will be blurred; "
             "`gsrain doctor` says how to get them"
         )
-    order = PictureOrder(pictures, settings.seed, guided, device)
-    return Training(model, (judges[0], judges[1]), order, settings, perceptual)
+    order = PairSampler(pictures, settings.seed, guided, device)
+    return FinetuneTrainer(model, (judges[0], judges[1]), order, settings, perceptual)
 
 
-def start_warning(settings: FinetuningSettings, pictures: UnpairedPictures) -> EarlyWarning:
+def start_warning(settings: FinetuningSettings, pictures: UnpairedImages) -> CollapseMonitor:
     """Measure how far apart the two looks are, for the early warning."""
-    distance = look_distance(_small(pictures.source), _small(pictures.target))
-    return EarlyWarning(distance, settings.losses.gan, settings.warned_after)
+    distance = color_distance(_small(pictures.source), _small(pictures.target))
+    return CollapseMonitor(distance, settings.losses.gan, settings.warned_after)
 
 
 def _model(settings: FinetuningSettings, guided: bool) -> Any:
     ranks = LoraRanks(settings.lora.unet, settings.lora.vae)
     if settings.architecture == "tiny" and settings.start is None:
-        return build(tiny(), normals=guided, lora=ranks, seed=settings.seed)
+        return build_random_model(tiny(), normals=guided, lora=ranks, seed=settings.seed)
     start, base = (None if each is None else Path(each) for each in (settings.start, settings.base))
     model = open_model(start, base, normals=guided, lora=ranks)
     if model.architecture.name != settings.architecture:
@@ -294,9 +299,9 @@ def _features(settings: FinetuningSettings) -> ClipFeatures:
     return ClipFeatures.read(None if settings.clip is None else Path(settings.clip))
 
 
-def _small(pictures: tuple[Picture, ...]) -> Iterator[Float32[np.ndarray, "_ _ 3"]]:
+def _small(pictures: tuple[DatasetImage, ...]) -> Iterator[Float32[np.ndarray, "_ _ 3"]]:
     """Some of the pictures, thinned: their colours are what counts."""
-    for i in counted(pictures):
+    for i in distance_sample(pictures):
         image = pictures[i].read()[0]
         step = max(1, max(image.shape) // _DISTANCE_PX)
         yield image[::step, ::step]
@@ -309,30 +314,30 @@ Tensor = Any
 _GAP_PX = 4
 
 
-def sampled(pictures: Sequence[Picture], count: int) -> tuple[Picture, ...]:
+def choose_samples(pictures: Sequence[DatasetImage], count: int) -> tuple[DatasetImage, ...]:
     """Choose the pictures that are shown: so many, evenly spread."""
     places = np.unique(np.linspace(0, len(pictures) - 1, min(count, len(pictures))).round().astype(int))
     return tuple(pictures[int(i)] for i in places)
 
 
-def sample_grid(training: Training, pictures: tuple[Picture, ...]) -> UInt8[np.ndarray, "h w 3"]:
+def sample_grid(training: FinetuneTrainer, pictures: tuple[DatasetImage, ...]) -> UInt8[np.ndarray, "h w 3"]:
     """A row a picture: clear, made rainy, made clear again."""
     rows = [_row(training, each) for each in pictures]
     gap = np.full((_GAP_PX, rows[0].shape[1], 3), 255, np.uint8)
     return np.concatenate([part for row in rows for part in (row, gap)][:-1])
 
 
-def beside(*pictures: Tensor) -> UInt8[np.ndarray, "h w 3"]:
+def join_horizontally(*pictures: Tensor) -> UInt8[np.ndarray, "h w 3"]:
     """Put (1, 3, h, w) pictures of values -1..1 side by side."""
     shown = [_pixels(each) for each in pictures]
     gap = np.full((shown[0].shape[0], _GAP_PX, 3), 255, np.uint8)
     return np.concatenate([part for each in shown for part in (each, gap)][:-1], axis=1)
 
 
-def _row(training: Training, picture: Picture) -> UInt8[np.ndarray, "h w 3"]:
+def _row(training: FinetuneTrainer, picture: DatasetImage) -> UInt8[np.ndarray, "h w 3"]:
     clear, guide = training.order.read(picture)
     rainy = training.translated(clear, guide, "a2b")
-    return beside(clear, rainy, training.translated(rainy, guide, "b2a"))
+    return join_horizontally(clear, rainy, training.translated(rainy, guide, "b2a"))
 
 
 def _pixels(picture: Tensor) -> UInt8[np.ndarray, "h w 3"]:

@@ -7,11 +7,11 @@ from typing import Annotated, Any, Literal, get_type_hints
 import msgspec
 from msgspec import Meta, Struct
 
-from ...presets import load_values, shipped_names
-from ...safe_io.errors import converted
+from ...presets import load_values, shipped_config_names
+from ...safe_io.errors import convert_checked
 from ..cyclegan_turbo.weight_paths import data_folder, hub_snapshots
 from ..dsine_checkout import check_checkout, checkout_code
-from .dataset import PictureSettings
+from .dataset import ImageSettings
 
 Weight = Annotated[float, Meta(ge=0, le=100)]
 
@@ -59,7 +59,7 @@ class LoraSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class FinetuningSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How CycleGAN-Turbo is fine-tuned. The defaults are the paper's recipe; batches hold one picture of each look."""
 
-    pictures: Annotated[PictureSettings, Meta(title="Pictures")]
+    pictures: Annotated[ImageSettings, Meta(title="Pictures")]
     architecture: Annotated[
         Literal["sd-turbo", "tiny"],
         Meta(title="Architecture", description="tiny: the same layers, hardly any channels, to try a recipe on."),
@@ -141,7 +141,7 @@ def load_finetuning(name: str | Path, **changes: Any) -> FinetuningSettings:
         sources = {look: changed.pop(look) for look in ("clear", "rainy") if look in changed}
         values["pictures"] = pictures | sources
     try:
-        settings: FinetuningSettings = converted(values | changed, FinetuningSettings)
+        settings: FinetuningSettings = convert_checked(values | changed, FinetuningSettings)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
     check_checkout(name, settings.pictures.normals, settings.pictures.normals_checkout)
@@ -164,7 +164,7 @@ def finetuning_help(name: str) -> str:
 
 
 def finetuning_names() -> list[str]:
-    return shipped_names(_FOLDER)
+    return shipped_config_names(_FOLDER)
 
 
 def write_finetuning(file: Path, settings: FinetuningSettings) -> None:

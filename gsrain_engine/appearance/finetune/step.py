@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import Any, Literal
 
 from .discriminator import Discriminator
-from .sampler import Pair, PictureOrder
+from .sampler import PairSampler, UnpairedSample
 from .settings import FinetuningSettings, OptimizerSettings
 
 torch: Any = import_module("torch")
@@ -22,7 +22,7 @@ _GENERATOR, _DISCRIMINATORS = "generator", "discriminators"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Done:
+class FinetuneStepResult:
     """What an iteration did."""
 
     losses: dict[str, float]
@@ -38,7 +38,7 @@ Perceptual = Callable[[Tensor, Tensor], Tensor]
 """Distance of two batches (b, 3, h, w) of values -1..1 as eyes see it, a scalar; LPIPS is one."""
 
 
-class Training:
+class FinetuneTrainer:
     """What a training changes, and how: the generator's three steps of an iteration, then the discriminators' two.
 
     As in the published code the cycle, the adversarial and the identity loss each get a step of their own, with moments
@@ -50,7 +50,7 @@ class Training:
         self,
         model: Any,
         discriminators: tuple[Discriminator, Discriminator],
-        order: PictureOrder,
+        order: PairSampler,
         settings: FinetuningSettings,
         perceptual: Perceptual | None = None,
     ) -> None:
@@ -71,17 +71,17 @@ class Training:
             for part in (model.unet, model.vae, model.vae_b2a):
                 part.enable_gradient_checkpointing()
 
-    def iterate(self, number: int) -> Done:
+    def iterate(self, number: int) -> FinetuneStepResult:
         """Learn from one pair of pictures. Raises `DivergedError` where a gradient is no number any more."""
         pair, random = self.order.pair(number), self.order.generator(number)
-        held_still((self.rainy_judge, self.clear_judge), True)
+        frozen_parameters((self.rainy_judge, self.clear_judge), True)
         losses = self._learn_cycles(pair, number)
         deceived, made_rainy, made_clear = self._learn_to_deceive(pair, number, random)
         losses |= deceived | self._learn_identity(pair, number)
-        held_still((self.rainy_judge, self.clear_judge), False)
+        frozen_parameters((self.rainy_judge, self.clear_judge), False)
         losses |= self._learn_to_judge(pair, made_rainy, made_clear, number, random)
         losses["change"] = float((made_rainy - pair.clear).abs().mean()) / 2
-        return Done(losses, pair.clear, made_rainy)
+        return FinetuneStepResult(losses, pair.clear, made_rainy)
 
     def translated(self, pictures: Tensor, guides: Tensor | None, direction: Direction) -> Tensor:
         """Translate without learning."""
@@ -106,7 +106,7 @@ class Training:
         self.rainy_judge.load_state_dict(_of(arrays, f"{_DISCRIMINATORS}:rainy"))
         self.clear_judge.load_state_dict(_of(arrays, f"{_DISCRIMINATORS}:clear"))
 
-    def _learn_cycles(self, pair: Pair, number: int) -> dict[str, float]:
+    def _learn_cycles(self, pair: UnpairedSample, number: int) -> dict[str, float]:
         weights = self._settings.losses
         losses: dict[str, float] = {}
         for name, picture, guide, way in (
@@ -120,7 +120,9 @@ class Training:
         self._generator.step(number)
         return losses
 
-    def _learn_to_deceive(self, pair: Pair, number: int, random: Any) -> tuple[dict[str, float], Tensor, Tensor]:
+    def _learn_to_deceive(
+        self, pair: UnpairedSample, number: int, random: Any
+    ) -> tuple[dict[str, float], Tensor, Tensor]:
         losses: dict[str, float] = {}
         made: list[Tensor] = []
         for name, judge, picture, guide, direction in (
@@ -133,7 +135,7 @@ class Training:
         self._generator.step(number)
         return losses, made[0].detach(), made[1].detach()
 
-    def _learn_identity(self, pair: Pair, number: int) -> dict[str, float]:
+    def _learn_identity(self, pair: UnpairedSample, number: int) -> dict[str, float]:
         """A rainy picture made rainy, and a clear one made clear, stay as they are."""
         weights = self._settings.losses
         losses: dict[str, float] = {}
@@ -148,7 +150,7 @@ class Training:
         return losses
 
     def _learn_to_judge(
-        self, pair: Pair, made_rainy: Tensor, made_clear: Tensor, number: int, random: Any
+        self, pair: UnpairedSample, made_rainy: Tensor, made_clear: Tensor, number: int, random: Any
     ) -> dict[str, float]:
         losses: dict[str, float] = {}
         self._judges.begin()
@@ -350,7 +352,7 @@ class NamedOptimizer:
             }
 
 
-def held_still(modules: Iterable[Any], still: bool) -> None:
+def frozen_parameters(modules: Iterable[Any], still: bool) -> None:
     """Let gradients pass through modules without leaving any in them, or end that."""
     for module in modules:
         module.requires_grad_(not still)

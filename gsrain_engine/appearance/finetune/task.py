@@ -20,7 +20,7 @@ def warning_in(message: str) -> str | None:
     return message.partition(_WARNING)[2] or None
 
 
-class TrainingTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class FinetuneTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One order to fine-tune the transfer; it survives pickling, for a worker process."""
 
     settings: FinetuningSettings
@@ -56,13 +56,13 @@ class TrainingTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         return self.output / "samples"
 
     @property
-    def pictures_cache(self) -> Path:
+    def images_cache(self) -> Path:
         """Where estimated normals are kept."""
         return self.output / "guides"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TrainingResult:
+class FinetuneResult:
     """What a fine-tuning brought."""
 
     weights: Path

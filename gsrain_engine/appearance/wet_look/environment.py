@@ -7,26 +7,26 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from ...scene.flags import Marks, Mask
+from ...scene.flags import BitMask, SelectionFlags
 from ...scene.geometry import matrices_from_quaternions
 from ...scene.scene import Layer, Scene
 from ..base import ClearView
 from ..normals import view_rays, world_points
 from ..scene_views import PlacedCamera, scene_view
-from .ground_plane import GroundHeights, GroundPlane, fitted_plane, ground_heights
-from .masks import Ground, ground_of, smoothstep
-from .reflections import Mirrored, mirror_camera, seen_again, without_gaps
+from .ground_plane import GroundHeights, GroundPlane, fit_ground_plane, ground_heights
+from .masks import VisibleGround, find_visible_ground, smoothstep
+from .reflections import PlanarReflection, fill_reflection_holes, mirror_camera, screen_space_reflection
 
 
 @runtime_checkable
-class Surroundings(Protocol):
+class ReflectionEnvironment(Protocol):
     """What is known about the world around the views."""
 
-    def ground(self, view: ClearView) -> Ground | None:
+    def ground(self, view: ClearView) -> VisibleGround | None:
         """Find the ground in a view; None where it shows none."""
         ...
 
-    def mirrored(self, view: ClearView, ground: Ground) -> Mirrored:
+    def mirrored(self, view: ClearView, ground: VisibleGround) -> PlanarReflection:
         """Show what the ground's plane mirrors to the view's eye."""
         ...
 
@@ -39,10 +39,10 @@ MIRROR_SCALE = 0.5
 _SOLID = 0.5
 """Opacity from which a Gaussian tells where the ground is."""
 
-_FLAT, _LEAST_FLAT = 0.5, 0.02
+_FLAT, _MIN_FLAT = 0.5, 0.02
 """A Gaussian lies that is so many times as high as wide; and share of those that must lie for them alone to tell."""
 
-_MOST_POINTS = 400_000
+_MAX_SCENE_POINTS = 400_000
 
 _BAND_M = 0.3
 
@@ -56,22 +56,22 @@ _BANK_M = 0.3
 """Ground that rises so far over the mirror's plane is a bank, which the road mirrors."""
 
 
-class SceneSurroundings:
+class SceneEnvironment:
     """The surroundings of a scene's views: a mirrored camera sees what is really there, also beyond the view's edge."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._recent_ground = lru_cache(maxsize=2)(self._ground)
 
-    def ground(self, view: ClearView) -> Ground | None:
+    def ground(self, view: ClearView) -> VisibleGround | None:
         return self._recent_ground(view)
 
-    def _ground(self, view: ClearView) -> Ground | None:
+    def _ground(self, view: ClearView) -> VisibleGround | None:
         if self._start is None or self._heights is None:
             return None
-        return ground_of(view, self._heights, self._start)
+        return find_visible_ground(view, self._heights, self._start)
 
-    def mirrored(self, view: ClearView, ground: Ground) -> Mirrored:
+    def mirrored(self, view: ClearView, ground: VisibleGround) -> PlanarReflection:
         """Show what the view itself has seen where it has, and else render the scene for the mirrored camera.
 
         That is done without the ground, through which the camera would have to look. What the view has seen looks
@@ -79,13 +79,13 @@ class SceneSurroundings:
         """
         camera = mirror_camera(view.camera, ground.plane, MIRROR_SCALE)
         placed = PlacedCamera(f"{view.name} mirrored", camera, view.time_s, view.sensor)
-        beyond = without_gaps(scene_view(self._above(ground.plane), placed), ground.plane)
-        again = seen_again(view, ground, camera)
+        beyond = fill_reflection_holes(scene_view(self._above(ground.plane), placed), ground.plane)
+        again = screen_space_reflection(view, ground, camera)
         known = again.found.astype(np.float32)
-        return Mirrored(beyond, again.places, known, np.where(again.found, again.depth, beyond.depth))
+        return PlanarReflection(beyond, again.places, known, np.where(again.found, again.depth, beyond.depth))
 
     @cached_property
-    def _layers(self) -> list["_Standing"]:
+    def _layers(self) -> list["_LayerSurfaces"]:
         """What stands still and can be seen, sky apart."""
         return [_standing(self._scene, layer) for layer in self._scene.layers if layer.visible and layer.kind != "sky"]
 
@@ -94,8 +94,8 @@ class SceneSurroundings:
         """Centres of what is solid and lies flat, in the world; of all that is solid where hardly anything lies."""
         solid = np.concatenate([np.zeros((0, 3)), *(each.points[each.solid] for each in self._layers)])
         flat = np.concatenate([np.zeros((0, 3)), *(each.points[each.solid & each.flat] for each in self._layers)])
-        points = flat if len(flat) > _LEAST_FLAT * len(solid) else solid
-        return points[:: max(1, len(points) // _MOST_POINTS)]
+        points = flat if len(flat) > _MIN_FLAT * len(solid) else solid
+        return points[:: max(1, len(points) // _MAX_SCENE_POINTS)]
 
     @cached_property
     def _start(self) -> GroundPlane | None:
@@ -103,14 +103,14 @@ class SceneSurroundings:
             return None
         if self._scene.ground_m is not None:
             return GroundPlane(np.array([0.0, 0.0, 1.0]), self._scene.ground_m)
-        return fitted_plane(self._points, _BAND_M)
+        return fit_ground_plane(self._points, _BAND_M)
 
     @cached_property
     def _heights(self) -> GroundHeights | None:
         if self._start is None:
             return None
         found = ground_heights(self._points, self._start)
-        return found if len(self._way) < 2 else found.with_ruts(self._way)
+        return found if len(self._ego_path) < 2 else found.with_ruts(self._ego_path)
 
     @cached_property
     def _lying(self) -> list[Bool[np.ndarray, " n"]]:
@@ -123,7 +123,7 @@ class SceneSurroundings:
         ]
 
     @property
-    def _way(self) -> Float64[np.ndarray, "n 2"]:
+    def _ego_path(self) -> Float64[np.ndarray, "n 2"]:
         """Where the ego vehicle drives, x and y in the world."""
         ego, to_world = self._scene.ego, self._scene.scene_to_world
         places = np.zeros((0, 3)) if ego is None else ego.positions[ego.valid]
@@ -134,17 +134,17 @@ class SceneSurroundings:
         scene = self._scene
         for each, lying in zip(self._layers, self._lying, strict=True):
             over = plane.heights(each.points)
-            ground = Mask.of((over < _UPON_M) | (lying & (over < _BANK_M)))
+            ground = BitMask.of((over < _UPON_M) | (lying & (over < _BANK_M)))
             hidden = ground if each.marks.hidden is None else each.marks.hidden | ground
             scene = scene.with_member(each.key, marks=replace(each.marks, hidden=hidden))
         return scene
 
 
-class _Standing(NamedTuple):
+class _LayerSurfaces(NamedTuple):
     """What there is to know about the Gaussians of a layer."""
 
     key: str
-    marks: Marks
+    marks: SelectionFlags
     points: Float64[np.ndarray, "n 3"]
     """Centres in the world."""
     solid: Bool[np.ndarray, " n"]
@@ -152,7 +152,7 @@ class _Standing(NamedTuple):
     """Which are wide rather than high."""
 
 
-def _standing(scene: Scene, layer: Layer) -> _Standing:
+def _standing(scene: Scene, layer: Layer) -> _LayerSurfaces:
     part = scene.part(layer)
     assert part is not None  # layers are there at any time
     g, to_world = part.gaussians, part.to_world
@@ -163,14 +163,14 @@ def _standing(scene: Scene, layer: Layer) -> _Standing:
     turn = to_world[:3, :3] @ matrices_from_quaternions(g.quaternions.astype(np.float64))
     sizes = np.sum((turn * g.scales[:, None, :]) ** 2, axis=2)
     flat = sizes[:, 2] < _FLAT**2 * sizes[:, :2].max(axis=1)
-    return _Standing(layer.key, layer.marks, points, solid, flat)
+    return _LayerSurfaces(layer.key, layer.marks, points, solid, flat)
 
 
 # § Where a wet ground finds what it mirrors when there is no scene: in the view's own picture and depth.
 
 _SCALE = 0.5
 
-_LEAST_UP = 0.7
+_MIN_UP = 0.7
 
 _FARTHEST_M = 60.0
 
@@ -186,7 +186,7 @@ _FADE = 0.25
 """Angle in radians over which what stands at the picture's edge is taken to go on beyond it."""
 
 
-class PictureSurroundings:
+class ImageEnvironment:
     """The surroundings of pictures with depth: each view mirrors what it shows itself, and beyond that the sky.
 
     The ground is told by the view's own depth, so dips are left out: other views would tell them differently.
@@ -195,17 +195,17 @@ class PictureSurroundings:
     def __init__(self) -> None:
         self._recent_ground = lru_cache(maxsize=2)(_ground)
 
-    def ground(self, view: ClearView) -> Ground | None:
+    def ground(self, view: ClearView) -> VisibleGround | None:
         return self._recent_ground(view)
 
-    def mirrored(self, view: ClearView, ground: Ground) -> Mirrored:
+    def mirrored(self, view: ClearView, ground: VisibleGround) -> PlanarReflection:
         """Follow mirrored rays through the view's depth.
 
         What stands at the edge of the picture goes on for a while where rays leave it, rather than give way to the sky
         at once.
         """
         camera = mirror_camera(view.camera, ground.plane, _SCALE)
-        again = seen_again(view, ground, camera)
+        again = screen_space_reflection(view, ground, camera)
         size = (camera.height, camera.width)
         sky, nothing = np.ones(size, np.float32), np.zeros(size, np.float32)
         mean = np.broadcast_to(_mean_sky(view), (*size, 3)).copy()
@@ -220,20 +220,20 @@ class PictureSurroundings:
         again = again.with_hidden_filled()
         known = np.where(again.found, 1, lent).astype(np.float32)
         depth = np.where(again.found, again.depth, np.where(lent > 0.5, view.depth[rows, columns], 0))
-        return Mirrored(beyond, again.places, known, depth.astype(np.float32))
+        return PlanarReflection(beyond, again.places, known, depth.astype(np.float32))
 
 
-def _ground(view: ClearView) -> Ground | None:
+def _ground(view: ClearView) -> VisibleGround | None:
     if view.camera.world_to_camera[1, 2] > -_UPRIGHT:
         return None
-    level = (view.normals[..., 2] > _LEAST_UP) & (view.depth > 0) & (view.depth < _FARTHEST_M) & (view.vehicles < 0.5)
+    level = (view.normals[..., 2] > _MIN_UP) & (view.depth > 0) & (view.depth < _FARTHEST_M) & (view.vehicles < 0.5)
     points = world_points(view.depth, view.camera)[level]
     points = points[points[:, 2] < view.camera.position[2]]
     points = points[:: max(1, len(points) // _MAX_IMAGE_POINTS)]
-    start = fitted_plane(points, _IMAGE_BAND_M)
+    start = fit_ground_plane(points, _IMAGE_BAND_M)
     if start is None:
         return None
-    found = ground_of(view, ground_heights(points, start), start)
+    found = find_visible_ground(view, ground_heights(points, start), start)
     return None if found is None else found.evened()
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
 from .materials import WATER_INDEX, reflectance, unshadowed
-from .reflections import Mirrored
+from .reflections import PlanarReflection
 
 _WIDEST = 2.2
 """Facets tilted by up to so many standard deviations are looked at."""
@@ -25,7 +25,7 @@ _SPECK_PX = 5
 """Width of the median that takes single pixels away."""
 
 
-class MirroredLight(NamedTuple):
+class GlossyReflection(NamedTuple):
     """What comes to the eye from the water's surface."""
 
     color: Float32[np.ndarray, "h w 3"]
@@ -37,7 +37,7 @@ class MirroredLight(NamedTuple):
 # § A picture blurred by every power of two across and down, each by itself: what a rough mirror shows is stretched.
 
 
-class Blurred(NamedTuple):
+class Ripmap(NamedTuple):
     """Pictures of halving sizes, one after the other (a "ripmap", McReynolds et al. 1998)."""
 
     values: Float32[np.ndarray, " n"]
@@ -46,15 +46,15 @@ class Blurred(NamedTuple):
     """Where each picture begins among the values, its rows and columns."""
 
 
-def mirrored_light(
-    mirrored: Mirrored,
-    picture: Blurred,
+def glossy_reflection(
+    mirrored: PlanarReflection,
+    picture: Ripmap,
     eye: Float64[np.ndarray, "3"],
     points_m: Float64[np.ndarray, "h w 3"],
     normals: Float32[np.ndarray, "h w 3"],
     slopes: Float32[np.ndarray, "h w"],
     facets: int,
-) -> MirroredLight:
+) -> GlossyReflection:
     """Integrate what the facets of a rough water surface mirror towards the eye.
 
     Facets tilted towards and away from the eye by Gaussian slopes count by the area that the eye sees of them; each
@@ -72,7 +72,7 @@ def mirrored_light(
         facets, color, share,
     )  # fmt: skip
     mean = _without_specks(color / np.maximum(share, np.float32(1e-6))[..., None], slopes >= 0)
-    return MirroredLight(share[..., None] * mean, share)
+    return GlossyReflection(share[..., None] * mean, share)
 
 
 def _without_specks(mean: Float32[np.ndarray, "h w 3"], told: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 3"]:
@@ -186,7 +186,7 @@ def _looked_up(values, table, x, y, down_px, across_px):
 _SAMPLES_ACROSS, _DOWN = 5, 8
 
 
-def blurred(image: Float32[np.ndarray, "h w 3"]) -> Blurred:
+def build_ripmap(image: Float32[np.ndarray, "h w 3"]) -> Ripmap:
     """Halve a picture (linear light) down and across, again and again."""
     pieces, rows = list[Float32[np.ndarray, " n"]](), list[list[tuple[int, int, int]]]()
     start, tall = 0, np.ascontiguousarray(image)
@@ -199,4 +199,4 @@ def blurred(image: Float32[np.ndarray, "h w 3"]) -> Blurred:
             wide = cv2.resize(wide, (max(wide.shape[1] // 2, 1), wide.shape[0]), interpolation=cv2.INTER_AREA)
         rows.append(line)
         tall = cv2.resize(tall, (tall.shape[1], max(tall.shape[0] // 2, 1)), interpolation=cv2.INTER_AREA)
-    return Blurred(np.concatenate(pieces), np.array(rows, np.int64))
+    return Ripmap(np.concatenate(pieces), np.array(rows, np.int64))

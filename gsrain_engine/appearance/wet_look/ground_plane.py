@@ -55,7 +55,7 @@ class GroundPlane:
         return replace(camera, cy=camera.height - camera.cy, world_to_camera=pose)
 
 
-def fitted_plane(points: Float64[np.ndarray, "n 3"], tolerance_m: float) -> GroundPlane | None:
+def fit_ground_plane(points: Float64[np.ndarray, "n 3"], tolerance_m: float) -> GroundPlane | None:
     """Fit the plane that lies under a cloud of points most of which may be on other things; None where there is none.
 
     Planes through three points of the cloud, upright enough, are voted on (RANSAC, Fischler and Bolles 1981; points far
@@ -78,10 +78,10 @@ def fitted_plane(points: Float64[np.ndarray, "n 3"], tolerance_m: float) -> Grou
     heights = voters @ normals.T - offsets
     votes = np.sum(np.abs(heights) < _NEAR_PLANE_M, axis=0) - _BELOW_COUNTS * np.sum(heights < -0.3, axis=0)
     best = int(np.argmax(votes))
-    return settled(GroundPlane(normals[best], float(offsets[best])), points, tolerance_m)
+    return refine_plane(GroundPlane(normals[best], float(offsets[best])), points, tolerance_m)
 
 
-def settled(plane: GroundPlane, points: Float64[np.ndarray, "n 3"], tolerance_m: float) -> GroundPlane:
+def refine_plane(plane: GroundPlane, points: Float64[np.ndarray, "n 3"], tolerance_m: float) -> GroundPlane:
     """Fit a plane to those of the points that are near it, by reweighted least squares (Cauchy's weights)."""
     for _ in range(_ROUNDS):
         weights = 1 / (1 + (plane.heights(points) / tolerance_m) ** 2) ** 2
@@ -102,7 +102,7 @@ def settled(plane: GroundPlane, points: Float64[np.ndarray, "n 3"], tolerance_m:
 
 CELL_M = 0.25
 
-_MOST_CELLS = 1200
+_MAX_CELLS = 1200
 """On a side; cells grow where a scene is larger."""
 
 _WITHIN = (0.005, 0.995)
@@ -119,7 +119,7 @@ _MANY = 4
 _PASSES = ((8.0, 1.0, 6), (4.0, 0.5, 4), (2.0, 0.25, 3), (1.0, 0.12, 3), (0.5, 0.08, 2))
 """Smoothing in metres, band in metres, how often: from the lie of the land down to the lane."""
 
-_LEAST_BAND = 2.0
+_MIN_BAND = 2.0
 """A band is at least so many times the points' scatter about the ground."""
 
 _SCATTER_WITHIN_M = 0.5
@@ -133,7 +133,7 @@ _SMOOTH_M = 1.2
 _DIP_M = 1.2
 """A place lies in a dip by how much it is under the mean at this scale."""
 
-_MOST_DIP_M, _DIP_SHARE = 0.03, 0.12
+_MAX_DIP_M, _DIP_SHARE = 0.03, 0.12
 """Deepest dip that is believed, and the share of it that counts: what a capture tells is uncertain by as much."""
 
 _RUT_M, _RUT_WIDTH_M, _HALF_TRACK_M = 0.005, 0.25, 0.78
@@ -197,7 +197,7 @@ def ground_heights(points: Float64[np.ndarray, "n 3"], start: GroundPlane) -> Gr
     """
     low, high = np.quantile(points[:, :2], _WITHIN, axis=0)
     low, high = low - _MARGIN_M, high + _MARGIN_M
-    cell = max(CELL_M, float((high - low).max()) / _MOST_CELLS)
+    cell = max(CELL_M, float((high - low).max()) / _MAX_CELLS)
     columns, rows = (np.ceil((high - low) / cell).astype(int) + 1).tolist()
     place = np.rint((points[:, :2] - low) / cell).astype(np.int64)
     inside = ((place >= 0) & (place < [columns, rows])).all(axis=1)
@@ -208,7 +208,7 @@ def ground_heights(points: Float64[np.ndarray, "n 3"], start: GroundPlane) -> Gr
     each_counts = (1 / (1 + np.bincount(cells, minlength=rows * columns) / _MANY))[cells]
     scatter = 0.0
     for scale_m, band_m, times in _PASSES:
-        band = min(max(band_m, _LEAST_BAND * scatter), 1.0)
+        band = min(max(band_m, _MIN_BAND * scatter), 1.0)
         for _ in range(times):
             above = z - height[cells]
             weights = each_counts * np.exp(-0.5 * (above / band) ** 2) * np.where(above > 0.5 * band, _ABOVE_COUNTS, 1)
@@ -217,7 +217,7 @@ def ground_heights(points: Float64[np.ndarray, "n 3"], start: GroundPlane) -> Gr
             height = height + (moved / (weight + _ENOUGH * min(1.0, band))).ravel()
         scatter = _scatter(z - height[cells])
     fine = height.reshape(rows, columns)
-    sunk = _DIP_SHARE * np.clip(_smoothed(fine, _DIP_M / cell) - fine, -_MOST_DIP_M, _MOST_DIP_M)
+    sunk = _DIP_SHARE * np.clip(_smoothed(fine, _DIP_M / cell) - fine, -_MAX_DIP_M, _MAX_DIP_M)
     single = [each.astype(np.float32) for each in (fine, _smoothed(fine, _SMOOTH_M / cell), sunk)]
     return GroundHeights((float(low[0]), float(low[1])), cell, single[0], single[1], single[2], scatter)
 

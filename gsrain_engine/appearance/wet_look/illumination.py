@@ -11,8 +11,8 @@ from msgspec.structs import replace as replace_fields
 from ...scene.geometry import linear_to_srgb, srgb_to_linear
 from ..base import ClearView
 from ..normals import view_rays
-from .masks import Surfaces, smoothstep
-from .noise import SmoothNoise, guided
+from .masks import SurfaceShares, smoothstep
+from .noise import SmoothNoise, guided_filter
 from .settings import WetSettings
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
@@ -21,13 +21,13 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 DARKEST_EV = -10.0
 """Stops below white at which a pixel counts as black."""
 
-MOST_CONTRAST_EV = 3.0
+MAX_CONTRAST_EV = 3.0
 """Sun and clear sky together over the sky alone: seven or eight to one. What is darker is dark by itself."""
 
 _VIEWS, _STRIDE = 8, 4
 """So many views are looked at, spread evenly, and every so many-th pixel of each, both ways."""
 
-_GREY = 0.35
+_GRAY_ALBEDO = 0.35
 """Largest saturation (spread over maximum, linear) of ground that the light can be told from."""
 
 _NEAR_M, _FAR_M = 1.5, 60.0
@@ -39,7 +39,7 @@ _UNTOLD_EV = -3.0
 
 
 @dataclass(frozen=True, slots=True)
-class SceneLight:
+class IlluminationEstimate:
     """Light on level grey ground. Brightness in stops (EV) over white, linear light."""
 
     sun: float
@@ -54,14 +54,14 @@ class SceneLight:
     """Colour of both: stops of red, green and blue over their luminance."""
 
 
-def scene_light(views: Sequence[ClearView]) -> SceneLight:
+def estimate_illumination(views: Sequence[ClearView]) -> IlluminationEstimate:
     """Tell the light from at most eight views of a sequence; each is asked for once."""
     chosen = sorted({round(i) for i in np.linspace(0, len(views) - 1, min(len(views), _VIEWS))})
     samples = [_ground_samples(views[i]) for i in chosen]
     colors = np.concatenate([np.zeros((0, 3), np.float32), *(each[0] for each in samples)])
     weights = np.concatenate([np.zeros(0, np.float32), *(each[1] for each in samples)])
     if len(colors) < 100:
-        return SceneLight(0.0, _UNTOLD_EV, _UNTOLD_EV, _UNTOLD_EV, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        return IlluminationEstimate(0.0, _UNTOLD_EV, _UNTOLD_EV, _UNTOLD_EV, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     levels = np.log2(np.maximum(colors @ LUMINANCE, 2**DARKEST_EV))
     return _two_kinds(colors, levels, weights)
 
@@ -71,7 +71,7 @@ def _ground_samples(view: ClearView) -> tuple[Float[np.ndarray, "n 3"], Float[np
     every = (slice(None, None, _STRIDE), slice(None, None, _STRIDE))
     light = srgb_to_linear(view.image[every])
     depth, brightest = view.depth[every], light.max(axis=-1)
-    is_grey = light.max(axis=-1) - light.min(axis=-1) <= _GREY * np.maximum(brightest, 1e-4)
+    is_grey = light.max(axis=-1) - light.min(axis=-1) <= _GRAY_ALBEDO * np.maximum(brightest, 1e-4)
     is_free = (view.sky[every] < 0.05) & (view.vehicles[every] < 0.1)
     is_ground = (view.normals[every][..., 2] > 0.7) & (depth > _NEAR_M) & (depth < _FAR_M) & is_grey & is_free
     return light[is_ground].astype(np.float32), (depth[is_ground] ** 2).astype(np.float32)
@@ -79,7 +79,7 @@ def _ground_samples(view: ClearView) -> tuple[Float[np.ndarray, "n 3"], Float[np
 
 def _two_kinds(
     colors: Float[np.ndarray, "n 3"], levels: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]
-) -> SceneLight:
+) -> IlluminationEstimate:
     """Part brightness in two where the variance between both parts is largest (Otsu 1979)."""
     counts, edges = np.histogram(levels, _BINS, (DARKEST_EV, 0.0), weights=weights)
     share = counts / counts.sum()
@@ -92,11 +92,13 @@ def _two_kinds(
     parts = [_mean(colors, levels, weights * which) for which in (~is_sunlit, is_sunlit)]
     (dark, dark_tint), (bright, bright_tint) = parts
     rarer = min(float(below[cut]), 1 - float(below[cut]))
-    dark = max(dark, bright - MOST_CONTRAST_EV)
+    dark = max(dark, bright - MAX_CONTRAST_EV)
     sun = _ramp(0.8, 1.6, bright - dark) * _ramp(0.01, 0.04, rarer)
     _, tint = _mean(colors, levels, weights)
     dark_tint, bright_tint = (_between(tint, each, sun) for each in (dark_tint, bright_tint))
-    return SceneLight(sun, mean + sun * (dark - mean), mean + sun * (bright - mean), mean, dark_tint, bright_tint)
+    return IlluminationEstimate(
+        sun, mean + sun * (dark - mean), mean + sun * (bright - mean), mean, dark_tint, bright_tint
+    )
 
 
 def _mean(
@@ -163,16 +165,16 @@ _LOST_EV, _GRAIN_M, _CLIPPED = 0.3, 12.0, (0.88, 0.98)
 _DAYLIGHT = (0.08, 0.22)
 """Median display brightness below the sky up to which a picture is of the night, and from which it is of the day."""
 
-_PICTURE_EV, _FLATTENED_PICTURE, _PICTURE_SATURATION = -0.35, 0.2, 0.75
+_IMAGE_EV, _FLATTENED_IMAGE, _IMAGE_SATURATION = -0.35, 0.2, 0.75
 """What a picture alone gets of a cloudy day: stops, share of its contrast in stops that goes, colour that stays."""
 
-_PICTURE_WHITE_EV = (-1.2, 0.0)
+_IMAGE_WHITE_EV = (-1.2, 0.0)
 """Brightness over which contrast stays: a sky that is not sure, white before, is as bright as the cloud after."""
 
 _CONTACT_SHADE, _CONTACT_SHARE = 0.5, 0.02
 
 
-def before_cloud(view: ClearView, surface: Image, settings: WetSettings) -> Image:
+def composite_over_cloud(view: ClearView, surface: Image, settings: WetSettings) -> Image:
     """Surfaces (linear) before the overcast sky; mixed in display colour, as renderers and cameras mix edges."""
     rays = view_rays(view.camera)
     directions = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
@@ -182,9 +184,11 @@ def before_cloud(view: ClearView, surface: Image, settings: WetSettings) -> Imag
     return np.where(share > 0, srgb_to_linear(mixed), surface).astype(np.float32)
 
 
-def overcast_surfaces(view: ClearView, light: SceneLight, settings: WetSettings, surfaces: Surfaces) -> Image:
+def overcast_surfaces(
+    view: ClearView, light: IlluminationEstimate, settings: WetSettings, surfaces: SurfaceShares
+) -> Image:
     """Everything but the sky under cloud, dry; linear light."""
-    color = srgb_to_linear(without_sky(view)).astype(np.float32)
+    color = srgb_to_linear(remove_sky_color(view)).astype(np.float32)
     grey = (color @ LUMINANCE)[..., None]
     level = np.log2(np.maximum(grey[..., 0], 2**DARKEST_EV)).astype(np.float32)
     sunlit = sunlit_share(level, light, surfaces.ground)
@@ -215,7 +219,7 @@ def daylight(view: ClearView) -> float:
     return 0.0 if not lower.size else float(smoothstep(*_DAYLIGHT, np.median(lower, keepdims=True))[0])
 
 
-def overcast_picture(view: ClearView, settings: WetSettings) -> Image:
+def overcast_image(view: ClearView, settings: WetSettings) -> Image:
     """Everything but the sky under cloud, linear light, where nothing is known of the surfaces: light and colour alone.
 
     One curve for the whole picture, which keeps to the order of brightness: contrast shrinks about the picture's
@@ -223,32 +227,32 @@ def overcast_picture(view: ClearView, settings: WetSettings) -> Image:
     or a vehicle.
     """
     day = daylight(view)
-    color = srgb_to_linear(without_sky(view)).astype(np.float32)
+    color = srgb_to_linear(remove_sky_color(view)).astype(np.float32)
     grey = (color @ LUMINANCE)[..., None]
     level = np.log2(np.maximum(grey, 2**DARKEST_EV)).astype(np.float32)
     lower = level[view.sky < 0.1]
     middle = float(np.median(lower)) if lower.size else 0.0
-    flattened = settings.sun_removal * _FLATTENED_PICTURE * (1 - smoothstep(*_PICTURE_WHITE_EV, level))
-    shift = day * (_PICTURE_EV - flattened * (level - middle)) + settings.exposure_ev
+    flattened = settings.sun_removal * _FLATTENED_IMAGE * (1 - smoothstep(*_IMAGE_WHITE_EV, level))
+    shift = day * (_IMAGE_EV - flattened * (level - middle)) + settings.exposure_ev
     tint = np.exp2(settings.coolness * CLOUD_TINT_EV)
-    return np.maximum((grey + _PICTURE_SATURATION * (color - grey)) * tint * np.exp2(shift), 0).astype(np.float32)
+    return np.maximum((grey + _IMAGE_SATURATION * (color - grey)) * tint * np.exp2(shift), 0).astype(np.float32)
 
 
-def _no_brighter_than_cloud(light: Image, surfaces: Surfaces, settings: WetSettings) -> Image:
+def _no_brighter_than_cloud(light: Image, surfaces: SurfaceShares, settings: WetSettings) -> Image:
     """Bend brightness off below what cloud can give: white paper laid flat is as bright as the sky, a wall half."""
-    most = srgb_to_linear(np.array(settings.sky_brightness)) * (_WHITE_WALL + (1 - _WHITE_WALL) * surfaces.upness)
+    most = srgb_to_linear(np.array(settings.sky_brightness)) * (_WHITE_WALL + (1 - _WHITE_WALL) * surfaces.up_facing)
     over = (light @ LUMINANCE) / (_WHITE * most)
     return (light / np.sqrt(1 + over**2)[..., None]).astype(np.float32)
 
 
-def exposure_ev(light: SceneLight, settings: WetSettings) -> float:
+def exposure_ev(light: IlluminationEstimate, settings: WetSettings) -> float:
     """Stops by which the camera opens up (or down) for the ground under cloud; the scene's, not a view's."""
     middle = (light.sunlit_ev + light.shadow_ev) / 2
     level = light.level_ev + settings.sun_removal * light.sun * (middle - light.level_ev)
     return settings.exposure_ev + float(np.clip(_EXPOSURE_SHARE * (DRY_GROUND_EV - level), -_EXPOSURE_EV, _EXPOSURE_EV))
 
 
-def sunlit_share(level_ev: Plane, light: SceneLight, ground: Plane) -> Plane:
+def sunlit_share(level_ev: Plane, light: IlluminationEstimate, ground: Plane) -> Plane:
     """How sunlit each pixel is, 0 to 1, by its brightness between the scene's shadow and sun.
 
     On the ground a median takes road markings and specks along with what is around them. Walls have all sorts of
@@ -263,7 +267,7 @@ def sunlit_share(level_ev: Plane, light: SceneLight, ground: Plane) -> Plane:
     size = 2 * max(1, round(_SPECK_SHARE * width / 2)) + 1
     told = cv2.medianBlur(np.round(sharp * 255).astype(np.uint8), size).astype(np.float32) / 255
     told = wide + ground * (told - wide)
-    return np.clip(guided(told, level_ev, max(2, round(_EDGE_SHARE * width)), _EDGE_EV2), 0, 1)
+    return np.clip(guided_filter(told, level_ev, max(2, round(_EDGE_SHARE * width)), _EDGE_EV2), 0, 1)
 
 
 def _tint(tint_ev: tuple[float, float, float], settings: WetSettings) -> Float32[np.ndarray, "3"]:
@@ -272,18 +276,18 @@ def _tint(tint_ev: tuple[float, float, float], settings: WetSettings) -> Float32
     return (_TINT_SHARE * away + settings.coolness * CLOUD_TINT_EV).astype(np.float32)
 
 
-def _contact_shade(view: ClearView, surfaces: Surfaces) -> Plane:
+def _contact_shade(view: ClearView, surfaces: SurfaceShares) -> Plane:
     """Shade of the cloudy sky that vehicles keep from the ground beside them."""
     near = cv2.GaussianBlur(view.vehicles, (0, 0), max(1.0, _CONTACT_SHARE * view.camera.width))
     return (_CONTACT_SHADE * np.minimum(2 * near, 1) * surfaces.ground).astype(np.float32)
 
 
-def _clipped_ground(view: ClearView, surfaces: Surfaces) -> Plane:
+def _clipped_ground(view: ClearView, surfaces: SurfaceShares) -> Plane:
     """Where the sun left no drawing on the ground: dimmed, it would be as even as plastic."""
     return smoothstep(*_CLIPPED, view.image.min(axis=-1)) * surfaces.ground
 
 
-def _grain(surfaces: Surfaces, seed: int) -> Plane:
+def _grain(surfaces: SurfaceShares, seed: int) -> Plane:
     noise = SmoothNoise(seed + 2, 1.1)
     return noise.at(surfaces.points[..., 0] / _GRAIN_M, surfaces.points[..., 1] / _GRAIN_M)
 
@@ -308,12 +312,12 @@ _FLAT = 0.12
 _LOCAL_SHARE = 0.012
 """Size over which the clear sky's colour is averaged, as a share of the picture's width."""
 
-_LEAST_COVER = 0.05
+_MIN_COVER = 0.05
 
 _LIKE, _AMIDST = (0.04, 0.12), (0.3, 0.6)
 """Difference (display) up to which a colour is the sky's, and from which it is not; the same for sky around it."""
 
-_BESIDE, _ROUNDS, _LEAST_GROWTH = (0.01, 0.06), 10, 2e-4
+_NEAR_SKY, _ROUNDS, _MIN_GROWTH = (0.01, 0.06), 10, 2e-4
 """The same beside the sky; how often it may grow there, and the share of what is open that it must gain each time."""
 
 
@@ -328,7 +332,7 @@ def overcast_sky(directions: Float[np.ndarray, "h w 3"], settings: WetSettings) 
     return srgb_to_linear(display.astype(np.float32)).astype(np.float32)
 
 
-def with_own_sky(view: ClearView) -> ClearView:
+def extend_sky_mask(view: ClearView) -> ClearView:
     """Count as sky what has its colour and stands in its midst, or beside it at a distance that is not known.
 
     Scenes keep scraps of sky before the sky, and masks of pictures end where twigs begin. Where distances are not
@@ -340,15 +344,15 @@ def with_own_sky(view: ClearView) -> ClearView:
     for _ in range(_ROUNDS):
         behind, around = _local_sky(view.image, share)
         like = 1 - smoothstep(*_LIKE, np.abs(view.image - behind).max(axis=-1))
-        near = np.where(is_open, smoothstep(*_BESIDE, around), smoothstep(*_AMIDST, around))
+        near = np.where(is_open, smoothstep(*_NEAR_SKY, around), smoothstep(*_AMIDST, around))
         grown = np.maximum(share, like * near * rising).astype(np.float32)
         added, share = np.mean((grown - share)[is_open]) if is_open.any() else 0.0, grown
-        if added < _LEAST_GROWTH:
+        if added < _MIN_GROWTH:
             break
     return replace(view, sky=share)
 
 
-def like_own_sky(view: ClearView, settings: WetSettings, daylight: float) -> WetSettings:
+def match_sky_brightness(view: ClearView, settings: WetSettings, daylight: float) -> WetSettings:
     """Return settings whose cloud is, but for the share of daylight, no brighter than the clear sky of a picture.
 
     Where the light of a place is not known its own sky tells it: over a street at dusk no cloud is white.
@@ -361,14 +365,14 @@ def like_own_sky(view: ClearView, settings: WetSettings, daylight: float) -> Wet
     return replace_fields(settings, sky_brightness=float(np.clip(brightness, 0.3, settings.sky_brightness)))
 
 
-def without_sky(view: ClearView) -> Image:
+def remove_sky_color(view: ClearView) -> Image:
     """What stands before the sky, display colour: pixels that are partly sky are unmixed from its colour around them.
 
     Renderers and cameras alike mix edges: picture = sky share * sky + rest * surface, solved for the surface.
     """
     share = view.sky[..., None]
     behind, _ = _local_sky(view.image, view.sky)
-    rest = np.maximum(1 - share, _LEAST_COVER)
+    rest = np.maximum(1 - share, _MIN_COVER)
     return np.clip((view.image - share * behind) / rest, 0, 1).astype(np.float32)
 
 

@@ -8,7 +8,7 @@ from jaxtyping import Float, Float32, Float64
 
 from ..base import ClearView
 from ..normals import view_rays, world_points
-from .ground_plane import GroundHeights, GroundPlane, settled
+from .ground_plane import GroundHeights, GroundPlane, refine_plane
 
 Plane = Float32[np.ndarray, "h w"]
 
@@ -29,14 +29,14 @@ _UP_ELSEWHERE = 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surfaces:
+class SurfaceShares:
     """Shares of kinds, and where they lie."""
 
     points: Float32[np.ndarray, "h w 3"]
     """In the world, metres."""
     normals: Float32[np.ndarray, "h w 3"]
     """Averaged over small surroundings, unit or 0."""
-    upness: Plane
+    up_facing: Plane
     """How much a surface lies open to rain from above: 0 to 1."""
     ground: Plane
     plants: Plane
@@ -49,7 +49,7 @@ class Surfaces:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ground:
+class VisibleGround:
     """The ground as a view sees it. Where `share` is 0 the other maps mean nothing."""
 
     plane: GroundPlane
@@ -65,16 +65,16 @@ class Ground:
     sunk_m: Float32[np.ndarray, "h w"]
     """How far the place lies under what is around it."""
 
-    def of_rows(self, rows: slice) -> "Ground":
+    def of_rows(self, rows: slice) -> "VisibleGround":
         maps = {name: getattr(self, name)[rows] for name in ("share", "above_m", "points_m", "normals", "sunk_m")}
         return replace(self, **maps)
 
-    def evened(self) -> "Ground":
+    def evened(self) -> "VisibleGround":
         """Return the same without what is known about dips and ruts."""
         return replace(self, sunk_m=np.zeros_like(self.sunk_m))
 
 
-def surfaces_of(view: ClearView, ground: Ground | None = None) -> Surfaces:
+def surfaces_of(view: ClearView, ground: VisibleGround | None = None) -> SurfaceShares:
     """Tell kinds of surface from colour, up-ness, and height above the ground if that is known."""
     points = world_points(view.depth, view.camera).astype(np.float32)
     normals, sure = _smoothed(view.normals, max(1.0, _SMOOTH_SHARE * view.camera.width))
@@ -82,8 +82,8 @@ def surfaces_of(view: ClearView, ground: Ground | None = None) -> Surfaces:
     level = upness if ground is None else _near_ground(view, ground)
     upness = np.maximum(upness if ground is None else _UP_ELSEWHERE * upness, level)
     vehicles = view.vehicles * (1 - level)
-    plants = _with_gaps(plant_share(view.image), level) * (1 - vehicles)
-    return Surfaces(points, normals, upness, level, plants, vehicles)
+    plants = _with_gaps(vegetation_mask(view.image), level) * (1 - vehicles)
+    return SurfaceShares(points, normals, upness, level, plants, vehicles)
 
 
 def _with_gaps(plants: Plane, level: Plane) -> Plane:
@@ -92,7 +92,7 @@ def _with_gaps(plants: Plane, level: Plane) -> Plane:
     return np.maximum(plants, smoothstep(*_AMONG, among) * (1 - level))
 
 
-def _near_ground(view: ClearView, ground: Ground) -> Plane:
+def _near_ground(view: ClearView, ground: VisibleGround) -> Plane:
     """How surely each pixel lies on the ground by its height alone: normals of real scenes are rough."""
     slack = _NEAR_GROUND_M + _DEPTH_NOISE * view.depth
     return (1 - smoothstep(0.5, 1.5, np.abs(ground.above_m) / slack)) * (view.depth > 0)
@@ -110,7 +110,7 @@ def _smoothed(normals: Float32[np.ndarray, "h w 3"], sigma_px: float) -> tuple[F
 # § Leaves and grass, told by their colour.
 
 
-def plant_share(image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
+def vegetation_mask(image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
     """How much a display colour looks like leaves and grass: greener than blue and than a warm grey."""
     red, green, blue = (image[..., i] for i in range(3))
     brightest = np.maximum(image.max(axis=-1), 1e-3)
@@ -129,7 +129,7 @@ def smoothstep(low: float, high: float, x: Float[np.ndarray, "*n"]) -> Float32[n
 _NEAR_M, _NOISE_SHARE = 0.12, 0.006
 """How far off the ground a pixel's depth may put it: at once, and a metre of distance (depth is less sure there)."""
 
-_LEAST_UP = (0.35, 0.6)
+_MIN_UP = (0.35, 0.6)
 """Up-ness of the surface below which a pixel is no ground, and from which it is."""
 
 _SCATTER = 1.5
@@ -144,7 +144,7 @@ _SMOOTH_GROUND_SHARE = 0.008
 _GRASSY = (0.05, 0.4)
 """Share of leaves around a place on the ground from which it mirrors less, and from which nothing."""
 
-_LEAST_PIXELS = 64
+_MIN_PIXELS = 64
 
 _STEPS = 3
 
@@ -152,30 +152,30 @@ _FARTHEST = 0.35
 """Part of its depth by which a pixel's place may be moved to lie on the smooth ground."""
 
 
-def ground_of(view: ClearView, heights: GroundHeights, start: GroundPlane) -> Ground | None:
+def find_visible_ground(view: ClearView, heights: GroundHeights, start: GroundPlane) -> VisibleGround | None:
     """Find the ground in a view, given the height map; None where the view shows hardly any."""
     points = world_points(view.depth, view.camera)
     rays, normals = view_rays(view.camera), heights.normals(points)
     above = points[..., 2] - heights.sampled(heights.fine_m, points)
     near = _NEAR_M + _SCATTER * heights.scatter_m + _NOISE_SHARE * view.depth
-    low, high = (each - _ROUGH_UP * heights.scatter_m for each in _LEAST_UP)
+    low, high = (each - _ROUGH_UP * heights.scatter_m for each in _MIN_UP)
     level = 1 - smoothstep(0.5, 1.5, np.abs(above) / near)
     sigma = max(1.0, _SMOOTH_GROUND_SHARE * view.camera.width)
     up = cv2.GaussianBlur(np.sum(view.normals * normals, axis=-1), (0, 0), sigma)
-    plants = smoothstep(*_GRASSY, cv2.GaussianBlur(plant_share(view.image), (0, 0), sigma))
+    plants = smoothstep(*_GRASSY, cv2.GaussianBlur(vegetation_mask(view.image), (0, 0), sigma))
     share = level * smoothstep(low, high, up) * (1 - plants) * (view.depth > 0) * (1 - view.sky)
     share *= 1 - view.vehicles * (1 - level)  # scenes count the shadows under vehicles to them
     share *= np.sum(rays * normals, axis=-1) < 0
     seen = share > 0.5
-    if np.count_nonzero(seen) < _LEAST_PIXELS:
+    if np.count_nonzero(seen) < _MIN_PIXELS:
         return None
     on_ground, sure = _upon(heights, points, rays, view.depth)
     share *= sure
     share = cv2.blur(cv2.medianBlur(share.astype(np.float32), 5), (3, 3)) * (view.depth > 0)
     few = on_ground[seen][:: max(1, np.count_nonzero(seen) // 20000)]
-    plane = settled(start, few, float(near[seen].mean()))
+    plane = refine_plane(start, few, float(near[seen].mean()))
     sunk_m = heights.sampled(heights.sunk_m, on_ground)
-    return Ground(plane, share, above.astype(np.float32), on_ground, heights.normals(on_ground), sunk_m)
+    return VisibleGround(plane, share, above.astype(np.float32), on_ground, heights.normals(on_ground), sunk_m)
 
 
 def _upon(

@@ -11,8 +11,8 @@ from jaxtyping import Float, Float32
 from ...scene.geometry import srgb_to_linear
 from ..base import ClearView
 from .illumination import LUMINANCE, overcast_sky
-from .masks import Surfaces, smoothstep
-from .noise import SmoothNoise, guided
+from .masks import SurfaceShares, smoothstep
+from .noise import SmoothNoise, guided_filter
 from .settings import WetSettings
 
 Image = Float32[np.ndarray, "h w 3"]
@@ -47,31 +47,31 @@ def wet_albedo(albedo: Image) -> Image:
     return (1 - WATER_REFLECTANCE) * (1 - INTERNAL_REFLECTION) * albedo / (1 - INTERNAL_REFLECTION * albedo)
 
 
-def wetted(surface: Image, surfaces: Surfaces, settings: WetSettings) -> Image:
+def wet_surfaces_color(surface: Image, surfaces: SurfaceShares, settings: WetSettings) -> Image:
     """Wet the surfaces of a view, linear light in and out."""
     albedo = np.clip(WHITE * surface, 0, 0.95)
     wet = wet_albedo(albedo) / WHITE
-    share = settings.darkening * soaking(surfaces, settings)[..., None]
+    share = settings.darkening * porosity_wetness(surfaces, settings)[..., None]
     soaked = surface + share * (np.minimum(wet, surface) - surface)
     grey = (soaked @ LUMINANCE)[..., None]
     greener = (settings.darkening * PLANT_SATURATION * surfaces.plants)[..., None]
     return np.maximum(soaked + greener * (soaked - grey), 0).astype(np.float32)
 
 
-def soaking(surfaces: Surfaces, settings: WetSettings) -> Plane:
+def porosity_wetness(surfaces: SurfaceShares, settings: WetSettings) -> Plane:
     """How soaked each pixel is, 0 to 1: what lies open most, walls in streaks from above, vehicles not at all."""
     walls = SOAKING_OF_WALLS * (1 + settings.streaks * _streaks(surfaces, settings.seed))
-    open_to_rain = walls + (SOAKING_OF_GROUND - walls) * surfaces.upness
+    open_to_rain = walls + (SOAKING_OF_GROUND - walls) * surfaces.up_facing
     porous = open_to_rain + surfaces.plants * (SOAKING_OF_PLANTS - open_to_rain)
     return np.clip(porous + surfaces.vehicles * (SOAKING_OF_VEHICLES - porous), 0, 1).astype(np.float32)
 
 
-def _streaks(surfaces: Surfaces, seed: int) -> Plane:
+def _streaks(surfaces: SurfaceShares, seed: int) -> Plane:
     """Where water runs down: noise that is fine along a wall and long downwards, -1 to 1."""
     x, y, z = (surfaces.points[..., i] for i in range(3))
     along = (0.8 * x + 0.6 * y) / _STREAK_WIDTH_M + 0.618 * (0.8 * y - 0.6 * x) / _STREAK_WIDTH_M
     noise = SmoothNoise(seed + 1, 0.9).at(along, z / _STREAK_HEIGHT_M)
-    return (2 * smoothstep(-1.0, 1.6, noise) - 1) * (1 - surfaces.upness)
+    return (2 * smoothstep(-1.0, 1.6, noise) - 1) * (1 - surfaces.up_facing)
 
 
 # § Wet paint: what vehicles mirror of the overcast sky.
@@ -80,8 +80,8 @@ _OF_GROUND = 0.12
 """Brightness of what a vehicle mirrors below the horizon, over the sky's: a wet road."""
 
 
-def with_gloss(
-    surface: Image, surfaces: Surfaces, directions: Float[np.ndarray, "h w 3"], settings: WetSettings
+def add_clear_coat(
+    surface: Image, surfaces: SurfaceShares, directions: Float[np.ndarray, "h w 3"], settings: WetSettings
 ) -> Image:
     """Add what water on vehicles mirrors, by Schlick's (1994) form of Fresnel's law. Linear light in and out.
 
@@ -150,7 +150,7 @@ BRIGHTENING = 2.0
 """Of lamps over their clear look: the camera opens up under cloud, lamps don't dim."""
 
 
-def lamp_share(view: ClearView, surfaces: Surfaces, tail_lamps: bool = True) -> Plane:
+def emissive_share(view: ClearView, surfaces: SurfaceShares, tail_lamps: bool = True) -> Plane:
     """How surely each pixel is a light of its own, 0 to 1: bright, colourful, small, neither sky nor ground.
 
     With `tail_lamps` also what is red on a vehicle and redder than what is around it.
@@ -171,7 +171,7 @@ def lamp_share(view: ClearView, surfaces: Surfaces, tail_lamps: bool = True) -> 
     return (own * (1 - view.sky) * (1 - surfaces.ground)).astype(np.float32)
 
 
-def with_lamps(surface: Image, view: ClearView, share: Plane, glow: float) -> Image:
+def add_emissive_lights(surface: Image, view: ClearView, share: Plane, glow: float) -> Image:
     """Put lamps back at their own brightness, and light around them. Linear light in and out."""
     if not share.any():
         return surface
@@ -193,7 +193,7 @@ _ENCLOSED = 0.5
 """Share of known distances around a gap from which it is filled: what lies beyond them may be near or far."""
 
 
-def in_mist(surface: Image, view: ClearView, rays: Float[np.ndarray, "h w 3"], settings: WetSettings) -> Image:
+def apply_fog(surface: Image, view: ClearView, rays: Float[np.ndarray, "h w 3"], settings: WetSettings) -> Image:
     """Fade by exp(-extinction * distance) (Koschmieder 1924), linear light in and out; the sky stays as it is.
 
     `rays` are world directions a metre of view depth long.
@@ -216,4 +216,4 @@ def _even(through: Plane, view: ClearView) -> Plane:
     mean = cv2.GaussianBlur(known * through, (0, 0), sigma) / np.maximum(around, 1e-6)
     filled = np.where(known > 0, through, np.where((around > _ENCLOSED) & (view.sky < 1), mean, 1)).astype(np.float32)
     guide = np.ascontiguousarray(view.image.mean(axis=-1))
-    return np.clip(guided(filled, guide, max(1, round(_EDGE_SHARE * width)), _EDGE2), 0, 1)
+    return np.clip(guided_filter(filled, guide, max(1, round(_EDGE_SHARE * width)), _EDGE2), 0, 1)

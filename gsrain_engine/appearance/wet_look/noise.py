@@ -39,7 +39,9 @@ _BLENDED = 0.85
 """Standard deviation that cubic blending leaves of independent random heights."""
 
 
-def bumps(points_m: Float[np.ndarray, "h w 3"], size_m: float, turn: float, seed: int) -> Float32[np.ndarray, "h w"]:
+def lattice_noise_at(
+    points_m: Float[np.ndarray, "h w 3"], size_m: float, turn: float, seed: int
+) -> Float32[np.ndarray, "h w"]:
     """Smooth noise of mean 0 and variance 1 on a turned lattice of the given pitch."""
     c, s = np.cos(turn) / size_m, np.sin(turn) / size_m
     x, y = points_m[..., 0], points_m[..., 1]
@@ -60,11 +62,11 @@ def _bump_texture(seed: int) -> Float32[np.ndarray, "n n"]:
 
 _SIZES_M = (0.45, 0.17, 0.07)
 
-_SEEN = 0.5
+_VISIBLE_SHARE = 0.5
 """Part of a bump's size up to which a pixel's length shows it."""
 
 
-def unevenness(
+def water_slopes(
     points_m: Float64[np.ndarray, "h w 3"], footprint_m: Float32[np.ndarray, "h w"], seed: int
 ) -> Float32[np.ndarray, "h w 2"]:
     """Slopes along the world's x and y at places, at random, with a standard deviation of 1.
@@ -73,13 +75,17 @@ def unevenness(
     """
     slopes = np.zeros((*footprint_m.shape, 2), np.float32)
     for k, size in enumerate(_SIZES_M):
-        share = np.float32(len(_SIZES_M) ** -0.5) / (1 + np.square(np.minimum(footprint_m / (_SEEN * size), 1e3)))
+        share = np.float32(len(_SIZES_M) ** -0.5) / (
+            1 + np.square(np.minimum(footprint_m / (_VISIBLE_SHARE * size), 1e3))
+        )
         for axis in range(2):
-            slopes[..., axis] += share * bumps(points_m, size, 1.3 * k + axis, 977 * (seed + 1) + 2 * k + axis)
+            slopes[..., axis] += share * lattice_noise_at(
+                points_m, size, 1.3 * k + axis, 977 * (seed + 1) + 2 * k + axis
+            )
     return slopes
 
 
-def tilted(
+def tilt_normals(
     normals: Float32[np.ndarray, "h w 3"], slopes: Float32[np.ndarray, "h w 2"], by: float
 ) -> Float32[np.ndarray, "h w 3"]:
     """Tilt upward unit normals by slopes times a number."""
@@ -92,7 +98,7 @@ def tilted(
 Plane = Float32[np.ndarray, "h w"]
 
 
-def guided(values: Plane, guide: Plane, radius: int, variance: float) -> Plane:
+def guided_filter(values: Plane, guide: Plane, radius: int, variance: float) -> Plane:
     """Return `values` as a local linear function of `guide` (He, Sun and Tang 2013).
 
     Args:

@@ -13,9 +13,9 @@ from ...scene.camera import Camera
 from ..base import ClearView
 from ..normals import view_rays
 from .ground_plane import GroundPlane
-from .masks import Ground
+from .masks import VisibleGround
 
-_BELOW_HORIZON, _BESIDE = 0.02, 0.08
+_BELOW_HORIZON, _MARGIN_SHARES = 0.02, 0.08
 """Parts of the picture's height and width that the mirror's picture shows more: rough water looks past its edges."""
 
 _ABOVE = 0.35
@@ -23,7 +23,7 @@ _ABOVE = 0.35
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Mirrored:
+class PlanarReflection:
     """The picture in the mirror, by the camera below the ground, upright: from the view where the view shows it too."""
 
     beyond: ClearView
@@ -66,7 +66,7 @@ def mirror_camera(camera: Camera, plane: GroundPlane, scale: float) -> Camera:
     height = bottom - top
     low = min(horizon + _BELOW_HORIZON * height, bottom + _BELOW_HORIZON * height)
     high = top - _ABOVE
-    wide = _BESIDE * (right - left)
+    wide = _MARGIN_SHARES * (right - left)
     fx, fy = turned.fx * scale, turned.fy * scale
     width, rows = round((right - left + 2 * wide) * fx), max(round((low - high) * fy), 8)
     return replace(turned, width=width, height=rows, fx=fx, fy=fy, cx=-(left - wide) * fx, cy=-high * fy)
@@ -85,7 +85,7 @@ _THICK_M, _THICK_SHARE = 0.2, 0.03
 """How thick a surface is taken to be: a ray that is farther behind it is hidden, and met nothing that is seen."""
 
 
-class SeenAgain(NamedTuple):
+class SsrHits(NamedTuple):
     """For each pixel of the mirror's picture, where the view shows the same thing."""
 
     places: Float32[np.ndarray, "h w 2"]
@@ -96,7 +96,7 @@ class SeenAgain(NamedTuple):
     left: Bool[np.ndarray, "h w"]
     """Where the ray left the picture in front of all that it shows."""
 
-    def with_hidden_filled(self) -> "SeenAgain":
+    def with_hidden_filled(self) -> "SsrHits":
         """Let what is neither seen nor beyond the edge look like the nearest thing in the mirror that is seen."""
         hidden = ~self.found & ~self.left
         if not self.found.any():
@@ -105,10 +105,10 @@ class SeenAgain(NamedTuple):
         rows, columns = nearest
         places = np.where(hidden[..., None], self.places[rows, columns], self.places)
         depth = np.where(hidden, self.depth[rows, columns], self.depth)
-        return SeenAgain(places, depth, self.found | hidden, self.left)
+        return SsrHits(places, depth, self.found | hidden, self.left)
 
 
-def seen_again(view: ClearView, ground: Ground, mirror: Camera) -> SeenAgain:
+def screen_space_reflection(view: ClearView, ground: VisibleGround, mirror: Camera) -> SsrHits:
     """Follow the rays of the mirror's picture, each from where it leaves the ground, through the view's depth."""
     size = (mirror.height, mirror.width)
     places, depth = np.zeros((*size, 2), np.float32), np.zeros(size, np.float32)
@@ -119,7 +119,7 @@ def seen_again(view: ClearView, ground: Ground, mirror: Camera) -> SeenAgain:
         solid, is_sky, view.camera.world_to_camera, _intrinsics(view.camera), mirror.camera_to_world,
         _intrinsics(mirror), ground.plane.normal, ground.plane.offset_m, places, depth, found, left,
     )  # fmt: skip
-    return SeenAgain(places, depth, found, left)
+    return SsrHits(places, depth, found, left)
 
 
 def _intrinsics(camera: Camera) -> tuple[float, float, float, float]:
@@ -201,7 +201,7 @@ _LOW = 0.06
 """Rise of rays (3.4 degrees) up to which something of the world is always in the way."""
 
 
-def without_gaps(view: ClearView, plane: GroundPlane) -> ClearView:
+def fill_reflection_holes(view: ClearView, plane: GroundPlane) -> ClearView:
     """Let what stands over a gap near the horizon reach down to it, under cars or where the captured world ends.
 
     Where there is nothing at all there is sky.

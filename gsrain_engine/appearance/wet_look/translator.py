@@ -8,21 +8,21 @@ from jaxtyping import Float32
 from ...scene.geometry import linear_to_srgb, srgb_to_linear
 from ..base import ClearView, RainyView
 from ..normals import view_rays
-from .environment import Surroundings
+from .environment import ReflectionEnvironment
 from .illumination import (
-    SceneLight,
-    before_cloud,
+    IlluminationEstimate,
+    composite_over_cloud,
     daylight,
-    like_own_sky,
-    overcast_picture,
+    estimate_illumination,
+    extend_sky_mask,
+    match_sky_brightness,
+    overcast_image,
     overcast_surfaces,
-    scene_light,
-    with_own_sky,
 )
-from .masks import Ground, surfaces_of
-from .materials import in_mist, lamp_share, wetted, with_gloss, with_lamps
+from .masks import VisibleGround, surfaces_of
+from .materials import add_clear_coat, add_emissive_lights, apply_fog, emissive_share, wet_surfaces_color
 from .settings import WetSettings
-from .water import water_on
+from .water import water_layer_of
 
 Image = Float32[np.ndarray, "h w 3"]
 
@@ -33,16 +33,18 @@ LIGHT_AND_SKY = "only light, colors and the sky where it is sure: their depth is
 class WetTransfer:
     """Overcast light, wet materials, water, lamps and mist; the same view by view, since all is told by the scene."""
 
-    def __init__(self, settings: WetSettings, surroundings: Surroundings, light: SceneLight | None = None) -> None:
+    def __init__(
+        self, settings: WetSettings, surroundings: ReflectionEnvironment, light: IlluminationEstimate | None = None
+    ) -> None:
         self._settings, self._surroundings, self._light = settings, surroundings, light
 
     @property
     def name(self) -> str:
         return "wet"
 
-    def light_of(self, views: Sequence[ClearView]) -> SceneLight:
+    def light_of(self, views: Sequence[ClearView]) -> IlluminationEstimate:
         """The light that views were seen in: what was given, or what they tell."""
-        return scene_light(views) if self._light is None else self._light
+        return estimate_illumination(views) if self._light is None else self._light
 
     def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
         """Make views rainy in their order. The light is told from some of them first, unless it was given."""
@@ -50,46 +52,50 @@ class WetTransfer:
         for i in range(len(views)):
             yield self._rainy(views[i], light)
 
-    def _rainy(self, view: ClearView, light: SceneLight) -> RainyView:
+    def _rainy(self, view: ClearView, light: IlluminationEstimate) -> RainyView:
         settings = self._settings
         if settings.wetness == 0:
             return RainyView(view, view.image, np.zeros_like(view.sky))
 
         if not view.has_surfaces:
-            dull = np.clip(linear_to_srgb(rainy_picture(view, settings)), 0, 1).astype(np.float32)
+            dull = np.clip(linear_to_srgb(rainy_image(view, settings)), 0, 1).astype(np.float32)
             return RainyView(view, dull, np.zeros_like(view.sky), LIGHT_AND_SKY)
 
         def look(each: ClearView) -> Image:
             return rainy_light(each, light, settings, self._surroundings.ground(each))
 
         shown, film = look(view), np.zeros_like(view.sky)
-        water = water_on(view, shown, self._surroundings, look, settings.wetness, settings.seed)
+        water = water_layer_of(view, shown, self._surroundings, look, settings.wetness, settings.seed)
         if water is not None:
             left = ((1 - water.share) * water.through)[..., None]
             shown, film = left * shown + water.color, water.share
         return RainyView(view, np.clip(linear_to_srgb(shown), 0, 1).astype(np.float32), film)
 
 
-def rainy_picture(view: ClearView, settings: WetSettings) -> Image:
+def rainy_image(view: ClearView, settings: WetSettings) -> Image:
     """Return a view of which no surfaces are known on a rainy day, linear light: its light, its colours and its sky.
 
     Nothing is wet in it: a film or a puddle might lie on a vehicle or on a person.
     """
     clear = srgb_to_linear(view.image).astype(np.float32)
-    view = with_own_sky(view)
-    rainy = before_cloud(view, overcast_picture(view, settings), like_own_sky(view, settings, daylight(view)))
+    view = extend_sky_mask(view)
+    rainy = composite_over_cloud(
+        view, overcast_image(view, settings), match_sky_brightness(view, settings, daylight(view))
+    )
     return ((1 - settings.wetness) * clear + settings.wetness * rainy).astype(np.float32)
 
 
-def rainy_light(view: ClearView, light: SceneLight, settings: WetSettings, ground: Ground | None) -> Image:
+def rainy_light(
+    view: ClearView, light: IlluminationEstimate, settings: WetSettings, ground: VisibleGround | None
+) -> Image:
     """Return the view on a rainy day but for the water on the ground, linear light."""
     clear = srgb_to_linear(view.image).astype(np.float32)
-    view = with_own_sky(view)
+    view = extend_sky_mask(view)
     rays = view_rays(view.camera)
     directions = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
     surfaces = surfaces_of(view, ground)
-    surface = wetted(overcast_surfaces(view, light, settings, surfaces), surfaces, settings)
-    surface = with_gloss(surface, surfaces, directions, settings)
-    surface = with_lamps(surface, view, lamp_share(view, surfaces, settings.tail_lamps), settings.lamps)
-    rainy = before_cloud(view, in_mist(surface, view, rays, settings), settings)
+    surface = wet_surfaces_color(overcast_surfaces(view, light, settings, surfaces), surfaces, settings)
+    surface = add_clear_coat(surface, surfaces, directions, settings)
+    surface = add_emissive_lights(surface, view, emissive_share(view, surfaces, settings.tail_lamps), settings.lamps)
+    rainy = composite_over_cloud(view, apply_fog(surface, view, rays, settings), settings)
     return ((1 - settings.wetness) * clear + settings.wetness * rainy).astype(np.float32)

@@ -9,13 +9,13 @@ from scipy.special import ndtri
 
 from ...scene.camera import Camera
 from ..base import ClearView
-from .environment import Surroundings
-from .glossy import Blurred, MirroredLight, blurred, mirrored_light
-from .masks import Ground, smoothstep
-from .noise import bumps, tilted, unevenness
-from .reflections import Mirrored
+from .environment import ReflectionEnvironment
+from .glossy import GlossyReflection, Ripmap, build_ripmap, glossy_reflection
+from .masks import VisibleGround, smoothstep
+from .noise import lattice_noise_at, tilt_normals, water_slopes
+from .reflections import PlanarReflection
 
-Look = Callable[[ClearView], Float32[np.ndarray, "h w 3"]]
+WaterAppearance = Callable[[ClearView], Float32[np.ndarray, "h w 3"]]
 
 _FILM_SLOPE, _FILM_SMOOTHING = 0.09, 0.6
 """Standard deviation of slope of a thin film over asphalt, and by how much of that a thicker one is smoother."""
@@ -31,7 +31,7 @@ _FILM_COVER = (0.7, 1.0)
 
 _FACETS, _PUDDLE_FACETS = 11, 5
 
-_LEAST_SHARE = 0.01
+_MIN_SHARE = 0.01
 
 _UNDER_WATER = 0.72
 """Part of a soaked road's light that gets out through standing water: what is mirrored back into it is absorbed."""
@@ -40,7 +40,7 @@ _UNDER_RIM = 0.88
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Water:
+class WaterLayer:
     """What water does to a picture: (1 - share) * through * surface + color. Linear light."""
 
     color: Float32[np.ndarray, "h w 3"]
@@ -51,14 +51,14 @@ class Water:
     """Part of the light of the ground itself that comes through the water, 0..1; 1 where there is none."""
 
 
-def water_on(
+def water_layer_of(
     view: ClearView,
     surface: Float32[np.ndarray, "h w 3"],
-    surroundings: Surroundings,
-    look: Look,
+    surroundings: ReflectionEnvironment,
+    look: WaterAppearance,
     wetness: float,
     seed: int,
-) -> Water | None:
+) -> WaterLayer | None:
     """Work out the water on the ground of a view; None where there is none.
 
     Args:
@@ -72,29 +72,31 @@ def water_on(
     ground = surroundings.ground(view) if wetness > 0 else None
     if ground is None:
         return None
-    wet_rows = np.flatnonzero((ground.share > _LEAST_SHARE).any(axis=1))
+    wet_rows = np.flatnonzero((ground.share > _MIN_SHARE).any(axis=1))
     if not len(wet_rows):
         return None
     mirrored = surroundings.mirrored(view, ground)
-    picture = blurred(mirrored.picture(surface, look(mirrored.beyond)))
+    picture = build_ripmap(mirrored.picture(surface, look(mirrored.beyond)))
     rows = slice(int(wet_rows[0]), int(wet_rows[-1]) + 1)
     part = _water(ground.of_rows(rows), view.camera, mirrored, picture, wetness, seed)
     size = view.depth.shape
-    whole = Water(np.zeros((*size, 3), np.float32), np.zeros(size, np.float32), np.ones(size, np.float32))
+    whole = WaterLayer(np.zeros((*size, 3), np.float32), np.zeros(size, np.float32), np.ones(size, np.float32))
     whole.color[rows], whole.share[rows], whole.through[rows] = part.color, part.share, part.through
     return whole
 
 
-def _water(ground: Ground, camera: Camera, mirrored: Mirrored, picture: Blurred, wetness: float, seed: int) -> Water:
+def _water(
+    ground: VisibleGround, camera: Camera, mirrored: PlanarReflection, picture: Ripmap, wetness: float, seed: int
+) -> WaterLayer:
     footprint = _footprint(ground, camera)
     standing = standing_water(ground.points_m, footprint, ground.sunk_m, wetness, seed)
-    puddle, is_ground = standing.puddle * ground.share, ground.share > _LEAST_SHARE
+    puddle, is_ground = standing.puddle * ground.share, ground.share > _MIN_SHARE
     thick = np.clip(0.6 * standing.patches + 0.5 * standing.rim, 0, 1)
-    slopes = unevenness(ground.points_m, footprint, seed)
+    slopes = water_slopes(ground.points_m, footprint, seed)
 
-    def light(tilt: float, roughness: Float32[np.ndarray, "h w"], facets: int) -> MirroredLight:
-        normals = tilted(ground.normals, slopes, tilt)
-        return mirrored_light(mirrored, picture, camera.position, ground.points_m, normals, roughness, facets)
+    def light(tilt: float, roughness: Float32[np.ndarray, "h w"], facets: int) -> GlossyReflection:
+        normals = tilt_normals(ground.normals, slopes, tilt)
+        return glossy_reflection(mirrored, picture, camera.position, ground.points_m, normals, roughness, facets)
 
     roughness = _FILM_SLOPE * (1 - _FILM_SMOOTHING * wetness * thick)
     film = light(_TEXTURE_TILT, _where(is_ground & (puddle < 0.995), roughness), _FACETS)
@@ -106,7 +108,7 @@ def _water(ground: Ground, camera: Camera, mirrored: Mirrored, picture: Blurred,
     share = film_part * film.share + pool_part * pool.share
     damp = wetness * (standing.rim * ground.share - puddle).clip(0)
     through = 1 - (1 - _UNDER_WATER) * pool_part - (1 - _UNDER_RIM) * damp
-    return Water(color.astype(np.float32), share.astype(np.float32), through.astype(np.float32))
+    return WaterLayer(color.astype(np.float32), share.astype(np.float32), through.astype(np.float32))
 
 
 def _where(
@@ -116,7 +118,7 @@ def _where(
     return np.where(chosen, roughness, -1).astype(np.float32)
 
 
-def _footprint(ground: Ground, camera: Camera) -> Float32[np.ndarray, "h w"]:
+def _footprint(ground: VisibleGround, camera: Camera) -> Float32[np.ndarray, "h w"]:
     """Length in metres of the ground in each pixel, along the line of sight."""
     away = camera.position - ground.points_m
     distance = np.linalg.norm(away, axis=-1)
@@ -180,7 +182,7 @@ def standing_water(
     total = float(np.sum([height**2 for _, height in _OCTAVES]))
     for k, (size, height) in enumerate(_OCTAVES):
         share = 1 / (1 + np.square(np.square(np.minimum(footprint_m / (0.6 * size), 1e3))))
-        height_there = share * bumps(points_m, size, k * _TURN, seed * 31 + k)
+        height_there = share * lattice_noise_at(points_m, size, k * _TURN, seed * 31 + k)
         low += np.float32(height / np.sqrt(total)) * height_there
         hidden += np.float32(height**2 / total) * (1 - share**2)
         patches += np.float32(_PATCHES[k]) * height_there

@@ -33,7 +33,7 @@ def read_floats(file: Path) -> Float32[np.ndarray, "..."]:
 
 # § Reads one array of a NumPy archive (.npz); what is wrong with it is said with its name.
 
-_MOST_BYTES = 1 << 29
+_MAX_ARCHIVE_BYTES = 1 << 29
 
 
 def read_npz(file: Path, key: str) -> np.ndarray[Any, np.dtype[Any]]:
@@ -58,8 +58,8 @@ def read_npz(file: Path, key: str) -> np.ndarray[Any, np.dtype[Any]]:
 
 
 def _array(file: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray[Any, np.dtype[Any]]:
-    if member.file_size > _MOST_BYTES:
-        raise CaptureError(f"{file}: the array {member.filename!r} is larger than {_MOST_BYTES >> 20} MB")
+    if member.file_size > _MAX_ARCHIVE_BYTES:
+        raise CaptureError(f"{file}: the array {member.filename!r} is larger than {_MAX_ARCHIVE_BYTES >> 20} MB")
     check_expansion(file, member.file_size, file.stat().st_size)
     return read_member(archive, member)
 

@@ -56,11 +56,11 @@ _BEHIND = "white"
 _EXIF_ORIENTATION, _SIDEWAYS = 0x0112, (5, 6, 7, 8)
 
 
-def is_picture(path: Path) -> bool:
+def is_image(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
 
 
-def unread_pictures_in(folder: Path) -> list[Path]:
+def unread_images_in(folder: Path) -> list[Path]:
     """Pictures directly in a folder, by name, of formats that can't be read: HEIC of phones, raw files of cameras."""
     if not folder.is_dir():
         return []
@@ -69,17 +69,17 @@ def unread_pictures_in(folder: Path) -> list[Path]:
     )
 
 
-def pictures_in(folder: Path) -> list[Path]:
+def images_in(folder: Path) -> list[Path]:
     """Pictures directly in a folder, by name; none where there is no such folder."""
-    return sorted(file for file in folder.iterdir() if is_picture(file) and file.is_file()) if folder.is_dir() else []
+    return sorted(file for file in folder.iterdir() if is_image(file) and file.is_file()) if folder.is_dir() else []
 
 
-def picture_size(file: Path, upright: bool = False) -> tuple[int, int]:
+def image_size(file: Path, upright: bool = False) -> tuple[int, int]:
     """Width and height in pixels, from the file's head; its end is looked at, too, so that a cut file is found.
 
     `upright` gives the size as a person looks at it (EXIF). Raises `CaptureError` for what is no whole picture.
     """
-    with opened_picture(file, str(file)) as picture:
+    with opened_image(file, str(file)) as picture:
         width, height = picture.size
         whole = _ends(file, picture.format)
         turned = upright and picture.format in _WITH_EXIF and picture.getexif().get(_EXIF_ORIENTATION) in _SIDEWAYS
@@ -93,7 +93,7 @@ def read_color(file: Path, upright: bool = False) -> UInt8[np.ndarray, "h w 3"]:
 
     Raises `CaptureError` where it can't be read.
     """
-    with opened_picture(file, str(file)) as opened:
+    with opened_image(file, str(file)) as opened:
         picture = ImageOps.exif_transpose(opened) if upright and opened.format in _WITH_EXIF else opened
         if picture.mode.startswith(("I", "F")):
             return np.repeat(_eight_bits(np.asarray(picture))[..., None], 3, axis=2)
@@ -114,7 +114,7 @@ def read_labels(file: Path) -> UInt8[np.ndarray, "h w"]:
 
 def read_stored(file: Path) -> Shaped[np.ndarray, "h w ..."]:
     """Read the numbers of a picture as they are stored: 16-bit depth, palette indices, all channels."""
-    with opened_picture(file, str(file)) as picture:
+    with opened_image(file, str(file)) as picture:
         return np.array(picture)
 
 
@@ -124,7 +124,7 @@ def read_mask(file: Path) -> Bool[np.ndarray, "h w"]:
 
 
 @contextmanager
-def opened_picture(source: Path | bytes, name: str) -> Generator[Image.Image]:
+def opened_image(source: Path | bytes, name: str) -> Generator[Image.Image]:
     """Open a picture, a file or its bytes, whose pixels are decoded in the block; `name` is told in errors.
 
     Raises `CaptureError` where it can't be read, or says that it is larger than its bytes can be.

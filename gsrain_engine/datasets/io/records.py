@@ -19,7 +19,7 @@ from ...scene.files import SceneFormatError
 from ...scene.formats.ply import element_rows, read_ply_header
 from ..capture import CaptureError
 
-_ROWS_AT_ONCE = 8
+_BATCH_ROWS = 8
 
 _DAMAGES = (OSError, ValueError, KeyError, TypeError, IndexError, NotImplementedError, MemoryError)
 """What Arrow's errors are kinds of."""
@@ -41,7 +41,7 @@ class ParquetFile:
         read = [*columns, *(name for name in optional if name in there)]
         absent = {name: None for name in optional if name not in there}
         try:
-            for batch in opened.iter_batches(batch_size=_ROWS_AT_ONCE, columns=read):
+            for batch in opened.iter_batches(batch_size=_BATCH_ROWS, columns=read):
                 arrays = [(name, batch.column(name)) for name in read]
                 for k in range(batch.num_rows):
                     yield {**absent, **{name: _plain(array[k]) for name, array in arrays}}

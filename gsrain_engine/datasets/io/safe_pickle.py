@@ -13,7 +13,7 @@ from jaxtyping import Int64
 from numba import njit
 
 from ...safe_io.limits import read_file
-from ...safe_io.text_files import printable
+from ...safe_io.text_files import printable_line
 from ..capture import CaptureError
 
 _LINE, _TWO_LINES, _LENGTH_1, _LENGTH_4, _LENGTH_8, _UNKNOWN = -1, -2, -3, -4, -5, -6
@@ -134,7 +134,7 @@ class _PlainValues(pickle.Unpickler):
     def find_class(self, module: str, name: str, /) -> Any:
         found = _ALLOWED.get((_OLD_MODULES.get(module, module).replace("numpy._core", "numpy.core"), name))
         if found is None:
-            asked = printable(f"{module}.{name}")
+            asked = printable_line(f"{module}.{name}")
             raise pickle.UnpicklingError(
                 f"refused, for it asks for {asked}; a file of data holds plain values and NumPy arrays"
             )

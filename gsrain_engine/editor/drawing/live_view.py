@@ -9,19 +9,19 @@ import moderngl
 import numpy as np
 
 from ...compile_cache import has_kernels
-from ...render.draw import Shot, Thinning, draw_shot
-from ...render.images import write_picture
+from ...render.draw import LodSubset, RenderView, draw_view
+from ...render.images import write_png
 from ...render.opengl.context import check_context, is_software
 from ...render.opengl.renderer import Screen, SplatRenderer
 from ...render.renderer import Renderer
 from ...scene.scene import RigCamera, Scene
-from ...simulation.sensors import of_width, placed_camera
-from ..editor import Session, WindowBackend
-from ..viewport.options import EXACT, Detail, Side, Texture
-from ..viewport.picking import SkyPick, color_there
-from ..viewport_state import StagedScene
-from .textures import CpuPicture
-from .uploads import SceneUpload, SkyWatch
+from ...simulation.sensors import camera_of_width, placed_camera
+from ..editor import Editor, WindowBackend
+from ..viewport.options import FULL_QUALITY, QualityLevel, SplitPane, Texture
+from ..viewport.picking import SkyColorPick, mean_color_in_rectangle
+from ..viewport_state import PendingScene
+from .textures import CpuTexture
+from .uploads import SceneUpload, SkyColorSampler
 
 logger = logging.getLogger("gsrain")
 
@@ -37,7 +37,7 @@ _UPLOAD_S = 0.01
 _ASIDE = 1 / 4
 """Share of the Gaussians in small pictures beside the viewport, while time goes on."""
 
-_AT_ONCE = 1 << 16
+_CHUNK_SIZE = 1 << 16
 """So many new Gaussians a frame uploads by the way; for more of them the last scene stays in the picture meanwhile."""
 
 
@@ -49,29 +49,29 @@ class LiveView:
     picture waits for them: compiling shaders takes longer. `backend` overrules the choice.
     """
 
-    def __init__(self, context: moderngl.Context, session: Session, backend: WindowBackend = "auto") -> None:
+    def __init__(self, context: moderngl.Context, session: Editor, backend: WindowBackend = "auto") -> None:
         self.session = session
         self._context = context
         self._opengl = SplatRenderer(context)
         on_cpu = is_software(context) if backend == "auto" else backend == "cpu"
-        self._cpu = CpuPicture(context) if on_cpu else None
+        self._cpu = CpuTexture(context) if on_cpu else None
         self._waits_until = 0.0
         if self._cpu is not None and has_kernels():
             self._cpu.compile()
             self._waits_until = time.perf_counter() + _LOADING_S
         self._on_cpu = self._gpu_is_full = self._is_empty = False
-        self._sides = (_SidePicture(context), _SidePicture(context))
-        self._sky = SkyWatch()
-        self._moment: Shot | None = None
+        self._sides = (_PaneImage(context), _PaneImage(context))
+        self._sky = SkyColorSampler()
+        self._moment: RenderView | None = None
         self._is_moving = False
         self._asked_at = 0.0
-        self._staged: StagedScene | None = None
+        self._staged: PendingScene | None = None
         self._preparing: Iterator[None] = iter(())
         self._upload = SceneUpload(self._opengl)
         self._is_uploading = False
         """Whether a side still shows an older scene."""
         self._upload_until = 0.0
-        self._thinnings: dict[float, Thinning] = {}
+        self._thinnings: dict[float, LodSubset] = {}
         self._thinned = session.scene
 
     def draw(self, width: int, height: int) -> list[moderngl.Texture]:
@@ -99,13 +99,13 @@ class LiveView:
             self._staged = None  # its upload begins anew
         self._is_uploading, self._upload_until = False, time.perf_counter() + _UPLOAD_S
         self._prepare_staged()
-        sides = session.sides
+        sides = session.split_panes
         for shown in self._sides[: -len(sides)]:
             shown.forget()
         self._let_go_of_closed_scene()
         detail = self._choose_detail(session.shot(width, height))
         if session.screenshot is not None:
-            detail = EXACT
+            detail = FULL_QUALITY
         shot = self._shot(width, height, detail)
         raining = session.shown_rainfall.can_rain
         if session.sky_is_stale and raining and self._can_draw:
@@ -140,19 +140,19 @@ class LiveView:
     @property
     def last_textures(self) -> list[moderngl.Texture]:
         """The last pictures, of as many sides as there are."""
-        return [shown.texture for shown in self._sides[-len(self.session.sides) :]]
+        return [shown.texture for shown in self._sides[-len(self.session.split_panes) :]]
 
-    def draw_aside(self, scene: Scene, shot: Shot, screen: Screen) -> moderngl.Texture | None:
+    def draw_aside(self, scene: Scene, shot: RenderView, screen: Screen) -> moderngl.Texture | None:
         """Draw a small picture beside the viewport's, in its rain, after `draw`; None while nothing can be drawn.
 
         While time goes on it is drawn from a quarter of the Gaussians, or from fewer where the viewport has fewer.
         """
         session = self.session
-        if not self._can_draw or (not self._on_cpu and self._upload.missing(scene) > _AT_ONCE):
+        if not self._can_draw or (not self._on_cpu and self._upload.missing(scene) > _CHUNK_SIZE):
             return None
         share = min(session.detail.gaussians, _ASIDE) if session.clock.playing else 1.0
-        thinning = self._thinning(Detail(share, 1.0))
-        draw_shot(self._renderer, scene, session.shown_rainfall, session.sky, shot, thinning=thinning)
+        thinning = self._thinning(QualityLevel(share, 1.0))
+        draw_view(self._renderer, scene, session.shown_rainfall, session.sky, shot, thinning=thinning)
         picture = self._cpu.upload() if self._cpu is not None and self._on_cpu else self._opengl.picture
         return screen.show(picture, session.view.background, 2.0**session.view.gain_ev)
 
@@ -186,14 +186,14 @@ class LiveView:
     def _leave_gpu(self, error: MemoryError) -> None:
         """Let the processor draw from now on, and free what the scene has on the graphics card."""
         self._gpu_is_full = True
-        self._cpu = self._cpu or CpuPicture(self._context)
+        self._cpu = self._cpu or CpuTexture(self._context)
         self._cpu.compile()
         self._upload.give_up()
         self._opengl.arrays.release_everything()
         self.session.problem = f"{error}: the processor draws from now on"
         logger.warning("%s", self.session.problem)
 
-    def _choose_detail(self, now: Shot) -> Detail:
+    def _choose_detail(self, now: RenderView) -> QualityLevel:
         """Ask the budget, which wants to know whether the camera has moved."""
         session, before, at = self.session, self._moment, time.perf_counter()
         self._is_moving = before is not None and (
@@ -204,12 +204,12 @@ class LiveView:
         self._moment, real_s, self._asked_at = now, at - self._asked_at, at
         return session.budget.observe(moving=self._is_moving and not resized, real_s=real_s)
 
-    def _shot(self, width: int, height: int, detail: Detail) -> Shot:
+    def _shot(self, width: int, height: int, detail: QualityLevel) -> RenderView:
         scale = detail.scale / self.session.view.shrink
         drawn_height = max(1, round(height * scale))
         return self.session.shot(max(1, round(width * scale)), drawn_height, height / drawn_height)
 
-    def _look_at_sky(self, shot: Shot) -> None:
+    def _look_at_sky(self, shot: RenderView) -> None:
         session = self.session
         resting = not (self._is_moving or session.clock.playing)
         at_once = session.screenshot is not None
@@ -218,14 +218,14 @@ class LiveView:
             session.sky_seen = sky
         session.sky_is_stale = not self._sky.is_exact
 
-    def _pick_sky(self, shot: Shot, pick: SkyPick) -> None:
+    def _pick_sky(self, shot: RenderView, pick: SkyColorPick) -> None:
         session = self.session
         session.sky_pick = None
         background, wetness = session.view.background, session.rainfall.wetness_at(shot.time_s)
-        color = color_there(self._renderer, session.scene, shot, pick, background, wetness)
+        color = mean_color_in_rectangle(self._renderer, session.scene, shot, pick, background, wetness)
         session.change_rain("Pick drop colour", drop_color=color)
 
-    def _show(self, side: Side, shown: "_SidePicture", shot: Shot, detail: Detail) -> bool:
+    def _show(self, side: SplitPane, shown: "_PaneImage", shot: RenderView, detail: QualityLevel) -> bool:
         """Draw a side unless it shows just that already."""
         session = self.session
         side = side._replace(scene=self._drawable(side.scene, shown))
@@ -233,7 +233,7 @@ class LiveView:
         if state == shown.state or not self._can_draw:
             return False
         renderer, view = self._renderer, session.view
-        draw_shot(
+        draw_view(
             renderer,
             side.scene,
             side.rainfall if side.scene.members else None,  # nothing is there yet for it to fall on
@@ -248,27 +248,27 @@ class LiveView:
         shown.state, shown.scene = state, side.scene
         return True
 
-    def _drawable(self, scene: Scene, shown: "_SidePicture") -> Scene:
+    def _drawable(self, scene: Scene, shown: "_PaneImage") -> Scene:
         """The scene; or the one shown last, while much of the new one has yet to come to the GPU."""
         if self._on_cpu or not self._can_draw or shown.scene is None or self.session.screenshot is not None:
             return scene
-        if self._upload.missing(scene) <= _AT_ONCE or self._upload.missing(shown.scene):
+        if self._upload.missing(scene) <= _CHUNK_SIZE or self._upload.missing(shown.scene):
             return scene
         if self._upload.go_on(scene, self._upload_until):
             return scene
         self._is_uploading = True
         return shown.scene
 
-    def _thinning(self, detail: Detail) -> Thinning | None:
+    def _thinning(self, detail: QualityLevel) -> LodSubset | None:
         if detail.gaussians == 1:
             return None
         if self._thinned is not self.session.scene:
             self._thinned = self.session.scene
             for thinning in self._thinnings.values():
                 thinning.forget_all_but(member.gaussians for member in self._thinned.members)
-        return self._thinnings.setdefault(detail.gaussians, Thinning(detail.gaussians))
+        return self._thinnings.setdefault(detail.gaussians, LodSubset(detail.gaussians))
 
-    def _tell(self, milliseconds: float, detail: Detail) -> None:
+    def _tell(self, milliseconds: float, detail: QualityLevel) -> None:
         session, statistics = self.session, self._renderer.statistics
         session.budget.measured(detail, milliseconds)
         session.detail = detail
@@ -330,7 +330,7 @@ class LiveView:
             at = round(self.session.view.divider * pixels.shape[1])
             pixels[:, :at] = pictures[0][:, :at]
         try:
-            write_picture(path, pixels)
+            write_png(path, pixels)
         except OSError as error:
             self.session.problem = f"{path}: the screenshot can't be saved: {error.strerror or error}"
             logger.error("%s", self.session.problem)
@@ -338,7 +338,7 @@ class LiveView:
             logger.info("Saved %s", path)
 
 
-class _SidePicture:
+class _PaneImage:
     """What stands on one side, and what it was drawn from."""
 
     def __init__(self, context: moderngl.Context) -> None:
@@ -352,7 +352,7 @@ class _SidePicture:
         self.state = self.scene = None
 
 
-class _Seen(NamedTuple):
+class _PaneInputs(NamedTuple):
     """Everything that a picture depends on; scenes and rains are values and compare by identity."""
 
     scene: Hashable
@@ -365,11 +365,11 @@ class _Seen(NamedTuple):
     wetness: float
 
 
-def _fingerprint(session: Session, side: Side, shot: Shot) -> _Seen:
+def _fingerprint(session: Editor, side: SplitPane, shot: RenderView) -> _PaneInputs:
     camera, view = shot.camera, session.view
     raining = view.look == "splats" and side.rainfall.state_at(shot.time_s).intensity_mm_h > 0
     velocity = b"" if shot.velocity_m_s is None or not raining else shot.velocity_m_s.tobytes()
-    return _Seen(
+    return _PaneInputs(
         side.scene.appearance,
         side.rainfall if raining else None,
         session.sky if raining else None,
@@ -384,7 +384,7 @@ def _fingerprint(session: Session, side: Side, shot: Shot) -> _Seen:
 # § Draws the rig's cameras small, one a frame in turn. Lives in the window's OpenGL context and on its thread.
 
 
-class MosaicPictures:
+class MosaicImages:
     """Keeps a picture of each camera, and goes on with the one that has waited longest."""
 
     def __init__(self, context: moderngl.Context) -> None:
@@ -394,10 +394,10 @@ class MosaicPictures:
         self._turn: list[str] = []
         """Names of the cameras, the one that was drawn last at the end."""
 
-    def update(self, session: Session, view: LiveView) -> None:
+    def update(self, session: Editor, view: LiveView) -> None:
         """Draw one camera that is out of date, if the mosaic is to be seen. Once a frame, after the viewport."""
         mosaic = session.drives.mosaic
-        wanted, mosaic.is_wanted, mosaic.is_behind = mosaic.is_wanted, False, False
+        wanted, mosaic.is_requested, mosaic.is_behind = mosaic.is_requested, False, False
         scene = session.drives.rig_scene(session)
         if not wanted or scene.ego is None:
             return
@@ -421,13 +421,13 @@ class MosaicPictures:
         self._screens = {name: screen for name, screen in self._screens.items() if name in cameras}
         self._states = {name: state for name, state in self._states.items() if name in cameras}
 
-    def _draw(self, session: Session, view: LiveView, scene: Scene, mounted: RigCamera) -> Texture | None:
+    def _draw(self, session: Editor, view: LiveView, scene: Scene, mounted: RigCamera) -> Texture | None:
         time_s = session.clock.time_s
         pose = scene.ego_to_world(time_s)
         if pose is None:
             return None
-        small = of_width(mounted, session.drives.mosaic.width_px)
-        shot = Shot(placed_camera(small, pose), time_s, _velocity(scene, time_s), mounted.fx)
+        small = camera_of_width(mounted, session.drives.mosaic.width_px)
+        shot = RenderView(placed_camera(small, pose), time_s, _velocity(scene, time_s), mounted.fx)
         screen = self._screens.setdefault(mounted.name, Screen(self._context))
         texture = view.draw_aside(scene, shot, screen)
         return None if texture is None else Texture(texture.glo, texture.width, texture.height)
@@ -442,7 +442,7 @@ def _velocity(scene: Scene, time_s: float) -> np.ndarray | None:
     return None if before is None or after is None else (after[:3, 3] - before[:3, 3]) / (2 * _STEP_S)
 
 
-def _state(session: Session, scene: Scene, camera: RigCamera) -> Hashable:
+def _state(session: Editor, scene: Scene, camera: RigCamera) -> Hashable:
     return (
         scene.appearance,
         session.shown_rainfall,

@@ -9,20 +9,20 @@ import numpy as np
 from jaxtyping import UInt8
 
 from ...compile_cache import mark_kernels
-from ...rain.settings import Rain
-from ...rain.simulation import Rainfall, View
+from ...rain.settings import RainSettings
+from ...rain.simulation import RainCamera, RainSimulation
 from ...render.cpu.projection import FEW
 from ...render.cpu.renderer import CpuRenderer
 from ...render.opengl.shaders import load_program
-from ...render.renderer import Look
+from ...render.renderer import RenderMode
 from ...scene.camera import Camera
 from ...scene.gaussians import Gaussians
-from ...scene.lod_order import put_into_drawing_order
-from ...scene.scene import Part
-from ..capture_view import ShownPoints, Wish
-from ..editor import Session
+from ...scene.lod_order import sort_into_lod_order
+from ...scene.scene import DrawItem
+from ..capture_view import ImageRequest, PointSample
+from ..editor import Editor
 from ..jobs.job import BackgroundJob
-from ..services import Desk
+from ..services import EditorServices
 from ..viewport.options import Texture
 
 _NEAR_M = 0.05
@@ -38,14 +38,14 @@ class CaptureTextures:
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
-        self._pictures: dict[Wish, tuple[UInt8[np.ndarray, "h w 3"], moderngl.Texture]] = {}
+        self._pictures: dict[ImageRequest, tuple[UInt8[np.ndarray, "h w 3"], moderngl.Texture]] = {}
         self._program: moderngl.Program | None = None
-        self._points: tuple[ShownPoints, moderngl.VertexArray, list[moderngl.Buffer]] | None = None
+        self._points: tuple[PointSample, moderngl.VertexArray, list[moderngl.Buffer]] | None = None
         self._target: moderngl.Framebuffer | None = None
         self._drawn: tuple[object, ...] | None = None
-        self._matching = KeptTexture(context)
+        self._matching = CachedTexture(context)
 
-    def update(self, session: Session) -> None:
+    def update(self, session: Editor) -> None:
         """Bring new pictures to the GPU, release old ones, and tell the session. Once a frame."""
         there = {} if session.captures.pictures is None else dict(session.captures.pictures)
         for wish in [each for each, (pixels, _) in self._pictures.items() if there.get(each) is not pixels]:
@@ -60,7 +60,7 @@ class CaptureTextures:
         }
         session.matching.texture = self._matching.show(session.matching.picture)
 
-    def draw_points(self, session: Session, camera: Camera) -> None:
+    def draw_points(self, session: Editor, camera: Camera) -> None:
         """Draw the points as a camera of the viewport's size sees them, over nothing, and tell the session."""
         captures = session.captures
         captures.points_texture = None
@@ -75,7 +75,7 @@ class CaptureTextures:
         texture = target.color_attachments[0]
         captures.points_texture = Texture(texture.glo, camera.width, camera.height)
 
-    def _draw(self, points: ShownPoints, matrix: np.ndarray, camera: Camera, target: moderngl.Framebuffer) -> None:
+    def _draw(self, points: PointSample, matrix: np.ndarray, camera: Camera, target: moderngl.Framebuffer) -> None:
         vertices, program = self._vertices_of(points)
         program["capture_to_camera"] = tuple(matrix.T.ravel().tolist())  # columns first
         program["focal_px"], program["center_px"] = (camera.fx, camera.fy), (camera.cx, camera.cy)
@@ -89,7 +89,7 @@ class CaptureTextures:
         self._context.disable(moderngl.DEPTH_TEST | moderngl.PROGRAM_POINT_SIZE)
         window.use()
 
-    def _vertices_of(self, points: ShownPoints) -> tuple[moderngl.VertexArray, moderngl.Program]:
+    def _vertices_of(self, points: PointSample) -> tuple[moderngl.VertexArray, moderngl.Program]:
         if self._program is None:
             self._program = load_program(self._context, "capture_points.vert", "capture_points.frag")
         if self._points is None or self._points[0] is not points:
@@ -120,15 +120,15 @@ class JobPreviews:
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
-        self._kept: dict[BackgroundJob, KeptTexture] = {}
+        self._kept: dict[BackgroundJob, CachedTexture] = {}
 
-    def update(self, session: Desk) -> None:
+    def update(self, session: EditorServices) -> None:
         """Bring what is new to the GPU and tell the session. Once a frame."""
         for job in [each for each in self._kept if each.state != "running"]:
             self._kept.pop(job).show(None)
         for job in session.running_jobs:
             if job.progress.preview is not None:
-                self._kept.setdefault(job, KeptTexture(self._context)).show(job.progress.preview)
+                self._kept.setdefault(job, CachedTexture(self._context)).show(job.progress.preview)
         session.previews = {job: texture for job, kept in self._kept.items() if (texture := kept.texture) is not None}
 
 
@@ -138,7 +138,7 @@ Pixels = UInt8[np.ndarray, "h w c"]
 """Display colour, with or without alpha; first row on top."""
 
 
-class KeptTexture:
+class CachedTexture:
     """One texture, written only when the picture is another one."""
 
     def __init__(self, context: moderngl.Context) -> None:
@@ -176,7 +176,7 @@ class KeptTexture:
 logger = logging.getLogger("gsrain")
 
 
-class CpuPicture:
+class CpuTexture:
     """A CPU renderer and the texture its pictures go to."""
 
     def __init__(self, context: moderngl.Context) -> None:
@@ -225,16 +225,16 @@ def compile_kernels() -> None:
     """Draw one Gaussian, and many, in every way there is, so that each kernel is compiled (or read from the cache)."""
     one = _balls(1)
     camera = Camera(32, 32, 32.0, 32.0, 16.0, 16.0)
-    renderer, parts = CpuRenderer(), [Part(one, np.eye(4))]
+    renderer, parts = CpuRenderer(), [DrawItem(one, np.eye(4))]
     for degree in (1, 4, 9, 16):
-        renderer.draw([Part(one.with_sh(np.zeros((1, degree, 3), np.float32)), np.eye(4))], camera, with_depth=True)
-    renderer.draw([Part(_balls(FEW), np.eye(4))], camera)
-    view = View(camera, np.eye(4), np.zeros(3))
+        renderer.draw([DrawItem(one.with_sh(np.zeros((1, degree, 3), np.float32)), np.eye(4))], camera, with_depth=True)
+    renderer.draw([DrawItem(_balls(FEW), np.eye(4))], camera)
+    view = RainCamera(camera, np.eye(4), np.zeros(3))
     for mixing in ("linear", "display"):
-        rain = Rain(intensity_mm_h=1.0, rain_light=mixing)
-        renderer.draw(parts, camera, Rainfall.start(rain).at(0.0, view))
-    put_into_drawing_order(one)
-    for look in get_args(Look):
+        rain = RainSettings(intensity_mm_h=1.0, rain_light=mixing)
+        renderer.draw(parts, camera, RainSimulation.start(rain).at(0.0, view))
+    sort_into_lod_order(one)
+    for look in get_args(RenderMode):
         renderer.draw(parts, camera, look=look)
     mark_kernels()
 

@@ -8,9 +8,9 @@ from jaxtyping import Float64
 
 from ...scene.camera_path import CameraPath
 from ...scene.geometry import quaternion_product, quaternions_from_matrices
-from ...scene.scene import Actor, RigCamera, Scene, Track
-from ...scene.transforms import moved
-from .members import unlocked
+from ...scene.scene import Actor, PoseTrack, RigCamera, Scene
+from ...scene.transforms import transform_gaussians
+from .members import find_unlocked_member
 
 
 def moved_actor(actor: Actor, similarity: Float64[np.ndarray, "4 4"]) -> Actor:
@@ -22,7 +22,7 @@ def moved_actor(actor: Actor, similarity: Float64[np.ndarray, "4 4"]) -> Actor:
     return replace(
         actor,
         track=actor.track.moved(similarity),
-        gaussians=actor.gaussians if is_rigid else moved(actor.gaussians, scaling),
+        gaussians=actor.gaussians if is_rigid else transform_gaussians(actor.gaussians, scaling),
         size_lwh=actor.size_lwh if is_rigid else (scale * length, scale * width, scale * height),
     )
 
@@ -65,7 +65,7 @@ def duration_of(actor: Actor) -> float:
 
 
 def _unlocked_actor(scene: Scene, key: str) -> Actor:
-    actor = unlocked(scene, key)
+    actor = find_unlocked_member(scene, key)
     if not isinstance(actor, Actor):
         raise ValueError(f"{actor.name} is a layer: it stands still.")
     return actor
@@ -79,7 +79,7 @@ RIG = "drive"
 _STEP_M = 0.5
 """Closer samples say more of the camera's shaking than of the way."""
 
-_SAMPLES_PER_S, _MOST_SAMPLES = 10.0, 20_000
+_SAMPLES_PER_S, _MAX_SAMPLES = 10.0, 20_000
 
 _AHEAD_COS = 0.5
 """A camera that looks within 60 degrees of the way shows what a driver sees."""
@@ -108,7 +108,7 @@ def drive_along(scene: Scene, path: CameraPath, width: int = 1600, height: int =
     headings = np.unwrap(np.arctan2(way[:, 1], way[:, 0]))
     rotation = scipy.spatial.transform.Rotation
     upright = rotation.from_rotvec(np.outer(headings, [0.0, 0.0, 1.0]))
-    track = Track(
+    track = PoseTrack(
         times[kept],
         (places[kept] - to_world[:3, 3]) @ np.linalg.inv(to_world[:3, :3]).T,
         _in_scene(upright.as_matrix(), to_world),
@@ -134,7 +134,7 @@ def drive_along_own_path(scene: Scene) -> Scene:
 
 def _times(path: CameraPath) -> Float64[np.ndarray, " n"]:
     """Return the moments of all keys, and more between them."""
-    count = int(np.clip(path.duration_s * _SAMPLES_PER_S, 2, _MOST_SAMPLES))
+    count = int(np.clip(path.duration_s * _SAMPLES_PER_S, 2, _MAX_SAMPLES))
     return np.union1d(np.linspace(path.start_s, path.end_s, count), path.times_s)
 
 
@@ -180,7 +180,7 @@ def set_ego_start(scene: Scene, ground_point_m: Float64[np.ndarray, "3"], headin
         return replace(scene, ego=scene.ego.moved(there))
     c, s = float(np.cos(heading_rad)), float(np.sin(heading_rad))
     pose = np.array([[c, -s, 0, place[0]], [s, c, 0, place[1]], [0, 0, 1, place[2]], [0, 0, 0, 1.0]])
-    standing = Track(np.zeros(1), np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]), np.ones(1, np.bool_))
+    standing = PoseTrack(np.zeros(1), np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]), np.ones(1, np.bool_))
     return replace(scene, ego=standing.moved(world_to_scene @ pose))
 
 

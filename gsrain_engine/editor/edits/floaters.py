@@ -10,13 +10,13 @@ import scipy
 from jaxtyping import Bool, Float32, Float64
 from msgspec import Meta
 
-from ...scene.flags import Marks, Mask
+from ...scene.flags import BitMask, SelectionFlags
 from ...scene.gaussians import Gaussians
 from ...scene.progress import Progress
 from ...scene.scene import Actor, Layer, Scene, core_bounds
-from .members import edited, is_editable
+from .members import edit_members, is_editable
 
-_AT_ONCE = 20_000
+_BATCH_SIZE = 20_000
 """Gaussians whose neighbours are looked for between two chances to cancel."""
 
 
@@ -57,7 +57,7 @@ class FloaterSearch:
 
     scene: Scene
     rules: FloaterRules
-    found: dict[str, tuple[Gaussians, Mask]] = field(default_factory=dict[str, "tuple[Gaussians, Mask]"])
+    found: dict[str, tuple[Gaussians, BitMask]] = field(default_factory=dict[str, "tuple[Gaussians, BitMask]"])
     """Floaters of each layer by its key, with the very Gaussians that they are among."""
 
     def run(self) -> Iterator[Progress]:
@@ -91,7 +91,7 @@ class FloaterSearch:
             if shell is not None:
                 flags &= ~shell.holds(part)
             done += len(part.gaussians)
-            self.found[layer.key] = part.gaussians, Mask.of(flags)
+            self.found[layer.key] = part.gaussians, BitMask.of(flags)
 
     def _by_value(
         self, opacities: Float32[np.ndarray, " n"], sizes_m: Float32[np.ndarray, " n"]
@@ -103,7 +103,7 @@ class FloaterSearch:
         return flags
 
 
-def select_floaters(scene: Scene, found: dict[str, tuple[Gaussians, Mask]]) -> Scene:
+def select_floaters(scene: Scene, found: dict[str, tuple[Gaussians, BitMask]]) -> Scene:
     """Select what a search has found, and nothing else; layers whose Gaussians have changed since are passed by."""
 
     def selecting(member: Layer | Actor) -> Layer | Actor:
@@ -111,9 +111,9 @@ def select_floaters(scene: Scene, found: dict[str, tuple[Gaussians, Mask]]) -> S
         selected = mask if gaussians is member.gaussians and mask else None
         if selected is None and member.marks.selected is None:
             return member
-        return replace(member, marks=Marks(selected, member.marks.hidden, member.marks.deleted))
+        return replace(member, marks=SelectionFlags(selected, member.marks.hidden, member.marks.deleted))
 
-    return edited(scene, selecting)
+    return edit_members(scene, selecting)
 
 
 def _isolated(
@@ -127,10 +127,10 @@ def _isolated(
         yield 0.0, None
         tree = scipy.spatial.KDTree(places, balanced_tree=False, compact_nodes=False)
         count = min(rules.neighbors, len(places) - 1)
-        for start in range(0, len(places), _AT_ONCE):
-            near, _ = tree.query(places[start : start + _AT_ONCE], k=count + 1, workers=-1)
+        for start in range(0, len(places), _BATCH_SIZE):
+            near, _ = tree.query(places[start : start + _BATCH_SIZE], k=count + 1, workers=-1)
             distances.append(near[:, 1:].mean(axis=1))  # the nearest is the Gaussian itself
-            yield min(0.1 + 0.9 * (start + _AT_ONCE) / len(places), 0.99), None
+            yield min(0.1 + 0.9 * (start + _BATCH_SIZE) / len(places), 0.99), None
     mean_distance = np.full(len(means), np.inf)
     mean_distance[finite] = np.concatenate(distances) if len(places) > 1 else 0.0
     median = float(np.median(mean_distance[finite])) if finite.any() else 0.0

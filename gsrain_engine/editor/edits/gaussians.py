@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from ...scene.flags import Marks, Mask
-from ...scene.scene import Actor, Layer, Scene, core_bounds, rows_of
-from .members import edited, is_editable, with_members, with_selections
+from ...scene.flags import BitMask, SelectionFlags
+from ...scene.scene import Actor, Layer, Scene, core_bounds, take_gaussians
+from .members import edit_members, is_editable, with_members, with_selections
 
 
 def selected_count(scene: Scene) -> int:
@@ -19,16 +19,18 @@ def selected_count(scene: Scene) -> int:
 
 def delete_selected(scene: Scene) -> Scene:
     """Mark what is selected as deleted; nothing is selected afterwards."""
-    return edited(scene, lambda each: _with(each, selected=None, deleted=_either(each.marks.deleted, _meant(each))))
+    return edit_members(
+        scene, lambda each: _with(each, selected=None, deleted=_either(each.marks.deleted, _meant(each)))
+    )
 
 
 def hide_selected(scene: Scene) -> Scene:
-    return edited(scene, lambda each: _with(each, selected=None, hidden=_either(each.marks.hidden, _meant(each))))
+    return edit_members(scene, lambda each: _with(each, selected=None, hidden=_either(each.marks.hidden, _meant(each))))
 
 
 def show_all(scene: Scene) -> Scene:
     """Show what is hidden of every member that may be edited."""
-    return edited(scene, lambda each: each if each.marks.hidden is None else _with(each, hidden=None))
+    return edit_members(scene, lambda each: each if each.marks.hidden is None else _with(each, hidden=None))
 
 
 def isolate_selected(scene: Scene) -> Scene:
@@ -37,36 +39,40 @@ def isolate_selected(scene: Scene) -> Scene:
         raise ValueError("Nothing is selected.")
 
     def isolated(member: Layer | Actor) -> Layer | Actor:
-        meant = _meant(member) or Mask.none(len(member.gaussians))
+        meant = _meant(member) or BitMask.none(len(member.gaussians))
         return _with(member, selected=member.marks.selected, hidden=_either(member.marks.hidden, ~meant))
 
-    return edited(scene, isolated)
+    return edit_members(scene, isolated)
 
 
-def _meant(member: Layer | Actor) -> Mask | None:
+def _meant(member: Layer | Actor) -> BitMask | None:
     """What is selected and can be seen; None where nothing is."""
     selected, left_out = member.marks.selected, member.marks.left_out
     meant = selected if selected is None or left_out is None else selected - left_out
     return meant if meant else None
 
 
-def _either(first: Mask | None, second: Mask | None) -> Mask | None:
+def _either(first: BitMask | None, second: BitMask | None) -> BitMask | None:
     if first is None or second is None:
         return second if first is None else first
     return first | second
 
 
-_KEPT = Mask.none(0)  # stands for a mark that stays as it is
+_NO_FLAGS = BitMask.none(0)  # stands for a mark that stays as it is
 
 
 def _with(
-    member: Layer | Actor, *, selected: Mask | None = _KEPT, hidden: Mask | None = _KEPT, deleted: Mask | None = _KEPT
+    member: Layer | Actor,
+    *,
+    selected: BitMask | None = _NO_FLAGS,
+    hidden: BitMask | None = _NO_FLAGS,
+    deleted: BitMask | None = _NO_FLAGS,
 ) -> Layer | Actor:
     old = member.marks
-    marks = Marks(
-        old.selected if selected is _KEPT else selected,
-        old.hidden if hidden is _KEPT else hidden,
-        old.deleted if deleted is _KEPT else deleted,
+    marks = SelectionFlags(
+        old.selected if selected is _NO_FLAGS else selected,
+        old.hidden if hidden is _NO_FLAGS else hidden,
+        old.deleted if deleted is _NO_FLAGS else deleted,
     )
     same = marks.selected is old.selected and marks.hidden is old.hidden and marks.deleted is old.deleted
     return member if same else replace(member, marks=marks)
@@ -140,15 +146,15 @@ def crop(scene: Scene, box: CropBox) -> Scene:
     def cropped(member: Layer | Actor) -> Layer | Actor:
         if isinstance(member, Actor) or member.kind != "background":
             return member
-        outside = Mask.of(~_inside(member.gaussians.means, scene.scene_to_world @ member.to_scene, box))
+        outside = BitMask.of(~_inside(member.gaussians.means, scene.scene_to_world @ member.to_scene, box))
         marks = member.marks
         if not (outside if marks.deleted is None else outside - marks.deleted):
             return member
         deleted = outside if marks.deleted is None else marks.deleted | outside
         selected = marks.selected - outside if marks.selected is not None else None
-        return replace(member, marks=Marks(selected if selected else None, marks.hidden, deleted))
+        return replace(member, marks=SelectionFlags(selected if selected else None, marks.hidden, deleted))
 
-    return edited(scene, cropped)
+    return edit_members(scene, cropped)
 
 
 def _inside(
@@ -174,16 +180,16 @@ def compact(scene: Scene) -> Scene:
     """Make new arrays without what is deleted, of locked and hidden members too; marks and selection sets follow."""
     kept = {each.key: ~each.marks.deleted for each in scene.members if each.marks.deleted}
 
-    def change(masks: Mapping[str, Mask]) -> Mapping[str, Mask]:
+    def change(masks: Mapping[str, BitMask]) -> Mapping[str, BitMask]:
         return {key: mask.take(kept[key].indices) if key in kept else mask for key, mask in masks.items()}
 
     members = tuple(_compacted(each, kept[each.key]) if each.key in kept else each for each in scene.members)
     return with_selections(with_members(scene, members), change) if kept else scene
 
 
-def _compacted(member: Layer | Actor, kept: Mask) -> Layer | Actor:
+def _compacted(member: Layer | Actor, kept: BitMask) -> Layer | Actor:
     where, marks = kept.indices, member.marks
     masks = [each.take(where) if each is not None else None for each in (marks.selected, marks.hidden)]
     selected, hidden = (each if each else None for each in masks)
-    gaussians, wet_sh = rows_of(member, where)
-    return replace(member, gaussians=gaussians, wet_sh=wet_sh, marks=Marks(selected, hidden))
+    gaussians, wet_sh = take_gaussians(member, where)
+    return replace(member, gaussians=gaussians, wet_sh=wet_sh, marks=SelectionFlags(selected, hidden))

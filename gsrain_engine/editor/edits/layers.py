@@ -5,14 +5,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...scene.flags import UNMARKED, Marks, Mask
+from ...scene.flags import UNMARKED, BitMask, SelectionFlags
 from ...scene.gaussians import Gaussians
-from ...scene.lod_order import drawing_order
-from ...scene.scene import UNCHANGED, Layer, Part, Scene, rows_of
-from ...scene.transforms import baked, moved, soaked_sh
+from ...scene.lod_order import lod_order
+from ...scene.scene import UNCHANGED, DrawItem, Layer, Scene, take_gaussians
+from ...scene.transforms import bake_item, transform_gaussians, wet_sh_of
 from .actors import moved_actor
 from .gaussians import delete_selected
-from .members import behind, found, is_editable, named, names, unique_name, unlocked, with_members, with_selections
+from .members import (
+    find_member,
+    find_unlocked_member,
+    insert_after,
+    is_editable,
+    member_names,
+    unique_name,
+    with_members,
+    with_name,
+    with_selections,
+)
 
 __all__ = ["duplicate", "import_scene", "merge", "move_down", "move_up", "remove", "rename", "separate"]
 
@@ -22,9 +32,9 @@ def duplicate(scene: Scene, key: str) -> Scene:
 
     Raises `ValueError` where there is no such member.
     """
-    member = found(scene, key)
-    copy = replace(named(member, unique_name(member.name, names(scene, member))), locked=False)
-    return with_members(scene, behind(scene, key, (copy,)))
+    member = find_member(scene, key)
+    copy = replace(with_name(member, unique_name(member.name, member_names(scene, member))), locked=False)
+    return with_members(scene, insert_after(scene, key, (copy,)))
 
 
 def separate(scene: Scene) -> Scene:
@@ -43,10 +53,10 @@ def separate(scene: Scene) -> Scene:
         kept = source.marks.selected if source.marks.left_out is None else source.marks.selected - source.marks.left_out
         if not kept:
             continue
-        name = unique_name(source.name, names(result, source))
-        gaussians, wet_sh = rows_of(source, kept.indices)
-        piece = replace(named(source, name), gaussians=gaussians, wet_sh=wet_sh, marks=UNMARKED)
-        result = with_members(result, behind(result, source.key, (piece,)))
+        name = unique_name(source.name, member_names(result, source))
+        gaussians, wet_sh = take_gaussians(source, kept.indices)
+        piece = replace(with_name(source, name), gaussians=gaussians, wet_sh=wet_sh, marks=UNMARKED)
+        result = with_members(result, insert_after(result, source.key, (piece,)))
         if isinstance(source, Layer) and source.kind == "background":
             parted.append(piece.key)
     return merge(result, parted) if len(parted) > 1 else result
@@ -54,7 +64,7 @@ def separate(scene: Scene) -> Scene:
 
 def remove(scene: Scene, key: str) -> Scene:
     """Return the scene without a member. Raises `ValueError` where there is none or it is locked."""
-    unlocked(scene, key)
+    find_unlocked_member(scene, key)
     members = tuple(each for each in scene.members if each.key != key)
     return with_selections(
         with_members(scene, members), lambda masks: {each: mask for each, mask in masks.items() if each != key}
@@ -66,10 +76,10 @@ def rename(scene: Scene, key: str, name: str) -> Scene:
 
     Raises `ValueError` where there is no such member, and for an empty name.
     """
-    member, name = found(scene, key), name.strip()
+    member, name = find_member(scene, key), name.strip()
     if not name:
         raise ValueError("A name can't be empty.")
-    renamed = named(member, unique_name(name, names(scene, member) - {member.name}))
+    renamed = with_name(member, unique_name(name, member_names(scene, member) - {member.name}))
     members = tuple(renamed if each is member else each for each in scene.members)
     return with_selections(
         with_members(scene, members),
@@ -88,7 +98,7 @@ def move_down(scene: Scene, key: str) -> Scene:
 
 
 def _shifted(scene: Scene, key: str, by: int, trouble: str) -> Scene:
-    member = found(scene, key)
+    member = find_member(scene, key)
     kind = [each for each in scene.members if type(each) is type(member)]
     at = kind.index(member)
     if not 0 <= at + by < len(kind):
@@ -108,7 +118,7 @@ def merge(scene: Scene, keys: Sequence[str]) -> Scene:
     stay true. Raises `ValueError` for fewer than two, for actors, for locked
     ones, and for a sky with anything else.
     """
-    layers = [unlocked(scene, key) for key in dict.fromkeys(keys)]
+    layers = [find_unlocked_member(scene, key) for key in dict.fromkeys(keys)]
     if len(layers) < 2:
         raise ValueError("Merging takes two layers or more.")
     joined = [each for each in layers if isinstance(each, Layer)]
@@ -120,13 +130,13 @@ def merge(scene: Scene, keys: Sequence[str]) -> Scene:
     kept = [_undeleted(each) for each in joined]
     pieces = [_brought_to(first, each, bake=not agree) for each in joined]
     every = Gaussians.concatenate(pieces)
-    order = drawing_order(every).astype(np.int64)
+    order = lod_order(every).astype(np.int64)
     wet_sh = None
     if any(each.wet_sh is not None for each in joined):
-        soaked = [replace(each, gaussians=each.gaussians.with_sh(soaked_sh(each))) for each in joined]
+        soaked = [replace(each, gaussians=each.gaussians.with_sh(wet_sh_of(each))) for each in joined]
         wet_sh = Gaussians.concatenate([_brought_to(first, each, bake=not agree) for each in soaked]).sh[order]
 
-    def put_together(masks: Sequence[Mask | None]) -> Mask | None:
+    def put_together(masks: Sequence[BitMask | None]) -> BitMask | None:
         mask = _joined(masks, kept)
         return mask.take(order) if mask else None
 
@@ -134,7 +144,7 @@ def merge(scene: Scene, keys: Sequence[str]) -> Scene:
         first,
         gaussians=every.take(order),
         wet_sh=wet_sh,
-        marks=Marks(
+        marks=SelectionFlags(
             put_together([each.marks.selected for each in joined]), put_together([each.marks.hidden for each in joined])
         ),
         opacity=first.opacity if agree else 1.0,
@@ -143,7 +153,7 @@ def merge(scene: Scene, keys: Sequence[str]) -> Scene:
     others = {each.key for each in joined[1:]}
     members = tuple(whole if each is first else each for each in scene.members if each.key not in others)
 
-    def change(masks: Mapping[str, Mask]) -> Mapping[str, Mask]:
+    def change(masks: Mapping[str, BitMask]) -> Mapping[str, BitMask]:
         mask = put_together([masks.get(each.key) for each in joined])
         rest = {key: each for key, each in masks.items() if key != first.key and key not in others}
         return rest if mask is None else rest | {first.key: mask}
@@ -155,25 +165,25 @@ def _agree(layers: list[Layer]) -> bool:
     return len({(each.opacity, each.grading) for each in layers}) == 1
 
 
-def _undeleted(layer: Layer) -> Mask:
-    return Mask.all(len(layer.gaussians)) if layer.marks.deleted is None else ~layer.marks.deleted
+def _undeleted(layer: Layer) -> BitMask:
+    return BitMask.all(len(layer.gaussians)) if layer.marks.deleted is None else ~layer.marks.deleted
 
 
 def _brought_to(first: Layer, layer: Layer, *, bake: bool) -> Gaussians:
-    part = Part(layer.gaussians, layer.to_scene, left_out=layer.marks.deleted)
+    part = DrawItem(layer.gaussians, layer.to_scene, left_out=layer.marks.deleted)
     if bake:
         part = part._replace(opacity=layer.opacity, colors=layer.grading.matrix)
     same = np.array_equal(first.to_scene, layer.to_scene)
-    return moved(baked(part), np.eye(4) if same else np.linalg.inv(first.to_scene) @ layer.to_scene)
+    return transform_gaussians(bake_item(part), np.eye(4) if same else np.linalg.inv(first.to_scene) @ layer.to_scene)
 
 
-def _joined(masks: Sequence[Mask | None], kept: Sequence[Mask]) -> Mask:
+def _joined(masks: Sequence[BitMask | None], kept: Sequence[BitMask]) -> BitMask:
     """One mask of several, in their order, without what is not kept."""
     flags = [
         np.zeros(keep.size, np.bool_) if mask is None else mask.flags[keep.flags]
         for mask, keep in zip(masks, kept, strict=True)
     ]
-    return Mask.of(np.concatenate(flags))
+    return BitMask.of(np.concatenate(flags))
 
 
 # § One scene brought into another.
@@ -191,7 +201,7 @@ def import_scene(scene: Scene, other: Scene) -> Scene:
         way = np.eye(4)
     result, keys = scene, dict[str, str]()
     for member in other.members:
-        added = named(member, unique_name(member.name, names(result, member)))
+        added = with_name(member, unique_name(member.name, member_names(result, member)))
         keys[member.key] = added.key
         is_layer = isinstance(added, Layer)
         placed = replace(added, to_scene=way @ added.to_scene) if is_layer else moved_actor(added, way)

@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 from jaxtyping import Float64
 
-from ...scene.camera_path_edit import WALKING_M_S, paced
+from ...scene.camera_path_edit import WALKING_M_S, with_constant_speed
 from ...scene.geometry import matrices_from_quaternions
 from ...scene.scene import Scene
 
@@ -35,7 +35,7 @@ _BELOW = 2.0
 _FEWEST_SHARE = 0.05
 
 
-class Ground(NamedTuple):
+class GroundPlaneFit(NamedTuple):
     """A plane of the world, metres."""
 
     up: Float64[np.ndarray, "3"]
@@ -96,7 +96,7 @@ def set_ground_height(scene: Scene, height_m: float) -> Scene:
     return replace(scene, ground_m=float(height_m))
 
 
-def find_ground(scene: Scene, seed: int = 0) -> Ground:
+def find_ground(scene: Scene, seed: int = 0) -> GroundPlaneFit:
     """Find the lowest large plane of what stands still and can be seen, by RANSAC (Fischler and Bolles 1981).
 
     Gaussians that are flat and face upwards within 60 degrees vote; a plane loses two votes for each sample
@@ -122,7 +122,7 @@ def find_ground(scene: Scene, seed: int = 0) -> Ground:
     share = float((np.abs((voters - point) @ up) < tolerance).sum() / len(points))
     if share < _FEWEST_SHARE:
         raise ValueError("No ground was found: no plane holds enough of the scene. Level it by three points (window).")
-    return Ground(up, point, share)
+    return GroundPlaneFit(up, point, share)
 
 
 def _winner(
@@ -197,7 +197,7 @@ def set_length(scene: Scene, measured_m: float, true_m: float) -> Scene:
     metres_per_unit = scene.metres_per_unit * factor
     path = scene.path
     if path is not None and not path.is_timed:
-        path = paced(path, WALKING_M_S / metres_per_unit)
+        path = with_constant_speed(path, WALKING_M_S / metres_per_unit)
     return replace(scene, metres_per_unit=metres_per_unit, ground_m=ground, path=path, unit_is_assumed=False)
 
 

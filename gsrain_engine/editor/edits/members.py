@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 
-from ...scene.flags import UNMARKED, Mask
+from ...scene.flags import UNMARKED, BitMask
 from ...scene.scene import Actor, Layer, Scene
 
 Members = tuple[Layer | Actor, ...]
@@ -15,7 +15,7 @@ def is_editable(member: Layer | Actor) -> bool:
     return member.visible and not member.locked
 
 
-def found(scene: Scene, key: str) -> Layer | Actor:
+def find_member(scene: Scene, key: str) -> Layer | Actor:
     """Find a member; raises `ValueError` where there is none."""
     try:
         return scene.member(key)
@@ -23,9 +23,9 @@ def found(scene: Scene, key: str) -> Layer | Actor:
         raise ValueError(f"There is no {key!r} in the scene.") from None
 
 
-def unlocked(scene: Scene, key: str) -> Layer | Actor:
+def find_unlocked_member(scene: Scene, key: str) -> Layer | Actor:
     """Find a member that may be edited, visible or not; raises `ValueError` where there is none or it is locked."""
-    member = found(scene, key)
+    member = find_member(scene, key)
     if member.locked:
         raise ValueError(f"{member.name} is locked.")
     return member
@@ -40,27 +40,27 @@ def with_members(scene: Scene, members: Members) -> Scene:
     )
 
 
-def edited(scene: Scene, edit: Callable[[Layer | Actor], Layer | Actor]) -> Scene:
+def edit_members(scene: Scene, edit: Callable[[Layer | Actor], Layer | Actor]) -> Scene:
     """Let every member that may be edited go through a function; the very same scene where nothing changed."""
     members = tuple(edit(each) if is_editable(each) else each for each in scene.members)
     unchanged = all(new is old for new, old in zip(members, scene.members, strict=True))
     return scene if unchanged else with_members(scene, members)
 
 
-def with_selections(scene: Scene, change: Callable[[Mapping[str, Mask]], Mapping[str, Mask]]) -> Scene:
+def with_selections(scene: Scene, change: Callable[[Mapping[str, BitMask]], Mapping[str, BitMask]]) -> Scene:
     """Let each selection set of a scene go through a function."""
     return replace(scene, selections={name: change(masks) for name, masks in scene.selections.items()})
 
 
-def named(member: Layer | Actor, name: str) -> Layer | Actor:
+def with_name(member: Layer | Actor, name: str) -> Layer | Actor:
     return replace(member, name=name) if isinstance(member, Layer) else replace(member, id=name)
 
 
-def names(scene: Scene, like: Layer | Actor) -> set[str]:
+def member_names(scene: Scene, like: Layer | Actor) -> set[str]:
     return {each.name for each in scene.members if type(each) is type(like)}
 
 
-def behind(scene: Scene, key: str, added: Members) -> Members:
+def insert_after(scene: Scene, key: str, added: Members) -> Members:
     at = next((i for i, each in enumerate(scene.members) if each.key == key), len(scene.members) - 1)
     return (*scene.members[: at + 1], *added, *scene.members[at + 1 :])
 

@@ -6,12 +6,12 @@ import numpy as np
 import scipy
 from jaxtyping import Float32, Float64
 
-from ...scene.flags import Marks, Mask, union
+from ...scene.flags import BitMask, SelectionFlags, mask_union
 from ...scene.gaussians import Gaussians, rotate_sh, scene_cache
 from ...scene.geometry import quaternion_product, quaternions_from_matrices
 from ...scene.scene import Actor, Layer, Scene
 from .actors import moved_actor
-from .members import edited, is_editable, unlocked
+from .members import edit_members, find_unlocked_member, is_editable
 
 Similarity = Float64[np.ndarray, "4 4"]
 
@@ -21,7 +21,7 @@ def move_member(scene: Scene, key: str, delta: Similarity) -> Scene:
 
     Raises `ValueError` where there is no such member or it is locked.
     """
-    member, way = unlocked(scene, key), _in_scene(scene, delta)
+    member, way = find_unlocked_member(scene, key), _in_scene(scene, delta)
     if isinstance(member, Layer):
         return scene.with_member(key, to_scene=way @ member.to_scene)
     there = moved_actor(member, way)
@@ -43,10 +43,10 @@ def move_selected(scene: Scene, delta: Similarity, time_s: float = 0.0) -> Scene
         wet_sh = member.wet_sh if member.wet_sh is None else _partly_turned(member.wet_sh, member.marks.selected, own)
         return replace(member, gaussians=_partly_moved(member.gaussians, member.marks.selected, own), wet_sh=wet_sh)
 
-    return edited(scene, placed)
+    return edit_members(scene, placed)
 
 
-def moving(scene: Scene, key: str | None, delta: Similarity, time_s: float = 0.0) -> Scene:
+def preview_move(scene: Scene, key: str | None, delta: Similarity, time_s: float = 0.0) -> Scene:
     """What a scene looks like while a member, or with None what is selected, is dragged by a similarity of the world.
 
     It shares all arrays with the scene, so it is made at once for any number of Gaussians: it is for the picture, and
@@ -59,7 +59,7 @@ def moving(scene: Scene, key: str | None, delta: Similarity, time_s: float = 0.0
         to_scene = member.way(time_s)
         if to_scene is not None and is_editable(member) and member.marks.selected:
             dragged.append(_dragged(member, way @ to_scene))
-    at_rest = edited(scene, _without_selection)
+    at_rest = edit_members(scene, _without_selection)
     return replace(at_rest, layers=(*at_rest.layers, *dragged))
 
 
@@ -86,7 +86,7 @@ _MIDDLE_SAMPLES = 100_000
 
 
 @scene_cache(maxsize=32)
-def _middle(gaussians: Gaussians, selected: Mask | None) -> Float64[np.ndarray, "3"]:
+def _middle(gaussians: Gaussians, selected: BitMask | None) -> Float64[np.ndarray, "3"]:
     means = gaussians.means if selected is None else gaussians.means[selected.indices]
     return np.median(means[:: -(-len(means) // _MIDDLE_SAMPLES) or 1], axis=0).astype(np.float64)
 
@@ -96,7 +96,7 @@ def _in_scene(scene: Scene, delta: Similarity) -> Similarity:
     return np.linalg.inv(scene.scene_to_world) @ delta @ scene.scene_to_world
 
 
-def _partly_moved(gaussians: Gaussians, selected: Mask, similarity: Similarity) -> Gaussians:
+def _partly_moved(gaussians: Gaussians, selected: BitMask, similarity: Similarity) -> Gaussians:
     where = selected.indices
     scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
     means, scales, quaternions = gaussians.means.copy(), gaussians.scales, gaussians.quaternions
@@ -114,7 +114,7 @@ def _partly_moved(gaussians: Gaussians, selected: Mask, similarity: Similarity) 
 
 
 def _partly_turned(
-    sh: Float32[np.ndarray, "n k 3"], selected: Mask, similarity: Similarity
+    sh: Float32[np.ndarray, "n k 3"], selected: BitMask, similarity: Similarity
 ) -> Float32[np.ndarray, "n k 3"]:
     """Harmonics with those of some Gaussians turned; the very same where nothing turns."""
     rotation = _turn_of(similarity)
@@ -136,8 +136,8 @@ def _without_selection(member: Layer | Actor) -> Layer | Actor:
     marks = member.marks
     if not marks.selected:
         return member
-    hidden = marks.selected if marks.hidden is None else union(marks.hidden, marks.selected)
-    return replace(member, marks=Marks(marks.selected, hidden, marks.deleted))
+    hidden = marks.selected if marks.hidden is None else mask_union(marks.hidden, marks.selected)
+    return replace(member, marks=SelectionFlags(marks.selected, hidden, marks.deleted))
 
 
 def _dragged(member: Layer | Actor, to_scene: Similarity) -> Layer:
@@ -151,13 +151,15 @@ def _dragged(member: Layer | Actor, to_scene: Similarity) -> Layer:
         to_scene,
         opacity=member.opacity,
         grading=member.grading,
-        marks=Marks(marks.selected, others if marks.hidden is None else union(marks.hidden, others), marks.deleted),
+        marks=SelectionFlags(
+            marks.selected, others if marks.hidden is None else mask_union(marks.hidden, others), marks.deleted
+        ),
         wet_sh=member.wet_sh,
     )
 
 
 @scene_cache(maxsize=64)
-def _complement(mask: Mask) -> Mask:
+def _complement(mask: BitMask) -> BitMask:
     return ~mask  # the very same value each time: renderers know arrays by their identity
 
 
@@ -224,7 +226,7 @@ def set_layer_pose(scene: Scene, key: str, pose: Pose, time_s: float = 0.0) -> S
 
     Raises `ValueError` where there is none, it is locked, it is not there at the time, or the scale is not above 0.
     """
-    member = unlocked(scene, key)
+    member = find_unlocked_member(scene, key)
     if not pose.scale > 0:
         raise ValueError(f"The scale of {member.name} must be above 0, not {pose.scale:g}.")
     before = layer_pose(scene, key, time_s)

@@ -14,36 +14,36 @@ from jaxtyping import UInt8
 from msgspec import Meta
 
 from ...backends import open_renderer
-from ...rain.settings import Rain
+from ...rain.settings import RainSettings
 from ...render.renderer import Renderer
 from ...safe_io.limits import read_file
-from ...scene.formats.scene_folder import KnownFiles
-from ...scene.open import open_to_draw
+from ...scene.formats.scene_folder import FileCache
+from ...scene.open import load_sorted_scene
 from ...scene.progress import Progress
 from ...scene.scene import Scene
-from ...simulation.agents.base import Needs, Observation
+from ...simulation.agents.base import Observation, SensorRequirements
 from ...simulation.agents.registry import AgentOptions, open_agent
-from ...simulation.metrics.summary import DriveMetrics, measured
-from ...simulation.playback import PlayedRollout
+from ...simulation.metrics.summary import DriveMetrics, measure_drive
+from ...simulation.playback import RolloutPlayback
 from ...simulation.rollout import Rollout, run_setting
 from ...simulation.rollout_io import read_any_rollout, read_rollout, write_rollout
 from ...simulation.scenario import Scenario
-from ...simulation.sensors import RigPictures, needed_cameras, of_width
+from ...simulation.sensors import RigRenderer, camera_of_width, needed_cameras
 from ...simulation.simulation import Simulation, drive
-from ..drive_curves import Curves, curves_of
-from ..notifications import told
+from ..drive_curves import RolloutCurves, rollout_curves
+from ..notifications import describe_error
 from .job import CopiedSceneJob
-from .process import Job, end_files_when_told
+from .process import WorkerProcess, install_sigterm_handler
 
 # § A roll-out that is open in the window, with its curves and metrics.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OpenedRollout:
+class LoadedRollout:
     """A finished drive and what panels say about it."""
 
     rollout: Rollout
-    curves: Curves
+    curves: RolloutCurves
     metrics: DriveMetrics
     path: Path | None
     """File that a person knows; none for the result of a job that was not saved."""
@@ -64,19 +64,19 @@ class OpenedRollout:
         """From the first moment to the last."""
         return self.rollout.steps[-1].time_s
 
-    def saved_at(self, path: Path) -> "OpenedRollout":
+    def saved_at(self, path: Path) -> "LoadedRollout":
         """Return the same with a file of its own."""
-        return OpenedRollout(self.rollout, self.curves, self.metrics, path, self.intensity_mm_h)
+        return LoadedRollout(self.rollout, self.curves, self.metrics, path, self.intensity_mm_h)
 
 
-Reading = Future[list[OpenedRollout]]
+Reading = Future[list[LoadedRollout]]
 
 # § What a person wants to drive: who, in which rain, from which seed. The scenario stands beside it.
 
 RainSource = Literal["as the scene", "one intensity", "paper's four"]
 
 
-class DriveWishes(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class DriveSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """All but the scenario. A scenario's own rain is not used: the window drives in the rain that it shows."""
 
     agent: Annotated[str, Meta(title="Agent", description="Who drives.")]
@@ -110,7 +110,7 @@ class DriveWishes(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     def options(self) -> AgentOptions:
         return AgentOptions(detector=self.detector, description=self.description, url=self.url)
 
-    def rains(self, present: Rain) -> tuple[Rain, ...]:
+    def rains(self, present: RainSettings) -> tuple[RainSettings, ...]:
         """Return the rain of each drive; `present` is the scene's."""
         if self.rain == "as the scene":
             return (present,)
@@ -118,17 +118,17 @@ class DriveWishes(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         return tuple(msgspec.structs.replace(present, intensity_mm_h=each) for each in chosen)
 
 
-class DriveJob(CopiedSceneJob):
+class SimulationJob(CopiedSceneJob):
     """One drive, or one in each of several rains."""
 
     def __init__(
         self,
         scene: Scene,
         scenario: Scenario,
-        wishes: DriveWishes,
-        rains: Sequence[Rain],
+        wishes: DriveSettings,
+        rains: Sequence[RainSettings],
         files: ThreadPoolExecutor,
-        known: KnownFiles,
+        known: FileCache,
         take: Callable[[Reading], None],
     ) -> None:
         """Start; `take` gets the roll-outs while they are being read."""
@@ -142,12 +142,14 @@ class DriveJob(CopiedSceneJob):
         self._hand_over(self._folder.do(lambda folder: _read(folder, self._count)))
 
 
-def _started(title: str, scenario: Scenario, wishes: DriveWishes, rains: tuple[Rain, ...], copy: Path) -> Job:
-    return Job(title, drive_in_worker, copy, scenario, wishes, rains)
+def _started(
+    title: str, scenario: Scenario, wishes: DriveSettings, rains: tuple[RainSettings, ...], copy: Path
+) -> WorkerProcess:
+    return WorkerProcess(title, drive_in_worker, copy, scenario, wishes, rains)
 
 
-def _read(folder: Path, count: int) -> list[OpenedRollout]:
-    return [open_rollout(path, is_own=False) for path in rollout_files(folder, count)]
+def _read(folder: Path, count: int) -> list[LoadedRollout]:
+    return [load_rollout(path, is_own=False) for path in rollout_files(folder, count)]
 
 
 # § Drives through a saved scene, as work of another process; writes one roll-out a rain.
@@ -164,14 +166,14 @@ def rollout_files(folder: Path, count: int) -> list[Path]:
 
 
 def drive_in_worker(
-    scene_folder: Path, scenario: Scenario, wishes: DriveWishes, rains: Sequence[Rain]
+    scene_folder: Path, scenario: Scenario, wishes: DriveSettings, rains: Sequence[RainSettings]
 ) -> Iterator[Progress]:
     """Drive once in each rain; the roll-outs and their metrics stand beside the scene's folder.
 
     Raises ValueError where the scene lacks what the scenario needs, and where the agent lacks what it needs.
     """
     yield Progress(0.0, "Reading the scene")
-    scene = open_to_draw(str(scene_folder))
+    scene = load_sorted_scene(str(scene_folder))
     yield Progress(_OPENED / 3, f"Making {wishes.agent} ready")
     agent = open_agent(wishes.agent, wishes.options)
     try:
@@ -181,29 +183,33 @@ def drive_in_worker(
                 needs = agent.needs
                 test = msgspec.structs.replace(scenario, rain=rain)
                 simulation = Simulation(test, scene, needs, renderer if needs.cameras else None, wishes.seed)
-                front = _Front(simulation, renderer)
+                front = _FrontCamera(simulation, renderer)
                 for observation in drive(simulation, agent):
                     done = observation.time_s / test.duration_s
-                    words = f"{rain.intensity_mm_h:g} mm/h, {observation.time_s:.2f} s: {_told(observation)}"
+                    words = f"{rain.intensity_mm_h:g} mm/h, {observation.time_s:.2f} s: {_notes_of(observation)}"
                     yield Progress(_share(number, done, len(rains)), words, front.picture(observation))
                 path = rollout_files(scene_folder.parent, len(rains))[number]
                 rollout = simulation.rollout(agent.name)
                 write_rollout(path, rollout)
-                numbers = msgspec.json.encode(measured(rollout, simulation.occupied))
+                numbers = msgspec.json.encode(measure_drive(rollout, simulation.occupied))
                 path.with_suffix(METRICS_SUFFIX).write_bytes(numbers)
     finally:
         agent.close()
     yield Progress(1.0, "Driven")
 
 
-class _Front:
+class _FrontCamera:
     """What the front camera sees; drawn only where the agent has not had it drawn."""
 
     def __init__(self, simulation: Simulation, renderer: Renderer) -> None:
         self._simulation = simulation
-        front = needed_cameras(simulation.rig.cameras, Needs(cameras=("front",))) if simulation.rig.cameras else ()
-        self._cameras = tuple(of_width(each, _PREVIEW_PX) for each in front)
-        self._pictures = RigPictures(renderer, simulation.scenario.rain, self._cameras, Needs())
+        front = (
+            needed_cameras(simulation.rig.cameras, SensorRequirements(cameras=("front",)))
+            if simulation.rig.cameras
+            else ()
+        )
+        self._cameras = tuple(camera_of_width(each, _PREVIEW_PX) for each in front)
+        self._pictures = RigRenderer(renderer, simulation.scenario.rain, self._cameras, SensorRequirements())
 
     def picture(self, observation: Observation) -> UInt8[np.ndarray, "h w 3"] | None:
         if not self._cameras:
@@ -222,7 +228,7 @@ def _share(number: int, done: float, count: int) -> float:
     return _OPENED + (1 - _OPENED) * (number + min(max(done, 0.0), 1.0)) / count
 
 
-def _told(observation: Observation) -> str:
+def _notes_of(observation: Observation) -> str:
     return f"{observation.state.speed_m_s:.1f} m/s"
 
 
@@ -231,30 +237,30 @@ def _told(observation: Observation) -> str:
 logger = logging.getLogger("gsrain")
 
 
-class DriveFilmJob(CopiedSceneJob):
+class RolloutVideoJob(CopiedSceneJob):
     """One film, as `gsrain drive` makes it."""
 
     def __init__(
-        self, scene: Scene, rollout: Rollout, film: Path, fps: float, files: ThreadPoolExecutor, known: KnownFiles
+        self, scene: Scene, rollout: Rollout, film: Path, fps: float, files: ThreadPoolExecutor, known: FileCache
     ) -> None:
         title = f"Film {film.name}"
         super().__init__(title, scene, known, files, partial(_start_video, title, rollout, film, fps))
         self._film = film
 
     def _said(self, error: Exception) -> str:
-        return told(f"{self._film} can't be filmed", error)
+        return describe_error(f"{self._film} can't be filmed", error)
 
     def _take(self, last: Progress) -> None:
         logger.info("Filmed the drive %s", self._film)
 
 
-def _start_video(title: str, rollout: Rollout, film: Path, fps: float, copy: Path) -> Job:
+def _start_video(title: str, rollout: Rollout, film: Path, fps: float, copy: Path) -> WorkerProcess:
     beside = copy.parent / "rollout.jsonl"
     write_rollout(beside, rollout)
-    return Job(title, film_in_worker, copy, beside, film, fps)
+    return WorkerProcess(title, render_video_in_worker, copy, beside, film, fps)
 
 
-def film_in_worker(scene_folder: Path, rollout: Path, film: Path, fps: float) -> Iterator[Progress]:
+def render_video_in_worker(scene_folder: Path, rollout: Path, film: Path, fps: float) -> Iterator[Progress]:
     """Film as work of another process; told to end, it ends the film first.
 
     Raises:
@@ -262,13 +268,13 @@ def film_in_worker(scene_folder: Path, rollout: Path, film: Path, fps: float) ->
         OSError: When the film can't be written.
     """
     # Matplotlib loads slowly: not before the first film.
-    from ...simulation.video import DriveVideo, film_drive
+    from ...simulation.video import RolloutVideo, render_rollout_video
 
-    end_files_when_told()
+    install_sigterm_handler()
     yield Progress(0.0, "Reading the scene")
-    played = PlayedRollout(read_rollout(rollout), open_to_draw(str(scene_folder)))
+    played = RolloutPlayback(read_rollout(rollout), load_sorted_scene(str(scene_folder)))
     with open_renderer() as renderer:
-        yield from film_drive(film, DriveVideo(played, renderer), fps)
+        yield from render_rollout_video(film, RolloutVideo(played, renderer), fps)
 
 
 PAPER_MM_H = (0.0, 1.2, 8.5, 12.0)
@@ -278,7 +284,7 @@ METRICS_SUFFIX = ".metrics.json"
 """Metrics stand beside a roll-out of a job: they were measured against its scene's background too."""
 
 
-def open_rollout(path: Path, *, is_own: bool = True) -> OpenedRollout:
+def load_rollout(path: Path, *, is_own: bool = True) -> LoadedRollout:
     """Read a roll-out; `is_own` says whether the file stays where it is.
 
     Raises:
@@ -288,9 +294,9 @@ def open_rollout(path: Path, *, is_own: bool = True) -> OpenedRollout:
     rollout = read_any_rollout(path)
     beside = path.with_suffix(METRICS_SUFFIX)
     try:
-        metrics = measured(rollout) if is_own else msgspec.json.decode(read_file(beside), type=DriveMetrics)
-        curves = curves_of(rollout)
+        metrics = measure_drive(rollout) if is_own else msgspec.json.decode(read_file(beside), type=DriveMetrics)
+        curves = rollout_curves(rollout)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
     intensity = run_setting(rollout).intensity_mm_h
-    return OpenedRollout(rollout, curves, metrics, path if is_own else None, intensity)
+    return LoadedRollout(rollout, curves, metrics, path if is_own else None, intensity)

@@ -8,7 +8,7 @@ from ...scene.progress import Progress
 from ...scene.scene import Scene
 from ..edits.floaters import FloaterRules, FloaterSearch, select_floaters
 from ..edits.gaussians import selected_count
-from ..viewport_state import ViewedDocument
+from ..viewport_state import ViewportState
 from .process import JobState
 
 TITLE = "Find floaters"
@@ -33,7 +33,7 @@ class FloaterJob:
         self._running: Future[None] = self._thread.submit(self._run)
         self._thread.shutdown(wait=False)
 
-    def poll(self, session: ViewedDocument) -> None:
+    def poll(self, session: ViewportState) -> None:
         """Select what was found once the search is through; never waits."""
         if self.state != "running" or not self._running.done():
             return

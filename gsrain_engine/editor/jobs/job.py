@@ -17,12 +17,12 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import platformdirs
 
-from ...scene.files import locked, locked_if_free, sentence_of
-from ...scene.formats.scene_folder import KnownFiles, write_scene_folder
+from ...scene.files import lock_path, sentence_of, try_lock_path
+from ...scene.formats.scene_folder import FileCache, write_scene_folder
 from ...scene.progress import Progress
 from ...scene.scene import Scene
-from ..viewport_state import StagedScene, ViewedDocument
-from .process import Job, JobState, Work
+from ..viewport_state import PendingScene, ViewportState
+from .process import JobState, Work, WorkerProcess
 
 
 @runtime_checkable
@@ -48,7 +48,7 @@ class BackgroundJob(BackgroundWork, Protocol):
     """What went wrong, as one line; `details` has the rest."""
     details: str | None
 
-    def poll(self, session: ViewedDocument) -> None:
+    def poll(self, session: ViewportState) -> None:
         """Go on, without waiting; once a frame while it runs. Whoever finishes brings the result into the session."""
         ...
 
@@ -62,7 +62,12 @@ class CopiedSceneJob:
     ends_with_scene = True
 
     def __init__(
-        self, title: str, scene: Scene, known: KnownFiles, files: ThreadPoolExecutor, start: Callable[[Path], Job]
+        self,
+        title: str,
+        scene: Scene,
+        known: FileCache,
+        files: ThreadPoolExecutor,
+        start: Callable[[Path], WorkerProcess],
     ) -> None:
         """Start on a document as it goes into files; `files` is the thread where reading and writing happens.
 
@@ -74,11 +79,11 @@ class CopiedSceneJob:
         self.error: str | None = None
         self.details: str | None = None
         self._start = start
-        self._folder = JobFolder(files)
+        self._folder = JobTempDir(files)
         self._copying: Future[Path] | None = self._folder.do(lambda folder: write_copy(scene, folder, known))
-        self._worker: Job | None = None
+        self._worker: WorkerProcess | None = None
 
-    def poll(self, session: ViewedDocument) -> None:
+    def poll(self, session: ViewportState) -> None:
         """Go on to the next stage when the present one is through; never waits."""
         if self.state != "running":
             return
@@ -103,7 +108,7 @@ class CopiedSceneJob:
     def _said(self, error: Exception) -> str:
         return sentence_of(error)
 
-    def _follow(self, worker: Job) -> None:
+    def _follow(self, worker: WorkerProcess) -> None:
         worker.poll()
         self.progress = worker.progress
         if worker.state == "failed":
@@ -132,7 +137,7 @@ logger = logging.getLogger("gsrain")
 
 
 @dataclass(frozen=True, slots=True)
-class Assignment:
+class WorkerCall:
     """What a worker is to do."""
 
     work: Work
@@ -140,7 +145,7 @@ class Assignment:
 
 
 @runtime_checkable
-class SceneTask(Protocol):
+class JobKind(Protocol):
     """What one kind of job does at each stage; `folder` is an empty one of its own, removed in the end."""
 
     title: str
@@ -152,7 +157,7 @@ class SceneTask(Protocol):
         """HTML page that the worker writes, if any."""
         ...
 
-    def prepare(self, folder: Path) -> Assignment:
+    def prepare(self, folder: Path) -> WorkerCall:
         """Write what the worker needs."""
         ...
 
@@ -164,7 +169,7 @@ class SceneTask(Protocol):
         """Read the result."""
         ...
 
-    def staged(self, scene: Scene) -> StagedScene:
+    def staged(self, scene: Scene) -> PendingScene:
         """Say how the result comes into the document."""
         ...
 
@@ -174,7 +179,7 @@ class SceneJob:
 
     ends_with_scene = True
 
-    def __init__(self, task: SceneTask, files: ThreadPoolExecutor) -> None:
+    def __init__(self, task: JobKind, files: ThreadPoolExecutor) -> None:
         """Start; `files` is where reading and writing happens."""
         self.title = task.title
         self.state: JobState = "running"
@@ -184,9 +189,9 @@ class SceneJob:
         self.report: Path | None = None
         """The report, once it is there."""
         self.task = task
-        self._folder = JobFolder(files)
-        self._preparing: Future[Assignment] | None = self._folder.do(task.prepare)
-        self._worker: Job | None = None
+        self._folder = JobTempDir(files)
+        self._preparing: Future[WorkerCall] | None = self._folder.do(task.prepare)
+        self._worker: WorkerProcess | None = None
         self._snapshot: Future[Scene | None] | None = None
         self._looked_at = ""
         """What the worker had said when its last snapshot was asked for."""
@@ -195,14 +200,14 @@ class SceneJob:
         self._has_shown = False
         """Whether a snapshot has been on its way into the document."""
 
-    def poll(self, session: ViewedDocument) -> None:
+    def poll(self, session: ViewportState) -> None:
         """Go on to the next stage when the present one is through; never waits. The result is staged at the end."""
         if self.state != "running":
             return
         try:
             if self._preparing is not None and self._preparing.done():
                 assignment, self._preparing = self._preparing.result(), None
-                self._worker = Job(self.title, assignment.work, *assignment.arguments)
+                self._worker = WorkerProcess(self.title, assignment.work, *assignment.arguments)
             if self._worker is not None:
                 self._follow(self._worker, session)
             if self._loading is not None and self._loading.done():
@@ -218,7 +223,7 @@ class SceneJob:
         if self.state == "running":
             self._end("cancelled")
 
-    def _follow(self, worker: Job, session: ViewedDocument) -> None:
+    def _follow(self, worker: WorkerProcess, session: ViewportState) -> None:
         worker.poll()
         self.progress = worker.progress
         if worker.state == "failed":
@@ -231,7 +236,7 @@ class SceneJob:
         else:
             self._follow_snapshots(session)
 
-    def _follow_snapshots(self, session: ViewedDocument) -> None:
+    def _follow_snapshots(self, session: ViewportState) -> None:
         if self._snapshot is not None and self._snapshot.done():
             scene, self._snapshot = self._snapshot.result(), None
             if scene is not None and session.staged is None:
@@ -240,13 +245,13 @@ class SceneJob:
             self._looked_at = self.progress.message
             self._snapshot = self._folder.do(self.task.snapshot)
 
-    def _stage(self, scene: Scene, session: ViewedDocument, *, is_finished: bool) -> None:
+    def _stage(self, scene: Scene, session: ViewportState, *, is_finished: bool) -> None:
         if not session.is_opening:  # else it would take the place of the scene that comes
             goes_on = self._has_shown and not is_finished
             self._has_shown = True
             session.stage(replace(self.task.staged(scene), gesture=self._gesture, goes_on=goes_on))
 
-    def _load(self, worker: Job, folder: Path) -> Scene:
+    def _load(self, worker: WorkerProcess, folder: Path) -> Scene:
         worker.close()
         return self.task.load(folder)
 
@@ -275,7 +280,7 @@ _Result = TypeVar("_Result")
 _PREFIX = "gsrain-job-"
 
 
-class JobFolder:
+class JobTempDir:
     """Not there before something is done with it; `files` has one thread, so that all happens in turn.
 
     A lock says that its process lives: where that was killed, the next one removes the folder.
@@ -290,7 +295,7 @@ class JobFolder:
         """Do something with the folder in the thread."""
         return self._files.submit(self._done, work)
 
-    def remove(self, worker: Job | None) -> None:
+    def remove(self, worker: WorkerProcess | None) -> None:
         """End the process that works with the folder, then remove it: behind what was asked for before, not waited for.
 
         Ending a process and emptying a folder take their time, in which the window goes on.
@@ -302,7 +307,7 @@ class JobFolder:
             self._path = self._open.enter_context(temporary_folder())
         return work(self._path)
 
-    def _removed(self, worker: Job | None) -> None:
+    def _removed(self, worker: WorkerProcess | None) -> None:
         if worker is not None:
             worker.close()
         self._open.close()
@@ -310,7 +315,7 @@ class JobFolder:
 
 @contextmanager
 def temporary_folder() -> Generator[Path]:
-    """Make a folder that is there for as long as the block runs; see `remove_abandoned_folders`."""
+    """Make a folder that is there for as long as the block runs; see `remove_abandoned_job_folders`."""
     with ExitStack() as lock:
         path = _locked_folder(lock)
         try:
@@ -323,13 +328,13 @@ def _locked_folder(lock: ExitStack) -> Path:
     while True:
         path = Path(tempfile.mkdtemp(prefix=_PREFIX))
         with suppress(FileNotFoundError):
-            lock.enter_context(locked(path))
+            lock.enter_context(lock_path(path))
         if path.is_dir():
             return path
         lock.close()  # another process took it for an abandoned one before it was locked
 
 
-def remove_abandoned_folders() -> None:
+def remove_abandoned_job_folders() -> None:
     """Remove the folders of this user's processes that were killed. Without effect where the system knows no locks."""
     if os.name != "posix":
         return
@@ -337,7 +342,7 @@ def remove_abandoned_folders() -> None:
         with suppress(OSError):
             if path.is_symlink() or path.stat().st_uid != os.getuid():
                 continue
-            with locked_if_free(path) as is_free:
+            with try_lock_path(path) as is_free:
                 if is_free:
                     shutil.rmtree(path, ignore_errors=True)
 
@@ -347,7 +352,7 @@ def remove_abandoned_folders() -> None:
 _SCENE = "scene"
 
 
-def write_copy(scene: Scene, folder: Path, known: KnownFiles) -> Path:
+def write_copy(scene: Scene, folder: Path, known: FileCache) -> Path:
     """Write a scene into a temporary folder; returns the scene folder. Files that are known are linked, not written."""
     copy = folder / _SCENE
     write_scene_folder(scene, copy, known, linking=True, in_drawing_order=True)

@@ -10,26 +10,26 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from ...appearance.base import ClearView, RainyView, Transfer, TransferSettings
-from ...appearance.registry import method_of, open_transfer
+from ...appearance.registry import find_method, open_transfer
 from ...appearance.scene_views import PlacedCamera, ViewChoice, chosen_cameras, scene_views
 from ...datasets.open_capture import open_capture
 from ...evaluation.report import RunReport, write_report
-from ...evaluation.report_charts import Comparison
+from ...evaluation.report_charts import ImageComparison
 from ...recolor.problem import RecolorSettings
 from ...recolor.rainy_scene import QUICK, rainy_scene
 from ...recolor.result import read_recolored, with_colors, write_recolored
 from ...render.cpu.renderer import CpuRenderer
 from ...scene.camera import Camera
 from ...scene.formats.scene_files import read_scene
-from ...scene.formats.scene_folder import KnownFiles
+from ...scene.formats.scene_folder import FileCache
 from ...scene.progress import Progress
 from ...scene.scene import Scene
-from ..viewport_state import StagedScene
-from .job import Assignment, CopiedSceneJob, new_report, write_copy
-from .process import Job
+from ..viewport_state import PendingScene
+from .job import CopiedSceneJob, WorkerCall, new_report, write_copy
+from .process import WorkerProcess
 from .training import HOW_TO_GET_DIFFUSION, require_torch
 
-RAINY_SCENE_TITLE = "Make it rainy"
+MAKE_RAINY_TITLE = "Make it rainy"
 
 _COLORS = "colors.npz"
 
@@ -37,7 +37,7 @@ _COLORS = "colors.npz"
 
 
 @dataclass(frozen=True, slots=True)
-class TransferOrder:
+class TransferRequest:
     """What is to be done to a scene."""
 
     method: str
@@ -49,19 +49,19 @@ class TransferOrder:
     """Whether files outside of the recording's folder are read that its files name."""
 
 
-class RainyScene:
-    """One scene to be made rainy, a `SceneTask`."""
+class MakeRainyJobKind:
+    """One scene to be made rainy, a `JobKind`."""
 
-    title = RAINY_SCENE_TITLE
+    title = MAKE_RAINY_TITLE
     preparing = "Saving the scene for the worker"
 
-    def __init__(self, scene: Scene, known: KnownFiles, order: TransferOrder) -> None:
+    def __init__(self, scene: Scene, known: FileCache, order: TransferRequest) -> None:
         self.report: Path | None = new_report(f"{scene.name} made rainy")
         self._scene, self._known, self._order = scene, known, order
 
-    def prepare(self, folder: Path) -> Assignment:
+    def prepare(self, folder: Path) -> WorkerCall:
         copy = write_copy(self._scene, folder, self._known)
-        return Assignment(make_rainy, (copy, self._order, folder / _COLORS, self.report))
+        return WorkerCall(make_rainy, (copy, self._order, folder / _COLORS, self.report))
 
     def snapshot(self, folder: Path) -> Scene | None:
         """Show nothing in the view before the end: the panel shows each picture."""
@@ -70,9 +70,9 @@ class RainyScene:
     def load(self, folder: Path) -> Scene:
         return with_colors(self._scene, read_recolored(folder / _COLORS))
 
-    def staged(self, scene: Scene) -> StagedScene:
+    def staged(self, scene: Scene) -> PendingScene:
         """Bring the wet colours, and nothing else."""
-        return StagedScene(RAINY_SCENE_TITLE, scene, only_wet_colors=True)
+        return PendingScene(MAKE_RAINY_TITLE, scene, only_wet_colors=True)
 
 
 # § The job "Preview": one view as a transfer makes it, from where a person looks now.
@@ -83,7 +83,7 @@ PREVIEW_TITLE = "Preview"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Recipe:
+class PreviewSettings:
     """A method and its settings."""
 
     method: str
@@ -100,7 +100,7 @@ class PreviewedView:
     """In the world, of the viewport's size when it was asked for."""
     time_s: float
     scene: Scene
-    recipe: Recipe
+    recipe: PreviewSettings
 
     def is_of(self, camera: Camera, time_s: float, scene: Scene) -> bool:
         own = self.camera
@@ -112,21 +112,21 @@ class PreviewedView:
             and _looks_alike(self.scene, scene)
         )
 
-    def is_made_by(self, recipe: Recipe) -> bool:
+    def is_made_by(self, recipe: PreviewSettings) -> bool:
         """Whether the method and its settings are those that it was made with."""
         return (self.recipe.method, self.recipe.settings) == (recipe.method, recipe.settings)
 
 
-class TransferPreview(CopiedSceneJob):
+class TransferPreviewJob(CopiedSceneJob):
     """One view on its way. Whoever has started it takes `result` when it is finished."""
 
-    def __init__(self, wanted: PreviewedView, width_px: int, known: KnownFiles, files: ThreadPoolExecutor) -> None:
+    def __init__(self, wanted: PreviewedView, width_px: int, known: FileCache, files: ThreadPoolExecutor) -> None:
         """Start. `wanted` says what of; its pixels are those that stand in until there are others."""
         placed = PlacedCamera(PREVIEW_TITLE, wanted.camera, wanted.time_s).at_width(min(width_px, wanted.camera.width))
         recipe = wanted.recipe
         super().__init__(
             PREVIEW_TITLE, wanted.scene, known, files,
-            lambda copy: Job(PREVIEW_TITLE, preview_view, copy, recipe.method, recipe.settings, placed),
+            lambda copy: WorkerProcess(PREVIEW_TITLE, preview_view, copy, recipe.method, recipe.settings, placed),
         )  # fmt: skip
         self.result: PreviewedView | None = None
         self._wanted = wanted
@@ -141,23 +141,23 @@ _READ, _RENDERED = 0.2, 0.6
 """Shares of a preview's time."""
 
 
-def make_rainy(copy: Path, order: TransferOrder, output: Path, report: Path | None) -> Iterator[Progress]:
+def make_rainy(copy: Path, order: TransferRequest, output: Path, report: Path | None) -> Iterator[Progress]:
     """Work of the job "Make it rainy": transfer views of a saved scene, solve for its wet colours and write them."""
     yield Progress(0.0, "Reading the scene")
     scene = read_scene(copy)
-    kept = KeptComparisons(_opened(order.method, order.settings, scene))
+    kept = ComparisonReport(_opened(order.method, order.settings, scene))
     rainy = yield from _with_colors_by(kept, scene, order)
     if report is not None:
         write_report(report, kept.report(rainy, order.method))
     write_recolored(output, {each.key: each.wet_sh for each in rainy.members if each.wet_sh is not None})
 
 
-def rainy_by(scene: Scene, order: TransferOrder) -> Generator[Progress, None, Scene]:
+def rainy_by(scene: Scene, order: TransferRequest) -> Generator[Progress, None, Scene]:
     """Give a scene the wet colors that an order asks for, in this process; yields and raises as `rainy_scene` does."""
     return (yield from _with_colors_by(_opened(order.method, order.settings, scene), scene, order))
 
 
-def _with_colors_by(transfer: Transfer, scene: Scene, order: TransferOrder) -> Generator[Progress, None, Scene]:
+def _with_colors_by(transfer: Transfer, scene: Scene, order: TransferRequest) -> Generator[Progress, None, Scene]:
     capture = None if order.capture is None else open_capture(order.capture, allow_outside=order.allow_outside)
     views = scene_views(scene, chosen_cameras(scene, order.choice, capture))
     # Pictures that don't agree with each other need the robust steps and an exposure each.
@@ -172,23 +172,23 @@ def preview_view(copy: Path, method: str, settings: TransferSettings, placed: Pl
     transfer = _opened(method, settings, scene)
     yield Progress(_READ, "Rendering the view")
     views: Sequence[ClearView] = scene_views(scene, [placed])
-    yield Progress(_RENDERED, "Making it rainy", shown(views[0].image))
+    yield Progress(_RENDERED, "Making it rainy", to_display_bytes(views[0].image))
     for rainy in transfer.transferred(views):
-        yield Progress(1.0, "Done", shown(rainy.image))
+        yield Progress(1.0, "Done", to_display_bytes(rainy.image))
 
 
-def shown(image: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
+def to_display_bytes(image: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
     """Turn a picture in display colours 0..1 into one that a window shows."""
     return np.rint(np.clip(image, 0, 1) * np.float32(255)).astype(np.uint8)
 
 
 def _opened(method: str, settings: TransferSettings, scene: Scene) -> Transfer:
-    from ...appearance.wet_look.environment import SceneSurroundings
+    from ...appearance.wet_look.environment import SceneEnvironment
 
-    row = method_of(method)
+    row = find_method(method)
     if row.needs_torch:
         require_torch(row.title, HOW_TO_GET_DIFFUSION)
-    return open_transfer(method, settings, SceneSurroundings(scene))
+    return open_transfer(method, settings, SceneEnvironment(scene))
 
 
 _SAME = 1e-4
@@ -200,7 +200,7 @@ _SAME_SHAPE = 0.01
 
 def _looks_alike(one: Scene, other: Scene) -> bool:
     """Whether two scenes look the same while they are dry."""
-    return one is other or _dry(one).matter == _dry(other).matter
+    return one is other or _dry(one).geometry_key == _dry(other).geometry_key
 
 
 def _dry(scene: Scene) -> Scene:
@@ -219,7 +219,7 @@ _SOLID = 0.3
 """Alpha from which a pixel counts."""
 
 
-class KeptComparisons:
+class ComparisonReport:
     """A transfer that keeps a few of the views that another one makes, evenly over all."""
 
     def __init__(self, transfer: Transfer) -> None:
@@ -252,11 +252,11 @@ class KeptComparisons:
         )
 
 
-def _compared(scene: Scene, rainy: RainyView) -> Comparison:
+def _compared(scene: Scene, rainy: RainyView) -> ImageComparison:
     parts = [part._replace(colors=None) for part in scene.parts(rainy.clear.time_s, wetness=1.0)]
     renderer = CpuRenderer()
     renderer.draw(parts, rainy.clear.camera)
     rgba = renderer.read().rgba
     alpha = rgba[..., 3]
     drawn = np.clip(rgba[..., :3] + (1 - alpha[..., None]) * rainy.image, 0, 1)
-    return Comparison.measured(rainy.clear.name, drawn, rainy.image, alpha > _SOLID)
+    return ImageComparison.measured(rainy.clear.name, drawn, rainy.image, alpha > _SOLID)

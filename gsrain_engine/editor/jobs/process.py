@@ -39,7 +39,7 @@ _NICENESS = 10
 _OUT_OF_MEMORY = "the machine ran out of memory: close other programs, or work with smaller images or fewer Gaussians"
 
 
-class Job:
+class WorkerProcess:
     """One piece of work in another process. Call `poll` once a frame."""
 
     def __init__(self, title: str, work: Work, *arguments: Any) -> None:
@@ -52,18 +52,18 @@ class Job:
         """What went wrong, as one line; `details` has the rest."""
         self.details: str | None = None
         self._messages, theirs = context.Pipe(duplex=False)
-        self._picture = SharedPicture()
-        arguments = (theirs, self._picture.name, work, arguments)
+        self._image = SharedImage()
+        arguments = (theirs, self._image.name, work, arguments)
         self._process = context.Process(target=_run, args=arguments, daemon=True)
         try:
             self._process.start()
         except BaseException:
             self._messages.close()
-            self._picture.close()
+            self._image.close()
             raise
         finally:
             theirs.close()
-        self._silence = Silence(self._process.pid or 0)
+        self._silence = WorkerWatchdog(self._process.pid or 0)
         self._said = self.progress.message
 
     @property
@@ -82,7 +82,7 @@ class Job:
             self._process.join(timeout=1.0)
             if self.state == "running":
                 self._fail(_death(self._process.exitcode), None)
-        if (pixels := self._picture.take()) is not None:
+        if (pixels := self._image.take()) is not None:
             self.progress = self.progress._replace(preview=pixels)
         if self.state == "running":
             self._tell_silence()
@@ -103,7 +103,7 @@ class Job:
             self._process.kill()
             self._process.join()
         self._messages.close()
-        self._picture.close()
+        self._image.close()
 
     def _take(self, message: Any) -> None:
         self._silence.heard()
@@ -147,7 +147,7 @@ def _run(messages: Connection, picture_name: str, work: Work, arguments: tuple[A
     if psutil.POSIX:
         psutil.Process().nice(_NICENESS)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    picture = SharedPicture(picture_name)
+    picture = SharedImage(picture_name)
     try:
         for progress in work(*arguments):
             if progress.preview is not None:
@@ -181,15 +181,15 @@ def _sentence(error: Exception) -> str:
 
 # § A worker's newest picture, in memory that two processes share: the window looks when it likes, nobody waits.
 
-_MOST_PIXELS = 1024 * 768
+_MAX_PIXELS = 1024 * 768
 
-_SLOT_BYTES = 3 * _MOST_PIXELS
+_SLOT_BYTES = 3 * _MAX_PIXELS
 
 _NUMBERS = 7
 """Number of the newest picture; then for each of two slots the number of its picture, its height and its width."""
 
 
-class SharedPicture:
+class SharedImage:
     """Two slots that a writer fills in turn; a reader takes the one that was filled last.
 
     The process that makes it frees it; another one attaches by `name`.
@@ -199,7 +199,7 @@ class SharedPicture:
         size = 8 * _NUMBERS + 2 * _SLOT_BYTES
         self._memory = SharedMemory(name, create=name is None, size=size if name is None else 0)
         self._is_own, self._is_closed = name is None, False
-        self._taken = 0
+        self._accept = 0
 
     @property
     def name(self) -> str:
@@ -207,7 +207,7 @@ class SharedPicture:
 
     def write(self, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
         """Show a picture; one that is too large is shown smaller."""
-        shrink = np.sqrt(pixels.shape[0] * pixels.shape[1] / _MOST_PIXELS)
+        shrink = np.sqrt(pixels.shape[0] * pixels.shape[1] / _MAX_PIXELS)
         if shrink > 1:
             size = max(1, int(pixels.shape[1] / shrink)), max(1, int(pixels.shape[0] / shrink))
             pixels = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8)
@@ -227,14 +227,14 @@ class SharedPicture:
         number = int(numbers[0])
         slot = number % 2
         found, height, width = numbers[1 + 3 * slot : 4 + 3 * slot].tolist()
-        if number == self._taken:
+        if number == self._accept:
             return None
-        if found != number or not 0 < height * width <= _MOST_PIXELS:
+        if found != number or not 0 < height * width <= _MAX_PIXELS:
             return None  # it is being written over: the next look finds a newer one
         pixels = self._pixels(slot, height, width).copy()
         if int(numbers[1 + 3 * slot]) != number:
             return None
-        self._taken = number
+        self._accept = number
         return pixels
 
     def close(self) -> None:
@@ -268,7 +268,7 @@ _LONG_S = 60.0
 _LOOKED_AT_EVERY_S = 2.0
 
 
-class Silence:
+class WorkerWatchdog:
     """The silence of one process."""
 
     def __init__(self, pid: int, now: Callable[[], float] = monotonic) -> None:
@@ -303,7 +303,7 @@ def _is_stopped(pid: int) -> bool:
 # § How a worker ends when it is told to: whatever it writes is closed first.
 
 
-def end_files_when_told() -> None:
+def install_sigterm_handler() -> None:
     """In a worker: unwind when the process is told to end, so that its videos are closed properly."""
     signal.signal(signal.SIGTERM, _leave)
 

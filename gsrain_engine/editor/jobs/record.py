@@ -6,20 +6,20 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from ...backends import open_renderer
-from ...rain.keyframes import rain_of, weather_of
-from ...rain.settings import Rain
-from ...rain.simulation import Rainfall
-from ...render.export import frame_numbers, record, sequences_of
-from ...render.export_settings import DEFAULT_SIZE_PX, Recording
+from ...rain.keyframes import keyframes_of, rain_of
+from ...rain.settings import RainSettings
+from ...rain.simulation import RainSimulation
+from ...render.export import export_frames, export_sequences, frame_numbers
+from ...render.export_settings import DEFAULT_SIZE_PX, ExportSettings
 from ...scene.camera_path import CameraPath
-from ...scene.formats.scene_folder import KnownFiles
-from ...scene.open import open_to_draw
+from ...scene.formats.scene_folder import FileCache
+from ...scene.open import load_sorted_scene
 from ...scene.progress import Progress
 from ...scene.scene import Scene
-from ..notifications import told
+from ..notifications import describe_error
 from ..viewport.camera import default_path
 from .job import CopiedSceneJob
-from .process import Job, end_files_when_told
+from .process import WorkerProcess, install_sigterm_handler
 
 
 def own_path(scene: Scene, width: int, height: int) -> CameraPath:
@@ -27,7 +27,7 @@ def own_path(scene: Scene, width: int, height: int) -> CameraPath:
     return default_path(scene, width, height) if scene.path is None else scene.path.moved(scene.scene_to_world)
 
 
-def record_project(folder: Path, recording: Recording) -> Iterator[Progress]:
+def record_project(folder: Path, recording: ExportSettings) -> Iterator[Progress]:
     """Record a scene folder.
 
     Raises:
@@ -35,17 +35,17 @@ def record_project(folder: Path, recording: Recording) -> Iterator[Progress]:
         OSError: When it can't be written; what had been written can be played.
     """
     yield Progress(0.0, "Reading the scene")
-    scene = open_to_draw(str(folder))
-    rainfall = Rainfall.start(rain_of(scene) or Rain(), weather=weather_of(scene))
+    scene = load_sorted_scene(str(folder))
+    rainfall = RainSimulation.start(rain_of(scene) or RainSettings(), weather=keyframes_of(scene))
     path = own_path(scene, *(recording.size_px or DEFAULT_SIZE_PX))
-    sequences = sequences_of(recording, scene, rainfall, path, in_scene_time=scene.path is not None)
+    sequences = export_sequences(recording, scene, rainfall, path, in_scene_time=scene.path is not None)
     with open_renderer() as renderer:
-        yield from record(renderer, recording, sequences, frame_numbers(recording, sequences))
+        yield from export_frames(renderer, recording, sequences, frame_numbers(recording, sequences))
 
 
-def record_in_worker(folder: Path, recording: Recording) -> Iterator[Progress]:
+def record_in_worker(folder: Path, recording: ExportSettings) -> Iterator[Progress]:
     """Record as work of another process: told to end, it ends its videos first."""
-    end_files_when_told()
+    install_sigterm_handler()
     yield from record_project(folder, recording)
 
 
@@ -54,7 +54,7 @@ def record_in_worker(folder: Path, recording: Recording) -> Iterator[Progress]:
 logger = logging.getLogger("gsrain")
 
 
-class RecordingJob(CopiedSceneJob):
+class ExportJob(CopiedSceneJob):
     """One recording. Its worker sees the numbers that the command line sees."""
 
     ends_with_scene = False  # it has a copy of the document that it began with
@@ -62,14 +62,16 @@ class RecordingJob(CopiedSceneJob):
     def __init__(
         self,
         scene: Scene,
-        recording: Recording,
+        recording: ExportSettings,
         files: ThreadPoolExecutor,
-        known: KnownFiles,
+        known: FileCache,
         notes: Sequence[str] = (),
     ) -> None:
         """Start; `notes` go into the log at the end."""
         title = f"Record {recording.path.name}"
-        super().__init__(title, scene, known, files, lambda copy: Job(title, record_in_worker, copy, recording))
+        super().__init__(
+            title, scene, known, files, lambda copy: WorkerProcess(title, record_in_worker, copy, recording)
+        )
         self._output, self._notes = recording.output, tuple(notes)
 
     def cancel(self) -> None:
@@ -81,7 +83,7 @@ class RecordingJob(CopiedSceneJob):
         super().cancel()
 
     def _said(self, error: Exception) -> str:
-        return told(f"{self._output} can't be recorded", error)
+        return describe_error(f"{self._output} can't be recorded", error)
 
     def _take(self, last: Progress) -> None:
         logger.info("Recorded %s", self._output)

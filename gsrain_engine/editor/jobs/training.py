@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from ...appearance.finetune.loss_log import read_losses
-from ...appearance.finetune.task import TrainingTask, warning_in, with_warning
+from ...appearance.finetune.task import FinetuneTask, warning_in, with_warning
 from ...datasets.image_override import with_images
 from ...datasets.open_capture import open_capture
 from ...evaluation.report import write_report
@@ -19,18 +19,18 @@ from ...recolor.recolor import RecolorOptions, recolor_to_capture
 from ...recolor.result import read_recolored, with_colors, write_recolored
 from ...scene.files import SceneFormatError
 from ...scene.formats.scene_files import read_scene
-from ...scene.formats.scene_folder import KnownFiles
+from ...scene.formats.scene_folder import FileCache
 from ...scene.progress import Progress
 from ...scene.scene import Scene
 from ...training.settings import TrainingSettings
 from ...training.task import ReconstructionTask
-from ...trusted_code import expect
-from ..viewport_state import StagedScene
-from .job import Assignment, new_report, write_copy
-from .process import Job, JobState
+from ...trusted_code import expect_trusted
+from ..viewport_state import PendingScene
+from .job import WorkerCall, new_report, write_copy
+from .process import JobState, WorkerProcess
 
 if TYPE_CHECKING:
-    from ...appearance.finetune.task import TrainingResult
+    from ...appearance.finetune.task import FinetuneResult
 
 TRANSFER_TRAINING_TITLE = "Train the transfer"
 
@@ -41,12 +41,12 @@ _DRAWN = 400
 """Points of a curve: each is the mean of as many iterations as it takes."""
 
 
-class TransferTraining:
+class FinetuneJob:
     """One training, a `BackgroundJob`. Stopped anywhere, it leaves its folder's last checkpoint to go on from."""
 
     ends_with_scene = False
 
-    def __init__(self, task: TrainingTask, files: ThreadPoolExecutor) -> None:
+    def __init__(self, task: FinetuneTask, files: ThreadPoolExecutor) -> None:
         """Start; `files` is where losses are read."""
         self.title = TRANSFER_TRAINING_TITLE
         self.state: JobState = "running"
@@ -58,7 +58,7 @@ class TransferTraining:
         self.warning: str | None = None
         """What is wrong with how it goes, as the worker says; stays when it ends."""
         self._files = files
-        self._worker: Job | None = Job(TRANSFER_TRAINING_TITLE, train_transfer, task)
+        self._worker: WorkerProcess | None = WorkerProcess(TRANSFER_TRAINING_TITLE, train_transfer, task)
         self._reading: Future[Losses] | None = None
         self._read_at = ""
 
@@ -109,7 +109,7 @@ class TransferTraining:
             self._worker = None
 
 
-def _losses_of(task: TrainingTask) -> Losses:
+def _losses_of(task: FinetuneTask) -> Losses:
     """Read the losses so far; where the file can't be read there are none."""
     try:
         rows = read_losses(task.losses)
@@ -125,10 +125,10 @@ def _losses_of(task: TrainingTask) -> Losses:
 # § Fine-tuning as work, for a worker process and the command line alike: the recipe with LPIPS, where it has weights.
 
 
-def train_transfer(task: "TrainingTask") -> "Generator[Progress, None, TrainingResult]":
+def train_transfer(task: "FinetuneTask") -> "Generator[Progress, None, FinetuneResult]":
     """Fine-tune as a task says. Yields and raises as `finetune` does, and ValueError where torch is missing."""
     require_torch("training the transfer", HOW_TO_GET_DIFFUSION)
-    expect(task.code)
+    expect_trusted(task.code)
     from ...appearance.finetune.run import chosen_device, finetune
     from ...evaluation.lpips import lpips_loss
 
@@ -144,15 +144,15 @@ def train_transfer(task: "TrainingTask") -> "Generator[Progress, None, TrainingR
 _COLORS = "colors.npz"
 
 
-class Recoloring:
-    """One scene to be recoloured to pictures, a `SceneTask`."""
+class RecolorJobKind:
+    """One scene to be recoloured to pictures, a `JobKind`."""
 
     preparing = "Saving the scene for the worker"
 
     def __init__(
         self,
         scene: Scene,
-        known: KnownFiles,
+        known: FileCache,
         capture: Path,
         images: Path | None = None,
         options: RecolorOptions | None = None,
@@ -167,10 +167,10 @@ class Recoloring:
         self._capture, self._images, self._options = capture, images, options or RecolorOptions()
         self._allow_outside = allow_outside
 
-    def prepare(self, folder: Path) -> Assignment:
+    def prepare(self, folder: Path) -> WorkerCall:
         copy = write_copy(self._scene, folder, self._known)
         arguments = copy, self._capture, self._images, self._options, folder / _COLORS, self.report, self._allow_outside
-        return Assignment(recolor_copy, arguments)
+        return WorkerCall(recolor_scene_copy, arguments)
 
     def snapshot(self, folder: Path) -> Scene | None:
         return None
@@ -178,12 +178,12 @@ class Recoloring:
     def load(self, folder: Path) -> Scene:
         return with_colors(self._scene, read_recolored(folder / _COLORS))
 
-    def staged(self, scene: Scene) -> StagedScene:
+    def staged(self, scene: Scene) -> PendingScene:
         """Bring the wet colours, and nothing else."""
-        return StagedScene(self.title, scene, only_wet_colors=True)
+        return PendingScene(self.title, scene, only_wet_colors=True)
 
 
-def recolor_copy(
+def recolor_scene_copy(
     copy: Path,
     capture: Path,
     images: Path | None,
@@ -208,8 +208,8 @@ def recolor_copy(
 _SCENE, _SNAPSHOT = "scene", "snapshot"
 
 
-class Reconstruction:
-    """One capture to be reconstructed, a `SceneTask`."""
+class ReconstructionJobKind:
+    """One capture to be reconstructed, a `JobKind`."""
 
     preparing = "Starting"
 
@@ -219,12 +219,12 @@ class Reconstruction:
         self._capture, self._settings, self._allow_outside = capture, settings, allow_outside
         self._seen_ns = 0
 
-    def prepare(self, folder: Path) -> Assignment:
+    def prepare(self, folder: Path) -> WorkerCall:
         task = ReconstructionTask(
             capture=self._capture, output=folder / _SCENE, settings=self._settings, report=self.report,
             snapshot=folder / _SNAPSHOT, allow_outside=self._allow_outside,
         )  # fmt: skip
-        return Assignment(reconstruct_capture, (task,))
+        return WorkerCall(reconstruct_capture, (task,))
 
     def snapshot(self, folder: Path) -> Scene | None:
         try:
@@ -240,9 +240,9 @@ class Reconstruction:
     def load(self, folder: Path) -> Scene:
         return read_scene(folder / _SCENE)
 
-    def staged(self, scene: Scene) -> StagedScene:
+    def staged(self, scene: Scene) -> PendingScene:
         """Take the place of the present scene, as a step that can be undone."""
-        return StagedScene(self.title, scene, is_whole=True)
+        return PendingScene(self.title, scene, is_whole=True)
 
 
 def reconstruct_capture(task: ReconstructionTask) -> Iterator[Progress]:

@@ -9,18 +9,18 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
-from ...render.draw import Shot
+from ...render.draw import RenderView
 from ...scene.camera import Camera
-from ...scene.flags import Mask
-from ...scene.scene import Part, Scene
-from .candidates import base_colors, candidates, editable, selected, shown
+from ...scene.flags import BitMask
+from ...scene.scene import DrawItem, Scene
+from .candidates import base_colors, candidates, editable, selected, visible_gaussians
 from .screen import camera_depths
 
 
-class Read(NamedTuple):
+class AttributeInputs(NamedTuple):
     """What attributes are read from."""
 
-    part: Part
+    part: DrawItem
     number: int
     """Place of the member among all of the scene, from 1."""
     ground_m: float
@@ -33,7 +33,7 @@ class Attribute:
 
     unit: str
     help: str
-    values: Callable[[Read], Float32[np.ndarray, " n"]]
+    values: Callable[[AttributeInputs], Float32[np.ndarray, " n"]]
     logarithmic: bool = False
     by_camera: bool = False
     """Whether it changes as the camera moves."""
@@ -41,23 +41,27 @@ class Attribute:
     """What it can't go beyond."""
 
 
-def read_attribute(name: str, read: Read) -> Float32[np.ndarray, " n"]:
+def read_attribute(name: str, read: AttributeInputs) -> Float32[np.ndarray, " n"]:
     return np.asarray(ATTRIBUTES[name].values(read), np.float32)
 
 
-def readings(scene: Scene, time_s: float, camera: Camera) -> dict[str, Read]:
+def attribute_inputs(scene: Scene, time_s: float, camera: Camera) -> dict[str, AttributeInputs]:
     """Return what attributes of the candidates are read from, by their keys."""
     numbers = {member.key: number for number, member in enumerate(scene.members, 1)}
     ground = scene.ground_m or 0.0
-    return {each.key: Read(each.part, numbers[each.key], ground, camera) for each in candidates(scene, time_s)}
+    return {
+        each.key: AttributeInputs(each.part, numbers[each.key], ground, camera) for each in candidates(scene, time_s)
+    }
 
 
-def in_range(scene: Scene, time_s: float, camera: Camera, name: str, low: float, high: float) -> dict[str, Mask]:
+def select_attribute_range(
+    scene: Scene, time_s: float, camera: Camera, name: str, low: float, high: float
+) -> dict[str, BitMask]:
     """Find Gaussians of which an attribute lies within [low, high]."""
-    found: dict[str, Mask] = {}
-    for key, read in readings(scene, time_s, camera).items():
+    found: dict[str, BitMask] = {}
+    for key, read in attribute_inputs(scene, time_s, camera).items():
         values = read_attribute(name, read)
-        found[key] = Mask.of((values >= low) & (values <= high))
+        found[key] = BitMask.of((values >= low) & (values <= high))
     return found
 
 
@@ -67,34 +71,34 @@ def layer_names(scene: Scene) -> dict[int, str]:
     return {number: each.name for number, each in enumerate(scene.members, 1) if each.key in keys}
 
 
-def _size(read: Read) -> np.ndarray:
+def _size(read: AttributeInputs) -> np.ndarray:
     a, b, c = read.part.gaussians.scales.T
     return np.maximum(np.maximum(a, b), c) * np.float32(_scale(read.part))
 
 
-def _scale(part: Part) -> float:
+def _scale(part: DrawItem) -> float:
     return float(np.cbrt(abs(np.linalg.det(part.to_world[:3, :3]))))
 
 
-def _elongation(read: Read) -> np.ndarray:
+def _elongation(read: AttributeInputs) -> np.ndarray:
     a, b, c = read.part.gaussians.scales.T
     largest = np.maximum(np.maximum(a, b), c)
     middle = np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
     return largest / np.maximum(middle, np.float32(1e-12))
 
 
-def _height(read: Read) -> np.ndarray:
+def _height(read: AttributeInputs) -> np.ndarray:
     row = read.part.to_world[2]
     return read.part.gaussians.means @ row[:3].astype(np.float32) + np.float32(row[3] - read.ground_m)
 
 
-def _distance(read: Read) -> np.ndarray:
+def _distance(read: AttributeInputs) -> np.ndarray:
     way = (read.camera.world_to_camera @ read.part.to_world).astype(np.float32)
     x, y, z = (read.part.gaussians.means @ row[:3] + row[3] for row in way[:3])
     return np.sqrt(x * x + y * y + z * z)
 
 
-def _hue(read: Read) -> np.ndarray:
+def _hue(read: AttributeInputs) -> np.ndarray:
     return _hues(base_colors(read.part))
 
 
@@ -117,19 +121,19 @@ def _hues(colors):
     return hues
 
 
-def _saturation(read: Read) -> np.ndarray:
+def _saturation(read: AttributeInputs) -> np.ndarray:
     colors = base_colors(read.part)
     high = np.maximum(np.maximum(colors[:, 0], colors[:, 1]), colors[:, 2])
     low = np.minimum(np.minimum(colors[:, 0], colors[:, 1]), colors[:, 2])
     return (high - low) / np.maximum(high, np.float32(1e-6))
 
 
-def _value(read: Read) -> np.ndarray:
+def _value(read: AttributeInputs) -> np.ndarray:
     colors = base_colors(read.part)
     return np.maximum(np.maximum(colors[:, 0], colors[:, 1]), colors[:, 2])
 
 
-def _channel(channel: int) -> Callable[[Read], np.ndarray]:
+def _channel(channel: int) -> Callable[[AttributeInputs], np.ndarray]:
     return lambda read: base_colors(read.part)[:, channel]
 
 
@@ -192,18 +196,18 @@ class AttributeHistogram:
     _made_of: object = None
     _made: Histogram | None = None
 
-    def of(self, scene: Scene, shot: Shot, name: str) -> Histogram:
+    def of(self, scene: Scene, shot: RenderView, name: str) -> Histogram:
         """Return the histogram of an attribute over what can be selected, as `shot` sees it."""
         key = (scene, name, shot.time_s if scene.actors else 0.0, *_view(shot, name))
         if self._made is None or key != self._made_of:
             self._made, self._made_of = self._make(scene, shot, name), key
         return self._made
 
-    def _make(self, scene: Scene, shot: Shot, name: str) -> Histogram:
-        reads = readings(scene, shot.time_s, shot.camera)
+    def _make(self, scene: Scene, shot: RenderView, name: str) -> Histogram:
+        reads = attribute_inputs(scene, shot.time_s, shot.camera)
         self._values = {key: self._read(key, name, read, shot) for key, read in reads.items()}
         values = {key: values for key, (_, values) in self._values.items()}
-        masks = {key: shown(scene.member(key)) for key in values}
+        masks = {key: visible_gaussians(scene.member(key)) for key in values}
         low, high = _range(values, masks, ATTRIBUTES[name], step=name == "layer")
         both = np.zeros((2, BINS), np.int64)
         for key, own in values.items():
@@ -214,7 +218,9 @@ class AttributeHistogram:
         edges = np.linspace(low, high, BINS + 1)
         return Histogram(10**edges if ATTRIBUTES[name].logarithmic else edges, both[0], both[1])
 
-    def _read(self, key: str, name: str, read: Read, shot: Shot) -> tuple[object, Float32[np.ndarray, " n"]]:
+    def _read(
+        self, key: str, name: str, read: AttributeInputs, shot: RenderView
+    ) -> tuple[object, Float32[np.ndarray, " n"]]:
         """Read an attribute, or its logarithm, unless nothing that it depends on has changed."""
         part = read.part
         colors = None if part.colors is None else part.colors.tobytes()
@@ -228,12 +234,12 @@ class AttributeHistogram:
         return depends_on, values
 
 
-def _view(shot: Shot, name: str) -> tuple[bytes, ...]:
+def _view(shot: RenderView, name: str) -> tuple[bytes, ...]:
     return (shot.camera.world_to_camera.tobytes(),) if ATTRIBUTES[name].by_camera else ()
 
 
 def _range(
-    values: dict[str, Float32[np.ndarray, " n"]], masks: dict[str, Mask], attribute: Attribute, *, step: bool
+    values: dict[str, Float32[np.ndarray, " n"]], masks: dict[str, BitMask], attribute: Attribute, *, step: bool
 ) -> tuple[float, float]:
     sample = [_sampled(own[masks[key].flags]) for key, own in values.items() if masks[key]]
     every = np.concatenate([np.zeros(0, np.float32), *sample])

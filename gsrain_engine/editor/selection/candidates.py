@@ -7,11 +7,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float32
 
-from ...scene.flags import Mask
+from ...scene.flags import BitMask
 from ...scene.gaussians import SH_C0
-from ...scene.scene import Actor, Layer, Part, Scene
+from ...scene.scene import Actor, DrawItem, Layer, Scene
 
-Found = Mapping[str, Mask]
+Found = Mapping[str, BitMask]
 """Gaussians that a tool has found, by the keys of their members; members without any may be absent."""
 
 
@@ -19,22 +19,22 @@ class Candidate(NamedTuple):
     """A member as it is at a moment."""
 
     key: str
-    part: Part
+    part: DrawItem
     """Its Gaussians, and their similarity to the world (metres)."""
 
 
-def is_editable(member: Layer | Actor) -> bool:
+def is_selectable(member: Layer | Actor) -> bool:
     return member.visible and not member.locked
 
 
 def editable(scene: Scene) -> Iterator[Layer | Actor]:
-    return (member for member in scene.members if is_editable(member))
+    return (member for member in scene.members if is_selectable(member))
 
 
-def shown(member: Layer | Actor) -> Mask:
+def visible_gaussians(member: Layer | Actor) -> BitMask:
     """Gaussians of a member that are neither hidden nor deleted."""
     left_out = member.marks.left_out
-    return Mask.all(len(member.gaussians)) if left_out is None else ~left_out
+    return BitMask.all(len(member.gaussians)) if left_out is None else ~left_out
 
 
 def candidates(scene: Scene, time_s: float) -> list[Candidate]:
@@ -48,35 +48,37 @@ def candidates(scene: Scene, time_s: float) -> list[Candidate]:
 Mode = Literal["set", "add", "remove", "intersect"]
 
 
-def combined(scene: Scene, found: Found, mode: Mode) -> Scene:
+def combine_selection(scene: Scene, found: Found, mode: Mode) -> Scene:
     """Select what a tool has found; the very same scene where that changes nothing.
 
     Hidden and deleted Gaussians never become selected; members that are hidden or locked keep what they have.
     """
     for member in editable(scene):
-        own = found.get(member.key) or Mask.none(len(member.gaussians))
-        scene = _with_selected(scene, member, _put_together(selected(member), own & shown(member), mode))
+        own = found.get(member.key) or BitMask.none(len(member.gaussians))
+        scene = _with_selected(scene, member, _put_together(selected(member), own & visible_gaussians(member), mode))
     return scene
 
 
 def all_selected(scene: Scene) -> Scene:
-    return combined(scene, {member.key: shown(member) for member in editable(scene)}, "set")
+    return combine_selection(scene, {member.key: visible_gaussians(member) for member in editable(scene)}, "set")
 
 
 def none_selected(scene: Scene) -> Scene:
-    return combined(scene, {}, "set")
+    return combine_selection(scene, {}, "set")
 
 
 def inverted(scene: Scene) -> Scene:
     """Select what is shown and was not selected."""
-    return combined(scene, {member.key: shown(member) - selected(member) for member in editable(scene)}, "set")
+    return combine_selection(
+        scene, {member.key: visible_gaussians(member) - selected(member) for member in editable(scene)}, "set"
+    )
 
 
-def selected(member: Layer | Actor) -> Mask:
-    return member.marks.selected or Mask.none(len(member.gaussians))
+def selected(member: Layer | Actor) -> BitMask:
+    return member.marks.selected or BitMask.none(len(member.gaussians))
 
 
-def selections(scene: Scene) -> dict[str, Mask]:
+def selections(scene: Scene) -> dict[str, BitMask]:
     """What is selected of the members that edits take in; only those with anything selected."""
     return {member.key: selected(member) for member in editable(scene) if member.marks.selected}
 
@@ -88,10 +90,10 @@ def selected_count(scene: Scene) -> int:
 
 def selectable_count(scene: Scene) -> int:
     """How many Gaussians can be selected."""
-    return sum(shown(member).size for member in editable(scene))
+    return sum(visible_gaussians(member).size for member in editable(scene))
 
 
-def _put_together(now: Mask, found: Mask, mode: Mode) -> Mask:
+def _put_together(now: BitMask, found: BitMask, mode: Mode) -> BitMask:
     if mode == "add":
         return now | found
     if mode == "remove":
@@ -99,7 +101,7 @@ def _put_together(now: Mask, found: Mask, mode: Mode) -> Mask:
     return found if mode == "set" else now & found
 
 
-def _with_selected(scene: Scene, member: Layer | Actor, mask: Mask) -> Scene:
+def _with_selected(scene: Scene, member: Layer | Actor, mask: BitMask) -> Scene:
     if mask.same_as(selected(member)):
         return scene
     return scene.with_member(member.key, marks=replace(member.marks, selected=mask if mask else None))
@@ -108,7 +110,7 @@ def _with_selected(scene: Scene, member: Layer | Actor, mask: Mask) -> Scene:
 # § Base colours of Gaussians, and those that are alike.
 
 
-def base_colors(part: Part) -> Float32[np.ndarray, "n 3"]:
+def base_colors(part: DrawItem) -> Float32[np.ndarray, "n 3"]:
     """Display colour of each Gaussian without what changes with direction, graded as it is drawn, within 0..1."""
     colors = part.gaussians.sh[:, 0].copy()
     colors *= np.float32(SH_C0)
@@ -119,17 +121,19 @@ def base_colors(part: Part) -> Float32[np.ndarray, "n 3"]:
     return np.clip(colors, 0, 1, out=colors)
 
 
-def base_color(part: Part, index: int) -> Float32[np.ndarray, "3"]:
+def base_color(part: DrawItem, index: int) -> Float32[np.ndarray, "3"]:
     """Display colour of one Gaussian, see `base_colors`."""
     return base_colors(part._replace(gaussians=part.gaussians.take(np.array([index]))))[0]
 
 
-def alike(scene: Scene, time_s: float, color: Float32[np.ndarray, "3"], tolerance: float) -> dict[str, Mask]:
+def select_similar_colors(
+    scene: Scene, time_s: float, color: Float32[np.ndarray, "3"], tolerance: float
+) -> dict[str, BitMask]:
     """Find Gaussians whose base colour differs by no more than `tolerance` (0..1) in red, green and blue each."""
-    found: dict[str, Mask] = {}
+    found: dict[str, BitMask] = {}
     for each in candidates(scene, time_s):
         difference = base_colors(each.part)
         difference -= color
         near = np.abs(difference, out=difference) <= tolerance
-        found[each.key] = Mask.of(near[:, 0] & near[:, 1] & near[:, 2])
+        found[each.key] = BitMask.of(near[:, 0] & near[:, 1] & near[:, 2])
     return found

@@ -2,19 +2,28 @@
 
 from dataclasses import dataclass, field, replace
 
-from ...scene.flags import Mask
+from ...scene.flags import BitMask
 from ...scene.scene import Scene
 from ..document import EditedDocument
 from ..edits.gaussians import CropBox
 from .attributes import AttributeHistogram
-from .candidates import Found, Mode, all_selected, combined, inverted, none_selected, selected_count, selections
-from .screen import Depths, Reach
-from .volume import Ball, grown, rim
+from .candidates import (
+    Found,
+    Mode,
+    all_selected,
+    combine_selection,
+    inverted,
+    none_selected,
+    selected_count,
+    selections,
+)
+from .screen import DepthMode, Depths
+from .volume import Sphere, expand, selection_boundary
 
 
 def select(session: EditedDocument, found: Found, mode: Mode, by: str) -> None:
     """Take in what a tool has found; no step where that changes nothing. `by` ends the step's name."""
-    before, after = session.scene, combined(session.scene, found, mode)
+    before, after = session.scene, combine_selection(session.scene, found, mode)
     if after is before:
         return
     now, then = selected_count(after), selected_count(before)
@@ -44,15 +53,15 @@ def invert(session: EditedDocument) -> None:
 
 def grow(session: EditedDocument, distance_m: float) -> None:
     """Take in what is at most so far from what is selected."""
-    found = grown(session.scene, session.clock.time_s, distance_m)
-    scene = combined(session.scene, found, "add")
+    found = expand(session.scene, session.clock.time_s, distance_m)
+    scene = combine_selection(session.scene, found, "add")
     _go_to(session, f"Grow selection by {distance_m:.3g} m to {selected_count(scene):,}", scene)
 
 
 def shrink(session: EditedDocument, distance_m: float) -> None:
     """Let go of what is at most so far from what is not selected."""
-    found = rim(session.scene, session.clock.time_s, distance_m)
-    scene = combined(session.scene, found, "remove")
+    found = selection_boundary(session.scene, session.clock.time_s, distance_m)
+    scene = combine_selection(session.scene, found, "remove")
     _go_to(session, f"Shrink selection by {distance_m:.3g} m to {selected_count(scene):,}", scene)
 
 
@@ -61,9 +70,9 @@ def save_set(session: EditedDocument, name: str | None = None) -> bool:
 
     What is wrong with that is told as `problem`, and False returned.
     """
-    name = free_name(session.scene) if name is None else name
+    name = unused_set_name(session.scene) if name is None else name
     try:
-        scene = saved(session.scene, name)
+        scene = save_selection_set(session.scene, name)
     except ValueError as error:
         session.problem = f"The selection set is not saved: {error}"
         return False
@@ -72,13 +81,13 @@ def save_set(session: EditedDocument, name: str | None = None) -> bool:
 
 
 def recall_set(session: EditedDocument, name: str, mode: Mode) -> None:
-    select(session, found_in_set(session.scene, name), mode, f"set {name}")
+    select(session, selection_set_contents(session.scene, name), mode, f"set {name}")
 
 
 def rename_set(session: EditedDocument, name: str, other: str) -> bool:
     """Call a set otherwise; what is wrong with that is told as `problem`, and False returned."""
     try:
-        scene = renamed(session.scene, name, other)
+        scene = rename_selection_set(session.scene, name, other)
     except ValueError as error:
         session.problem = f"The selection set keeps its name: {error}"
         return False
@@ -88,7 +97,7 @@ def rename_set(session: EditedDocument, name: str, other: str) -> bool:
 
 
 def remove_set(session: EditedDocument, name: str) -> None:
-    session.set_scene(f"Delete set {name}", removed(session.scene, name))
+    session.set_scene(f"Delete set {name}", remove_selection_set(session.scene, name))
 
 
 def has_selection(session: EditedDocument) -> bool:
@@ -103,7 +112,7 @@ def _go_to(session: EditedDocument, label: str, scene: Scene) -> None:
 # § Selection sets: selections that the scene keeps under a name.
 
 
-def saved(scene: Scene, name: str) -> Scene:
+def save_selection_set(scene: Scene, name: str) -> Scene:
     """Keep what is selected under a name; a set of that name is replaced.
 
     Raises `ValueError` where the name is empty or nothing is selected.
@@ -114,13 +123,13 @@ def saved(scene: Scene, name: str) -> Scene:
     return replace(scene, selections={**scene.selections, _checked(name): now})
 
 
-def found_in_set(scene: Scene, name: str) -> dict[str, Mask]:
+def selection_set_contents(scene: Scene, name: str) -> dict[str, BitMask]:
     """Find the Gaussians of a set; members that are gone, or have other Gaussians now, are passed by."""
     counts = {member.key: len(member.gaussians) for member in scene.members}
     return {key: mask for key, mask in scene.selections[name].items() if counts.get(key) == mask.count}
 
 
-def renamed(scene: Scene, name: str, other: str) -> Scene:
+def rename_selection_set(scene: Scene, name: str, other: str) -> Scene:
     """Call a set otherwise; it keeps its place. Raises `ValueError` where the name is empty or taken."""
     other = _checked(other)
     if other != name and other in scene.selections:
@@ -128,12 +137,12 @@ def renamed(scene: Scene, name: str, other: str) -> Scene:
     return replace(scene, selections={other if each == name else each: own for each, own in scene.selections.items()})
 
 
-def removed(scene: Scene, name: str) -> Scene:
+def remove_selection_set(scene: Scene, name: str) -> Scene:
     """Forget a set; what is selected stays."""
     return replace(scene, selections={each: own for each, own in scene.selections.items() if each != name})
 
 
-def free_name(scene: Scene) -> str:
+def unused_set_name(scene: Scene) -> str:
     """Return a name that no set has."""
     number = 1
     while f"selection {number}" in scene.selections:
@@ -175,13 +184,13 @@ class SelectionOptions:
     """Which set is being called otherwise; empty: none."""
     new_name: str = ""
     """What it is to be called."""
-    ball: Ball | None = None
+    ball: Sphere | None = None
     """What the sphere tool has placed and not yet applied."""
     box: CropBox | None = None
     """What the box tool has placed and not yet applied."""
     histogram: AttributeHistogram = field(default_factory=AttributeHistogram)
 
     @property
-    def reach(self) -> Reach:
+    def reach(self) -> DepthMode:
         """How far shapes of the picture reach."""
-        return Reach(self.depths, self.depth_m, self.touching)
+        return DepthMode(self.depths, self.depth_m, self.touching)

@@ -11,24 +11,24 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32
 
-from ...render.cpu.compositing import ViewWeights, accumulate, view_weights
+from ...render.cpu.compositing import ColorOperator, color_operator, color_operator_transpose
 from ...render.cpu.projection import NEAR_M, project
-from ...render.draw import Shot
+from ...render.draw import RenderView
 from ...scene.camera import Camera
-from ...scene.flags import Mask
-from ...scene.scene import Part, Scene
+from ...scene.flags import BitMask
+from ...scene.scene import DrawItem, Scene
 from .candidates import candidates
 
 Depths = Literal["all through", "front-most", "to a depth"]
 
 # § How much of each Gaussian is seen, through what is before it: what "front-most" goes by.
 
-LEAST_SHARE = 0.05
+MIN_SHARE = 0.05
 """Behind one opaque surface a share of 0.05 is left at most; neighbours that overlap on a surface keep more."""
 
 
 @dataclass(frozen=True)
-class Reach:
+class DepthMode:
     """How far into the picture a shape reaches, and what it has to meet."""
 
     depths: Depths = "all through"
@@ -36,29 +36,29 @@ class Reach:
     """Along the view axis from the camera; counts where `depths` says so."""
     touching: bool = False
     """Whether a Gaussian is taken in that the shape touches within one standard deviation, not its centre only."""
-    least_share: float = LEAST_SHARE
+    min_share: float = MIN_SHARE
     """Share of a Gaussian that has to be seen for it to be in front."""
 
 
-ALL_THROUGH = Reach()
+ALL_THROUGH = DepthMode()
 
 
-def in_picture(
-    scene: Scene, shot: Shot, pixels: Bool[np.ndarray, "h w"], reach: Reach = ALL_THROUGH
-) -> dict[str, Mask]:
+def select_in_screen_shape(
+    scene: Scene, shot: RenderView, pixels: Bool[np.ndarray, "h w"], reach: DepthMode = ALL_THROUGH
+) -> dict[str, BitMask]:
     """Find what lies within a shape of the picture that `shot` takes; `pixels` are all of its pixels."""
     camera, depth = shot.camera, reach.depth_m if reach.depths == "to a depth" else np.inf
-    found: dict[str, Mask] = {}
+    found: dict[str, BitMask] = {}
     if not pixels.any():
         return found
     own = candidates(scene, shot.time_s)
     find = _touched if reach.touching else _centered
     for each in own:
-        found[each.key] = Mask.of(find(each.part, camera, pixels, depth))
+        found[each.key] = BitMask.of(find(each.part, camera, pixels, depth))
     if reach.depths == "front-most":
-        for key, shares in seen_shares(scene, shot, _box_around(pixels)).items():
+        for key, shares in visible_shares(scene, shot, _box_around(pixels)).items():
             if key in found:
-                found[key] = found[key] & Mask.of(shares >= reach.least_share)
+                found[key] = found[key] & BitMask.of(shares >= reach.min_share)
     return found
 
 
@@ -68,15 +68,17 @@ def _box_around(pixels: Bool[np.ndarray, "h w"]) -> tuple[int, int, int, int]:
     return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
 
 
-def _centered(part: Part, camera: Camera, pixels: Bool[np.ndarray, "h w"], depth_m: float) -> Bool[np.ndarray, " n"]:
+def _centered(
+    part: DrawItem, camera: Camera, pixels: Bool[np.ndarray, "h w"], depth_m: float
+) -> Bool[np.ndarray, " n"]:
     flags = np.empty(len(part.gaussians), np.bool_)
     to_camera = np.ascontiguousarray((camera.world_to_camera @ part.to_world)[:3])
     _find_centers(part.gaussians.means, to_camera, _intrinsics(camera), pixels, depth_m, flags)
     return flags
 
 
-def _touched(part: Part, camera: Camera, pixels: Bool[np.ndarray, "h w"], depth_m: float) -> Bool[np.ndarray, " n"]:
-    splats = project([colorless(part)], camera)
+def _touched(part: DrawItem, camera: Camera, pixels: Bool[np.ndarray, "h w"], depth_m: float) -> Bool[np.ndarray, " n"]:
+    splats = project([strip_sh(part)], camera)
     touching = np.empty(len(splats), np.bool_)
     _find_ellipses(splats.shapes, splats.colors, pixels, depth_m, touching)
     flags = np.zeros(len(part.gaussians), np.bool_)
@@ -88,7 +90,7 @@ def _intrinsics(camera: Camera) -> Sequence[float]:
     return float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)
 
 
-def camera_depths(part: Part, camera: Camera) -> Float64[np.ndarray, " n"]:
+def camera_depths(part: DrawItem, camera: Camera) -> Float64[np.ndarray, " n"]:
     """Depth of each Gaussian along the view axis in metres; below 0 behind the eye."""
     row = (camera.world_to_camera @ part.to_world)[2]
     return part.gaussians.means @ row[:3] + row[3]
@@ -200,11 +202,13 @@ def _across(start: Int32[np.ndarray, "2"], end: Int32[np.ndarray, "2"], radius: 
     return np.round([start + side, end + side, end - side, start - side]).astype(np.int32)
 
 
-_MOST_PIXELS = 120_000
+_MAX_PIXELS = 120_000
 """Of the picture in which it is found out: coarser than the screen's, and several times faster."""
 
 
-def seen_shares(scene: Scene, shot: Shot, box: tuple[int, int, int, int]) -> dict[str, Float32[np.ndarray, " n"]]:
+def visible_shares(
+    scene: Scene, shot: RenderView, box: tuple[int, int, int, int]
+) -> dict[str, Float32[np.ndarray, " n"]]:
     """Find the share of each Gaussian that is seen in a part of the picture, 0..1, by keys of visible members.
 
     With its weights w of blending (3DGS, Kerbl et al. 2023) over the pixels, the share is 2 sum w^2 / (opacity sum w):
@@ -213,7 +217,7 @@ def seen_shares(scene: Scene, shot: Shot, box: tuple[int, int, int, int]) -> dic
     """
     members = [member for member in scene.members if member.visible]
     shown = [(member.key, part) for member in members if (part := scene.part(member, shot.time_s)) is not None]
-    weights = view_weights([colorless(part) for _, part in shown], _cut_out(shot.camera, box))
+    weights = color_operator([strip_sh(part) for _, part in shown], _cut_out(shot.camera, box))
     sums, squared = _weight_sums(weights)
     opacities = np.exp(weights.splats.shapes[:, 5])
     shares = np.zeros(sum(len(part.gaussians) for _, part in shown), np.float32)
@@ -227,7 +231,7 @@ def seen_shares(scene: Scene, shot: Shot, box: tuple[int, int, int, int]) -> dic
 def _cut_out(camera: Camera, box: tuple[int, int, int, int]) -> Camera:
     """Camera of a part of the picture, in at most so many pixels."""
     left, top, right, bottom = box
-    scale = min(1.0, (_MOST_PIXELS / ((right - left) * (bottom - top))) ** 0.5)
+    scale = min(1.0, (_MAX_PIXELS / ((right - left) * (bottom - top))) ** 0.5)
     width, height = max(1, round((right - left) * scale)), max(1, round((bottom - top) * scale))
     across, down = width / (right - left), height / (bottom - top)
     return Camera(
@@ -242,17 +246,17 @@ def _cut_out(camera: Camera, box: tuple[int, int, int, int]) -> Camera:
     )
 
 
-def _weight_sums(weights: ViewWeights) -> tuple[Float32[np.ndarray, " m"], Float32[np.ndarray, " m"]]:
+def _weight_sums(weights: ColorOperator) -> tuple[Float32[np.ndarray, " m"], Float32[np.ndarray, " m"]]:
     """Sum of each splat's weights, and of their squares, in one walk through the picture."""
     ones = np.ones((weights.tiles.height, weights.tiles.width, 3), np.float32)
-    gathered = accumulate(weights.splats.shapes, ones, weights.tiles)
+    gathered = color_operator_transpose(weights.splats.shapes, ones, weights.tiles)
     return gathered[:, 0], gathered[:, 3]
 
 
 # § Parts without their colours, for what only asks where Gaussians are: harmonics are most of what a scene weighs.
 
 
-def colorless(part: Part) -> Part:
+def strip_sh(part: DrawItem) -> DrawItem:
     """Return a part all in grey; it takes no memory until somebody reads it."""
     count = len(part.gaussians)
     return part._replace(gaussians=part.gaussians.with_sh(np.zeros((count, 1, 3), np.float32)), colors=None)

@@ -9,26 +9,26 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float64, Int64
 
-from ...scene.flags import Mask
-from ...scene.scene import Part, Scene
+from ...scene.flags import BitMask
+from ...scene.scene import DrawItem, Scene
 from ..edits.gaussians import CropBox
-from .candidates import Candidate, Found, alike, base_color, candidates, selected, shown
+from .candidates import Candidate, Found, base_color, candidates, select_similar_colors, selected, visible_gaussians
 
-_LEAST_RADIUS_M = 0.01
+_MIN_RADIUS_M = 0.01
 
 
 @dataclass(frozen=True)
-class Ball:
+class Sphere:
     """A ball in the world."""
 
     center_m: tuple[float, float, float]
     radius_m: float
 
-    def reaching(self, eye_m: Float64[np.ndarray, "3"], sight: Float64[np.ndarray, "3"]) -> "Ball":
+    def reaching(self, eye_m: Float64[np.ndarray, "3"], sight: Float64[np.ndarray, "3"]) -> "Sphere":
         """Return the ball around the same centre that a line of sight touches; `sight` is a unit vector."""
         to_center = self.middle - eye_m
         beside = to_center - (to_center @ sight) * sight
-        return replace(self, radius_m=max(float(np.linalg.norm(beside)), _LEAST_RADIUS_M))
+        return replace(self, radius_m=max(float(np.linalg.norm(beside)), _MIN_RADIUS_M))
 
     @property
     def middle(self) -> Float64[np.ndarray, "3"]:
@@ -49,25 +49,25 @@ class Ball:
         return matrix
 
 
-Volume = Ball | CropBox
+Volume = Sphere | CropBox
 
 
-def standing_on(box: CropBox, point_m: Float64[np.ndarray, "3"]) -> CropBox:
+def placed_on(box: CropBox, point_m: Float64[np.ndarray, "3"]) -> CropBox:
     """Return the box with the middle of its bottom moved to a point."""
     x, y, z = point_m.tolist()
     return replace(box, center_m=(x, y, z + box.size_m[2] / 2))
 
 
-def in_volume(scene: Scene, time_s: float, volume: Volume) -> dict[str, Mask]:
+def in_volume(scene: Scene, time_s: float, volume: Volume) -> dict[str, BitMask]:
     """Find the Gaussians whose centres lie in a volume at a time, also those outside the picture."""
-    return {each.key: Mask.of(_inside(each.part, volume)) for each in candidates(scene, time_s)}
+    return {each.key: BitMask.of(_inside(each.part, volume)) for each in candidates(scene, time_s)}
 
 
-def _inside(part: Part, volume: Volume) -> Bool[np.ndarray, " n"]:
+def _inside(part: DrawItem, volume: Volume) -> Bool[np.ndarray, " n"]:
     flags = np.empty(len(part.gaussians), np.bool_)
-    to_unit = volume.to_unit if isinstance(volume, Ball) else np.linalg.inv(volume.to_world)
+    to_unit = volume.to_unit if isinstance(volume, Sphere) else np.linalg.inv(volume.to_world)
     to_unit = np.ascontiguousarray((to_unit @ part.to_world)[:3])
-    _find_inside(part.gaussians.means, to_unit, isinstance(volume, Ball), flags)
+    _find_inside(part.gaussians.means, to_unit, isinstance(volume, Sphere), flags)
     return flags
 
 
@@ -107,37 +107,37 @@ def world_points(
     return np.concatenate(points), np.concatenate(owners)
 
 
-def by_member(members: Sequence[Candidate], owners: Int64[np.ndarray, "m 2"]) -> dict[str, Mask]:
+def masks_by_member(members: Sequence[Candidate], owners: Int64[np.ndarray, "m 2"]) -> dict[str, BitMask]:
     """Masks of Gaussians that are told by their owners, see `world_points`."""
-    found: dict[str, Mask] = {}
+    found: dict[str, BitMask] = {}
     for number, each in enumerate(members):
         flags = np.zeros(len(each.part.gaussians), np.bool_)
         flags[owners[owners[:, 0] == number, 1]] = True
-        found[each.key] = Mask.of(flags)
+        found[each.key] = BitMask.of(flags)
     return found
 
 
 # § Selections that grow into what is near them, or shrink away from it.
 
 
-def grown(scene: Scene, time_s: float, distance_m: float) -> dict[str, Mask]:
+def expand(scene: Scene, time_s: float, distance_m: float) -> dict[str, BitMask]:
     """Find what is not selected and whose centre is at most so far from a selected one's."""
     return _near(scene, time_s, distance_m, of_selected=True)
 
 
-def rim(scene: Scene, time_s: float, distance_m: float) -> dict[str, Mask]:
+def selection_boundary(scene: Scene, time_s: float, distance_m: float) -> dict[str, BitMask]:
     """Find what is selected and at most so far from what is shown and not: without it a selection has shrunk."""
     return _near(scene, time_s, distance_m, of_selected=False)
 
 
-def _near(scene: Scene, time_s: float, distance_m: float, *, of_selected: bool) -> dict[str, Mask]:
+def _near(scene: Scene, time_s: float, distance_m: float, *, of_selected: bool) -> dict[str, BitMask]:
     own = candidates(scene, time_s)
     members = [scene.member(each.key) for each in own]
-    inside = {each.key: selected(each) & shown(each) for each in members}
-    outside = {each.key: shown(each) - selected(each) for each in members}
+    inside = {each.key: selected(each) & visible_gaussians(each) for each in members}
+    outside = {each.key: visible_gaussians(each) - selected(each) for each in members}
     sources, targets = (inside, outside) if of_selected else (outside, inside)
     points, owners = world_points(own, targets)
-    return by_member(own, owners[_reached(points, world_points(own, sources)[0], distance_m)])
+    return masks_by_member(own, owners[_reached(points, world_points(own, sources)[0], distance_m)])
 
 
 def _reached(
@@ -162,7 +162,7 @@ def _reached(
 
 # § Gaussians that hang together with the one under the mouse and look like it.
 
-NEIGHBOURS = 8
+NEIGHBORS = 8
 """The distance to so many neighbours is what spacing means here."""
 
 _ROOM = 1 << 40
@@ -172,7 +172,9 @@ _EDGE = 1 << 20
 """Cells from the seed to where nobody looks any more: three numbers of 21 bits are one key."""
 
 
-def flooded(scene: Scene, time_s: float, key: str, index: int, tolerance: float, reach: float) -> dict[str, Mask]:
+def flood_select(
+    scene: Scene, time_s: float, key: str, index: int, tolerance: float, reach: float
+) -> dict[str, BitMask]:
     """Find what a flood reaches that starts at a Gaussian.
 
     It runs over Gaussians whose base colour differs from that one's by at most `tolerance` (0..1, each channel), and
@@ -181,7 +183,7 @@ def flooded(scene: Scene, time_s: float, key: str, index: int, tolerance: float,
     """
     own = candidates(scene, time_s)
     seed = next(each for each in own if each.key == key)
-    similar = alike(scene, time_s, base_color(seed.part, index), tolerance)
+    similar = select_similar_colors(scene, time_s, base_color(seed.part, index), tolerance)
     points, owners = world_points(own, similar)
     at = int(np.searchsorted(owners[:, 0] * _ROOM + owners[:, 1], own.index(seed) * _ROOM + index))
     side = reach * _spacing(points, at)
@@ -189,13 +191,13 @@ def flooded(scene: Scene, time_s: float, key: str, index: int, tolerance: float,
     flags = np.zeros(len(points), np.bool_)
     near = np.flatnonzero(np.abs(cells).max(axis=1) < _EDGE)
     flags[near] = _connected(cells[near].astype(np.int64), int(np.searchsorted(near, at)))
-    return by_member(own, owners[flags])
+    return masks_by_member(own, owners[flags])
 
 
 def _spacing(points: Float64[np.ndarray, "m 3"], at: int) -> float:
     """Distance in metres from one point to its eighth nearest; never 0."""
     squares = ((points - points[at]) ** 2).sum(axis=1)
-    nearest = min(NEIGHBOURS, len(points) - 1)
+    nearest = min(NEIGHBORS, len(points) - 1)
     return max(float(np.sqrt(np.partition(squares, nearest)[nearest])), 1e-6)
 
 

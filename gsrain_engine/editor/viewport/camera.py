@@ -7,8 +7,8 @@ from jaxtyping import Float64
 
 from ...scene.camera import Camera, look_at
 from ...scene.camera_path import CameraPath, orbit_path
-from ...scene.rig import drive_path
-from ...scene.scene import Core, RigCamera, Scene, core_bounds
+from ...scene.rig import rig_camera_path
+from ...scene.scene import RigCamera, Scene, SceneCore, core_bounds
 
 _STEEPEST = np.radians(89.0)
 
@@ -21,7 +21,7 @@ SLOWEST_M_S, FASTEST_M_S = 0.05, 500.0
 
 
 @dataclass(slots=True)
-class Navigation:
+class OrbitCamera:
     """An eye with a heading and a pitch, and the distance of the point that it orbits."""
 
     position: Float64[np.ndarray, "3"] = field(default_factory=lambda: np.array([0.0, 0.0, 1.5]))
@@ -90,7 +90,7 @@ class Navigation:
         up = np.cross(self.right, self.forward)
         self.position = self.position + metres * (right_share * self.right + up_share * up)
 
-    def dolly(self, steps: float, core: Core) -> None:
+    def dolly(self, steps: float, core: SceneCore) -> None:
         """Come nearer to the target (positive) or go away, by a tenth of the distance a step.
 
         From outside of a scene's core the way leads to it: where it is out of sight the eye turns to it first. A target
@@ -130,7 +130,7 @@ class Navigation:
         """Fly faster or slower, by a quarter a step."""
         self.speed_m_s = float(np.clip(self.speed_m_s * 1.25**steps, SLOWEST_M_S, FASTEST_M_S))
 
-    def frame(self, core: Core) -> None:
+    def frame(self, core: SceneCore) -> None:
         """Back off along the line of sight until a scene's core fills the picture, but not out of the shell around."""
         self._mend(core)
         wanted = max(core.radius_m, 1e-3) / float(np.sin(np.radians(self.vertical_fov_deg) / 2))
@@ -142,7 +142,7 @@ class Navigation:
         self.heading = float(np.arctan2(y, x))
         self.pitch = float(np.clip(np.arctan2(z, np.hypot(x, y)), -_STEEPEST, _STEEPEST))
 
-    def _mend(self, core: Core) -> None:
+    def _mend(self, core: SceneCore) -> None:
         """Come back from a place that is no place: one that no arithmetic leads out of."""
         if not np.isfinite([self.heading, self.pitch]).all():
             self.heading = self.pitch = 0.0
@@ -153,7 +153,7 @@ class Navigation:
 
 
 def is_in_view(
-    core: Core, eye: Float64[np.ndarray, "3"], forward: Float64[np.ndarray, "3"], vertical_fov_deg: float
+    core: SceneCore, eye: Float64[np.ndarray, "3"], forward: Float64[np.ndarray, "3"], vertical_fov_deg: float
 ) -> bool:
     """Whether a scene's core reaches into the circle within the picture's height; from inside of it always."""
     away, radius = core.middle - eye, max(core.radius_m, 1e-3)
@@ -185,9 +185,9 @@ ORBIT_DEG = 40.0
 
 def home_camera(scene: Scene, width: int, height: int) -> Camera:
     """Through the windscreen where the scene has an ego vehicle with a rig; else in front of the scene's middle."""
-    core, front = scene_core(scene), front_camera(scene)
+    core, front = find_scene_core(scene), front_camera(scene)
     if front is not None:
-        camera = drive_path(scene, front, width, height).camera(0.0, width, height)
+        camera = rig_camera_path(scene, front, width, height).camera(0.0, width, height)
         if is_in_view(core, camera.position, camera.world_to_camera[2, :3], camera.vertical_fov_deg):
             return camera
     # Captures look along their +z when up is -y (COLMAP's axes), along +x when up is +z.
@@ -203,7 +203,7 @@ def home_camera(scene: Scene, width: int, height: int) -> Camera:
     return Camera.from_fov(width, height, _FOV_DEG, look_at(eye, core.middle, np.array([0.0, 0, 1])))
 
 
-def _fitting_distance(core: Core, world_to_camera: Float64[np.ndarray, "3 3"], aspect: float) -> float:
+def _fitting_distance(core: SceneCore, world_to_camera: Float64[np.ndarray, "3 3"], aspect: float) -> float:
     """Distance from the middle at which a core fills the picture: its box with a margin, or the sphere around it."""
     upright = np.tan(np.radians(_FOV_DEG) / 2)
     sphere = max(core.radius_m, 1e-3) / np.sin(np.arctan(upright * min(aspect, 1.0)))
@@ -217,7 +217,7 @@ def default_path(scene: Scene, width: int, height: int) -> CameraPath:
     """Drive with the ego vehicle where there is one; else swing around the middle. World frame."""
     front = front_camera(scene)
     if front is not None:
-        return drive_path(scene, front, width, height)
+        return rig_camera_path(scene, front, width, height)
     return orbit_around(scene, width, height)
 
 
@@ -230,7 +230,7 @@ def orbit_around(
     """
     if not duration_s > 0:
         raise ValueError(f"an orbit of {duration_s:g} s: its time must be above 0 s")
-    return orbit_path(scene_core(scene).middle, home_camera(scene, width, height), duration_s, sweep_deg)
+    return orbit_path(find_scene_core(scene).middle, home_camera(scene, width, height), duration_s, sweep_deg)
 
 
 def front_camera(scene: Scene) -> RigCamera | None:
@@ -241,7 +241,7 @@ def front_camera(scene: Scene) -> RigCamera | None:
     return max(mounted, key=lambda each: each.camera_to_ego[0, 2], default=None)
 
 
-def scene_core(scene: Scene) -> Core:
+def find_scene_core(scene: Scene) -> SceneCore:
     """Find the dense core of what can be seen, and the sky around it; where no layer is shown, of the actors."""
     layers = [each for each in scene.layers if each.visible]
     shown = [each for each in layers if each.kind != "sky"] or [each for each in scene.actors if each.visible]
@@ -252,10 +252,10 @@ def scene_core(scene: Scene) -> Core:
     return core_bounds(parts, sky)
 
 
-def home_navigation(scene: Scene, width: int, height: int, speed_m_s: float) -> Navigation:
+def home_viewport_camera(scene: Scene, width: int, height: int, speed_m_s: float) -> OrbitCamera:
     """Stand at the home camera; turning goes around the middle, inside of the scene around what is 1 to 20 m ahead."""
-    camera, core = home_camera(scene, width, height), scene_core(scene)
-    navigation = Navigation(speed_m_s=speed_m_s)
+    camera, core = home_camera(scene, width, height), find_scene_core(scene)
+    navigation = OrbitCamera(speed_m_s=speed_m_s)
     navigation.look_like(camera)
     in_front = float(camera.world_to_camera[2, :3] @ core.middle + camera.world_to_camera[2, 3])
     is_outside = float(np.linalg.norm(core.middle - camera.position)) > core.radius_m

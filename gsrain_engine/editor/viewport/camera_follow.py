@@ -9,7 +9,7 @@ from jaxtyping import Float64
 from ...scene.camera import Camera
 from ...scene.camera_path import CameraPath
 from ...scene.scene import Actor, RigCamera, Scene
-from .camera import Navigation, default_path
+from .camera import OrbitCamera, default_path
 
 ChaseMode = Literal["behind", "front camera", "free"]
 
@@ -20,7 +20,7 @@ _LOOKS_AT_M, _AT_HEIGHT_M = 8.0, 1.0
 _FOV_DEG = 50.0
 
 
-class ChasedVehicle(NamedTuple):
+class VehicleMoment(NamedTuple):
     """The ego vehicle at one moment."""
 
     rig_to_world: Float64[np.ndarray, "4 4"]
@@ -31,7 +31,7 @@ class ChasedVehicle(NamedTuple):
 
 
 @dataclass(slots=True)
-class Chase:
+class ChaseCamera:
     """Carries the viewport's camera. A person may look around meanwhile; from the front camera that ends the ride."""
 
     mode: ChaseMode = "free"
@@ -48,7 +48,7 @@ class Chase:
         if self.mode == "front camera":
             self.begin("free")
 
-    def ride(self, vehicle: ChasedVehicle, navigation: Navigation) -> None:
+    def ride(self, vehicle: VehicleMoment, navigation: OrbitCamera) -> None:
         self.velocity_m_s = None
         if self.mode == "free":
             return
@@ -63,7 +63,7 @@ class Chase:
         self._pose = pose
 
 
-def _stand_behind(vehicle: ChasedVehicle, navigation: Navigation) -> None:
+def _stand_behind(vehicle: VehicleMoment, navigation: OrbitCamera) -> None:
     ahead = np.array([_BEHIND_M + _LOOKS_AT_M, 0.0, _AT_HEIGHT_M - _ABOVE_M])
     to_world, origin = vehicle.rig_to_world[:3, :3], vehicle.rig_to_world[:3, 3]
     navigation.position = to_world @ np.array([-_BEHIND_M, 0.0, _ABOVE_M - vehicle.rig_height_m]) + origin
@@ -74,7 +74,7 @@ def _stand_behind(vehicle: ChasedVehicle, navigation: Navigation) -> None:
     navigation.vertical_fov_deg = _FOV_DEG
 
 
-def _look_from_front(vehicle: ChasedVehicle, navigation: Navigation) -> None:
+def _look_from_front(vehicle: VehicleMoment, navigation: OrbitCamera) -> None:
     front = vehicle.front_camera
     if front is None:
         return
@@ -88,7 +88,7 @@ def _look_from_front(vehicle: ChasedVehicle, navigation: Navigation) -> None:
 
 
 @dataclass(slots=True)
-class Following:
+class ActorFollower:
     """Which actor is followed, and where it was when it was last looked at. World frame, metres."""
 
     key: str = ""
@@ -102,7 +102,7 @@ class Following:
         """Go with an actor from where the camera is now; "" lets go."""
         self.key, self._pose, self.velocity_m_s = key, None, None
 
-    def ride(self, scene: Scene, time_s: float, navigation: Navigation) -> None:
+    def ride(self, scene: Scene, time_s: float, navigation: OrbitCamera) -> None:
         """Carry the camera to where the actor has gone since the last call, and turn it as the actor has turned.
 
         While the actor is not in the scene the camera stays; a leap in time is a leap of the camera.
@@ -144,7 +144,7 @@ Matrix = Float64[np.ndarray, "4 4"]
 _VIEW_SIZE = (960, 640)  # shape of the picture that the default path's field of view is chosen for
 
 
-class Ride:
+class PathFollower:
     """Keeps the path of the present scene; while nothing that it depends on changes it is the very same value."""
 
     def __init__(self) -> None:

@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, get_args
 
-from ...rain.simulation import Rainfall
+from ...rain.simulation import RainSimulation
 from ...render.opengl.buffers import Harmonics
-from ...render.renderer import Color, Look
+from ...render.renderer import Color, RenderMode
 from ...scene.scene import Scene
 
 Mode = Literal["picture", "difference", "pixels"]
@@ -34,7 +34,7 @@ class ViewOptions:
     """Let the intensity slider go on to 100 mm/h."""
     follow_path: bool = False
     """Ride along the camera path instead of flying by hand."""
-    look: Look = "splats"
+    look: RenderMode = "splats"
     split: Split = "off"
     """Which two pictures stand side by side."""
     divider: float = 0.5
@@ -54,12 +54,12 @@ class ViewOptions:
 # § One side of the viewport: the only one, or one of two that are compared.
 
 
-class Side(NamedTuple):
+class SplitPane(NamedTuple):
     """What one side of the viewport shows."""
 
     label: str
     scene: Scene
-    rainfall: Rainfall
+    rainfall: RainSimulation
 
 
 # § A picture that the window has on the GPU, for panels to show.
@@ -77,7 +77,7 @@ class Texture(NamedTuple):
 # § How much is drawn while the camera moves: as much as a frame-time target allows, and everything once it rests.
 
 
-class Detail(NamedTuple):
+class QualityLevel(NamedTuple):
     """How much of the exact picture is drawn."""
 
     gaussians: float
@@ -87,7 +87,7 @@ class Detail(NamedTuple):
 
     @property
     def is_exact(self) -> bool:
-        return self == EXACT
+        return self == FULL_QUALITY
 
     def __str__(self) -> str:
         """Say it in words, empty where it is exact."""
@@ -99,11 +99,11 @@ class Detail(NamedTuple):
         return ", ".join(words)
 
 
-EXACT = Detail(1.0, 1.0)
+FULL_QUALITY = QualityLevel(1.0, 1.0)
 
 LEVELS = (
-    EXACT, Detail(1 / 2, 1.0), Detail(1 / 4, 1.0), Detail(1 / 8, 1.0),
-    Detail(1 / 8, 2 / 3), Detail(1 / 8, 1 / 2), Detail(1 / 8, 1 / 3),
+    FULL_QUALITY, QualityLevel(1 / 2, 1.0), QualityLevel(1 / 4, 1.0), QualityLevel(1 / 8, 1.0),
+    QualityLevel(1 / 8, 2 / 3), QualityLevel(1 / 8, 1 / 2), QualityLevel(1 / 8, 1 / 3),
 )  # fmt: skip
 """First fewer Gaussians, then fewer pixels."""
 
@@ -120,7 +120,7 @@ _FORGET_AFTER = 45
 
 
 @dataclass(slots=True)
-class InteractionBudget:
+class AdaptiveQuality:
     """Chooses the detail of each frame from the times that earlier ones took. Knows no clock of its own."""
 
     target_ms: float = 33.0
@@ -131,20 +131,20 @@ class InteractionBudget:
     """Levels that missed the target, and for how many more frames that is remembered."""
 
     @property
-    def detail(self) -> Detail:
-        return LEVELS[self._level] if self.enabled and self._rested_s < SETTLED_S else EXACT
+    def detail(self) -> QualityLevel:
+        return LEVELS[self._level] if self.enabled and self._rested_s < SETTLED_S else FULL_QUALITY
 
     @property
     def is_settling(self) -> bool:
         """Whether the exact picture is still to come although nothing moves."""
         return 0 < self._rested_s < SETTLED_S and not self.detail.is_exact
 
-    def observe(self, *, moving: bool, real_s: float) -> Detail:
+    def observe(self, *, moving: bool, real_s: float) -> QualityLevel:
         """Take in whether the camera has moved since the last frame, so many seconds ago; returns what to draw."""
         self._rested_s = 0.0 if moving else self._rested_s + real_s
         return self.detail
 
-    def measured(self, detail: Detail, frame_ms: float) -> None:
+    def measured(self, detail: QualityLevel, frame_ms: float) -> None:
         """Learn how long a frame of some detail took to draw."""
         level = LEVELS.index(detail)
         self._too_slow = {each: left - 1 for each, left in self._too_slow.items() if left > 1}

@@ -7,20 +7,20 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
-from ...rain.simulation import mean_sky
+from ...rain.simulation import mean_linear_color
 from ...render.cpu.projection import Splats, project
-from ...render.draw import Shot
+from ...render.draw import RenderView
 from ...render.renderer import Color, Renderer
 from ...scene.camera import Camera
 from ...scene.gaussians import Gaussians
 from ...scene.geometry import matrices_from_quaternions
-from ...scene.scene import Actor, Layer, Part, Scene
+from ...scene.scene import Actor, DrawItem, Layer, Scene
 
-_LEAST_ALPHA = 0.1
+_MIN_ALPHA = 0.1
 """A pixel that is covered less than this shows nothing to point at."""
 
 
-class Picked(NamedTuple):
+class PickResult(NamedTuple):
     """What is under a pixel."""
 
     key: str
@@ -31,7 +31,7 @@ class Picked(NamedTuple):
     """Where the line of sight meets its surface, in the world."""
 
 
-def pick_point(scene: Scene, shot: Shot, x: float, y: float) -> Float64[np.ndarray, "3"] | None:
+def pick_point(scene: Scene, shot: RenderView, x: float, y: float) -> Float64[np.ndarray, "3"] | None:
     """Return the point of the world (metres) that is seen at a pixel; None where nothing or only sky is.
 
     Pixels count from the picture's upper left corner; the centre of the first is at 0.5, 0.5. Locked members count,
@@ -42,33 +42,33 @@ def pick_point(scene: Scene, shot: Shot, x: float, y: float) -> Float64[np.ndarr
 
 
 def pick(
-    scene: Scene, shot: Shot, x: float, y: float, among: Callable[[Layer | Actor], bool] | None = None
-) -> Picked | None:
+    scene: Scene, shot: RenderView, x: float, y: float, among: Callable[[Layer | Actor], bool] | None = None
+) -> PickResult | None:
     """Find the Gaussian that is seen at a pixel, among some of the visible members (None: among all of them).
 
     It is the one by which, from the eye on, half of what covers the pixel is passed: neither a faint veil before a
     surface nor what shimmers through it. None where nothing covers the pixel.
     """
-    members, parts = _shown(scene, shot.time_s, among)
+    members, parts = _visible_at(scene, shot.time_s, among)
     splats = project(parts, _pixel_camera(shot.camera, x, y))
     rows, weights = _weights(parts, splats)
-    if not len(rows) or weights.sum() < _LEAST_ALPHA:
+    if not len(rows) or weights.sum() < _MIN_ALPHA:
         return None
     row = rows[np.searchsorted(np.cumsum(weights), weights.sum() / 2)]
     number, index = _owner(parts, int(splats.indices[row]))
     point = _surface_point(parts[number], index, shot.camera, x, y)
-    return Picked(members[number].key, index, point)
+    return PickResult(members[number].key, index, point)
 
 
 def _is_thing(member: Layer | Actor) -> bool:
     return not (isinstance(member, Layer) and member.kind == "sky")
 
 
-def _shown(
+def _visible_at(
     scene: Scene, time_s: float, among: Callable[[Layer | Actor], bool] | None
-) -> tuple[list[Layer | Actor], list[Part]]:
+) -> tuple[list[Layer | Actor], list[DrawItem]]:
     members: list[Layer | Actor] = []
-    parts: list[Part] = []
+    parts: list[DrawItem] = []
     for member in scene.members:
         if member.visible and (among is None or among(member)):
             part = scene.part(member, time_s)
@@ -84,7 +84,7 @@ def _pixel_camera(camera: Camera, x: float, y: float) -> Camera:
     return Camera(1, 1, camera.fx, camera.fy, cx, cy, camera.world_to_camera, camera.exposure_s)
 
 
-def _weights(parts: list[Part], splats: Splats) -> tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
+def _weights(parts: list[DrawItem], splats: Splats) -> tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
     """Rows of splats that cover the pixel, nearest first, and their blending weights."""
     order = splats.nearest_first().astype(np.int64)
     order = order[_is_drawn(parts, splats.indices[order])]
@@ -96,7 +96,7 @@ def _weights(parts: list[Part], splats: Splats) -> tuple[Int64[np.ndarray, " k"]
     return order, alpha * np.concatenate([[1.0], transmittance[:-1]])[: len(alpha)]
 
 
-def _is_drawn(parts: list[Part], indices: Int64[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+def _is_drawn(parts: list[DrawItem], indices: Int64[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
     drawn = np.ones(len(indices), bool)
     first = 0
     for part in parts:
@@ -107,7 +107,7 @@ def _is_drawn(parts: list[Part], indices: Int64[np.ndarray, " k"]) -> Bool[np.nd
     return drawn
 
 
-def _owner(parts: list[Part], index: int) -> tuple[int, int]:
+def _owner(parts: list[DrawItem], index: int) -> tuple[int, int]:
     """Which part a Gaussian belongs to that is counted through all of them, and which of its own it is."""
     for number, part in enumerate(parts):
         if index < len(part.gaussians):
@@ -116,7 +116,7 @@ def _owner(parts: list[Part], index: int) -> tuple[int, int]:
     raise IndexError(index)
 
 
-def _surface_point(part: Part, index: int, camera: Camera, x: float, y: float) -> Float64[np.ndarray, "3"]:
+def _surface_point(part: DrawItem, index: int, camera: Camera, x: float, y: float) -> Float64[np.ndarray, "3"]:
     """Where a Gaussian is densest along the line of sight through a pixel: for a flat one, where it is cut."""
     to_object = np.linalg.inv(part.to_world)
     sight = camera.world_to_camera[:3, :3].T @ [(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0]
@@ -140,7 +140,7 @@ def _whitening(gaussians: Gaussians, index: int) -> Float64[np.ndarray, "3 3"]:
 NEAR_M = 0.05
 
 
-class Seen(NamedTuple):
+class ProjectedPoint(NamedTuple):
     """A point in the picture."""
 
     x: float
@@ -148,13 +148,13 @@ class Seen(NamedTuple):
     depth_m: float
 
 
-def projected_point(point: Float64[np.ndarray, "3"], camera: Camera) -> Seen | None:
+def project_point(point: Float64[np.ndarray, "3"], camera: Camera) -> ProjectedPoint | None:
     """A point of the world (metres) in pixels; None before the near plane."""
     x, y, z = (camera.world_to_camera[:3, :3] @ point + camera.world_to_camera[:3, 3]).tolist()
-    return Seen(camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z) if z > NEAR_M else None
+    return ProjectedPoint(camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z) if z > NEAR_M else None
 
 
-def projected_lines(lines: Float64[np.ndarray, "n 2 3"], camera: Camera) -> Float64[np.ndarray, "m 2 2"]:
+def project_lines(lines: Float64[np.ndarray, "n 2 3"], camera: Camera) -> Float64[np.ndarray, "m 2 2"]:
     """Lines of the world (metres) in pixels, cut off at the near plane."""
     seen = lines @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
     depth = seen[..., 2]
@@ -201,14 +201,14 @@ def from_column_major(values: Float32[np.ndarray, "16"]) -> Float64[np.ndarray, 
     return values.astype(np.float64).reshape(4, 4).T
 
 
-def standing_at(point_m: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
+def frame_at(point_m: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
     """Frame at a point of the world, with the world's axes."""
     frame = np.eye(4)
     frame[:3, 3] = point_m
     return frame
 
 
-def dragged_by(
+def gizmo_delta(
     handle: Handle, start: Float64[np.ndarray, "4 4"], now: Float64[np.ndarray, "4 4"]
 ) -> Float64[np.ndarray, "4 4"]:
     """Similarity of the world by which a handle took a gizmo's frame from `start` to `now`.
@@ -216,7 +216,7 @@ def dragged_by(
     A gizmo computes in single precision and scales each axis on its own: what a handle does not mean is left out, and
     the axis that was scaled most scales all three, around the gizmo's place.
     """
-    there, back, way = standing_at(start[:3, 3]), standing_at(-start[:3, 3]), np.eye(4)
+    there, back, way = frame_at(start[:3, 3]), frame_at(-start[:3, 3]), np.eye(4)
     if handle == "translate":
         way[:3, 3] = now[:3, 3] - start[:3, 3]
         return way
@@ -234,7 +234,7 @@ def dragged_by(
 
 
 @dataclass(frozen=True, slots=True)
-class SkyPick:
+class SkyColorPick:
     """A rectangle of the picture, in shares of its width and height from the upper left corner."""
 
     left: float
@@ -243,14 +243,14 @@ class SkyPick:
     bottom: float
 
     @classmethod
-    def between(cls, a: tuple[float, float], b: tuple[float, float]) -> "SkyPick":
+    def between(cls, a: tuple[float, float], b: tuple[float, float]) -> "SkyColorPick":
         """Span two corners; what lies outside the picture is cut off."""
         (left, right), (top, bottom) = (sorted(np.clip(pair, 0.0, 1.0).tolist()) for pair in zip(a, b, strict=True))
         return cls(left, top, right, bottom)
 
 
-def color_there(
-    renderer: Renderer, scene: Scene, shot: Shot, pick: SkyPick, background: Color, wetness: float = 0.0
+def mean_color_in_rectangle(
+    renderer: Renderer, scene: Scene, shot: RenderView, pick: SkyColorPick, background: Color, wetness: float = 0.0
 ) -> Color:
     """Draw a scene without rain and average a rectangle of it in linear light; at least one pixel."""
     renderer.draw(scene.parts(shot.time_s, wetness=wetness), shot.camera)
@@ -259,7 +259,7 @@ def color_there(
     x0, x1 = _pixels(pick.left, pick.right, width)
     y0, y1 = _pixels(pick.top, pick.bottom, height)
     seen = rgba[y0:y1, x0:x1].reshape(-1, 4).astype(np.float64)
-    return mean_sky(np.clip(seen[:, :3] + (1 - seen[:, 3:]) * np.array(background), 0, 1))
+    return mean_linear_color(np.clip(seen[:, :3] + (1 - seen[:, 3:]) * np.array(background), 0, 1))
 
 
 def _pixels(low: float, high: float, count: int) -> tuple[int, int]:

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int, Int64
 
-from ...plugins import DECODERS, Extension, extension
+from ...plugins import DECODERS, Extension, find_extension
 from ...safe_io.limits import check_file, open_file
-from ...safe_io.text_files import printable
+from ...safe_io.text_files import printable_line
 from .description import DetectorDescription
 
 _TOLERANCE = 1e-3
@@ -21,7 +21,7 @@ Output = Float32[np.ndarray, "..."]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Candidates:
+class BoxCandidates:
     """Boxes that a detector believes in at all, in pixels of its input."""
 
     boxes: Float32[np.ndarray, "n 4"]
@@ -31,7 +31,7 @@ class Candidates:
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class DecoderInput:
     """What a decoder goes by: the description, how many classes there are, and the input's size in pixels."""
 
     description: DetectorDescription
@@ -44,7 +44,7 @@ class Layout:
 class Decoder:
     """How the numbers of one kind of detector are read."""
 
-    decode: Callable[[Sequence[Output], Layout], Candidates]
+    decode: Callable[[Sequence[Output], DecoderInput], BoxCandidates]
     """Takes what the network gave for one picture; raises ValueError where it can't be of this layout."""
     is_final: bool = False
     """Whether the network itself leaves one box an object: then nothing is suppressed."""
@@ -54,12 +54,12 @@ def decoder(name: str) -> Decoder:
     """Find a decoder, ours or an installed package's. Raises ValueError where there is none or it can't be used."""
     if name in _DECODERS:
         return _DECODERS[name]
-    if (installed := extension(DECODERS, name)) is not None:
+    if (installed := find_extension(DECODERS, name)) is not None:
         return _installed(installed)
     raise ValueError(f"no decoder {name!r}")
 
 
-def decoded(outputs: Sequence[Output], layout: Layout) -> Candidates:
+def decode_outputs(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
     """Decode what a detector gave for one picture. Raises ValueError where it can't be of this layout."""
     with np.errstate(over="ignore", invalid="ignore"):
         found = decoder(layout.description.decode).decode(outputs, layout)
@@ -68,7 +68,7 @@ def decoded(outputs: Sequence[Output], layout: Layout) -> Candidates:
     return found
 
 
-def grid(layout: Layout) -> Float32[np.ndarray, "a 3"]:
+def cell_grid(layout: DecoderInput) -> Float32[np.ndarray, "a 3"]:
     """Column, row (in cells) and stride (in pixels) of every cell: finest stride first, row by row."""
     parts: list[Float32[np.ndarray, "_ 3"]] = []
     for stride in layout.description.strides:
@@ -78,7 +78,7 @@ def grid(layout: Layout) -> Float32[np.ndarray, "a 3"]:
     return np.concatenate(parts)
 
 
-def _end_to_end(outputs: Sequence[Output], layout: Layout) -> Candidates:
+def _end_to_end(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
     """Rows x1 y1 x2 y2 confidence class, nothing left to suppress (YOLOv10, Wang et al. 2024)."""
     rows = _only_table(outputs, layout, 6)
     confidences, classes = rows[:, 4], np.rint(rows[:, 5]).astype(np.int64)
@@ -87,39 +87,39 @@ def _end_to_end(outputs: Sequence[Output], layout: Layout) -> Candidates:
     named = classes[chosen]
     if len(named) and (named.min() < 0 or named.max() >= layout.classes):
         raise ValueError(f"it names class {named.max()}, its classes are 0..{layout.classes - 1}")
-    return Candidates(rows[chosen, :4], confidences[chosen], named)
+    return BoxCandidates(rows[chosen, :4], confidences[chosen], named)
 
 
-def _yolo(outputs: Sequence[Output], layout: Layout) -> Candidates:
+def _yolo(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
     """Centre, size, a score a class (YOLOv8 and YOLO11 of ultralytics)."""
     rows = _only_table(outputs, layout, 4 + layout.classes)
     return _best_classes(_corners(rows[:, :2], rows[:, 2:4]), rows[:, 4:], layout)
 
 
-def _yolo_objectness(outputs: Sequence[Output], layout: Layout) -> Candidates:
+def _yolo_objectness(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
     """Centre, size, objectness, a score a class (YOLOv5, YOLOv6): confidence is objectness times score."""
     rows = _only_table(outputs, layout, 5 + layout.classes)
     return _best_classes(_corners(rows[:, :2], rows[:, 2:4]), rows[:, 4:5] * rows[:, 5:], layout)
 
 
-def _yolox(outputs: Sequence[Output], layout: Layout) -> Candidates:
+def _yolox(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
     """As with objectness, but centres in cells from their cell and logarithms of sizes in cells (Ge et al. 2021)."""
     rows = _only_table(outputs, layout, 5 + layout.classes)
-    cells = grid(layout)
+    cells = cell_grid(layout)
     _check_cells(len(rows), cells, layout)
     stride = cells[:, 2:]
     boxes = _corners((rows[:, :2] + cells[:, :2]) * stride, np.exp(rows[:, 2:4]) * stride)
     return _best_classes(boxes, rows[:, 4:5] * rows[:, 5:], layout)
 
 
-def _nanodet(outputs: Sequence[Output], layout: Layout) -> Candidates:
+def _nanodet(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
     """Scores, then for each side of the box a distribution over whole distances in cells (Li et al. 2020, GFL).
 
     The distance is the distribution's mean. One table holds both, or each stride has a table of scores and one of
     distributions.
     """
     scores, bins = _scores_and_bins(outputs, layout)
-    cells = grid(layout)
+    cells = cell_grid(layout)
     _check_cells(len(scores), cells, layout)
     shares = np.exp(bins - bins.max(axis=-1, keepdims=True))
     shares /= shares.sum(axis=-1, keepdims=True)
@@ -130,7 +130,7 @@ def _nanodet(outputs: Sequence[Output], layout: Layout) -> Candidates:
 
 
 def _scores_and_bins(
-    outputs: Sequence[Output], layout: Layout
+    outputs: Sequence[Output], layout: DecoderInput
 ) -> tuple[Float32[np.ndarray, "a c"], Float32[np.ndarray, "a 4 b"]]:
     tables = [_table(output, layout) for output in outputs]
     if len(tables) == 1:
@@ -155,16 +155,18 @@ def _by_stride(tables: list[Float32[np.ndarray, "_ k"]]) -> Float32[np.ndarray, 
     return np.concatenate(sorted(tables, key=len, reverse=True))
 
 
-def _best_classes(boxes: Float32[np.ndarray, "a 4"], scores: Float32[np.ndarray, "a c"], layout: Layout) -> Candidates:
+def _best_classes(
+    boxes: Float32[np.ndarray, "a 4"], scores: Float32[np.ndarray, "a c"], layout: DecoderInput
+) -> BoxCandidates:
     """Each box with the class that it most likely holds."""
     classes = scores.argmax(axis=1).astype(np.int64)
     confidences = np.take_along_axis(scores, classes[:, None], axis=1)[:, 0]
     _check_confidences(confidences, layout)
     chosen = confidences >= layout.description.least_confidence
-    return Candidates(boxes[chosen], confidences[chosen], classes[chosen])
+    return BoxCandidates(boxes[chosen], confidences[chosen], classes[chosen])
 
 
-def _only_table(outputs: Sequence[Output], layout: Layout, columns: int) -> Float32[np.ndarray, "a k"]:
+def _only_table(outputs: Sequence[Output], layout: DecoderInput, columns: int) -> Float32[np.ndarray, "a k"]:
     """The one output as rows of `columns` numbers, whichever way round it lies."""
     if len(outputs) != 1:
         raise ValueError(f"it gives {len(outputs)} outputs; decoded as {layout.description.decode} it must give one")
@@ -179,7 +181,7 @@ def _only_table(outputs: Sequence[Output], layout: Layout, columns: int) -> Floa
     return table
 
 
-def _table(output: Output, layout: Layout) -> Float32[np.ndarray, "a k"]:
+def _table(output: Output, layout: DecoderInput) -> Float32[np.ndarray, "a k"]:
     """An output of one picture as a table; the axis of pictures may be left out."""
     if output.ndim == 2:
         return output
@@ -192,7 +194,7 @@ def _table(output: Output, layout: Layout) -> Float32[np.ndarray, "a k"]:
     return output[0]
 
 
-def _check_cells(rows: int, cells: Float32[np.ndarray, "a 3"], layout: Layout) -> None:
+def _check_cells(rows: int, cells: Float32[np.ndarray, "a 3"], layout: DecoderInput) -> None:
     if rows != len(cells):
         strides = ", ".join(map(str, layout.description.strides))
         raise ValueError(
@@ -201,7 +203,7 @@ def _check_cells(rows: int, cells: Float32[np.ndarray, "a 3"], layout: Layout) -
         )
 
 
-def _check_confidences(confidences: Float32[np.ndarray, " a"], layout: Layout) -> None:
+def _check_confidences(confidences: Float32[np.ndarray, " a"], layout: DecoderInput) -> None:
     if len(confidences) and (confidences.min() < -_TOLERANCE or confidences.max() > 1 + _TOLERANCE):
         raise ValueError(
             f"decoded as {layout.description.decode} its confidences are {confidences.min():.3g}.."
@@ -217,9 +219,9 @@ def _installed(extension: Extension) -> Decoder:
     """Return the decoder of another package, which fails in one sentence."""
     row = extension.load(Decoder)
 
-    def decode(outputs: Sequence[Output], layout: Layout) -> Candidates:
+    def decode(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
         try:
-            found = extension.expect(row.decode(outputs, layout), Candidates, "gives")
+            found = extension.expect(row.decode(outputs, layout), BoxCandidates, "gives")
         except ValueError:
             raise
         except Exception as error:  # whatever others raise
@@ -231,7 +233,7 @@ def _installed(extension: Extension) -> Decoder:
             raise extension.unfit(f"names a class that is not within 0..{layout.classes - 1}")
         _check_confidences(found.confidences, layout)
         boxes, confidences = found.boxes.astype(np.float32), found.confidences.astype(np.float32)
-        return Candidates(boxes, confidences, found.classes.astype(np.int64))
+        return BoxCandidates(boxes, confidences, found.classes.astype(np.int64))
 
     return Decoder(decode, row.is_final)
 
@@ -264,7 +266,7 @@ def intersection_over_union(
     return np.divide(shared, union, out=np.zeros_like(shared), where=union > 0)
 
 
-def kept_boxes(
+def non_maximum_suppression(
     boxes: Float[np.ndarray, "n 4"],
     confidences: Float[np.ndarray, " n"],
     classes: Int[np.ndarray, " n"],
@@ -294,7 +296,7 @@ def _area(boxes: Float64[np.ndarray, "*n 4"]) -> Float64[np.ndarray, "*n"]:
 THREADS = 2
 """Fixed, so that sums are taken in the same order on every run; what is more goes to pictures side by side."""
 
-MOST_SIDE_PX = 8192
+MAX_SIDE_PX = 8192
 """Of the picture that a network takes."""
 
 _POINTER = b"version https://git-lfs"
@@ -371,10 +373,10 @@ def open_onnx(path: Path) -> OnnxModel:
     name, kind, axes = inputs[0] if len(inputs) == 1 else ("", "", ())
     shape = _shape(axes)
     if kind not in kinds or len(shape) != 4 or shape[0] not in (1, None) or shape[1] != 3:
-        given = printable(", ".join(" ".join(map(str, each)) for each in inputs)) or "nothing"
+        given = printable_line(", ".join(" ".join(map(str, each)) for each in inputs)) or "nothing"
         raise ValueError(f"{path}: takes {given}; a detector takes one picture of floats (1, 3, height, width)")
-    if max(shape[2] or 0, shape[3] or 0) > MOST_SIDE_PX:
-        raise ValueError(f"{path}: takes a picture of {shape[3]} x {shape[2]} px; at most {MOST_SIDE_PX} px a side")
+    if max(shape[2] or 0, shape[3] or 0) > MAX_SIDE_PX:
+        raise ValueError(f"{path}: takes a picture of {shape[3]} x {shape[2]} px; at most {MAX_SIDE_PX} px a side")
     return OnnxModel(
         path=path,
         input_name=name,
@@ -409,4 +411,4 @@ def _cause(path: Path, error: Exception) -> str:
 
 
 def _first_line(error: Exception) -> str:
-    return printable((str(error).strip().splitlines() or [type(error).__name__])[0][:300])
+    return printable_line((str(error).strip().splitlines() or [type(error).__name__])[0][:300])

@@ -6,8 +6,8 @@ from typing import Annotated, Literal, get_args
 import msgspec
 from msgspec import Meta
 
-from ...plugins import DECODERS, extensions
-from ...presets import load_config, shipped_names
+from ...plugins import DECODERS, find_extensions
+from ...presets import load_config, shipped_config_names
 from ...scene.objects import COCO_CLASSES
 
 _FOLDER = "detectors"
@@ -101,11 +101,11 @@ class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
 def decode_names() -> tuple[str, ...]:
     """What `decode` may be: ours, then the decoders of installed packages."""
     ours: tuple[str, ...] = get_args(Decode)
-    return (*ours, *(each.name for each in extensions(DECODERS) if each.name not in ours))
+    return (*ours, *(each.name for each in find_extensions(DECODERS) if each.name not in ours))
 
 
 def description_names() -> list[str]:
-    return shipped_names(_FOLDER)
+    return shipped_config_names(_FOLDER)
 
 
 def load_description(name: str | Path) -> DetectorDescription:

@@ -10,7 +10,16 @@ import platformdirs
 from jaxtyping import Float32, Float64, UInt8
 
 from ...scene.objects import COCO_CLASSES
-from .decoders import Candidates, Layout, OnnxModel, decoded, decoder, grid, kept_boxes, open_onnx
+from .decoders import (
+    BoxCandidates,
+    DecoderInput,
+    OnnxModel,
+    cell_grid,
+    decode_outputs,
+    decoder,
+    non_maximum_suppression,
+    open_onnx,
+)
 from .description import DetectorDescription, Fit, description_names, load_description, named_classes
 
 
@@ -43,13 +52,13 @@ class Detector:
         Raises ValueError, with the file's name, where what the network gives can't be detections.
         """
         height, width = image.shape[:2]
-        placement = placed((width, height), self.input_size_px, self.description.fit)
+        placement = letterbox((width, height), self.input_size_px, self.description.fit)
         outputs = self._model.run(network_input(image, placement, self.input_size_px, self.description))
         try:
-            found = decoded(outputs, Layout(self.description, len(self.classes), *self.input_size_px))
+            found = decode_outputs(outputs, DecoderInput(self.description, len(self.classes), *self.input_size_px))
         except ValueError as error:
             raise ValueError(f"{self._model.path}: {error}") from None
-        boxes = placement.in_picture(found.boxes)
+        boxes = placement.in_image(found.boxes)
         visible = (boxes[:, 2] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 1])
         return [
             Detection(self.classes[found.classes[i]], float(found.confidences[i]), _corners(boxes[i]))
@@ -57,12 +66,14 @@ class Detector:
             if visible[i]
         ]
 
-    def _chosen(self, found: Candidates) -> np.ndarray:
+    def _chosen(self, found: BoxCandidates) -> np.ndarray:
         """Rows to report, the most confident first."""
         if decoder(self.description.decode).is_final:
             rows = np.argsort(-found.confidences, kind="stable")
         else:
-            rows = kept_boxes(found.boxes, found.confidences, found.classes, self.description.suppression_iou)
+            rows = non_maximum_suppression(
+                found.boxes, found.confidences, found.classes, self.description.suppression_iou
+            )
         return rows[: self.description.most_detections]
 
 
@@ -77,7 +88,7 @@ def open_detector(path: Path, description: str | Path | None = None) -> Detector
     beside = path.with_suffix(".yaml")
     if description is None and beside.is_file():
         description = beside
-    described = recognized(model) if description is None else load_description(description)
+    described = recognize_description(model) if description is None else load_description(description)
     try:
         classes = named_classes(described, model.class_names)
         size = _input_size(model, described)
@@ -105,7 +116,7 @@ def _corners(box: np.ndarray) -> tuple[float, float, float, float]:
 
 # § Telling from an ONNX file alone what kind of detector it is, where only one kind is possible.
 
-_MOST_END_TO_END = 1000
+_MAX_END_TO_END = 1000
 """Detectors that suppress by themselves give some hundred rows; grids give thousands."""
 
 _COCO = len(COCO_CLASSES)
@@ -121,7 +132,7 @@ _GRIDS: tuple[tuple[str, tuple[int, ...]], ...] = (
 """Kinds by the columns of their tables; NanoDet's scores and distances are in one table or apart."""
 
 
-def recognized(model: OnnxModel) -> DetectorDescription:
+def recognize_description(model: OnnxModel) -> DetectorDescription:
     """How to use a detector, from its outputs and what exports of ultralytics say of themselves.
 
     Raises ValueError, with the descriptions to choose from, where several kinds look the same.
@@ -145,7 +156,7 @@ def _by_metadata(model: OnnxModel) -> str | None:
     if classes is None or len(model.output_shapes) != 1 or len(model.output_shapes[0]) != 3:
         return None
     _, first, second = model.output_shapes[0]
-    if second == 6 and (model.metadata.get("end2end") == "True" or (first is not None and first <= _MOST_END_TO_END)):
+    if second == 6 and (model.metadata.get("end2end") == "True" or (first is not None and first <= _MAX_END_TO_END)):
         return "yolo_end_to_end"
     if first == 4 + len(classes):
         return "yolo11"
@@ -158,7 +169,7 @@ def _by_grid(model: OnnxModel) -> str | None:
     if model.width is None or model.height is None or len(tables) != len(model.output_shapes):
         return None
     for name, widths in _GRIDS:
-        cells = len(grid(Layout(load_description(name), _COCO, model.width, model.height)))
+        cells = len(cell_grid(DecoderInput(load_description(name), _COCO, model.width, model.height)))
         rows = [sum(row or 0 for row, columns in tables if columns == width) for width in widths]
         others = {columns for _, columns in tables} - set(widths)
         if rows == [cells] * len(widths) and not others and not (name == "yolox" and _gives_pixels(model)):
@@ -177,7 +188,7 @@ def _gives_pixels(model: OnnxModel) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Placement:
+class Letterbox:
     """Where in the input a picture lies: its own sizes and those it got, the corner it starts at; all in pixels."""
 
     picture_width: int
@@ -187,7 +198,7 @@ class Placement:
     left: int
     top: int
 
-    def in_picture(self, boxes: Float32[np.ndarray, "n 4"]) -> Float64[np.ndarray, "n 4"]:
+    def in_image(self, boxes: Float32[np.ndarray, "n 4"]) -> Float64[np.ndarray, "n 4"]:
         """Boxes x1 y1 x2 y2 of the input in pixels of the picture, cut off at its edges."""
         scale = np.array([self.picture_width / self.width, self.picture_height / self.height] * 2)
         corner = np.array([self.left, self.top] * 2)
@@ -195,25 +206,25 @@ class Placement:
         return np.clip((boxes - corner) * scale, 0.0, limits)
 
 
-def placed(picture: tuple[int, int], size: tuple[int, int], fit: Fit) -> Placement:
+def letterbox(picture: tuple[int, int], size: tuple[int, int], fit: Fit) -> Letterbox:
     """Place a picture of (width, height) in an input of (width, height).
 
     Bars around the picture differ by at most a pixel, the larger one right and below.
     """
     (picture_width, picture_height), (width, height) = picture, size
     if fit == "stretch":
-        return Placement(picture_width, picture_height, width, height, 0, 0)
+        return Letterbox(picture_width, picture_height, width, height, 0, 0)
     scale = min(width / picture_width, height / picture_height)
     inner_width = min(width, max(1, round(picture_width * scale)))
     inner_height = min(height, max(1, round(picture_height * scale)))
     left, top = (width - inner_width) // 2, (height - inner_height) // 2
     if fit == "letterbox_corner":
         left = top = 0
-    return Placement(picture_width, picture_height, inner_width, inner_height, left, top)
+    return Letterbox(picture_width, picture_height, inner_width, inner_height, left, top)
 
 
 def network_input(
-    image: UInt8[np.ndarray, "h w 3"], placement: Placement, size: tuple[int, int], description: DetectorDescription
+    image: UInt8[np.ndarray, "h w 3"], placement: Letterbox, size: tuple[int, int], description: DetectorDescription
 ) -> Float32[np.ndarray, "1 3 hi wi"]:
     """The picture (RGB) as a detector of input `size` (width, height) takes it.
 

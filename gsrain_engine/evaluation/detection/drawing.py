@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from .detector import Detection
-from .metrics import Boxed, matched
+from .metrics import LabeledBox, match_detections
 
 Color = tuple[int, int, int]
 
@@ -34,13 +34,13 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 _SUBPIXEL_BITS = 4
 
-_LEAST_UNIT = 0.8
+_MIN_UNIT = 0.8
 """In smaller pictures tags stay this large, for they must be read."""
 
 
-def drawn(
+def draw_boxes(
     image: UInt8[np.ndarray, "h w 3"],
-    truths: Sequence[Boxed],
+    truths: Sequence[LabeledBox],
     detections: Sequence[Detection],
     least_confidence: float = 0.25,
 ) -> UInt8[np.ndarray, "h w 3"]:
@@ -50,17 +50,17 @@ def drawn(
     white where one of those found them as what they are, red where none did.
     """
     picture = np.ascontiguousarray(image).copy()
-    unit = max(_LEAST_UNIT, picture.shape[0] / 720, picture.shape[1] / 1280)
+    unit = max(_MIN_UNIT, picture.shape[0] / 720, picture.shape[1] / 1280)
     shown = sorted((each for each in detections if each.confidence >= least_confidence), key=lambda d: -d.confidence)
-    looked_for = list(zip(truths, matched(truths, shown), strict=True))
+    looked_for = list(zip(truths, match_detections(truths, shown), strict=True))
     for truth, match in looked_for:
         _dashed(picture, truth.box_xyxy, _FOUND if match.confidence > 0 else _MISSED, unit)
     for each in reversed(shown):
-        _box(picture, each.box_xyxy, color_of(each.class_name), unit)
+        _box(picture, each.box_xyxy, class_color(each.class_name), unit)
     plates: list[Plate] = []
     for each in shown:
         text = f"{each.class_name} {each.confidence:.2f}"
-        _written(picture, text, each.box_xyxy, color_of(each.class_name), unit, plates)
+        _written(picture, text, each.box_xyxy, class_color(each.class_name), unit, plates)
     for truth, match in looked_for:
         if match.confidence == 0:
             text = f"{truth.class_name} " + (f"taken for {match.flipped_to}" if match.flipped_to else "missed")
@@ -68,7 +68,7 @@ def drawn(
     return picture
 
 
-def color_of(class_name: str) -> Color:
+def class_color(class_name: str) -> Color:
     """Colour of a class (RGB), always the same."""
     known = tuple(_COLORS.values())
     return _COLORS.get(class_name) or known[crc32(class_name.encode()) % len(known)]

@@ -16,12 +16,12 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ...safe_io.text_files import figure_words
 from ..plot_styles import SeriesStyle, legend_at_right, legend_width_in, series_styles
-from .drawing import drawn
+from .drawing import draw_boxes
 from .ground_truth import BoxXYXY
-from .run import JudgedPicture, Row
-from .summary import Spread, WeatherScore
+from .run import EvaluatedImage, ObjectRow
+from .summary import ScoreByIntensity, SeedSpread
 
-MOST_OBJECTS = 8
+MAX_OBJECTS = 8
 """Of more objects those with most frames are drawn, of these the nearest."""
 
 _WIDTH_IN, _HEIGHT_IN, _DPI = 5.4, 3.9, 150
@@ -33,29 +33,29 @@ _WORDS = {
     "map50": "mAP50",
 }
 
-_MOST_PANELS = 4
+_MAX_PANELS = 4
 """In a row; those of more detectors go into the next."""
 
 _Seeds = dict[int, list[float]]
 
-_Line = TypeVar("_Line", Row, WeatherScore)
+_Line = TypeVar("_Line", ObjectRow, ScoreByIntensity)
 
 
-def object_figure(rows: Sequence[Row], number: Literal["confidence", "iou"]) -> Figure:
+def object_figure(rows: Sequence[ObjectRow], number: Literal["confidence", "iou"]) -> Figure:
     """Draw a number against the intensity, a curve for each object and one panel for each detector.
 
     Where there are several classes of objects, a second block of panels has a curve for each of these. A point is the
     mean over frames and seeds, a band reaches from the lowest to the highest seed's mean over frames. Where there are
     both, a cross is the picture as it was taken, and the curve begins at its reconstruction.
     """
-    objects = shown_objects(rows)
+    objects = plotted_objects(rows)
     many: dict[str, set[str]] = defaultdict(set)
     for row in rows:
         many[row.class_name].add(row.object)
     classes = {name: f"{figure_words(name, 20)}, {_counted(many[name])}" for name in sorted(many)}
     blocks = [("object", objects), ("class_name", classes)] if len(classes) > 1 else [("object", objects)]
     detectors = list(dict.fromkeys(row.detector for row in rows))
-    columns = min(len(detectors), _MOST_PANELS)
+    columns = min(len(detectors), _MAX_PANELS)
     lines = ceil(len(detectors) / columns)
     height = lines * _HEIGHT_IN
     beside = max(legend_width_in(len(names) + 1, height) for _, names in blocks)
@@ -77,7 +77,7 @@ def object_figure(rows: Sequence[Row], number: Literal["confidence", "iou"]) -> 
     return figure
 
 
-def precision_figure(scores: Sequence[WeatherScore]) -> Figure:
+def precision_figure(scores: Sequence[ScoreByIntensity]) -> Figure:
     """Draw mAP and mAP50 of each detector against the intensity, with the range over the seeds."""
     detectors = list(dict.fromkeys(each.detector for each in scores))
     entries = len(detectors) + len({each.detector for each in scores if each.picture == "original"})
@@ -88,7 +88,7 @@ def precision_figure(scores: Sequence[WeatherScore]) -> Figure:
         for style, detector in zip(series_styles(len(detectors)), detectors, strict=True):
             own = [each for each in scores if each.detector == detector]
             drawn = _one_without_rain(own)
-            spreads: list[Spread] = [getattr(each, number) for each in drawn]
+            spreads: list[SeedSpread] = [getattr(each, number) for each in drawn]
             _band(panel, [each.intensity_mm_h for each in drawn], spreads, style, figure_words(detector, 28))
             for each in own:
                 if each not in drawn:
@@ -101,7 +101,7 @@ def precision_figure(scores: Sequence[WeatherScore]) -> Figure:
     return figure
 
 
-def pixels(figure: Figure) -> UInt8[np.ndarray, "h w 3"]:
+def figure_pixels(figure: Figure) -> UInt8[np.ndarray, "h w 3"]:
     """Return a figure as a picture, the same bytes every time."""
     figure.set_dpi(_DPI)
     canvas = FigureCanvasAgg(figure)
@@ -109,7 +109,7 @@ def pixels(figure: Figure) -> UInt8[np.ndarray, "h w 3"]:
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def shown_objects(rows: Sequence[Row]) -> dict[str, str]:
+def plotted_objects(rows: Sequence[ObjectRow]) -> dict[str, str]:
     """The objects to draw, those of most frames and of these the nearest first, with what a legend calls them."""
     frames: dict[str, set[str]] = defaultdict(set)
     distances: dict[str, list[float]] = defaultdict(list)
@@ -119,7 +119,7 @@ def shown_objects(rows: Sequence[Row]) -> dict[str, str]:
         classes[row.object] = row.class_name
         distances[row.object].append(np.inf if row.distance_m is None else row.distance_m)
     middle = {name: float(np.median(each)) for name, each in distances.items()}
-    best = sorted(frames, key=lambda name: (-len(frames[name]), middle[name], name))[:MOST_OBJECTS]
+    best = sorted(frames, key=lambda name: (-len(frames[name]), middle[name], name))[:MAX_OBJECTS]
     return {name: _called(name, classes[name], middle[name], len(frames[name])) for name in best}
 
 
@@ -133,7 +133,7 @@ def _counted(objects: set[str]) -> str:
     return f"mean of {len(objects)} object{'' if len(objects) == 1 else 's'}"
 
 
-def _curve(panel: Axes, rows: Sequence[Row], number: str, style: SeriesStyle, label: str) -> None:
+def _curve(panel: Axes, rows: Sequence[ObjectRow], number: str, style: SeriesStyle, label: str) -> None:
     intensities, spreads = _over_seeds(_one_without_rain(rows), number)
     _band(panel, intensities, spreads, style, label)
     taken = [getattr(row, number) for row in rows if row.picture == "original"]
@@ -141,7 +141,7 @@ def _curve(panel: Axes, rows: Sequence[Row], number: str, style: SeriesStyle, la
         panel.plot([0], [float(np.mean(taken))], "x", color=style.color, markersize=7, clip_on=False)
 
 
-def _everything(panel: Axes, rows: Sequence[Row], number: str) -> None:
+def _everything(panel: Axes, rows: Sequence[ObjectRow], number: str) -> None:
     """Draw the mean over all objects, in black."""
     intensities, spreads = _over_seeds(_one_without_rain(rows), number)
     label = _counted({row.object for row in rows})
@@ -154,15 +154,15 @@ def _one_without_rain(lines: Sequence[_Line]) -> list[_Line]:
     return [each for each in lines if not (has_clear and each.picture == "original")]
 
 
-def _over_seeds(rows: Sequence[Row], number: str) -> tuple[list[float], list[Spread]]:
+def _over_seeds(rows: Sequence[ObjectRow], number: str) -> tuple[list[float], list[SeedSpread]]:
     by_intensity: dict[float, _Seeds] = defaultdict(lambda: defaultdict(list))
     for row in rows:
         by_intensity[row.intensity_mm_h][row.seed].append(getattr(row, number))
     intensities = sorted(by_intensity)
-    return intensities, [Spread.of(float(np.mean(each)) for each in by_intensity[r].values()) for r in intensities]
+    return intensities, [SeedSpread.of(float(np.mean(each)) for each in by_intensity[r].values()) for r in intensities]
 
 
-def _band(panel: Axes, x: Sequence[float], spreads: Sequence[Spread], style: SeriesStyle, label: str) -> None:
+def _band(panel: Axes, x: Sequence[float], spreads: Sequence[SeedSpread], style: SeriesStyle, label: str) -> None:
     lows, highs = [each.low for each in spreads], [each.high for each in spreads]
     panel.fill_between(x, lows, highs, color=style.color, alpha=style.band, linewidth=0)
     panel.plot(
@@ -188,7 +188,7 @@ WIDEST_PX = 1920
 _NARROWEST_PX = 240
 """Of a picture; where so many don't fit side by side, they go on below."""
 
-SHOWN_FROM = 0.25
+MIN_DRAWN_CONFIDENCE = 0.25
 """Confidence from which a detection is drawn, and counts as found."""
 
 _GAP_PX, _LINE_PX, _TEXT_PX = 6, 26, 16
@@ -198,7 +198,7 @@ _PAPER, _INK, _FAINT = (24, 25, 28), (232, 232, 236), (160, 162, 170)
 _SHEET_WORDS = {"original": "as taken", "clear": "without rain"}
 
 
-def detection_sheet(pictures: Sequence[JudgedPicture]) -> UInt8[np.ndarray, "h w 3"]:
+def detection_sheet(pictures: Sequence[EvaluatedImage]) -> UInt8[np.ndarray, "h w 3"]:
     """Lay the pictures of one view side by side, a row for each detector: what it found, what it missed.
 
     Pictures of many weathers go on below in as many blocks of rows. Width and height are even, as videos need them; at
@@ -220,13 +220,13 @@ def detection_sheet(pictures: Sequence[JudgedPicture]) -> UInt8[np.ndarray, "h w
         for row, detector in enumerate(detectors):
             top = line * block + _LINE_PX + row * (_LINE_PX + tall + _GAP_PX)
             judgement = picture.judgements[detector]
-            found = sum(match.confidence >= SHOWN_FROM for match in judgement.matches)
+            found = sum(match.confidence >= MIN_DRAWN_CONFIDENCE for match in judgement.matches)
             draw.text((left, top + 2), f"{detector}: {found} of {len(judgement.truths)} found", _FAINT, font)
             sheet.paste(Image.fromarray(_cell(picture, detector, (wide, tall))), (left, top + _LINE_PX))
     return np.asarray(sheet)
 
 
-def _cell(picture: JudgedPicture, detector: str, size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
+def _cell(picture: EvaluatedImage, detector: str, size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
     """Picture in its size on the sheet, and boxes drawn in that size, so that they can be read."""
     judgement, scale = picture.judgements[detector], size[0] / picture.image.shape[1]
     image = picture.image
@@ -234,7 +234,7 @@ def _cell(picture: JudgedPicture, detector: str, size: tuple[int, int]) -> UInt8
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
     truths = [replace(each, box_xyxy=_scaled(each.box_xyxy, scale)) for each in judgement.truths]
     detections = [replace(each, box_xyxy=_scaled(each.box_xyxy, scale)) for each in judgement.detections]
-    return drawn(image, truths, detections, SHOWN_FROM)
+    return draw_boxes(image, truths, detections, MIN_DRAWN_CONFIDENCE)
 
 
 def _scaled(box: BoxXYXY, scale: float) -> BoxXYXY:
@@ -242,6 +242,6 @@ def _scaled(box: BoxXYXY, scale: float) -> BoxXYXY:
     return scale * left, scale * top, scale * right, scale * bottom
 
 
-def _weather(picture: JudgedPicture) -> str:
+def _weather(picture: EvaluatedImage) -> str:
     trial = picture.trial
     return _SHEET_WORDS.get(trial.kind) or f"{trial.intensity_mm_h:g} mm/h"

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from ...datasets.capture import TrackedBox
-from ...render.object_labels import bounds, cut_at_edges, outline, seen_objects
+from ...render.object_labels import bounding_rectangle, convex_outline, cut_at_edges, visible_objects
 from ...render.renderer import Renderer
-from ...safe_io.text_files import json_values, printable, read_whole
+from ...safe_io.text_files import json_values, printable_line, read_whole
 from ...scene.camera import Camera
 from ...scene.geometry import box_corners
 from ...scene.objects import SceneObject, coco_class
@@ -22,14 +22,14 @@ from ...scene.scene import Scene
 BoxXYXY = tuple[float, float, float, float]
 """Left, top, right, bottom in pixels; the left edge of the first column is 0."""
 
-LEAST_VISIBILITY = 0.25
+MIN_VISIBILITY = 0.25
 
-LEAST_HEIGHT_PX = 16.0
+MIN_HEIGHT_PX = 16.0
 """Objects of less are hardly there for anybody: they are no misses, and who finds them is not wrong."""
 
 
 @dataclass(frozen=True, slots=True)
-class LabelledObject:
+class LabeledObject:
     """One object in one picture."""
 
     id: str
@@ -52,13 +52,13 @@ class LabelledObject:
     @property
     def counts(self) -> bool:
         """Whether it is large and free enough to be asked for."""
-        return not self.is_ignored and self.visibility >= LEAST_VISIBILITY and self.height_px >= LEAST_HEIGHT_PX
+        return not self.is_ignored and self.visibility >= MIN_VISIBILITY and self.height_px >= MIN_HEIGHT_PX
 
 
 # § Labelled objects of a recorded view: the 3D boxes that people drew, projected into it.
 
 
-def truth_from_boxes(boxes: Sequence[TrackedBox], camera: Camera, time_s: float) -> tuple[LabelledObject, ...]:
+def ground_truth_from_boxes(boxes: Sequence[TrackedBox], camera: Camera, time_s: float) -> tuple[LabeledObject, ...]:
     """Project boxes into a camera without distortion, both in the capture's world (metres); the nearest one first.
 
     A box is that of the projected 3D box cut at the picture's edges: a few percent larger than the thing itself, and
@@ -69,14 +69,16 @@ def truth_from_boxes(boxes: Sequence[TrackedBox], camera: Camera, time_s: float)
     placed = [(camera.world_to_camera @ pose, box) for pose, box in found]
     placed.sort(key=lambda each: _distance(each[0], each[1]))
     covered = np.zeros((camera.height, camera.width), bool)
-    truths: list[LabelledObject] = []
+    truths: list[LabeledObject] = []
     for to_camera, box in placed:
-        within = cut_at_edges(outline(box_corners(to_camera, box.size_lwh), camera), camera)
+        within = cut_at_edges(convex_outline(box_corners(to_camera, box.size_lwh), camera), camera)
         own = _filled(within, camera)
         if own.any():
             visibility = float((own & ~covered).sum() / own.sum())
             distance = _distance(to_camera, box)
-            truths.append(LabelledObject(box.id, label_class(box.class_name), bounds(within), visibility, distance))
+            truths.append(
+                LabeledObject(box.id, label_class(box.class_name), bounding_rectangle(within), visibility, distance)
+            )
             covered |= own
     return tuple(truths)
 
@@ -96,53 +98,55 @@ def _filled(polygon: Float64[np.ndarray, "c 2"], camera: Camera) -> Bool[np.ndar
 # § Labelled objects of a rendered view: what a scene's actors and parked vehicles show of themselves in it.
 
 
-def truth_from_scene(
+def ground_truth_from_scene(
     renderer: Renderer, scene: Scene, objects: Sequence[SceneObject], camera: Camera, time_s: float
-) -> tuple[LabelledObject, ...]:
+) -> tuple[LabeledObject, ...]:
     """Render which pixels show which object, from a camera in the world (metres); the nearest object first.
 
     Boxes are those of visible pixels, as people draw them around what they see. Rain takes no part.
     """
     return tuple(
-        LabelledObject(
+        LabeledObject(
             each.object.id, label_class(each.object.class_name), each.box_xyxy, each.visibility, each.distance_m
         )
-        for each in seen_objects(renderer, scene, objects, camera, time_s)
+        for each in visible_objects(renderer, scene, objects, camera, time_s)
     )
 
 
 # § Labelled objects out of a COCO file (annotations of instances), by the names of pictures.
 
-_MOST_BYTES = 1 << 30
+_MAX_BYTES = 1 << 30
 """COCO's own annotations of 118 000 pictures are 450 MB."""
 
 
-def read_coco(file: Path) -> dict[str, tuple[LabelledObject, ...]]:
+def read_coco(file: Path) -> dict[str, tuple[LabeledObject, ...]]:
     """Read the objects of each picture by its `file_name`; pictures without any are there too.
 
     `visibility`, `distance_m` and `object`, which COCO lacks and `gsrain render --labels coco` writes, are read where
     they are; a crowd is ignored. Raises ValueError with the file and what is wrong with it.
     """
     try:
-        document = json_values(read_whole(file, _MOST_BYTES))
+        document = json_values(read_whole(file, _MAX_BYTES))
         classes = {int(each["id"]): str(each["name"]) for each in document["categories"]}
         names = {int(each["id"]): str(each["file_name"]) for each in document["images"]}
-        found: dict[str, list[LabelledObject]] = {name: [] for name in names.values()}
+        found: dict[str, list[LabeledObject]] = {name: [] for name in names.values()}
         for annotation in document["annotations"]:
             found[names[int(annotation["image_id"])]].append(_object(annotation, classes))
     except OSError as error:
         raise ValueError(f"{file}: can't be read ({error.strerror or error})") from None
     except KeyError as error:
-        raise ValueError(f"{file}: a COCO file refers to {printable(repr(error.args[0]))}, which it lacks") from None
+        raise ValueError(
+            f"{file}: a COCO file refers to {printable_line(repr(error.args[0]))}, which it lacks"
+        ) from None
     except (ValueError, TypeError, AttributeError, OverflowError) as error:
-        raise ValueError(f"{file}: not a COCO file of instances ({printable(error)})") from None
+        raise ValueError(f"{file}: not a COCO file of instances ({printable_line(error)})") from None
     return {name: tuple(objects) for name, objects in found.items()}
 
 
-def _object(annotation: dict[str, Any], classes: dict[int, str]) -> LabelledObject:
+def _object(annotation: dict[str, Any], classes: dict[int, str]) -> LabeledObject:
     left, top, width, height = (float(each) for each in annotation["bbox"])
     distance = annotation.get("distance_m")
-    return LabelledObject(
+    return LabeledObject(
         id=str(annotation.get("object", annotation["id"])),
         class_name=label_class(classes[int(annotation["category_id"])]),
         box_xyxy=(left, top, left + width, top + height),
@@ -169,7 +173,7 @@ def label_class(name: str) -> str:
 
 
 @cache
-def names_class(detected: str, labelled: str) -> bool:
+def is_same_class(detected: str, labelled: str) -> bool:
     """Whether a detector's word is right for an object that is labelled so.
 
     Words of data sets stand for COCO's: Pedestrian is a person. A vehicle is any of `KINDS_OF_VEHICLES`, either way.
@@ -179,6 +183,6 @@ def names_class(detected: str, labelled: str) -> bool:
     return seen == label or general in KINDS_OF_VEHICLES
 
 
-def can_name(classes: Collection[str], labelled: str) -> bool:
+def can_detect_class(classes: Collection[str], labelled: str) -> bool:
     """Whether a detector of these classes has a word for an object; one that lists none is taken to know all."""
-    return not classes or any(names_class(each, labelled) for each in classes)
+    return not classes or any(is_same_class(each, labelled) for each in classes)

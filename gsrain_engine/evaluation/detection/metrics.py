@@ -11,10 +11,10 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Float64
 
-from ..image_metrics import share_interval
+from ..image_metrics import wilson_interval
 from .decoders import intersection_over_union
 from .detector import Detection
-from .ground_truth import label_class, names_class
+from .ground_truth import is_same_class, label_class
 
 _ABSENT = -1
 """What the COCO evaluation gives for a class without labelled objects."""
@@ -50,12 +50,12 @@ class AveragePrecision:
 
 
 @runtime_checkable
-class Boxed(Protocol):
+class LabeledBox(Protocol):
     """A labelled object: what it is and where it lies in the picture."""
 
     @property
     def class_name(self) -> str:
-        """Its class; `names_class` tells which words of a detector are right for it."""
+        """Its class; `is_same_class` tells which words of a detector are right for it."""
         ...
 
     @property
@@ -65,15 +65,15 @@ class Boxed(Protocol):
 
 
 def average_precision(
-    truths: Sequence[Sequence[Boxed]],
+    truths: Sequence[Sequence[LabeledBox]],
     detections: Sequence[Sequence[Detection]],
-    ignored: Sequence[Sequence[Boxed]] | None = None,
+    ignored: Sequence[Sequence[LabeledBox]] | None = None,
 ) -> AveragePrecision:
     """Average precision over pictures: labelled objects and detections of each, in the same order.
 
     The area below precision over recall, at 101 recalls, mean over classes; mAP50 with matches from an IoU of 0.5 on,
     mAP the mean over 0.50, 0.55, ... 0.95 (Lin et al. 2014 and COCO's own program). 0 to 1, higher is better.
-    A detection counts for the class that its word names (`names_class`); where it names several that are labelled, as
+    A detection counts for the class that its word names (`is_same_class`); where it names several that are labelled, as
     car does a vehicle of unknown kind too, for that of the object which it lies on, and on none for its own.
     Detections of classes that nothing is labelled with do not count, neither for nor against; nor do those that lie
     in `ignored` objects of their class, which nobody has to find (COCO's crowds). Raises ValueError where the numbers
@@ -97,9 +97,9 @@ def average_precision(
 
 
 def _precision(
-    truths: Sequence[Sequence[Boxed]],
+    truths: Sequence[Sequence[LabeledBox]],
     detections: Sequence[Sequence[Detection]],
-    ignored: Sequence[Sequence[Boxed]],
+    ignored: Sequence[Sequence[LabeledBox]],
     classes: Sequence[str],
 ) -> Any:
     """Precision by IoU (10), recall (101) and class."""
@@ -127,26 +127,26 @@ def _precision(
     return evaluation.eval["precision"][:, :, :, 0, -1]
 
 
-def _named(detections: Sequence[Detection], truths: Sequence[Boxed], classes: Sequence[str]) -> list[str | None]:
+def _named(detections: Sequence[Detection], truths: Sequence[LabeledBox], classes: Sequence[str]) -> list[str | None]:
     """Return the labelled class that each detection counts for; None for no class."""
     found: list[str | None] = []
     for each in detections:
-        candidates = [name for name in classes if names_class(each.class_name, name)]
+        candidates = [name for name in classes if is_same_class(each.class_name, name)]
         if len(candidates) > 1:
             own = [truth for truth in truths if truth.class_name in candidates]
             overlaps = intersection_over_union(_boxes(own), _boxes([each]))[:, 0] if own else np.zeros(1)
             best = int(np.argmax(overlaps))
             exact = [name for name in candidates if name == label_class(each.class_name)]
-            candidates = [own[best].class_name] if overlaps[best] >= LEAST_IOU else exact or candidates
+            candidates = [own[best].class_name] if overlaps[best] >= MIN_IOU else exact or candidates
         found.append(candidates[0] if candidates else None)
     return found
 
 
-def _boxes(objects: Sequence[Boxed]) -> np.ndarray:
+def _boxes(objects: Sequence[LabeledBox]) -> np.ndarray:
     return np.array([each.box_xyxy for each in objects], np.float64).reshape(-1, 4)
 
 
-def _entry(image: int, box: Boxed, numbers: dict[str, int], named: str | None = "") -> dict[str, Any]:
+def _entry(image: int, box: LabeledBox, numbers: dict[str, int], named: str | None = "") -> dict[str, Any]:
     """A box in COCO's words: corner and size; 0 is the category of classes that do not count.
 
     `named` is the class that it counts for where it is not its own.
@@ -178,11 +178,11 @@ def _mean(precision: Any) -> float:
     return float(np.mean(precision[precision != _ABSENT]))
 
 
-LEAST_IOU = 0.5
+MIN_IOU = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Match:
+class ObjectMatch:
     """How a detector saw one labelled object."""
 
     confidence: float
@@ -198,7 +198,9 @@ class Match:
     """`class_seen` where that is no word for the object; else None."""
 
 
-def matched(truths: Sequence[Boxed], detections: Sequence[Detection], least_iou: float = LEAST_IOU) -> list[Match]:
+def match_detections(
+    truths: Sequence[LabeledBox], detections: Sequence[Detection], least_iou: float = MIN_IOU
+) -> list[ObjectMatch]:
     """For every labelled object the detection that found it.
 
     Detections choose in order of confidence, each the free object it overlaps most, by an IoU of at least `least_iou`
@@ -209,22 +211,22 @@ def matched(truths: Sequence[Boxed], detections: Sequence[Detection], least_iou:
     overlaps = intersection_over_union(
         _image_boxes([each.box_xyxy for each in truths]), _image_boxes([each.box_xyxy for each in order])
     )
-    same = np.array([[names_class(each.class_name, truth.class_name) for each in order] for truth in truths], bool)
+    same = np.array([[is_same_class(each.class_name, truth.class_name) for each in order] for truth in truths], bool)
     same = same.reshape(overlaps.shape)
     own = _greedy([np.where(same, overlaps, 0.0)], least_iou)
     anything = _greedy([np.where(same, overlaps, 0.0), overlaps], least_iou)
-    matches: list[Match] = []
+    matches: list[ObjectMatch] = []
     for row, truth in enumerate(truths):
         mine, seen = own.get(row), anything.get(row)
         class_seen = None if seen is None else order[seen].class_name
         matches.append(
-            Match(
+            ObjectMatch(
                 confidence=0.0 if mine is None else order[mine].confidence,
                 iou=0.0 if mine is None else float(overlaps[row, mine]),
                 confidence_any_class=0.0 if seen is None else order[seen].confidence,
                 iou_any_class=0.0 if seen is None else float(overlaps[row, seen]),
                 class_seen=class_seen,
-                flipped_to=None if class_seen is None or names_class(class_seen, truth.class_name) else class_seen,
+                flipped_to=None if class_seen is None or is_same_class(class_seen, truth.class_name) else class_seen,
             )
         )
     return matches
@@ -269,7 +271,7 @@ class DistanceRecall:
 
         Holds for objects seen independently: frames of one drive are not, it is then too narrow.
         """
-        return share_interval(self.found, self.objects)
+        return wilson_interval(self.found, self.objects)
 
 
 def recall_by_distance(
@@ -281,7 +283,7 @@ def recall_by_distance(
     """Recall between neighbouring `edges_m` (the nearer one belongs to a bin, the farther does not).
 
     The share of labelled objects that were found, 0 to 1, higher is better; with Wilson's interval (1927).
-    An object is found where the confidence of its match (`Match.confidence`, 0 where missed) is at least
+    An object is found where the confidence of its match (`ObjectMatch.confidence`, 0 where missed) is at least
     `least_confidence`. Objects outside the edges do not count. Raises ValueError for edges that do not rise.
     """
     edges = np.asarray(edges_m, float)

@@ -15,12 +15,12 @@ from msgspec import structs
 
 from ...appearance.scene_views import PlacedCamera
 from ...datasets.capture import Capture
-from ...datasets.undistort import prepared
-from ...rain.settings import Rain
-from ...rain.simulation import Rainfall
-from ...render.draw import Shot, draw_shot, rain_in
+from ...datasets.undistort import undistort_frame
+from ...rain.settings import RainSettings
+from ...rain.simulation import RainSimulation
+from ...render.draw import RenderView, draw_view, rain_frame_of
 from ...render.renderer import Renderer
-from ...render.sky_color import Sky
+from ...render.sky_color import SkyColor
 from ...safe_io.limits import read_file
 from ...scene.files import whole_file
 from ...scene.geometry import linear_to_srgb, srgb_to_linear
@@ -28,12 +28,12 @@ from ...scene.objects import scene_objects
 from ...scene.scene import Scene
 from .decoders import intersection_over_union
 from .detector import Detection
-from .ground_truth import LabelledObject, can_name, truth_from_boxes, truth_from_scene
-from .metrics import LEAST_IOU, Match, matched
+from .ground_truth import LabeledObject, can_detect_class, ground_truth_from_boxes, ground_truth_from_scene
+from .metrics import MIN_IOU, ObjectMatch, match_detections
 
 
 @runtime_checkable
-class Finder(Protocol):
+class DetectorProtocol(Protocol):
     """What finds objects in pictures, such as a `Detector`."""
 
     @property
@@ -57,7 +57,7 @@ Kind = Literal["original", "clear", "rainy"]
 """As a camera took it; the scene without rain; in rain."""
 
 
-class Trial(NamedTuple):
+class Condition(NamedTuple):
     """What a view is shown in."""
 
     kind: Kind
@@ -67,19 +67,19 @@ class Trial(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Judgement:
+class DetectionResult:
     """What one detector made of one picture."""
 
     detector: str
-    trial: Trial
+    trial: Condition
     frame: str
-    truths: tuple[LabelledObject, ...]
+    truths: tuple[LabeledObject, ...]
     """Objects that are large and free enough to be asked for."""
-    matches: tuple[Match, ...]
+    matches: tuple[ObjectMatch, ...]
     """One for each of them."""
     detections: tuple[Detection, ...]
     """Without those that found an object which is not asked for."""
-    not_named: tuple[LabelledObject, ...] = ()
+    not_named: tuple[LabeledObject, ...] = ()
     """Objects that would be asked for, had the detector a word for them: a sign, for one of COCO's classes."""
 
 
@@ -87,23 +87,23 @@ class Judgement:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class JudgedFrame:
+class EvaluatedFrame:
     """One view. World: metres, z up."""
 
     name: str
-    shot: Shot
-    truths: tuple[LabelledObject, ...]
+    shot: RenderView
+    truths: tuple[LabeledObject, ...]
     original: Callable[[], UInt8[np.ndarray, "h w 3"]] | None = None
     """Reads the picture that a camera took there; none where nobody did."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class JudgedPicture:
+class EvaluatedImage:
     """A picture with what all detectors made of it."""
 
-    frame: JudgedFrame
-    trial: Trial
-    judgements: Mapping[str, Judgement]
+    frame: EvaluatedFrame
+    trial: Condition
+    judgements: Mapping[str, DetectionResult]
     """By detector."""
     take: Callable[[], UInt8[np.ndarray, "h w 3"]]
     """Makes the picture once: one judged in an earlier run is not made until somebody asks."""
@@ -114,20 +114,20 @@ class JudgedPicture:
 
 
 @runtime_checkable
-class Memory(Protocol):
-    """What was judged before, such as `Finished`."""
+class ResultCacheProtocol(Protocol):
+    """What was judged before, such as `ResultCache`."""
 
-    def known(self, detector: str, frame: JudgedFrame, trial: Trial) -> Judgement | None:
+    def known(self, detector: str, frame: EvaluatedFrame, trial: Condition) -> DetectionResult | None:
         """The judgement of a picture, if it was made before."""
         ...
 
-    def keep(self, judgement: Judgement, frame: JudgedFrame) -> None:
+    def keep(self, judgement: DetectionResult, frame: EvaluatedFrame) -> None:
         """Take note of one."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pictures:
+class ConditionRenderer:
     """Makes the pictures of views. A rain's seed decides its drops: intensities of one seed differ as little as can be.
 
     Without a scene rain falls in front of the pictures that were taken, as if all that they show were far behind it.
@@ -135,14 +135,14 @@ class Pictures:
 
     renderer: Renderer
     scene: Scene
-    rain: Rain
+    rain: RainSettings
     """All but its intensity and its seed."""
-    sky: Sky
+    sky: SkyColor
     is_in_front: bool = False
     """Whether rain falls in front of taken pictures."""
-    _rains: dict[tuple[float, int], Rainfall] = field(default_factory=dict[tuple[float, int], Rainfall])
+    _rains: dict[tuple[float, int], RainSimulation] = field(default_factory=dict[tuple[float, int], RainSimulation])
 
-    def take(self, frame: JudgedFrame, trial: Trial) -> UInt8[np.ndarray, "h w 3"]:
+    def take(self, frame: EvaluatedFrame, trial: Condition) -> UInt8[np.ndarray, "h w 3"]:
         """Make one picture; the same every time. Wet colours come with the rain where the scene has them."""
         if trial.kind == "original":
             assert frame.original is not None
@@ -152,22 +152,22 @@ class Pictures:
         rainfall = self._rainfall(trial.intensity_mm_h, trial.seeds[0])
         return self._in_front(frame, rainfall) if self.is_in_front else self._drawn(frame, rainfall)
 
-    def _rainfall(self, intensity_mm_h: float, seed: int) -> Rainfall:
+    def _rainfall(self, intensity_mm_h: float, seed: int) -> RainSimulation:
         key = intensity_mm_h, seed
         if key not in self._rains:
             rain = structs.replace(self.rain, intensity_mm_h=intensity_mm_h, seed=seed)
-            self._rains[key] = Rainfall.start(rain)
+            self._rains[key] = RainSimulation.start(rain)
         return self._rains[key]
 
-    def _drawn(self, frame: JudgedFrame, rainfall: Rainfall | None) -> UInt8[np.ndarray, "h w 3"]:
+    def _drawn(self, frame: EvaluatedFrame, rainfall: RainSimulation | None) -> UInt8[np.ndarray, "h w 3"]:
         wetness = 0.0 if rainfall is None else rainfall.wetness_at(frame.shot.time_s)
-        draw_shot(self.renderer, self.scene, rainfall, self.sky.at(wetness), frame.shot)
+        draw_view(self.renderer, self.scene, rainfall, self.sky.at(wetness), frame.shot)
         return self.renderer.read().to_uint8()
 
-    def _in_front(self, frame: JudgedFrame, rainfall: Rainfall) -> UInt8[np.ndarray, "h w 3"]:
+    def _in_front(self, frame: EvaluatedFrame, rainfall: RainSimulation) -> UInt8[np.ndarray, "h w 3"]:
         """Mix rain over the taken picture B, with W its share of a pixel and S its light: enc((1 - W) dec(B) + W S)."""
         assert frame.original is not None
-        falling = rain_in(self.scene, rainfall, self.sky.color, frame.shot)
+        falling = rain_frame_of(self.scene, rainfall, self.sky.color, frame.shot)
         self.renderer.draw([], frame.shot.camera, falling)
         share = self.renderer.read().rgba[..., 3:]
         is_linear = rainfall.rain.rain_light == "linear"
@@ -177,13 +177,13 @@ class Pictures:
         return np.rint(np.clip(mixed, 0, 1) * 255).astype(np.uint8)
 
 
-def judged_pictures(
-    pictures: Pictures,
-    detectors: Sequence[Finder],
-    frames: Sequence[JudgedFrame],
-    trials: Sequence[Trial],
-    memory: Memory | None = None,
-) -> Iterator[JudgedPicture]:
+def evaluate_images(
+    pictures: ConditionRenderer,
+    detectors: Sequence[DetectorProtocol],
+    frames: Sequence[EvaluatedFrame],
+    trials: Sequence[Condition],
+    memory: ResultCacheProtocol | None = None,
+) -> Iterator[EvaluatedImage]:
     """Make each picture and show it to each detector; view by view, in the order of the trials.
 
     What the memory knows is not asked for again, and what it does not know it is told.
@@ -191,38 +191,42 @@ def judged_pictures(
     for frame in frames:
         for trial in trials:
             take = cache(partial(pictures.take, frame, trial))
-            judgements: dict[str, Judgement] = {}
+            judgements: dict[str, DetectionResult] = {}
             for each in detectors:
                 judgement = None if memory is None else memory.known(each.name, frame, trial)
                 if judgement is None:
-                    judgement = judged(each.name, frame, trial, each.detect(take()), each.classes)
+                    judgement = evaluate_detections(each.name, frame, trial, each.detect(take()), each.classes)
                     if memory is not None:
                         memory.keep(judgement, frame)
                 judgements[each.name] = judgement
-            yield JudgedPicture(frame, trial, judgements, take)
+            yield EvaluatedImage(frame, trial, judgements, take)
 
 
-def judged(
-    detector: str, frame: JudgedFrame, trial: Trial, detections: Sequence[Detection], classes: tuple[str, ...] = ()
-) -> Judgement:
+def evaluate_detections(
+    detector: str,
+    frame: EvaluatedFrame,
+    trial: Condition,
+    detections: Sequence[Detection],
+    classes: tuple[str, ...] = (),
+) -> DetectionResult:
     """Match detections with the objects of a view; `classes` are those that the detector can name, if it tells.
 
     Objects that are not asked for take part in the matching, so that who finds them is not wrong: those too small or
     too hidden, and those of classes that the detector has no word for.
     """
     counted = tuple(each for each in frame.truths if each.counts)
-    truths = tuple(each for each in counted if can_name(classes, each.class_name))
-    matches = tuple(matched(truths, detections))
+    truths = tuple(each for each in counted if can_detect_class(classes, each.class_name))
+    matches = tuple(match_detections(truths, detections))
     others = [each for each in frame.truths if each not in truths]
     fair = tuple(detections)
     if others and detections:
         fair = _without_finds(detections, truths, others)
     not_named = tuple(each for each in counted if each not in truths)
-    return Judgement(detector, trial, frame.name, truths, matches, fair, not_named)
+    return DetectionResult(detector, trial, frame.name, truths, matches, fair, not_named)
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class ObjectRow:
     """One object in one picture, as one detector saw it: a line of the tables."""
 
     detector: str
@@ -246,16 +250,16 @@ class Row:
 
     def plain(self) -> dict[str, Any]:
         """Return its fields by the names of the tables."""
-        fields = {name: getattr(self, name) for name in Row.__slots__}
+        fields = {name: getattr(self, name) for name in ObjectRow.__slots__}
         return {("class" if name == "class_name" else name): value for name, value in fields.items()}
 
 
-def rows_of(judgement: Judgement) -> Iterator[Row]:
+def object_rows(judgement: DetectionResult) -> Iterator[ObjectRow]:
     """Lines of a picture: one for each object and each seed, so that seeds pair across intensities, 0 mm/h too."""
     trial = judgement.trial
     for seed in trial.seeds:
         for truth, match in zip(judgement.truths, judgement.matches, strict=True):
-            yield Row(
+            yield ObjectRow(
                 judgement.detector, trial.kind, trial.intensity_mm_h, seed, judgement.frame, truth.id, truth.class_name,
                 match.confidence, match.iou, match.confidence_any_class, match.iou_any_class, match.class_seen,
                 truth.visibility, truth.distance_m, truth.height_px,
@@ -263,16 +267,16 @@ def rows_of(judgement: Judgement) -> Iterator[Row]:
 
 
 def _without_finds(
-    detections: Sequence[Detection], truths: Sequence[LabelledObject], others: Sequence[LabelledObject]
+    detections: Sequence[Detection], truths: Sequence[LabeledObject], others: Sequence[LabeledObject]
 ) -> tuple[Detection, ...]:
     """Leave out detections that lie on an object that is not asked for, and better on it than on any that is."""
     boxes = np.array([each.box_xyxy for each in detections], np.float64)
     there = intersection_over_union(_boxes(others), boxes).max(axis=0)
     asked = intersection_over_union(_boxes(truths), boxes).max(axis=0) if truths else np.zeros(len(boxes))
-    return tuple(each for each, o, a in zip(detections, there, asked, strict=True) if not (o >= LEAST_IOU and o > a))
+    return tuple(each for each, o, a in zip(detections, there, asked, strict=True) if not (o >= MIN_IOU and o > a))
 
 
-def _boxes(objects: Sequence[LabelledObject]) -> np.ndarray:
+def _boxes(objects: Sequence[LabeledObject]) -> np.ndarray:
     return np.array([each.box_xyxy for each in objects], np.float64).reshape(-1, 4)
 
 
@@ -285,18 +289,18 @@ _FORM = b"2"
 
 _DIGITS = 16
 
-_Picture = tuple[str, str, float, int]
+_Image = tuple[str, str, float, int]
 """Key of detector and view, kind of picture, intensity, first seed."""
 
 
-class _Line(msgspec.Struct, frozen=True, kw_only=True):
+class _CacheLine(msgspec.Struct, frozen=True, kw_only=True):
     """A line of the file: a judgement, and a hash of all that it follows from."""
 
     key: str
-    judgement: Judgement
+    judgement: DetectionResult
 
 
-class Finished:
+class ResultCache:
     """Judgements in a file, one to a line, each written whole as soon as it is made. A torn last line is not read.
 
     A judgement is known again where its detector, its view and all that its picture is made of are the same: more
@@ -314,10 +318,10 @@ class Finished:
         told = msgspec.json.encode(inputs, order="sorted")
         self._bases = {name: _hash(_FORM, told, name.encode(), each.encode()) for name, each in detectors.items()}
         self._file = file
-        self._known: dict[_Picture, Judgement] = {}
+        self._known: dict[_Image, DetectionResult] = {}
         self._stream: BinaryIO | None = None
 
-    def __enter__(self) -> "Finished":
+    def __enter__(self) -> "ResultCache":
         self._stream = self._file.open("ab")
         return self
 
@@ -327,7 +331,7 @@ class Finished:
         if self._stream is not None:
             self._stream.close()
 
-    def read(self, frames: list[JudgedFrame]) -> int:
+    def read(self, frames: list[EvaluatedFrame]) -> int:
         """Take over what still holds for these views, and drop the rest from the file; returns how many judgements."""
         if not self._file.is_file():
             return 0
@@ -336,43 +340,45 @@ class Finished:
         kept: list[bytes] = []
         for line in lines:
             try:
-                read = msgspec.json.decode(line, type=_Line)
+                read = msgspec.json.decode(line, type=_CacheLine)
             except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):  # torn when a run was killed
                 continue
             if read.key in keys and line.endswith(b"\n"):
                 kept.append(line)
-                self._known[_picture(read.key, read.judgement.trial)] = read.judgement
+                self._known[_image(read.key, read.judgement.trial)] = read.judgement
         if len(kept) < len(lines):
             with whole_file(self._file) as beside:
                 beside.write_bytes(b"".join(kept))
         return len(self._known)
 
-    def known(self, detector: str, frame: JudgedFrame, trial: Trial) -> Judgement | None:
-        found = self._known.get(_picture(self._key(detector, frame), trial))
+    def known(self, detector: str, frame: EvaluatedFrame, trial: Condition) -> DetectionResult | None:
+        found = self._known.get(_image(self._key(detector, frame), trial))
         return None if found is None else replace(found, trial=trial)
 
-    def keep(self, judgement: Judgement, frame: JudgedFrame) -> None:
+    def keep(self, judgement: DetectionResult, frame: EvaluatedFrame) -> None:
         assert self._stream is not None
-        line = _Line(key=self._key(judgement.detector, frame), judgement=judgement)
+        line = _CacheLine(key=self._key(judgement.detector, frame), judgement=judgement)
         self._stream.write(msgspec.json.encode(line, enc_hook=_plain) + b"\n")
         self._stream.flush()
 
-    def _key(self, detector: str, frame: JudgedFrame) -> str:
-        return _hash(self._bases[detector].encode(), *_told((frame.name, frame.shot, frame.truths)))
+    def _key(self, detector: str, frame: EvaluatedFrame) -> str:
+        return _hash(self._bases[detector].encode(), *_content_bytes((frame.name, frame.shot, frame.truths)))
 
 
-def _picture(key: str, trial: Trial) -> _Picture:
+def _image(key: str, trial: Condition) -> _Image:
     return key, trial.kind, trial.intensity_mm_h, trial.seeds[0]
 
 
-def _told(value: Any) -> list[bytes]:
+def _content_bytes(value: Any) -> list[bytes]:
     """The bytes of a value: arrays whole, dataclasses field by field."""
     if isinstance(value, np.ndarray):
         return [value.tobytes()]
     if isinstance(value, tuple):
-        return [part for each in value for part in _told(each)]
+        return [part for each in value for part in _content_bytes(each)]
     if is_dataclass(value):
-        return [part for each in fields(value) for part in (each.name.encode(), *_told(getattr(value, each.name)))]
+        return [
+            part for each in fields(value) for part in (each.name.encode(), *_content_bytes(getattr(value, each.name)))
+        ]
     return [repr(value).encode()]
 
 
@@ -392,10 +398,10 @@ def _plain(value: Any) -> Any:
 _STEP_S = 0.005
 """Half the time over which a speed is taken."""
 
-Labels = dict[str, tuple[LabelledObject, ...]]
+Labels = dict[str, tuple[LabeledObject, ...]]
 
 
-def scene_frames(renderer: Renderer, scene: Scene, placed: Sequence[PlacedCamera]) -> list[JudgedFrame]:
+def scene_frames(renderer: Renderer, scene: Scene, placed: Sequence[PlacedCamera]) -> list[EvaluatedFrame]:
     """Views of a scene whose own actors (and parked vehicles) are to be found.
 
     Raises ValueError for a scene in which nothing has a class.
@@ -404,8 +410,10 @@ def scene_frames(renderer: Renderer, scene: Scene, placed: Sequence[PlacedCamera
     if not objects:
         raise ValueError(f"scene {scene.name!r} has no actors to be found; --capture or --truth says what is there")
     return [
-        JudgedFrame(
-            each.name, shot_in(scene, each), truth_from_scene(renderer, scene, objects, each.camera, each.time_s)
+        EvaluatedFrame(
+            each.name,
+            render_view_of(scene, each),
+            ground_truth_from_scene(renderer, scene, objects, each.camera, each.time_s),
         )
         for each in placed
     ]
@@ -413,7 +421,7 @@ def scene_frames(renderer: Renderer, scene: Scene, placed: Sequence[PlacedCamera
 
 def recorded_frames(
     scene: Scene, placed: Sequence[PlacedCamera], capture: Capture, labels: Labels | None = None
-) -> list[JudgedFrame]:
+) -> list[EvaluatedFrame]:
     """Views of a scene, or of a world of nothing, that a capture has pictures of, by the names of its views.
 
     What is there to be found are the capture's 3D boxes, or `labels` by the names of views and of their files.
@@ -422,20 +430,20 @@ def recorded_frames(
     if labels is None and not (capture.boxes and capture.is_metric):
         raise ValueError(f"{capture.name}: has no 3D boxes of what is to be found; --truth names a COCO file")
     views = {view.name: view for view in capture}
-    frames: list[JudgedFrame] = []
+    frames: list[EvaluatedFrame] = []
     for each in placed:
-        view = prepared(views[each.name], each.camera.width)
+        view = undistort_frame(views[each.name], each.camera.width)
         if labels is None:
-            truths = truth_from_boxes(capture.boxes, view.camera, view.time_s)
+            truths = ground_truth_from_boxes(capture.boxes, view.camera, view.time_s)
         else:
             truths = _labels_of(labels, each.name)
-        frames.append(JudgedFrame(each.name, shot_in(scene, each), truths, lambda view=view: view.image))
+        frames.append(EvaluatedFrame(each.name, render_view_of(scene, each), truths, lambda view=view: view.image))
     return frames
 
 
-def shot_in(scene: Scene, placed: PlacedCamera) -> Shot:
+def render_view_of(scene: Scene, placed: PlacedCamera) -> RenderView:
     """The shot of a camera that rides on the scene's ego vehicle, if there is one at its time."""
-    return Shot(placed.camera, placed.time_s, _velocity(scene, placed.camera.position, placed.time_s))
+    return RenderView(placed.camera, placed.time_s, _velocity(scene, placed.camera.position, placed.time_s))
 
 
 def _velocity(scene: Scene, position: Float64[np.ndarray, "3"], time_s: float) -> Float64[np.ndarray, "3"]:
@@ -447,7 +455,7 @@ def _velocity(scene: Scene, position: Float64[np.ndarray, "3"], time_s: float) -
     return ((after - before) @ mounted)[:3] / (2 * _STEP_S)
 
 
-def _labels_of(labels: Labels, name: str) -> tuple[LabelledObject, ...]:
+def _labels_of(labels: Labels, name: str) -> tuple[LabeledObject, ...]:
     """Labels by a view's name, with or without folder and ending; none where the file does not know it."""
     stem = name.rpartition("/")[2].rpartition(".")[0] or name.rpartition("/")[2]
     for known, truths in labels.items():
@@ -456,11 +464,11 @@ def _labels_of(labels: Labels, name: str) -> tuple[LabelledObject, ...]:
     return ()
 
 
-def trials_of(
+def conditions_of(
     intensities_mm_h: tuple[float, ...], seeds: tuple[int, ...], *, originals: bool, scene: bool
-) -> list[Trial]:
+) -> list[Condition]:
     """All that a view is shown in: without rain first, then each rain with each seed, the same seeds in each."""
-    clear = [Trial("original", 0.0, seeds)] if originals else []
-    clear += [Trial("clear", 0.0, seeds)] if scene else []
-    rainy = [Trial("rainy", rate, (seed,)) for rate in intensities_mm_h if rate > 0 for seed in seeds]
+    clear = [Condition("original", 0.0, seeds)] if originals else []
+    clear += [Condition("clear", 0.0, seeds)] if scene else []
+    rainy = [Condition("rainy", rate, (seed,)) for rate in intensities_mm_h if rate > 0 for seed in seeds]
     return clear + rainy

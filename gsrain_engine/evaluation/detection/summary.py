@@ -12,9 +12,9 @@ from jaxtyping import Float64
 from scipy.special import stdtrit
 
 from ...scene.files import whole_file
-from .ground_truth import names_class
+from .ground_truth import is_same_class
 from .metrics import DistanceRecall, Robustness, average_precision, recall_by_distance, robustness
-from .run import Judgement, Kind, Row
+from .run import DetectionResult, Kind, ObjectRow
 
 FOUND_FROM = 0.25
 """Confidence from which an object counts as found in the recalls."""
@@ -23,7 +23,7 @@ DISTANCES_M = (0.0, 10.0, 20.0, 30.0, 40.0, 60.0, 100.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
+class SeedSpread:
     """A number over the seeds: its mean, and the lowest and highest seed."""
 
     mean: float
@@ -31,13 +31,13 @@ class Spread:
     high: float
 
     @classmethod
-    def of(cls, values: Iterable[float]) -> "Spread":
+    def of(cls, values: Iterable[float]) -> "SeedSpread":
         taken = np.array(list(values), np.float64)
         return cls(float(taken.mean()), float(taken.min()), float(taken.max()))
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class SeedChange:
     """A difference between two weathers, seed by seed: its mean and 95 % confidence interval (Student's t)."""
 
     mean: float
@@ -46,7 +46,7 @@ class Change:
     """NaN both for a single seed and without rain. They tell how much drops matter, not how other streets fare."""
 
     @classmethod
-    def of(cls, differences: Sequence[float]) -> "Change":
+    def of(cls, differences: Sequence[float]) -> "SeedChange":
         values, n = np.asarray(differences, np.float64), len(differences)
         if n < 2:
             return cls(float(values.mean()), float("nan"), float("nan"))
@@ -55,7 +55,7 @@ class Change:
 
 
 @dataclass(frozen=True, slots=True)
-class WeatherScore:
+class ScoreByIntensity:
     """A detector in one weather."""
 
     detector: str
@@ -63,18 +63,18 @@ class WeatherScore:
     intensity_mm_h: float
     objects: int
     """Asked for, over all frames; the same for each seed."""
-    confidence: Spread
+    confidence: SeedSpread
     """Mean over objects, 0..1, those that were missed as 0."""
-    iou: Spread
+    iou: SeedSpread
     """Mean over objects, 0..1, those that were missed as 0."""
-    recall: Spread
+    recall: SeedSpread
     """Share of objects found with a confidence of 0.25 or more; 0..1."""
-    flips: Spread
+    flips: SeedSpread
     """Share of all objects that were taken for another class, with a confidence of 0.25 or more; 0..1."""
-    map: Spread
+    map: SeedSpread
     """Average precision as COCO has it (IoU 0.5 to 0.95), 0..1: see `AveragePrecision`."""
-    map50: Spread
-    change: Change | None
+    map50: SeedSpread
+    change: SeedChange | None
     """Of the mean confidence from the picture without rain; None for that one."""
 
 
@@ -91,16 +91,16 @@ class DistanceScore:
 _Weather = tuple[str, Kind, float]
 
 
-def scores(rows: Sequence[Row], judgements: Sequence[Judgement]) -> list[WeatherScore]:
+def scores(rows: Sequence[ObjectRow], judgements: Sequence[DetectionResult]) -> list[ScoreByIntensity]:
     """Score each detector in each weather, detector by detector, without rain first."""
-    pictures: dict[_Weather, dict[int, list[Judgement]]] = defaultdict(lambda: defaultdict(list))
+    pictures: dict[_Weather, dict[int, list[DetectionResult]]] = defaultdict(lambda: defaultdict(list))
     for each in judgements:
         for seed in each.trial.seeds:
             pictures[each.detector, each.trial.kind, each.trial.intensity_mm_h][seed].append(each)
-    lines: dict[_Weather, dict[int, list[Row]]] = defaultdict(lambda: defaultdict(list))
+    lines: dict[_Weather, dict[int, list[ObjectRow]]] = defaultdict(lambda: defaultdict(list))
     for row in rows:
         lines[row.detector, row.picture, row.intensity_mm_h][row.seed].append(row)
-    found: list[WeatherScore] = []
+    found: list[ScoreByIntensity] = []
     detectors = list(dict.fromkeys(each.detector for each in judgements))
     for weather, by_seed in sorted(pictures.items(), key=lambda each: (detectors.index(each[0][0]), each[0][2])):
         if not lines[weather]:
@@ -109,22 +109,24 @@ def scores(rows: Sequence[Row], judgements: Sequence[Judgement]) -> list[Weather
         precision = _precisions(by_seed)
         base = _base(weather, pictures)
         found.append(
-            WeatherScore(
+            ScoreByIntensity(
                 *weather,
                 objects=len(next(iter(own.values()))),
-                confidence=Spread.of(_mean(each, "confidence") for each in own.values()),
-                iou=Spread.of(_mean(each, "iou") for each in own.values()),
-                recall=Spread.of(float(np.mean([r.confidence >= FOUND_FROM for r in each])) for each in own.values()),
-                flips=Spread.of(float(np.mean([_is_flip(r) for r in each])) for each in own.values()),
-                map=Spread.of(value for value, _ in precision),
-                map50=Spread.of(value for _, value in precision),
+                confidence=SeedSpread.of(_mean(each, "confidence") for each in own.values()),
+                iou=SeedSpread.of(_mean(each, "iou") for each in own.values()),
+                recall=SeedSpread.of(
+                    float(np.mean([r.confidence >= FOUND_FROM for r in each])) for each in own.values()
+                ),
+                flips=SeedSpread.of(float(np.mean([_is_flip(r) for r in each])) for each in own.values()),
+                map=SeedSpread.of(value for value, _ in precision),
+                map50=SeedSpread.of(value for _, value in precision),
                 change=None if base is None else _change(own, lines[base]),
             )
         )
     return found
 
 
-def robustness_of(scored: Sequence[WeatherScore]) -> dict[str, Robustness]:
+def robustness_of(scored: Sequence[ScoreByIntensity]) -> dict[str, Robustness]:
     """MPC and rPC of each detector's mAP over the intensities of rain; detectors that saw none are left out."""
     found: dict[str, Robustness] = {}
     for detector in dict.fromkeys(each.detector for each in scored):
@@ -137,9 +139,9 @@ def robustness_of(scored: Sequence[WeatherScore]) -> dict[str, Robustness]:
     return found
 
 
-def distance_scores(rows: Sequence[Row], edges_m: Sequence[float] = DISTANCES_M) -> list[DistanceScore]:
+def distance_scores(rows: Sequence[ObjectRow], edges_m: Sequence[float] = DISTANCES_M) -> list[DistanceScore]:
     """Recall by distance of each detector in each weather, over all seeds; bins without an object are left out."""
-    by_weather: dict[_Weather, list[Row]] = defaultdict(list)
+    by_weather: dict[_Weather, list[ObjectRow]] = defaultdict(list)
     for row in rows:
         if row.distance_m is not None and (row.picture == "rainy" or row.seed == rows[0].seed):
             by_weather[row.detector, row.picture, row.intensity_mm_h].append(row)
@@ -152,7 +154,7 @@ def distance_scores(rows: Sequence[Row], edges_m: Sequence[float] = DISTANCES_M)
     return found
 
 
-def plain(score: WeatherScore | DistanceScore) -> dict[str, Any]:
+def plain(score: ScoreByIntensity | DistanceScore) -> dict[str, Any]:
     """Return a score as plain values for JSON, NaN as None."""
     return {name: _finite(value) for name, value in asdict(score).items()}
 
@@ -165,13 +167,13 @@ def _base(weather: _Weather, pictures: Iterable[_Weather]) -> _Weather | None:
     return next(((detector, each, 0.0) for each in without if (detector, each, 0.0) in there), None)
 
 
-def _change(own: dict[int, list[Row]], base: dict[int, list[Row]]) -> Change:
+def _change(own: dict[int, list[ObjectRow]], base: dict[int, list[ObjectRow]]) -> SeedChange:
     changes = [_mean(rows, "confidence") - _mean(base[seed], "confidence") for seed, rows in own.items()]
     has_seeds = next(iter(own.values()))[0].picture == "rainy"
-    return Change.of(changes if has_seeds else changes[:1])
+    return SeedChange.of(changes if has_seeds else changes[:1])
 
 
-def _precisions(by_seed: dict[int, list[Judgement]]) -> list[tuple[float, float]]:
+def _precisions(by_seed: dict[int, list[DetectionResult]]) -> list[tuple[float, float]]:
     """Both average precisions of each seed; of equal pictures only once."""
     known: dict[tuple[int, ...], tuple[float, float]] = {}
     for own in by_seed.values():
@@ -182,17 +184,17 @@ def _precisions(by_seed: dict[int, list[Judgement]]) -> list[tuple[float, float]
     return [known[tuple(id(each) for each in own)] for own in by_seed.values()]
 
 
-def _is_flip(row: Row) -> bool:
-    if row.class_seen is None or names_class(row.class_seen, row.class_name):
+def _is_flip(row: ObjectRow) -> bool:
+    if row.class_seen is None or is_same_class(row.class_seen, row.class_name):
         return False
     return row.confidence_any_class >= FOUND_FROM
 
 
-def _mean(rows: Sequence[Row], name: str) -> float:
+def _mean(rows: Sequence[ObjectRow], name: str) -> float:
     return float(_array(rows, name).mean())
 
 
-def _array(rows: Sequence[Row], name: str) -> Float64[np.ndarray, " n"]:
+def _array(rows: Sequence[ObjectRow], name: str) -> Float64[np.ndarray, " n"]:
     return np.array([getattr(each, name) for each in rows], np.float64)
 
 
@@ -205,7 +207,7 @@ def _finite(value: Any) -> Any:
 # § The rows of a sweep as files: CSV for everybody, Parquet for data frames.
 
 
-def write_csv(file: Path, rows: Sequence[Row]) -> None:
+def write_csv(file: Path, rows: Sequence[ObjectRow]) -> None:
     """Write rows as CSV with a line of names; a miss has a confidence of 0, unknowns are empty."""
     with whole_file(file) as beside, beside.open("w", encoding="utf-8", newline="") as stream:
         names = list(rows[0].plain()) if rows else []
@@ -214,7 +216,7 @@ def write_csv(file: Path, rows: Sequence[Row]) -> None:
         writer.writerows({k: _rounded(v) for k, v in row.plain().items()} for row in rows)
 
 
-def write_parquet(file: Path, rows: Sequence[Row]) -> bool:
+def write_parquet(file: Path, rows: Sequence[ObjectRow]) -> bool:
     """Write rows as Parquet; False, and nothing written, where pyarrow is not installed."""
     try:
         import pyarrow

@@ -9,15 +9,15 @@ from jaxtyping import Float, Float64, Int64
 from scipy.spatial import KDTree
 from scipy.stats import poisson
 
-from ...rain.properties import CLASSES, RainState
-from ...rain.settings import Box
-from ...rain.streaks import StreakField
+from ...rain.properties import CLASSES, RainProperties
+from ...rain.settings import RegionBox
+from ...rain.streaks import DropBatch
 from .sensor import Beams, LidarSensor
 
 _STEP_M = 0.01
 
 
-class DropEchoes(NamedTuple):
+class RainReturns(NamedTuple):
     """Drops that a sensor detects, each in one of its beams."""
 
     beams: Int64[np.ndarray, " m"]
@@ -27,12 +27,12 @@ class DropEchoes(NamedTuple):
     """Of something that fills the beam and sends back as much."""
 
     @staticmethod
-    def joined(*parts: "DropEchoes") -> "DropEchoes":
-        return DropEchoes(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    def joined(*parts: "RainReturns") -> "RainReturns":
+        return RainReturns(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)
-class DropSignals:
+class DropReturnModel:
     """Echoes of one rain's drops in one sensor's beams.
 
     A drop whose centre is in a beam of the width w takes (D / w)^2 of it and sends `drop_reflectance` of that back.
@@ -40,7 +40,7 @@ class DropSignals:
     """
 
     sensor: LidarSensor
-    state: RainState
+    state: RainProperties
 
     @cached_property
     def _strengths_mm2(self) -> Float64[np.ndarray, " classes"]:
@@ -91,26 +91,26 @@ class DropSignals:
 
 # § Echoes of drops outside the simulated field: as many, as far and as large as the spectrum says.
 
-_MOST = 4
+_MAX_RETURNS = 4
 """Drops of one beam that are drawn: there are seldom two."""
 
 _Span = tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]
 
 
-def far_echoes(
-    beams: Beams, listened_m: Float64[np.ndarray, " n"], simulated: _Span, signals: DropSignals, seed: int
-) -> DropEchoes:
+def sample_far_returns(
+    beams: Beams, listened_m: Float64[np.ndarray, " n"], simulated: _Span, signals: DropReturnModel, seed: int
+) -> RainReturns:
     """Draw detected drops along each beam up to `listened_m`, but for the `simulated` span, from where to where (m).
 
     Numbers are Poisson of the integral of the detected spectrum over the beam's volume, ranges are spread as it grows,
     sizes are those of the detected part of the spectrum at that range. The same seed draws the same numbers at all
     intensities, so that more rain only adds.
     """
-    draws = np.random.default_rng(seed).random((len(beams), 1 + 2 * _MOST))
+    draws = np.random.default_rng(seed).random((len(beams), 1 + 2 * _MAX_RETURNS))
     start, end = (np.minimum(each, listened_m) for each in simulated)
     left_out = signals.expected_up_to(start), signals.expected_up_to(end)
     mean = signals.expected_up_to(listened_m) - (left_out[1] - left_out[0])
-    counts = np.minimum(poisson.ppf(draws[:, 0], np.maximum(mean, 0)), _MOST).astype(np.int64)
+    counts = np.minimum(poisson.ppf(draws[:, 0], np.maximum(mean, 0)), _MAX_RETURNS).astype(np.int64)
     beam = np.repeat(np.arange(len(beams)), counts)
     turn = np.arange(len(beam)) - np.repeat(np.cumsum(counts) - counts, counts)
     place, size = draws[beam, 1 + 2 * turn], draws[beam, 2 + 2 * turn]
@@ -119,10 +119,10 @@ def far_echoes(
     ranges = np.interp(wanted, signals.expected, signals.grid_m)
     smallest = np.minimum(signals.first_detected(ranges), CLASSES - 1)
     classes = smallest + np.floor(size * (CLASSES - smallest)).astype(np.int64)
-    return DropEchoes(beam, ranges, signals.reflectances(ranges, classes))
+    return RainReturns(beam, ranges, signals.reflectances(ranges, classes))
 
 
-def span_in_box(beams: Beams, box: Box, frame: Float64[np.ndarray, "4 4"]) -> _Span:
+def span_in_box(beams: Beams, box: RegionBox, frame: Float64[np.ndarray, "4 4"]) -> _Span:
     """From where to where each beam is in a box of a frame, in metres; 0 and 0 where it misses it."""
     turn = frame[:3, :3]
     origin, directions = turn.T @ (beams.origin_m - frame[:3, 3]), beams.directions @ turn
@@ -136,9 +136,9 @@ def span_in_box(beams: Beams, box: Box, frame: Float64[np.ndarray, "4 4"]) -> _S
 # § Echoes of the very drops that the cameras see: those of the simulated field around the car.
 
 
-def field_echoes(
-    field: StreakField, beams: Beams, listened_m: Float64[np.ndarray, " n"], signals: DropSignals
-) -> DropEchoes:
+def drop_field_returns(
+    field: DropBatch, beams: Beams, listened_m: Float64[np.ndarray, " n"], signals: DropReturnModel
+) -> RainReturns:
     """Find the drops of the field that stand in beams at one moment and are detected, each nearer than `listened_m`.
 
     A drop is in every beam whose axis passes its centre within half the beam's width.
@@ -149,7 +149,7 @@ def field_echoes(
     seen = np.flatnonzero(drops.class_index >= signals.first_detected(ranges))
     listening = np.flatnonzero(listened_m > 0)
     if not len(seen) or not len(listening):
-        return DropEchoes(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+        return RainReturns(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
     ranges, directions = ranges[seen], away[seen] / ranges[seen, None]
     half_angles = np.arcsin(np.minimum(signals.sensor.beam_width_m(ranges) / 2 / ranges, 1))
     tree = KDTree(beams.directions[listening])
@@ -159,7 +159,7 @@ def field_echoes(
     beam = listening[np.fromiter((index for each in met for index in each), np.int64, int(counts.sum()))]
     nearer = ranges[drop] < listened_m[beam]
     drop, beam = drop[nearer], beam[nearer]
-    return DropEchoes(beam, ranges[drop], signals.reflectances(ranges[drop], drops.class_index[seen[drop]]))
+    return RainReturns(beam, ranges[drop], signals.reflectances(ranges[drop], drops.class_index[seen[drop]]))
 
 
 # § Water in near infrared: what a drop sends straight back, and what a film of it takes from a wet road.

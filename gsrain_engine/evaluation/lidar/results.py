@@ -11,13 +11,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from ...rain.properties import RainState
-from ...rain.settings import Rain
-from ...rain.simulation import Rainfall
+from ...rain.properties import RainProperties
+from ...rain.settings import RainSettings
+from ...rain.simulation import RainSimulation
 from ...scene.files import whole_file
 from ..plot_styles import Color, shades
-from .rain_echoes import DropSignals
-from .scan import Answer, Fate, SweepInRain, Turn, sweep_in_rain
+from .rain_echoes import DropReturnModel
+from .scan import Answer, LidarTurn, RainyScan, ReturnOutcome, scan_in_rain
 from .sensor import Beams
 
 NEAR_STEP_M = 0.5
@@ -33,7 +33,7 @@ RANGE_EDGES_M = (0.0, 2.0, 5.0, 10.0, 20.0, 30.0, 50.0, 80.0, 120.0, np.inf)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tally:
+class ReturnCounts:
     """Counts of returns in each bin of range; ranges are those in clear air, of false returns their own."""
 
     edges_m: Float64[np.ndarray, " k_and_one"]
@@ -52,13 +52,15 @@ class Tally:
     """Returns that rain leaves alone."""
 
     @classmethod
-    def of(cls, beams: Beams, rainy: SweepInRain, edges_m: tuple[float, ...] = RANGE_EDGES_M) -> "Tally":
+    def of(cls, beams: Beams, rainy: RainyScan, edges_m: tuple[float, ...] = RANGE_EDGES_M) -> "ReturnCounts":
         edges = np.array(edges_m)
 
-        def count(fate: Fate) -> Int64[np.ndarray, " k"]:
+        def count(fate: ReturnOutcome) -> Int64[np.ndarray, " k"]:
             return _binned(beams.ranges_m[(rainy.fates == fate) & beams.is_echo], edges)
 
-        kept, dropped, masked = (count(fate) for fate in (Fate.KEPT, Fate.DROPPED, Fate.MASKED))
+        kept, dropped, masked = (
+            count(fate) for fate in (ReturnOutcome.KEPT, ReturnOutcome.DROPPED, ReturnOutcome.MASKED)
+        )
         true = ~rainy.is_false & ~beams.untouched[rainy.beams]
         away = rainy.sweep.points_m[true].astype(np.float64) - beams.origin_m
         added = np.linalg.norm(away, axis=1) - beams.ranges_m[rainy.beams[true]]
@@ -73,49 +75,49 @@ class Tally:
             untouched=int(beams.untouched.sum()),
         )
 
-    def kept_share(self) -> Float64[np.ndarray, " k"]:
+    def return_share(self) -> Float64[np.ndarray, " k"]:
         """Share of the clear returns that are kept, 0..1; NaN where there were none."""
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(self.clear > 0, self.kept / self.clear, np.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RunCounts:
+class RainRunCounts:
     """What came of one turn in one rain, without the points."""
 
     turn: str
     """Its name."""
     range_m: float
     """Of the sensor, at 10 %."""
-    state: RainState
+    state: RainProperties
     seed: int
     wetness: float
     """Of the road; 0 where that is left out."""
     at_threshold: int
     """Clear returns of which no more is known than that they were detected: any rain loses them."""
-    tally: Tally
-    near: Tally
+    tally: ReturnCounts
+    near: ReturnCounts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Run:
+class RainRun:
     """One turn in one rain."""
 
-    turn: Turn
-    state: RainState
+    turn: LidarTurn
+    state: RainProperties
     seed: int
     wetness: float
-    rainy: SweepInRain
-    tally: Tally
-    near: Tally
+    rainy: RainyScan
+    tally: ReturnCounts
+    near: ReturnCounts
     """In fine bins, as far as drops are detected."""
 
     @property
-    def without_points(self) -> "RunCounts":
+    def without_points(self) -> "RainRunCounts":
         """What is worth keeping of many runs."""
         sensor, beams = self.turn.sensor, self.turn.beams
         signals = sensor.signal(beams.ranges_m[beams.is_echo], beams.reflectances[beams.is_echo], 0.0)
-        return RunCounts(
+        return RainRunCounts(
             turn=self.turn.name,
             range_m=sensor.range_m,
             state=self.state,
@@ -127,27 +129,27 @@ class Run:
         )
 
 
-def runs(
-    turn: Turn, intensities_mm_h: Sequence[float], seeds: Sequence[int], *, answer: Answer, wet_road: bool
-) -> Iterator[Run]:
+def rain_runs(
+    turn: LidarTurn, intensities_mm_h: Sequence[float], seeds: Sequence[int], *, answer: Answer, wet_road: bool
+) -> Iterator[RainRun]:
     """Rain on a turn: all seeds of the first intensity, then of the next."""
-    rains = [Rain(intensity_mm_h=intensity) for intensity in intensities_mm_h]
-    reach = max(DropSignals(turn.sensor, Rainfall.start(rain).state).reach_m for rain in rains)
+    rains = [RainSettings(intensity_mm_h=intensity) for intensity in intensities_mm_h]
+    reach = max(DropReturnModel(turn.sensor, RainSimulation.start(rain).state).reach_m for rain in rains)
     edges = near_edges(reach)
     for intensity in intensities_mm_h:
         for seed in seeds:
-            rainfall = Rainfall.start(Rain(intensity_mm_h=intensity, seed=seed))
-            rainy = sweep_in_rain(
+            rainfall = RainSimulation.start(RainSettings(intensity_mm_h=intensity, seed=seed))
+            rainy = scan_in_rain(
                 turn.beams, turn.sensor, rainfall, turn.anchor_to_world, answer=answer, wet_road=wet_road
             )
-            yield Run(
+            yield RainRun(
                 turn=turn,
                 state=rainfall.state,
                 seed=seed,
                 wetness=rainfall.wetness_at(turn.beams.time_s) if wet_road else 0.0,
                 rainy=rainy,
-                tally=Tally.of(turn.beams, rainy),
-                near=Tally.of(turn.beams, rainy, edges),
+                tally=ReturnCounts.of(turn.beams, rainy),
+                near=ReturnCounts.of(turn.beams, rainy, edges),
             )
 
 
@@ -180,20 +182,20 @@ _FEWEST = 20
 _FEW_ENTRIES = 8
 """Of a legend that lies in its panel; a longer one stands to its right."""
 
-ByIntensity = Mapping[float, Sequence[RunCounts]]
+ByIntensity = Mapping[float, Sequence[RainRunCounts]]
 """All seeds and turns at each intensity in mm/h."""
 
-_Rows = Mapping[float, Sequence[Tally]]
+_Rows = Mapping[float, Sequence[ReturnCounts]]
 
 
-def write_figure(path: Path, shown: Run, by_intensity: ByIntensity) -> None:
+def write_figure(path: Path, shown: RainRun, by_intensity: ByIntensity) -> None:
     """Draw and write the figure (PNG), whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as beside:
         draw_figure(shown, by_intensity).savefig(beside, format="png", dpi=_DPI)
 
 
-def draw_figure(shown: Run, by_intensity: ByIntensity) -> Figure:
+def draw_figure(shown: RainRun, by_intensity: ByIntensity) -> Figure:
     """Draw one turn from above, clear and in its rain, and the counts of all turns by range."""
     figure = Figure(figsize=_SIZE_INCHES, layout="constrained")
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.08)  # pyright: ignore
@@ -202,7 +204,7 @@ def draw_figure(shown: Run, by_intensity: ByIntensity) -> Figure:
     reach = float(np.quantile(shown.turn.beams.ranges_m[shown.turn.beams.is_echo], _VIEWED_SHARE))
     _draw_clear(figure.add_subplot(grid[0, 0]), shown.turn, reach)
     _draw_rain(figure.add_subplot(grid[0, 1]), shown, reach)
-    _draw_kept(
+    _draw_return_share(
         figure.add_subplot(grid[1, 0]), {rain: [run.tally for run in runs] for rain, runs in by_intensity.items()}
     )
     _draw_false(
@@ -211,25 +213,28 @@ def draw_figure(shown: Run, by_intensity: ByIntensity) -> Figure:
     return figure
 
 
-def _from_above(turn: Turn, points_m: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
+def _from_above(turn: LidarTurn, points_m: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
     """To the left and ahead of the vehicle, in metres."""
     local = (points_m - turn.anchor_to_world[:3, 3]) @ turn.anchor_to_world[:3, :3]
     return np.stack([local[:, 0], local[:, 1]], axis=1)
 
 
-def _draw_clear(axes: Axes, turn: Turn, reach_m: float) -> None:
+def _draw_clear(axes: Axes, turn: LidarTurn, reach_m: float) -> None:
     echoes = turn.beams.is_echo
     _dots(axes, _from_above(turn, turn.beams.points_m[echoes].astype(np.float64)), _CLEAR)
     _frame(axes, turn, reach_m)
     axes.set_title(f"clear: {int(echoes.sum()):,} returns", loc="left")
 
 
-def _draw_rain(axes: Axes, shown: Run, reach_m: float) -> None:
+def _draw_rain(axes: Axes, shown: RainRun, reach_m: float) -> None:
     turn, rainy = shown.turn, shown.rainy
     fates, clear = rainy.fates, turn.beams.points_m.astype(np.float64)
     kept = ~rainy.is_false & ~turn.beams.untouched[rainy.beams]
     _dots(axes, _from_above(turn, rainy.sweep.points_m[kept].astype(np.float64)), _CLEAR, f"kept {int(kept.sum()):,}")
-    for fate, color, title in ((Fate.DROPPED, _DROPPED, "too weak"), (Fate.MASKED, _MASKED, "behind a drop")):
+    for fate, color, title in (
+        (ReturnOutcome.DROPPED, _DROPPED, "too weak"),
+        (ReturnOutcome.MASKED, _MASKED, "behind a drop"),
+    ):
         lost = fates == fate
         label = f"{title} {int(lost.sum()):,}"
         _dots(axes, _from_above(turn, clear[lost]), color, label, size=3.0)
@@ -247,7 +252,7 @@ def _dots(axes: Axes, places: Float64[np.ndarray, "n 2"], color: str, label: str
     axes.scatter(places[:, 0], places[:, 1], s=size, c=color, linewidths=0, label=label or None, rasterized=True)
 
 
-def _frame(axes: Axes, turn: Turn, reach_m: float) -> None:
+def _frame(axes: Axes, turn: LidarTurn, reach_m: float) -> None:
     sensor = _from_above(turn, turn.beams.origin_m[None])[0]
     axes.plot(*sensor, marker="^", color=_EGO, markersize=6, linestyle="none")
     axes.set_xlim(sensor[0] - reach_m, sensor[0] + reach_m)
@@ -257,11 +262,11 @@ def _frame(axes: Axes, turn: Turn, reach_m: float) -> None:
     axes.set_ylabel("left (m)")
 
 
-def _draw_kept(axes: Axes, rows: _Rows) -> None:
+def _draw_return_share(axes: Axes, rows: _Rows) -> None:
     for color, (intensity, tallies) in zip(shades(len(rows)), rows.items(), strict=True):
         edges = np.where(np.isinf(tallies[0].edges_m), 1.5 * tallies[0].edges_m[-2], tallies[0].edges_m)
         enough = sum(each.clear for each in tallies) >= _FEWEST * len(tallies)
-        shares = np.stack([np.where(enough, each.kept_share(), np.nan) for each in tallies])
+        shares = np.stack([np.where(enough, each.return_share(), np.nan) for each in tallies])
         _band(axes, (edges[1:] + edges[:-1]) / 2, shares, color, f"{intensity:g} mm/h")
     axes.set_title("clear returns that are kept", loc="left")
     axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=None))

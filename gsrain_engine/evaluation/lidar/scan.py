@@ -17,22 +17,29 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int8, Int64
 
-from ...datasets.capture import EGO_HEIGHT_M, Capture, Sweep
-from ...rain.simulation import Rainfall, View
+from ...datasets.capture import EGO_HEIGHT_M, Capture, LidarSweep
+from ...rain.simulation import RainCamera, RainSimulation
 from ...rain.wetness import water_depth_mm
 from ...render.cpu.projection import project
 from ...render.cpu.tiles import TILE, bin_into_tiles
 from ...scene.camera import Camera
 from ...scene.files import whole_file
 from ...scene.geometry import matrices_from_quaternions
-from ...scene.scene import Layer, Part, Scene, Track
-from .rain_echoes import DropEchoes, DropSignals, far_echoes, field_echoes, span_in_box, wet_road_share
+from ...scene.scene import DrawItem, Layer, PoseTrack, Scene
+from .rain_echoes import (
+    DropReturnModel,
+    RainReturns,
+    drop_field_returns,
+    sample_far_returns,
+    span_in_box,
+    wet_road_share,
+)
 from .sensor import STATED_REFLECTANCE, Beams, LidarSensor
 
 Answer = Literal["strongest", "first", "last"]
 
 
-class Fate(IntEnum):
+class ReturnOutcome(IntEnum):
     """What became of a beam's clear echo."""
 
     NOTHING = 0
@@ -45,17 +52,17 @@ class Fate(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SweepInRain:
+class RainyScan:
     """What a sensor reports in rain, and what it would have in clear air."""
 
-    sweep: Sweep
+    sweep: LidarSweep
     """World, metres; intensities as in clear air where those are known."""
     beams: Int64[np.ndarray, " m"]
     """The beam of each point."""
     is_false: Bool[np.ndarray, " m"]
     """Which points are drops."""
     fates: Int8[np.ndarray, " n"]
-    """A `Fate` for each beam."""
+    """A `ReturnOutcome` for each beam."""
     signals: Float64[np.ndarray, " m"]
     """Power of each point in multiples of what is just detected; 0 for what rain leaves alone."""
 
@@ -64,7 +71,7 @@ class SweepInRain:
         return np.linalg.norm(self.sweep.points_m[self.is_false].astype(np.float64) - self.sweep.origin_m, axis=1)
 
 
-class _Chosen(NamedTuple):
+class _DropReturn(NamedTuple):
     """The drop that may answer in a beam."""
 
     beams: Int64[np.ndarray, " m"]
@@ -73,23 +80,23 @@ class _Chosen(NamedTuple):
     signals: Float64[np.ndarray, " m"]
 
 
-def sweep_in_rain(
+def scan_in_rain(
     beams: Beams,
     sensor: LidarSensor,
-    rainfall: Rainfall,
+    rainfall: RainSimulation,
     anchor_to_world: Float64[np.ndarray, "4 4"],
     *,
     answer: Answer = "strongest",
     wet_road: bool = True,
-) -> SweepInRain:
+) -> RainyScan:
     """Return what a sensor reports in rain, by its beams in clear air.
 
-    Extinction is beta(R) of `RainState`, two ways. Drops are those of the rain's own field at the beams' time inside
-    its streak region, which stands in the frame `anchor_to_world`, and Poisson ones beyond. Of a beam's echoes the
-    strongest (over what is just detected there), the first or the last is reported. Range noise is what rain adds to
-    that of clear air. The rain's seed fixes everything; without rain and wetness the points come back, to the bit.
+    Extinction is beta(R) of `RainProperties`, two ways. Drops are those of the rain's own field at the beams' time
+    inside its streak region, which stands in the frame `anchor_to_world`, and Poisson ones beyond. Of a beam's echoes
+    the strongest (over what is just detected there), the first or the last is reported. Range noise is what rain adds
+    to that of clear air. The rain's seed fixes everything; without rain and wetness the points come back, to the bit.
     """
-    rainfall = rainfall.moment(beams.time_s)
+    rainfall = rainfall.frozen_at(beams.time_s)
     state, seed = rainfall.state, rainfall.rain.seed
     ranges = np.where(beams.is_echo, beams.ranges_m, 1.0)
     faded = np.exp(-2 * state.extinction_per_m * ranges)
@@ -102,13 +109,13 @@ def sweep_in_rain(
     heard = beams.is_echo & ((signals >= 1) | (faded == 1))
     by_drop = np.zeros(len(beams), bool)
     by_drop[chosen.beams] = _drop_answers(answer, chosen, heard, signals)
-    fates = np.full(len(beams), Fate.NOTHING, np.int8)
-    fates[beams.is_echo] = Fate.DROPPED
-    fates[heard] = Fate.KEPT
-    fates[heard & by_drop] = Fate.MASKED
-    kept = np.flatnonzero((fates == Fate.KEPT) | beams.untouched)
+    fates = np.full(len(beams), ReturnOutcome.NOTHING, np.int8)
+    fates[beams.is_echo] = ReturnOutcome.DROPPED
+    fates[heard] = ReturnOutcome.KEPT
+    fates[heard & by_drop] = ReturnOutcome.MASKED
+    kept = np.flatnonzero((fates == ReturnOutcome.KEPT) | beams.untouched)
     false = chosen.beams[by_drop[chosen.beams]]
-    drop = _Chosen(*(column[by_drop[chosen.beams]] for column in chosen))
+    drop = _DropReturn(*(column[by_drop[chosen.beams]] for column in chosen))
     noise = np.random.default_rng([seed, _moment(beams.time_s), 1]).standard_normal(len(beams))
     moved = noise * _added_sigma(sensor, clear, signals)
     moved[beams.untouched] = 0
@@ -118,8 +125,8 @@ def sweep_in_rain(
     order = np.argsort(np.concatenate([kept, false]), kind="stable")
     points = np.concatenate([true_points, false_points]).astype(np.float32)[order]
     intensities = _intensities(beams, faded, kept, drop, state.extinction_per_m)
-    return SweepInRain(
-        sweep=Sweep(beams.time_s, points, beams.origin_m, None if intensities is None else intensities[order]),
+    return RainyScan(
+        sweep=LidarSweep(beams.time_s, points, beams.origin_m, None if intensities is None else intensities[order]),
         beams=np.concatenate([kept, false])[order],
         is_false=(np.arange(len(order)) >= len(kept))[order],
         fates=fates,
@@ -127,7 +134,7 @@ def sweep_in_rain(
     )
 
 
-def levelled_frame(
+def leveled_frame(
     forward: Sequence[float] | Float64[np.ndarray, "3"], origin_m: Float64[np.ndarray, "3"]
 ) -> Float64[np.ndarray, "4 4"]:
     """Frame of the rain's regions: x along a heading, z up, without tilt."""
@@ -139,7 +146,7 @@ def levelled_frame(
     return frame
 
 
-def _wet_road(beams: Beams, sensor: LidarSensor, rainfall: Rainfall) -> Float64[np.ndarray, " n"]:
+def _wet_road(beams: Beams, sensor: LidarSensor, rainfall: RainSimulation) -> Float64[np.ndarray, " n"]:
     """Share of each echo that a wet road leaves; 1 for all but the road."""
     shares, wetness = np.ones(len(beams)), rainfall.wetness_at(beams.time_s)
     road = np.flatnonzero(beams.is_echo & (beams.road_cosines > 0))
@@ -152,30 +159,35 @@ def _wet_road(beams: Beams, sensor: LidarSensor, rainfall: Rainfall) -> Float64[
 
 
 def _answering_drops(
-    beams: Beams, sensor: LidarSensor, rainfall: Rainfall, anchor_to_world: Float64[np.ndarray, "4 4"], answer: Answer
-) -> _Chosen:
+    beams: Beams,
+    sensor: LidarSensor,
+    rainfall: RainSimulation,
+    anchor_to_world: Float64[np.ndarray, "4 4"],
+    answer: Answer,
+) -> _DropReturn:
     """The one drop of each beam that would answer if the beam met nothing else."""
     if rainfall.state.intensity_mm_h == 0:
-        return _Chosen(np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros(0))
-    signals = DropSignals(sensor, rainfall.state)
+        return _DropReturn(np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros(0))
+    signals = DropReturnModel(sensor, rainfall.state)
     listened = np.where(beams.untouched, 0, np.minimum(beams.ranges_m - sensor.pulse_m, signals.reach_m))
     listened = np.maximum(listened, 0)
-    view = View(Camera.from_fov(1, 1, 45.0, np.eye(4)), anchor_to_world, np.zeros(3))
+    view = RainCamera(Camera.from_fov(1, 1, 45.0, np.eye(4)), anchor_to_world, np.zeros(3))
     field = rainfall.streak_field(beams.time_s, view)
     simulated = span_in_box(beams, rainfall.rain.streak_region, anchor_to_world)
     seed = np.random.default_rng([rainfall.rain.seed, _moment(beams.time_s), 2]).integers(2**63)
-    found = DropEchoes.joined(
-        field_echoes(field, beams, listened, signals), far_echoes(beams, listened, simulated, signals, int(seed))
+    found = RainReturns.joined(
+        drop_field_returns(field, beams, listened, signals),
+        sample_far_returns(beams, listened, simulated, signals, int(seed)),
     )
     strength = sensor.signal(found.ranges_m, found.reflectances, rainfall.state.extinction_per_m)
     first = {"strongest": -strength, "first": found.ranges_m, "last": -found.ranges_m}[answer]
     order = np.lexsort((first, found.beams))
     best = order[np.unique(found.beams[order], return_index=True)[1]]
-    return _Chosen(found.beams[best], found.ranges_m[best], found.reflectances[best], strength[best])
+    return _DropReturn(found.beams[best], found.ranges_m[best], found.reflectances[best], strength[best])
 
 
 def _drop_answers(
-    answer: Answer, drops: _Chosen, heard: Bool[np.ndarray, " n"], signals: Float64[np.ndarray, " n"]
+    answer: Answer, drops: _DropReturn, heard: Bool[np.ndarray, " n"], signals: Float64[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " m"]:
     """Whether each drop is reported: always where the thing behind it isn't heard."""
     if answer == "first":
@@ -196,7 +208,7 @@ def _intensities(
     beams: Beams,
     faded: Float64[np.ndarray, " n"],
     kept: Int64[np.ndarray, " k"],
-    drops: _Chosen,
+    drops: _DropReturn,
     extinction_per_m: float,
 ) -> Float32[np.ndarray, " m"] | None:
     """What the sensor takes the reflectance for: it knows the range, and nothing of the rain."""
@@ -243,7 +255,7 @@ def scan_scene(
     origin = sensor_to_world[:3, 3].copy()
     ranges, normals = np.full(len(own), np.inf), np.zeros((len(own), 3))
     azimuths = np.degrees(np.arctan2(own[:, 1], own[:, 0]))
-    surfaces = Surfaces.of(scene, time_s)
+    surfaces = LidarSurfaces.of(scene, time_s)
     faces = np.round(azimuths / _FACE_DEG).astype(int) % 4
     for face in np.unique(faces).tolist():
         mine = np.flatnonzero(faces == face)
@@ -322,14 +334,14 @@ _SAME_SHARE, _SAME_M = 0.03, 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surfaces:
+class LidarSurfaces:
     """What can be seen of a scene at a time: its parts, and which of their Gaussians are sky."""
 
-    parts: tuple[Part, ...]
+    parts: tuple[DrawItem, ...]
     is_sky: Bool[np.ndarray, " n"]
 
     @classmethod
-    def of(cls, scene: Scene, time_s: float) -> "Surfaces":
+    def of(cls, scene: Scene, time_s: float) -> "LidarSurfaces":
         members = [(each, scene.part(each, time_s)) for each in scene.members if each.visible]
         shown = [(member, part) for member, part in members if part is not None]
         sky = [np.full(len(p.gaussians), isinstance(m, Layer) and m.kind == "sky") for m, p in shown]
@@ -416,7 +428,7 @@ def _depth(plane, ray):
     return depth if abs(depth - plane[4]) < _FARTHEST_OFF * plane[4] else plane[4]
 
 
-def _planes(parts: Sequence[Part], indices: Int64[np.ndarray, " m"], camera: Camera) -> Float64[np.ndarray, "m 4"]:
+def _planes(parts: Sequence[DrawItem], indices: Int64[np.ndarray, " m"], camera: Camera) -> Float64[np.ndarray, "m 4"]:
     """Unit normals that face the eye, and n . x, of some Gaussians counted through all parts; camera axes, metres."""
     planes = np.zeros((len(indices), 4))
     first = 0
@@ -433,7 +445,7 @@ def _planes(parts: Sequence[Part], indices: Int64[np.ndarray, " m"], camera: Cam
 
 
 def _normals(
-    part: Part,
+    part: DrawItem,
     chosen: Int64[np.ndarray, " m"],
     places: Float64[np.ndarray, "m 3"],
     to_camera: Float64[np.ndarray, "4 4"],
@@ -462,17 +474,17 @@ _BEAM_ROAD_M = 0.25
 _SMALLEST_STEPS = 0.5 / 255
 """Share of the scale that an intensity of 0 is taken for: it was rounded down."""
 
-_SEEN_SHARE = 0.99
+_DETECTED_SHARE = 0.99
 
 
-def full_intensity(sweep: Sweep) -> float:
+def full_intensity(sweep: LidarSweep) -> float:
     """Guess which intensity a sweep gives to what is white, matt and square to the beam: 1, or 100."""
     if sweep.intensities is None or not len(sweep.intensities) or sweep.intensities.max() <= 1:
         return 1.0
     return RETROREFLECTING
 
 
-def range_told_by(sweep: Sweep, full: float) -> float | None:
+def estimate_sensor_range(sweep: LidarSweep, full: float) -> float | None:
     """Range in metres at which its sensor detects 10 %, as the sweep itself tells; None without intensities.
 
     Whoever sees the reflectance rho at r sees 10 % at r sqrt(0.1 / rho) at least: 99 % of a sweep's returns lie below
@@ -484,10 +496,12 @@ def range_told_by(sweep: Sweep, full: float) -> float | None:
     seen = _reflectances(sweep, full)[ranges > 1]
     if not len(seen):
         return None
-    return float(np.quantile(ranges[ranges > 1] * np.sqrt(STATED_REFLECTANCE / seen), _SEEN_SHARE))
+    return float(np.quantile(ranges[ranges > 1] * np.sqrt(STATED_REFLECTANCE / seen), _DETECTED_SHARE))
 
 
-def sweep_beams(sweep: Sweep, sensor: LidarSensor, ego: Track | None = None, full: float | None = None) -> Beams:
+def sweep_beams(
+    sweep: LidarSweep, sensor: LidarSensor, ego: PoseTrack | None = None, full: float | None = None
+) -> Beams:
     """Turn each point of a sweep into a beam. Beams that met nothing are not in a sweep, and stay unknown.
 
     What was detected was detectable: reflectances, the intensities over `full`, are raised to what the sensor just
@@ -517,13 +531,13 @@ def sweep_beams(sweep: Sweep, sensor: LidarSensor, ego: Track | None = None, ful
     )
 
 
-def _reflectances(sweep: Sweep, full: float) -> Float64[np.ndarray, " p"]:
+def _reflectances(sweep: LidarSweep, full: float) -> Float64[np.ndarray, " p"]:
     if sweep.intensities is None:
         return np.full(len(sweep.points_m), MATT)
     return np.maximum(sweep.intensities.astype(np.float64) / full, _SMALLEST_STEPS)
 
 
-def _origin(sweep: Sweep, ego: Track | None) -> Float64[np.ndarray, "3"]:
+def _origin(sweep: LidarSweep, ego: PoseTrack | None) -> Float64[np.ndarray, "3"]:
     pose = None if ego is None else ego.pose(sweep.time_s)
     if pose is None:
         return sweep.origin_m
@@ -532,7 +546,9 @@ def _origin(sweep: Sweep, ego: Track | None) -> Float64[np.ndarray, "3"]:
     return sweep.origin_m if height > _ON_ROAD_M else sweep.origin_m + (ROOF_M - height) * up
 
 
-def _road_cosines(sweep: Sweep, ranges_m: Float64[np.ndarray, " p"], ego: Track | None) -> Float64[np.ndarray, " p"]:
+def _road_cosines(
+    sweep: LidarSweep, ranges_m: Float64[np.ndarray, " p"], ego: PoseTrack | None
+) -> Float64[np.ndarray, " p"]:
     pose = None if ego is None else ego.pose(sweep.time_s)
     if pose is None:
         return np.zeros(len(ranges_m))
@@ -547,7 +563,7 @@ def _road_cosines(sweep: Sweep, ranges_m: Float64[np.ndarray, " p"], ego: Track 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Turn:
+class LidarTurn:
     """One turn of a lidar, and where the rain's regions stand around it."""
 
     name: str
@@ -559,7 +575,7 @@ class Turn:
 
 def capture_turns(
     capture: Capture, sensor: LidarSensor, count: int = 1, *, full: float | None = None, told_range: bool = True
-) -> Iterator[Turn]:
+) -> Iterator[LidarTurn]:
     """Yield some sweeps of a capture, evenly over it. With `told_range` the sensor's range is that which they tell.
 
     Raises `ValueError` where there is no sweep, or the capture is not in metres with z up.
@@ -568,25 +584,23 @@ def capture_turns(
         raise ValueError(f"{capture.name}: has no lidar sweeps")
     if not capture.is_metric or abs(capture.up[2] - 1) > 1e-6:
         raise ValueError(f"{capture.name}: its world is not in metres with z up, where rain falls")
-    for number in evenly(len(capture.sweeps), count):
+    for number in evenly_spaced(len(capture.sweeps), count):
         sweep = capture.sweeps[number]
         scale = full_intensity(sweep) if full is None else full
-        told = range_told_by(sweep, scale) if told_range else None
+        told = estimate_sensor_range(sweep, scale) if told_range else None
         own = sensor
         if told is not None:
             own = msgspec.structs.replace(sensor, range_m=min(max(told, 1.0), 1000.0))
         pose = None if capture.ego is None else capture.ego.pose(sweep.time_s)
         frame = (
-            levelled_frame((1.0, 0.0, 0.0), sweep.origin_m)
-            if pose is None
-            else levelled_frame(pose[:3, 0], pose[:3, 3])
+            leveled_frame((1.0, 0.0, 0.0), sweep.origin_m) if pose is None else leveled_frame(pose[:3, 0], pose[:3, 3])
         )
-        yield Turn(f"sweep{number:04d}", sweep_beams(sweep, own, capture.ego, scale), frame, own)
+        yield LidarTurn(f"sweep{number:04d}", sweep_beams(sweep, own, capture.ego, scale), frame, own)
 
 
 def scene_turns(
     scene: Scene, sensor: LidarSensor, times_s: Sequence[float], *, matt: float = MATT, height_m: float = ROOF_M
-) -> Iterator[Turn]:
+) -> Iterator[LidarTurn]:
     """Yield virtual turns of a sensor on the ego vehicle's roof, `height_m` over the road, level.
 
     Raises `ValueError` for a scene without an ego track, and for times at which the vehicle isn't there.
@@ -597,13 +611,13 @@ def scene_turns(
             raise ValueError(
                 f"scene {scene.name!r} has no ego vehicle at {time_s:g} s, whose roof a lidar could stand on"
             )
-        frame = levelled_frame(ego[:3, 0], ego[:3, 3])
+        frame = leveled_frame(ego[:3, 0], ego[:3, 3])
         pose = frame.copy()
         pose[2, 3] += height_m - EGO_HEIGHT_M
-        yield Turn(f"scan{number:04d}", scan_scene(scene, time_s, pose, sensor, matt), frame, sensor)
+        yield LidarTurn(f"scan{number:04d}", scan_scene(scene, time_s, pose, sensor, matt), frame, sensor)
 
 
-def evenly(total: int, count: int) -> list[int]:
+def evenly_spaced(total: int, count: int) -> list[int]:
     """Indices of some of many things, evenly over them, from the first one on."""
     count = min(count, total)
     return [i * total // count for i in range(count)]
@@ -612,7 +626,7 @@ def evenly(total: int, count: int) -> list[int]:
 # § Writes a sweep in rain as an NPZ file, the same bytes for the same sweep.
 
 
-def write_sweep(path: Path, rainy: SweepInRain) -> None:
+def write_sweep(path: Path, rainy: RainyScan) -> None:
     """Write `points_m` (world), `origin_m`, `time_s`, `is_false`, `beams`, `fates` and `signals`, and `intensities`.
 
     `beams` says which beam (of a capture: which row of the clear sweep) each point comes from, `fates` what became of

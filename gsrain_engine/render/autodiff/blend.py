@@ -16,7 +16,7 @@ MAX_ALPHA = 0.999
 MIN_TRANSMITTANCE = 1e-4
 
 
-class Picture(NamedTuple):
+class BlendedImage(NamedTuple):
     """What splats are blended into, or a loss's gradient by it."""
 
     color: Float[np.ndarray, "h w 3"]
@@ -26,13 +26,13 @@ class Picture(NamedTuple):
     """Sum of view depths (m) by weight."""
 
 
-def blend(shapes: Float[np.ndarray, "n 8"], channels: Float[np.ndarray, "n 4"], tiles: TileLists) -> Picture:
+def blend(shapes: Float[np.ndarray, "n 8"], channels: Float[np.ndarray, "n 4"], tiles: TileLists) -> BlendedImage:
     """Blend colour and depth of the splats (three channels and one) over nothing, in the precision of `shapes`.
 
     The weights are those of `compositing.composite`. The same bytes at any thread count.
     """
     h, w, dtype = tiles.height, tiles.width, shapes.dtype
-    picture = Picture(np.empty((h, w, 3), dtype), np.empty((h, w), dtype), np.empty((h, w), dtype))
+    picture = BlendedImage(np.empty((h, w, 3), dtype), np.empty((h, w), dtype), np.empty((h, w), dtype))
     _blend_tiles(shapes, channels, tiles.starts, tiles.members, tiles.columns, *picture)
     return picture
 
@@ -41,7 +41,7 @@ def blend(shapes: Float[np.ndarray, "n 8"], channels: Float[np.ndarray, "n 4"], 
 @no_type_check
 def fragment(power, log_cut, most, nothing):
     """Alpha of a fragment from its logarithm: at most `most`, and `nothing` below the cut."""
-    alpha = exponential(power)
+    alpha = exp_kernel(power)
     alpha = alpha if alpha < most else most
     return alpha if power >= log_cut else nothing
 
@@ -118,12 +118,12 @@ SUMS = 10
 """How many sums are gathered a splat."""
 
 
-def gather(
+def blend_backward(
     shapes: Float[np.ndarray, "n 8"],
     channels: Float[np.ndarray, "n 4"],
     tiles: TileLists,
-    picture: Picture,
-    gradient: Picture,
+    picture: BlendedImage,
+    gradient: BlendedImage,
 ) -> Float[np.ndarray, "n 10"]:
     """Sum what a loss asks of each splat over the pixels that it covers.
 
@@ -241,7 +241,7 @@ def _gather(shape, channels, x0, y0, state, lanes):
 # § What splats' colours alone ask of a picture's gradient: all that a fixed geometry needs, in either precision.
 
 
-def gather_colors(
+def blend_colors_backward(
     shapes: Float[np.ndarray, "n 8"], tiles: TileLists, gradient: Float[np.ndarray, "h w 3"]
 ) -> Float[np.ndarray, "n 3"]:
     """Sum w G over the pixels of each splat: all that its colour needs where nothing else is to move."""
@@ -352,12 +352,12 @@ def add_lanes(lanes, count, sums):
 
 
 @no_type_check
-def exponential(x):
+def exp_kernel(x):
     """exp(x) for x <= 0 inside compiled code, to the precision that x has; see `exp_of_negative` for float32."""
     return np.exp(x)
 
 
-@extending.overload(exponential, inline="always")
+@extending.overload(exp_kernel, inline="always")
 @no_type_check
 def _exponential(x):
     if x == types.float32:

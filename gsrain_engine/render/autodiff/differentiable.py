@@ -9,9 +9,9 @@ from jaxtyping import Float, Float64
 from ...scene.camera import Camera
 from ..cpu.projection import nearest_first
 from ..cpu.tiles import TileLists, bin_into_tiles
-from .blend import Picture, blend, gather, gather_colors
+from .blend import BlendedImage, blend, blend_backward, blend_colors_backward
 from .cuda import render_with_gsplat
-from .project import TrainedGaussians, TrainedSplats, colors_back, project_back, project_trained
+from .project import TrainedGaussians, TrainedSplats, project_backward, project_trained, sh_backward
 from .types import Footprint, Rendered, Tensor, check_tensors
 
 torch: Any = import_module("torch")
@@ -98,12 +98,12 @@ class _Render(torch.autograd.Function):
             for each, output in zip(gradients, outputs, strict=True)
         )
         if not any(ctx.needs_input_grad[i] for i in (0, 1, 2, 3, 5)):
-            sums = gather_colors(splats.shapes, tiles, color)
-            by_harmonics = colors_back(gaussians, splats, sums, _matrix(pose))
+            sums = blend_colors_backward(splats.shapes, tiles, color)
+            by_harmonics = sh_backward(gaussians, splats, sums, _matrix(pose))
             return None, None, None, None, torch.from_numpy(by_harmonics[colors.ndim == 2]), None, None, None
-        picture = Picture(*map(_array, outputs))
-        sums = gather(splats.shapes, splats.channels, tiles, picture, Picture(color, alpha, depth))
-        found, by_pose = project_back(gaussians, splats, sums, camera, _matrix(pose))
+        picture = BlendedImage(*map(_array, outputs))
+        sums = blend_backward(splats.shapes, splats.channels, tiles, picture, BlendedImage(color, alpha, depth))
+        found, by_pose = project_backward(gaussians, splats, sums, camera, _matrix(pose))
         footprint.gradients = torch.from_numpy(found.on_screen)
         geometry = (found.means, found.scales, found.quaternions, found.opacities)
         by_colors = found.display if colors.ndim == 2 else found.colors

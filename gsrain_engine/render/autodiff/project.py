@@ -181,7 +181,7 @@ def direction(mean, eye):
 def _color(mean, sh, eye, basis):
     """Display colour before it is cut at 0: the sum of harmonics + 0.5."""
     x, y, z, _ = direction(mean, eye)
-    harmonics_of(x, y, z, len(sh), basis)
+    write_sh_basis(x, y, z, len(sh), basis)
     red = green = blue = 0.5
     for k in range(len(sh)):
         red += basis[k] * sh[k, 0]
@@ -206,7 +206,7 @@ class GaussianGradients(NamedTuple):
     """Length of the gradient by the centre in the image (px)."""
 
 
-def project_back(
+def project_backward(
     gaussians: TrainedGaussians,
     splats: TrainedSplats,
     sums: Float[np.ndarray, "n 10"],
@@ -252,7 +252,7 @@ def _project_back(
                     for c in range(3):
                         by_display[i, c] = sums[i, c] if channels[i, c] > 0 else 0
                 else:
-                    color_back(
+                    sh_backward_row(
                         means[i], colors[i], channels[i], sums[i], eye, basis, by_basis, by_means[i], by_colors[i], pose
                     )
 
@@ -336,7 +336,7 @@ def _quaternion_back(unit, by_length, a, g0, b, g1, c, g2, by_q):
 # § The derivative of a Gaussian's colour: from what a loss asks of splats' colours to harmonics, means and the eye.
 
 
-def colors_back(
+def sh_backward(
     gaussians: TrainedGaussians,
     splats: TrainedSplats,
     sums: Float[np.ndarray, "n 3"],
@@ -361,7 +361,7 @@ def _colors_back(means, channels, radii, sums, eye, by_colors, by_display):
                         by_display[i, c] = sums[i, c] if channels[i, c] > 0 else 0
                 else:
                     x, y, z, _ = direction(means[i], eye)
-                    harmonics_of(x, y, z, coefficients, basis)
+                    write_sh_basis(x, y, z, coefficients, basis)
                     red, green, blue = _open(channels[i], sums[i])
                     for k in range(coefficients):
                         by_colors[i, k, 0] = basis[k] * red
@@ -381,18 +381,18 @@ def _open(channels, sums):
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def color_back(mean, sh, channels, sums, eye, basis, by_basis, by_mean, by_sh, pose):
+def sh_backward_row(mean, sh, channels, sums, eye, basis, by_basis, by_mean, by_sh, pose):
     """Write the gradient by the harmonics; add those by the mean and, in the last three numbers of `pose`, the eye."""
     x, y, z, near = direction(mean, eye)
     coefficients = len(sh)
-    harmonics_of(x, y, z, coefficients, basis)
+    write_sh_basis(x, y, z, coefficients, basis)
     red, green, blue = _open(channels, sums)
     for k in range(coefficients):
         by_sh[k, 0] = basis[k] * red
         by_sh[k, 1] = basis[k] * green
         by_sh[k, 2] = basis[k] * blue
         by_basis[k] = red * sh[k, 0] + green * sh[k, 1] + blue * sh[k, 2]
-    gx, gy, gz = pulled_back(x, y, z, coefficients, by_basis)
+    gx, gy, gz = sh_direction_backward(x, y, z, coefficients, by_basis)
     along = gx * x + gy * y + gz * z
     gx, gy, gz = near * (gx - along * x), near * (gy - along * y), near * (gz - along * z)
     by_mean[0] += gx
@@ -422,7 +422,7 @@ _C33, _C32, _C31, _C30, _C3B = (
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def harmonics_of(x, y, z, coefficients, basis):
+def write_sh_basis(x, y, z, coefficients, basis):
     """Write the first 1, 4, 9 or 16 harmonics of the unit direction (x, y, z), eye to Gaussian, into `basis`."""
     basis[0] = _C0
     if coefficients > 1:
@@ -443,7 +443,7 @@ def harmonics_of(x, y, z, coefficients, basis):
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def pulled_back(x, y, z, coefficients, g):
+def sh_direction_backward(x, y, z, coefficients, g):
     """Gradient by the direction (x, y, z) of a loss whose gradient by the harmonics is `g`: three numbers."""
     gx = gy = gz = 0.0
     if coefficients > 1:

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float32
 
 from ...scene.camera import Camera
-from ...scene.scene import Part
+from ...scene.scene import DrawItem
 from .fast_math import FAST, exp_of_negative, power
-from .projection import LEAST_SCENE_CUT, Splats, project
+from .projection import MIN_SCENE_CUT, Splats, project
 from .tiles import TILE, TileLists, bin_into_tiles
 
 MAX_ALPHA = np.float32(0.999)
@@ -43,7 +43,7 @@ def composite(
     return rgba, fourth
 
 
-def composite_with_veil(
+def composite_rain_display_space(
     shapes: Float32[np.ndarray, "m 8"],
     channels: Float32[np.ndarray, "m 4"],
     veil: Float32[np.ndarray, "3"],
@@ -114,9 +114,9 @@ def _composite(shapes, channels, starts, members, columns, rgba, fourth, light_l
                 for i in range(4):
                     near_channels[j, i] = channels[batch[j], i]
             for j in range(len(batch)):
-                if light_linear is not None and near_shapes[j, 6] < LEAST_SCENE_CUT:
+                if light_linear is not None and near_shapes[j, 6] < MIN_SCENE_CUT:
                     _blend_rain(near_shapes[j], u0, v0, state)
-                elif veil is not None and near_shapes[j, 6] < LEAST_SCENE_CUT:
+                elif veil is not None and near_shapes[j, 6] < MIN_SCENE_CUT:
                     _blend_veil(near_shapes[j], u0, v0, state)
                 else:
                     _blend(near_shapes[j], near_channels[j], u0, v0, state)
@@ -292,7 +292,7 @@ def _to_display(linear):
 # § The transpose of compositing: what each splat gathers from an image through its own weights.
 
 
-def accumulate(
+def color_operator_transpose(
     shapes: Float32[np.ndarray, "m 8"], image: Float32[np.ndarray, "h w 3"], tiles: TileLists
 ) -> Float32[np.ndarray, "m 4"]:
     """Sum w(pixel) * image(pixel) over all pixels, a splat; the fourth column is the sum of w^2.
@@ -376,7 +376,7 @@ _LEAST_ALPHA = np.float32(1e-3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ViewWeights:
+class ColorOperator:
     """Splats of one view and their tiles: all that is needed to blend any colours, and to go back.
 
     Colours here are linear: the max(0, .) that a renderer puts on a splat's colour is not part of W.
@@ -395,18 +395,18 @@ class ViewWeights:
 
     def accumulate(self, image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "m 3"]:
         """W transposed times an image: what each splat gathers from it."""
-        return accumulate(self.splats.shapes, image, self.tiles)[:, :3]
+        return color_operator_transpose(self.splats.shapes, image, self.tiles)[:, :3]
 
     def squared_sums(self) -> Float32[np.ndarray, " m"]:
         """Sum of each splat's squared weights: the diagonal of W transposed times W."""
         nothing = np.zeros((self.tiles.height, self.tiles.width, 3), np.float32)
-        return accumulate(self.splats.shapes, nothing, self.tiles)[:, 3]
+        return color_operator_transpose(self.splats.shapes, nothing, self.tiles)[:, 3]
 
 
-def view_weights(parts: Sequence[Part], camera: Camera) -> ViewWeights:
+def color_operator(parts: Sequence[DrawItem], camera: Camera) -> ColorOperator:
     """Project, sort and bin the parts for one camera (in the world, metres)."""
     splats = project(parts, camera)
-    return ViewWeights(splats, bin_into_tiles(splats.shapes, splats.nearest_first(), camera.width, camera.height))
+    return ColorOperator(splats, bin_into_tiles(splats.shapes, splats.nearest_first(), camera.width, camera.height))
 
 
 def expected(weighted: Float32[np.ndarray, "h w"], weight: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:

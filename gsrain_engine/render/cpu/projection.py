@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64, UInt32
 
 from ...scene.camera import Camera
-from ...scene.flags import Mask
-from ...scene.scene import Part
+from ...scene.flags import BitMask
+from ...scene.scene import DrawItem
 from .fast_math import sh_basis
 
 NEAR_M = 0.2
@@ -56,14 +56,16 @@ class Splats:
 
     @property
     def is_rain(self) -> Bool[np.ndarray, " m"]:
-        return self.shapes[:, 6] < LEAST_SCENE_CUT
+        return self.shapes[:, 6] < MIN_SCENE_CUT
 
     def nearest_first(self) -> Int32[np.ndarray, " drawn"]:
         """Rows that are drawn, sorted by depth; equal depths keep their index."""
         return nearest_first(self.colors[:, 3])
 
 
-def project(parts: Sequence[Part], camera: Camera, rain: _Flags | None = None, *, as_points: bool = False) -> Splats:
+def project(
+    parts: Sequence[DrawItem], camera: Camera, rain: _Flags | None = None, *, as_points: bool = False
+) -> Splats:
     """Project Gaussians.
 
     EWA splatting (Zwicker et al. 2002) as in 3DGS (Kerbl et al. 2023), with gsplat's limits for off-centre cameras.
@@ -106,30 +108,30 @@ def _intrinsics(camera: Camera) -> tuple[float, ...]:
     return tuple(float(size) for size in sizes)
 
 
-def _words(mask: Mask | None) -> UInt32[np.ndarray, " w"]:
+def _words(mask: BitMask | None) -> UInt32[np.ndarray, " w"]:
     """Bits of a mask, none where there is no mask; writable, since read-only arrays would need kernels of their own."""
     return np.zeros(0, np.uint32) if mask is None else np.require(mask.words, np.uint32, ("C", "W"))
 
 
-def _color_change(part: Part) -> Float32[np.ndarray, "rows 4"]:
+def _color_change(part: DrawItem) -> Float32[np.ndarray, "rows 4"]:
     """The affine change of a part's display colours; no rows where there is none."""
     return np.zeros((0, 4), np.float32) if part.colors is None else np.ascontiguousarray(part.colors, np.float32)
 
 
-def _wet_sh(part: Part) -> Float32[np.ndarray, "_ _ 3"]:
+def _wet_sh(part: DrawItem) -> Float32[np.ndarray, "_ _ 3"]:
     """Harmonics that are blended in; no rows where there are none, and the kernels do what they do without."""
     if part.wet_sh is None or not part.is_wet:
         return np.zeros((0, 1, 3), np.float32)
     return np.require(part.wet_sh, np.float32, ("C", "W"))
 
 
-def eye_in_object(camera: Camera, part: Part) -> Float64[np.ndarray, "3"]:
+def eye_in_object(camera: Camera, part: DrawItem) -> Float64[np.ndarray, "3"]:
     """Centre of projection in the part's own frame, where its spherical harmonics live."""
     return np.linalg.solve(part.to_world[:3, :3], camera.position - part.to_world[:3, 3])
 
 
 def view_directions(
-    parts: Sequence[Part], camera: Camera, indices: Int64[np.ndarray, " m"]
+    parts: Sequence[DrawItem], camera: Camera, indices: Int64[np.ndarray, " m"]
 ) -> Float32[np.ndarray, "m 3"]:
     """Unit directions from the eye to Gaussians, each in its own part's frame; `indices` count through all parts."""
     directions = np.empty((len(indices), 3), np.float32)
@@ -144,7 +146,7 @@ def view_directions(
 
 
 def _candidates(
-    part: Part, object_to_camera: Float64[np.ndarray, "4 4"], intrinsics: tuple[float, ...], as_points: bool
+    part: DrawItem, object_to_camera: Float64[np.ndarray, "4 4"], intrinsics: tuple[float, ...], as_points: bool
 ) -> Int64[np.ndarray, " m"]:
     """Which Gaussians of a part may be seen: all that are, and few that are not."""
     g, n = part.gaussians, part.drawn_count if part.opacity > 0 else 0
@@ -364,7 +366,7 @@ RAIN_ALPHA_CUT = 1 / 65536
 LOG_SCENE_CUT, LOG_RAIN_CUT = float(np.log(SCENE_ALPHA_CUT)), float(np.log(RAIN_ALPHA_CUT))
 """What stands in `Splats.shapes`; it tells rain from scene."""
 
-LEAST_SCENE_CUT = np.float32(LOG_SCENE_CUT - 1)
+MIN_SCENE_CUT = np.float32(LOG_SCENE_CUT - 1)
 """Rain's logarithm is below, the scene's above."""
 
 

@@ -8,13 +8,13 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Int32
 
-from ...malloc_tuning import keep_freed_memory
-from ...rain.simulation import FallingRain
+from ...malloc_tuning import tune_malloc
+from ...rain.simulation import RainFrame
 from ...scene.camera import Camera
-from ...scene.scene import Part
-from ..images import heat_colors, layer_color
-from ..renderer import FARTHEST_M, MOST_FRAGMENTS, NEAREST_M, Frame, Look, RenderStatistics, Stopwatch
-from .compositing import BATCH, columns_of, composite, composite_in_rain, composite_with_veil, is_finished
+from ...scene.scene import DrawItem
+from ..images import layer_color, turbo_colors
+from ..renderer import FARTHEST_M, MAX_FRAGMENTS, NEAREST_M, Frame, RenderMode, RenderStatistics, Stopwatch
+from .compositing import BATCH, columns_of, composite, composite_in_rain, composite_rain_display_space, is_finished
 from .fast_math import FAST
 from .projection import TINT, TINT_SHARE, Splats, project
 from .tiles import TILE, TileLists, bin_into_tiles
@@ -26,30 +26,30 @@ class CpuRenderer:
     name = "cpu"
 
     def __init__(self) -> None:
-        keep_freed_memory()
+        tune_malloc()
         self.statistics = RenderStatistics()
         self._frame: Frame | None = None
 
     def draw(
         self,
-        parts: Sequence[Part],
+        parts: Sequence[DrawItem],
         camera: Camera,
-        rain: FallingRain | None = None,
+        rain: RainFrame | None = None,
         *,
         with_depth: bool = False,
-        look: Look = "splats",
+        look: RenderMode = "splats",
     ) -> None:
         self.statistics = RenderStatistics(stages_ms={"project": 0.0, "sort": 0.0, "draw": 0.0})
         with self._timed("project"):
             falling = rain if look == "splats" and rain is not None and len(rain.gaussians) else None
             splats = self._project(parts, camera, falling, as_points=look == "points")
-            splats = in_colors_of(look, splats, parts, camera)
+            splats = color_by_mode(look, splats, parts, camera)
         with self._timed("sort"):
             order = splats.nearest_first()
             tiles = bin_into_tiles(splats.shapes, order, camera.width, camera.height)
         with self._timed("draw"):
             if falling is None:
-                self._frame = draw_look(look, splats, tiles, with_depth=with_depth)
+                self._frame = draw_mode(look, splats, tiles, with_depth=with_depth)
             else:
                 self._frame = draw_in_rain(splats, order, tiles, falling, with_depth=with_depth)
         self.statistics.splats_drawn = len(order)
@@ -58,13 +58,13 @@ class CpuRenderer:
         assert self._frame is not None, "draw before reading the picture"
         return self._frame
 
-    def _project(self, parts: Sequence[Part], camera: Camera, rain: FallingRain | None, *, as_points: bool) -> Splats:
+    def _project(self, parts: Sequence[DrawItem], camera: Camera, rain: RainFrame | None, *, as_points: bool) -> Splats:
         self.statistics.gaussians = sum(part.drawn_count for part in parts)
         if rain is None:
             return project(parts, camera, as_points=as_points)
         drops = rain.gaussians
         self.statistics.drops_drawn, self.statistics.haze_drawn = rain.drops_drawn, rain.haze_drawn
-        return project([*parts, Part(drops, np.eye(4))], camera, [*[None] * len(parts), np.ones(len(drops), bool)])
+        return project([*parts, DrawItem(drops, np.eye(4))], camera, [*[None] * len(parts), np.ones(len(drops), bool)])
 
     def _timed(self, stage: str) -> Stopwatch:
         return Stopwatch(self.statistics.stages_ms, stage)
@@ -72,20 +72,20 @@ class CpuRenderer:
 
 # § Splats in tiles -> a picture: of the scene, of scene and rain, or of what the scene is made of.
 
-_LEAST_WEIGHT = np.float32(0.5)
+_MIN_WEIGHT = np.float32(0.5)
 """Pixels that the scene covers less than this have no depth, as in the OpenGL renderer."""
 
 
-def draw_look(look: Look, splats: Splats, tiles: TileLists, *, with_depth: bool) -> Frame:
+def draw_mode(look: RenderMode, splats: Splats, tiles: TileLists, *, with_depth: bool) -> Frame:
     """Draw a scene without rain; depth is that of all splats' blending, whatever the look."""
     if look == "ellipsoids" and not with_depth:
-        return Frame(nearest_surfaces(splats.shapes, splats.colors, tiles))
+        return Frame(nearest_surface_colors(splats.shapes, splats.colors, tiles))
     if look == "overdraw" and not with_depth:
         return Frame(_heat_of_counts(count_fragments(splats.shapes, tiles)))
     rgba, weighted = composite(splats.shapes, splats.colors, tiles)
     depth = _expected_depth(weighted, rgba[..., 3]) if with_depth or look == "depth" else None
     if look == "ellipsoids":
-        rgba = nearest_surfaces(splats.shapes, splats.colors, tiles)
+        rgba = nearest_surface_colors(splats.shapes, splats.colors, tiles)
     elif look == "overdraw":
         rgba = _heat_of_counts(count_fragments(splats.shapes, tiles))
     elif look == "depth" and depth is not None:
@@ -94,13 +94,13 @@ def draw_look(look: Look, splats: Splats, tiles: TileLists, *, with_depth: bool)
 
 
 def draw_in_rain(
-    splats: Splats, order: Int32[np.ndarray, " drawn"], tiles: TileLists, rain: FallingRain, *, with_depth: bool
+    splats: Splats, order: Int32[np.ndarray, " drawn"], tiles: TileLists, rain: RainFrame, *, with_depth: bool
 ) -> Frame:
     """Draw scene and rain through each other; `tiles` hold the splats in that order."""
     if rain.mixing == "linear":
         rgba, weighted, weight = composite_in_rain(splats.shapes, splats.colors, rain.light_linear, tiles)
     else:  # one more colour (the paper's form)
-        rgba = composite_with_veil(splats.shapes, splats.colors, rain.color.astype(np.float32), tiles)
+        rgba = composite_rain_display_space(splats.shapes, splats.colors, rain.color.astype(np.float32), tiles)
         if not with_depth:
             return Frame(rgba)
         alone = bin_into_tiles(splats.shapes, order[~splats.is_rain[order]], tiles.width, tiles.height)
@@ -112,7 +112,7 @@ def draw_in_rain(
 def _expected_depth(
     weighted: Float32[np.ndarray, "h w"], weight: Float32[np.ndarray, "h w"]
 ) -> Float32[np.ndarray, "h w"]:
-    return np.where(weight > _LEAST_WEIGHT, weighted / np.maximum(weight, _LEAST_WEIGHT), np.float32(0))
+    return np.where(weight > _MIN_WEIGHT, weighted / np.maximum(weight, _MIN_WEIGHT), np.float32(0))
 
 
 def _heat_of_depth(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 4"]:
@@ -121,17 +121,17 @@ def _heat_of_depth(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h 
 
 
 def _heat_of_counts(counts: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 4"]:
-    return _heat_where(counts / np.float32(MOST_FRAGMENTS), counts > 0)
+    return _heat_where(counts / np.float32(MAX_FRAGMENTS), counts > 0)
 
 
 def _heat_where(numbers: Float32[np.ndarray, "h w"], there: np.ndarray) -> Float32[np.ndarray, "h w 4"]:
-    return np.where(there[..., None], np.dstack([heat_colors(numbers), np.ones_like(numbers)]), np.float32(0))
+    return np.where(there[..., None], np.dstack([turbo_colors(numbers), np.ones_like(numbers)]), np.float32(0))
 
 
 # § Other colours for splats: what they are rather than how they look.
 
 
-def in_colors_of(look: Look, splats: Splats, parts: Sequence[Part], camera: Camera) -> Splats:
+def color_by_mode(look: RenderMode, splats: Splats, parts: Sequence[DrawItem], camera: Camera) -> Splats:
     """Colour the splats of `parts` by their normals, opacity or layer; any other look leaves them as they are.
 
     What is selected is tinted here, too.
@@ -149,7 +149,7 @@ def in_colors_of(look: Look, splats: Splats, parts: Sequence[Part], camera: Came
             to_world = np.ascontiguousarray(part.to_world, np.float64)
             _normal_colors(rows, members, g.means, g.scales, g.quaternions, to_world, camera.position, colors)
         elif look == "opacity":
-            colors[rows, :3] = heat_colors(g.opacities[members] * np.float32(part.opacity))
+            colors[rows, :3] = turbo_colors(g.opacities[members] * np.float32(part.opacity))
         else:
             colors[rows, :3] = layer_color(number)
         if part.selected is not None:
@@ -229,7 +229,7 @@ SURFACE_ALPHA = 1 / 4
 _LOG_SURFACE_ALPHA = np.float32(np.log(SURFACE_ALPHA))
 
 
-def nearest_surfaces(
+def nearest_surface_colors(
     shapes: Float32[np.ndarray, "m 8"], colors: Float32[np.ndarray, "m 4"], tiles: TileLists
 ) -> Float32[np.ndarray, "h w 4"]:
     """Colour each pixel as the nearest splat whose alpha there is at least `SURFACE_ALPHA`, with an alpha of 1.

@@ -9,7 +9,7 @@ from jaxtyping import Float64
 from ...scene.camera import Camera
 from ...scene.gaussians import Gaussians
 from ...scene.geometry import quaternions_from_matrices
-from ...scene.scene import Part
+from ...scene.scene import DrawItem
 from ..cpu.projection import TINT, TINT_SHARE, eye_in_object
 
 torch: Any = import_module("torch")
@@ -41,7 +41,7 @@ class CudaArrays:
         self._held: dict[int, tuple[object, tuple[Tensor, ...]]] = {}
         self._used: set[int] = set()
 
-    def before_camera(self, parts: list[Part], camera: Camera) -> CameraSpace:
+    def before_camera(self, parts: list[DrawItem], camera: Camera) -> CameraSpace:
         """Move what is drawn of each part before the camera, harmonics evaluated in the part's own frame."""
         moved = [self._moved(part, camera) for part in parts]
         nothing = (self._uploaded(np.zeros(shape, np.float32)) for shape in ((0, 3), (0, 3), (0, 4), 0, (0, 3)))
@@ -52,7 +52,7 @@ class CudaArrays:
         self._held = {key: held for key, held in self._held.items() if key in self._used}
         self._used.clear()
 
-    def _moved(self, part: Part, camera: Camera) -> CameraSpace:
+    def _moved(self, part: DrawItem, camera: Camera) -> CameraSpace:
         object_to_camera = camera.world_to_camera @ part.to_world  # in float64: far from the origin nothing is lost
         scale = float(np.cbrt(np.linalg.det(object_to_camera[:3, :3])))
         turn = quaternions_from_matrices(object_to_camera[:3, :3] / scale)
@@ -102,7 +102,7 @@ class CudaArrays:
         return torch.as_tensor(np.ascontiguousarray(values, np.float32), device=self._device)
 
 
-def _rows(part: Part) -> Any:
+def _rows(part: DrawItem) -> Any:
     """Which of a part's Gaussians are drawn: a slice where no mask leaves out any, else their indices."""
     count = part.drawn_count if part.opacity > 0 else 0
     if part.left_out is None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Int64
 
-from ...rain.simulation import FallingRain
+from ...rain.simulation import RainFrame
 from ..cpu.compositing import MAX_ALPHA
 from ..cpu.projection import Splats
 
@@ -43,7 +43,7 @@ class DepthSlabs:
     """Depths between the slabs, those of the nearest and the farthest splat among them; rising."""
 
 
-def edge_colors(depths: Tensor, slabs: DepthSlabs) -> Tensor:
+def slab_edge_channels(depths: Tensor, slabs: DepthSlabs) -> Tensor:
     """One channel an edge between slabs (n, edges) for scene splats at depths (n,): shares of the two nearest edges.
 
     They are linear in depth and add up to 1; before all rain it is the first edge alone, behind it the last.
@@ -55,11 +55,11 @@ def edge_colors(depths: Tensor, slabs: DepthSlabs) -> Tensor:
     return torch.clamp(1 - torch.abs(position[:, None] - torch.arange(len(edges), device=depths.device)), min=0)
 
 
-def in_rain(rgba: Tensor, by_edge: Tensor, slabs: DepthSlabs, rain: FallingRain) -> Tensor:
+def composite_rain_slabs(rgba: Tensor, by_edge: Tensor, slabs: DepthSlabs, rain: RainFrame) -> Tensor:
     """Put rain over and into a scene: premultiplied display colour and alpha (h, w, 4).
 
-    `rgba` is the clear scene, `by_edge` its weights (h, w, edges) from `edge_colors`. With the scene's colour B and
-    alpha A, its share W_s and the rain's W_r under each other: enc(min(W_s / A, 1) dec(B) + W_r S) in linear light,
+    `rgba` is the clear scene, `by_edge` its weights (h, w, edges) from `slab_edge_channels`. With the scene's colour B
+    and alpha A, its share W_s and the rain's W_r under each other: enc(min(W_s / A, 1) dec(B) + W_r S) in linear light,
     as in `add_rain_light`; the display form is the same without enc and dec.
     """
     alpha = rgba[..., 3]
@@ -142,7 +142,7 @@ SLABS = 91
 """They have 92 edges; with colour and depth that makes 96 channels, of which gsplat draws 32 at once."""
 
 
-def cut_into_slabs(splats: Splats, slabs: int = SLABS) -> DepthSlabs:
+def split_into_depth_slabs(splats: Splats, slabs: int = SLABS) -> DepthSlabs:
     """Cut at depths between which rain weighs the same: opacity times the area of its ellipse.
 
     What is drawn in the wrong order, the scene's splats in a slab against the rain in it, is then a small share of all

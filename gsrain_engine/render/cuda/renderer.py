@@ -12,17 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from ...rain.simulation import FallingRain
+from ...rain.simulation import RainFrame
 from ...scene.camera import Camera
-from ...scene.scene import Part
+from ...scene.scene import DrawItem
 from ..cpu.projection import DILATION_PX2, NEAR_M, project
-from ..renderer import Frame, Look, RenderStatistics, Stopwatch
+from ..renderer import Frame, RenderMode, RenderStatistics, Stopwatch
 from .gaussians import CameraSpace, CudaArrays, Tensor
-from .rain import DepthSlabs, cut_into_slabs, edge_colors, in_rain
+from .rain import DepthSlabs, composite_rain_slabs, slab_edge_channels, split_into_depth_slabs
 
 torch: Any = import_module("torch")
 
-_LEAST_WEIGHT = 0.5
+_MIN_WEIGHT = 0.5
 """Pixels that the scene covers less than this have no depth, as in the other renderers."""
 
 
@@ -49,12 +49,12 @@ class CudaRenderer:
 
     def draw(
         self,
-        parts: Sequence[Part],
+        parts: Sequence[DrawItem],
         camera: Camera,
-        rain: FallingRain | None = None,
+        rain: RainFrame | None = None,
         *,
         with_depth: bool = False,
-        look: Look = "splats",
+        look: RenderMode = "splats",
     ) -> None:
         """Draw parts and rain as one compositing; `read` hands out the picture.
 
@@ -73,15 +73,15 @@ class CudaRenderer:
         slabs: DepthSlabs | None = None
         if falling is not None:
             with self._timed("rain"):
-                drops = Part(falling.gaussians, np.eye(4))
-                slabs = cut_into_slabs(project([drops], camera, [np.ones(drops.drawn_count, np.bool_)]))
+                drops = DrawItem(falling.gaussians, np.eye(4))
+                slabs = split_into_depth_slabs(project([drops], camera, [np.ones(drops.drawn_count, np.bool_)]))
         with self._timed("draw"):
             image, alpha = self._composited(scene, camera, slabs)
             rgba = torch.cat([image[..., :3], alpha], dim=-1)
             depth = _expected_depth(image[..., 3], alpha[..., 0]) if with_depth else None
         if falling is not None and slabs is not None:
             with self._timed("rain"):
-                rgba = in_rain(rgba, image[..., 4:], slabs, falling)
+                rgba = composite_rain_slabs(rgba, image[..., 4:], slabs, falling)
             self.statistics.drops_drawn, self.statistics.haze_drawn = falling.drops_drawn, falling.haze_drawn
             self.statistics.splats_drawn += len(slabs.shapes)
         drawn = sum(part.drawn_count for part in parts)
@@ -98,7 +98,7 @@ class CudaRenderer:
     def _composited(self, scene: CameraSpace, camera: Camera, slabs: DepthSlabs | None) -> tuple[Tensor, Tensor]:
         """Blend colour, depth and, for rain, one channel a slab: (h, w, 4 + slabs) and alpha (h, w, 1)."""
         depths = scene.means[:, 2]
-        channels = [scene.colors, depths[:, None], *([edge_colors(depths, slabs)] if slabs is not None else [])]
+        channels = [scene.colors, depths[:, None], *([slab_edge_channels(depths, slabs)] if slabs is not None else [])]
         colors = torch.cat(channels, dim=1)
         if not len(depths):  # gsplat takes no empty scene
             blank = torch.zeros((camera.height, camera.width, colors.shape[1] + 1), device=self._device)
@@ -138,4 +138,4 @@ class _SynchronizedStopwatch(Stopwatch):
 
 
 def _expected_depth(weighted: Tensor, weight: Tensor) -> Tensor:
-    return torch.where(weight > _LEAST_WEIGHT, weighted / torch.clamp(weight, min=_LEAST_WEIGHT), 0.0)
+    return torch.where(weight > _MIN_WEIGHT, weighted / torch.clamp(weight, min=_MIN_WEIGHT), 0.0)

@@ -8,7 +8,7 @@ import moderngl
 import numpy as np
 from jaxtyping import Float32, UInt8, UInt32
 
-from ...scene.flags import Mask
+from ...scene.flags import BitMask
 from ...scene.gaussians import Gaussians
 from .prefix_sum import WORK_BYTES
 from .shaders import Switches
@@ -126,7 +126,7 @@ class GpuArrays:
         """Make an array's buffers and fill them, a slice at each step."""
         count, row_bytes = len(array.sources[0]), self._packed(array.sources, slice(0, 1)).shape[1]
         for start in range(0, count, CHUNK):
-            array.buffers.append(reserved(self._context, row_bytes * min(CHUNK, count - start)))
+            array.buffers.append(reserve_buffer(self._context, row_bytes * min(CHUNK, count - start)))
         for start in range(0, count, slice_size):
             for at in range(start, min(start + slice_size, count), CHUNK):
                 stop = min(at + CHUNK - at % CHUNK, start + slice_size, count)
@@ -139,7 +139,7 @@ class GpuArrays:
         is_here = all(tuple(map(id, sources)) in self._arrays for sources in _sources(gaussians, wet_sh))
         return 0 if is_here else len(gaussians)
 
-    def marks(self, left_out: Mask | None, selected: Mask | None) -> list[moderngl.Buffer]:
+    def marks(self, left_out: BitMask | None, selected: BitMask | None) -> list[moderngl.Buffer]:
         """Return the bits of both masks, word beside word, a buffer for each chunk; none where there is no mask."""
         if left_out is None and selected is None:
             return []
@@ -270,16 +270,16 @@ def _sources(gaussians: Gaussians, wet_sh: WetColors = None) -> list[tuple[Float
 
 # § Memory of the graphics card: OpenGL only says that there was none left when it is asked.
 
-_MOST_ERRORS = 8
+_MAX_ERRORS = 8
 """Each kind is kept once until it is asked for; a context that is lost never stops telling."""
 
 
-def reserved(context: moderngl.Context, size: int) -> moderngl.Buffer:
+def reserve_buffer(context: moderngl.Context, size: int) -> moderngl.Buffer:
     """Make a buffer of so many bytes; raises `MemoryError` where the card has no room for it."""
     try:
         buffer = context.buffer(reserve=size)
     except moderngl.Error:
-        raise MemoryError(_told(size)) from None
+        raise MemoryError(_size_text(size)) from None
     try:
         check_gpu_memory(context, size)
     except MemoryError:
@@ -290,22 +290,22 @@ def reserved(context: moderngl.Context, size: int) -> moderngl.Buffer:
 
 def check_gpu_memory(context: moderngl.Context, size: int) -> None:
     """Raise `MemoryError` where the driver has had no room for something of so many bytes that was just made."""
-    for _ in range(_MOST_ERRORS):
+    for _ in range(_MAX_ERRORS):
         error = context.error
         if error == "GL_OUT_OF_MEMORY":
-            raise MemoryError(_told(size))
+            raise MemoryError(_size_text(size))
         if error == "GL_NO_ERROR":
             return
 
 
-def _told(size: int) -> str:
+def _size_text(size: int) -> str:
     return f"the graphics card has no room for {max(1, size >> 20)} MiB more"
 
 
 # § A storage buffer that is made anew, larger, when more is asked of it.
 
 
-class GrowingBuffer:
+class GrowableBuffer:
     """Keeps nothing of what was in it when it grows."""
 
     def __init__(self, context: moderngl.Context) -> None:
@@ -326,7 +326,7 @@ class GrowingBuffer:
             self._buffer.release()
             self._buffer = self._context.buffer(reserve=4)  # to be there whatever comes
             roomy = size + size // 32 * 4
-            self._buffer = reserved(self._context, roomy if at_most is None else max(size, min(roomy, at_most)))
+            self._buffer = reserve_buffer(self._context, roomy if at_most is None else max(size, min(roomy, at_most)))
         return self._buffer
 
     def bind(self, binding: int) -> None:
@@ -343,21 +343,21 @@ SLOTS_BY_BLOCK = 256
 
 _SPLAT_BYTES = 32
 
-_MOST_RECORD_BLOCKS = 4
+_MAX_RECORD_BLOCKS = 4
 
 _RECORDS, _SPARSE_KEYS, _COUNTS, _WORK = 8, 4, 5, 7
 
 
-class SplatStore:
+class ProjectedSplatBuffer:
     """Buffers for a number of slots; `switches` tell the shaders how they are split."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._limit = int(context.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"])
         self._block_shift = (self._limit // _SPLAT_BYTES).bit_length() - 1
-        self._records = [GrowingBuffer(context) for _ in range(_MOST_RECORD_BLOCKS)]
+        self._records = [GrowableBuffer(context) for _ in range(_MAX_RECORD_BLOCKS)]
         self._record_blocks = 1
-        self._sparse_keys = GrowingBuffer(context)
-        self.counts = GrowingBuffer(context)
+        self._sparse_keys = GrowableBuffer(context)
+        self.counts = GrowableBuffer(context)
         """Visible splats of each block; after the scan, where they begin."""
         self.work = context.buffer(reserve=WORK_BYTES)
         """See `visible_scan`."""
@@ -373,10 +373,10 @@ class SplatStore:
         Raises `MemoryError` when the driver's storage blocks can't hold them.
         """
         by_block = 1 << self._block_shift
-        if slots > _MOST_RECORD_BLOCKS * by_block:
+        if slots > _MAX_RECORD_BLOCKS * by_block:
             raise MemoryError(
                 f"{slots} Gaussians need {_SPLAT_BYTES * slots >> 20} MiB of storage blocks; "
-                f"this OpenGL driver allows {_MOST_RECORD_BLOCKS} of {self._limit >> 20} MiB"
+                f"this OpenGL driver allows {_MAX_RECORD_BLOCKS} of {self._limit >> 20} MiB"
             )
         self._record_blocks = max(1, -(-slots // by_block))
         for number in range(self._record_blocks):

@@ -50,7 +50,7 @@ def _open_egl() -> moderngl.Context:
         context = moderngl.create_context(context=loader, require=REQUIRED_VERSION)
     except (OSError, AttributeError):  # no such library, or no such function in it
         return _open_plain_egl()
-    watch(context, loader.load_opengl_function)
+    monitor_context(context, loader.load_opengl_function)
     return context
 
 
@@ -127,7 +127,7 @@ _POINTER, _INT = ctypes.c_void_p, ctypes.c_int
 
 _OPENGL_API, _PLATFORM_DEVICE, _DRAW = 0x30A2, 0x313F, 0x3059
 
-_MOST_DEVICES = 64
+_MAX_DEVICES = 64
 
 _CONFIG = (
     0x3033, 0x0001,  # EGL_SURFACE_TYPE, EGL_PBUFFER_BIT
@@ -197,11 +197,11 @@ class EglContext:
 
     def _device(self) -> int:
         """Open the display of a device: the first, or that of GLCONTEXT_DEVICE_INDEX as everywhere with moderngl."""
-        devices, count = (_POINTER * _MOST_DEVICES)(), _INT()
+        devices, count = (_POINTER * _MAX_DEVICES)(), _INT()
         query, wanted = self._address(b"eglQueryDevicesEXT"), int(os.environ.get("GLCONTEXT_DEVICE_INDEX", "0"))
         display = self._address(b"eglGetPlatformDisplayEXT")
         _need(query and display, "no devices")
-        ctypes.CFUNCTYPE(_INT, _INT, _POINTER, _POINTER)(query)(_MOST_DEVICES, devices, ctypes.byref(count))
+        ctypes.CFUNCTYPE(_INT, _INT, _POINTER, _POINTER)(query)(_MAX_DEVICES, devices, ctypes.byref(count))
         _need(0 <= wanted < count.value, f"no device {wanted}")
         return ctypes.CFUNCTYPE(_POINTER, _INT, _POINTER, _POINTER)(display)(_PLATFORM_DEVICE, devices[wanted], None)
 
@@ -226,14 +226,14 @@ def _need(value: Any, otherwise: str) -> Any:
 _QUESTIONS = (("GL_KHR_robustness", "KHR"), ("GL_ARB_robustness", "ARB"))
 
 
-class LostContextError(OSError):
+class DeviceLostError(OSError):
     """What was on the graphics card is gone; nothing more can be drawn in this context."""
 
     def __init__(self) -> None:
         super().__init__("the graphics driver has restarted, or the card is gone: what was being drawn is lost")
 
 
-class ContextWatch:
+class ContextLossMonitor:
     """Remembers that a context is lost: some drivers say so only once."""
 
     def __init__(self, ask: Callable[[], int]) -> None:
@@ -253,7 +253,7 @@ class ContextWatch:
             time.sleep(0.05)
 
 
-def watch(context: moderngl.Context, address_of: Callable[[str], int | None]) -> None:
+def monitor_context(context: moderngl.Context, address_of: Callable[[str], int | None]) -> None:
     """Let a context be asked whether it is lost; `address_of` finds entry points of OpenGL by name.
 
     Drivers know only of contexts that were made to tell of resets.
@@ -262,20 +262,20 @@ def watch(context: moderngl.Context, address_of: Callable[[str], int | None]) ->
     endings = ["", *(ending for name, ending in _QUESTIONS if name in extensions)]
     for ending in endings if context.version_code >= 450 else endings[1:]:  # an address alone does not prove anything
         if address := address_of(f"glGetGraphicsResetStatus{ending}"):
-            context.extra = ContextWatch(_question(address))
+            context.extra = ContextLossMonitor(_question(address))
             return
 
 
-def watch_of(context: moderngl.Context) -> ContextWatch | None:
+def context_monitor(context: moderngl.Context) -> ContextLossMonitor | None:
     """Who knows whether a context is lost; None where its driver does not tell."""
     return context.extra
 
 
 def check_context(context: moderngl.Context) -> None:
-    """Raise `LostContextError` where what was drawn or read may be nothing at all."""
-    watcher = watch_of(context)
+    """Raise `DeviceLostError` where what was drawn or read may be nothing at all."""
+    watcher = context_monitor(context)
     if watcher is not None and watcher.is_lost():
-        raise LostContextError
+        raise DeviceLostError
 
 
 def _question(address: int) -> Callable[[], int]:

@@ -14,7 +14,7 @@ COUNT_OFFSET, GROUPS_OFFSET = 20, 24
 _COUNTS, _FOUND_WORK, _WORK = 5, 6, 7
 
 
-class VisibleScan:
+class PrefixSum:
     """Runs visible_scan.comp."""
 
     def __init__(self, context: moderngl.Context) -> None:

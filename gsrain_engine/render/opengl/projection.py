@@ -6,18 +6,18 @@ from typing import NamedTuple
 import moderngl
 import numpy as np
 
-from ...rain.simulation import FallingRain
+from ...rain.simulation import RainFrame
 from ...scene.camera import Camera
-from ...scene.scene import Part
+from ...scene.scene import DrawItem
 from ..images import layer_color
-from ..renderer import Look
-from .buffers import CHUNK, NEAR_M, SH_BITS, SLOTS_BY_BLOCK, GpuArrays, SplatStore
-from .prefix_sum import VisibleScan
-from .rain import DropPass, streak_slots
+from ..renderer import RenderMode
+from .buffers import CHUNK, NEAR_M, SH_BITS, SLOTS_BY_BLOCK, GpuArrays, ProjectedSplatBuffer
+from .prefix_sum import PrefixSum
+from .rain import RainPass, streak_slots
 from .shaders import load_compute_shader
-from .sort import KEYS, KEYS_BY_GROUP, SLOTS, DepthSort, HostSort
+from .sort import KEYS, KEYS_BY_GROUP, SLOTS, CpuSort, DepthSort
 
-_LOOKS: dict[Look, int] = {"points": 1, "normals": 2, "opacity": 3, "layers": 4}
+_LOOKS: dict[RenderMode, int] = {"points": 1, "normals": 2, "opacity": 3, "layers": 4}
 """Looks that change what a Gaussian is projected to; as in splat_project.comp."""
 
 _LONGEST_DISPATCH = 1 << 15
@@ -32,7 +32,7 @@ _WET = 12
 _SAME_COLORS = np.eye(3, 4)
 
 
-class Slots(NamedTuple):
+class FrameSlots(NamedTuple):
     """What a frame takes of a store."""
 
     all: int
@@ -48,20 +48,25 @@ class ProjectionPass:
     def __init__(self, context: moderngl.Context, arrays: GpuArrays) -> None:
         self._context = context
         self._arrays = arrays
-        self._scan = VisibleScan(context)
+        self._scan = PrefixSum(context)
         self._gather = load_compute_shader(context, "visible_gather.comp")
         self._projectors: dict[tuple[int, ...], moderngl.ComputeShader] = {}
-        self.drops = DropPass(context)
+        self.drops = RainPass(context)
 
     def project(
-        self, store: SplatStore, parts: Sequence[Part], camera: Camera, rain: FallingRain | None, look: Look
-    ) -> Slots:
+        self,
+        store: ProjectedSplatBuffer,
+        parts: Sequence[DrawItem],
+        camera: Camera,
+        rain: RainFrame | None,
+        look: RenderMode,
+    ) -> FrameSlots:
         rows = [(part if part.opacity > 0 else part._replace(limit=0), False) for part in parts]
         field = rain.streak_field if rain is not None else None
         if rain is not None:
-            rows.append((Part(rain.haze_gaussians, np.eye(4)), True))
+            rows.append((DrawItem(rain.haze_gaussians, np.eye(4)), True))
         fixed = sum(_slots(part.drawn_count) for part, _ in rows)
-        slots = Slots(fixed + (streak_slots(field) if field else 0), fixed, field.rain.max_copies if field else 0)
+        slots = FrameSlots(fixed + (streak_slots(field) if field else 0), fixed, field.rain.max_copies if field else 0)
         store.reserve(slots.all)
         if field is not None:
             self.drops.find(field)
@@ -86,7 +91,7 @@ class ProjectionPass:
         self._context.memory_barrier()
         return slots
 
-    def bring_together(self, store: SplatStore, sort: DepthSort | HostSort, slots: Slots) -> None:
+    def compact_visible(self, store: ProjectedSplatBuffer, sort: DepthSort | CpuSort, slots: FrameSlots) -> None:
         """Pack the keys of all visible splats into what the sort takes, and tell it and the draw how many they are."""
         blocks = slots.all // SLOTS_BY_BLOCK
         sort.reserve(max(slots.all, 1))
@@ -99,7 +104,7 @@ class ProjectionPass:
         self._gather.run(min(blocks, _LONGEST_DISPATCH), -(-blocks // _LONGEST_DISPATCH))
         self._context.memory_barrier()
 
-    def _dispatch(self, shader: moderngl.ComputeShader, part: Part, camera: Camera, first: int) -> None:
+    def _dispatch(self, shader: moderngl.ComputeShader, part: DrawItem, camera: Camera, first: int) -> None:
         gaussians = part.gaussians
         object_to_camera = camera.world_to_camera @ part.to_world
         colors = _SAME_COLORS if part.colors is None else part.colors
@@ -128,7 +133,7 @@ class ProjectionPass:
             shader["first_slot"] = first + index * CHUNK
             shader.run(-(-count // SLOTS_BY_BLOCK))
 
-    def _projector(self, store: SplatStore, *, wet: bool) -> moderngl.ComputeShader:
+    def _projector(self, store: ProjectedSplatBuffer, *, wet: bool) -> moderngl.ComputeShader:
         switches = {**store.switches, "SH_BITS": SH_BITS[self._arrays.harmonics]} | ({"WET": 1} if wet else {})
         key = tuple(switches.values())
         if key not in self._projectors:

@@ -6,10 +6,10 @@ from jaxtyping import Float64, UInt32
 
 from ...rain.drop_field import FIRST_OF_CLASS
 from ...rain.properties import CLASSES
-from ...rain.shelter_map import Roofs
-from ...rain.streaks import StreakField
-from .buffers import NEAR_M, SLOTS_BY_BLOCK, GrowingBuffer, SplatStore
-from .prefix_sum import COUNT_OFFSET, GROUPS_OFFSET, WORK_BYTES, VisibleScan
+from ...rain.shelter_map import ShelterMap
+from ...rain.streaks import DropBatch
+from .buffers import NEAR_M, SLOTS_BY_BLOCK, GrowableBuffer, ProjectedSplatBuffer
+from .prefix_sum import COUNT_OFFSET, GROUPS_OFFSET, WORK_BYTES, PrefixSum
 from .shaders import load_compute_shader
 
 _CLASS_ROWS, _FOUND, _PLACES, _ROOFS, _COUNTS, _FOUND_WORK = 1, 2, 3, 3, 5, 6
@@ -18,23 +18,23 @@ _IN_THE_OPEN = np.float32(-1e9)
 """What stands for a roof at -inf, which shaders need not know."""
 
 
-class DropPass:
+class RainPass:
     """Writes the streaks of a moment into a store, behind the scene's splats."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
         self._find: dict[bool, moderngl.ComputeShader] = {False: load_compute_shader(context, "rain_find.comp")}
         self._streaks: dict[tuple[int, ...], moderngl.ComputeShader] = {}
-        self._scan = VisibleScan(context)
-        self._classes = GrowingBuffer(context)
-        self._found = GrowingBuffer(context)
-        self._counts = GrowingBuffer(context)
-        self._roofs = GrowingBuffer(context)
+        self._scan = PrefixSum(context)
+        self._classes = GrowableBuffer(context)
+        self._found = GrowableBuffer(context)
+        self._counts = GrowableBuffer(context)
+        self._roofs = GrowableBuffer(context)
         self._masks_by_class = 1
         self.work = context.buffer(np.zeros(WORK_BYTES // 4, np.uint32))
         """How many drops were found; see `visible_scan`."""
 
-    def find(self, field: StreakField) -> None:
+    def find(self, field: DropBatch) -> None:
         """Find the drops that the camera may see."""
         self._masks_by_class = max(1, -(-field.count // (CLASSES * 32)))
         masks = self._masks_by_class * CLASSES
@@ -52,10 +52,10 @@ class DropPass:
             self._set_roofs(shader, field, field.roofs)
         shader.run(masks // 256)
         self._context.memory_barrier()
-        self._scan.run(self._counts.buffer, self.work, masks, by_group=SLOTS_BY_BLOCK, most=field.most_drops)
+        self._scan.run(self._counts.buffer, self.work, masks, by_group=SLOTS_BY_BLOCK, most=field.max_drops)
 
     def project(
-        self, store: SplatStore, field: StreakField, display_color: Float64[np.ndarray, "3"], first_slot: int
+        self, store: ProjectedSplatBuffer, field: DropBatch, display_color: Float64[np.ndarray, "3"], first_slot: int
     ) -> None:
         """Make streaks of the drops that were found and write what can be seen of them."""
         shader, shutter, wishes = self._shader(store), field.shutter, field.rain
@@ -71,7 +71,7 @@ class DropPass:
             "aperture": 1e-3 * wishes.aperture_mm,
             "focus": wishes.focus_distance_m,
             "max_copies": wishes.max_copies,
-            "most_drops": field.most_drops,
+            "most_drops": field.max_drops,
             "display_color": tuple(display_color),
             "intrinsics": (camera.fx, camera.fy, camera.cx, camera.cy),
             "image_size": (camera.width, camera.height),
@@ -98,7 +98,7 @@ class DropPass:
         class_index, group = np.divmod(at, self._masks_by_class)
         return ((group * 32 + bit) * CLASSES + class_index * FIRST_OF_CLASS % CLASSES).astype(np.uint32)
 
-    def _set_field(self, shader: moderngl.ComputeShader, field: StreakField) -> None:
+    def _set_field(self, shader: moderngl.ComputeShader, field: DropBatch) -> None:
         shader["masks_by_class"] = self._masks_by_class
         shader["first_of_class"] = FIRST_OF_CLASS
         shader["seed"] = field.rain.seed
@@ -106,7 +106,7 @@ class DropPass:
         shader["camera_in_cell"] = tuple(field.culling.camera_position)
         shader["cell_to_camera"] = _columns(field.culling.cell_to_camera)
 
-    def _set_roofs(self, shader: moderngl.ComputeShader, field: StreakField, roofs: Roofs) -> None:
+    def _set_roofs(self, shader: moderngl.ComputeShader, field: DropBatch, roofs: ShelterMap) -> None:
         heights = np.maximum(roofs.heights_m - np.float32(field.center_m[2]), _IN_THE_OPEN)
         self._roofs.reserve(heights.nbytes).write(heights)
         self._roofs.bind(_ROOFS)
@@ -126,18 +126,18 @@ class DropPass:
         self._found.bind(_FOUND)
         self._counts.bind(counts_binding)
 
-    def _shader(self, store: SplatStore) -> moderngl.ComputeShader:
+    def _shader(self, store: ProjectedSplatBuffer) -> moderngl.ComputeShader:
         key = tuple(store.switches.values())
         if key not in self._streaks:
             self._streaks[key] = load_compute_shader(self._context, "rain_streaks.comp", store.switches)
         return self._streaks[key]
 
 
-def streak_slots(field: StreakField) -> int:
-    return -(-field.most_drops // SLOTS_BY_BLOCK) * SLOTS_BY_BLOCK * field.rain.max_copies
+def streak_slots(field: DropBatch) -> int:
+    return -(-field.max_drops // SLOTS_BY_BLOCK) * SLOTS_BY_BLOCK * field.rain.max_copies
 
 
-def class_rows(field: StreakField) -> UInt32[np.ndarray, "classes 12"]:
+def class_rows(field: DropBatch) -> UInt32[np.ndarray, "classes 12"]:
     """Rows as common_drop_field.glsl reads them."""
     seen = field.velocities(np.arange(CLASSES))
     if field.rain.streak_frame == "camera":

@@ -8,17 +8,17 @@ import moderngl
 import numpy as np
 from jaxtyping import Float32
 
-from ...rain.simulation import FallingRain
+from ...rain.simulation import RainFrame
 from ...scene.camera import Camera
 from ...scene.gaussians import Gaussians
-from ...scene.scene import Part
-from ..renderer import FARTHEST_M, MOST_FRAGMENTS, NEAREST_M, Color, Frame, Look, RenderStatistics
-from .buffers import CHUNK, GpuArrays, Harmonics, SplatStore, WetColors, check_gpu_memory
+from ...scene.scene import DrawItem
+from ..renderer import FARTHEST_M, MAX_FRAGMENTS, NEAREST_M, Color, Frame, RenderMode, RenderStatistics
+from .buffers import CHUNK, GpuArrays, Harmonics, ProjectedSplatBuffer, WetColors, check_gpu_memory
 from .context import check_context, is_software
 from .prefix_sum import COUNT_OFFSET
 from .projection import ProjectionPass
 from .shaders import GpuTimers, Switches, load_program
-from .sort import SLOTS, DepthSort, HostSort
+from .sort import SLOTS, CpuSort, DepthSort
 
 _QUADS_BY_INSTANCE = 128
 """Splats an instance; instances of one quad would leave a GPU's vertex units idle. As in splat.vert."""
@@ -26,7 +26,7 @@ _QUADS_BY_INSTANCE = 128
 # § Textures that splats are drawn into.
 
 
-class TargetLayout(NamedTuple):
+class FramebufferLayout(NamedTuple):
     """What a target holds; the fragment shader's locations 0, 1, 2."""
 
     size: tuple[int, int]
@@ -36,17 +36,17 @@ class TargetLayout(NamedTuple):
 
 
 @dataclass(slots=True)
-class Target:
+class Framebuffer:
     """A framebuffer and its textures."""
 
-    layout: TargetLayout
+    layout: FramebufferLayout
     color: moderngl.Texture
     shares: moderngl.Texture | None
     depth: moderngl.Texture | None
     framebuffer: moderngl.Framebuffer
 
     @classmethod
-    def make(cls, context: moderngl.Context, layout: TargetLayout) -> "Target":
+    def make(cls, context: moderngl.Context, layout: FramebufferLayout) -> "Framebuffer":
         """Make the textures of a layout; raises `MemoryError` where the graphics card has no room for them."""
         color = context.texture(layout.size, 4, dtype=layout.dtype)
         color.filter = moderngl.NEAREST, moderngl.NEAREST
@@ -85,14 +85,14 @@ class SplatRenderer:
         self.arrays = GpuArrays(context, harmonics)
         self._dtype = "f2" if precision == "half" else "f4"
         self._projection = ProjectionPass(context, self.arrays)
-        self._store = SplatStore(context)
+        self._store = ProjectedSplatBuffer(context)
         self._is_software = is_software(context)
-        self._sort = HostSort(context) if self._is_software else DepthSort(context)
+        self._sort = CpuSort(context) if self._is_software else DepthSort(context)
         self._timers = GpuTimers(context)
         self._quads = context.buffer(_quad_indices().tobytes())
         self._programs: dict[tuple[object, ...], tuple[moderngl.Program, moderngl.VertexArray]] = {}
-        self._targets: dict[str, Target] = {}
-        self._picture: moderngl.Texture | None = None
+        self._targets: dict[str, Framebuffer] = {}
+        self._image: moderngl.Texture | None = None
         self._measured = RenderStatistics()
         self._drawn: RenderStatistics | None = None
         self._makes_drops = False
@@ -105,17 +105,17 @@ class SplatRenderer:
     @property
     def picture(self) -> moderngl.Texture:
         """The last picture: premultiplied display colour, first row on top."""
-        assert self._picture is not None, "draw before looking at the picture"
-        return self._picture
+        assert self._image is not None, "draw before looking at the picture"
+        return self._image
 
     def draw(
         self,
-        parts: Sequence[Part],
+        parts: Sequence[DrawItem],
         camera: Camera,
-        rain: FallingRain | None = None,
+        rain: RainFrame | None = None,
         *,
         with_depth: bool = False,
-        look: Look = "splats",
+        look: RenderMode = "splats",
     ) -> None:
         """Draw parts and rain as one depth-ordered compositing; the result is `picture`, and `read()` fetches it.
 
@@ -133,13 +133,13 @@ class SplatRenderer:
         with self._timers.stage("project"):
             slots = self._projection.project(self._store, parts, camera, falling, look)
         with self._timers.stage("sort"):
-            self._projection.bring_together(self._store, self._sort, slots)
+            self._projection.compact_visible(self._store, self._sort, slots)
             order = self._sort.sort(self._store.work)
         with self._timers.stage("draw"):
             light = falling.light_linear if falling is not None and falling.mixing == "linear" else None
             with_depth = with_depth or look == "depth"
             self._blend(order, camera, look, with_depth=with_depth, linear_rain=light is not None)
-            self._picture = self._resolve(look, light)
+            self._image = self._resolve(look, light)
         before.use()
         self.arrays.release_unused()
         if self._is_software:
@@ -148,7 +148,7 @@ class SplatRenderer:
     def read(self) -> Frame:
         """Fetch the last picture (and depth, if it was drawn) from the GPU.
 
-        Raises `LostContextError` where the GPU was reset meanwhile: what comes from it is then no picture.
+        Raises `DeviceLostError` where the GPU was reset meanwhile: what comes from it is then no picture.
         """
         self._take_stock()
         rgba = self._fetch(self.picture)
@@ -182,11 +182,11 @@ class SplatRenderer:
         return values.reshape(height, width, texture.components).astype(np.float32)
 
     def _blend(
-        self, order: moderngl.Buffer, camera: Camera, look: Look, *, with_depth: bool, linear_rain: bool
+        self, order: moderngl.Buffer, camera: Camera, look: RenderMode, *, with_depth: bool, linear_rain: bool
     ) -> None:
         """Draw the splats of an order over nothing."""
         size = (camera.width, camera.height)
-        target = self._target("splats", TargetLayout(size, self._dtype, linear_rain, with_depth))
+        target = self._target("splats", FramebufferLayout(size, self._dtype, linear_rain, with_depth))
         switches = {"LINEAR_RAIN": linear_rain, "WITH_DEPTH": with_depth}
         switches |= {"ELLIPSOIDS": look == "ellipsoids", "OVERDRAW": look == "overdraw"}
         macros = {name: 1 for name, wanted in switches.items() if wanted} | dict(self._store.switches)
@@ -204,7 +204,7 @@ class SplatRenderer:
         context.provoking_vertex = moderngl.LAST_VERTEX_CONVENTION
         context.enable_only(moderngl.NOTHING)
 
-    def _resolve(self, look: Look, rain_light: Float32[np.ndarray, "3"] | None) -> moderngl.Texture:
+    def _resolve(self, look: RenderMode, rain_light: Float32[np.ndarray, "3"] | None) -> moderngl.Texture:
         """Make the picture of what was blended: scene and rain in linear light, or numbers as heat colours."""
         splats = self._targets["splats"]
         if rain_light is not None:
@@ -214,7 +214,7 @@ class SplatRenderer:
             textures = {"clear_scene": splats.color, "shares": splats.shares}
         elif look in ("depth", "overdraw"):
             program, vertices = self._program("screen.vert", "heat.frag", {"DEPTH": 1} if look == "depth" else {})
-            program["ends"] = (NEAREST_M, FARTHEST_M) if look == "depth" else (0.0, float(MOST_FRAGMENTS))
+            program["ends"] = (NEAREST_M, FARTHEST_M) if look == "depth" else (0.0, float(MAX_FRAGMENTS))
             numbers = splats.depth if look == "depth" else splats.color
             assert numbers is not None
             textures = {"numbers": numbers}
@@ -223,7 +223,7 @@ class SplatRenderer:
         for unit, (name, texture) in enumerate(textures.items()):
             texture.use(unit)
             program[name] = unit
-        target = self._target("resolved", TargetLayout(splats.layout.size, self._dtype))
+        target = self._target("resolved", FramebufferLayout(splats.layout.size, self._dtype))
         target.framebuffer.use()
         vertices.render(moderngl.TRIANGLES, vertices=3)
         return target.color
@@ -237,12 +237,12 @@ class SplatRenderer:
             self._programs[key] = program, self.context.vertex_array(program, [], index_buffer=indices)
         return self._programs[key]
 
-    def _target(self, name: str, layout: TargetLayout) -> Target:
+    def _target(self, name: str, layout: FramebufferLayout) -> Framebuffer:
         held = self._targets.get(name)
         if held is None or held.layout != layout:
             if held is not None:
                 held.release()
-            self._targets[name] = Target.make(self.context, layout)
+            self._targets[name] = Framebuffer.make(self.context, layout)
         return self._targets[name]
 
 
@@ -295,12 +295,12 @@ class OffscreenRenderer(SplatRenderer):
 
     def draw(
         self,
-        parts: Sequence[Part],
+        parts: Sequence[DrawItem],
         camera: Camera,
-        rain: FallingRain | None = None,
+        rain: RainFrame | None = None,
         *,
         with_depth: bool = False,
-        look: Look = "splats",
+        look: RenderMode = "splats",
     ) -> None:
         with self.context:
             super().draw(parts, camera, rain, with_depth=with_depth, look=look)

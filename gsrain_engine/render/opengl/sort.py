@@ -6,7 +6,7 @@ import moderngl
 import numpy as np
 from jaxtyping import UInt32
 
-from .buffers import NEAR_M, GrowingBuffer
+from .buffers import NEAR_M, GrowableBuffer
 from .prefix_sum import COUNT_OFFSET, GROUPS_OFFSET, WORK_BYTES
 from .shaders import load_compute_shader
 
@@ -32,8 +32,8 @@ class DepthSort:
         self._count = load_compute_shader(context, "radix_count.comp")
         self._scan = load_compute_shader(context, "radix_scan.comp")
         self._scatter = load_compute_shader(context, "radix_scatter.comp")
-        self._pairs = [(GrowingBuffer(context), GrowingBuffer(context)) for _ in range(2)]
-        self._counts = GrowingBuffer(context)
+        self._pairs = [(GrowableBuffer(context), GrowableBuffer(context)) for _ in range(2)]
+        self._counts = GrowableBuffer(context)
 
     def reserve(self, capacity: int) -> None:
         """Make room for so many pairs."""
@@ -68,7 +68,7 @@ class DepthSort:
         return here[1].buffer
 
 
-class OrderCheck(NamedTuple):
+class SortCheck(NamedTuple):
     """The faults of an order of so many splats that a GPU made; all 0 where it is right."""
 
     splats: int
@@ -91,7 +91,7 @@ class OrderCheck(NamedTuple):
         )
 
 
-def check_order(context: moderngl.Context, count: int) -> OrderCheck:
+def check_sort(context: moderngl.Context, count: int) -> SortCheck:
     """Sort so many depths twice on the context, which is current, and compare what comes back with the keys.
 
     A barrier that a shader or a driver lacks shows as a fault on a GPU, not on a software rasterizer. Raises
@@ -110,16 +110,16 @@ def check_order(context: moderngl.Context, count: int) -> OrderCheck:
         for buffer, values in zip(sorter.unsorted, (keys, slots), strict=True):
             buffer.write(values)
         orders.append(np.frombuffer(sorter.sort(work).read(4 * count), np.uint32))
-    return order_faults(keys, *orders)
+    return sort_faults(keys, *orders)
 
 
-def order_faults(
+def sort_faults(
     keys: UInt32[np.ndarray, " n"], order: UInt32[np.ndarray, " n"], second: UInt32[np.ndarray, " n"]
-) -> OrderCheck:
+) -> SortCheck:
     """Count the faults of an order of slots 0 to n - 1, whose keys are given; a second order should be the same."""
     held = order[order < len(keys)].astype(np.int64)
     ranks = keys[held].astype(np.int64) * len(keys) + held  # by key, then by slot
-    return OrderCheck(
+    return SortCheck(
         splats=len(keys),
         missing=len(keys) - len(np.unique(held)),
         inversions=int(np.count_nonzero(ranks[1:] < ranks[:-1])),
@@ -130,11 +130,11 @@ def order_faults(
 # § Sorts the visible splats by depth on the processor, where a software rasterizer would do it there anyway, slower.
 
 
-class HostSort:
+class CpuSort:
     """The same order as `DepthSort`, bit for bit."""
 
     def __init__(self, context: moderngl.Context) -> None:
-        self._keys, self._slots = GrowingBuffer(context), GrowingBuffer(context)
+        self._keys, self._slots = GrowableBuffer(context), GrowableBuffer(context)
 
     def reserve(self, capacity: int) -> None:
         """Make room for so many pairs."""

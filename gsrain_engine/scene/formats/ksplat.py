@@ -35,7 +35,7 @@ _LARGEST_DEGREE = 2
 
 
 @dataclass(frozen=True, slots=True)
-class _Header:
+class _KsplatHeader:
     sections: int
     count: int
     level: int
@@ -44,7 +44,7 @@ class _Header:
 
 
 @dataclass(frozen=True, slots=True)
-class _Section:
+class _KsplatSection:
     count: int
     room: int
     bucket_size: int
@@ -81,7 +81,7 @@ def read_ksplat(path: Path) -> Gaussians:
             raise SceneFormatError(path, f"section {index} ends at byte {end}, the file has {len(data)}: it is cut off")
         records_start = start + section.bucket_table_bytes
         records = np.frombuffer(data, record, section.count, records_start)
-        centres = _bucket_centres(path, section, data[start:records_start]) if header.level else None
+        centres = _bucket_centers(path, section, data[start:records_start]) if header.level else None
         parts.append(_decode(path, header, section, records, centres))
         start = end
     found = sum(map(len, parts))
@@ -90,7 +90,7 @@ def read_ksplat(path: Path) -> Gaussians:
     return Gaussians.concatenate(parts)
 
 
-def _read_header(path: Path, data: bytes) -> _Header:
+def _read_header(path: Path, data: bytes) -> _KsplatHeader:
     if len(data) < _HEADER_BYTES:
         raise SceneFormatError(path, f"a KSPLAT file has at least {_HEADER_BYTES} bytes, this one has {len(data)}")
     major, minor, sections, _, _, count, level, _, _, _, low, high = _HEADER.unpack_from(data)
@@ -103,11 +103,11 @@ def _read_header(path: Path, data: bytes) -> _Header:
     low, high = low or -_HARMONICS_RANGE, high or _HARMONICS_RANGE
     if level == 2 and not low < high:
         raise SceneFormatError(path, f"8-bit harmonics must range from low to high, not from {low} to {high}")
-    return _Header(sections, count, level, low, high)
+    return _KsplatHeader(sections, count, level, low, high)
 
 
-def _read_section(path: Path, data: bytes, index: int) -> _Section:
-    section = _Section(*_SECTION.unpack_from(data, _HEADER_BYTES + _SECTION_BYTES * index))
+def _read_section(path: Path, data: bytes, index: int) -> _KsplatSection:
+    section = _KsplatSection(*_SECTION.unpack_from(data, _HEADER_BYTES + _SECTION_BYTES * index))
     if section.count > section.room:
         raise SceneFormatError(path, f"section {index} has room for {section.room} Gaussians and holds {section.count}")
     if section.sh_degree > _LARGEST_DEGREE:
@@ -130,7 +130,7 @@ def _record(level: int, sh_degree: int) -> np.dtype[np.void]:
     )
 
 
-def _bucket_centres(path: Path, section: _Section, table: bytes) -> Float32[np.ndarray, "n 3"]:
+def _bucket_centers(path: Path, section: _KsplatSection, table: bytes) -> Float32[np.ndarray, "n 3"]:
     """Centre of the bucket of every Gaussian: the full buckets come first."""
     if section.bucket_bytes != _BUCKET_BYTES or section.full_buckets + section.other_buckets > section.buckets:
         raise SceneFormatError(
@@ -149,8 +149,8 @@ def _bucket_centres(path: Path, section: _Section, table: bytes) -> Float32[np.n
 
 def _decode(
     path: Path,
-    header: _Header,
-    section: _Section,
+    header: _KsplatHeader,
+    section: _KsplatSection,
     records: Shaped[np.ndarray, " n"],
     centres: Float32[np.ndarray, "n 3"] | None,
 ) -> Gaussians:
@@ -174,7 +174,7 @@ def _decode(
 
 
 def _decode_harmonics(
-    header: _Header, section: _Section, records: Shaped[np.ndarray, " n"]
+    header: _KsplatHeader, section: _KsplatSection, records: Shaped[np.ndarray, " n"]
 ) -> Float32[np.ndarray, "n k 3"]:
     stored = records["harmonics"].astype(np.float32)
     if header.level == 2:

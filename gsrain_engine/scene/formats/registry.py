@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...plugins import SCENE_FORMATS, Extension, ExtensionError, extensions
+from ...plugins import SCENE_FORMATS, Extension, ExtensionError, find_extensions
 from ...safe_io.limits import kind_of_file
 from ..files import SceneFormatError, whole_file
 from ..gaussians import Gaussians
@@ -155,7 +155,7 @@ def _listed(suffixes: Sequence[str]) -> str:
 
 def installed_suffixes() -> tuple[str, ...]:
     """Return the suffixes, with their dots, that installed packages read."""
-    return tuple(f".{each.name.lower()}" for each in extensions(SCENE_FORMATS))
+    return tuple(f".{each.name.lower()}" for each in find_extensions(SCENE_FORMATS))
 
 
 def installed_format(path: Path) -> Format | None:
@@ -163,7 +163,7 @@ def installed_format(path: Path) -> Format | None:
 
     Raises `SceneFormatError` where the package can't be used.
     """
-    for each, suffix in zip(extensions(SCENE_FORMATS), installed_suffixes(), strict=True):
+    for each, suffix in zip(find_extensions(SCENE_FORMATS), installed_suffixes(), strict=True):
         if path.name.lower().endswith(suffix):
             try:
                 return _guarded(each, _checked(each, each.load(Format), suffix))
@@ -182,7 +182,7 @@ def _guarded(extension: Extension, row: Format) -> Format:
     """Let code of others fail in one sentence, and give arrays such as our own readers give."""
 
     def read(path: Path) -> Gaussians:
-        with _told(extension, path):
+        with _as_format_error(extension, path):
             found = extension.expect(row.read(path), Gaussians, "reads")
         fields = found.means, found.scales, found.quaternions, found.opacities, found.sh
         return checked_gaussians(path, *(np.array(each, np.float32, order="C") for each in fields))
@@ -191,12 +191,12 @@ def _guarded(extension: Extension, row: Format) -> Format:
 
 
 def _written(extension: Extension, write: Callable[[Gaussians, Path], None], gaussians: Gaussians, path: Path) -> None:
-    with _told(extension, path):
+    with _as_format_error(extension, path):
         write(gaussians, path)
 
 
 @contextmanager
-def _told(extension: Extension, path: Path) -> Generator[None]:
+def _as_format_error(extension: Extension, path: Path) -> Generator[None]:
     """Turn whatever others raise into one sentence."""
     try:
         yield

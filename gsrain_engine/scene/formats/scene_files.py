@@ -6,9 +6,9 @@ from pathlib import Path
 from ..files import SceneFormatError
 from ..gaussians import Gaussians
 from ..scene import Layer, Scene
-from ..transforms import FILE_UP, flattened
+from ..transforms import FILE_UP, flatten_scene
 from .registry import close_match, format_of, read_gaussians, write_gaussians
-from .scene_folder import SCENE_FILE, KnownFiles, read_scene_folder, write_scene_folder
+from .scene_folder import SCENE_FILE, FileCache, read_scene_folder, write_scene_folder
 from .sog import is_sog_folder, read_sog
 
 SOG_FILE = "meta.json"
@@ -18,7 +18,7 @@ INNER_SCENE = "scene"
 """Folder with the scene in one that `gsrain street` has written."""
 
 
-def read_scene(path: Path | str, known: KnownFiles | None = None) -> Scene:
+def read_scene(path: Path | str, known: FileCache | None = None) -> Scene:
     """Read a scene folder, a file of any format in `FORMATS`, or a SOG folder.
 
     `known` learns which Gaussians the files of a scene folder hold.
@@ -35,7 +35,7 @@ def read_scene(path: Path | str, known: KnownFiles | None = None) -> Scene:
         return _read(path, known)
     except FileNotFoundError as error:
         missing = Path(error.filename or path)
-        raise SceneFormatError(missing, f"there is no such file or folder{_neighbour(missing)}") from None
+        raise SceneFormatError(missing, f"there is no such file or folder{_sibling_file(missing)}") from None
     except OSError as error:
         raise SceneFormatError(error.filename or path, f"can't be read: {error.strerror or error}") from None
 
@@ -46,13 +46,13 @@ def names_scene_folder(path: Path) -> bool:
 
 
 def write_scene(
-    scene: Scene, path: Path | str, known: KnownFiles | None = None, *, in_drawing_order: bool = False
+    scene: Scene, path: Path | str, known: FileCache | None = None, *, in_drawing_order: bool = False
 ) -> None:
     """Write a scene folder, or, where the name ends in a suffix of `FORMATS`, a single file. Missing parents are made.
 
     A single file gets all visible layers, and the visible actors where they are at time 0, in metres with -y upwards
     (see `flattened`). Of a scene folder, files that `known` says to hold the very same Gaussians are not written again;
-    `in_drawing_order` says there that Gaussians need not be sorted when it is opened to be drawn. Either is written
+    `in_lod_order` says there that Gaussians need not be sorted when it is opened to be drawn. Either is written
     whole or not at all; what it replaces stays until then.
 
     Raises:
@@ -64,10 +64,10 @@ def write_scene(
     if names_scene_folder(path):
         write_scene_folder(scene, path, known, in_drawing_order=in_drawing_order)
     else:
-        write_gaussians(flattened(scene), path)
+        write_gaussians(flatten_scene(scene), path)
 
 
-def _read(path: Path, known: KnownFiles | None) -> Scene:
+def _read(path: Path, known: FileCache | None) -> Scene:
     path.stat()  # a file that isn't there is named as such, whatever its suffix
     if path.name == SCENE_FILE:
         path = path.parent
@@ -102,7 +102,7 @@ def scene_files_in(folder: Path, limit: int = 3) -> list[str]:
     return found if len(found) <= limit else [*found[:limit], f"and {len(found) - limit} more"]
 
 
-def _neighbour(path: Path) -> str:
+def _sibling_file(path: Path) -> str:
     """Ask for a file beside `path` with nearly its name, where there is one."""
     try:
         return close_match(path.name, [each.name for each in path.parent.iterdir()])

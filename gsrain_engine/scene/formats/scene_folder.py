@@ -11,10 +11,10 @@ import msgspec
 import numpy as np
 from jaxtyping import Float32
 
-from ...safe_io.errors import explained
+from ...safe_io.errors import readable_validation_error
 from ...safe_io.limits import open_file, read_file
 from ...safe_io.numpy_files import read_array_header
-from ..files import SceneFormatError, holding, locked, sync, telling_of, whole_file, whole_folder
+from ..files import SceneFormatError, hold_for_writing, lock_path, naming_path, sync, whole_file, whole_folder
 from ..gaussians import Gaussians
 from ..scene import Actor, Layer, Scene
 from ._common import check_finite
@@ -31,11 +31,11 @@ _OURS = re.compile(r"\d{3}-.+-([0-9a-f]{12})\.(?:ply|wet\.npy)|\.\d{3}-.+\.part|
 """Names that only we give: a writer that was killed leaves such files behind. The group is the hash of the contents."""
 
 
-class _Version(msgspec.Struct):
+class _FolderVersion(msgspec.Struct):
     version: int
 
 
-class _Order(msgspec.Struct):
+class _FolderOrder(msgspec.Struct):
     in_drawing_order: bool = False
 
 
@@ -45,13 +45,13 @@ Contents = Gaussians | Float32[np.ndarray, "_ _ 3"]
 """What one file holds: Gaussians, or harmonics by themselves. Both are values."""
 
 
-class _Kept(NamedTuple):
+class _CachedFolder(NamedTuple):
     contents: Contents
     path: Path
     state: tuple[int, int, int]
 
 
-class KnownFiles:
+class FileCache:
     """What was last read from, or written to, each folder. For one thread at a time.
 
     The very same value has the very same bytes; a file that someone else has changed since is not trusted. Holds on to
@@ -59,11 +59,11 @@ class KnownFiles:
     """
 
     def __init__(self) -> None:
-        self._folders: dict[Path, list[_Kept]] = {}
+        self._folders: dict[Path, list[_CachedFolder]] = {}
 
     def remember(self, folder: Path, kept: list[tuple[Contents, Path]]) -> None:
         """Say which files of a folder hold which values; what was said of this folder before is forgotten."""
-        self._folders[folder.resolve()] = [_Kept(contents, path, _state(path)) for contents, path in kept]
+        self._folders[folder.resolve()] = [_CachedFolder(contents, path, _state(path)) for contents, path in kept]
 
     def forget(self, folder: Path) -> None:
         """Trust no file of a folder any more."""
@@ -78,11 +78,11 @@ class KnownFiles:
         """File of any folder with these very values; None where there is none."""
         return next((path for kept in self._folders.values() for path in self._files(kept, contents)), None)
 
-    def _files(self, kept: list[_Kept], contents: Contents) -> list[Path]:
+    def _files(self, kept: list[_CachedFolder], contents: Contents) -> list[Path]:
         return [each.path for each in kept if each.contents is contents and _is_as_it_was(each)]
 
 
-def read_scene_folder(folder: Path, known: KnownFiles | None = None) -> Scene:
+def read_scene_folder(folder: Path, known: FileCache | None = None) -> Scene:
     """Read a scene folder of this version or an older one; `known` learns which Gaussians its files hold.
 
     Raises:
@@ -124,13 +124,13 @@ def is_in_drawing_order(folder: Path) -> bool:
     Raises:
         SceneFormatError: When its `scene.json` is no description of a scene.
     """
-    return msgspec.json.decode(_checked_version(folder), type=_Order).in_drawing_order
+    return msgspec.json.decode(_checked_version(folder), type=_FolderOrder).in_drawing_order
 
 
 def write_scene_folder(
     scene: Scene,
     folder: Path,
-    known: KnownFiles | None = None,
+    known: FileCache | None = None,
     *,
     linking: bool = False,
     in_drawing_order: bool = False,
@@ -151,14 +151,14 @@ def write_scene_folder(
         OSError: When it can't be written; what was there is as before.
     """
     folder = folder.resolve()
-    writer = _Writer(scene, known or KnownFiles(), linking, in_drawing_order)
+    writer = _Writer(scene, known or FileCache(), linking, in_drawing_order)
     _check_writable(scene, folder, writer.known)
     if _is_new(folder):
         with whole_folder(folder) as beside:
             placed = writer.write(beside, set())
         placed = [(contents, folder / file.relative_to(beside)) for contents, file in placed]
     else:
-        with holding(folder), locked(folder), telling_of(folder, folder):
+        with hold_for_writing(folder), lock_path(folder), naming_path(folder, folder):
             old = _replaceable_files(folder)
             placed = writer.write(folder, old)
             for file in (old | _leftovers(folder)) - {file for _, file in placed}:
@@ -167,7 +167,7 @@ def write_scene_folder(
     writer.known.remember(folder, placed)
 
 
-def _check_writable(scene: Scene, folder: Path, known: KnownFiles) -> None:
+def _check_writable(scene: Scene, folder: Path, known: FileCache) -> None:
     """Refuse a scene that could not be read again, before it takes the place of one that can."""
     gaussians = [each.gaussians for each in scene.members]
     for member in scene.members:
@@ -211,7 +211,7 @@ def _leftovers(folder: Path) -> set[Path]:
 class _Writer:
     """Writes the files of one scene."""
 
-    def __init__(self, scene: Scene, known: KnownFiles, linking: bool, in_drawing_order: bool) -> None:
+    def __init__(self, scene: Scene, known: FileCache, linking: bool, in_drawing_order: bool) -> None:
         self.scene = scene
         self.known = known
         self._linking = linking
@@ -303,7 +303,7 @@ def _read_record(folder: Path) -> SceneRecord:
     try:
         return msgspec.json.decode(data, type=SceneRecord)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise SceneFormatError(folder / SCENE_FILE, explained(error, SceneRecord)) from None
+        raise SceneFormatError(folder / SCENE_FILE, readable_validation_error(error, SceneRecord)) from None
 
 
 def _checked_version(folder: Path) -> bytes:
@@ -311,7 +311,7 @@ def _checked_version(folder: Path) -> bytes:
     path = folder / SCENE_FILE
     data = read_file(path, _LARGEST_SCENE_FILE)
     try:
-        version = msgspec.json.decode(data, type=_Version).version
+        version = msgspec.json.decode(data, type=_FolderVersion).version
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise SceneFormatError(path, f"not the description of a scene: {error}") from None
     if version > SCENE_VERSION:
@@ -360,7 +360,7 @@ def _is_own(folder: Path, file: Path) -> bool:
     return file.parent.resolve().is_relative_to(folder)
 
 
-def _is_as_it_was(kept: _Kept) -> bool:
+def _is_as_it_was(kept: _CachedFolder) -> bool:
     try:
         return _state(kept.path) == kept.state
     except OSError:

@@ -14,10 +14,10 @@ from msgspec import Meta
 
 from ..camera import DEFAULT_EXPOSURE_S
 from ..camera_path import CameraPath, Easing, Interpolation
-from ..flags import UNMARKED, Marks, Mask
+from ..flags import UNMARKED, BitMask, SelectionFlags
 from ..gaussians import Gaussians
 from ..geometry import normalized
-from ..scene import UNCHANGED, Actor, Grading, Layer, RigCamera, Scene, Track
+from ..scene import UNCHANGED, Actor, ColorGrading, Layer, PoseTrack, RigCamera, Scene
 
 SCENE_VERSION = 4
 """Raised when a field is added. Each field has a default that says what older files meant, so that they can be read."""
@@ -39,8 +39,8 @@ _IDENTITY: Matrix = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0,
 # § Masks as they stand in `scene.json`: packed bits, deflated, in base64.
 
 
-class MarksRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`Marks` of a member, each as `text_of` writes it."""
+class FlagsRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`SelectionFlags` of a member, each as `mask_to_text` writes it."""
 
     selected: str | None = None
     hidden: str | None = None
@@ -57,8 +57,8 @@ class LayerRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     visible: bool = True
     locked: bool = False
     opacity: Share = 1.0
-    grading: Grading = UNCHANGED
-    marks: MarksRecord = MarksRecord()
+    grading: ColorGrading = UNCHANGED
+    marks: FlagsRecord = FlagsRecord()
     to_scene: Matrix = _IDENTITY
 
 
@@ -70,7 +70,7 @@ Quaternion = tuple[float, float, float, float]
 
 
 class TrackRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A `Track`, one entry a sample in every list."""
+    """A `PoseTrack`, one entry a sample in every list."""
 
     times: list[float]
     positions: list[Vector]
@@ -90,8 +90,8 @@ class ActorRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     visible: bool = True
     locked: bool = False
     opacity: Share = 1.0
-    grading: Grading = UNCHANGED
-    marks: MarksRecord = MarksRecord()
+    grading: ColorGrading = UNCHANGED
+    marks: FlagsRecord = FlagsRecord()
 
 
 class CameraRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -111,7 +111,7 @@ class CameraRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 # § Camera paths as they stand in `scene.json`.
 
 
-class KeyRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class KeyframeRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One keyframe; position in scene units and axes, camera axes as OpenCV's."""
 
     time_s: float
@@ -123,7 +123,7 @@ class KeyRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 class PathRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A `CameraPath`."""
 
-    keyframes: Annotated[list[KeyRecord], Meta(min_length=1)]
+    keyframes: Annotated[list[KeyframeRecord], Meta(min_length=1)]
     exposure_s: Annotated[float, Meta(gt=0)] = DEFAULT_EXPOSURE_S
     interpolation: Interpolation = "spline"
     easing: Easing = "none"
@@ -250,7 +250,7 @@ def _layer_record(layer: Layer, file: str, wet_file: str | None) -> LayerRecord:
         locked=layer.locked,
         opacity=layer.opacity,
         grading=layer.grading,
-        marks=marks_record(layer.marks),
+        marks=flags_record(layer.marks),
         to_scene=_rows(layer.to_scene),
     )
 
@@ -265,7 +265,7 @@ def _layer(record: LayerRecord, gaussians: Gaussians, wet_sh: WetColors, where: 
         locked=record.locked,
         opacity=record.opacity,
         grading=record.grading,
-        marks=marks_of(record.marks, len(gaussians), f"{where}.marks"),
+        marks=flags_of(record.marks, len(gaussians), f"{where}.marks"),
         wet_sh=wet_sh,
     )
 
@@ -282,7 +282,7 @@ def _actor_record(actor: Actor, file: str, wet_file: str | None) -> ActorRecord:
         locked=actor.locked,
         opacity=actor.opacity,
         grading=actor.grading,
-        marks=marks_record(actor.marks),
+        marks=flags_record(actor.marks),
     )
 
 
@@ -297,7 +297,7 @@ def _actor(record: ActorRecord, gaussians: Gaussians, wet_sh: WetColors, where: 
         locked=record.locked,
         opacity=record.opacity,
         grading=record.grading,
-        marks=marks_of(record.marks, len(gaussians), f"{where}.marks"),
+        marks=flags_of(record.marks, len(gaussians), f"{where}.marks"),
         wet_sh=wet_sh,
     )
 
@@ -344,34 +344,34 @@ def _camera(record: CameraRecord, rig: str) -> RigCamera:
     )
 
 
-def marks_record(marks: Marks) -> MarksRecord:
+def flags_record(marks: SelectionFlags) -> FlagsRecord:
     """Plain values of marks; a mask that means no Gaussian is left out."""
     masks = {"selected": marks.selected, "hidden": marks.hidden, "deleted": marks.deleted}
-    return MarksRecord(**{name: text_of(mask) for name, mask in masks.items() if mask})
+    return FlagsRecord(**{name: mask_to_text(mask) for name, mask in masks.items() if mask})
 
 
-def marks_of(record: MarksRecord, count: int, where: str) -> Marks:
+def flags_of(record: FlagsRecord, count: int, where: str) -> SelectionFlags:
     """Marks of a member of `count` Gaussians.
 
     Raises:
         ValueError: When a text is no mask of so many; `where` tells in which field of the file it stands.
     """
-    if record == MarksRecord():
+    if record == FlagsRecord():
         return UNMARKED
     masks = {
-        name: mask_of(text, count, f"{where}.{name}`")
+        name: mask_from_text(text, count, f"{where}.{name}`")
         for name in ("selected", "hidden", "deleted")
         if (text := getattr(record, name)) is not None
     }
-    return Marks(**masks)
+    return SelectionFlags(**masks)
 
 
-def text_of(mask: Mask) -> str:
+def mask_to_text(mask: BitMask) -> str:
     """Write a mask: its words, little endian, as a zlib stream (RFC 1950) in base64."""
     return base64.b64encode(zlib.compress(mask.words.astype("<u4", copy=False).tobytes(), 1)).decode()
 
 
-def mask_of(text: str, count: int, where: str) -> Mask:
+def mask_from_text(text: str, count: int, where: str) -> BitMask:
     """Read a mask of `count` Gaussians.
 
     Raises:
@@ -392,32 +392,32 @@ def mask_of(text: str, count: int, where: str) -> Mask:
     words = np.frombuffer(data, "<u4").astype(np.uint32)
     if count % 32 and words[-1] >> np.uint32(count % 32):
         raise ValueError(f"the mask means Gaussians beyond the {count} that there are - at {where}")
-    return Mask(count, words)
+    return BitMask(count, words)
 
 
 def selections_record(
-    selections: Mapping[str, Mapping[str, Mask]], counts: Mapping[str, int]
+    selections: Mapping[str, Mapping[str, BitMask]], counts: Mapping[str, int]
 ) -> dict[str, dict[str, str]]:
     """Plain values of selection sets; what a set says of members that are gone or have other Gaussians is dropped."""
     return {
-        name: {key: text_of(mask) for key, mask in masks.items() if counts.get(key) == mask.count}
+        name: {key: mask_to_text(mask) for key, mask in masks.items() if counts.get(key) == mask.count}
         for name, masks in selections.items()
     }
 
 
-def selections_of(record: Mapping[str, Mapping[str, str]], counts: Mapping[str, int]) -> dict[str, dict[str, Mask]]:
+def selections_of(record: Mapping[str, Mapping[str, str]], counts: Mapping[str, int]) -> dict[str, dict[str, BitMask]]:
     """Selection sets of members whose numbers of Gaussians are `counts`, by their keys.
 
     Raises:
         ValueError: When a set names a member that is not there, or a mask does not fit.
     """
-    sets: dict[str, dict[str, Mask]] = {}
+    sets: dict[str, dict[str, BitMask]] = {}
     for name, masks in record.items():
         where = f"`$.selections[{name!r}]`"
         unknown = [key for key in masks if key not in counts]
         if unknown:
             raise ValueError(f"there is no layer or actor {unknown[0]!r} - at {where}")
-        sets[name] = {key: mask_of(text, counts[key], where) for key, text in masks.items()}
+        sets[name] = {key: mask_from_text(text, counts[key], where) for key, text in masks.items()}
     return sets
 
 
@@ -425,7 +425,7 @@ def path_record(path: CameraPath) -> PathRecord:
     columns = (path.times_s, path.positions, path.quaternions_wxyz, path.vertical_fov_deg)
     return PathRecord(
         keyframes=[
-            KeyRecord(time_s=t, position=(x, y, z), quaternion_wxyz=(qw, qx, qy, qz), vertical_fov_deg=fov)
+            KeyframeRecord(time_s=t, position=(x, y, z), quaternion_wxyz=(qw, qx, qy, qz), vertical_fov_deg=fov)
             for t, (x, y, z), (qw, qx, qy, qz), fov in zip(*(each.tolist() for each in columns), strict=True)
         ],
         exposure_s=path.exposure_s,
@@ -459,7 +459,7 @@ def path_of(record: PathRecord, where: str) -> CameraPath:
     )
 
 
-def track_record(track: Track) -> TrackRecord:
+def track_record(track: PoseTrack) -> TrackRecord:
     return TrackRecord(
         times=track.times.tolist(),
         positions=[(float(x), float(y), float(z)) for x, y, z in track.positions],
@@ -468,7 +468,7 @@ def track_record(track: Track) -> TrackRecord:
     )
 
 
-def track_of(record: TrackRecord, where: str) -> Track:
+def track_of(record: TrackRecord, where: str) -> PoseTrack:
     """Track of plain values.
 
     Raises:
@@ -481,7 +481,9 @@ def track_of(record: TrackRecord, where: str) -> Track:
     positions = np.array(record.positions, np.float64).reshape(n, 3)
     if (np.diff(times) <= 0).any():
         raise ValueError(f"times must rise - at {where}")
-    return Track(times, positions, unit_quaternions(record.quaternions_wxyz, where), np.array(record.valid, np.bool_))
+    return PoseTrack(
+        times, positions, unit_quaternions(record.quaternions_wxyz, where), np.array(record.valid, np.bool_)
+    )
 
 
 def unit_quaternions(values: list[Quaternion], where: str) -> Float64[np.ndarray, "n 4"]:

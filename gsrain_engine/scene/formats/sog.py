@@ -252,7 +252,7 @@ class _CodedRest(msgspec.Struct, frozen=True):
     count: Annotated[int, Meta(ge=1, le=_PALETTE)] | None = None
 
 
-class _Version2(msgspec.Struct, frozen=True):
+class _SogVersion2(msgspec.Struct, frozen=True):
     count: Annotated[int, Meta(ge=0, lt=2**32)]
     means: _Means
     scales: _Coded
@@ -273,7 +273,7 @@ class _RangedRest(msgspec.Struct, frozen=True):
     files: _TwoFiles
 
 
-class _Version1(msgspec.Struct, frozen=True):
+class _SogVersion1(msgspec.Struct, frozen=True):
     means: _Means
     scales: _Ranged
     quats: _Quaternions
@@ -281,7 +281,7 @@ class _Version1(msgspec.Struct, frozen=True):
     shN: _RangedRest | None = None  # noqa: N815 - the format's own name
 
 
-class _Version(msgspec.Struct, frozen=True):
+class _SogVersion(msgspec.Struct, frozen=True):
     version: int = 1
 
 
@@ -291,17 +291,17 @@ def read_meta(path: Path, text: bytes) -> SogMeta:
     Raises `SceneFormatError` that names the field, as in ``Expected `int` - at `$.count` ``.
     """
     try:
-        version = msgspec.json.decode(text, type=_Version).version
+        version = msgspec.json.decode(text, type=_SogVersion).version
         if version == 1:
-            return _from_version_1(path, msgspec.json.decode(text, type=_Version1))
+            return _from_version_1(path, msgspec.json.decode(text, type=_SogVersion1))
         if version == 2:
-            return _from_version_2(path, msgspec.json.decode(text, type=_Version2))
+            return _from_version_2(path, msgspec.json.decode(text, type=_SogVersion2))
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise SceneFormatError(path, f"meta.json: {error}") from None
     raise SceneFormatError(path, f"meta.json: version {version} of SOG can't be read, versions 1 and 2 can")
 
 
-def _from_version_2(path: Path, meta: _Version2) -> SogMeta:
+def _from_version_2(path: Path, meta: _SogVersion2) -> SogMeta:
     rest = None
     if meta.shN is not None:
         rest = RestHarmonics(
@@ -326,7 +326,7 @@ def _from_version_2(path: Path, meta: _Version2) -> SogMeta:
     )
 
 
-def _from_version_1(path: Path, meta: _Version1) -> SogMeta:
+def _from_version_1(path: Path, meta: _SogVersion1) -> SogMeta:
     if not meta.means.shape or not 0 <= meta.means.shape[0] < 2**32:
         raise SceneFormatError(path, "meta.json: means.shape must start with the number of Gaussians")
     if len(meta.sh0.mins) != 4 or len(meta.sh0.maxs) != 4:

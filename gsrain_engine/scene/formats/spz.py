@@ -61,7 +61,7 @@ _REST_ZERO, _REST_STEP = np.float32(128), np.float32(1 / 128)
 
 
 @dataclass(frozen=True, slots=True)
-class _Header:
+class _SpzHeader:
     version: int
     count: int
     sh_degree: int
@@ -131,11 +131,11 @@ def encode_spz(gaussians: Gaussians) -> bytes:
     return gzip.compress(b"".join((header, *body)), mtime=0)
 
 
-def _read_header(path: Path, start: bytes) -> _Header:
+def _read_header(path: Path, start: bytes) -> _SpzHeader:
     if len(start) < _HEADER.size:
         raise SceneFormatError(path, f"an SPZ file has a header of {_HEADER.size} bytes, this one has {len(start)}")
     magic, *values = _HEADER.unpack_from(start)
-    header = _Header(*values)
+    header = _SpzHeader(*values)
     if magic != _MAGIC:
         raise SceneFormatError(path, f"not an SPZ file: it starts with {magic!r} where {_MAGIC!r} belongs")
     if not 1 <= header.version <= 4:
@@ -147,7 +147,7 @@ def _read_header(path: Path, start: bytes) -> _Header:
     return header
 
 
-def _plain_streams(path: Path, data: bytes, header: _Header) -> dict[str, bytes]:
+def _plain_streams(path: Path, data: bytes, header: _SpzHeader) -> dict[str, bytes]:
     """Attributes of versions 1 to 3, which follow one another."""
     sizes = header.stream_sizes
     expected = _HEADER.size + sum(sizes.values())
@@ -162,7 +162,7 @@ def _plain_streams(path: Path, data: bytes, header: _Header) -> dict[str, bytes]
     return {name: data[start:end] for name, start, end in zip(sizes, ends[:-1], ends[1:], strict=True)}
 
 
-def _zstd_streams(path: Path, data: bytes, header: _Header) -> dict[str, bytes]:
+def _zstd_streams(path: Path, data: bytes, header: _SpzHeader) -> dict[str, bytes]:
     """Attributes of version 4: a zstd frame each, listed in a table of contents."""
     sizes = header.stream_sizes
     if header.sh_degree == 0 and header.streams == len(sizes) - 1:
@@ -195,7 +195,7 @@ def _table_of_contents(path: Path, data: bytes, streams: int) -> list[tuple[int,
     return listed
 
 
-def _decode(path: Path, header: _Header, streams: dict[str, bytes]) -> Gaussians:
+def _decode(path: Path, header: _SpzHeader, streams: dict[str, bytes]) -> Gaussians:
     n = header.count
     raw = {name: np.frombuffer(stream, np.uint8) for name, stream in streams.items()}
     sh = np.empty((n, header.coefficients, 3), np.float32)
@@ -213,7 +213,7 @@ def _decode(path: Path, header: _Header, streams: dict[str, bytes]) -> Gaussians
     )
 
 
-def _decode_means(header: _Header, stream: bytes) -> Float32[np.ndarray, "n 3"]:
+def _decode_means(header: _SpzHeader, stream: bytes) -> Float32[np.ndarray, "n 3"]:
     if header.version == 1:
         means = np.frombuffer(stream, "<f2").astype(np.float32).reshape(header.count, 3)
         return np.where(np.isfinite(means), means, np.float32(np.nan))  # the check at the end names them
@@ -224,7 +224,7 @@ def _decode_means(header: _Header, stream: bytes) -> Float32[np.ndarray, "n 3"]:
     return integers.astype(np.float32) / np.float32(1 << header.fractional_bits)
 
 
-def _decode_quaternions(header: _Header, stream: bytes) -> Float32[np.ndarray, "n 4"]:
+def _decode_quaternions(header: _SpzHeader, stream: bytes) -> Float32[np.ndarray, "n 4"]:
     if header.version <= 2:
         xyz = np.frombuffer(stream, np.uint8).reshape(header.count, 3).astype(np.float32) / np.float32(127.5) - 1
         xyzw = with_largest(np.full(header.count, 3), xyz)

@@ -10,10 +10,10 @@ from jaxtyping import Float, Float32, Float64
 from ..camera import DEFAULT_EXPOSURE_S
 from ..gaussians import SH_C0, Gaussians
 from ..geometry import linear_to_srgb, quaternions_from_matrices
-from ..scene import Actor, Layer, RigCamera, Scene, Track
+from ..scene import Actor, Layer, PoseTrack, RigCamera, Scene
 from .buildings import build_houses
 from .cars import CAR_FORMS, TRUCK_FORM, build_car, build_parked_cars, car_shadow
-from .ground import build_pavements, build_road, build_surroundings
+from .ground import build_road, build_sidewalks, build_surroundings
 from .layout import CarShape, Label, StreetLayout, StreetParameters, plan_street
 from .mesh import Quads, geometric_normals, rotation_about_z
 from .shadows import ground_occlusion, sun_visibility
@@ -123,7 +123,7 @@ def street_surfaces(parameters: StreetParameters | None = None) -> StreetSurface
     sun = Daylight.over(layout.parameters).sun
     layers = {
         "road": build_road(layout),
-        "pavements": build_pavements(layout),
+        "pavements": build_sidewalks(layout),
         "houses": build_houses(layout),
         "trees": build_trees(layout, sun),
         PARKED_CARS: build_parked_cars(layout),
@@ -144,7 +144,7 @@ def scene_of(surfaces: StreetSurfaces) -> Scene:
     """Turn surfaces into the scene of Gaussians that shows them."""
     light = surfaces.light
     layers = tuple(
-        Layer(name, gaussians_of(quads, light), kind="sky" if name == "sky" else "background")
+        Layer(name, quads_to_gaussians(quads, light), kind="sky" if name == "sky" else "background")
         for name, quads in surfaces.layers.items()
     )
     form = CAR_FORMS[_LEAD_SHAPE]
@@ -153,19 +153,19 @@ def scene_of(surfaces: StreetSurfaces) -> Scene:
         LEAD_ID,
         "car",
         (form.length, form.width, form.height),
-        gaussians_of(surfaces.lead, surfaces.lead_light),
+        quads_to_gaussians(surfaces.lead, surfaces.lead_light),
         lead_track(p),
     )
     return Scene(name="street", layers=layers, actors=(lead,), ground_m=0.0, rigs=street_rigs(), ego=ego_track(p))
 
 
-def ego_track(p: StreetParameters) -> Track:
+def ego_track(p: StreetParameters) -> PoseTrack:
     """Return the ego's way: down the right-hand lane at constant speed, from x = 0."""
     times = _times(p)
     return _straight(times, p.ego_speed_m_s * times, -0.5 * p.lane_width_m, SENSOR_HEIGHT_M)
 
 
-def lead_track(p: StreetParameters) -> Track:
+def lead_track(p: StreetParameters) -> PoseTrack:
     """Return the lead car's way: the ego's speed on average, 6 % faster and slower with a period of 8 s."""
     times = _times(p)
     swing = 2 * np.pi / 8.0
@@ -177,10 +177,10 @@ def _times(p: StreetParameters) -> np.ndarray:
     return np.arange(round(p.drive_seconds / _TRACK_STEP_S) + 1) * _TRACK_STEP_S
 
 
-def _straight(times: np.ndarray, x: np.ndarray, y: float, z: float) -> Track:
+def _straight(times: np.ndarray, x: np.ndarray, y: float, z: float) -> PoseTrack:
     n = len(times)
     positions = np.stack([x, np.full(n, y), np.full(n, z)], axis=1)
-    return Track(times, positions, np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)), np.ones(n, bool))
+    return PoseTrack(times, positions, np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)), np.ones(n, bool))
 
 
 # § Quads to Gaussians: one flat Gaussian a quad, with its light baked into spherical harmonics.
@@ -192,14 +192,14 @@ _THICKNESS = 0.02
 """Standard deviation across a surface, as a share of the smaller one within it."""
 
 
-def gaussians_of(quads: Quads, light: Daylight) -> Gaussians:
+def quads_to_gaussians(quads: Quads, light: Daylight) -> Gaussians:
     """Turn quads into Gaussians, in order. Glossy sets get spherical harmonics of degree 1, matte ones degree 0."""
     scales, quaternions = _ellipses(quads)
     colors = light.display_colors(quads, quads.centers)
     return Gaussians(quads.centers, scales, quaternions, quads.opacity, _harmonics(quads, colors, light))
 
 
-def shown_colors(
+def displayed_colors(
     quads: Quads, light: Daylight, matte: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
 ) -> Float32[np.ndarray, "n 3"]:
     """Display colour of quads seen along unit directions (eye to quad), as their Gaussians show it."""

@@ -345,7 +345,7 @@ def _underside(form: CarForm) -> Quads:
 
 # § Wheels of cars and trucks: a dish of metal in a tyre, seen from outside.
 
-TYRE = (0.018, 0.018, 0.019)
+TIRE = (0.018, 0.018, 0.019)
 
 RIM = (0.36, 0.36, 0.37)
 
@@ -365,7 +365,7 @@ def build_wheel(radius: float, sides: int, dish: float = 0.0) -> Quads:
     spokes = (np.arange(sides) % 4 < 2)[:, None]
     ringed = np.arange(len(radii) - 1)[None]
     metal = np.where(ringed == 0, 0.9, np.where(spokes & (ringed < 3), 1.0, np.where(ringed == 3, 0.95, 0.16)))
-    albedo = np.where((ringed < 4)[..., None], metal[..., None] * np.asarray(RIM), TYRE)
+    albedo = np.where((ringed < 4)[..., None], metal[..., None] * np.asarray(RIM), TIRE)
     albedo = np.broadcast_to(albedo, (sides, len(radii) - 1, 3)).reshape(-1, 3)
     return patch(points, albedo, Label.CAR, closed=True, sky_access=0.6, gloss=0.04)
 

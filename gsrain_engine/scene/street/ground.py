@@ -7,11 +7,11 @@ from jaxtyping import Bool, Float64
 
 from .layout import (
     CROSS_LENGTH_M,
-    CROSS_PAVEMENT_M,
     CROSS_ROAD_M,
+    CROSS_SIDEWALK_M,
     CROSSING_LENGTH_M,
+    CURB_HEIGHT_M,
     HOUSE_DEPTH_M,
-    KERB_HEIGHT_M,
     Label,
     StreetLayout,
 )
@@ -85,7 +85,7 @@ def _cross_seams(layout: StreetLayout, x0: float, x1: float) -> list[float]:
 
 def _crossing(layout: StreetLayout, x: float) -> Quads:
     """Build a zebra crossing, kerb to kerb: stripes of half a metre along the driving direction."""
-    edge = layout.parameters.kerb_y_m
+    edge = layout.parameters.curb_y_m
     count = int(np.floor(edge / 0.5))
     stops = [float(y) for y in np.arange(-count, count + 1) * 0.5]
     breaks = [-edge, *stops, edge] if edge - stops[-1] > 1e-6 else stops
@@ -99,7 +99,7 @@ def _crossing(layout: StreetLayout, x: float) -> Quads:
 def _parking(layout: StreetLayout, x0: float, x1: float, side: int) -> Quads:
     """Build a parking lane with its gutter; bays are told apart by short white marks."""
     p = layout.parameters
-    inner, outer = p.lane_width_m, p.kerb_y_m
+    inner, outer = p.lane_width_m, p.curb_y_m
     y = np.append(graded_lines([inner, outer - 0.3, outer], 0.12, 0.3), outer + 0.1)  # a little under the kerb
     marks = [float(m) for m in np.arange(p.start_x_m + 3.0, p.end_x_m, 6.1) if x0 + 1 < m < x1 - 1]
     lines = graded_lines([x0, *[e for m in marks for e in (m - 0.06, m + 0.06)], x1], 0.12, 0.34)
@@ -152,14 +152,14 @@ def _cross_street(layout: StreetLayout, end: int) -> Quads:
     """Build the street that crosses at the end (1) or behind the start (-1), kerb to kerb."""
     p = layout.parameters
     near = p.end_x_m if end > 0 else p.start_x_m
-    x0 = near + end * CROSS_PAVEMENT_M
+    x0 = near + end * CROSS_SIDEWALK_M
     x1 = x0 + end * CROSS_ROAD_M
     low, high = min(x0, x1), max(x0, x1)
     mouth_low, mouth_high = min(near, x0), max(near, x0)
     x = even_lines(low, high, 0.5)
     y = even_lines(-CROSS_LENGTH_M, CROSS_LENGTH_M, 0.8)
     mouth = panel(
-        (0, 0, 0), _X, _Y, even_lines(mouth_low, mouth_high, _STEP_M), even_lines(-p.kerb_y_m, p.kerb_y_m, 0.35),
+        (0, 0, 0), _X, _Y, even_lines(mouth_low, mouth_high, _STEP_M), even_lines(-p.curb_y_m, p.curb_y_m, 0.35),
         _ASPHALT, Label.ROAD,
     )  # fmt: skip
     road = Quads.joined([mouth, panel((0, 0, 0), _X, _Y, x, y, _ASPHALT, Label.ROAD)])
@@ -177,10 +177,10 @@ _GRANITE = np.array([0.30, 0.295, 0.285])
 
 _SOIL = np.array([0.075, 0.05, 0.032])
 
-KERB_WIDTH_M = 0.15
+CURB_WIDTH_M = 0.15
 
 
-def build_pavements(layout: StreetLayout) -> Quads:
+def build_sidewalks(layout: StreetLayout) -> Quads:
     """Build both pavements of the street and those of the crossing streets."""
     parts = [_side(layout, side) for side in (1, -1)]
     parts += [_across(layout, end) for end in (1, -1)]
@@ -189,11 +189,11 @@ def build_pavements(layout: StreetLayout) -> Quads:
 
 def _side(layout: StreetLayout, side: int) -> Quads:
     p = layout.parameters
-    kerb, front = p.kerb_y_m, p.front_y_m
+    kerb, front = p.curb_y_m, p.front_y_m
     x = even_lines(p.start_x_m, p.end_x_m, 0.5)
     x_soft = even_lines(p.start_x_m, p.end_x_m, 0.6)
-    y_slabs = np.append(np.arange(kerb + KERB_WIDTH_M, front - 0.2, 0.5), [front, front + 0.2])
-    slabs = _level(x, y_slabs, side, _SLAB, Label.PAVEMENT, KERB_HEIGHT_M)
+    y_slabs = np.append(np.arange(kerb + CURB_WIDTH_M, front - 0.2, 0.5), [front, front + 0.2])
+    slabs = _level(x, y_slabs, side, _SLAB, Label.PAVEMENT, CURB_HEIGHT_M)
     center = slabs.centers.astype(np.float64)
     cell = np.floor(np.stack([center[:, 0], np.abs(center[:, 1]) - kerb], axis=1) / 0.5)
     own = lattice_noise(cell.astype(np.int64), p.seed + 61 + side)
@@ -204,8 +204,8 @@ def _side(layout: StreetLayout, side: int) -> Quads:
             pit = (np.abs(center[:, 0] - tree.x) < 0.51) & (np.abs(center[:, 1] - tree.y) < 0.51)
             soil = np.where(pit[:, None], _SOIL * (0.7 + 0.6 * own[:, None]), slabs.albedo).astype(np.float32)
             slabs = replace(slabs, albedo=soil)
-    top = _level(x_soft, np.linspace(kerb, kerb + KERB_WIDTH_M, 3), side, _GRANITE, Label.PAVEMENT, KERB_HEIGHT_M)
-    face = _kerb_face(x_soft, kerb, side)
+    top = _level(x_soft, np.linspace(kerb, kerb + CURB_WIDTH_M, 3), side, _GRANITE, Label.PAVEMENT, CURB_HEIGHT_M)
+    face = _curb_face(x_soft, kerb, side)
     stones = Quads.joined([top, face])
     stone = np.floor(stones.centers[:, :1].astype(np.float64) / 1.2).astype(np.int64)
     shade = 0.88 + 0.24 * lattice_noise(stone, p.seed + 63 + side)
@@ -220,8 +220,8 @@ def _level(x: np.ndarray, y: np.ndarray, side: int, albedo: np.ndarray, label: L
     return panel((0, 0, z), _X, _Y, x, lines, albedo, label)
 
 
-def _kerb_face(x: np.ndarray, kerb: float, side: int) -> Quads:
-    z = np.array([-0.06, 0.0, 0.5 * KERB_HEIGHT_M, KERB_HEIGHT_M])
+def _curb_face(x: np.ndarray, kerb: float, side: int) -> Quads:
+    z = np.array([-0.06, 0.0, 0.5 * CURB_HEIGHT_M, CURB_HEIGHT_M])
     if side > 0:
         return panel((0, kerb, 0), _X, _Z, x, z, 0.9 * _GRANITE, Label.PAVEMENT, sky_access=0.75)
     return panel((0, -kerb, 0), _Z, _X, z, x, 0.9 * _GRANITE, Label.PAVEMENT, sky_access=0.75)
@@ -232,16 +232,16 @@ def _across(layout: StreetLayout, end: int) -> Quads:
     p = layout.parameters
     near = p.end_x_m if end > 0 else p.start_x_m
     parts: list[Quads] = []
-    far = near + end * (CROSS_PAVEMENT_M + CROSS_ROAD_M)
-    strips = [(far, far + end * CROSS_PAVEMENT_M, -CROSS_LENGTH_M, CROSS_LENGTH_M)]
-    strips += [(near, near + end * CROSS_PAVEMENT_M, s * p.kerb_y_m, s * CROSS_LENGTH_M) for s in (1, -1)]
+    far = near + end * (CROSS_SIDEWALK_M + CROSS_ROAD_M)
+    strips = [(far, far + end * CROSS_SIDEWALK_M, -CROSS_LENGTH_M, CROSS_LENGTH_M)]
+    strips += [(near, near + end * CROSS_SIDEWALK_M, s * p.curb_y_m, s * CROSS_LENGTH_M) for s in (1, -1)]
     for xa, xb, ya, yb in strips:
         x, y = even_lines(min(xa, xb), max(xa, xb), 0.65), even_lines(min(ya, yb), max(ya, yb), 0.65)
-        flat = panel((0, 0, KERB_HEIGHT_M), _X, _Y, x, y, _SLAB, Label.PAVEMENT)
+        flat = panel((0, 0, CURB_HEIGHT_M), _X, _Y, x, y, _SLAB, Label.PAVEMENT)
         center = flat.centers[:, :2].astype(np.float64)
         parts.append(flat.tinted((0.8 + 0.3 * layered_noise(center, 1.5, p.seed + 64, 3))[:, None]))
-        z = np.array([0.0, 0.5 * KERB_HEIGHT_M, KERB_HEIGHT_M])
-        kerb_x = far if xa == far else near + end * CROSS_PAVEMENT_M
+        z = np.array([0.0, 0.5 * CURB_HEIGHT_M, CURB_HEIGHT_M])
+        kerb_x = far if xa == far else near + end * CROSS_SIDEWALK_M
         facing_minus_x = (end > 0) == (xa == far)
         face = (
             panel((kerb_x, 0, 0), _Z, _Y, z, y, _GRANITE, Label.PAVEMENT)
@@ -250,8 +250,8 @@ def _across(layout: StreetLayout, end: int) -> Quads:
         )
         parts.append(face)
     for s in (1, -1):  # where the pavement meets the mouth of the street
-        low, high = sorted((near, near + end * CROSS_PAVEMENT_M))
-        parts.append(_kerb_face(graded_lines([low, high], 0.3, 0.6), p.kerb_y_m, s))
+        low, high = sorted((near, near + end * CROSS_SIDEWALK_M))
+        parts.append(_curb_face(graded_lines([low, high], 0.3, 0.6), p.curb_y_m, s))
         parts.append(_yard(layout, end, s))
     return Quads.joined(parts)
 
@@ -263,7 +263,7 @@ def _yard(layout: StreetLayout, end: int, side: int) -> Quads:
     x0, x1 = sorted((near, near - end * 0.6))
     y0, y1 = sorted((side * (p.front_y_m + HOUSE_DEPTH_M), side * CROSS_LENGTH_M))
     return panel(
-        (0, 0, KERB_HEIGHT_M),
+        (0, 0, CURB_HEIGHT_M),
         _X,
         _Y,
         even_lines(x0, x1, 0.6),
@@ -292,7 +292,7 @@ def build_surroundings(layout: StreetLayout) -> Quads:
 def _ground(layout: StreetLayout) -> Quads:
     """Fields around the street; the rectangle that houses and roads cover is left out."""
     p = layout.parameters
-    half_x = 0.5 * p.length_m + CROSS_ROAD_M + 2 * CROSS_PAVEMENT_M + HOUSE_DEPTH_M
+    half_x = 0.5 * p.length_m + CROSS_ROAD_M + 2 * CROSS_SIDEWALK_M + HOUSE_DEPTH_M
     angle = np.linspace(0, 2 * np.pi, 97)
     radius = np.concatenate([np.linspace(0, 160, 33), np.geomspace(172, _GROUND_RADIUS_M, 10)])
     points = np.stack(

@@ -48,14 +48,14 @@ class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         return self.length_m - self.behind_m
 
     @property
-    def kerb_y_m(self) -> float:
+    def curb_y_m(self) -> float:
         """Half the width between the kerbs."""
         return self.lane_width_m + self.parking_width_m
 
     @property
     def front_y_m(self) -> float:
         """Half the width between the house fronts."""
-        return self.kerb_y_m + self.pavement_width_m
+        return self.curb_y_m + self.pavement_width_m
 
     @property
     def drive_seconds(self) -> float:
@@ -88,14 +88,14 @@ class Label(IntEnum):
 
 # § The plan of the street: which houses, trees, cars and lamps stand where. Everything else is built from it.
 
-KERB_HEIGHT_M = 0.12
+CURB_HEIGHT_M = 0.12
 
 HOUSE_DEPTH_M = 10.0
 
 CROSS_ROAD_M = 8.0
 """Width between the kerbs of the two streets that cross at the ends."""
 
-CROSS_PAVEMENT_M = 2.6
+CROSS_SIDEWALK_M = 2.6
 
 CROSS_LENGTH_M = 36.0
 """How far the cross streets reach to each side of the axis."""
@@ -232,10 +232,10 @@ def plan_street(parameters: StreetParameters) -> StreetLayout:
         right=right,
         ends=_ends(p, np.random.default_rng([p.seed, 3])),
         trees=trees,
-        cars=beside_trucks(cars, trucks),
+        cars=cars_clear_of_trucks(cars, trucks),
         trucks=trucks,
         lamps=tuple(
-            (float(x), (p.kerb_y_m + 0.45) * (-1) ** k)
+            (float(x), (p.curb_y_m + 0.45) * (-1) ** k)
             for k, x in enumerate(np.arange(p.start_x_m + 9.5, p.end_x_m - 4, 22.0))
         ),
         crossings=crossings,
@@ -279,7 +279,7 @@ def _row(p: StreetParameters, side: int, rng: np.random.Generator) -> tuple[Hous
     x, kind = p.start_x_m, int(rng.integers(10))
     for width in _widths(rng, p.length_m):
         front = p.front_y_m
-        origin = (x, front, KERB_HEIGHT_M) if side == 0 else (x + width, -front, KERB_HEIGHT_M)
+        origin = (x, front, CURB_HEIGHT_M) if side == 0 else (x + width, -front, CURB_HEIGHT_M)
         house = _house(rng, origin, 0.0 if side == 0 else 180.0, width, kind)
         # The left row is farther from the ego lane.
         far = x + width < -6 or x > p.end_x_m - 25
@@ -292,11 +292,11 @@ def _row(p: StreetParameters, side: int, rng: np.random.Generator) -> tuple[Hous
 def _ends(p: StreetParameters, rng: np.random.Generator) -> tuple[House, ...]:
     """Rows of houses that close the view at both ends."""
     houses: list[House] = []
-    offset = CROSS_ROAD_M + 2 * CROSS_PAVEMENT_M
+    offset = CROSS_ROAD_M + 2 * CROSS_SIDEWALK_M
     for at, turn, detail in ((p.end_x_m + offset, -90.0, 1.5), (p.start_x_m - offset, 90.0, 2.2)):
         y, kind = -CROSS_LENGTH_M, int(rng.integers(10))
         for width in _widths(rng, 2 * CROSS_LENGTH_M):
-            origin = (at, y + width if turn < 0 else y, KERB_HEIGHT_M)
+            origin = (at, y + width if turn < 0 else y, CURB_HEIGHT_M)
             away = abs(y + width / 2) > 16
             houses.append(replace(_house(rng, origin, turn, width, kind), detail=2.4 if away else detail))
             y += width
@@ -315,7 +315,7 @@ def _trees(p: StreetParameters, crossings: tuple[float, ...], rng: np.random.Gen
                 continue
             height = 6.6 + 2.0 * draws[0]
             trees.append(
-                Tree(x, side * (p.kerb_y_m + 0.15 + 0.75), 2.5 + 0.5 * draws[1], height, 1.9 + 0.5 * draws[2],
+                Tree(x, side * (p.curb_y_m + 0.15 + 0.75), 2.5 + 0.5 * draws[1], height, 1.9 + 0.5 * draws[2],
                      int(rng.integers(2**31)))
             )  # fmt: skip
     return tuple(trees)
@@ -336,7 +336,7 @@ _PAINTS: tuple[Color, ...] = (
     (0.36, 0.33, 0.27),  # sand
 )
 
-_LORRIES: tuple[tuple[int, float, Color, Color, Color], ...] = (
+_TRUCKS: tuple[tuple[int, float, Color, Color, Color], ...] = (
     (1, 58.0, (0.60, 0.60, 0.59), (0.62, 0.62, 0.60), (0.03, 0.10, 0.30)),
     (1, 86.5, (0.42, 0.025, 0.02), (0.62, 0.62, 0.60), (0.42, 0.025, 0.02)),
     (-1, 67.0, (0.03, 0.09, 0.27), (0.64, 0.64, 0.63), (0.03, 0.09, 0.27)),
@@ -346,7 +346,7 @@ _LORRIES: tuple[tuple[int, float, Color, Color, Color], ...] = (
 
 _CAR_LENGTH_M, _GAP_M = 4.7, 0.5
 
-_MOST_SHIFT_M = 5.0
+_MAX_SHIFT_M = 5.0
 """A lorry that finds no room so near to where it would like to stand has not come."""
 
 
@@ -361,7 +361,7 @@ def plan_cars(p: StreetParameters, crossings: Sequence[float], rng: np.random.Ge
             near_crossing = any(c - 6.5 < x < c + CROSSING_LENGTH_M + 6.5 for c in crossings)
             if draws[1] > p.parked_share or near_crossing:
                 continue
-            y = side * (p.kerb_y_m - 0.5 * p.parking_width_m - 0.05 + 0.16 * (draws[2] - 0.5))
+            y = side * (p.curb_y_m - 0.5 * p.parking_width_m - 0.05 + 0.16 * (draws[2] - 0.5))
             shape = shapes[int(rng.integers(len(shapes)))]
             paint = _PAINTS[int(rng.integers(len(_PAINTS)))]
             cars.append(ParkedCar(x, y, (180.0 if side > 0 else 0.0) + 1.6 * (draws[3] - 0.5), shape, paint))
@@ -376,20 +376,20 @@ def plan_trucks(
 ) -> tuple[ParkedTruck, ...]:
     """Place lorries close to the kerb, clear of crowns (x, y, radius) and crossings; none where nobody may park."""
     trucks: list[ParkedTruck] = []
-    for side, x, cab, body, sign in _LORRIES if cars else ():
+    for side, x, cab, body, sign in _TRUCKS if cars else ():
         taken = [(at - radius, at + radius) for at, y, radius in crowns if y * side > 0]
         taken += [(c - 5.0, c + CROSSING_LENGTH_M + 5.0) for c in crossings]
         taken += [(-np.inf, p.start_x_m + 2.0), (p.end_x_m - 2.0, np.inf)]
-        shifts = sorted(np.arange(-_MOST_SHIFT_M, _MOST_SHIFT_M + 0.1, 0.25), key=abs)
+        shifts = sorted(np.arange(-_MAX_SHIFT_M, _MAX_SHIFT_M + 0.1, 0.25), key=abs)
         reach = 0.5 * TRUCK_LENGTH_M
         free = [x + s for s in shifts if all(x + s + reach < low or x + s - reach > high for low, high in taken)]
         if free:
-            y = side * (p.kerb_y_m - 0.03 - 0.5 * TRUCK_WIDTH_M)
+            y = side * (p.curb_y_m - 0.03 - 0.5 * TRUCK_WIDTH_M)
             trucks.append(ParkedTruck(float(free[0]), y, 180.0 if side > 0 else 0.0, cab, body, sign))
     return tuple(trucks)
 
 
-def beside_trucks(cars: Sequence[ParkedCar], trucks: Sequence[ParkedTruck]) -> tuple[ParkedCar, ...]:
+def cars_clear_of_trucks(cars: Sequence[ParkedCar], trucks: Sequence[ParkedTruck]) -> tuple[ParkedCar, ...]:
     """The cars that find room where the trucks stand already."""
     least = 0.5 * (TRUCK_LENGTH_M + _CAR_LENGTH_M) + _GAP_M
     return tuple(car for car in cars if all(car.y * t.y < 0 or abs(car.x - t.x) > least for t in trucks))

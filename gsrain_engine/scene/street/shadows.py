@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64
 
 from .cars import CAR_FORMS, TRUCK_FORM
-from .layout import HOUSE_DEPTH_M, KERB_HEIGHT_M, House, ParkedCar, ParkedTruck, StreetLayout
+from .layout import CURB_HEIGHT_M, HOUSE_DEPTH_M, House, ParkedCar, ParkedTruck, StreetLayout
 from .mesh import smooth_noise
 from .vegetation import crown_lobes
 
@@ -24,7 +24,7 @@ def sun_visibility(
     ground = np.flatnonzero(~leaf & (visible > 0.01))
     visible[ground] *= _through_trees(layout, sun, p[ground])
     low = np.flatnonzero(~leaf & (visible > 0.01))
-    visible[low] *= _past_vehicles(standing_vehicles(layout), sun, p[low])
+    visible[low] *= _past_vehicles(vehicle_occluders(layout), sun, p[low])
     return visible
 
 
@@ -36,14 +36,14 @@ def ground_occlusion(
     a = layout.parameters
     inside = (p[:, 0] > a.start_x_m) & (p[:, 0] < a.end_x_m) & (np.abs(p[:, 1]) < a.front_y_m + 0.5)
     share = np.where(inside, 0.75 + 0.25 * np.clip(p[:, 2] / 16.0, 0, 1), 1.0)
-    level = (p[:, 2] < KERB_HEIGHT_M + 0.05) & (normals[:, 2] > 0.5)
+    level = (p[:, 2] < CURB_HEIGHT_M + 0.05) & (normals[:, 2] > 0.5)
     at_wall = np.maximum(a.front_y_m - np.abs(p[:, 1]), 0)
     share = np.where(inside & level, share * (1 - 0.38 * np.exp(-at_wall / 0.6)), share)
-    at_kerb = np.abs(np.abs(p[:, 1]) - a.kerb_y_m)
-    in_gutter = inside & level & (np.abs(p[:, 1]) < a.kerb_y_m)
+    at_kerb = np.abs(np.abs(p[:, 1]) - a.curb_y_m)
+    in_gutter = inside & level & (np.abs(p[:, 1]) < a.curb_y_m)
     share = np.where(in_gutter, share * (1 - 0.35 * np.exp(-at_kerb / 0.08)), share)
     low = np.flatnonzero(inside & (p[:, 2] < 0.6) & (normals[:, 2] > 0.3))
-    share[low] *= _beside_vehicles(standing_vehicles(layout), p[low])
+    share[low] *= _vehicle_occlusion(vehicle_occluders(layout), p[low])
     for tree in layout.trees:
         beside = (np.abs(p[:, 0] - tree.x) < 4) & (np.abs(p[:, 1] - tree.y) < 4)
         near = np.flatnonzero(beside & (p[:, 2] < tree.crown_base))
@@ -63,7 +63,7 @@ def _past_houses(
         t = (side * (front + depth) - p[:, 1]) / sun[1]
         x, z = p[:, 0] + t * sun[0], p[:, 2] + t * sun[2]
         index = np.searchsorted(starts, x, side="right") - 1
-        height = np.where((index >= 0) & (x < stop), np.array(heights)[np.clip(index, 0, None)] + KERB_HEIGHT_M, -1.0)
+        height = np.where((index >= 0) & (x < stop), np.array(heights)[np.clip(index, 0, None)] + CURB_HEIGHT_M, -1.0)
         soft = 0.04 + 0.012 * np.abs(t)
         clear = np.clip((z - height) / soft * 0.5 + 0.5, 0, 1)
         visible *= np.where(t > 0.02, clear * clear * (3 - 2 * clear), 1.0)
@@ -76,7 +76,7 @@ def _through_trees(
     """Let light through the crowns in flecks."""
     passed = np.ones(len(p))
     for tree in layout.trees:
-        middle = np.array([tree.x, tree.y, KERB_HEIGHT_M + 0.5 * (tree.crown_base + tree.height)])
+        middle = np.array([tree.x, tree.y, CURB_HEIGHT_M + 0.5 * (tree.crown_base + tree.height)])
         away = p - middle
         along = away @ sun
         aside = np.linalg.norm(away - along[:, None] * sun, axis=1)
@@ -110,7 +110,7 @@ Corner = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class VehicleOccluder:
     """A vehicle that stands at (x, y), in metres."""
 
     x: float
@@ -137,7 +137,7 @@ class Standing:
 
 
 def _past_vehicles(
-    vehicles: Sequence[Standing], sun: Float64[np.ndarray, "3"], p: Float64[np.ndarray, "n 3"]
+    vehicles: Sequence[VehicleOccluder], sun: Float64[np.ndarray, "3"], p: Float64[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, " n"]:
     """Cast shadows of a few boxes a vehicle, softened where the sun only grazes them."""
     passed = np.ones(len(p))
@@ -158,7 +158,7 @@ def _past_vehicles(
     return passed
 
 
-def _beside_vehicles(vehicles: Sequence[Standing], p: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
+def _vehicle_occlusion(vehicles: Sequence[VehicleOccluder], p: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
     """Darken the ground under and around vehicles."""
     share = np.ones(len(p))
     for each in vehicles:
@@ -170,20 +170,20 @@ def _beside_vehicles(vehicles: Sequence[Standing], p: Float64[np.ndarray, "n 3"]
     return share
 
 
-def standing_vehicles(layout: StreetLayout) -> tuple[Standing, ...]:
+def vehicle_occluders(layout: StreetLayout) -> tuple[VehicleOccluder, ...]:
     return *(_car(each) for each in layout.cars), *(_truck(each) for each in layout.trucks)
 
 
-def _car(car: ParkedCar) -> Standing:
+def _car(car: ParkedCar) -> VehicleOccluder:
     form = CAR_FORMS[car.shape]
     half, w = 0.5 * form.length, 0.5 * form.width
     body = (-half, -w, 0.16), (half, w, form.hood[1] - 0.02)
     rear, front = 0.5 * (form.belt[0] + form.roof[0]), 0.5 * (form.belt[1] + form.roof[1])
     cabin = (rear, -w + 0.2, 0.8), (front, w - 0.2, form.height)
-    return Standing(car.x, car.y, _way(car), form.length, form.width, 1.2, 2.7, (body, cabin), False)
+    return VehicleOccluder(car.x, car.y, _direction(car), form.length, form.width, 1.2, 2.7, (body, cabin), False)
 
 
-def _truck(truck: ParkedTruck) -> Standing:
+def _truck(truck: ParkedTruck) -> VehicleOccluder:
     """A truck: its box, its cab behind the windscreen, and what is below the box."""
     form = TRUCK_FORM
     w, cab_w = 0.5 * form.width, 0.5 * form.cab_width - 0.1
@@ -191,8 +191,8 @@ def _truck(truck: ParkedTruck) -> Standing:
     cab = (form.cab_back + 0.05, -cab_w, 0.45), (0.5 * form.length - 0.5, cab_w, form.cab_height - 0.1)
     below = (form.body_back + 0.1, -0.45, 0.5), (form.cab_back, 0.45, form.floor)
     boxes = (body, cab, below)
-    return Standing(truck.x, truck.y, _way(truck), form.length, form.width, form.height, 4.6, boxes, True)
+    return VehicleOccluder(truck.x, truck.y, _direction(truck), form.length, form.width, form.height, 4.6, boxes, True)
 
 
-def _way(vehicle: ParkedCar | ParkedTruck) -> float:
+def _direction(vehicle: ParkedCar | ParkedTruck) -> float:
     return -1.0 if abs(vehicle.turn_deg) > 90 else 1.0

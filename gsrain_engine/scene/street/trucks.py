@@ -18,10 +18,10 @@ _GLOSS = 0.10
 
 def build_body(form: TruckForm, body: Color, sign: Color) -> Quads:
     """Build the box, without its wheels, in the object frame."""
-    return Quads.joined([_sides(form, body, sign), _doors(form, body, sign), _front_and_roof(form, body)])
+    return Quads.joined([_flanks(form, body, sign), _doors(form, body, sign), _front_and_roof(form, body)])
 
 
-def _sides(form: TruckForm, body: Color, sign: Color) -> Quads:
+def _flanks(form: TruckForm, body: Color, sign: Color) -> Quads:
     """Build both flanks of the box: panels between rails, with a coloured field in the middle."""
     x0, x1 = form.body_back, form.body_front
     low, high = form.floor, form.height

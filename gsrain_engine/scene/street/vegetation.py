@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Float64
 
-from .layout import CROSSING_LENGTH_M, KERB_HEIGHT_M, Label, StreetLayout, Tree
+from .layout import CROSSING_LENGTH_M, CURB_HEIGHT_M, Label, StreetLayout, Tree
 from .mesh import EDGE_SPREAD, Quads, box, layered_noise, patch, tube
 
 _BARK = (0.115, 0.09, 0.065)
@@ -24,7 +24,7 @@ def build_trees(layout: StreetLayout, sun: Float64[np.ndarray, "3"]) -> Quads:
 def crown_lobes(tree: Tree) -> Float64[np.ndarray, "m 4"]:
     """Balls (x, y, z, radius) in metres that together make the crown's outline."""
     rng = np.random.default_rng(tree.seed)
-    base, top, r = KERB_HEIGHT_M + tree.crown_base, KERB_HEIGHT_M + tree.height, tree.radius
+    base, top, r = CURB_HEIGHT_M + tree.crown_base, CURB_HEIGHT_M + tree.height, tree.radius
     middle = np.array([tree.x, tree.y, 0.5 * (base + top) - 0.1])
     lobes = [np.array([*middle, 0.72 * r])]
     turn = rng.uniform(0, 2 * np.pi)
@@ -47,7 +47,7 @@ def _tree(tree: Tree, sun: Float64[np.ndarray, "3"]) -> Quads:
 
 
 def _wood(tree: Tree, lobes: Float64[np.ndarray, "m 4"], rng: np.random.Generator) -> Quads:
-    foot = np.array([tree.x, tree.y, KERB_HEIGHT_M - 0.02])
+    foot = np.array([tree.x, tree.y, CURB_HEIGHT_M - 0.02])
     fork = foot + np.array([rng.uniform(-0.1, 0.1), rng.uniform(-0.08, 0.08), tree.crown_base + 0.02])
     part = np.concatenate([[0.0, 0.03, 0.08], np.linspace(0.16, 1.0, 9)])
     bend = 0.05 * np.sin(np.pi * part)[:, None] * np.array([rng.uniform(-1, 1), rng.uniform(-1, 1), 0.0])
@@ -78,7 +78,7 @@ def _leaves(
     n = _TWIGS * _LEAVES_A_TWIG
     twig = np.repeat(np.arange(_TWIGS), _LEAVES_A_TWIG)
     center = twigs[twig] + rng.normal(size=(n, 3)) * [0.23, 0.23, 0.17]
-    center[:, 2] = np.maximum(center[:, 2], KERB_HEIGHT_M + tree.crown_base - 0.35)
+    center[:, 2] = np.maximum(center[:, 2], CURB_HEIGHT_M + tree.crown_base - 0.35)
     lobe = lobes[of_lobe[twig]]
     crown = center - lobe[:, :3]
     crown /= np.maximum(np.linalg.norm(crown, axis=1, keepdims=True), 1e-6)
@@ -131,17 +131,17 @@ def build_furniture(layout: StreetLayout) -> Quads:
     """Build everything that stands on the pavements, in the world."""
     p = layout.parameters
     parts = [_lamp(x, y) for x, y in layout.lamps]
-    beside = p.kerb_y_m + 0.32
+    beside = p.curb_y_m + 0.32
     for c in layout.crossings:
         for side, x in ((-1, c - 0.6), (1, c + CROSSING_LENGTH_M + 0.6)):
             parts.append(_crossing_sign(x, side * beside, side))
         for side in (-1, 1):
             for k in range(3):
-                parts.append(_bollard(c + 0.3 + 1.2 * k, side * (p.kerb_y_m + 0.4)))
+                parts.append(_bollard(c + 0.3 + 1.2 * k, side * (p.curb_y_m + 0.4)))
     rng = np.random.default_rng([p.seed, 5])
     for x in np.arange(p.start_x_m + 14.0, p.end_x_m - 8, 27.0):
         side = 1 if rng.random() < 0.5 else -1
-        parts.append(_bin(float(x), side * (p.kerb_y_m + 0.55)))
+        parts.append(_bin(float(x), side * (p.curb_y_m + 0.55)))
     for x in np.arange(p.start_x_m + 25.0, p.end_x_m - 8, 48.0):
         parts.append(_speed_sign(float(x), -beside))
     return Quads.joined(parts)
@@ -151,7 +151,7 @@ def _pole(
     x: float, y: float, height: float, radius: float, albedo: tuple[float, float, float], sides: int = 7
 ) -> Quads:
     z = np.concatenate([[0.0, 0.06, 0.14], np.arange(0.3, height - 0.1, 0.32), [height]])
-    path = np.stack([np.full_like(z, x), np.full_like(z, y), KERB_HEIGHT_M + z], axis=1)
+    path = np.stack([np.full_like(z, x), np.full_like(z, y), CURB_HEIGHT_M + z], axis=1)
     swell = 1 + 0.9 * np.exp(-((z / 0.7) ** 4)) if radius > 0.05 else np.ones_like(z)
     return tube(path, radius * swell * (1 - 0.25 * z / height), albedo, Label.POLE, sides=sides, gloss=0.06)
 
@@ -161,10 +161,10 @@ def _lamp(x: float, y: float) -> Quads:
     inward = -float(np.sign(y))
     turn = np.linspace(0, 0.5 * np.pi, 7)
     arm = np.stack(
-        [np.full_like(turn, x), y + inward * 1.5 * (1 - np.cos(turn)), KERB_HEIGHT_M + 5.8 + 0.75 * np.sin(turn)],
+        [np.full_like(turn, x), y + inward * 1.5 * (1 - np.cos(turn)), CURB_HEIGHT_M + 5.8 + 0.75 * np.sin(turn)],
         axis=1,
     )
-    head_y, head_z = y + inward * 1.75, KERB_HEIGHT_M + 6.55
+    head_y, head_z = y + inward * 1.75, CURB_HEIGHT_M + 6.55
     return Quads.joined(
         [
             _pole(x, y, 5.82, 0.075, _IRON),
@@ -219,9 +219,9 @@ def _speed_sign(x: float, y: float) -> Quads:
 def _bollard(x: float, y: float) -> Quads:
     z = np.array([0.0, 0.1, 0.3, 0.5, 0.68, 0.78, 0.86, 0.92, 0.96])
     radii = np.array([0.085, 0.07, 0.062, 0.06, 0.06, 0.06, 0.068, 0.055, 0.005])
-    path = np.stack([np.full_like(z, x), np.full_like(z, y), KERB_HEIGHT_M + z], axis=1)
+    path = np.stack([np.full_like(z, x), np.full_like(z, y), CURB_HEIGHT_M + z], axis=1)
     body = tube(path, radii, _IRON, Label.FURNITURE, sides=8, gloss=0.05)
-    band = (body.centers[:, 2] - KERB_HEIGHT_M > 0.68) & (body.centers[:, 2] - KERB_HEIGHT_M < 0.78)
+    band = (body.centers[:, 2] - CURB_HEIGHT_M > 0.68) & (body.centers[:, 2] - CURB_HEIGHT_M < 0.78)
     albedo = np.where(band[:, None], 0.6, body.albedo)
     return Quads.of(body.corners, albedo, Label.FURNITURE, spread=body.spread, gloss=0.05)
 
@@ -229,10 +229,10 @@ def _bollard(x: float, y: float) -> Quads:
 def _bin(x: float, y: float) -> Quads:
     z = np.array([0.05, 0.12, 0.3, 0.5, 0.7, 0.82, 0.9, 0.97, 1.0])
     radii = np.array([0.2, 0.22, 0.23, 0.235, 0.24, 0.25, 0.25, 0.18, 0.01])
-    path = np.stack([np.full_like(z, x), np.full_like(z, y), KERB_HEIGHT_M + z], axis=1)
+    path = np.stack([np.full_like(z, x), np.full_like(z, y), CURB_HEIGHT_M + z], axis=1)
     body = tube(path, radii, (0.035, 0.085, 0.05), Label.FURNITURE, sides=14, gloss=0.05)
     towards_road = (body.centers[:, 1] - y) * np.sign(y) < 0
-    slot = towards_road & (np.abs(body.centers[:, 2] - KERB_HEIGHT_M - 0.76) < 0.06)
+    slot = towards_road & (np.abs(body.centers[:, 2] - CURB_HEIGHT_M - 0.76) < 0.06)
     return body.tinted(np.where(slot, 0.25, 1.0)[:, None])
 
 

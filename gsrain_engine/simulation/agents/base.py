@@ -21,7 +21,7 @@ FARTHEST_M = 10_000.0
 
 
 @dataclass(frozen=True, slots=True)
-class Needs:
+class SensorRequirements:
     """What an agent must be shown: nothing is drawn that nobody looks at."""
 
     cameras: tuple[str, ...] = ()
@@ -30,11 +30,11 @@ class Needs:
     semantic: bool = False
 
 
-NOTHING = Needs()
+NOTHING = SensorRequirements()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plan:
+class Trajectory:
     """What an agent answers."""
 
     points: Float64[np.ndarray, "n 2"]
@@ -115,7 +115,7 @@ class Agent(Protocol):
         ...
 
     @property
-    def needs(self) -> Needs:
+    def needs(self) -> SensorRequirements:
         """What it must be shown."""
         ...
 
@@ -123,7 +123,7 @@ class Agent(Protocol):
         """Begin a drive: forget the one before."""
         ...
 
-    def plan(self, observation: Observation) -> Plan | None:
+    def plan(self, observation: Observation) -> Trajectory | None:
         """Say where to be; None when it can't go on, which ends the drive."""
         ...
 
@@ -167,16 +167,16 @@ class ConstantVelocityAgent:
     """Keeps its speed and its way: what happens where nobody brakes."""
 
     name = "constant-velocity"
-    needs = Needs()
+    needs = SensorRequirements()
 
     def reset(self, seed: int, rig: Rig) -> None:
         """Begin a drive."""
 
-    def plan(self, observation: Observation) -> Plan:
+    def plan(self, observation: Observation) -> Trajectory:
         state = observation.state
         along = observation.route.nearest(state.x_m, state.y_m).along_m
         distances = along + state.speed_m_s * SPACING_S * np.arange(1, _POINTS + 1)
-        return Plan(state.from_world(np.array([observation.route.at(float(s))[:2] for s in distances])))
+        return Trajectory(state.from_world(np.array([observation.route.at(float(s))[:2] for s in distances])))
 
     def close(self) -> None:
         """Nothing is held."""
@@ -189,7 +189,7 @@ _SHORTEST_RETURN_M, _RETURN_S = 6.0, 1.5
 lateral acceleration of 0.4 m/s2, which nobody minds."""
 
 
-class OnPath(NamedTuple):
+class PathCoordinates(NamedTuple):
     """Where a place is in relation to a path."""
 
     ahead_m: float
@@ -217,22 +217,22 @@ class LanePath:
     def points(self, distances_m: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 2"]:
         """Return the points so far ahead, in the vehicle's frame (x forward, y left); (0, 0) at no distance."""
         start = self.route.at(self.along_m, self.left_m)[:2]
-        there = [self.route.at(self.along_m + float(s), self._beside(float(s)))[:2] for s in distances_m]
+        there = [self.route.at(self.along_m + float(s), self._lateral_normal(float(s)))[:2] for s in distances_m]
         # Where a route bends, a place beside it and its nearest point disagree a little: the vehicle stays the start.
         away = np.array(there).reshape(-1, 2) - start + (self.state.x_m, self.state.y_m)
         return self.state.from_world(away)
 
-    def place(self, x_m: float, y_m: float) -> OnPath:
+    def place(self, x_m: float, y_m: float) -> PathCoordinates:
         """Return where a place in the world is in relation to the path."""
         on_route = self.route.nearest(x_m, y_m)
         ahead = on_route.along_m - self.along_m
-        return OnPath(ahead, on_route.left_m - self._beside(max(ahead, 0.0)))
+        return PathCoordinates(ahead, on_route.left_m - self._lateral_normal(max(ahead, 0.0)))
 
     def heading(self, ahead_m: float) -> float:
         """Return the route's heading in the world so far ahead, in radians."""
         return self.route.at(self.along_m + ahead_m)[2]
 
-    def _beside(self, ahead_m: float) -> float:
+    def _lateral_normal(self, ahead_m: float) -> float:
         reach = max(_SHORTEST_RETURN_M, _RETURN_S * self.state.speed_m_s)
         return self.left_m * float(np.exp(-ahead_m / reach))
 

@@ -10,9 +10,9 @@ import msgspec
 import numpy as np
 from jaxtyping import Float64
 
-from ...safe_io.limits import ByteBudget, Deadline, TooLargeError, Wire
-from ...safe_io.text_files import printable
-from .base import FARTHEST_M, Needs, Observation, Plan, Rig
+from ...safe_io.limits import ByteBudget, Deadline, ServerConnection, TooLargeError
+from ...safe_io.text_files import printable_line
+from .base import FARTHEST_M, Observation, Rig, SensorRequirements, Trajectory
 from .neuroncap import neuroncap_message
 
 ALIVE_WAIT_S, ANSWER_WAIT_S = 120.0, 60.0
@@ -20,7 +20,7 @@ ALIVE_WAIT_S, ANSWER_WAIT_S = 120.0, 60.0
 
 _TRY_S, _PAUSE_S = 5.0, 0.5
 
-_MOST_OBJECTS = 100
+_MAX_OBJECTS = 100
 
 
 class _Objects(msgspec.Struct, frozen=True):
@@ -44,7 +44,7 @@ class HttpAgent:
     """
 
     name = "http"
-    needs = Needs(("all",))
+    needs = SensorRequirements(("all",))
 
     def __init__(self, url: str, alive_wait_s: float = ALIVE_WAIT_S, answer_wait_s: float = ANSWER_WAIT_S) -> None:
         """Make ready to ask the server at `url` (http://HOST:PORT). Raises ValueError where that is no address."""
@@ -66,7 +66,7 @@ class HttpAgent:
         self._calls.post("/reset", b"{}", self._answer_wait_s)
         self._rig = rig
 
-    def plan(self, observation: Observation) -> Plan:
+    def plan(self, observation: Observation) -> Trajectory:
         """Return what the server plans. Raises ClientError where it does not answer, or with what is no plan."""
         if self._rig is None:
             raise ClientError("there is no drive: reset the agent first")
@@ -77,13 +77,13 @@ class HttpAgent:
         """Nothing is held: the server waits for its next `/reset`."""
 
 
-def read_plan(data: bytes, url: str) -> Plan:
+def read_plan(data: bytes, url: str) -> Trajectory:
     """Read what the server at `url` answers to `/infer`. Raises ClientError where it is no plan."""
     try:
         reply = msgspec.json.decode(data, type=_Reply)
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as problem:
-        raise ClientError(f"{url}/infer answers what is no plan: {printable(problem)}") from None
-    return Plan(plan_points(reply.trajectory, url), _notes(reply.aux_outputs))
+        raise ClientError(f"{url}/infer answers what is no plan: {printable_line(problem)}") from None
+    return Trajectory(plan_points(reply.trajectory, url), _notes(reply.aux_outputs))
 
 
 def _notes(seen: _Objects | None) -> dict[str, Any]:
@@ -91,9 +91,9 @@ def _notes(seen: _Objects | None) -> dict[str, Any]:
     if seen is None or not seen.objects_in_bev:
         return {}
     return {
-        "objects_in_bev": seen.objects_in_bev[:_MOST_OBJECTS],
-        "object_classes": (seen.object_classes or [])[:_MOST_OBJECTS],
-        "object_scores": (seen.object_scores or [])[:_MOST_OBJECTS],
+        "objects_in_bev": seen.objects_in_bev[:_MAX_OBJECTS],
+        "object_classes": (seen.object_classes or [])[:_MAX_OBJECTS],
+        "object_scores": (seen.object_scores or [])[:_MAX_OBJECTS],
     }
 
 
@@ -118,10 +118,10 @@ class HttpCalls:
             parts = urlsplit(url)
             host, port = parts.hostname, parts.port
         except ValueError as problem:
-            raise ValueError(f"url {printable(url)}: {problem}") from None
+            raise ValueError(f"url {printable_line(url)}: {problem}") from None
         is_plain = url.isascii() and url.isprintable() and " " not in url
         if parts.scheme not in _PORTS or not host or parts.query or parts.fragment or not is_plain:
-            raise ValueError(f"url {printable(url)}: expected http://HOST:PORT")
+            raise ValueError(f"url {printable_line(url)}: expected http://HOST:PORT")
         self.url = url.rstrip("/")
         self._secure, self._path = parts.scheme == "https", parts.path.rstrip("/")
         self._host, self._port = host, port or _PORTS[parts.scheme]
@@ -149,10 +149,10 @@ class HttpCalls:
         except OSError as problem:
             raise ClientError(f"{where} can't be reached: {problem.strerror or problem}") from None
         except h11.RemoteProtocolError as problem:
-            raise ClientError(f"{where} answers what is no whole HTTP: {printable(problem)}") from None
+            raise ClientError(f"{where} answers what is no whole HTTP: {printable_line(problem)}") from None
         if reply.status_code != _OK:
-            words = printable(data.decode(errors="replace"), _FAILURE_CHARACTERS)
-            reason = printable(reply.reason.decode("latin-1"), _FAILURE_CHARACTERS)
+            words = printable_line(data.decode(errors="replace"), _FAILURE_CHARACTERS)
+            reason = printable_line(reply.reason.decode("latin-1"), _FAILURE_CHARACTERS)
             raise ClientError(f"{where} answers {reply.status_code} {reason}: {words}")
         return data
 
@@ -165,7 +165,9 @@ class HttpCalls:
         asked = [http.send(h11.Request(method=method, target=self._path + path, headers=headers))]
         asked += [http.send(h11.Data(data=body))] if body else []
         asked += [http.send(h11.EndOfMessage())]
-        wire = Wire(self._host, self._port, deadline, ByteBudget(_MAX_BYTES, self.url), is_secure=self._secure)
+        wire = ServerConnection(
+            self._host, self._port, deadline, ByteBudget(_MAX_BYTES, self.url), is_secure=self._secure
+        )
         try:
             for part in asked:
                 wire.send(part or b"")
@@ -182,7 +184,7 @@ class HttpCalls:
         return reply, bytes(data)
 
 
-def _events(http: h11.Connection, wire: Wire, deadline: Deadline) -> Iterator[h11.Event]:
+def _events(http: h11.Connection, wire: ServerConnection, deadline: Deadline) -> Iterator[h11.Event]:
     """Yield what comes, up to the end of the message; each piece, however small, is under the deadline."""
     while True:
         deadline.check()
@@ -216,7 +218,7 @@ class ClientError(ValueError):
 
 # § What other programs answer as a plan, checked before anything is steered by it.
 
-_MOST_POINTS = 1000
+_MAX_POINTS = 1000
 
 
 def plan_points(value: Any, who: str) -> Float64[np.ndarray, "n 2"]:
@@ -232,8 +234,8 @@ def plan_points(value: Any, who: str) -> Float64[np.ndarray, "n 2"]:
     if not isinstance(value, np.ndarray):
         raise ClientError(f"{who} sent a {type(value).__name__} for a plan, not an array of points (N, 2)")
     points = np.asarray(value, np.float64)
-    if points.ndim != 2 or points.shape[1] != 2 or not 1 <= len(points) <= _MOST_POINTS:
-        raise ClientError(f"{who} sent a plan of shape {points.shape}, not (N, 2) with N from 1 to {_MOST_POINTS}")
+    if points.ndim != 2 or points.shape[1] != 2 or not 1 <= len(points) <= _MAX_POINTS:
+        raise ClientError(f"{who} sent a plan of shape {points.shape}, not (N, 2) with N from 1 to {_MAX_POINTS}")
     if not np.isfinite(points).all():
         raise ClientError(f"{who} sent a plan with points that are not finite")
     if np.abs(points).max() > FARTHEST_M:

@@ -10,8 +10,8 @@ from jaxtyping import Float64, UInt8
 from ...evaluation.detection.detector import Detection
 from ..traffic.base import RoadUser
 from ..vehicle import Vehicle
-from .base import SPACING_S, CameraView, LanePath, Needs, Observation, Plan, Rig, half_corridor_m
-from .lead_tracking import Lead, LeadWatch, WatchedLead, road_user_class, sightings
+from .base import SPACING_S, CameraView, LanePath, Observation, Rig, SensorRequirements, Trajectory, half_corridor_m
+from .lead_tracking import LeadState, LeadTracker, LeadVehicle, road_user_class, sightings
 
 _POINTS = 6
 
@@ -35,7 +35,7 @@ class IDMPlanner:
     time_gap_s: float = 1.5
     acceleration_m_s2: float = 1.5
     braking_m_s2: float = 2.0
-    most_comfortable_m_s2: float = 3.0
+    max_comfortable_m_s2: float = 3.0
     """The model alone does not brake harder."""
     hard_m_s2: float = 8.0
     """What the brakes can do."""
@@ -48,17 +48,17 @@ class IDMPlanner:
     creep_m: float = 1.5
     """Who stands behind somebody who stands does not set off for less than this much room more."""
 
-    def points(self, path: LanePath, lead: Lead | None) -> Float64[np.ndarray, "6 2"]:
+    def points(self, path: LanePath, lead: LeadVehicle | None) -> Float64[np.ndarray, "6 2"]:
         """Return where to be 0.5 s, 1 s, ..., 3 s from now, in the vehicle's frame (x forward, y left)."""
         return path.points(self.distances(path.state.speed_m_s, lead))
 
-    def distances(self, speed_m_s: float, lead: Lead | None) -> Float64[np.ndarray, "6"]:
+    def distances(self, speed_m_s: float, lead: LeadVehicle | None) -> Float64[np.ndarray, "6"]:
         """Return the way made 0.5 s, 1 s, ..., 3 s from now; the lead keeps its speed. Never falls."""
         step_s = SPACING_S / _SUBSTEPS
         speed, way = max(speed_m_s, 0.0), 0.0
         ways: list[float] = []
         for step in range(_POINTS * _SUBSTEPS):
-            there = lead and Lead(lead.gap_m + lead.speed_m_s * step * step_s - way, lead.speed_m_s)
+            there = lead and LeadVehicle(lead.gap_m + lead.speed_m_s * step * step_s - way, lead.speed_m_s)
             acceleration = self.acceleration(speed, there)
             if speed + acceleration * step_s <= 0:
                 way += 0.5 * speed * speed / -acceleration if speed > 0 else 0.0
@@ -70,25 +70,25 @@ class IDMPlanner:
                 ways.append(way)
         return np.array(ways)
 
-    def acceleration(self, speed_m_s: float, lead: Lead | None) -> float:
+    def acceleration(self, speed_m_s: float, lead: LeadVehicle | None) -> float:
         """Return the acceleration (m/s2) that a speed and a lead ask for at a moment."""
         free = self.acceleration_m_s2 * (1 - (speed_m_s / self.cruise_m_s) ** 4)
         if lead is None:
-            return max(free, -self.most_comfortable_m_s2)
+            return max(free, -self.max_comfortable_m_s2)
         stands = speed_m_s < _STANDS_M_S and lead.speed_m_s < 5 * _STANDS_M_S
         if stands and lead.gap_m < self.standstill_gap_m + self.creep_m:
-            return -self.most_comfortable_m_s2
+            return -self.max_comfortable_m_s2
         return min(self._follow(speed_m_s, lead, free), -self._hard(speed_m_s, lead))
 
-    def _follow(self, speed_m_s: float, lead: Lead, free_m_s2: float) -> float:
+    def _follow(self, speed_m_s: float, lead: LeadVehicle, free_m_s2: float) -> float:
         """The model: the gap that is wanted grows with the speed and with the speed of closing in."""
         closing = speed_m_s - lead.speed_m_s
         moving = speed_m_s * closing / (2 * np.sqrt(self.acceleration_m_s2 * self.braking_m_s2))
         wanted = self.standstill_gap_m + max(0.0, speed_m_s * self.time_gap_s + float(moving))
         share = wanted / max(lead.gap_m, 0.1)
-        return max(free_m_s2 - self.acceleration_m_s2 * share * share, -self.most_comfortable_m_s2)
+        return max(free_m_s2 - self.acceleration_m_s2 * share * share, -self.max_comfortable_m_s2)
 
-    def _hard(self, speed_m_s: float, lead: Lead) -> float:
+    def _hard(self, speed_m_s: float, lead: LeadVehicle) -> float:
         """Braking that an emergency takes; minus infinity where there is none."""
         closing = speed_m_s - lead.speed_m_s
         if closing <= 0:
@@ -96,7 +96,7 @@ class IDMPlanner:
         if lead.gap_m <= closing * self.hard_time_s or lead.gap_m <= self.hard_gap_m:
             return self.hard_m_s2
         needed = closing * closing / (2 * (lead.gap_m - self.hard_gap_m))
-        return min(self.hard_reserve * needed, self.hard_m_s2) if needed > self.most_comfortable_m_s2 else -np.inf
+        return min(self.hard_reserve * needed, self.hard_m_s2) if needed > self.max_comfortable_m_s2 else -np.inf
 
 
 def cruise_speed(first_m_s: float) -> float:
@@ -114,7 +114,7 @@ class OracleIDMAgent:
     """Follows its lane by the intelligent driver model, with the simulator's own knowledge of all road users."""
 
     name = "oracle-idm"
-    needs = Needs()
+    needs = SensorRequirements()
 
     def __init__(self) -> None:
         self._planner: IDMPlanner | None = None
@@ -123,39 +123,41 @@ class OracleIDMAgent:
     def reset(self, seed: int, rig: Rig) -> None:
         self._planner, self._vehicle = None, rig.vehicle
 
-    def plan(self, observation: Observation) -> Plan:
+    def plan(self, observation: Observation) -> Trajectory:
         """Return points along the route, behind whoever is ahead in the lane."""
         if self._planner is None:
             cruise = cruise_speed(observation.state.speed_m_s)
             self._planner = IDMPlanner(cruise, hard_m_s2=self._vehicle.most_braking_m_s2)
         path = LanePath.of(observation.state, observation.route)
-        known = known_lead(observation.road_users, path, self._vehicle)
+        known = find_oracle_lead(observation.road_users, path, self._vehicle)
         points = self._planner.points(path, known and known.lead)
         if known is None:
-            return Plan(points, {"lead": None})
-        return Plan(points, {"lead": {"id": known.id, "gap_m": known.lead.gap_m, "speed_m_s": known.lead.speed_m_s}})
+            return Trajectory(points, {"lead": None})
+        return Trajectory(
+            points, {"lead": {"id": known.id, "gap_m": known.lead.gap_m, "speed_m_s": known.lead.speed_m_s}}
+        )
 
     def close(self) -> None:
         """Nothing is held."""
 
 
-class KnownLead(NamedTuple):
+class OracleLead(NamedTuple):
     """Who is ahead in the lane."""
 
     id: str
-    lead: Lead
+    lead: LeadVehicle
 
 
-def known_lead(users: Sequence[RoadUser], path: LanePath, vehicle: Vehicle) -> KnownLead | None:
+def find_oracle_lead(users: Sequence[RoadUser], path: LanePath, vehicle: Vehicle) -> OracleLead | None:
     """Return the nearest road user ahead that is in the vehicle's lane, or moves into it; none where the lane is free.
 
     Also the truth that a camera's lead is compared with.
     """
-    found = [KnownLead(user.id, lead) for user in users if (lead := _as_lead(user, path, vehicle)) is not None]
+    found = [OracleLead(user.id, lead) for user in users if (lead := _as_lead(user, path, vehicle)) is not None]
     return min(found, key=lambda each: each.lead.gap_m, default=None)
 
 
-def _as_lead(user: RoadUser, path: LanePath, vehicle: Vehicle) -> Lead | None:
+def _as_lead(user: RoadUser, path: LanePath, vehicle: Vehicle) -> LeadVehicle | None:
     corners = [path.place(float(x), float(y)) for x, y in user.box.corners]
     middle = path.place(user.x_m, user.y_m)
     if middle.ahead_m < vehicle.middle_m or max(each.ahead_m for each in corners) < vehicle.front_m:
@@ -166,12 +168,12 @@ def _as_lead(user: RoadUser, path: LanePath, vehicle: Vehicle) -> Lead | None:
     if low + min(sideways, 0.0) > half or high + max(sideways, 0.0) < -half:
         return None
     gap = min(each.ahead_m for each in corners) - vehicle.front_m
-    return Lead(gap, user.speed_m_s * float(np.cos(turned)))
+    return LeadVehicle(gap, user.speed_m_s * float(np.cos(turned)))
 
 
 # § A driver that sees with one camera: detector, lane, distance from the ground, filter, intelligent driver model.
 
-_LEAST_CONFIDENCE = 0.1
+_MIN_CONFIDENCE = 0.1
 """Less confident detections are not looked at. Those from here to `lead_track.LEAST_CONFIDENCE` keep a lead in view
 that is known already, as ByteTrack's do (Zhang et al. 2022): rain lowers confidence sooner than it hides a car."""
 
@@ -179,7 +181,7 @@ _DIGITS = 3
 
 
 @runtime_checkable
-class Sees(Protocol):
+class ObjectDetector(Protocol):
     """Finds objects in a picture; `evaluate.detection.detector.Detector` does."""
 
     @property
@@ -199,19 +201,19 @@ class CameraIDMAgent:
     """
 
     name = "camera-idm"
-    needs = Needs(cameras=("front",))
+    needs = SensorRequirements(cameras=("front",))
 
-    def __init__(self, detector: Sees) -> None:
+    def __init__(self, detector: ObjectDetector) -> None:
         self._detector = detector
         self._vehicle = Vehicle()
         self._planner: IDMPlanner | None = None
-        self._watch, self._time_s = LeadWatch(), 0.0
+        self._watch, self._time_s = LeadTracker(), 0.0
 
     def reset(self, seed: int, rig: Rig) -> None:
         self._vehicle, self._planner = rig.vehicle, None
-        self._watch, self._time_s = LeadWatch(), 0.0
+        self._watch, self._time_s = LeadTracker(), 0.0
 
-    def plan(self, observation: Observation) -> Plan:
+    def plan(self, observation: Observation) -> Trajectory:
         """Return points along the route, behind whoever is seen ahead in the lane.
 
         The plan's notes hold the detector's name, what it found of road users (`detections`), and the `lead`: its gap
@@ -224,18 +226,18 @@ class CameraIDMAgent:
             self._time_s = observation.time_s
         path = LanePath.of(state, observation.route)
         view = _front(observation)
-        found = [each for each in self._detector.detect(view.image) if each.confidence >= _LEAST_CONFIDENCE]
+        found = [each for each in self._detector.detect(view.image) if each.confidence >= _MIN_CONFIDENCE]
         seen = sightings(found, view.camera, observation.height_m, path, self._vehicle)
         front = path.along_m + self._vehicle.front_m
         watched = self._watch.look(seen, front, state.speed_m_s, observation.time_s - self._time_s)
         self._time_s = observation.time_s
         points = self._planner.points(path, watched and watched.lead)
-        return Plan(points, self._notes(found, watched))
+        return Trajectory(points, self._notes(found, watched))
 
     def close(self) -> None:
         """Nothing is held that does not go by itself."""
 
-    def _notes(self, found: list[Detection], watched: WatchedLead | None) -> dict[str, Any]:
+    def _notes(self, found: list[Detection], watched: LeadState | None) -> dict[str, Any]:
         return {
             "detector": self._detector.name,
             "detections": [_detection_note(each) for each in found if road_user_class(each) is not None],
@@ -257,7 +259,7 @@ def _detection_note(detection: Detection) -> dict[str, Any]:
     }
 
 
-def _lead_note(watched: WatchedLead) -> dict[str, Any]:
+def _lead_note(watched: LeadState) -> dict[str, Any]:
     sighting = watched.sighting
     return {
         "class": watched.track.class_name,

@@ -10,11 +10,11 @@ from ...evaluation.detection.detector import Detection
 from ...scene.camera import Camera
 from ...scene.objects import coco_class
 from ..vehicle import Vehicle
-from .base import LanePath, OnPath, half_corridor_m
+from .base import LanePath, PathCoordinates, half_corridor_m
 
 
 @dataclass(frozen=True, slots=True)
-class Lead:
+class LeadVehicle:
     """What is ahead in the lane at a moment."""
 
     gap_m: float
@@ -41,7 +41,7 @@ _NEAR_M, _STANDS_M_S = 6.0, 0.5
 so near that it leaves the picture below; if it drives on, it is seen again, and if not, setting off would hit it: until
 then it is taken to stand where it stood, for half a minute at most."""
 
-LEAST_CONFIDENCE = 0.3
+MIN_CONFIDENCE = 0.3
 """Less confident sightings begin nothing and confirm nothing; they keep in view who is known. Detectors of COCO find
 the most, at few false alarms, from 0.25 to 0.4 on."""
 
@@ -106,7 +106,7 @@ class LeadTrack:
             unseen_s=self.unseen_s + dt_s,
         )
 
-    def seen_again(self, sighting: Sighting, front_along_m: float) -> "LeadTrack":
+    def updated(self, sighting: Sighting, front_along_m: float) -> "LeadTrack":
         """Return what is believed after a sighting of it.
 
         Gains are the best for the errors (Kalman's, for constant speed): alpha corrects the place, beta over the time
@@ -126,7 +126,7 @@ class LeadTrack:
             speed_variance_m2_s2=self.speed_variance_m2_s2 - speed_gain * self.covariance_m2_s,
             seen=self.seen + 1,
             unseen_s=0.0,
-            sure=self.sure or sighting.detection.confidence >= LEAST_CONFIDENCE,
+            sure=self.sure or sighting.detection.confidence >= MIN_CONFIDENCE,
         )
 
     def distance(self, sighting: Sighting, front_along_m: float) -> float | None:
@@ -148,22 +148,22 @@ _DOUBLE_M = 4.0
 """Boxes of one thing (car and truck, the whole and its cab) lie so near to each other: they begin nothing new."""
 
 
-class WatchedLead(NamedTuple):
+class LeadState(NamedTuple):
     """Who leads, and what it was last seen as."""
 
-    lead: Lead
+    lead: LeadVehicle
     track: LeadTrack
     sighting: Sighting | None
     """Of this moment; none where it was missed."""
 
 
-class LeadWatch:
+class LeadTracker:
     """Remembers from moment to moment. The same sightings give the same answer."""
 
     def __init__(self) -> None:
         self._tracks: list[tuple[LeadTrack, Sighting | None]] = []
 
-    def look(self, seen: Sequence[Sighting], front_along_m: float, speed_m_s: float, dt_s: float) -> WatchedLead | None:
+    def look(self, seen: Sequence[Sighting], front_along_m: float, speed_m_s: float, dt_s: float) -> LeadState | None:
         """Take in what is seen a time after the last look; `front_along_m` is the front bumper's place on the route.
 
         Returns the nearest one that is sure to be there; none where the lane is free.
@@ -175,12 +175,12 @@ class LeadWatch:
             sighting = _nearest(track, left, front_along_m)
             if sighting is not None:
                 left.remove(sighting)
-                track = track.seen_again(sighting, front_along_m)
+                track = track.updated(sighting, front_along_m)
             if track.believed(front_along_m):
                 tracks.append((track, sighting))
         for sighting in sorted(left, key=lambda each: -each.detection.confidence):
             place = front_along_m + sighting.gap_m
-            new = sighting.detection.confidence >= LEAST_CONFIDENCE
+            new = sighting.detection.confidence >= MIN_CONFIDENCE
             if new and all(abs(place - track.along_m) > _DOUBLE_M + sighting.error_m for track, _ in tracks):
                 tracks.append((LeadTrack.begun(sighting, front_along_m, speed_m_s), sighting))
         self._tracks = tracks
@@ -188,7 +188,7 @@ class LeadWatch:
         if not sure:
             return None
         track, sighting = min(sure, key=lambda each: each[0].along_m)
-        return WatchedLead(Lead(track.along_m - front_along_m, track.speed_m_s), track, sighting)
+        return LeadState(LeadVehicle(track.along_m - front_along_m, track.speed_m_s), track, sighting)
 
 
 def _nearest(track: LeadTrack, seen: Sequence[Sighting], front_along_m: float) -> Sighting | None:
@@ -211,7 +211,7 @@ _EDGE = 0.03
 _BOX_ERROR = 0.002
 """Standard error of a box's edge from picture to picture, as a share of the picture's width (1.6 px in 800)."""
 
-_LEAST_ERROR_M = 0.3
+_MIN_ERROR_M = 0.3
 
 _WIDTH_ERROR = 0.1
 """Of a width that is only assumed. The gap is taken to be shorter by as much: cars of unusual width, and boxes that do
@@ -264,7 +264,7 @@ def _sighting(
         return None
     by_edge = _BOX_ERROR * camera.width * depth * depth / (focal * above)
     gap = place.ahead_m - overhang - vehicle.front_m
-    return Sighting(detection, gap, float(np.hypot(_LEAST_ERROR_M, max(error, by_edge))))
+    return Sighting(detection, gap, float(np.hypot(_MIN_ERROR_M, max(error, by_edge))))
 
 
 def _depth_of_ground(camera: Camera, u: float, v: float, above_m: float) -> float:
@@ -273,7 +273,7 @@ def _depth_of_ground(camera: Camera, u: float, v: float, above_m: float) -> floa
     return above_m / down if down > 0 else np.inf
 
 
-def _placed(camera: Camera, u: float, depth_m: float, path: LanePath) -> OnPath:
+def _placed(camera: Camera, u: float, depth_m: float, path: LanePath) -> PathCoordinates:
     """Where a column of the picture is on the path, at a distance along the optical axis."""
     x, y, _ = camera.position + depth_m * (camera.camera_to_world[:3, :3] @ _ray(camera, u, camera.cy))
     return path.place(float(x), float(y))

@@ -12,7 +12,16 @@ from jaxtyping import UInt8
 
 from ...scene.scene import RigCamera
 from ..vehicle import yaw_rate
-from .base import COMMANDS, ConstantVelocityAgent, Needs, Observation, Plan, Rig, front_camera, lidar_to_rig
+from .base import (
+    COMMANDS,
+    ConstantVelocityAgent,
+    Observation,
+    Rig,
+    SensorRequirements,
+    Trajectory,
+    front_camera,
+    lidar_to_rig,
+)
 
 _HALF_WIDTH_M, _START_M, _AHEAD_S = 2.5, 2.0, 2.0
 
@@ -28,7 +37,7 @@ class NeuroNCAPBaselineAgent:
     """
 
     name = "neuroncap-baseline"
-    needs = Needs()
+    needs = SensorRequirements()
 
     def __init__(self) -> None:
         self._onward = ConstantVelocityAgent()
@@ -38,7 +47,7 @@ class NeuroNCAPBaselineAgent:
         self._onward.reset(seed, rig)
         self._length_m = None
 
-    def plan(self, observation: Observation) -> Plan:
+    def plan(self, observation: Observation) -> Trajectory:
         """Return points along the route, or six times the present place."""
         state = observation.state
         length = _AHEAD_S * state.speed_m_s if self._length_m is None else self._length_m
@@ -47,9 +56,9 @@ class NeuroNCAPBaselineAgent:
         inside = (ahead >= _START_M) & (ahead <= _START_M + length) & (np.abs(left) <= _HALF_WIDTH_M)
         blocking = [user.id for user, each in zip(observation.road_users, inside, strict=True) if each]
         if not blocking:
-            return Plan(self._onward.plan(observation).points, {"in_corridor": []})
+            return Trajectory(self._onward.plan(observation).points, {"in_corridor": []})
         self._length_m = length
-        return Plan(_STOP.copy(), {"in_corridor": blocking})
+        return Trajectory(_STOP.copy(), {"in_corridor": blocking})
 
     def close(self) -> None:
         """Nothing is held."""

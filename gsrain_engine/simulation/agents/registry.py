@@ -10,7 +10,7 @@ from types import ModuleType
 from typing import Any
 
 from ...evaluation.detection.detector import find_detector
-from ...plugins import AGENTS, Extension, extension, extensions
+from ...plugins import AGENTS, Extension, find_extension, find_extensions
 from ...trusted_code import Code, check_trusted, read_code, run_main
 from .base import Agent, ConstantVelocityAgent
 from .http import HttpAgent
@@ -58,7 +58,7 @@ _SHIPPED: dict[str, Callable[[AgentOptions], Agent]] = {
 
 def agent_names() -> list[str]:
     """Names of all agents, the shipped ones first."""
-    return [*_SHIPPED, *(each.name for each in extensions(AGENTS) if each.name not in _SHIPPED)]
+    return [*_SHIPPED, *(each.name for each in find_extensions(AGENTS) if each.name not in _SHIPPED)]
 
 
 def open_agent(name: str, options: AgentOptions | None = None, *, trusted_only: bool = False) -> Agent:
@@ -73,7 +73,7 @@ def open_agent(name: str, options: AgentOptions | None = None, *, trusted_only: 
         return agent_in_file(name, options, trusted_only=trusted_only)
     if name in _SHIPPED:
         return _SHIPPED[name](options)
-    if (installed := extension(AGENTS, name)) is not None:
+    if (installed := find_extension(AGENTS, name)) is not None:
         return _installed(installed, options)
     raise ValueError(f"agent {name}: there is none of that name, only {', '.join(agent_names())}")
 

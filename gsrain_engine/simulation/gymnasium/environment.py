@@ -11,17 +11,17 @@ from jaxtyping import UInt8
 from msgspec import Meta
 
 from ...backends import Backend, open_renderer
-from ...scene.open import open_to_draw
+from ...scene.open import load_sorted_scene
 from ...scene.scene import Scene
-from ..agents.base import Needs, Observation, Plan
+from ..agents.base import Observation, SensorRequirements, Trajectory
 from ..scenario import Scenario
 from ..scenario_io import load_scenario
-from ..sensors import RigPictures, needed_cameras
+from ..sensors import RigRenderer, needed_cameras
 from ..simulation import Simulation
 from ..vehicle import Vehicle, yaw_rate
-from .spaces import control_of, control_space, observation_space, plan_space, seen
+from .spaces import control_of, control_space, observation_space, observation_values, plan_space
 
-_FRONT = Needs(("front",))
+_FRONT = SensorRequirements(("front",))
 
 _LARGEST_SEED = 2**32
 
@@ -100,12 +100,12 @@ class DriveEnvironment(gymnasium.Env[dict[str, Any], Any]):
         chosen = _with_intensity(
             scenario if isinstance(scenario, Scenario) else load_scenario(scenario), intensity_mm_h
         )
-        opened = scene if isinstance(scene, Scene) else open_to_draw(chosen.scene if scene is None else str(scene))
+        opened = scene if isinstance(scene, Scene) else load_sorted_scene(chosen.scene if scene is None else str(scene))
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": round(1 / chosen.step_s)}
         self._action, self._reward = action, reward or Reward()
         self._resources = ExitStack()
-        needs = Needs(tuple(cameras), depth, semantic)
+        needs = SensorRequirements(tuple(cameras), depth, semantic)
         draws = bool(cameras) or render_mode is not None
         self._renderer = self._resources.enter_context(open_renderer(backend)) if draws else None
         try:
@@ -118,7 +118,7 @@ class DriveEnvironment(gymnasium.Env[dict[str, Any], Any]):
         if draws and not mounted:
             self.close()
             raise ValueError(f"scene {opened.name!r} has no rig: there is no camera to see through")
-        self._front: RigPictures | None = None
+        self._front: RigRenderer | None = None
         self._now: Observation | None = None
         self.action_space = control_space() if action == "control" else plan_space()
         self.observation_space = observation_space(needed_cameras(mounted, needs), needs)
@@ -131,7 +131,7 @@ class DriveEnvironment(gymnasium.Env[dict[str, Any], Any]):
         drops = int(self.np_random.integers(_LARGEST_SEED)) if seed is None else seed % _LARGEST_SEED
         self._front = None
         self._now = self.simulation.reset(drops)
-        return seen(self._now, self.simulation.scenario.vehicle), self._info(self._now)
+        return observation_values(self._now, self.simulation.scenario.vehicle), self._info(self._now)
 
     def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Drive on for one step.
@@ -148,12 +148,18 @@ class DriveEnvironment(gymnasium.Env[dict[str, Any], Any]):
         if self._action == "control":
             simulation.advance(control_of(values, vehicle))
         else:
-            simulation.step(Plan(values))
+            simulation.step(Trajectory(values))
         self._now = simulation.observation()
         reward = self._reward.of_step(before, self._now, vehicle, simulation.end)
         over = simulation.end is not None
         out_of_time = simulation.end == "time"
-        return seen(self._now, vehicle), reward, over and not out_of_time, out_of_time, self._info(self._now)
+        return (
+            observation_values(self._now, vehicle),
+            reward,
+            over and not out_of_time,
+            out_of_time,
+            self._info(self._now),
+        )
 
     def render(self) -> UInt8[np.ndarray, "h w 3"] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Return what the front camera sees now; None without the render mode "rgb_array", or before `reset`."""
@@ -164,8 +170,8 @@ class DriveEnvironment(gymnasium.Env[dict[str, Any], Any]):
         if front.name in now.views:
             return now.views[front.name].image
         if self._front is None:
-            self._front = RigPictures(self._renderer, simulation.scenario.rain, (front,), _FRONT)
-        return simulation.seen_by(self._front)[front.name].image
+            self._front = RigRenderer(self._renderer, simulation.scenario.rain, (front,), _FRONT)
+        return simulation.render_cameras(self._front)[front.name].image
 
     def close(self) -> None:
         """Let go of the renderer; it is not used again."""

@@ -8,8 +8,8 @@ from gymnasium import spaces
 from jaxtyping import Float32, Float64
 
 from ...scene.scene import RigCamera
-from ..agents.base import COMMANDS, Needs, Observation
-from ..geometry import wrapped
+from ..agents.base import COMMANDS, Observation, SensorRequirements
+from ..geometry import wrap_angle
 from ..traffic.base import RoadUser
 from ..vehicle import Control, Vehicle, VehicleState, yaw_rate
 
@@ -42,7 +42,7 @@ def control_of(action: Float64[np.ndarray, "2"], vehicle: Vehicle) -> Control:
 
 ROUTE_POINTS, ROUTE_STEP_M = 30, 2.0
 
-MOST_ROAD_USERS = 16
+MAX_ROAD_USERS = 16
 
 _FAR_M = 10_000.0
 
@@ -51,7 +51,7 @@ _EGO = np.array([200.0, 100.0, 2.0, 20.0, 100.0, 1000.0, np.pi], np.float32)
 _USER = np.array([_FAR_M, _FAR_M, np.pi, 100.0, 100.0, 100.0, 200.0], np.float32)
 
 
-def observation_space(cameras: Sequence[RigCamera], needs: Needs) -> spaces.Space[dict[str, Any]]:
+def observation_space(cameras: Sequence[RigCamera], needs: SensorRequirements) -> spaces.Space[dict[str, Any]]:
     """Return the space of observations.
 
     ego: (7,) speed m/s, acceleration m/s2, steering rad, steering rate rad/s, yaw rate rad/s, distance left of the
@@ -68,8 +68,8 @@ def observation_space(cameras: Sequence[RigCamera], needs: Needs) -> spaces.Spac
         "ego": spaces.Box(-_EGO, _EGO, dtype=np.float32),
         "command": spaces.Discrete(len(COMMANDS)),
         "route": spaces.Box(-_FAR_M, _FAR_M, (ROUTE_POINTS, 2), np.float32),
-        "road_users": _bounded(np.tile(_USER, (MOST_ROAD_USERS, 1))),
-        "road_user_count": spaces.Discrete(MOST_ROAD_USERS + 1),
+        "road_users": _bounded(np.tile(_USER, (MAX_ROAD_USERS, 1))),
+        "road_user_count": spaces.Discrete(MAX_ROAD_USERS + 1),
     }
     if cameras:
         room["rgb"] = _by_camera(cameras, 255, (3,), np.uint8)
@@ -80,7 +80,7 @@ def observation_space(cameras: Sequence[RigCamera], needs: Needs) -> spaces.Spac
     return spaces.Dict(room)
 
 
-def seen(observation: Observation, vehicle: Vehicle) -> dict[str, Any]:
+def observation_values(observation: Observation, vehicle: Vehicle) -> dict[str, Any]:
     """Return an observation as values of the space; what is beyond its bounds is cut to them."""
     state = observation.state
     count, users = _road_users(state, observation.road_users)
@@ -102,7 +102,7 @@ def seen(observation: Observation, vehicle: Vehicle) -> dict[str, Any]:
 def _ego(observation: Observation, vehicle: Vehicle) -> Float32[np.ndarray, "7"]:
     state, route = observation.state, observation.route
     on = route.nearest(state.x_m, state.y_m)
-    turned = wrapped(state.yaw_rad - route.at(on.along_m)[2])
+    turned = wrap_angle(state.yaw_rad - route.at(on.along_m)[2])
     values = (
         state.speed_m_s, observation.acceleration_m_s2, state.steer_rad, observation.steer_rate_rad_s,
         yaw_rate(vehicle, state), on.left_m, turned,
@@ -119,14 +119,14 @@ def _route(observation: Observation) -> Float64[np.ndarray, "n 2"]:
 
 def _road_users(state: VehicleState, users: Sequence[RoadUser]) -> tuple[int, Float32[np.ndarray, "users 7"]]:
     """The nearest road users, and how many they are."""
-    rows = np.zeros((MOST_ROAD_USERS, len(_USER)), np.float32)
+    rows = np.zeros((MAX_ROAD_USERS, len(_USER)), np.float32)
     if not users:
         return 0, rows
     places = state.from_world(np.array([(user.x_m, user.y_m) for user in users]))
-    nearest = np.argsort(np.linalg.norm(places, axis=1), kind="stable")[:MOST_ROAD_USERS]
+    nearest = np.argsort(np.linalg.norm(places, axis=1), kind="stable")[:MAX_ROAD_USERS]
     for row, i in enumerate(nearest):
         user = users[i]
-        turned = wrapped(user.yaw_rad - state.yaw_rad)
+        turned = wrap_angle(user.yaw_rad - state.yaw_rad)
         rows[row] = _within(np.array([*places[i], turned, *user.size_lwh, user.speed_m_s]), _USER)
     return len(nearest), rows
 

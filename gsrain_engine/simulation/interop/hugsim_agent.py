@@ -11,23 +11,23 @@ import numpy as np
 from jaxtyping import Float64
 
 from ...safe_io.limits import open_file
-from ..agents.base import Needs, Observation, Plan, Rig
+from ..agents.base import Observation, Rig, SensorRequirements, Trajectory
 from ..agents.http import ClientError
 from .hugsim_pickle import old_pickle
 from .hugsim_protocol import (
     CAMERA_NAMES,
-    MOST_BYTES,
+    MAX_BYTES,
     OBSERVATIONS,
     PLANS,
     ChannelOrder,
     HugsimWorld,
-    Patience,
     Pipes,
-    all_six,
+    Timeouts,
     camera_params,
     hugsim_info,
     hugsim_obs,
     read_reply,
+    six_hugsim_cameras,
 )
 
 _log = logging.getLogger(__name__)
@@ -46,7 +46,7 @@ class HugsimAgent:
     """Lets a HUGSIM client (UniAD_SIM, VAD_SIM, NAVSIM's LTF, or a person's own) drive, unchanged.
 
     Per step it is sent `(obs, info)` through `obs_pipe` and answers through `plan_pipe`; "Done" tells it that the drive
-    is over, upon which HUGSIM's clients end: each drive takes a new one. Drive in `in_hugsim_setting`, where HUGSIM's
+    is over, upon which HUGSIM's clients end: each drive takes a new one. Drive in `with_hugsim_rig`, where HUGSIM's
     point of reference, the front camera, is ours too; with any other vehicle and rig `ego_pos` is still the front
     camera's place, `ego_box` the body's, and plans are turned into those of the rear axle (`to_vehicle_frame`).
     """
@@ -75,12 +75,12 @@ class HugsimAgent:
         self._first_wait_s, self._later_wait_s = first_wait_s, later_wait_s
         self._pipes = Pipes(self.folder)
         self._client: ClientProcess | None = None
-        self._drive: _Drive | None = None
+        self._drive: _HugsimDrive | None = None
 
     @property
-    def needs(self) -> Needs:
+    def needs(self) -> SensorRequirements:
         """All cameras of the rig, and what is to be sent beside their pictures."""
-        return Needs(("all",), self._depth, self._semantic)
+        return SensorRequirements(("all",), self._depth, self._semantic)
 
     @property
     def invitation(self) -> str:
@@ -93,13 +93,13 @@ class HugsimAgent:
         Raises ValueError for a rig that is not HUGSIM's, ClientError where the client can't be started.
         """
         self._finish()
-        self._drive = _Drive(rig)
+        self._drive = _HugsimDrive(rig)
         if self._command is not None:
             self._client = ClientProcess(self._command, self.folder)
         else:
             _log.info("%s", self.invitation)
 
-    def plan(self, observation: Observation) -> Plan:
+    def plan(self, observation: Observation) -> Trajectory:
         """Return what the client plans; no points where it gives up.
 
         Raises ClientError where it is gone, silent, or answers what is no plan; the drive with it is over then.
@@ -107,26 +107,26 @@ class HugsimAgent:
         drive = self._drive
         if drive is None:
             raise ClientError("there is no drive: reset the agent first")
-        patience = Patience(self._first_wait_s if drive.world is None else self._later_wait_s, self._ended)
+        patience = Timeouts(self._first_wait_s if drive.world is None else self._later_wait_s, self._ended)
         try:
             self._pipes.send(self._message(drive, observation), patience)
-            points = read_reply(self._pipes.receive(patience, MOST_BYTES))
+            points = read_reply(self._pipes.receive(patience, MAX_BYTES))
         except BaseException:  # a person's Ctrl+C too: nobody waits for what hangs
             self._break_off()
             raise
         if points is None:
             drive.given_up = True
-            return Plan(np.zeros((0, 2)), {"problem": "the client gave up: it answered None"})
+            return Trajectory(np.zeros((0, 2)), {"problem": "the client gave up: it answered None"})
         x, y = drive.cameras[CAMERA_NAMES[0]].camera_to_ego[:2, 3]
-        return Plan(to_vehicle_frame(points, (float(x), float(y))))
+        return Trajectory(to_vehicle_frame(points, (float(x), float(y))))
 
     def close(self) -> None:
         """Say "Done" to the client, and wait until one that was started here has left."""
         self._finish()
 
-    def _message(self, drive: "_Drive", observation: Observation) -> memoryview:
+    def _message(self, drive: "_HugsimDrive", observation: Observation) -> memoryview:
         if drive.world is None:
-            drive.world = HugsimWorld.beginning(drive.rig, observation)
+            drive.world = HugsimWorld.from_observation(drive.rig, observation)
         obs = hugsim_obs(observation.views, drive.cameras, self._channels, self._semantic, self._depth)
         return old_pickle((obs, hugsim_info(observation, drive.rig, drive.world, drive.params)))
 
@@ -144,11 +144,11 @@ class HugsimAgent:
         finally:
             self._break_off()
 
-    def _say_done(self, drive: "_Drive") -> bool:
+    def _say_done(self, drive: "_HugsimDrive") -> bool:
         """Tell the client that the drive is over; returns whether it is going to leave."""
         try:
             wait = _SHORT_S if drive.given_up else self._later_wait_s
-            self._pipes.send(old_pickle("Done"), Patience(wait, self._ended))
+            self._pipes.send(old_pickle("Done"), Timeouts(wait, self._ended))
         except ClientError as problem:
             if not drive.given_up:
                 _log.warning("the drive is over, but %s", problem)
@@ -163,12 +163,12 @@ class HugsimAgent:
             self._client = None
 
 
-class _Drive:
+class _HugsimDrive:
     """What belongs to one drive."""
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
-        self.cameras = all_six(rig.cameras)
+        self.cameras = six_hugsim_cameras(rig.cameras)
         self.params = camera_params(self.cameras, rig)
         self.world: HugsimWorld | None = None
         """Known from the first observation on."""

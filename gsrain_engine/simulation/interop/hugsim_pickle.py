@@ -47,7 +47,7 @@ def old_pickle(value: Any) -> memoryview:
 
 _DTYPES = {f"{kind}{size}" for kind in "iu" for size in (1, 2, 4, 8)} | {"f2", "f4", "f8"}
 
-_MOST_ITEMS, _MOST_AXES = 1_000_000, 8
+_MAX_ITEMS, _MAX_AXES = 1_000_000, 8
 
 
 class PickledType:
@@ -95,10 +95,10 @@ class PickledArray:
 
 def checked_shape(shape: Any) -> tuple[int, ...]:
     """Return a shape that memory has room for; raises ValueError for any other."""
-    if len(shape) > _MOST_AXES:
+    if len(shape) > _MAX_AXES:
         raise ValueError(f"it holds an array of {len(shape)} axes")
     sides = tuple(index(each) for each in shape)
-    if min(sides, default=0) < 0 or math.prod(sides) > _MOST_ITEMS:
+    if min(sides, default=0) < 0 or math.prod(sides) > _MAX_ITEMS:
         raise ValueError(f"it holds an array of shape {sides}"[:100])
     return sides
 
@@ -222,7 +222,7 @@ TORCH_NAMES = {
 # PyTorch's
 # or Python's own.
 
-_MOST_MEMOS = 100_000
+_MAX_MEMOS = 100_000
 
 _STEPS = """
 PROTO FRAME STOP MARK POP POP_MARK DUP PUT BINPUT LONG_BINPUT MEMOIZE GET BINGET LONG_BINGET
@@ -266,7 +266,7 @@ def _check_steps(data: bytes) -> None:
     for opcode, argument, place in pickletools.genops(data):
         if opcode.name not in _OPCODES:
             raise ValueError(f"it does {opcode.name}, which no plan needs")
-        if opcode.name in ("PUT", "BINPUT", "LONG_BINPUT") and int(argument or 0) > _MOST_MEMOS:
+        if opcode.name in ("PUT", "BINPUT", "LONG_BINPUT") and int(argument or 0) > _MAX_MEMOS:
             raise ValueError("it remembers too much")
         last = place or 0
     if last + 1 != len(data):

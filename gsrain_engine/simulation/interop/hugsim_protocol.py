@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from ...safe_io.limits import ByteBudget, Deadline, InputError, TooLargeError, open_pipe, read_pipe, write_pipe
-from ...safe_io.text_files import printable
+from ...safe_io.text_files import printable_line
 from ...scene.scene import RigCamera, Scene
 from ...scene.street.build import street_rigs
 from ..agents.base import COMMANDS, CameraView, Observation, Rig, front_camera, lidar_to_rig
@@ -36,7 +36,7 @@ _MOMENTS = 25
 _ROOM_BYTES = 1 << 20
 
 
-class Patience:
+class Timeouts:
     """How long to wait for a client, and whether there still is one to wait for."""
 
     def __init__(self, seconds: float, ended: Callable[[], str | None]) -> None:
@@ -84,7 +84,7 @@ class Pipes:
             except OSError as problem:
                 raise ClientError(f"no pipe can be made: {problem}") from None
 
-    def send(self, message: memoryview | bytes, patience: Patience) -> None:
+    def send(self, message: memoryview | bytes, patience: Timeouts) -> None:
         """Write a message for the client; done when it has taken all but what a pipe holds.
 
         Raises ClientError where it does not come for it, leaves in the midst of it, or ends.
@@ -102,7 +102,7 @@ class Pipes:
         finally:
             os.close(pipe)
 
-    def receive(self, patience: Patience, most_bytes: int) -> bytes:
+    def receive(self, patience: Timeouts, most_bytes: int) -> bytes:
         """Read the client's reply to its end.
 
         Raises ClientError where none comes, where it is longer than allowed, or where the client ends.
@@ -124,7 +124,7 @@ class Pipes:
             raise patience.failed("answered", "the client opened plan_pipe and closed it without an answer")
         return reply
 
-    def _reached(self, patience: Patience) -> int:
+    def _reached(self, patience: Timeouts) -> int:
         """Open for writing once there is somebody who reads; there is no way to be told, so it is tried."""
         pause = 0.0005
         while True:
@@ -207,7 +207,7 @@ class HugsimWorld:
     """The vehicle's heading then."""
 
     @classmethod
-    def beginning(cls, rig: Rig, observation: Observation) -> "HugsimWorld":
+    def from_observation(cls, rig: Rig, observation: Observation) -> "HugsimWorld":
         """Put the world's origin into the front camera as it stands at an observation."""
         x, y, z = _front_camera(rig, observation)
         return cls(x, y, z, observation.state.yaw_rad)
@@ -221,7 +221,7 @@ class HugsimWorld:
 
     def yaw(self, yaw_rad: float) -> float:
         """Take a heading (left positive) to an angle about y down (right positive), -pi..pi."""
-        return wrapped(self.yaw_rad - yaw_rad)
+        return wrap_to_pi(self.yaw_rad - yaw_rad)
 
     def ego_place(self, rig: Rig, observation: Observation) -> Float64[np.ndarray, "3"]:
         """Return where the front camera is: HUGSIM's point of reference of the ego vehicle."""
@@ -242,7 +242,7 @@ class HugsimWorld:
         """
         bottom = self.place(user.x_m, user.y_m, user.z_m)
         length, width, height = user.size_lwh
-        model_yaw = wrapped(self.yaw(user.yaw_rad) - np.pi / 2)
+        model_yaw = wrap_to_pi(self.yaw(user.yaw_rad) - np.pi / 2)
         return [*_forward_left_up(bottom), width, length, height, -model_yaw - np.pi / 2]
 
 
@@ -305,7 +305,7 @@ def _ordered(image: UInt8[np.ndarray, "h w 3"], channels: ChannelOrder) -> UInt8
 
 # § What a HUGSIM client answers: points of a plan, or nothing.
 
-MOST_BYTES = 1 << 20
+MAX_BYTES = 1 << 20
 """A plan of six points is 200 bytes."""
 
 
@@ -317,11 +317,11 @@ def read_reply(data: bytes) -> Float64[np.ndarray, "n 2"] | None:
     try:
         value = read_plain_pickle(data)
     except ValueError as problem:
-        raise ClientError(f"the client sent {len(data)} bytes that can't be read: {printable(problem)}") from None
+        raise ClientError(f"the client sent {len(data)} bytes that can't be read: {printable_line(problem)}") from None
     return None if value is None else plan_points(value, "the client")
 
 
-def wrapped(angle_rad: float) -> float:
+def wrap_to_pi(angle_rad: float) -> float:
     return float(np.arctan2(np.sin(angle_rad), np.cos(angle_rad)))
 
 
@@ -346,7 +346,7 @@ WIDTH_PX, HEIGHT_PX = 800, 450
 RIG = "hugsim"
 
 
-def in_hugsim_setting(scenario: Scenario, scene: Scene) -> tuple[Scenario, Scene]:
+def with_hugsim_rig(scenario: Scenario, scene: Scene) -> tuple[Scenario, Scene]:
     """Return a scenario and its scene with HUGSIM's vehicle and a rig "hugsim" for its clients.
 
     HUGSIM steers the point that carries the front camera, with the ego box around it. So does this: the rig is moved
@@ -371,7 +371,7 @@ def hugsim_rig(cameras: tuple[RigCamera, ...]) -> tuple[RigCamera, ...]:
     return tuple(_of_size(_moved(known[name], back), name) for name in CAMERA_NAMES if name in known)
 
 
-def all_six(cameras: tuple[RigCamera, ...]) -> Mapping[str, RigCamera]:
+def six_hugsim_cameras(cameras: tuple[RigCamera, ...]) -> Mapping[str, RigCamera]:
     """Return HUGSIM's six cameras by name: the rig's own, and for those it lacks nuScenes', around the same front one.
 
     Raises ValueError where the rig's are of another size.

@@ -6,12 +6,12 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ...safe_io.errors import converted
-from ..geometry import wrapped_deg
+from ...safe_io.errors import convert_checked
+from ..geometry import wrap_degrees
 from ..scenario import Scenario, ScenarioUser
 from ..vehicle import HUGSIM_VEHICLE
 
-_MOST_STEPS, _STEP_S = 400, 0.25
+_MAX_STEPS, _STEP_S = 400, 0.25
 """HUGSIM's own limits."""
 
 _IDM = {
@@ -64,7 +64,7 @@ def hugsim_scenario(values: object, path: Path) -> Scenario:
     what else there is not.
     """
     try:
-        found = converted(values, _HugsimScenario)
+        found = convert_checked(values, _HugsimScenario)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
     pitch, right, roll = found.start_euler
@@ -86,10 +86,10 @@ def hugsim_scenario(values: object, path: Path) -> Scenario:
         "road_users": [msgspec.to_builtins(user) for user in users],
         "vehicle": msgspec.to_builtins(HUGSIM_VEHICLE),
         "step_s": _STEP_S,
-        "duration_s": _MOST_STEPS * _STEP_S,
+        "duration_s": _MAX_STEPS * _STEP_S,
     }
     try:
-        return converted(plain, Scenario)
+        return convert_checked(plain, Scenario)
     except msgspec.ValidationError as error:
         raise ValueError(f"{path}: {error}") from None
 
@@ -103,17 +103,17 @@ def _user(path: Path, number: int, row: _Row, found: _HugsimScenario) -> Scenari
         "placed": "straight",
         "ahead_m": float(right * np.sin(turned) + forward * np.cos(turned)),
         "left_m": float(-right * np.cos(turned) + forward * np.sin(turned)),
-        "turned_deg": wrapped_deg(float(np.degrees(row.yaw_rad + turned))),
+        "turned_deg": wrap_degrees(float(np.degrees(row.yaw_rad + turned))),
         "speed_m_s": row.speed_m_s,
-        "behaviour": _behaviour(where, row),
+        "behaviour": _behavior(where, row),
     }
     try:
-        return converted(plain, ScenarioUser)
+        return convert_checked(plain, ScenarioUser)
     except msgspec.ValidationError as error:
         raise ValueError(f"{where}: {error}") from None
 
 
-def _behaviour(where: str, row: _Row) -> dict[str, Any]:
+def _behavior(where: str, row: _Row) -> dict[str, Any]:
     if row.planner == "ConstantPlanner":
         return {"kind": "constant-velocity"}
     if row.planner == "UnicyclePlanner":

@@ -25,7 +25,7 @@ _CHUNK_BYTES = 1 << 20
 _LIBRARY = "gsrain"
 
 
-class CameraPicture(NamedTuple):
+class CameraImage(NamedTuple):
     """What a camera of the rig saw at a moment."""
 
     step: int
@@ -38,7 +38,7 @@ class CameraPicture(NamedTuple):
 
 
 def write_rollout_mcap(
-    path: Path, rollout: Rollout, route: Route | None = None, pictures: Iterable[CameraPicture] = ()
+    path: Path, rollout: Rollout, route: Route | None = None, pictures: Iterable[CameraImage] = ()
 ) -> None:
     """Write a roll-out for Foxglove; the file is whole or not there at all, and the same input gives the same bytes.
 
@@ -57,7 +57,7 @@ def write_rollout_mcap(
     with whole_file(path) as beside, beside.open("wb") as stream:
         writer = Writer(stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
         writer.start(library=_LIBRARY)
-        _Recording(writer, rollout, route).write(iter(pictures))
+        _McapWriter(writer, rollout, route).write(iter(pictures))
         writer.finish()
 
 
@@ -73,7 +73,7 @@ Message = dict[str, Any]
 Schema = dict[str, Any]
 
 
-class _Recording:
+class _McapWriter:
     def __init__(self, writer: Any, rollout: Rollout, route: Route | None) -> None:
         self._writer, self._rollout, self._route = writer, rollout, route
         self._setting: RunSetting = run_setting(rollout)
@@ -81,14 +81,14 @@ class _Recording:
         self._channels: dict[str, int] = {}
         self._here: set[str] = set()
 
-    def write(self, pictures: Iterator[CameraPicture]) -> None:
+    def write(self, pictures: Iterator[CameraImage]) -> None:
         self._writer.add_metadata("gsrain.rollout", self._about())
         times, gaps = times_to_collision_s(self._rollout), gaps_m(self._rollout)
         waiting = next(pictures, None)
         for step, ttc, gap in zip(self._rollout.steps, times, gaps, strict=True):
             self._moment(step, float(ttc), float(gap))
             while waiting is not None and waiting.step == step.step:
-                self._picture(step, waiting)
+                self._image(step, waiting)
                 waiting = next(pictures, None)
         if waiting is not None:
             first, last = self._rollout.steps[0].step, self._rollout.steps[-1].step
@@ -110,7 +110,7 @@ class _Recording:
         for level, text in self._said(step):
             self._add(step, "/log", LOG, log_message(step.time_s, level, text))
 
-    def _picture(self, step: RolloutStep, picture: CameraPicture) -> None:
+    def _image(self, step: RolloutStep, picture: CameraImage) -> None:
         time_s, name, camera = step.time_s, picture.name, picture.camera
         self._add(step, "/tf", FRAME_TRANSFORM, camera_transform(time_s, name, camera))
         calibration = camera_calibration(time_s, name, camera)
@@ -121,7 +121,7 @@ class _Recording:
     def _motion(self, step: RolloutStep, ttc_s: float, gap_m: float) -> Message:
         ego = step.ego
         motion = {
-            "timestamp": stamp(step.time_s), "speed_m_s": ego.speed_m_s,
+            "timestamp": timestamp_of(step.time_s), "speed_m_s": ego.speed_m_s,
             "acceleration_m_s2": ego.acceleration_m_s2, "steer_rad": ego.steer_rad,
             "yaw_rate_rad_s": ego.yaw_rate_rad_s, "ttc_s": ttc_s, "route_left_m": step.route_left_m,
             "route_completion": step.route_completion, "intensity_mm_h": self._setting.intensity_mm_h,
@@ -177,7 +177,7 @@ _EGO_COLOR, _USER_COLOR = (0.12, 0.45, 0.75, 0.55), (0.85, 0.55, 0.2, 0.75)
 _HIT_COLOR, _PLAN_COLOR, _ROUTE_COLOR = (0.86, 0.12, 0.15, 0.9), (0.15, 0.75, 0.35, 1.0), (0.6, 0.64, 0.68, 0.8)
 
 
-def stamp(time_s: float) -> Message:
+def timestamp_of(time_s: float) -> Message:
     """Return a time since the scenario began as seconds and nanoseconds."""
     seconds, nanoseconds = divmod(nanoseconds_of(time_s), 1_000_000_000)
     return {"sec": seconds, "nsec": nanoseconds}
@@ -191,14 +191,14 @@ def ego_transform(step: RolloutStep) -> Message:
     """Return where the ego vehicle's frame is."""
     ego = step.ego
     return {
-        "timestamp": stamp(step.time_s), "parent_frame_id": WORLD, "child_frame_id": EGO,
+        "timestamp": timestamp_of(step.time_s), "parent_frame_id": WORLD, "child_frame_id": EGO,
         "translation": _vector(ego.x_m, ego.y_m, ego.z_m), "rotation": _turn(ego.yaw_rad),
     }  # fmt: skip
 
 
 def ego_pose_in_world(step: RolloutStep) -> Message:
     """Return the ego vehicle's pose."""
-    return {"timestamp": stamp(step.time_s), "frame_id": WORLD, "pose": _pose(step.ego)}
+    return {"timestamp": timestamp_of(step.time_s), "frame_id": WORLD, "pose": _pose(step.ego)}
 
 
 def ego_box_update(step: RolloutStep, vehicle: Vehicle) -> Message:
@@ -215,14 +215,14 @@ def ego_box_update(step: RolloutStep, vehicle: Vehicle) -> Message:
 def road_users_update(step: RolloutStep, users: dict[str, UserModel], gone: Sequence[str]) -> Message:
     """Return the boxes and names of the road users; `gone` are those who are there no more."""
     entities = [_road_user(step, user, users[user.id]) for user in step.road_users]
-    deletions = [{"timestamp": stamp(step.time_s), "type": 0, "id": name} for name in gone]
+    deletions = [{"timestamp": timestamp_of(step.time_s), "type": 0, "id": name} for name in gone]
     return {"deletions": deletions, "entities": entities}
 
 
 def plan_update(step: RolloutStep) -> Message:
     """Return the planned points as dots on a line, just above the ground; without a plan what was drawn is deleted."""
     if not step.plan:
-        return {"deletions": [{"timestamp": stamp(step.time_s), "type": 0, "id": "plan"}], "entities": []}
+        return {"deletions": [{"timestamp": timestamp_of(step.time_s), "type": 0, "id": "plan"}], "entities": []}
     state = VehicleState(step.ego.x_m, step.ego.y_m, step.ego.yaw_rad)
     places = state.to_world(np.array(step.plan, np.float64))
     height = step.ego.z_m + _ABOVE_GROUND_M
@@ -244,7 +244,7 @@ def route_update(step: RolloutStep, points: Float64[np.ndarray, "n 2"]) -> Messa
 
 
 def log_message(time_s: float, level: int, text: str) -> Message:
-    return {"timestamp": stamp(time_s), "level": level, "message": text, "name": "gsrain", "file": "", "line": 0}
+    return {"timestamp": timestamp_of(time_s), "level": level, "message": text, "name": "gsrain", "file": "", "line": 0}
 
 
 def camera_transform(time_s: float, name: str, camera: Camera) -> Message:
@@ -252,7 +252,7 @@ def camera_transform(time_s: float, name: str, camera: Camera) -> Message:
     to_world = np.linalg.inv(camera.world_to_camera)
     x, y, z, w = (float(each) for each in Rotation.from_matrix(to_world[:3, :3]).as_quat())
     return {
-        "timestamp": stamp(time_s), "parent_frame_id": WORLD, "child_frame_id": name,
+        "timestamp": timestamp_of(time_s), "parent_frame_id": WORLD, "child_frame_id": name,
         "translation": _vector(*(float(each) for each in to_world[:3, 3])),
         "rotation": {"x": x, "y": y, "z": z, "w": w},
     }  # fmt: skip
@@ -262,7 +262,7 @@ def camera_calibration(time_s: float, name: str, camera: Camera) -> Message:
     """Return a camera's intrinsics, without distortion."""
     fx, fy, cx, cy = (float(each) for each in (camera.fx, camera.fy, camera.cx, camera.cy))
     return {
-        "timestamp": stamp(time_s), "frame_id": name, "width": camera.width, "height": camera.height,
+        "timestamp": timestamp_of(time_s), "frame_id": name, "width": camera.width, "height": camera.height,
         "distortion_model": "plumb_bob", "D": [0.0] * 5, "K": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
         "R": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         "P": [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
@@ -273,7 +273,7 @@ def compressed_image(time_s: float, name: str, image: UInt8[np.ndarray, "h w 3"]
     """Return a picture (RGB) as a JPEG."""
     _, encoded = cv2.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     data = base64.b64encode(encoded.tobytes()).decode()
-    return {"timestamp": stamp(time_s), "frame_id": name, "data": data, "format": "jpeg"}
+    return {"timestamp": timestamp_of(time_s), "frame_id": name, "data": data, "format": "jpeg"}
 
 
 def _road_user(step: RolloutStep, user: UserRecord, model: UserModel) -> Message:
@@ -297,7 +297,7 @@ def _road_user(step: RolloutStep, user: UserRecord, model: UserModel) -> Message
 def _entity(step: RolloutStep, name: str, frame: str, **primitives: list[Message]) -> Message:
     kinds = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
     return {
-        "timestamp": stamp(step.time_s), "frame_id": frame, "id": name, "lifetime": {"sec": 0, "nsec": 0},
+        "timestamp": timestamp_of(step.time_s), "frame_id": frame, "id": name, "lifetime": {"sec": 0, "nsec": 0},
         "frame_locked": True, "metadata": [], **{kind: primitives.get(kind, []) for kind in kinds},
     }  # fmt: skip
 

@@ -53,7 +53,7 @@ def road_xml(scenario: Scenario, scene: Scene) -> str:
 
 def _plan(points: Float64[np.ndarray, "n 2"]) -> xodr.PlanView:
     """The reference line: a cubic between each two points."""
-    kept = _kept(points)
+    kept = _simplified_points(points)
     slopes, plan = np.gradient(points, _STEP_M, axis=0)[kept], xodr.PlanView()
     for start, end, leave, arrive in zip(points[kept], points[kept[1:]], slopes, slopes[1:], strict=False):
         chord = float(np.linalg.norm(end - start))
@@ -66,7 +66,7 @@ def _plan(points: Float64[np.ndarray, "n 2"]) -> xodr.PlanView:
     return plan
 
 
-def _kept(points: Float64[np.ndarray, "n 2"]) -> Int64[np.ndarray, " m"]:
+def _simplified_points(points: Float64[np.ndarray, "n 2"]) -> Int64[np.ndarray, " m"]:
     """Numbers of the points that say where the line goes: all in bends, hardly any where it is straight."""
     line = np.asarray(shapely.LineString(points).simplify(_TOLERANCE_M).coords)
     return np.array([int(np.argmin(np.linalg.norm(points - each, axis=1))) for each in line])

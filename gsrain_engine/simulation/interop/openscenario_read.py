@@ -11,9 +11,9 @@ from xml.etree.ElementTree import Element
 import msgspec
 import numpy as np
 
-from ...safe_io.errors import converted
-from ...safe_io.text_files import printable, read_whole
-from ..geometry import wrapped_deg
+from ...safe_io.errors import convert_checked
+from ...safe_io.text_files import printable_line, read_whole
+from ..geometry import wrap_degrees
 from ..scenario import Scenario
 from ..vehicle import Vehicle, VehicleState
 
@@ -32,7 +32,7 @@ def read_openscenario(path: Path) -> Scenario:
     """
     root = read_xml(path)
     objects = {each.get("name", ""): each for each in root.iterfind("Entities/ScenarioObject")}
-    begun = beginnings(path, root)
+    begun = initial_states(path, root)
     if not objects:
         raise ValueError(f"{path}: there are no ScenarioObjects in it")
     ego_name = next((name for name in objects if name.lower() in ("ego", "hero")), next(iter(objects)))
@@ -62,7 +62,7 @@ def read_openscenario(path: Path) -> Scenario:
         **{name: own[PROPERTY + name] for name in OWN_FIELDS if PROPERTY + name in own},
     }
     try:
-        return converted(plain, Scenario, strict=False)
+        return convert_checked(plain, Scenario, strict=False)
     except msgspec.ValidationError as error:
         raise ValueError(f"{path}: {error}") from None
 
@@ -71,7 +71,7 @@ def read_openscenario(path: Path) -> Scenario:
 
 
 @dataclass(frozen=True, slots=True)
-class Beginning:
+class InitialState:
     """How an entity begins."""
 
     position: Element
@@ -80,7 +80,13 @@ class Beginning:
 
 
 def _user(
-    path: Path, root: Element, name: str, entity: Element, begun: dict[str, Beginning], ego_name: str, vehicle: Vehicle
+    path: Path,
+    root: Element,
+    name: str,
+    entity: Element,
+    begun: dict[str, InitialState],
+    ego_name: str,
+    vehicle: Vehicle,
 ) -> dict[str, Any]:
     box = box_of(path, entity)
     where = placed(path, name, begun[name], ego_name, begun[ego_name])
@@ -90,14 +96,14 @@ def _user(
     where["left_m"] += ahead * float(np.sin(turned))
     where |= {each: round(where[each], 6) for each in ("ahead_m", "left_m")}
     speed, starts = begun[name].speed_m_s, [world_state(path, begun[each].position) for each in (name, ego_name)]
-    actor = Actor(name, where["left_m"], speed, starts[0], ego_name, starts[1])
+    actor = EntityContext(name, where["left_m"], speed, starts[0], ego_name, starts[1])
     return {
         "id": name,
-        **look_of(path, name, entity),
+        **model_and_class_of(path, name, entity),
         **({} if box is None else {"size_lwh_m": box[0]}),
         **where,
         "speed_m_s": speed,
-        "behaviour": controlled_behaviour(entity) or behaviour(path, root, actor),
+        "behaviour": controller_behavior(entity) or behavior_of(path, root, actor),
     }
 
 
@@ -128,7 +134,7 @@ def _duration(path: Path, root: Element) -> dict[str, float]:
 
 # § What entities of an OpenSCENARIO file do, as behaviours.
 
-_AT_ONCE_M_S2 = 20.0
+_IMMEDIATE_M_S2 = 20.0
 
 _LANE_CHANGE, _SPEED, _FOLLOW = (
     "PrivateAction/LateralAction/LaneChangeAction",
@@ -140,7 +146,7 @@ _CONDITIONS = ("SimulationTimeCondition", "RelativeDistanceCondition", "TimeToCo
 
 
 @dataclass(frozen=True, slots=True)
-class Actor:
+class EntityContext:
     """Who acts."""
 
     name: str
@@ -164,7 +170,7 @@ def events_of(root: Element, name: str) -> list[tuple[Element, list[Element]]]:
     return found
 
 
-def behaviour(path: Path, root: Element, actor: Actor) -> dict[str, Any]:
+def behavior_of(path: Path, root: Element, actor: EntityContext) -> dict[str, Any]:
     """Return what an entity does as the plain values of a behaviour.
 
     Raises ValueError, with the file, the entity and the action, for more than one event and for what has no behaviour.
@@ -196,7 +202,7 @@ def behaviour(path: Path, root: Element, actor: Actor) -> dict[str, Any]:
     return {"kind": "cut-in", **trigger, "offset_m": 0.0, **new}
 
 
-def _lane_change(path: Path, where: str, change: Element, actor: Actor) -> dict[str, Any]:
+def _lane_change(path: Path, where: str, change: Element, actor: EntityContext) -> dict[str, Any]:
     target, dynamics = change.find("LaneChangeTarget/RelativeTargetLane"), change.find("LaneChangeActionDynamics")
     if target is None or dynamics is None or target.get("entityRef") not in (actor.name, actor.ego_name):
         raise ValueError(
@@ -215,19 +221,19 @@ def _lane_change(path: Path, where: str, change: Element, actor: Actor) -> dict[
     return {"duration_s": durations[kind], "offset_m": offset}
 
 
-def _new_speed(path: Path, where: str, speed: Element, actor: Actor) -> dict[str, float]:
+def _new_speed(path: Path, where: str, speed: Element, actor: EntityContext) -> dict[str, float]:
     target, dynamics = speed.find("SpeedActionTarget/AbsoluteTargetSpeed"), speed.find("SpeedActionDynamics")
     if target is None or dynamics is None:
         raise ValueError(f"{where}: a speed can only be changed to an AbsoluteTargetSpeed")
     to, value = number(path, target, "value"), number(path, dynamics, "value")
     by, kind = abs(to - actor.speed_m_s), dynamics.get("dynamicsDimension")
-    rate = _AT_ONCE_M_S2
+    rate = _IMMEDIATE_M_S2
     if dynamics.get("dynamicsShape") != "step" and value > 0:
         rates = {"rate": value, "time": by / value, "distance": abs(to**2 - actor.speed_m_s**2) / (2 * value)}
         if kind not in rates:
             raise ValueError(f"{where}: dynamicsDimension {kind!r}: only time, distance and rate are known")
         rate = rates[kind]
-    return {"to_speed_m_s": to, "acceleration_m_s2": min(max(rate, 1e-3), _AT_ONCE_M_S2)}
+    return {"to_speed_m_s": to, "acceleration_m_s2": min(max(rate, 1e-3), _IMMEDIATE_M_S2)}
 
 
 def _trigger(path: Path, where: str, triggers: list[Element]) -> dict[str, float]:
@@ -254,7 +260,7 @@ def _trigger(path: Path, where: str, triggers: list[Element]) -> dict[str, float
     return others[0] if others else {"after_s": after}
 
 
-def _track(path: Path, follow: Element, actor: Actor) -> dict[str, Any]:
+def _track(path: Path, follow: Element, actor: EntityContext) -> dict[str, Any]:
     """Return the points of a trajectory from where its entity begins, ahead and left as the ego vehicle stands."""
     points: list[dict[str, float]] = []
     for vertex in follow.iter("Vertex"):
@@ -280,7 +286,7 @@ _MODELS = {"car": "saloon", "van": "van", "truck": "truck", "bus": "truck", "sem
 _CLASSES = {"van": "car", "semitrailer": "truck", "motorbike": "motorcycle"}
 
 
-def look_of(path: Path, name: str, entity: Element) -> dict[str, str]:
+def model_and_class_of(path: Path, name: str, entity: Element) -> dict[str, str]:
     """Return model and class of an entity; raises ValueError where nothing here looks like it."""
     vehicle = entity.find("Vehicle")
     if vehicle is not None:
@@ -301,7 +307,7 @@ def own_properties(entity: Element) -> dict[str, str]:
     return {name: value for each in entity for name, value in properties(each).items()}
 
 
-def controlled_behaviour(entity: Element) -> dict[str, Any] | None:
+def controller_behavior(entity: Element) -> dict[str, Any] | None:
     """Return the behaviour that stands in a controller's properties; None where there is none."""
     found = entity.find("ObjectController/Controller")
     values = {} if found is None else properties(found)
@@ -334,17 +340,17 @@ def ego_vehicle(path: Path, entity: Element) -> Vehicle:
         plain["most_braking_m_s2"] = min(number(path, performance, "maxDeceleration"), 20.0)
         plain["top_speed_m_s"] = min(number(path, performance, "maxSpeed"), 100.0)
     try:
-        return converted(plain, Vehicle)
+        return convert_checked(plain, Vehicle)
     except msgspec.ValidationError as error:
         raise ValueError(f"{path}: the ego vehicle: {error}") from None
 
 
-def beginnings(path: Path, root: Element) -> dict[str, Beginning]:
+def initial_states(path: Path, root: Element) -> dict[str, InitialState]:
     """Find the entities' first positions and speeds, by name.
 
     Raises ValueError, with the file and the entity, for a speed that is not absolute.
     """
-    found: dict[str, Beginning] = {}
+    found: dict[str, InitialState] = {}
     for private in root.iterfind("Storyboard/Init/Actions/Private"):
         name = private.get("entityRef", "")
         position = private.find("PrivateAction/TeleportAction/Position/*")
@@ -354,7 +360,7 @@ def beginnings(path: Path, root: Element) -> dict[str, Beginning]:
         speed = None if action is None else action.find("SpeedActionTarget/AbsoluteTargetSpeed")
         if action is not None and speed is None:
             raise ValueError(f"{path}: {name} begins at a speed that is no AbsoluteTargetSpeed")
-        found[name] = Beginning(position, 0.0 if speed is None else number(path, speed, "value"))
+        found[name] = InitialState(position, 0.0 if speed is None else number(path, speed, "value"))
     return found
 
 
@@ -366,7 +372,7 @@ def world_state(path: Path, position: Element) -> VehicleState | None:
     return VehicleState(number(path, position, "x"), number(path, position, "y"), heading)
 
 
-def placed(path: Path, name: str, beginning: Beginning, ego_name: str, ego: Beginning) -> dict[str, Any]:
+def placed(path: Path, name: str, beginning: InitialState, ego_name: str, ego: InitialState) -> dict[str, Any]:
     """Return the fields of a `ScenarioUser` for where its point of reference is, from the ego vehicle's.
 
     Raises ValueError, with the file and the entity, for positions that need a map.
@@ -397,13 +403,13 @@ def placed(path: Path, name: str, beginning: Beginning, ego_name: str, ego: Begi
 
 
 def _fields(kind: str, ahead_m: float, left_m: float, turned_rad: float) -> dict[str, Any]:
-    degrees = wrapped_deg(float(np.degrees(turned_rad)))
+    degrees = wrap_degrees(float(np.degrees(turned_rad)))
     return {"placed": kind, "ahead_m": ahead_m, "left_m": left_m, "turned_deg": round(degrees, 6)}
 
 
 # § OpenSCENARIO files as XML trees: read without trusting them, parameters put in.
 
-_MOST = 1e9
+_MAX_VALUE = 1e9
 """No length, time, speed or angle of a scenario is more; products of such numbers are finite."""
 
 _PARAMETER = re.compile(r"\$(\w+)")
@@ -426,7 +432,7 @@ def read_xml(path: Path) -> Element:
         parser.feed(data)
         root: Element = parser.close()
     except (ElementTree.ParseError, ValueError, LookupError) as error:  # LookupError: an encoding that is none
-        raise ValueError(f"{path}: {printable(error)}") from None
+        raise ValueError(f"{path}: {printable_line(error)}") from None
     if root.tag != "OpenSCENARIO" or root.find("Storyboard") is None:
         raise ValueError(f"{path}: not an OpenSCENARIO scenario: there is no Storyboard in it")
     declared = {each.get("name", ""): each.get("value", "") for each in root.iter("ParameterDeclaration")}
@@ -451,7 +457,7 @@ def number(path: Path, element: Element, name: str) -> float:
         found = float(value or "")
     except ValueError:
         found = math.nan
-    if not abs(found) <= _MOST:
+    if not abs(found) <= _MAX_VALUE:
         stands = "is missing" if value is None else f'is "{value}"'
         raise ValueError(f"{path}: {element.tag}@{name} {stands}: expected a number")
     return found

@@ -13,13 +13,13 @@ import numpy as np
 from scenariogeneration import xosc
 
 from ...rain.calibration import load_calibration
-from ...rain.properties import rain_state
-from ...rain.settings import Rain
+from ...rain.properties import rain_properties
+from ...rain.settings import RainSettings
 from ...rain.wetness import SOAKING_DEPTH_MM, water_depth_mm
 from ...scene.files import whole_file
 from ...scene.objects import coco_class
 from ...scene.scene import Scene
-from ..ground import ground_of
+from ..ground import road_surface_of
 from ..route import recorded_route
 from ..scenario import Scenario, ScenarioUser, Traffic, start_state
 from ..traffic.base import RoadUser, ego_user, gap_between
@@ -35,11 +35,11 @@ _DATE = datetime.datetime(2000, 1, 1)
 
 def document_xml(scenario: Scenario, scene: Scene, road_file: str) -> str:
     """Return the document as text; `road_file` is the OpenDRIVE file that it refers to."""
-    route, ground = recorded_route(scene), ground_of(scene)
+    route, ground = recorded_route(scene), road_surface_of(scene)
     traffic = Traffic(scenario, scene, route, ground)
     state = start_state(scenario, scene, route)
     ego = ego_user(scenario.vehicle, state)
-    started, sampled = {user.id: user for user in traffic.users}, ways(scenario, traffic, ego)
+    started, sampled = {user.id: user for user in traffic.users}, record_paths(scenario, traffic, ego)
 
     entities, init = xosc.Entities(), xosc.Init()
     init.add_global_action(environment_of(scenario.rain))
@@ -84,17 +84,17 @@ Place = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
+class RecordedPath:
     """Places of a road user and their times, seconds since the scenario began; the first is where it comes."""
 
     times_s: list[float] = field(default_factory=list[float])
     places: list[Place] = field(default_factory=list[Place])
 
 
-def _does(id: str, user: ScenarioUser | None, way: Way, gap_m: float) -> xosc.Maneuver | None:
+def _does(id: str, user: ScenarioUser | None, way: RecordedPath, gap_m: float) -> xosc.Maneuver | None:
     if user is None or _kind(user) in ("track", "replay"):
         return trajectory(id, way.times_s, way.places) if len(way.times_s) > 1 else None
-    return manoeuvre(user, gap_m)
+    return maneuver(user, gap_m)
 
 
 def _begin(init: xosc.Init, id: str, place: Place, speed_m_s: float) -> None:
@@ -194,7 +194,7 @@ def write_openscenario(path: Path, scenario: Scenario, scene: Scene) -> None:
             beside.write_text(text, encoding="utf-8")
 
 
-def manoeuvre(user: ScenarioUser, gap_m: float) -> xosc.Maneuver | None:
+def maneuver(user: ScenarioUser, gap_m: float) -> xosc.Maneuver | None:
     """Return what a road user does once it is set off; none where it does nothing of the kind.
 
     `gap_m` is the gap between it and the ego vehicle at the start: whether a gap has to shrink or to grow.
@@ -213,7 +213,7 @@ def trajectory(id: str, times_s: Sequence[float], places: Sequence[Place]) -> xo
     way = xosc.Trajectory(f"{id} way", False)
     way.add_shape(xosc.Polyline(list(times_s), [position(place) for place in places]))
     follow = xosc.FollowTrajectoryAction(way, words.FollowingMode.position, words.ReferenceContext.absolute, 1, 0)
-    return _manoeuvre(id, [("follow", follow)], _after(id, 0.0))
+    return _maneuver(id, [("follow", follow)], _after(id, 0.0))
 
 
 def position(place: Place) -> xosc.WorldPosition:
@@ -252,21 +252,21 @@ def _speed(to_m_s: float, rate_m_s2: float) -> xosc.AbsoluteSpeedAction:
 
 def _event(id: str, settings: Triggered, gap_m: float, actions: list[tuple[str, Any]]) -> xosc.Maneuver:
     if settings.after_s is not None:
-        return _manoeuvre(id, actions, _after(id, settings.after_s))
+        return _maneuver(id, actions, _after(id, settings.after_s))
     if settings.gap_m is not None:
         rule = words.Rule.greaterOrEqual if gap_m < settings.gap_m else words.Rule.lessOrEqual
         gap = xosc.RelativeDistanceCondition(
             settings.gap_m, rule, words.RelativeDistanceType.longitudinal, EGO, freespace=True,
             coordinate_system=words.CoordinateSystem.road,
         )  # fmt: skip
-        return _manoeuvre(id, actions, xosc.EntityTrigger(f"{id} gap", 0, words.ConditionEdge.none, gap, id))
+        return _maneuver(id, actions, xosc.EntityTrigger(f"{id} gap", 0, words.ConditionEdge.none, gap, id))
     assert settings.time_to_collision_s is not None
     collision = xosc.TimeToCollisionCondition(
         settings.time_to_collision_s, words.Rule.lessOrEqual, entity=id, freespace=True,
         distance_type=words.RelativeDistanceType.longitudinal, coordinate_system=words.CoordinateSystem.road,
     )  # fmt: skip
     trigger = xosc.EntityTrigger(f"{id} time to collision", 0, words.ConditionEdge.none, collision, EGO)
-    return _manoeuvre(id, actions, trigger)
+    return _maneuver(id, actions, trigger)
 
 
 def _after(id: str, time_s: float) -> xosc.ValueTrigger:
@@ -274,7 +274,7 @@ def _after(id: str, time_s: float) -> xosc.ValueTrigger:
     return xosc.ValueTrigger(f"{id} time", 0, words.ConditionEdge.none, condition)
 
 
-def _manoeuvre(id: str, actions: list[tuple[str, Any]], trigger: Any) -> xosc.Maneuver:
+def _maneuver(id: str, actions: list[tuple[str, Any]], trigger: Any) -> xosc.Maneuver:
     event = xosc.Event(f"{id} event", words.Priority.override)
     event.add_trigger(trigger)
     for name, action in actions:
@@ -282,13 +282,13 @@ def _manoeuvre(id: str, actions: list[tuple[str, Any]], trigger: Any) -> xosc.Ma
     return xosc.Maneuver(f"{id} manoeuvre").add_event(event)
 
 
-def ways(scenario: Scenario, traffic: Traffic, ego: RoadUser) -> dict[str, Way]:
+def record_paths(scenario: Scenario, traffic: Traffic, ego: RoadUser) -> dict[str, RecordedPath]:
     """Move everybody through the scenario around an ego vehicle that stands, and note where they are."""
-    found: dict[str, Way] = {}
+    found: dict[str, RecordedPath] = {}
     for step in range(round(scenario.duration_s / scenario.step_s) + 1):
         time_s = step * scenario.step_s
         for user in traffic.users:
-            way = found.setdefault(user.id, Way())
+            way = found.setdefault(user.id, RecordedPath())
             way.times_s.append(time_s)
             way.places.append((user.x_m, user.y_m, user.z_m, user.yaw_rad))
         traffic.advance(time_s, ego, scenario.step_s)
@@ -298,7 +298,7 @@ def ways(scenario: Scenario, traffic: Traffic, ego: RoadUser) -> dict[str, Way]:
 # § A scenario's rain in the words of OpenSCENARIO.
 
 
-def environment_of(rain: Rain) -> xosc.EnvironmentAction:
+def environment_of(rain: RainSettings) -> xosc.EnvironmentAction:
     """Return the action that makes the weather: precipitation in mm/h, fog of the rain's visual range, wind, wetness.
 
     The visual range is the meteorological optical range ln(20) / beta of the rain's own extinction. Friction stays 1:
@@ -309,7 +309,7 @@ def environment_of(rain: Rain) -> xosc.EnvironmentAction:
     fog = wind = cloud = None
     if intensity > 0:
         cloud = words.FractionalCloudCover.eightOktas
-        visibility = rain_state(rain, load_calibration(rain.calibration)).visibility_m
+        visibility = rain_properties(rain, load_calibration(rain.calibration)).visibility_m
         fog = None if np.isinf(visibility) else words.Fog(round(visibility, 1))
     x, y = rain.wind_m_s
     if x or y:

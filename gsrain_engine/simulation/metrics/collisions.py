@@ -7,7 +7,7 @@ import numpy as np
 import shapely
 from jaxtyping import Float64
 
-from ..geometry import PlanarBox, wrapped
+from ..geometry import PlanarBox, wrap_angle
 from ..rollout import EgoRecord, Rollout, RolloutStep, UserModel, UserRecord, planned_frames, run_setting
 from ..vehicle import Vehicle, VehicleState, vehicle_box
 
@@ -42,7 +42,7 @@ def first_collision(rollout: Rollout) -> Collision | None:
 
 
 @runtime_checkable
-class Touchable(Protocol):
+class CollisionSpace(Protocol):
     """What stands in the scene beside the road users, such as `OccupiedSpace`."""
 
     def touches(self, box: PlanarBox) -> bool:
@@ -84,7 +84,7 @@ but the last, which has no next point to take its heading from: UniAD's six poin
 
 
 def planned_collisions(
-    rollout: Rollout, occupied: Touchable | None = None, reading: PlanReading = "all"
+    rollout: Rollout, occupied: CollisionSpace | None = None, reading: PlanReading = "all"
 ) -> PlannedCollisions:
     """Put the vehicle's box at every planned point and see whether it touches anybody or anything.
 
@@ -142,12 +142,12 @@ class LoggedTraffic:
         if later == len(self._times):
             later -= 1
         if abs(self._times[later] - time_s) <= _SAME_S or later == 0:
-            return user_boxes(self._records[later], self._users)
+            return road_user_boxes(self._records[later], self._users)
         share = (time_s - self._times[later - 1]) / (self._times[later] - self._times[later - 1])
         after = {each.id: each for each in self._records[later]}
         both = [each for each in self._records[later - 1] if each.id in after]
         between = [_between(each, after[each.id], float(share)) for each in both]
-        return user_boxes(between, self._users)
+        return road_user_boxes(between, self._users)
 
 
 def pose_hits(
@@ -155,7 +155,7 @@ def pose_hits(
     poses: Float64[np.ndarray, "n 3"],
     times_s: Sequence[float] | Float64[np.ndarray, " n"],
     traffic: LoggedTraffic,
-    occupied: Touchable | None,
+    occupied: CollisionSpace | None,
 ) -> Iterator[bool]:
     """Yield whether the vehicle would touch anybody, or the background, with its rear axle at each pose and time."""
     for pose, time_s in zip(poses, times_s, strict=True):
@@ -231,7 +231,7 @@ lies in the lane; `center`: from middle to middle, along the heading."""
 _LANE_M = 1000.0
 
 
-class LeadAhead(NamedTuple):
+class RoadUserAhead(NamedTuple):
     """Somebody in the way, from the ego vehicle."""
 
     gap_m: float
@@ -242,7 +242,7 @@ class LeadAhead(NamedTuple):
     """Its speed along the ego vehicle's heading; below 0 it comes towards it."""
 
 
-def leads_ahead(rollout: Rollout, step: RolloutStep, vehicle: Vehicle) -> list[LeadAhead]:
+def road_users_ahead(rollout: Rollout, step: RolloutStep, vehicle: Vehicle) -> list[RoadUserAhead]:
     """Return who is in the ego vehicle's way at a moment, and not behind it.
 
     The way is the lane that the vehicle would sweep straight on: as wide as itself, along its heading. Who is beside it
@@ -250,22 +250,22 @@ def leads_ahead(rollout: Rollout, step: RolloutStep, vehicle: Vehicle) -> list[L
     """
     own = ego_box(vehicle, ego_pose(step.ego))
     lane = shapely.box(-vehicle.length_m / 2, -vehicle.width_m / 2, _LANE_M, vehicle.width_m / 2)
-    leads: list[LeadAhead] = []
-    for record, box in zip(step.road_users, user_boxes(step.road_users, rollout.users), strict=True):
-        seen = _seen_from(own, box)
+    leads: list[RoadUserAhead] = []
+    for record, box in zip(step.road_users, road_user_boxes(step.road_users, rollout.users), strict=True):
+        seen = _in_frame_of(own, box)
         within = lane.intersection(seen.polygon)
         if within.is_empty or within.area == 0:
             continue
         gap = max(float(within.bounds[0]) - vehicle.length_m / 2, 0.0)
         along = record.speed_m_s * float(np.cos(record.yaw_rad - step.ego.yaw_rad))
-        leads.append(LeadAhead(gap, seen.x_m, along))
+        leads.append(RoadUserAhead(gap, seen.x_m, along))
     return leads
 
 
 def gaps_m(rollout: Rollout) -> Float64[np.ndarray, " n"]:
     """Return the bumper gap to the nearest who is ahead at every moment, metres; infinite where nobody is."""
     vehicle = run_setting(rollout).vehicle
-    leads = [leads_ahead(rollout, step, vehicle) for step in rollout.steps]
+    leads = [road_users_ahead(rollout, step, vehicle) for step in rollout.steps]
     return np.array([min((each.gap_m for each in ahead), default=np.inf) for ahead in leads])
 
 
@@ -277,10 +277,10 @@ def times_to_collision_s(rollout: Rollout, distance: Distance = "bumper") -> Flo
     or where anything was hit. The background counts only when it is hit.
     """
     vehicle = run_setting(rollout).vehicle
-    return np.array([_time_s(step, leads_ahead(rollout, step, vehicle), distance) for step in rollout.steps])
+    return np.array([_time_s(step, road_users_ahead(rollout, step, vehicle), distance) for step in rollout.steps])
 
 
-def _time_s(step: RolloutStep, leads: list[LeadAhead], distance: Distance) -> float:
+def _time_s(step: RolloutStep, leads: list[RoadUserAhead], distance: Distance) -> float:
     if step.collision is not None or any(lead.gap_m <= 0 for lead in leads):
         return 0.0
     times = [LONGEST_S]
@@ -291,7 +291,7 @@ def _time_s(step: RolloutStep, leads: list[LeadAhead], distance: Distance) -> fl
     return min(times)
 
 
-def _seen_from(own: PlanarBox, other: PlanarBox) -> PlanarBox:
+def _in_frame_of(own: PlanarBox, other: PlanarBox) -> PlanarBox:
     """Return a box in the frame of another (x forward, y left, around its middle)."""
     away = np.array([other.x_m - own.x_m, other.y_m - own.y_m])
     cosine, sine = np.cos(own.yaw_rad), np.sin(own.yaw_rad)
@@ -302,7 +302,7 @@ def _seen_from(own: PlanarBox, other: PlanarBox) -> PlanarBox:
 _SAME_S = 1e-6
 
 
-def user_boxes(records: Sequence[UserRecord], users: Mapping[str, UserModel]) -> tuple[PlanarBox, ...]:
+def road_user_boxes(records: Sequence[UserRecord], users: Mapping[str, UserModel]) -> tuple[PlanarBox, ...]:
     """Return the boxes on the ground of road users at a moment, in their order."""
     return tuple(
         PlanarBox(each.x_m, each.y_m, each.yaw_rad, users[each.id].size_lwh_m[0], users[each.id].size_lwh_m[1])
@@ -316,6 +316,6 @@ def _between(before: UserRecord, after: UserRecord, share: float) -> UserRecord:
         x_m=before.x_m + share * (after.x_m - before.x_m),
         y_m=before.y_m + share * (after.y_m - before.y_m),
         z_m=before.z_m + share * (after.z_m - before.z_m),
-        yaw_rad=before.yaw_rad + share * wrapped(after.yaw_rad - before.yaw_rad),
+        yaw_rad=before.yaw_rad + share * wrap_angle(after.yaw_rad - before.yaw_rad),
         speed_m_s=before.speed_m_s + share * (after.speed_m_s - before.speed_m_s),
     )

@@ -19,9 +19,9 @@ from ..geometry import PlanarBox
 from ..rollout import Rollout, RolloutStep, run_setting
 from ..route import Route
 from ..vehicle import VehicleState
-from .collisions import LONGEST_S, ego_box, ego_pose, gaps_m, planned_poses, times_to_collision_s, user_boxes
+from .collisions import LONGEST_S, ego_box, ego_pose, gaps_m, planned_poses, road_user_boxes, times_to_collision_s
 from .comfort import PAPER
-from .summary import Comparison, WeatherRuns
+from .summary import DriveComparison, IntensityRuns
 
 _SIZE_INCHES, _DPI = (10.5, 6.2), 150
 
@@ -44,7 +44,7 @@ _WITHOUT_DATE: dict[str, dict[str, None]] = {"png": {}, "pdf": {"CreationDate": 
 """Kinds of figures, and what to leave out of each so that the same runs give the same bytes."""
 
 
-def kinematics_figure(comparison: Comparison) -> Figure:
+def kinematics_figure(comparison: DriveComparison) -> Figure:
     """Draw the ego vehicle's motion over time, one colour an intensity; a cross is a collision.
 
     Several seeds are their mean over the runs that still go on, with the band of its 95 % bootstrap interval. Needs the
@@ -94,8 +94,8 @@ def _widths(count: int) -> list[float]:
     return [float(each) for each in np.linspace(_WIDEST, _THINNEST, count)] if count > 1 else [_THINNEST]
 
 
-def _draw(panel: Axes, weather: WeatherRuns, quantity: Quantity, color: Any, width: float) -> None:
-    times, mean, low, high = band(weather, quantity)
+def _draw(panel: Axes, weather: IntensityRuns, quantity: Quantity, color: Any, width: float) -> None:
+    times, mean, low, high = curve_band(weather, quantity)
     style = "steps-pre" if quantity == "acceleration_m_s2" else "default"
     rain = "clear" if weather.intensity_mm_h == 0 else f"{weather.intensity_mm_h:g} mm/h"
     seeds = f" ({len(weather.runs)} seeds)" if len(weather.runs) > 1 else ""
@@ -106,12 +106,12 @@ def _draw(panel: Axes, weather: WeatherRuns, quantity: Quantity, color: Any, wid
     _crosses(panel, weather, quantity, color)
 
 
-def _crosses(panel: Axes, weather: WeatherRuns, quantity: Quantity, color: Any) -> None:
+def _crosses(panel: Axes, weather: IntensityRuns, quantity: Quantity, color: Any) -> None:
     """Mark collisions where their run's curve ends."""
     for run in weather.runs:
         if run.rollout is None or not run.metrics.collision:
             continue
-        own = band(WeatherRuns(weather.intensity_mm_h, (run,)), quantity)
+        own = curve_band(IntensityRuns(weather.intensity_mm_h, (run,)), quantity)
         if np.isfinite(own.mean[-1]):
             panel.plot(
                 own.times_s[-1], own.mean[-1], "X", color=color, markersize=9, markeredgecolor="white", zorder=5,
@@ -152,7 +152,7 @@ class CurveBand(NamedTuple):
     high: Float64[np.ndarray, " n"]
 
 
-def curve(rollout: Rollout, quantity: Quantity) -> Float64[np.ndarray, " n"]:
+def curve_over_time(rollout: Rollout, quantity: Quantity) -> Float64[np.ndarray, " n"]:
     """Return a number of a run at its moments; the acceleration is that over the step before, NaN is none."""
     if quantity == "ttc_s":
         return times_to_collision_s(rollout)
@@ -165,7 +165,7 @@ def curve(rollout: Rollout, quantity: Quantity) -> Float64[np.ndarray, " n"]:
     return values
 
 
-def band(weather: WeatherRuns, quantity: Quantity) -> CurveBand:
+def curve_band(weather: IntensityRuns, quantity: Quantity) -> CurveBand:
     """Return a number's mean and band over the runs of one weather, at the times of the longest.
 
     Of one run the band is the run itself. Raises ValueError where no run has its roll-out, and for steps that differ.
@@ -180,7 +180,7 @@ def band(weather: WeatherRuns, quantity: Quantity) -> CurveBand:
     times = np.array([each.time_s for each in longest.steps])
     table = np.full((len(rollouts), len(times)), np.nan)
     for row, rollout in zip(table, rollouts, strict=True):
-        row[: len(rollout.steps)] = curve(rollout, quantity)
+        row[: len(rollout.steps)] = curve_over_time(rollout, quantity)
     columns = [_interval(column[np.isfinite(column)].tolist()) for column in table.T]
     mean, low, high = (np.array(each) for each in zip(*columns, strict=True))
     return CurveBand(times, mean, low, high)
@@ -198,7 +198,7 @@ _EGO, _OTHER, _PLAN, _HIT, _ROUTE = "#1f5f8b", "#8a5a2b", "#2f9e5b", "#d3202a", 
 
 _EVERY_S = 1.0
 
-_MARGIN_M, _LEAST_SIDE_M, _BETWEEN_TIMES_M = 4.0, 5.0, 3.0
+_MARGIN_M, _MIN_SIDE_M, _BETWEEN_TIMES_M = 4.0, 5.0, 3.0
 
 
 def birds_eye_sheet(rollouts: Sequence[Rollout], route: Route | None = None) -> Figure:
@@ -263,10 +263,10 @@ def _every_second(rollout: Rollout) -> list[RolloutStep]:
 def _view(rollout: Rollout) -> tuple[Float64[np.ndarray, "2"], Float64[np.ndarray, "2"]]:
     start = VehicleState(*ego_pose(rollout.steps[0].ego))
     boxes = [_own_box(rollout, step) for step in rollout.steps]
-    boxes += [box for step in rollout.steps for box in user_boxes(step.road_users, rollout.users)]
+    boxes += [box for step in rollout.steps for box in road_user_boxes(step.road_users, rollout.users)]
     corners = np.concatenate([start.from_world(box.corners) for box in boxes])
     low, high = corners.min(axis=0) - _MARGIN_M, corners.max(axis=0) + _MARGIN_M
-    low[1], high[1] = min(low[1], -_LEAST_SIDE_M), max(high[1], _LEAST_SIDE_M)
+    low[1], high[1] = min(low[1], -_MIN_SIDE_M), max(high[1], _MIN_SIDE_M)
     return low, high
 
 
@@ -278,7 +278,7 @@ def _canvas(size_m: Float64[np.ndarray, "2"], panels: int) -> Figure:
 
 
 def _moment(axes: Axes, rollout: Rollout, step: RolloutStep, start: VehicleState, weight: float) -> None:
-    for box in user_boxes(step.road_users, rollout.users):
+    for box in road_user_boxes(step.road_users, rollout.users):
         _box(axes, start.from_world(box.corners), _OTHER, weight)
     _box(axes, start.from_world(_own_box(rollout, step).corners), _EGO, weight)
     planned = planned_poses(step)[:, :2]
@@ -318,7 +318,7 @@ def _name_users(axes: Axes, rollout: Rollout, start: VehicleState) -> None:
     """Write each road user's name above where it was last."""
     last: dict[str, PlanarBox] = {}
     for step in rollout.steps:
-        boxes = user_boxes(step.road_users, rollout.users)
+        boxes = road_user_boxes(step.road_users, rollout.users)
         last.update({each.id: box for each, box in zip(step.road_users, boxes, strict=True)})
     for name, box in last.items():
         corners = start.from_world(box.corners)
@@ -340,7 +340,7 @@ def _mark_collision(axes: Axes, rollout: Rollout, start: VehicleState) -> str:
 def _touch(rollout: Rollout, step: RolloutStep) -> Float64[np.ndarray, "2"]:
     """Return where two boxes overlap; the vehicle's front where it is the background, or it has passed already."""
     own = _own_box(rollout, step)
-    for record, box in zip(step.road_users, user_boxes(step.road_users, rollout.users), strict=True):
+    for record, box in zip(step.road_users, road_user_boxes(step.road_users, rollout.users), strict=True):
         if record.id == step.collision and own.touches(box):
             middle: Any = own.polygon.intersection(box.polygon).centroid
             return np.array([middle.x, middle.y])

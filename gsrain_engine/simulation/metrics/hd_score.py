@@ -9,7 +9,7 @@ from jaxtyping import Float64
 from ..geometry import PlanarBox
 from ..rollout import Rollout, RolloutStep, planned_frames, run_setting
 from ..vehicle import Vehicle
-from .collisions import LoggedTraffic, Touchable, ego_box, future_times_s, planned_poses, pose_hits, with_start
+from .collisions import CollisionSpace, LoggedTraffic, ego_box, future_times_s, planned_poses, pose_hits, with_start
 from .comfort import is_plan_comfortable
 
 _TTC_WEIGHT, _COMFORT_WEIGHT = 5.0, 2.0
@@ -55,7 +55,7 @@ class HdScore(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 def hd_score(
-    rollout: Rollout, occupied: Touchable | None = None, drivable: DrivableArea | None = None
+    rollout: Rollout, occupied: CollisionSpace | None = None, drivable: DrivableArea | None = None
 ) -> HdScore | None:
     """Score a run as HUGSIM's `score_calculator` does; None where no frame has a plan of two points.
 
@@ -63,7 +63,7 @@ def hd_score(
     background is tested as the simulation tests it, where HUGSIM's scorer looks at a slab 1.5 to 3 m above the ground.
     Without `occupied` the background does not count at all.
     """
-    judge = _Judge(rollout, occupied, drivable)
+    judge = _HdScorer(rollout, occupied, drivable)
     rows = [judge.frame(step) for step in planned_frames(rollout)]
     scored = np.array([row for row in rows if row is not None]).reshape(-1, 5)
     if not len(scored):
@@ -76,8 +76,8 @@ def hd_score(
     )  # fmt: skip
 
 
-class _Judge:
-    def __init__(self, rollout: Rollout, occupied: Touchable | None, drivable: DrivableArea | None) -> None:
+class _HdScorer:
+    def __init__(self, rollout: Rollout, occupied: CollisionSpace | None, drivable: DrivableArea | None) -> None:
         self._vehicle: Vehicle = run_setting(rollout).vehicle
         self._rollout, self._spacing_s = rollout, rollout.spacing_s
         self._traffic, self._occupied, self._drivable = LoggedTraffic(rollout), occupied, drivable

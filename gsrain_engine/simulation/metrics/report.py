@@ -6,14 +6,14 @@ from importlib import metadata
 
 import msgspec
 
-from ...evaluation.detection.figures import pixels
+from ...evaluation.detection.figures import figure_pixels
 from ...evaluation.report import ReportFigure, ReportTable, RunReport
 from ..rollout import Rollout
 from ..route import Route
 from .figures import birds_eye_sheet, kinematics_figure
-from .summary import Comparison, Run, compare, results_table
+from .summary import DriveComparison, ScoredRun, compare_drives, results_table
 
-_MOST_FROM_ABOVE = 8
+_MAX_FROM_ABOVE = 8
 
 _PACKAGES = ("gsrain", "numpy", "scipy", "shapely", "numba")
 
@@ -25,8 +25,8 @@ _OVER_TIME = (
 _FROM_ABOVE = "In the frame of the start; boxes every second, darker with time; dots are planned points."
 
 
-def drive_report(
-    runs: Sequence[Run],
+def drive_report_page(
+    runs: Sequence[ScoredRun],
     routes: Mapping[str, Route] | None = None,
     settings: Mapping[str, object] | None = None,
     notes: tuple[str, ...] = (),
@@ -35,7 +35,7 @@ def drive_report(
 
     Runs without a roll-out are in the tables only. Write it with `write_report`.
     """
-    comparisons = compare(runs)
+    comparisons = compare_drives(runs)
     table = results_table(comparisons)
     rollouts = [run.rollout for run in runs if run.rollout is not None]
     return RunReport(
@@ -49,7 +49,7 @@ def drive_report(
     )
 
 
-def _headlines(runs: Sequence[Run]) -> dict[str, str]:
+def _headlines(runs: Sequence[ScoredRun]) -> dict[str, str]:
     return {
         "runs": str(len(runs)),
         "collisions": str(sum(run.metrics.collision for run in runs)),
@@ -57,15 +57,15 @@ def _headlines(runs: Sequence[Run]) -> dict[str, str]:
     }
 
 
-def _figures(comparison: Comparison, route: Route | None) -> list[ReportFigure]:
+def _figures(comparison: DriveComparison, route: Route | None) -> list[ReportFigure]:
     """Over time, and from above the first run of each weather, so far as there are roll-outs."""
     figures: list[ReportFigure] = []
     if all(run.rollout is not None for run in comparison.runs):
-        figures.append(ReportFigure(comparison.title, pixels(kinematics_figure(comparison)), _OVER_TIME))
+        figures.append(ReportFigure(comparison.title, figure_pixels(kinematics_figure(comparison)), _OVER_TIME))
     first = [weather.runs[0].rollout for weather in comparison.weathers]
-    rollouts = [each for each in first if each is not None][:_MOST_FROM_ABOVE]
+    rollouts = [each for each in first if each is not None][:_MAX_FROM_ABOVE]
     if rollouts:
-        image = pixels(birds_eye_sheet(rollouts, route))
+        image = figure_pixels(birds_eye_sheet(rollouts, route))
         figures.append(ReportFigure(f"{comparison.title}, from above", image, _FROM_ABOVE))
     return figures
 
@@ -77,7 +77,7 @@ _COLUMNS = {
 }  # fmt: skip
 
 
-def _runs_table(runs: Sequence[Run]) -> ReportTable:
+def _runs_table(runs: Sequence[ScoredRun]) -> ReportTable:
     rows = [
         (
             run.metrics.scenario,
@@ -98,7 +98,7 @@ def _cell(value: str | float | None, key: str) -> str | float | None:
     return "-" if value is None and key == "collided_with" else value
 
 
-def _facts(runs: Sequence[Run], rollouts: Sequence[Rollout]) -> dict[str, object]:
+def _facts(runs: Sequence[ScoredRun], rollouts: Sequence[Rollout]) -> dict[str, object]:
     """What the runs say of themselves: scenes, seeds, steps, hashes, versions."""
     versions = {name: metadata.version(name) for name in _PACKAGES}
     for rollout in rollouts:

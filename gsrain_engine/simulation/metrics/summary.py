@@ -12,11 +12,11 @@ import numpy as np
 from msgspec import Meta
 
 from ...evaluation.image_metrics import MeanInterval, mean_interval
-from ...safe_io.text_files import escaped
+from ...safe_io.text_files import escape_invisible
 from ...scene.files import whole_file
 from ..rollout import Rollout, planned_frames, run_setting
 from ..rollout_io import write_rollout
-from .collisions import Touchable, first_collision, gaps_m, planned_collisions, times_to_collision_s
+from .collisions import CollisionSpace, first_collision, gaps_m, planned_collisions, times_to_collision_s
 from .comfort import NUPLAN, comfort_executed, comfort_planned
 from .hd_score import DrivableArea, HdScore, hd_score
 
@@ -92,7 +92,9 @@ class DriveMetrics(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         return self.collision
 
 
-def measured(rollout: Rollout, occupied: Touchable | None = None, drivable: DrivableArea | None = None) -> DriveMetrics:
+def measure_drive(
+    rollout: Rollout, occupied: CollisionSpace | None = None, drivable: DrivableArea | None = None
+) -> DriveMetrics:
     """Measure a run. `occupied` and `drivable` are of the world that it was driven in; without them they don't count.
 
     Raises ValueError for a roll-out whose vehicle can't be read.
@@ -152,7 +154,7 @@ def _parts(score: HdScore | None) -> dict[str, Any]:
 # § Runs side by side: by scenario and agent, in rows by rain intensity, with what varies between seeds.
 
 
-class Run(NamedTuple):
+class ScoredRun(NamedTuple):
     """A run with its metrics."""
 
     metrics: DriveMetrics
@@ -160,9 +162,11 @@ class Run(NamedTuple):
     """What figures over time need; tables do without."""
 
     @classmethod
-    def of(cls, rollout: Rollout, occupied: Touchable | None = None, drivable: DrivableArea | None = None) -> "Run":
+    def of(
+        cls, rollout: Rollout, occupied: CollisionSpace | None = None, drivable: DrivableArea | None = None
+    ) -> "ScoredRun":
         """Measure a roll-out."""
-        return cls(measured(rollout, occupied, drivable), rollout)
+        return cls(measure_drive(rollout, occupied, drivable), rollout)
 
     def save(self, path: Path | str) -> None:
         """Write the roll-out as JSON lines, which the window plays; raises `ValueError` where there is none."""
@@ -172,11 +176,11 @@ class Run(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class WeatherRuns:
+class IntensityRuns:
     """The runs of one scenario and agent in rain of one intensity."""
 
     intensity_mm_h: float
-    runs: tuple[Run, ...]
+    runs: tuple[ScoredRun, ...]
     """By seed."""
 
     @property
@@ -194,13 +198,13 @@ class WeatherRuns:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class DriveComparison:
     """One scenario driven by one agent, in several weathers."""
 
     scenario: str
     agent: str
     scene: str
-    weathers: tuple[WeatherRuns, ...]
+    weathers: tuple[IntensityRuns, ...]
     """By intensity, the clear one first."""
 
     @property
@@ -208,23 +212,23 @@ class Comparison:
         return f"{self.scenario}, {self.agent}"
 
     @property
-    def runs(self) -> tuple[Run, ...]:
+    def runs(self) -> tuple[ScoredRun, ...]:
         return tuple(run for weather in self.weathers for run in weather.runs)
 
 
-def compare(runs: Iterable[Run]) -> tuple[Comparison, ...]:
+def compare_drives(runs: Iterable[ScoredRun]) -> tuple[DriveComparison, ...]:
     """Group runs by scenario, agent and scene, as they first come; in each by intensity, then by seed."""
-    groups: dict[tuple[str, str, str], list[Run]] = {}
+    groups: dict[tuple[str, str, str], list[ScoredRun]] = {}
     for run in runs:
         groups.setdefault((run.metrics.scenario, run.metrics.agent, run.metrics.scene), []).append(run)
-    return tuple(Comparison(*key, _by_weather(own)) for key, own in groups.items())
+    return tuple(DriveComparison(*key, _by_weather(own)) for key, own in groups.items())
 
 
-def _by_weather(runs: list[Run]) -> tuple[WeatherRuns, ...]:
-    by_intensity: dict[float, list[Run]] = {}
+def _by_weather(runs: list[ScoredRun]) -> tuple[IntensityRuns, ...]:
+    by_intensity: dict[float, list[ScoredRun]] = {}
     for run in sorted(runs, key=lambda each: (each.metrics.intensity_mm_h, each.metrics.seed)):
         by_intensity.setdefault(run.metrics.intensity_mm_h, []).append(run)
-    return tuple(WeatherRuns(intensity, tuple(own)) for intensity, own in by_intensity.items())
+    return tuple(IntensityRuns(intensity, tuple(own)) for intensity, own in by_intensity.items())
 
 
 # § Metrics of runs as CSV: one row a run, one column a metric.
@@ -244,7 +248,7 @@ def _cell(value: object) -> object:
 
 # § The table of results, as in the paper: one row a scenario, agent and intensity, with the definitions below it.
 
-NOT_SAID = "--"
+NOT_MEASURED = "--"
 """What the paper prints for C and S after a collision: such runs end early, and their rates are of other roads."""
 
 
@@ -267,7 +271,7 @@ class ResultsTable:
     @property
     def text(self) -> str:
         """The table and its definitions, in columns of characters."""
-        lines = [self.columns, *(tuple(map(escaped, row)) for row in self.rows)]
+        lines = [self.columns, *(tuple(map(escape_invisible, row)) for row in self.rows)]
         widths = [max(len(line[i]) for line in lines) for i in range(len(self.columns))]
         is_word = [each in _WORDS for each in self.columns]
         shown = [
@@ -291,7 +295,7 @@ _C, _S_PLANNED, _S_EXECUTED = "C", "S (planned)", "S (executed)"
 _FRAMES = "C (frames)"
 
 
-def results_table(comparisons: Sequence[Comparison]) -> ResultsTable:
+def results_table(comparisons: Sequence[DriveComparison]) -> ResultsTable:
     """Make the table. Rows of several seeds have means, with 95 % bootstrap intervals in brackets."""
     has_seeds = any(len(weather.runs) > 1 for each in comparisons for weather in each.weathers)
     columns = (*_WORDS, "R (mm/h)", "Coll.", "Min. TTC (s)", _C, _FRAMES, _S_PLANNED, _S_EXECUTED)
@@ -301,7 +305,7 @@ def results_table(comparisons: Sequence[Comparison]) -> ResultsTable:
     return ResultsTable(columns, tuple(rows), _definitions(comparisons, has_seeds))
 
 
-def _cells(weather: WeatherRuns, has_seeds: bool) -> tuple[str, ...]:
+def _cells(weather: IntensityRuns, has_seeds: bool) -> tuple[str, ...]:
     rain = "Clear" if weather.intensity_mm_h == 0 else f"{weather.intensity_mm_h:g}"
     hits = weather.collisions
     collided = f"{hits} of {len(weather.runs)}" if has_seeds else ("Yes" if hits else "No")
@@ -318,18 +322,18 @@ def _cells(weather: WeatherRuns, has_seeds: bool) -> tuple[str, ...]:
 
 def _number(value: MeanInterval | None) -> str:
     if value is None:
-        return NOT_SAID
+        return NOT_MEASURED
     return f"{value.mean:.3f}" if value.low == value.high else f"{value.mean:.3f} ({value.low:.3f}..{value.high:.3f})"
 
 
 def _percent(value: MeanInterval | None) -> str:
     if value is None:
-        return NOT_SAID
+        return NOT_MEASURED
     mean, low, high = (100 * each for each in value)
     return f"{mean:.1f} %" if low == high else f"{mean:.1f} ({low:.1f}..{high:.1f}) %"
 
 
-def _definitions(comparisons: Sequence[Comparison], has_seeds: bool) -> tuple[str, ...]:
+def _definitions(comparisons: Sequence[DriveComparison], has_seeds: bool) -> tuple[str, ...]:
     metrics = [run.metrics for each in comparisons for run in each.runs]
     points = " or ".join(str(each) for each in sorted({each.planned_points for each in metrics}))
     background = all(each.with_background for each in metrics)
@@ -348,9 +352,10 @@ def _definitions(comparisons: Sequence[Comparison], has_seeds: bool) -> tuple[st
         "S (planned): share of frames whose plan keeps all comfort limits (HUGSIM: acceleration -4.05..2.40 m/s2, jerk "
         "8.37 m/s3, yaw rate 0.95 rad/s, yaw acceleration 1.93 rad/s2; the lateral one is never felt).",
         "S (executed): share of driven steps that keep them, with 4.89 m/s2 to the side.",
-        f"{seeds}{NOT_SAID}: not said after a collision, as in the paper; the numbers are in the CSV and JSON files.",
+        f"{seeds}{NOT_MEASURED}: not said after a collision, as in the paper; "
+        "the numbers are in the CSV and JSON files.",
     )
 
 
 def _plain(cell: str) -> str:
-    return escaped(cell).replace("|", "\\|")
+    return escape_invisible(cell).replace("|", "\\|")

@@ -10,14 +10,14 @@ import numpy as np
 from ...scene.formats.registry import read_gaussians
 from ...scene.gaussians import Gaussians
 from ...scene.scene import Scene, robust_bounds
-from ...scene.street.build import Daylight, gaussians_of
+from ...scene.street.build import Daylight, quads_to_gaussians
 from ...scene.street.cars import CAR_FORMS, TRUCK_FORM, build_car, vehicle_shadow
 from ...scene.street.layout import CarShape, Color, ParkedTruck, StreetParameters
 from ...scene.street.mesh import Quads
 from ...scene.street.trucks import build_truck
 
 
-class UserLook(NamedTuple):
+class VehicleModel(NamedTuple):
     """A model, and the size of what it shows."""
 
     gaussians: Gaussians
@@ -25,7 +25,7 @@ class UserLook(NamedTuple):
     size_lwh_m: tuple[float, float, float]
 
 
-def scaled(gaussians: Gaussians, times: float) -> Gaussians:
+def scale_gaussians(gaussians: Gaussians, times: float) -> Gaussians:
     """Return Gaussians so many times larger, around the origin of their frame."""
     if times == 1:
         return gaussians
@@ -35,13 +35,13 @@ def scaled(gaussians: Gaussians, times: float) -> Gaussians:
 
 # § What road users of a scenario look like, by the name of a model.
 
-__all__ = ["UserLook", "scaled", "user_look"]
+__all__ = ["VehicleModel", "scale_gaussians", "vehicle_model"]
 
 ACTOR = "actor:"
 """How the name of a model begins that is one of the scene's actors; its id follows."""
 
 
-def user_look(model: str, scene: Scene) -> UserLook:
+def vehicle_model(model: str, scene: Scene) -> VehicleModel:
     """Make a model: a built-in vehicle, also with a paint (saloon, van/red, truck); actor:ID of the scene; or a file.
 
     Raises ValueError, with the model's name, for what there is not.
@@ -59,12 +59,12 @@ def user_look(model: str, scene: Scene) -> UserLook:
     return model_of_file(path)
 
 
-def _actor_look(id: str, scene: Scene) -> UserLook:
+def _actor_look(id: str, scene: Scene) -> VehicleModel:
     for actor in scene.actors:
         if actor.id == id:
             unit = scene.metres_per_unit
             length, width, height = (unit * side for side in actor.size_lwh)
-            return UserLook(scaled(actor.gaussians, unit), (length, width, height))
+            return VehicleModel(scale_gaussians(actor.gaussians, unit), (length, width, height))
     raise ValueError(f"model {ACTOR}{id}: scene {scene.name!r} has no such actor")
 
 
@@ -76,10 +76,10 @@ _SHARE = 0.995
 _OPAQUE = 0.2
 """Fainter Gaussians say nothing about a model's size."""
 
-_LEAST_M, _MOST_M = 0.1, 30.0
+_MIN_M, _MAX_M = 0.1, 30.0
 
 
-def model_of_file(path: Path) -> UserLook:
+def model_of_file(path: Path) -> VehicleModel:
     """Read a model in metres (x forward, y left, z up), stand it on the ground, and give it a soft shadow there.
 
     Its box is where nearly all of what is opaque in it lies; the middle of its foot becomes the origin. The last few
@@ -90,25 +90,25 @@ def model_of_file(path: Path) -> UserLook:
 
 
 @lru_cache(maxsize=16)
-def _read(path: Path, changed_ns: int, size: int) -> UserLook:
+def _read(path: Path, changed_ns: int, size: int) -> VehicleModel:
     gaussians = read_gaussians(path)
     opaque = gaussians.take(np.flatnonzero(gaussians.opacities >= _OPAQUE))
     if not len(opaque):
         raise ValueError(f"{path}: nothing in it can be seen, so it can't be a road user")
     low, high = robust_bounds(opaque, share=_SHARE)
     length, width, height = (float(side) for side in high - low)
-    if not all(_LEAST_M <= side <= _MOST_M for side in (length, width, height)):
+    if not all(_MIN_M <= side <= _MAX_M for side in (length, width, height)):
         raise ValueError(
             f"{path}: {length:.3g} x {width:.3g} x {height:.3g} m is no road user's size; a model is in metres, each "
-            f"side {_LEAST_M:g} to {_MOST_M:g} m"
+            f"side {_MIN_M:g} to {_MAX_M:g} m"
         )
     foot = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]], np.float32)
     standing = replace(gaussians, means=gaussians.means - foot)
-    return UserLook(Gaussians.concatenate([_shadow(length, width), standing]), (length, width, height))
+    return VehicleModel(Gaussians.concatenate([_shadow(length, width), standing]), (length, width, height))
 
 
 def _shadow(length: float, width: float) -> Gaussians:
-    return gaussians_of(vehicle_shadow(length, width), Daylight.over(StreetParameters()))
+    return quads_to_gaussians(vehicle_shadow(length, width), Daylight.over(StreetParameters()))
 
 
 # § Vehicles that the program brings along: the street's cars and its lorry, in paints of one's choice.
@@ -139,7 +139,7 @@ def vehicle_names() -> tuple[str, ...]:
 
 
 @lru_cache(maxsize=64)
-def built_in_vehicle(name: str) -> UserLook | None:
+def built_in_vehicle(name: str) -> VehicleModel | None:
     """Make a built-in vehicle with its shadow on the ground, lit by the street's sun; None where there is none.
 
     Raises ValueError for a paint that there is not. The last 64 are kept: a sweep makes each of them once.
@@ -157,5 +157,5 @@ def built_in_vehicle(name: str) -> UserLook | None:
         form = CAR_FORMS[_SHAPES[kind]]
         body = build_car(_SHAPES[kind], color)
     quads = Quads.joined([vehicle_shadow(form.length, form.width), body])
-    gaussians = gaussians_of(quads, Daylight.over(StreetParameters()))
-    return UserLook(gaussians, (form.length, form.width, form.height))
+    gaussians = quads_to_gaussians(quads, Daylight.over(StreetParameters()))
+    return VehicleModel(gaussians, (form.length, form.width, form.height))

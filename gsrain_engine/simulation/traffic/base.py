@@ -55,7 +55,7 @@ class RoadUser:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surroundings:
+class TrafficState:
     """What a road user knows when it decides where to be next: all as it is now, before anybody has moved."""
 
     time_s: float
@@ -68,14 +68,14 @@ class Surroundings:
 
 
 @runtime_checkable
-class Behaviour(Protocol):
+class Behavior(Protocol):
     """Moves one road user. Deterministic: it knows the surroundings and what it did before, no clock and no chance."""
 
     def start(self, placed: RoadUser) -> RoadUser | None:
         """Return where it is at the beginning: where the scenario places it, if it has no place of its own."""
         ...
 
-    def next(self, me: RoadUser | None, around: Surroundings, dt_s: float) -> RoadUser | None:
+    def next(self, me: RoadUser | None, around: TrafficState, dt_s: float) -> RoadUser | None:
         """Return where it is a time later; None while it is not there, before it comes and after it has gone."""
         ...
 
@@ -96,8 +96,8 @@ def ego_user(vehicle: Vehicle, state: VehicleState) -> RoadUser:
 # § A road user whose place depends on the time alone, whatever happens around it.
 
 
-class ByTheClock:
-    """A `Behaviour`. A kind of it says in `_at` where the road user is at a time."""
+class TimeParametrizedBehavior:
+    """A `Behavior`. A kind of it says in `_at` where the road user is at a time."""
 
     _me: RoadUser | None = None
     """As it was placed."""
@@ -107,7 +107,7 @@ class ByTheClock:
         self._me = placed
         return self._at(placed, 0.0)
 
-    def next(self, me: RoadUser | None, around: Surroundings, dt_s: float) -> RoadUser | None:
+    def next(self, me: RoadUser | None, around: TrafficState, dt_s: float) -> RoadUser | None:
         """Say where it is after a step; None where it is not there."""
         return None if self._me is None else self._at(self._me, around.time_s + dt_s)
 
@@ -120,7 +120,7 @@ class ByTheClock:
 
 
 @dataclass(frozen=True, slots=True)
-class InLane:
+class LanePosition:
     """A place in a lane that runs beside a route."""
 
     along_m: float
@@ -130,12 +130,12 @@ class InLane:
     """1 with the route, -1 against it."""
 
     @staticmethod
-    def of(route: Route, user: RoadUser) -> "InLane":
+    def of(route: Route, user: RoadUser) -> "LanePosition":
         on = route.nearest(user.x_m, user.y_m)
         heading = route.at(on.along_m)[2]
-        return InLane(on.along_m, on.left_m, 1 if np.cos(user.yaw_rad - heading) >= 0 else -1)
+        return LanePosition(on.along_m, on.left_m, 1 if np.cos(user.yaw_rad - heading) >= 0 else -1)
 
-    def ahead(self, route: Route, distance_m: float) -> "InLane":
+    def ahead(self, route: Route, distance_m: float) -> "LanePosition":
         """Return the place that is reached after a distance in the lane: in bends it is not that of the route."""
         step = self.direction * distance_m
         x, y, _ = route.at(self.along_m, self.left_m)
@@ -157,7 +157,7 @@ class InLane:
 
 
 @dataclass(frozen=True, slots=True)
-class Ahead:
+class VehicleAhead:
     """Somebody who is ahead in one's lane."""
 
     gap_m: float
@@ -166,29 +166,29 @@ class Ahead:
     """Away from oneself, along the lane."""
 
 
-def ahead_in_lane(route: Route, me: RoadUser, users: tuple[RoadUser, ...]) -> Ahead | None:
+def find_vehicle_ahead(route: Route, me: RoadUser, users: tuple[RoadUser, ...]) -> VehicleAhead | None:
     """Find the nearest of road users whose middle is ahead and whose width overlaps one's own lane; None if nobody."""
-    mine = InLane.of(route, me)
+    mine = LanePosition.of(route, me)
     own_length, own_width = _extent(route, mine, me)
-    found: list[Ahead] = []
+    found: list[VehicleAhead] = []
     for user in users:
-        theirs = InLane.of(route, user)
+        theirs = LanePosition.of(route, user)
         length, width = _extent(route, theirs, user)
         away = mine.direction * (theirs.along_m - mine.along_m)
         if away > 0 and abs(theirs.left_m - mine.left_m) < own_width + width:
             along = mine.direction * float(np.cos(user.yaw_rad - route.at(theirs.along_m)[2]))
-            found.append(Ahead(away - own_length - length, user.speed_m_s * along))
+            found.append(VehicleAhead(away - own_length - length, user.speed_m_s * along))
     return min(found, key=lambda each: each.gap_m, default=None)
 
 
 def gap_between(route: Route, one: RoadUser, other: RoadUser) -> float:
     """Return the gap from bumper to bumper along a route, whichever is ahead; below 0 where they are side by side."""
-    places = [InLane.of(route, each) for each in (one, other)]
+    places = [LanePosition.of(route, each) for each in (one, other)]
     lengths = [_extent(route, place, user)[0] for place, user in zip(places, (one, other), strict=True)]
     return abs(places[1].along_m - places[0].along_m) - sum(lengths)
 
 
-def _extent(route: Route, place: InLane, user: RoadUser) -> tuple[float, float]:
+def _extent(route: Route, place: LanePosition, user: RoadUser) -> tuple[float, float]:
     """Half of what a road user takes up along a route, and across it."""
     turn = user.yaw_rad - route.at(place.along_m)[2]
     cosine, sine = abs(float(np.cos(turn))), abs(float(np.sin(turn)))

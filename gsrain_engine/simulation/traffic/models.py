@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from .base import Behaviour, InLane, RoadUser, Surroundings, ahead_in_lane, changed_speed, gap_between
-from .tracks import OnTrack, Replay
+from .base import Behavior, LanePosition, RoadUser, TrafficState, changed_speed, find_vehicle_ahead, gap_between
+from .tracks import Replay, ScriptedTrack
 
 if TYPE_CHECKING:
     from ...scene.scene import Scene
@@ -36,9 +36,9 @@ class IntelligentDriver(
     exponent: Annotated[float, Meta(ge=1, le=20, title="Exponent")] = 4.0
     most_braking_m_s2: Annotated[float, Meta(gt=0, le=20, title="Most braking", extra={"unit": "m/s2"})] = 8.0
 
-    def begin(self, scene: "Scene", start_s: float) -> Behaviour:
+    def begin(self, scene: "Scene", start_s: float) -> Behavior:
         """Make the rule for one run, which begins at a time of the scene."""
-        return _Following(self)
+        return _IDMBehavior(self)
 
     def acceleration(self, speed_m_s: float, gap_m: float | None, closing_m_s: float = 0.0) -> float:
         """Return what the model asks for (its eq. 2 and 3), no harder than the hardest braking; no gap is a free road.
@@ -98,9 +98,9 @@ class Brake(Triggered, frozen=True, kw_only=True, forbid_unknown_fields=True, ta
     deceleration_m_s2: Annotated[float, Meta(gt=0, le=20, title="Deceleration", extra={"unit": "m/s2"})] = 6.0
     to_speed_m_s: Annotated[float, Meta(ge=0, le=60, title="Speed after", extra={"unit": "m/s"})] = 0.0
 
-    def begin(self, scene: "Scene", start_s: float) -> Behaviour:
+    def begin(self, scene: "Scene", start_s: float) -> Behavior:
         """Make the rule for one run, which begins at a time of the scene."""
-        return _Braking(self)
+        return _BrakeBehavior(self)
 
 
 # § A road user that goes straight on at its speed.
@@ -111,9 +111,9 @@ class ConstantVelocity(
 ):
     """Straight on, at the speed that it begins with; 0 m/s stands still."""
 
-    def begin(self, scene: "Scene", start_s: float) -> Behaviour:
+    def begin(self, scene: "Scene", start_s: float) -> Behavior:
         """Make the rule for one run, which begins at a time of the scene."""
-        return _StraightOn()
+        return _ConstantVelocityBehavior()
 
 
 # § A road user that stands still.
@@ -124,9 +124,9 @@ class Stationary(
 ):
     """Stands where it is placed, whatever speed it is given."""
 
-    def begin(self, scene: "Scene", start_s: float) -> Behaviour:
+    def begin(self, scene: "Scene", start_s: float) -> Behavior:
         """Make the rule for one run, which begins at a time of the scene."""
-        return _Standing()
+        return _StationaryBehavior()
 
 
 # § A road user that changes into the ego vehicle's lane.
@@ -165,29 +165,29 @@ class CutIn(Triggered, frozen=True, kw_only=True, forbid_unknown_fields=True, ta
         Meta(gt=0, le=20, title="Acceleration", description="To that speed, or braking to it.", extra={"unit": "m/s2"}),
     ] = 2.0
 
-    def begin(self, scene: "Scene", start_s: float) -> Behaviour:
+    def begin(self, scene: "Scene", start_s: float) -> Behavior:
         """Make the rule for one run, which begins at a time of the scene."""
-        return _CuttingIn(self)
+        return _CutInBehavior(self)
 
 
-BehaviourSettings = ConstantVelocity | Stationary | IntelligentDriver | CutIn | Brake | OnTrack | Replay
+BehaviorSettings = ConstantVelocity | Stationary | IntelligentDriver | CutIn | Brake | ScriptedTrack | Replay
 """Settings of one of them; `begin(scene, start_s)` makes the rule itself."""
 
 
-class _Following:
+class _IDMBehavior:
     def __init__(self, settings: IntelligentDriver) -> None:
         self._settings = settings
-        self._place: InLane | None = None
+        self._place: LanePosition | None = None
 
     def start(self, placed: RoadUser) -> RoadUser | None:
         return placed
 
-    def next(self, me: RoadUser | None, around: Surroundings, dt_s: float) -> RoadUser | None:
+    def next(self, me: RoadUser | None, around: TrafficState, dt_s: float) -> RoadUser | None:
         if me is None:
             return None
         route = around.route
-        place = self._place or InLane.of(route, me)
-        ahead = ahead_in_lane(route, me, (around.ego, *around.others))
+        place = self._place or LanePosition.of(route, me)
+        ahead = find_vehicle_ahead(route, me, (around.ego, *around.others))
         closing = 0.0 if ahead is None else me.speed_m_s - ahead.speed_m_s
         asked = self._settings.acceleration(me.speed_m_s, None if ahead is None else ahead.gap_m, closing)
         to = max(0.0, me.speed_m_s + asked * dt_s) if asked < 0 else me.speed_m_s + asked * dt_s
@@ -196,18 +196,18 @@ class _Following:
         return self._place.user(route, me, speed)
 
 
-class _Braking:
+class _BrakeBehavior:
     def __init__(self, settings: Brake) -> None:
         self._settings, self._trigger = settings, Trigger(settings)
-        self._place: InLane | None = None
+        self._place: LanePosition | None = None
 
     def start(self, placed: RoadUser) -> RoadUser | None:
         return placed
 
-    def next(self, me: RoadUser | None, around: Surroundings, dt_s: float) -> RoadUser | None:
+    def next(self, me: RoadUser | None, around: TrafficState, dt_s: float) -> RoadUser | None:
         if me is None:
             return None
-        place = self._place or InLane.of(around.route, me)
+        place = self._place or LanePosition.of(around.route, me)
         is_off = self._trigger.watch(me, around) is None
         to = me.speed_m_s if is_off else min(me.speed_m_s, self._settings.to_speed_m_s)
         speed, distance = changed_speed(me.speed_m_s, to, self._settings.deceleration_m_s2, dt_s)
@@ -215,21 +215,21 @@ class _Braking:
         return self._place.user(around.route, me, speed)
 
 
-class _StraightOn:
+class _ConstantVelocityBehavior:
     def start(self, placed: RoadUser) -> RoadUser | None:
         return placed
 
-    def next(self, me: RoadUser | None, around: Surroundings, dt_s: float) -> RoadUser | None:
+    def next(self, me: RoadUser | None, around: TrafficState, dt_s: float) -> RoadUser | None:
         if me is None:
             return None
         return me.ahead(me.speed_m_s * dt_s)
 
 
-class _Standing:
+class _StationaryBehavior:
     def start(self, placed: RoadUser) -> RoadUser | None:
         return placed.moved(speed_m_s=0.0)
 
-    def next(self, me: RoadUser | None, around: Surroundings, dt_s: float) -> RoadUser | None:
+    def next(self, me: RoadUser | None, around: TrafficState, dt_s: float) -> RoadUser | None:
         return me
 
 
@@ -243,10 +243,10 @@ def quintic_rate(share: float) -> float:
     return 30 * (share * (1 - share)) ** 2
 
 
-class _CuttingIn:
+class _CutInBehavior:
     def __init__(self, settings: CutIn) -> None:
         self._settings, self._trigger = settings, Trigger(settings)
-        self._place: InLane | None = None
+        self._place: LanePosition | None = None
         self._from_left_m = 0.0
         self._speed_m_s = 0.0
         """Along the road; the road user's own is that along its heading."""
@@ -255,12 +255,12 @@ class _CuttingIn:
         self._speed_m_s = placed.speed_m_s
         return placed
 
-    def next(self, me: RoadUser | None, around: Surroundings, dt_s: float) -> RoadUser | None:
+    def next(self, me: RoadUser | None, around: TrafficState, dt_s: float) -> RoadUser | None:
         if me is None:
             return None
         route, wanted = around.route, self._settings
         if self._place is None:
-            self._place = InLane.of(route, me)
+            self._place = LanePosition.of(route, me)
             self._from_left_m = self._place.left_m
         since = self._trigger.watch(me, around)
         keeps = since is None or wanted.to_speed_m_s is None or around.time_s < since + wanted.speed_delay_s - 1e-9
@@ -269,7 +269,7 @@ class _CuttingIn:
         place = self._place.ahead(route, distance)
         share = 0.0 if since is None else min((around.time_s + dt_s - since) / wanted.duration_s, 1.0)
         across = -self._from_left_m if wanted.offset_m is None else wanted.offset_m
-        self._place = InLane(place.along_m, self._from_left_m + across * quintic(share), place.direction)
+        self._place = LanePosition(place.along_m, self._from_left_m + across * quintic(share), place.direction)
         drift = place.direction * across * quintic_rate(share) / wanted.duration_s
         return self._place.user(route, me, self._speed_m_s, drift)
 
@@ -283,13 +283,13 @@ class Trigger:
         self.since_s: float | None = None
         """When it went off."""
 
-    def watch(self, me: RoadUser, around: Surroundings) -> float | None:
+    def watch(self, me: RoadUser, around: TrafficState) -> float | None:
         """Look at a moment; returns when it went off, None while it has not."""
         if self.since_s is None and self._goes_off(me, around):
             self.since_s = around.time_s
         return self.since_s
 
-    def _goes_off(self, me: RoadUser, around: Surroundings) -> bool:
+    def _goes_off(self, me: RoadUser, around: TrafficState) -> bool:
         wanted = self._settings
         if wanted.after_s is not None:
             return around.time_s >= wanted.after_s - 1e-9
@@ -299,7 +299,7 @@ class Trigger:
                 self._began_nearer = gap < wanted.gap_m
             return gap >= wanted.gap_m if self._began_nearer else gap <= wanted.gap_m
         assert wanted.time_to_collision_s is not None
-        mine, egos = InLane.of(around.route, me), InLane.of(around.route, around.ego)
+        mine, egos = LanePosition.of(around.route, me), LanePosition.of(around.route, around.ego)
         closing = around.ego.speed_m_s - mine.direction * egos.direction * me.speed_m_s
         is_behind = egos.direction * (mine.along_m - egos.along_m) > 0
         return is_behind and closing > 0 and max(gap, 0.0) <= wanted.time_to_collision_s * closing

@@ -11,11 +11,11 @@ from jaxtyping import Float64
 from msgspec import Meta
 
 from ...scene.scene import Actor, Scene
-from ..geometry import wrapped
+from ..geometry import wrap_angle
 from ..rollout import Rollout, driven_vehicle
 from ..rollout_io import read_any_rollout
 from ..vehicle import VehicleState, vehicle_box
-from .base import EGO, Behaviour, ByTheClock, InLane, RoadUser, Surroundings
+from .base import EGO, Behavior, LanePosition, RoadUser, TimeParametrizedBehavior, TrafficState
 
 _STEP_S = 0.05
 """Half the time over which a speed is taken: tracks are linear between samples, mostly 100 ms apart."""
@@ -31,7 +31,7 @@ class RecordedTrack:
         """Return where it was recorded at the beginning, wherever it is placed."""
         return self.at(0.0)
 
-    def next(self, me: RoadUser | None, around: Surroundings, dt_s: float) -> RoadUser | None:
+    def next(self, me: RoadUser | None, around: TrafficState, dt_s: float) -> RoadUser | None:
         return self.at(around.time_s + dt_s)
 
     def at(self, time_s: float) -> RoadUser | None:
@@ -76,7 +76,7 @@ class Replay(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         str, Meta(min_length=1, title="Road user", description='Its id in the roll-out; "ego" is its ego vehicle.')
     ]
 
-    def begin(self, scene: "Scene", start_s: float) -> Behaviour:
+    def begin(self, scene: "Scene", start_s: float) -> Behavior:
         """Make the rule for one run; raises ValueError where there is no such file or nobody of that name in it."""
         path = Path(self.rollout)
         if not path.is_file():
@@ -84,7 +84,7 @@ class Replay(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         moments = _moments(read_any_rollout(path), self.user)
         if not len(moments):
             raise ValueError(f"{path}: nobody is called {self.user!r} in this roll-out")
-        return _Again(moments)
+        return _ReplayBehavior(moments)
 
 
 def _moments(rollout: Rollout, user: str) -> Float64[np.ndarray, "n 5"]:
@@ -104,7 +104,7 @@ def _moments(rollout: Rollout, user: str) -> Float64[np.ndarray, "n 5"]:
     return moments if np.isfinite(moments).all(axis=1).any() else moments[:0]
 
 
-class _Again(ByTheClock):
+class _ReplayBehavior(TimeParametrizedBehavior):
     def __init__(self, moments: Float64[np.ndarray, "n 5"]) -> None:
         self._moments = moments
 
@@ -120,7 +120,7 @@ class _Again(ByTheClock):
         first, last = self._moments[earlier], self._moments[later].copy()
         if share > 1 - 1e-9:
             return _moved(me, last)
-        last[3] = first[3] + wrapped(float(last[3] - first[3]))
+        last[3] = first[3] + wrap_angle(float(last[3] - first[3]))
         return _moved(me, (1 - share) * first + share * last)
 
 
@@ -146,7 +146,9 @@ class TrackPoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     ] = 0.0
 
 
-class OnTrack(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="track"):
+class ScriptedTrack(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="track"
+):
     """Follows a track: of an actor, where and when it was recorded; or through points, smoothly, and then stands.
 
     Between points positions are monotone cubics of time (PCHIP: Fritsch and Butland 1984), so nothing overshoots.
@@ -165,18 +167,18 @@ class OnTrack(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         if any(later <= earlier for earlier, later in pairwise(times)):
             raise ValueError("`points` must be in the order of their times, which are later than 0 s")
 
-    def begin(self, scene: "Scene", start_s: float) -> Behaviour:
+    def begin(self, scene: "Scene", start_s: float) -> Behavior:
         """Make the rule for one run; raises ValueError where the scene has no such actor."""
         if self.actor is None:
-            return _ThroughPoints(self.points)
+            return _WaypointBehavior(self.points)
         for actor in scene.actors:
             if actor.id == self.actor:
-                return _LikeActor(RecordedTrack(scene, actor, start_s), self.pace)
+                return _ActorTrackBehavior(RecordedTrack(scene, actor, start_s), self.pace)
         known = ", ".join(each.id for each in scene.actors) or "none"
         raise ValueError(f"track of actor {self.actor!r}: scene {scene.name!r} has only {known}")
 
 
-class _LikeActor(ByTheClock):
+class _ActorTrackBehavior(TimeParametrizedBehavior):
     def __init__(self, track: RecordedTrack, pace: float) -> None:
         self._track, self._pace = track, pace
 
@@ -188,25 +190,25 @@ class _LikeActor(ByTheClock):
         return me.moved(x_m=there.x_m, y_m=there.y_m, yaw_rad=there.yaw_rad, speed_m_s=speed)
 
 
-class _ThroughPoints:
+class _WaypointBehavior:
     def __init__(self, points: tuple[TrackPoint, ...]) -> None:
         rows = [(0.0, 0.0, 0.0), *((point.time_s, point.ahead_m, point.left_m) for point in points)]
         times, ahead, left = np.array(rows).T
         self._end_s = float(times[-1])
-        self._way = scipy.interpolate.PchipInterpolator(times, np.stack([ahead, left], axis=1))
-        self._speed = self._way.derivative()
-        self._from: InLane | None = None
+        self._ego_path = scipy.interpolate.PchipInterpolator(times, np.stack([ahead, left], axis=1))
+        self._speed = self._ego_path.derivative()
+        self._from: LanePosition | None = None
 
     def start(self, placed: RoadUser) -> RoadUser | None:
         return placed
 
-    def next(self, me: RoadUser | None, around: Surroundings, dt_s: float) -> RoadUser | None:
+    def next(self, me: RoadUser | None, around: TrafficState, dt_s: float) -> RoadUser | None:
         if me is None:
             return None
         if self._from is None:
-            self._from = InLane.of(around.route, me)
+            self._from = LanePosition.of(around.route, me)
         time_s = min(around.time_s + dt_s, self._end_s)
-        ahead, left = (float(value) for value in self._way(time_s))
+        ahead, left = (float(value) for value in self._ego_path(time_s))
         vx, vy = (float(value) for value in self._speed(time_s))
         x, y, heading = around.route.at(self._from.along_m + ahead, self._from.left_m + left)
         speed = float(np.hypot(vx, vy)) if around.time_s + dt_s < self._end_s else 0.0

@@ -10,19 +10,19 @@ diffusers = pytest.importorskip("diffusers")
 
 from gsrain_engine.appearance.correspondence import (  # noqa: E402
     Correspondence,
-    Outcome,
+    MatchOutcome,
 )
 from gsrain_engine.appearance.cyclegan_turbo.cross_view_attention import (  # noqa: E402
-    Element,
-    exchanging,
+    BatchElement,
+    cross_view_attention,
 )
 from gsrain_engine.appearance.cyclegan_turbo.settings import (  # noqa: E402
-    MutualAttention,
-    Window,
+    CrossViewAttention,
+    TileWindow,
 )
 
 PX, LATENT = 64, 8
-WHOLE = Window.whole(PX, PX)
+WHOLE = TileWindow.whole(PX, PX)
 
 
 def shifted(pixels: int = 0, valid: bool = True) -> Correspondence:
@@ -30,7 +30,7 @@ def shifted(pixels: int = 0, valid: bool = True) -> Correspondence:
     rows, columns = np.mgrid[:PX, :PX] + 0.5
     places = np.stack([columns + pixels, rows], axis=-1).astype(np.float32)
     inside = (places[..., 0] > 0) & (places[..., 0] < PX) & valid
-    outcome = np.where(inside, Outcome.MATCHED, Outcome.OUTSIDE).astype(np.uint8)
+    outcome = np.where(inside, MatchOutcome.MATCHED, MatchOutcome.OUTSIDE).astype(np.uint8)
     return Correspondence(places, outcome, (PX, PX))
 
 
@@ -67,29 +67,29 @@ def run(unet, latents, caption):
 
 def pair(correspondence, source=0):
     """A view that nobody sees anything in, and one that looks at it."""
-    return [Element(0, WHOLE, (), True), Element(1, WHOLE, ((source, correspondence),), False)]
+    return [BatchElement(0, WHOLE, (), True), BatchElement(1, WHOLE, ((source, correspondence),), False)]
 
 
-SETTINGS = MutualAttention(px_per_token=(8, 16))
+SETTINGS = CrossViewAttention(px_per_token=(8, 16))
 
 
 def test_a_view_that_looks_at_its_own_twin_is_as_without(unet, inputs):
     latents = inputs.latents[:1].expand(2, -1, -1, -1)
     plain = run(unet, latents, inputs.caption)
-    with exchanging(unet, SETTINGS) as talk, talk.batch(pair(shifted())):
+    with cross_view_attention(unet, SETTINGS) as talk, talk.batch(pair(shifted())):
         mutual = run(unet, latents, inputs.caption)
     torch.testing.assert_close(mutual, plain, atol=2e-6, rtol=1e-5)
 
 
 def test_a_view_that_matches_nothing_is_exactly_as_without(unet, inputs):
     plain = run(unet, inputs.latents, inputs.caption)
-    with exchanging(unet, SETTINGS) as talk, talk.batch(pair(shifted(valid=False))):
+    with cross_view_attention(unet, SETTINGS) as talk, talk.batch(pair(shifted(valid=False))):
         assert torch.equal(run(unet, inputs.latents, inputs.caption), plain)
 
 
 def test_only_the_view_that_looks_changes(unet, inputs):
     plain = run(unet, inputs.latents, inputs.caption)
-    with exchanging(unet, SETTINGS) as talk, talk.batch(pair(shifted(8))):
+    with cross_view_attention(unet, SETTINGS) as talk, talk.batch(pair(shifted(8))):
         mutual = run(unet, inputs.latents, inputs.caption)
     assert torch.equal(mutual[0], plain[0])
     assert (mutual[1] - plain[1]).abs().max() > 1e-3
@@ -97,9 +97,9 @@ def test_only_the_view_that_looks_changes(unet, inputs):
 
 def test_one_after_the_other_is_as_both_at_once(unet, inputs):
     look = pair(shifted(8))
-    with exchanging(unet, SETTINGS) as talk, talk.batch(look):
+    with cross_view_attention(unet, SETTINGS) as talk, talk.batch(look):
         at_once = run(unet, inputs.latents, inputs.caption)
-    with exchanging(unet, SETTINGS) as talk:
+    with cross_view_attention(unet, SETTINGS) as talk:
         with talk.batch(look[:1]):
             run(unet, inputs.latents[:1], inputs.caption)
         kept = talk.maps.nbytes
@@ -114,7 +114,7 @@ def test_one_after_the_other_is_as_both_at_once(unet, inputs):
 def test_the_network_is_as_before_afterwards(unet, inputs):
     before = dict(unet.attn_processors)
     plain = run(unet, inputs.latents, inputs.caption)
-    with exchanging(unet, SETTINGS) as talk:
+    with cross_view_attention(unet, SETTINGS) as talk:
         assert unet.attn_processors != before
         assert torch.equal(run(unet, inputs.latents, inputs.caption), plain)
         with pytest.raises(ValueError, match="2 views were announced"), talk.batch(pair(shifted())):
@@ -126,7 +126,7 @@ def test_layers_are_chosen_by_name_and_by_the_width_of_their_tokens(unet, inputs
     plain = run(unet, inputs.latents, inputs.caption)
 
     def changed(**choice):
-        with exchanging(unet, MutualAttention(**choice)) as talk, talk.batch(pair(shifted(8))):
+        with cross_view_attention(unet, CrossViewAttention(**choice)) as talk, talk.batch(pair(shifted(8))):
             return not torch.equal(run(unet, inputs.latents, inputs.caption), plain)
 
     assert changed(layers=("up_blocks.*",), px_per_token=(8,))
@@ -137,7 +137,7 @@ def test_layers_are_chosen_by_name_and_by_the_width_of_their_tokens(unet, inputs
 
 
 def test_attention_to_the_text_stays_what_it_was(unet):
-    with exchanging(unet, SETTINGS):
+    with cross_view_attention(unet, SETTINGS):
         names = {name: type(p).__name__ for name, p in unet.attn_processors.items()}
     assert {kind for name, kind in names.items() if "attn1" in name} == {"MutualSelfAttention"}
     assert {kind for name, kind in names.items() if "attn2" in name} == {"AttnProcessor2_0"}
@@ -155,10 +155,10 @@ def test_peft_layers_count_too(inputs):
         cross_attention_dim=8,
         attention_head_dim=2,
     ).eval()
-    settings = MutualAttention(px_per_token=(8,))
+    settings = CrossViewAttention(px_per_token=(8,))
 
     def looked():
-        with exchanging(unet, settings) as talk, talk.batch(pair(shifted(8))):
+        with cross_view_attention(unet, settings) as talk, talk.batch(pair(shifted(8))):
             return run(unet, inputs.latents, inputs.caption)
 
     unet.add_adapter(peft.LoraConfig(r=2, target_modules=["to_k", "to_v"], init_lora_weights=False))

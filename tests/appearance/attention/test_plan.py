@@ -7,12 +7,12 @@ import pytest
 
 from gsrain_engine.appearance.base import ClearView
 from gsrain_engine.appearance.cyclegan_turbo.cross_view_attention import (
-    outward_plan,
-    planned,
-    separate_plan,
-    together_plan,
+    attention_plan,
+    plan_in_groups,
+    plan_outward,
+    plan_separately,
 )
-from gsrain_engine.appearance.cyclegan_turbo.settings import MutualAttention
+from gsrain_engine.appearance.cyclegan_turbo.settings import CrossViewAttention
 from gsrain_engine.scene.camera import Camera, look_at
 
 ROW = [(1, 2), (0, 2), (1, 3), (2, 4), (3, 2)]
@@ -24,7 +24,7 @@ def sources(plan):
 
 
 def test_outward_begins_in_the_middle_and_only_looks_back():
-    plan = outward_plan(ROW, 2)
+    plan = plan_outward(ROW, 2)
     order = [view for step in plan.steps for view in step.views]
     assert order[0] == 2
     assert sorted(order) == list(range(5))
@@ -36,29 +36,29 @@ def test_outward_begins_in_the_middle_and_only_looks_back():
 
 def test_a_view_looks_at_no_more_than_asked_and_at_the_best_first():
     everybody = [tuple(o for o in (0, 1, 2, 3) if o != view) for view in range(4)]
-    assert max(len(looked_at) for looked_at in sources(outward_plan(everybody, 1)).values()) == 1
-    assert sources(outward_plan(everybody, 3))[3] == (0, 1, 2)
+    assert max(len(looked_at) for looked_at in sources(plan_outward(everybody, 1)).values()) == 1
+    assert sources(plan_outward(everybody, 3))[3] == (0, 1, 2)
 
 
 def test_what_is_apart_gets_its_own_anchor():
-    plan = outward_plan([(1,), (0,), (3,), (2,), ()], 2)
+    plan = plan_outward([(1,), (0,), (3,), (2,), ()], 2)
     assert [view for view, looked_at in sources(plan).items() if not looked_at] == [0, 2, 4]
 
 
 def test_a_view_that_is_named_looks_at_who_named_it():
-    assert sources(outward_plan([(1,), ()], 2)) == {1: (), 0: (1,)}
+    assert sources(plan_outward([(1,), ()], 2)) == {1: (), 0: (1,)}
 
 
 def test_features_go_after_their_last_use():
-    plan = outward_plan(ROW, 1)
+    plan = plan_outward(ROW, 1)
     numbers = {view: number for number, step in enumerate(plan.steps) for view in step.views}
     for view, last in plan.last_use().items():
         assert last == max(numbers[other] for other, looked_at in sources(plan).items() if view in looked_at)
-    assert not separate_plan(4).last_use()
+    assert not plan_separately(4).last_use()
 
 
 def test_together_groups_look_both_ways():
-    plan = together_plan(ROW, 2, 3, ["s"] * 5)
+    plan = plan_in_groups(ROW, 2, 3, ["s"] * 5)
     assert [len(step.views) for step in plan.steps] == [3, 2]
     first = plan.steps[0]
     both = [(a, b) for a, sa in zip(first.views, first.sources, strict=True) for b in sa if a in sources(plan)[b]]
@@ -68,7 +68,7 @@ def test_together_groups_look_both_ways():
 
 def test_together_never_mixes_sizes():
     sizes = ["s", "l", "s", "l", "s"]
-    plan = together_plan(ROW, 2, 3, sizes)
+    plan = plan_in_groups(ROW, 2, 3, sizes)
     assert all(len({sizes[view] for view in step.views}) == 1 for step in plan.steps)
     assert sorted(view for step in plan.steps for view in step.views) == list(range(5))
 
@@ -92,7 +92,7 @@ def rig():
 
 def test_neighbours_are_of_the_same_moment_the_same_camera_or_both(rig):
     def pairs(among):
-        plan = planned(rig, MutualAttention(among=among, neighbours=2))
+        plan = attention_plan(rig, CrossViewAttention(among=among, neighbours=2))
         return {(rig[view].name, rig[other].name) for view, found in sources(plan).items() for other in found}
 
     cameras, time = pairs("cameras"), pairs("time")
@@ -103,7 +103,7 @@ def test_neighbours_are_of_the_same_moment_the_same_camera_or_both(rig):
 
 def test_views_without_depth_stay_alone(rig):
     blind = [replace(view, depth=np.zeros_like(view.depth)) for view in rig]
-    assert not planned(blind, MutualAttention()).last_use()
-    assert not planned(rig, None).last_use()
-    assert not planned(rig, MutualAttention(neighbours=0)).last_use()
-    assert not planned(rig[:1], MutualAttention()).last_use()
+    assert not attention_plan(blind, CrossViewAttention()).last_use()
+    assert not attention_plan(rig, None).last_use()
+    assert not attention_plan(rig, CrossViewAttention(neighbours=0)).last_use()
+    assert not attention_plan(rig[:1], CrossViewAttention()).last_use()

@@ -7,7 +7,7 @@ attention = pytest.importorskip("diffusers.models.attention_processor")
 
 from gsrain_engine.appearance.cyclegan_turbo.cross_view_attention import (  # noqa: E402
     MutualSelfAttention,
-    attended,
+    chunked_attention,
 )
 
 
@@ -78,7 +78,7 @@ def test_never_more_scores_at_once_than_asked_for(monkeypatch, most_scores):
 
 @torch.inference_mode()
 def test_chunks_of_three_large_views_stay_below_the_default(monkeypatch):
-    from gsrain_engine.appearance.cyclegan_turbo.settings import MutualAttention
+    from gsrain_engine.appearance.cyclegan_turbo.settings import CrossViewAttention
 
     # SD-Turbo's finest layer at 512 px: 5 heads, 4096 tokens, two neighbours. Only shapes are computed.
     query, key = (torch.empty(1, 5, n, 64, device="meta") for n in (4096, 3 * 4096))
@@ -89,6 +89,6 @@ def test_chunks_of_three_large_views_stay_below_the_default(monkeypatch):
         return query
 
     monkeypatch.setattr(torch.nn.functional, "scaled_dot_product_attention", counting)
-    attended(query, key, key, 0.125, MutualAttention().most_scores)
+    chunked_attention(query, key, key, 0.125, CrossViewAttention().most_scores)
     assert sum(counted) == 5 * 4096 * 3 * 4096
     assert 4 * max(counted) <= 256 * 2**20

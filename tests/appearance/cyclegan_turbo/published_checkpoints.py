@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import Any
 
 from gsrain_engine.appearance.cyclegan_turbo.lora import VAE_LAYERS, LoraRanks, unet_targets
-from gsrain_engine.appearance.cyclegan_turbo.model import CycleGanTurbo, build, tiny
+from gsrain_engine.appearance.cyclegan_turbo.model import CycleGanTurbo, build_random_model, tiny
 
 torch: Any = import_module("torch")
 
@@ -34,7 +34,7 @@ def trained_first_convolutions(model: CycleGanTurbo) -> None:
 
 @cache
 def _to_train(normals: bool) -> CycleGanTurbo:
-    return build(tiny(), normals, RANKS)
+    return build_random_model(tiny(), normals, RANKS)
 
 
 def to_train(*, normals: bool = False) -> CycleGanTurbo:
@@ -45,7 +45,7 @@ def to_train(*, normals: bool = False) -> CycleGanTurbo:
 @cache
 def pristine(*, normals: bool = False) -> CycleGanTurbo:
     """A small model without other weights in it; `untrained` copies it."""
-    return build(tiny(), normals)
+    return build_random_model(tiny(), normals)
 
 
 def untrained(*, normals: bool = False) -> CycleGanTurbo:

@@ -14,9 +14,9 @@ from gsrain_engine.appearance.cyclegan_turbo.model import (  # noqa: E402
     OneStep,
     add_guide_channel,
     add_skips,
-    build,
-    decoded,
-    encoded,
+    build_random_model,
+    decode_latents,
+    encode_images,
     sd_turbo,
     tiny,
 )
@@ -61,10 +61,10 @@ def test_the_step_amplifies_the_noise_that_it_takes_off_and_no_rounding_of_its_o
 
 def test_the_real_architecture_has_the_published_layers() -> None:
     with torch.device("meta"):
-        model = build(sd_turbo(), normals=True)
+        model = build_random_model(sd_turbo(), normals=True)
     assert [len(names) for names in lora.unet_targets(model.unet)] == [94, 147, 17]
     layers = [name.removeprefix("vae.") for name in plain_layers(model) if name.startswith("vae.")]
-    assert len(lora.targeted(layers, lora.VAE_LAYERS)) == 74
+    assert len(lora.match_targets(layers, lora.VAE_LAYERS)) == 74
     skips = [model.vae.get_parameter(f"decoder.skip_conv_{i}.weight").shape[:2] for i in (1, 2, 3, 4)]
     assert skips == [(512, 512), (512, 256), (512, 128), (256, 128)]
     assert model.vae.encoder.conv_in.weight.shape == (128, 4, 3, 3)
@@ -88,7 +88,7 @@ def test_a_picture_is_translated_the_same_way_each_time_and_differently_each_way
 def test_the_same_seed_gives_the_same_model_and_leaves_the_generator_alone() -> None:
     torch.manual_seed(5)
     before = torch.get_rng_state()
-    one, other = build(tiny(), False, seed=1), build(tiny(), True, seed=1)
+    one, other = build_random_model(tiny(), False, seed=1), build_random_model(tiny(), True, seed=1)
     assert torch.equal(torch.get_rng_state(), before)
     assert torch.equal(one.unet.conv_in.weight, other.unet.conv_in.weight)
     assert not torch.equal(one.unet.conv_in.weight, pristine().unet.conv_in.weight)
@@ -130,10 +130,10 @@ def test_without_skips_it_is_diffusers_autoencoder() -> None:
         mode = vae.encode(pictures).latent_dist.mode() * vae.config.scaling_factor
         plain = vae.decode(mode / vae.config.scaling_factor).sample.clamp(-1, 1)
         add_skips(vae)
-        latents, skips = encoded(vae, pictures)
+        latents, skips = encode_images(vae, pictures)
         assert torch.equal(latents, mode)
-        assert torch.equal(decoded(vae, latents, skips, strength=0), plain)
-        with_skips = decoded(vae, latents, skips)
+        assert torch.equal(decode_latents(vae, latents, skips, strength=0), plain)
+        with_skips = decode_latents(vae, latents, skips)
         assert not torch.equal(with_skips, plain)
         torch.testing.assert_close(with_skips, plain, atol=1e-2, rtol=0)
 
@@ -168,7 +168,7 @@ def test_what_it_can_not_take() -> None:
 def test_adapters_change_nothing_before_training_and_count_as_published() -> None:
     pytest.importorskip("peft")
     pictures = _noise(10, 1, 3, 16, 16)
-    model = build(tiny(), False, lora.LoraRanks(unet=8, vae=4))
+    model = build_random_model(tiny(), False, lora.LoraRanks(unet=8, vae=4))
     assert torch.equal(_out(model, pictures), _out(pristine(), pictures))
     scales = {lora.addition_of(layer).scale for _, layer in lora.adapted_layers(model.unet)}
     assert scales == {1.0}

@@ -157,33 +157,33 @@ def test_places_are_tried_in_order(base: Path, monkeypatch: pytest.MonkeyPatch) 
         FileNotFoundError,
         match=r"no SD-Turbo .*models--stabilityai--sd-turbo: hf download stabilityai/sd-turbo .*GSRAIN_SD_TURBO",
     ):
-        weight_paths.find_base()
+        weight_paths.find_base_model()
     snapshots = Path(base.parent) / "hub" / "hub" / "models--stabilityai--sd-turbo"
     for name in ("aaa", "bbb"):
         shutil.copytree(base, snapshots / "snapshots" / name)
     (snapshots / "refs").mkdir()
     (snapshots / "refs" / "main").write_text("bbb")
-    assert weight_paths.find_base() == snapshots / "snapshots" / "bbb"
+    assert weight_paths.find_base_model() == snapshots / "snapshots" / "bbb"
     shutil.copytree(base, weight_paths.data_folder() / "sd-turbo")
-    assert weight_paths.find_base() == weight_paths.data_folder() / "sd-turbo"
+    assert weight_paths.find_base_model() == weight_paths.data_folder() / "sd-turbo"
     monkeypatch.setenv(weight_paths.BASE_VARIABLE, str(base))
-    assert weight_paths.find_base() == base
+    assert weight_paths.find_base_model() == base
     with pytest.raises(FileNotFoundError, match="elsewhere"):
-        weight_paths.find_base(base.parent / "elsewhere")
+        weight_paths.find_base_model(base.parent / "elsewhere")
 
 
 def test_weights_are_found_where_they_are_put(base: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(FileNotFoundError, match=r"clear2rainy\.pkl there, or name a file by --weights"):
-        weight_paths.find_weights()
+        weight_paths.find_transfer_weights()
     folder = weight_paths.data_folder() / "transfer"
     folder.mkdir(parents=True)
     for name in ("a.safetensors", "clear2rainy.pkl", "notes.txt"):
         (folder / name).touch()
-    assert weight_paths.find_weights().name == "clear2rainy.pkl"
+    assert weight_paths.find_transfer_weights().name == "clear2rainy.pkl"
     (folder / "clear2rainy.pkl").unlink()
-    assert weight_paths.find_weights().name == "a.safetensors"
+    assert weight_paths.find_transfer_weights().name == "a.safetensors"
     monkeypatch.setenv(weight_paths.WEIGHTS_VARIABLE, str(folder / "notes.txt"))
-    assert weight_paths.find_weights().name == "notes.txt"
+    assert weight_paths.find_transfer_weights().name == "notes.txt"
 
 
 def test_a_published_checkpoint_upon_a_base(base: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,11 +16,11 @@ from gsrain_engine.appearance.base import (  # noqa: E402
     Transfer,
 )
 from gsrain_engine.appearance.cyclegan_turbo.model import (  # noqa: E402
-    build,
+    build_random_model,
     tiny,
 )
 from gsrain_engine.appearance.cyclegan_turbo.settings import (  # noqa: E402
-    MutualAttention,
+    CrossViewAttention,
     RunSettings,
 )
 from gsrain_engine.appearance.cyclegan_turbo.translator import NO_OVERLAP, WITHOUT_POSE, CycleGanTurboTransfer  # noqa: E402
@@ -71,7 +71,7 @@ class Rendered(Sequence):
 
 @pytest.fixture(scope="module")
 def model():
-    model = build(tiny(), normals=True)
+    model = build_random_model(tiny(), normals=True)
     with torch.no_grad():  # as if trained: the new channel and the skips count
         for vae in (model.vae, model.vae_b2a):
             vae.encoder.conv_in.weight[:, 3] = 0.2
@@ -103,7 +103,7 @@ def test_it_is_the_models_own_picture(model, views):
 
 @pytest.mark.parametrize("order", ["outward", "together"])
 def test_the_same_views_give_the_same_bytes(model, views, order):
-    settings = RunSettings(side_px=48, mutual=MutualAttention(order=order))
+    settings = RunSettings(side_px=48, mutual=CrossViewAttention(order=order))
     first, second = images(model, views, settings), images(model, views, settings)
     for name, image in first.items():
         assert image.tobytes() == second[name].tobytes()
@@ -180,7 +180,7 @@ def test_an_estimator_is_asked_in_place_of_the_view(model, views):
 
 
 def test_three_channels_need_no_guide(views):
-    narrow = build(tiny(), normals=False)
+    narrow = build_random_model(tiny(), normals=False)
     assert images(narrow, views, RunSettings(side_px=None)).keys() == {"left", "centre", "right"}
 
 
@@ -210,7 +210,7 @@ def test_tiles_look_at_other_views_as_whole_pictures_do(model):
 def replace_mutual(settings: RunSettings, **choice) -> RunSettings:
     import msgspec
 
-    return msgspec.structs.replace(settings, mutual=MutualAttention(px_per_token=(8, 16, 32, 64), **choice))
+    return msgspec.structs.replace(settings, mutual=CrossViewAttention(px_per_token=(8, 16, 32, 64), **choice))
 
 
 def test_views_without_poses_and_without_overlap_stay_alone_and_say_so(model, views):

@@ -12,9 +12,9 @@ pytest.importorskip("peft")
 
 from gsrain_engine.appearance.cyclegan_turbo.model import CycleGanTurbo  # noqa: E402
 from gsrain_engine.appearance.cyclegan_turbo.weights import (  # noqa: E402
+    apply_adapter_weights,
     open_weights,
     save_weights,
-    take_in,
 )
 
 from .loaded_weights import load_weights  # noqa: E402
@@ -161,7 +161,7 @@ def test_weatheredit_has_several_weathers_and_a_fourth_channel_of_its_own(tmp_pa
     with pytest.raises(ValueError, match="holds rainy, snowy, not 'foggy'"):
         opened.delta(plain, "foggy")
     with pytest.raises(ValueError, match="made with a fourth channel, which this model lacks"):
-        take_in(pristine(), opened.delta(pristine()))
+        apply_adapter_weights(pristine(), opened.delta(pristine()))
 
 
 def test_our_own_file_gives_the_same_bytes_back(tmp_path: Path) -> None:

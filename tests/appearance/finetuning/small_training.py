@@ -9,11 +9,11 @@ import numpy as np
 from PIL import Image
 
 from gsrain_engine.appearance.cyclegan_turbo.model import TurboArchitecture, tiny
-from gsrain_engine.appearance.finetune.dataset import open_pictures
+from gsrain_engine.appearance.finetune.dataset import open_images
 from gsrain_engine.appearance.finetune.run import finetune, start_finetuning
 from gsrain_engine.appearance.finetune.settings import FinetuningSettings, load_finetuning
-from gsrain_engine.appearance.finetune.step import Training
-from gsrain_engine.appearance.finetune.task import TrainingResult, TrainingTask
+from gsrain_engine.appearance.finetune.step import FinetuneTrainer
+from gsrain_engine.appearance.finetune.task import FinetuneResult, FinetuneTask
 from gsrain_engine.scene.progress import Progress
 
 SIDE_PX = 16
@@ -60,11 +60,11 @@ def small_settings(folder: Path, **changes: Any) -> FinetuningSettings:
     return load_finetuning("tiny", **(usual | changes))
 
 
-def small_start(settings: FinetuningSettings) -> Training:
-    return start_finetuning(settings, open_pictures(settings.pictures).train)
+def small_start(settings: FinetuningSettings) -> FinetuneTrainer:
+    return start_finetuning(settings, open_images(settings.pictures).train)
 
 
-def run(task: TrainingTask) -> tuple[TrainingResult, Sequence[Progress]]:
+def run(task: FinetuneTask) -> tuple[FinetuneResult, Sequence[Progress]]:
     """Fine-tune to the end."""
     work = finetune(task)
     steps: list[Progress] = []

@@ -11,7 +11,7 @@ from gsrain_engine.appearance.finetune.discriminator import (  # noqa: E402
     ClipFeatures,
     Discriminator,
     area_resized,
-    augmented,
+    augment_images,
 )
 from gsrain_engine.appearance.finetune.settings import PLACE  # noqa: E402
 from gsrain_engine.appearance.finetune.step import adversarial  # noqa: E402
@@ -107,14 +107,14 @@ def test_a_discriminator_learns_to_tell_bright_from_dark(features: ClipFeatures)
 
 def test_augmentation_follows_its_seed() -> None:
     pictures, kinds = _pictures(), ("color", "translation", "cutout")
-    assert torch.equal(augmented(pictures, kinds, _random(4)), augmented(pictures, kinds, _random(4)))
-    assert not torch.equal(augmented(pictures, kinds, _random(4)), augmented(pictures, kinds, _random(5)))
-    assert torch.equal(augmented(pictures, (), _random(4)), pictures)
+    assert torch.equal(augment_images(pictures, kinds, _random(4)), augment_images(pictures, kinds, _random(4)))
+    assert not torch.equal(augment_images(pictures, kinds, _random(4)), augment_images(pictures, kinds, _random(5)))
+    assert torch.equal(augment_images(pictures, (), _random(4)), pictures)
 
 
 def test_translation_moves_and_uncovers_grey() -> None:
     pictures = _pictures(count=8, side=40)
-    moved = augmented(pictures, ("translation",), _random(2))
+    moved = augment_images(pictures, ("translation",), _random(2))
     shifts = set()
     for before, after in zip(pictures, moved, strict=True):
         found = [
@@ -130,13 +130,13 @@ def test_translation_moves_and_uncovers_grey() -> None:
 
 
 def test_cutout_leaves_a_hole_of_at_most_a_quarter() -> None:
-    holes = (augmented(_pictures(count=32), ("cutout",), _random(2)) == 0).all(1).flatten(1).float().mean(1)
+    holes = (augment_images(_pictures(count=32), ("cutout",), _random(2)) == 0).all(1).flatten(1).float().mean(1)
     assert float(holes.max()) <= 0.25 and float(holes.min()) >= 0.25 / 4 * 0.9 and len(holes.unique()) > 8
 
 
 def test_colours_change_as_drawn() -> None:
     pictures = _pictures(count=64)
-    changed = augmented(pictures, ("color",), _random(2))
+    changed = augment_images(pictures, ("color",), _random(2))
     means = (changed - pictures).mean((1, 2, 3))
     assert float(means.abs().max()) <= 0.5 + 1e-5 and float(means.std()) == pytest.approx(1 / 12**0.5, rel=0.25)
     contrasts = changed.mean(1).std((1, 2)) / pictures.mean(1).std((1, 2))

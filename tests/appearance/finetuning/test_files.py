@@ -83,25 +83,25 @@ def test_losses_are_read_while_they_are_written(tmp_path: Path) -> None:
 
 def test_pictures_go_round_in_ever_new_orders(tmp_path: Path) -> None:
     pytest.importorskip("torch")
-    from gsrain_engine.appearance.finetune.dataset import open_pictures
-    from gsrain_engine.appearance.finetune.sampler import PictureOrder, fingerprint
+    from gsrain_engine.appearance.finetune.dataset import open_images
+    from gsrain_engine.appearance.finetune.sampler import PairSampler, fingerprint
 
     from .small_training import small_settings
 
-    pictures = open_pictures(small_settings(tmp_path).pictures).train
-    order = PictureOrder(pictures, seed=3, guided=True, device="cpu")
+    pictures = open_images(small_settings(tmp_path).pictures).train
+    order = PairSampler(pictures, seed=3, guided=True, device="cpu")
     count = len(pictures.source)
     means = [float(order.pair(i).clear.mean()) for i in range(3 * count)]
     turns = [tuple(means[i : i + count]) for i in range(0, len(means), count)]
     assert all(sorted(turn) == sorted(turns[0]) and len(set(turn)) == count for turn in turns)
     assert len(set(turns)) > 1
-    again = PictureOrder(pictures, seed=3, guided=True, device="cpu")
+    again = PairSampler(pictures, seed=3, guided=True, device="cpu")
     assert float(again.pair(count + 1).clear.mean()) == means[count + 1]
 
     pair = order.pair(0)
     assert pair.clear.shape == (1, 3, 16, 16) and -1 <= float(pair.clear.min()) < float(pair.clear.max()) <= 1
     assert pair.clear_guide is not None and not pair.clear_guide.any()
-    assert PictureOrder(pictures, 3, guided=False, device="cpu").pair(0).clear_guide is None
+    assert PairSampler(pictures, 3, guided=False, device="cpu").pair(0).clear_guide is None
     fewer = replace(pictures, source=pictures.source[:-1])
     assert fingerprint(fewer) != fingerprint(pictures)
 
@@ -109,23 +109,25 @@ def test_pictures_go_round_in_ever_new_orders(tmp_path: Path) -> None:
 def test_damaged_checkpoints_are_refused(tmp_path: Path) -> None:
     torch = pytest.importorskip("torch")
     from gsrain_engine.appearance.finetune.checkpoint import (
-        Checkpoint,
+        FinetuneCheckpoint,
         FinetuningCheckpointError,
-        read_checkpoint,
-        write_checkpoint,
+        read_finetune_checkpoint,
+        write_finetune_checkpoint,
     )
 
     settings = load_finetuning("tiny")
     file = tmp_path / "checkpoint.safetensors"
-    write_checkpoint(file, Checkpoint(3, 1.5, {"a": torch.arange(4.0)}, False), settings, "two pictures")
-    read = read_checkpoint(file, msgspec.structs.replace(settings, steps=9), "two pictures", False)
+    write_finetune_checkpoint(
+        file, FinetuneCheckpoint(3, 1.5, {"a": torch.arange(4.0)}, False), settings, "two pictures"
+    )
+    read = read_finetune_checkpoint(file, msgspec.structs.replace(settings, steps=9), "two pictures", False)
     assert (read.step, read.seconds) == (3, 1.5) and torch.equal(read.tensors["a"], torch.arange(4.0))
     with pytest.raises(FinetuningCheckpointError, match="seed 0, now it is 1"):
-        read_checkpoint(file, msgspec.structs.replace(settings, seed=1), "two pictures", False)
+        read_finetune_checkpoint(file, msgspec.structs.replace(settings, seed=1), "two pictures", False)
     with pytest.raises(FinetuningCheckpointError, match="without LPIPS"):
-        read_checkpoint(file, settings, "two pictures", True)
+        read_finetune_checkpoint(file, settings, "two pictures", True)
     whole = file.read_bytes()
     for damaged in (whole[: len(whole) // 2], b"", b"\0" * 64, whole.replace(b'"gsrain"', b'"gsrein"')):
         file.write_bytes(damaged)
         with pytest.raises(FinetuningCheckpointError, match="damaged"):
-            read_checkpoint(file, settings, "two pictures", False)
+            read_finetune_checkpoint(file, settings, "two pictures", False)

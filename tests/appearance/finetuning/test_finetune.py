@@ -8,13 +8,13 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from gsrain_engine.appearance.cyclegan_turbo.model import build  # noqa: E402
+from gsrain_engine.appearance.cyclegan_turbo.model import build_random_model  # noqa: E402
 from gsrain_engine.appearance.finetune.checkpoint import FinetuningCheckpointError  # noqa: E402
 from gsrain_engine.appearance.finetune.loss_log import read_losses  # noqa: E402
 from gsrain_engine.appearance.finetune.run import finetune  # noqa: E402
 from gsrain_engine.appearance.finetune.settings import load_finetuning  # noqa: E402
-from gsrain_engine.appearance.finetune.step import Training  # noqa: E402
-from gsrain_engine.appearance.finetune.task import TrainingTask  # noqa: E402
+from gsrain_engine.appearance.finetune.step import FinetuneTrainer  # noqa: E402
+from gsrain_engine.appearance.finetune.task import FinetuneTask  # noqa: E402
 
 from ..cyclegan_turbo.loaded_weights import load_weights  # noqa: E402
 from .small_training import run, small, small_settings, small_start  # noqa: E402
@@ -30,11 +30,11 @@ def _bare(file: Path) -> dict[str, str]:
 def test_a_training_taken_up_again_ends_in_the_same_bytes(tmp_path: Path) -> None:
     whole, half = tmp_path / "whole", tmp_path / "half"
     settings = small_settings(tmp_path, steps=4)
-    run(TrainingTask(settings=settings, output=whole))
+    run(FinetuneTask(settings=settings, output=whole))
 
-    run(TrainingTask(settings=small_settings(tmp_path, steps=2), output=half))
+    run(FinetuneTask(settings=small_settings(tmp_path, steps=2), output=half))
     stopped = (half / "weights.safetensors").read_bytes()
-    result, _ = run(TrainingTask(settings=settings, output=half, resume=True))
+    result, _ = run(FinetuneTask(settings=settings, output=half, resume=True))
 
     assert result.weights.read_bytes() == (whole / "weights.safetensors").read_bytes() != stopped
     assert _bare(half / "losses.csv") == _bare(whole / "losses.csv")
@@ -43,11 +43,11 @@ def test_a_training_taken_up_again_ends_in_the_same_bytes(tmp_path: Path) -> Non
 
 def test_what_was_trained_is_what_was_written(tmp_path: Path) -> None:
     settings = small_settings(tmp_path, steps=1)
-    result, _ = run(TrainingTask(settings=settings, output=tmp_path / "run"))
+    result, _ = run(FinetuneTask(settings=settings, output=tmp_path / "run"))
 
     training = small_start(settings)
     training.iterate(0)
-    used = build(small(), normals=True, seed=settings.seed)
+    used = build_random_model(small(), normals=True, seed=settings.seed)
     untrained = used.unet.conv_in.weight.detach().clone()
     load_weights(used, result.weights)
 
@@ -63,7 +63,7 @@ def test_what_was_trained_is_what_was_written(tmp_path: Path) -> None:
 
 def test_losses_fall_and_the_look_changes(tmp_path: Path) -> None:
     settings = small_settings(tmp_path, steps=12, sampled_every=6, optimizer={"rate": 4e-3})
-    result, steps = run(TrainingTask(settings=settings, output=tmp_path / "run"))
+    result, steps = run(FinetuneTask(settings=settings, output=tmp_path / "run"))
 
     rows = read_losses(tmp_path / "run" / "losses.csv")
     first, last = rows[:4], rows[-4:]  # each is one turn: all pictures once
@@ -89,7 +89,7 @@ def test_gradient_checkpointing_changes_no_number(tmp_path: Path) -> None:
 
 
 def test_a_training_can_start_from_weights(tmp_path: Path) -> None:
-    first, _ = run(TrainingTask(settings=small_settings(tmp_path, steps=1), output=tmp_path / "first"))
+    first, _ = run(FinetuneTask(settings=small_settings(tmp_path, steps=1), output=tmp_path / "first"))
     trained = small_start(small_settings(tmp_path, start=str(first.weights)))
     fresh = small_start(small_settings(tmp_path, steps=1))
     clear, guide = fresh.order.read(fresh.order.pictures.source[0])
@@ -110,7 +110,7 @@ def test_without_guides_the_encoder_keeps_three_channels(tmp_path: Path) -> None
 
 
 def test_a_stopped_training_leaves_its_checkpoint(tmp_path: Path) -> None:
-    task = TrainingTask(settings=small_settings(tmp_path, steps=50, saved_every=1), output=tmp_path / "run")
+    task = FinetuneTask(settings=small_settings(tmp_path, steps=50, saved_every=1), output=tmp_path / "run")
     work = finetune(task)
     next(step for step in work if "Saved" in step.message)
     work.close()
@@ -121,25 +121,25 @@ def test_a_stopped_training_leaves_its_checkpoint(tmp_path: Path) -> None:
         run(task)
     with pytest.raises(FinetuningCheckpointError, match="lora"):
         settings = small_settings(tmp_path, steps=50, lora={"unet": 5, "vae": 4})
-        run(TrainingTask(settings=settings, output=task.output, resume=True))
+        run(FinetuneTask(settings=settings, output=task.output, resume=True))
     shutil.copy(tmp_path / "clear" / "0.png", tmp_path / "clear" / "another.png")
     with pytest.raises(FinetuningCheckpointError, match="other pictures"):
-        run(TrainingTask(settings=task.settings, output=task.output, resume=True))
+        run(FinetuneTask(settings=task.settings, output=task.output, resume=True))
     with pytest.raises(FinetuningCheckpointError, match="no checkpoint"):
-        run(TrainingTask(settings=task.settings, output=tmp_path / "elsewhere", resume=True))
+        run(FinetuneTask(settings=task.settings, output=tmp_path / "elsewhere", resume=True))
 
 
 def test_too_little_memory_is_told_with_what_helps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def iterate(training: Training, number: int) -> None:
+    def iterate(training: FinetuneTrainer, number: int) -> None:
         raise RuntimeError("CUDA out of memory. Tried to allocate 2 GiB")
 
-    monkeypatch.setattr(Training, "iterate", iterate)
+    monkeypatch.setattr(FinetuneTrainer, "iterate", iterate)
     with pytest.raises(MemoryError, match="gradient_checkpointing: true"):
-        run(TrainingTask(settings=small_settings(tmp_path, steps=1), output=tmp_path / "run"))
+        run(FinetuneTask(settings=small_settings(tmp_path, steps=1), output=tmp_path / "run"))
 
 
 def test_what_is_missing_is_said_before_anything_is_trained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GSRAIN_SD_TURBO", str(tmp_path / "nowhere"))
     settings = small_settings(tmp_path, architecture="sd-turbo")
     with pytest.raises(FileNotFoundError, match="SD-Turbo"):
-        run(TrainingTask(settings=settings, output=tmp_path / "run"))
+        run(FinetuneTask(settings=settings, output=tmp_path / "run"))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from appearance.matching.street_views import made_view, street_views
-from gsrain_engine.appearance.correspondence import Outcome, Tolerance, correspondence, warped
+from gsrain_engine.appearance.correspondence import MatchOutcome, Tolerance, correspondence, warped
 from gsrain_engine.scene.camera import Camera
 
 
@@ -84,14 +84,14 @@ def test_a_wall_hides_what_is_behind_it():
     found = correspondence(made_view(here, far), made_view(beside, walled))
     # 1 m to the right at 10 m with a focal length of 20 px is 2 px to the left.
     np.testing.assert_allclose(found.places[15, 25], (23.5, 15.5), atol=1e-5)
-    assert found.outcome[15, 17] == Outcome.HIDDEN
-    assert found.outcome[15, 30] == Outcome.MATCHED
-    assert found.outcome[15, 0] == Outcome.OUTSIDE
-    assert found.outcome[15, 12] == Outcome.EDGE  # the wall's side there is at column 10
-    assert (found.outcome[:, 13:21] == Outcome.HIDDEN).all()
+    assert found.outcome[15, 17] == MatchOutcome.HIDDEN
+    assert found.outcome[15, 30] == MatchOutcome.MATCHED
+    assert found.outcome[15, 0] == MatchOutcome.OUTSIDE
+    assert found.outcome[15, 12] == MatchOutcome.EDGE  # the wall's side there is at column 10
+    assert (found.outcome[:, 13:21] == MatchOutcome.HIDDEN).all()
     unknown = correspondence(made_view(here, far), made_view(beside, np.zeros((30, 40))))
     assert not unknown.valid.any()
-    assert unknown.outcome[15, 25] == Outcome.UNKNOWN
+    assert unknown.outcome[15, 25] == MatchOutcome.UNKNOWN
 
 
 def test_what_lies_behind_the_other_camera_is_outside():
@@ -99,7 +99,7 @@ def test_what_lies_behind_the_other_camera_is_outside():
     found = correspondence(
         made_view(_plane_camera(), np.full((30, 40), 5.0)), made_view(turned, np.full((30, 40), 5.0))
     )
-    assert (found.outcome == Outcome.OUTSIDE).all()
+    assert (found.outcome == MatchOutcome.OUTSIDE).all()
     assert (found.places == -1).all()
 
 
@@ -114,7 +114,7 @@ def test_the_sky_turns_and_does_not_shift():
     middle = rotated.places[15, 19:21, 0].mean()
     assert abs(middle - 20) == pytest.approx(20 * np.tan(0.1), rel=0.01)
     wall = correspondence(made_view(camera, nothing, sky=sky), made_view(away, np.full((30, 40), 1e4)))
-    assert (wall.outcome == Outcome.HIDDEN).all()
+    assert (wall.outcome == MatchOutcome.HIDDEN).all()
 
 
 def test_vehicles_match_only_at_one_moment():
@@ -124,11 +124,11 @@ def test_vehicles_match_only_at_one_moment():
     of = made_view(camera, depth, vehicles=car)
     at_once = correspondence(of, made_view(beside, depth))
     later = correspondence(of, made_view(beside, depth, time_s=0.1))
-    assert at_once.outcome[15, 15] == Outcome.MATCHED
-    assert (later.outcome[10:20, 10:20] == Outcome.MOVING).all()
-    assert later.outcome[5, 5] == Outcome.MATCHED
+    assert at_once.outcome[15, 15] == MatchOutcome.MATCHED
+    assert (later.outcome[10:20, 10:20] == MatchOutcome.MOVING).all()
+    assert later.outcome[5, 5] == MatchOutcome.MATCHED
     drove_there = correspondence(made_view(camera, depth), made_view(beside, depth, vehicles=car, time_s=0.1))
-    assert drove_there.outcome[15, 15] == Outcome.MOVING
+    assert drove_there.outcome[15, 15] == MatchOutcome.MOVING
 
 
 def test_lidar_alone_matches_where_it_measured_and_still_knows_what_hides():
@@ -137,7 +137,7 @@ def test_lidar_alone_matches_where_it_measured_and_still_knows_what_hides():
     found = correspondence(
         made_view(here, np.where(measured, 10.0, 0)), made_view(beside, np.where(np.roll(measured, 7), 10.0, 0))
     )
-    inside = measured & (found.outcome != Outcome.OUTSIDE)
+    inside = measured & (found.outcome != MatchOutcome.OUTSIDE)
     assert found.valid[inside].mean() > 0.95
     assert not found.valid[~measured].any()
     nearer = correspondence(

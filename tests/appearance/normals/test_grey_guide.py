@@ -7,7 +7,7 @@ from PIL import Image
 from gsrain_engine.appearance.normals import (
     from_right_down_outward,
     from_right_up_backward,
-    grey_guide,
+    normals_to_gray,
     right_down_outward,
 )
 from gsrain_engine.scene.camera import Camera, look_at
@@ -54,7 +54,7 @@ def test_there_and_back_with_a_turned_camera():
     ("normal", "grey"), [(GROUND, 0.79), (FACING, 0.56), ((0, 1, 0), 0.65), (ON_THE_LEFT, 0.35), (CEILING, 0.21)]
 )
 def test_luma_is_what_pillow_makes_of_the_picture_of_normals(normal, grey):
-    guide = grey_guide(everywhere(normal), camera(), "luma")
+    guide = normals_to_gray(everywhere(normal), camera(), "luma")
     assert (guide + 1) / 2 == pytest.approx(np.full((6, 8), grey), abs=0.006)
     picture = np.round((right_down_outward(everywhere(normal), camera()) + 1) / 2 * 255).astype(np.uint8)
     assert np.asarray(Image.fromarray(picture).convert("L")) / 255 == pytest.approx((guide + 1) / 2, abs=0.006)
@@ -63,11 +63,11 @@ def test_luma_is_what_pillow_makes_of_the_picture_of_normals(normal, grey):
 @pytest.mark.parametrize("forward", [(1, 0, 0), (0.2, 1, -0.4), (-1, 0.1, 0.3)])
 def test_up_is_the_same_whatever_way_the_camera_turns(forward):
     for normal, value in ((GROUND, 1), (FACING, 0), (CEILING, -1)):
-        assert (grey_guide(everywhere(normal), camera(forward), "up") == value).all()
+        assert (normals_to_gray(everywhere(normal), camera(forward), "up") == value).all()
 
 
 @pytest.mark.parametrize("kind", ["up", "luma"])
 def test_what_is_not_known_and_the_sky_are_neither(kind):
-    guide = grey_guide(everywhere((0, 0, 0)), camera(), kind)
+    guide = normals_to_gray(everywhere((0, 0, 0)), camera(), kind)
     assert guide.dtype == np.float32
     assert (guide == 0).all()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.appearance.capture_views import capture_views
-from gsrain_engine.appearance.guess_geometry import guided
+from gsrain_engine.appearance.guess_geometry import color_guided_filter
 from gsrain_engine.appearance.scene_views import ViewChoice, chosen_views
 from gsrain_engine.datasets.capture import EGO_HEIGHT_M, Capture, Lens
 from gsrain_engine.datasets.capture_folder import camera_without_calibration
@@ -153,10 +153,10 @@ def test_what_is_guessed_goes_along_the_pictures_edges():
     guide[:, 40:] = 0.8
     values = np.where(np.arange(90) < 47, 1.0, 3.0)[None].repeat(60, axis=0).astype(np.float32)
     known = np.ones((60, 90), np.bool_)
-    smooth = guided(values, guide, known, 12, 0.05)
+    smooth = color_guided_filter(values, guide, known, 12, 0.05)
     assert smooth[30, 38] < 1.2 and smooth[30, 42] > 1.7
     known[:, 45:] = False
-    np.testing.assert_allclose(guided(values * known, guide, known, 12, 0.05)[30, :60], 1, atol=0.02)
+    np.testing.assert_allclose(color_guided_filter(values * known, guide, known, 12, 0.05)[30, :60], 1, atol=0.02)
 
 
 def test_only_what_the_lens_saw_is_learned_from():

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from gsrain_engine.appearance.scene_views import (
+    DEFAULT_PIXELS,
     EYE_HEIGHT_M,
-    USUAL_PIXELS,
     ViewChoice,
     chosen_cameras,
     chosen_views,
-    evenly,
+    evenly_spaced_indices,
 )
-from gsrain_engine.datasets.capture import Capture, Lens, View
+from gsrain_engine.datasets.capture import Capture, CaptureFrame, Lens
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.camera_path import circle_path, orbit_path
 from gsrain_engine.scene.scene import Scene
@@ -31,7 +31,9 @@ def forward_of(camera: Camera) -> np.ndarray:
 
 def recording(*sensors: str) -> Capture:
     image = np.zeros((60, 90, 3), np.uint8)
-    return Capture("drive", tuple(View(f"v{i}", BELOW, image, i / 2, each, LENS) for i, each in enumerate(sensors)))
+    return Capture(
+        "drive", tuple(CaptureFrame(f"v{i}", BELOW, image, i / 2, each, LENS) for i, each in enumerate(sensors))
+    )
 
 
 def test_views_lie_evenly_on_the_way_driven_front_and_side_in_turn():
@@ -62,7 +64,7 @@ def test_pictures_are_small_and_keep_their_field_of_view():
         },
     )
     for view in cameras_of(wide, 2):
-        assert view.camera.width * view.camera.height == pytest.approx(USUAL_PIXELS, rel=0.01)
+        assert view.camera.width * view.camera.height == pytest.approx(DEFAULT_PIXELS, rel=0.01)
         assert view.camera.vertical_fov_deg == pytest.approx(2 * np.degrees(np.arctan(32 / 60)))
     assert cameras_of(small_street(), 1)[0].camera.width == 96  # never more than its own
     asked = cameras_of(wide, 1, width_px=100)[0].camera
@@ -130,7 +132,7 @@ def test_a_scene_without_rig_says_so():
 
 
 def test_indices_are_spread_over_all_there_are():
-    assert list(evenly(5, None)) == [0, 1, 2, 3, 4]
-    assert list(evenly(3, 9)) == [0, 1, 2]
-    assert list(evenly(10, 2)) == [2, 7]
+    assert list(evenly_spaced_indices(5, None)) == [0, 1, 2, 3, 4]
+    assert list(evenly_spaced_indices(3, 9)) == [0, 1, 2]
+    assert list(evenly_spaced_indices(10, 2)) == [2, 7]
     assert [view.name for view in chosen_views(recording(*"aaaaaa"), ViewChoice(count=3))] == ["v1", "v3", "v5"]

@@ -5,8 +5,8 @@ import pytest
 
 from gsrain_engine.appearance.base import RainyView
 from gsrain_engine.appearance.scene_views import (
-    KEPT,
-    KeptViews,
+    CACHED_VIEWS,
+    CachedViews,
     PlacedCamera,
     ViewChoice,
     chosen_cameras,
@@ -14,7 +14,7 @@ from gsrain_engine.appearance.scene_views import (
     scene_views,
 )
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.scene import Grading, Scene
+from gsrain_engine.scene.scene import ColorGrading, Scene
 from rasterized import rasterize
 from tests.reconstruct.small_street import small_street
 
@@ -75,7 +75,7 @@ def test_without_a_sky_layer_nothing_above_the_horizon_is_sky_and_nothing_below_
 def test_grading_and_wet_colors_are_left_out():
     scene = small_street()
     plain = scene_view(scene, AHEAD)
-    graded = scene.with_member("layers/street", grading=Grading(exposure_ev=-2.0))
+    graded = scene.with_member("layers/street", grading=ColorGrading(exposure_ev=-2.0))
     wet = scene.with_member("layers/street", wet_sh=scene.layers[0].gaussians.sh * 0)
     for other in (graded, wet):
         np.testing.assert_array_equal(scene_view(other, AHEAD).image, plain.image)
@@ -95,18 +95,18 @@ def test_views_are_drawn_when_asked_for_and_kept_for_a_while():
         made.append(index)
         return scene_view(scene, replace(AHEAD, name=f"{index}"))
 
-    views = KeptViews(KEPT + 2, make)
+    views = CachedViews(CACHED_VIEWS + 2, make)
     assert made == []
-    assert views[-1].name == f"{KEPT + 1}"
+    assert views[-1].name == f"{CACHED_VIEWS + 1}"
     assert views[0] is views[0]
-    assert made == [KEPT + 1, 0]
+    assert made == [CACHED_VIEWS + 1, 0]
     assert [view.name for view in views[1:3]] == ["1", "2"]
-    for index in range(KEPT):
+    for index in range(CACHED_VIEWS):
         _ = views[index]
-    _ = views[KEPT + 1]
-    assert made.count(KEPT + 1) == 2
+    _ = views[CACHED_VIEWS + 1]
+    assert made.count(CACHED_VIEWS + 1) == 2
     with pytest.raises(IndexError):
-        views[KEPT + 2]
+        views[CACHED_VIEWS + 2]
 
 
 def test_views_have_the_width_that_is_asked_for():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.appearance.wet_look.ground_plane import GroundPlane, fitted_plane
+from gsrain_engine.appearance.wet_look.ground_plane import GroundPlane, fit_ground_plane
 from gsrain_engine.scene.camera import Camera, look_at
 
 TILTED = GroundPlane(np.array([0.06, -0.03, 1.0]) / np.linalg.norm([0.06, -0.03, 1.0]), -1.2)
@@ -48,7 +48,7 @@ def test_plane_is_found_under_walls_and_cars():
     ground[:, 2] = 0.03 * ground[:, 0] - 1.5 + rng.normal(0, 0.02, 4000)
     things = rng.uniform([-20, -10, -1.5], [20, 10, 6], (5000, 3))
     things = things[things[:, 2] > 0.03 * things[:, 0] - 1.4]
-    found = fitted_plane(np.concatenate([ground, things]), 0.05)
+    found = fit_ground_plane(np.concatenate([ground, things]), 0.05)
     assert found is not None
     np.testing.assert_allclose(found.normal, np.array([-0.03, 0, 1]) / np.hypot(1, 0.03), atol=2e-3)
     assert found.heights(np.array([[0.0, 0, -1.5]])) == pytest.approx(0, abs=0.01)
@@ -56,5 +56,5 @@ def test_plane_is_found_under_walls_and_cars():
 
 def test_a_wall_is_no_ground():
     wall = np.random.default_rng(2).uniform([5, -10, -2], [5, 10, 8], (500, 3))
-    assert fitted_plane(wall, 0.05) is None
-    assert fitted_plane(wall[:2], 0.05) is None
+    assert fit_ground_plane(wall, 0.05) is None
+    assert fit_ground_plane(wall[:2], 0.05) is None

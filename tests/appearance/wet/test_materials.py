@@ -10,13 +10,13 @@ from gsrain_engine.appearance.normals import view_rays
 from gsrain_engine.appearance.wet_look.illumination import overcast_sky
 from gsrain_engine.appearance.wet_look.masks import surfaces_of
 from gsrain_engine.appearance.wet_look.materials import (
-    in_mist,
-    lamp_share,
-    soaking,
+    add_clear_coat,
+    add_emissive_lights,
+    apply_fog,
+    emissive_share,
+    porosity_wetness,
     wet_albedo,
-    wetted,
-    with_gloss,
-    with_lamps,
+    wet_surfaces_color,
 )
 from gsrain_engine.appearance.wet_look.noise import SmoothNoise
 from gsrain_engine.appearance.wet_look.settings import WetSettings
@@ -40,17 +40,17 @@ def test_ground_darkens_most_walls_less_vehicles_not():
     vehicles[20:30, 10:30] = 1
     view = dry_view(vehicles=vehicles)
     surfaces, dry = surfaces_of(view), srgb_to_linear(view.image).astype(np.float32)
-    ratio = (wetted(dry, surfaces, PLAIN) / dry).mean(axis=-1)
+    ratio = (wet_surfaces_color(dry, surfaces, PLAIN) / dry).mean(axis=-1)
     assert 0.4 < ratio[ROAD] < 0.6
     assert ratio[ROAD] + 0.2 < ratio[WALL] < 0.95
     assert ratio[25, 20] == pytest.approx(1, abs=1e-5)
-    assert (wetted(dry, surfaces, WetSettings(darkening=0.0)) == dry).all()
+    assert (wet_surfaces_color(dry, surfaces, WetSettings(darkening=0.0)) == dry).all()
 
 
 def test_wet_colours_are_stronger():
     view = dry_view()
     dry = np.broadcast_to(np.array([0.3, 0.2, 0.1], np.float32), view.image.shape).copy()
-    wet = wetted(dry, surfaces_of(view), PLAIN)
+    wet = wet_surfaces_color(dry, surfaces_of(view), PLAIN)
     assert wet[ROAD][0] / wet[ROAD][2] > 1.1 * dry[ROAD][0] / dry[ROAD][2]
 
 
@@ -62,16 +62,18 @@ def test_grass_keeps_more_of_its_brightness_than_the_road():
     surfaces = surfaces_of(view)
     assert surfaces.plants[56, 20] > 0.9
     assert surfaces.plants[56, 80] == 0
-    soaked = soaking(surfaces, PLAIN)
+    soaked = porosity_wetness(surfaces, PLAIN)
     assert soaked[56, 20] < 0.5 * soaked[56, 80]
 
 
 def test_streaks_run_down_walls_only():
     surfaces = surfaces_of(dry_view())
-    wall = soaking(surfaces, WetSettings(streaks=1.0))[18:30]
+    wall = porosity_wetness(surfaces, WetSettings(streaks=1.0))[18:30]
     across, down = np.diff(wall, axis=1).std(), np.diff(wall, axis=0).std()
     assert across > 2 * down > 0
-    np.testing.assert_array_equal(soaking(surfaces, WetSettings(streaks=1.0))[50:], soaking(surfaces, PLAIN)[50:])
+    np.testing.assert_array_equal(
+        porosity_wetness(surfaces, WetSettings(streaks=1.0))[50:], porosity_wetness(surfaces, PLAIN)[50:]
+    )
 
 
 def test_paint_mirrors_more_at_grazing_angles():
@@ -81,12 +83,12 @@ def test_paint_mirrors_more_at_grazing_angles():
     roof = np.broadcast_to(np.array([0.0, 0.0, 1.0], np.float32), view.normals.shape)
     surfaces = replace(surfaces_of(view), normals=roof, vehicles=view.vehicles)
     black = np.zeros_like(view.image)
-    gloss = with_gloss(black, surfaces, directions, WetSettings())[..., 1]
+    gloss = add_clear_coat(black, surfaces, directions, WetSettings())[..., 1]
     assert (gloss[:, 48] >= 0).all()
     assert gloss[36, 48] > 2 * gloss[60, 48] > 0.01
-    assert with_gloss(black, surfaces, directions, WetSettings(gloss=0.0)).max() == 0
+    assert add_clear_coat(black, surfaces, directions, WetSettings(gloss=0.0)).max() == 0
     dry = replace(surfaces, vehicles=0 * view.vehicles)
-    assert with_gloss(black, dry, directions, WetSettings()).max() == 0
+    assert add_clear_coat(black, dry, directions, WetSettings()).max() == 0
 
 
 def lamp_view(color, where):
@@ -100,13 +102,13 @@ def test_a_red_lamp_keeps_shining_and_glows():
     where = (slice(24, 26), slice(48, 50))
     view = lamp_view((1.0, 0.15, 0.1), where)
     surfaces = surfaces_of(view)
-    share = lamp_share(view, surfaces)
+    share = emissive_share(view, surfaces)
     assert share[where].min() > 0.8
     share_elsewhere = share.copy()
     share_elsewhere[where] = 0
     assert share_elsewhere.max() == 0
     dim = 0.3 * srgb_to_linear(view.image).astype(np.float32)
-    lit, without = with_lamps(dim, view, share, 1.0), with_lamps(dim, view, share, 0.0)
+    lit, without = add_emissive_lights(dim, view, share, 1.0), add_emissive_lights(dim, view, share, 0.0)
     assert (without[where][..., 0] > 1).all()
     beside = lit[24, 51] - without[24, 51]
     assert beside[0] > 0.02 > 5 * beside[2] >= 0
@@ -125,7 +127,7 @@ def test_a_red_lamp_keeps_shining_and_glows():
 )
 def test_what_is_no_lamp_stays_as_it_is(color, where):
     view = lamp_view(color, where)
-    share = lamp_share(view, surfaces_of(view))
+    share = emissive_share(view, surfaces_of(view))
     assert share.max() < 0.1
 
 
@@ -133,13 +135,13 @@ def test_mist_fades_to_the_horizon_by_distance():
     view, settings = dry_view(), WetSettings(mist_km=10.0)
     black = np.zeros_like(view.image)
     rays = view_rays(view.camera)
-    faded = in_mist(black, view, rays, settings)
+    faded = apply_fog(black, view, rays, settings)
     distance = view.depth[WALL] * np.linalg.norm(rays[WALL])
     horizon = overcast_sky(np.array([[[1.0, 0.0, 0.0]]]), WetSettings(clouds=0.0))[0, 0]
     np.testing.assert_allclose(faded[WALL], (1 - np.exp(-0.01 * distance)) * horizon, rtol=0.05)
     assert faded[63, 48].max() < faded[WALL].min()
     assert faded[2, 2].max() == 0  # the sky has no distance
-    np.testing.assert_array_equal(in_mist(black, view, rays, WetSettings(mist_km=0.0)), black)
+    np.testing.assert_array_equal(apply_fog(black, view, rays, WetSettings(mist_km=0.0)), black)
 
 
 def test_mist_has_the_edges_of_the_picture_and_no_others():
@@ -149,9 +151,9 @@ def test_mist_has_the_edges_of_the_picture_and_no_others():
     depth[16:32, 70:] *= 3  # a step that the picture does not show
     rays = view_rays(view.camera)
     black = np.zeros_like(view.image)
-    right, wrong = (in_mist(black, each, rays, settings)[..., 1] for each in (view, replace(view, depth=depth)))
+    right, wrong = (apply_fog(black, each, rays, settings)[..., 1] for each in (view, replace(view, depth=depth)))
     assert wrong[WALL] == pytest.approx(right[WALL], rel=0.02)
-    step = np.abs(np.diff(in_mist(black, replace(view, depth=depth), rays, settings)[20:28, 64:76, 1], axis=1))
+    step = np.abs(np.diff(apply_fog(black, replace(view, depth=depth), rays, settings)[20:28, 64:76, 1], axis=1))
     assert step.max() < 0.6 * (wrong[24, 80] - wrong[24, 60])
     edge = slice(5, 30), 10
     assert np.abs(np.diff(right[edge])).max() > 0.05  # the wall's top
@@ -178,8 +180,8 @@ def test_tail_lamps_are_lit_but_red_cars_are_not():
         image[where] = (0.8, 0.15, 0.15)
         view = replace(view, image=image)
         surfaces = surfaces_of(view)
-        assert (lamp_share(view, surfaces)[where].min() > 0.7) == is_found
-        assert lamp_share(view, surfaces, tail_lamps=False).max() < 0.2
+        assert (emissive_share(view, surfaces)[where].min() > 0.7) == is_found
+        assert emissive_share(view, surfaces, tail_lamps=False).max() < 0.2
 
 
 def test_dark_gaps_between_leaves_are_leaves():

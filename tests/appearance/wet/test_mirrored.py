@@ -6,10 +6,15 @@ import numpy as np
 
 from gsrain_engine.appearance.base import ClearView
 from gsrain_engine.appearance.normals import view_rays
-from gsrain_engine.appearance.wet_look.glossy import blurred
+from gsrain_engine.appearance.wet_look.glossy import build_ripmap
 from gsrain_engine.appearance.wet_look.ground_plane import GroundPlane
-from gsrain_engine.appearance.wet_look.masks import Ground
-from gsrain_engine.appearance.wet_look.reflections import Mirrored, mirror_camera, seen_again, without_gaps
+from gsrain_engine.appearance.wet_look.masks import VisibleGround
+from gsrain_engine.appearance.wet_look.reflections import (
+    PlanarReflection,
+    fill_reflection_holes,
+    mirror_camera,
+    screen_space_reflection,
+)
 from gsrain_engine.scene.camera import Camera, look_at
 
 LEVEL = GroundPlane(np.array([0.0, 0, 1]), 0.0)
@@ -30,7 +35,7 @@ def room(top_m=4.0):
     view = ClearView("room", EYE, 0.0, image, depth, normals, is_sky.astype(np.float32), np.zeros_like(depth))
     points = EYE.position + depth[..., None].astype(float) * rays
     share, nothing = is_ground.astype(np.float32), np.zeros_like(depth)
-    return view, Ground(LEVEL, share, nothing, points, normals, nothing)
+    return view, VisibleGround(LEVEL, share, nothing, points, normals, nothing)
 
 
 def test_mirror_camera_covers_what_level_water_mirrors():
@@ -48,7 +53,7 @@ def test_rays_find_what_the_view_shows_above_the_ground():
     """The mirrored camera sees the wall at the height at which the view has it."""
     view, ground = room()
     camera = mirror_camera(EYE, LEVEL, 1.0)
-    again = seen_again(view, ground, camera)
+    again = screen_space_reflection(view, ground, camera)
     rays = view_rays(camera)
     height = camera.position[2] + rays[..., 2] * WALL_M / rays[..., 0]
     start = -camera.position[2] / np.maximum(rays[..., 2], 1e-9)
@@ -69,7 +74,7 @@ def test_rays_find_what_the_view_shows_above_the_ground():
 def test_rays_over_the_wall_find_the_sky_or_leave():
     view, ground = room(top_m=2.0)
     camera = mirror_camera(EYE, LEVEL, 1.0)
-    again = seen_again(view, ground, camera)
+    again = screen_space_reflection(view, ground, camera)
     rays = view_rays(camera)
     height = camera.position[2] + rays[..., 2] * WALL_M / rays[..., 0]
     over = (height > 2.3) & (np.abs(rays[..., 1] / rays[..., 0]) < 0.4)
@@ -82,7 +87,7 @@ def test_rays_over_the_wall_find_the_sky_or_leave():
 
 def test_what_is_hidden_looks_like_what_is_next_to_it():
     view, ground = room()
-    again = seen_again(view, ground, mirror_camera(EYE, LEVEL, 0.5))
+    again = screen_space_reflection(view, ground, mirror_camera(EYE, LEVEL, 0.5))
     hole = np.zeros_like(again.found)
     row, column = (int(np.median(each)) for each in np.nonzero(again.found))
     hole[row : row + 4, column : column + 10] = True
@@ -102,7 +107,7 @@ def test_pictures_are_put_together_from_the_view_and_beyond():
     places = np.full((*size, 2), 60.5, np.float32)
     known = np.zeros(size, np.float32)
     known[:, : size[1] // 2] = 1
-    made = Mirrored(beyond, places, known, np.zeros(size, np.float32)).picture(
+    made = PlanarReflection(beyond, places, known, np.zeros(size, np.float32)).picture(
         view.image, np.full((*size, 3), 9, np.float32)
     )
     np.testing.assert_allclose(made[:, : size[1] // 2], view.image[60, 60, 0], atol=1e-6)
@@ -123,7 +128,7 @@ def test_gaps_at_the_horizon_are_closed_from_above_and_others_are_sky():
     depth = np.where((rise > 0.02) & (rise < 0.3), 20, 0).astype(np.float32)
     depth[:, :20] = 0
     image = np.where(depth[..., None] > 0, 0.5, 0).repeat(3, axis=2).astype(np.float32)
-    closed = without_gaps(replace(view, image=image, depth=depth), LEVEL)
+    closed = fill_reflection_holes(replace(view, image=image, depth=depth), LEVEL)
     low = rise < 0.02
     assert (closed.depth[low][:, None] == 20).mean() > 0.9 * (1 - 20 / camera.width)
     assert (closed.image[low & (closed.depth > 0)] == 0.5).all()
@@ -134,7 +139,7 @@ def test_gaps_at_the_horizon_are_closed_from_above_and_others_are_sky():
 
 def test_blurred_pictures_keep_their_mean():
     image = np.random.default_rng(0).random((64, 96, 3)).astype(np.float32)
-    made = blurred(image)
+    made = build_ripmap(image)
     for start, rows, columns in made.table.reshape(-1, 3):
         part = made.values[start : start + rows * columns * 3].reshape(rows, columns, 3)
         np.testing.assert_allclose(part.mean(axis=(0, 1)), image.mean(axis=(0, 1)), rtol=1e-4)

@@ -9,12 +9,12 @@ from appearance.wet.dry_view import camera, dry_view
 from gsrain_engine.appearance.wet_look.illumination import (
     DRY_GROUND_EV,
     LUMINANCE,
-    before_cloud,
+    composite_over_cloud,
+    estimate_illumination,
+    extend_sky_mask,
     overcast_sky,
     overcast_surfaces,
-    scene_light,
-    with_own_sky,
-    without_sky,
+    remove_sky_color,
 )
 from gsrain_engine.appearance.wet_look.masks import surfaces_of
 from gsrain_engine.appearance.wet_look.settings import WetSettings
@@ -25,11 +25,11 @@ LEFT, RIGHT = (slice(-8, None), slice(0, 24)), (slice(-8, None), slice(-24, None
 
 
 def overcast(view, **settings):
-    return overcast_surfaces(view, scene_light([view]), WetSettings(**settings), surfaces_of(view))
+    return overcast_surfaces(view, estimate_illumination([view]), WetSettings(**settings), surfaces_of(view))
 
 
 def under_cloud(view, **settings):
-    return before_cloud(view, overcast(view, **settings), WetSettings(**settings))
+    return composite_over_cloud(view, overcast(view, **settings), WetSettings(**settings))
 
 
 def level(light, where):
@@ -86,7 +86,7 @@ def test_ground_beside_a_vehicle_is_shaded():
     vehicles = np.zeros((64, 96))
     vehicles[30:44, 40:56] = 1
     with_car, without = dry_view(vehicles=vehicles), dry_view()
-    light = scene_light([without])
+    light = estimate_illumination([without])
     beside, alone = (overcast_surfaces(v, light, WetSettings(), surfaces_of(v)) for v in (with_car, without))
     assert beside[45, 48].sum() < 0.8 * alone[45, 48].sum()
     np.testing.assert_allclose(beside[60, 5], alone[60, 5], rtol=1e-3)
@@ -120,7 +120,7 @@ def test_leaves_before_the_sky_get_no_halo():
     image = view.image.copy()
     image[2:6, 40:60] = 0.6 * image[2, 2] + 0.4 * leaf
     mixed = replace(view, sky=share, image=image)
-    np.testing.assert_allclose(without_sky(mixed)[3:5, 44:56], np.broadcast_to(leaf, (2, 12, 3)), atol=0.02)
+    np.testing.assert_allclose(remove_sky_color(mixed)[3:5, 44:56], np.broadcast_to(leaf, (2, 12, 3)), atol=0.02)
     cloudy = under_cloud(mixed)
     leaves, sky = cloudy[3:5, 44:56] @ LUMINANCE, cloudy[3, 5] @ LUMINANCE
     assert (leaves < sky).all()
@@ -132,7 +132,7 @@ def test_scraps_of_sky_before_the_sky_count_as_sky():
     share, image = view.sky.copy(), view.image.copy()
     share[1:3, 20:22] = share[1:3, 60:62] = 0
     image[1:3, 60:62] = 0.05
-    found = with_own_sky(replace(view, sky=share, image=image)).sky
+    found = extend_sky_mask(replace(view, sky=share, image=image)).sky
     assert found[1:3, 20:22].min() > 0.9
     assert found[1:3, 60:62].max() == 0
     assert found[50:].max() == 0
@@ -144,13 +144,13 @@ def test_the_sky_is_found_beyond_the_end_of_its_mask():
     share[:, 74:] = 0
     image[:20, 78:79] = (0.2, 0.15, 0.1)  # a trunk
     unknown = replace(view, image=image, sky=share)
-    found = with_own_sky(unknown).sky
+    found = extend_sky_mask(unknown).sky
     assert found[2:8, 74:77].min() > 0.9
     assert found[2:8, 80:86].min() > 0.9
     assert found[2:8, 78:79].max() == 0
     assert found[20:, :].max() < 0.01  # the wall is not of its colour
     depth[:, 74:] = np.where(depth[:, 74:] > 0, depth[:, 74:], 30)
-    assert with_own_sky(replace(unknown, depth=depth)).sky[2:8, 80:].max() < 0.01  # a blue wall
+    assert extend_sky_mask(replace(unknown, depth=depth)).sky[2:8, 80:].max() < 0.01  # a blue wall
 
 
 def test_clipped_ground_gets_a_grain_that_stays_in_the_world():

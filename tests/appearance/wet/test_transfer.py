@@ -9,7 +9,7 @@ import pytest
 from appearance.wet.dry_view import camera, dry_view
 from gsrain_engine.appearance.base import Transfer
 from gsrain_engine.appearance.correspondence import correspondence, warped
-from gsrain_engine.appearance.wet_look.environment import PictureSurroundings
+from gsrain_engine.appearance.wet_look.environment import ImageEnvironment
 from gsrain_engine.appearance.wet_look.settings import WetSettings
 from gsrain_engine.appearance.wet_look.translator import WetTransfer
 from gsrain_engine.scene.geometry import srgb_to_linear
@@ -22,7 +22,7 @@ DRY = 0.05
 
 @pytest.fixture(scope="module")
 def surroundings():
-    return PictureSurroundings()
+    return ImageEnvironment()
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ import pytest
 
 from gsrain_engine.appearance.base import ClearView
 from gsrain_engine.appearance.scene_views import PlacedCamera, scene_view
-from gsrain_engine.appearance.wet_look.environment import PictureSurroundings, SceneSurroundings, Surroundings
-from gsrain_engine.appearance.wet_look.water import water_on
+from gsrain_engine.appearance.wet_look.environment import ImageEnvironment, ReflectionEnvironment, SceneEnvironment
+from gsrain_engine.appearance.wet_look.water import water_layer_of
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.geometry import srgb_to_linear
@@ -46,7 +46,7 @@ def look(view: ClearView):
 
 def water(wetness=1.0, surroundings=None):
     made, view = seen()
-    found = water_on(view, look(view), surroundings or SceneSurroundings(made), look, wetness, 0)
+    found = water_layer_of(view, look(view), surroundings or SceneEnvironment(made), look, wetness, 0)
     return view, found
 
 
@@ -61,8 +61,8 @@ def redness(light):
 
 @pytest.mark.parametrize("kind", ["scene", "picture"])
 def test_a_reflection_begins_at_the_foot_and_ends_where_the_mirrored_top_is(kind):
-    surroundings = SceneSurroundings(seen()[0]) if kind == "scene" else PictureSurroundings()
-    assert isinstance(surroundings, Surroundings)
+    surroundings = SceneEnvironment(seen()[0]) if kind == "scene" else ImageEnvironment()
+    assert isinstance(surroundings, ReflectionEnvironment)
     _, found = water(surroundings=surroundings)
     assert found is not None
     red = redness(found.color / np.maximum(found.share, 1e-6)[..., None])
@@ -129,8 +129,8 @@ def test_the_same_bytes_twice():
 def test_a_view_without_ground_has_no_water():
     made, _ = seen()
     up = scene_view(made, PlacedCamera("up", camera(target=(9.0, 0.0, 6.0))))
-    for surroundings in (SceneSurroundings(made), PictureSurroundings()):
-        assert water_on(up, look(up), surroundings, look, 1.0, 0) is None
+    for surroundings in (SceneEnvironment(made), ImageEnvironment()):
+        assert water_layer_of(up, look(up), surroundings, look, 1.0, 0) is None
 
 
 def test_what_is_beyond_the_world_is_mirrored_as_sky():
@@ -142,7 +142,7 @@ def test_what_is_beyond_the_world_is_mirrored_as_sky():
     def sky_is_white(each: ClearView):
         return np.repeat(each.sky[..., None], 3, axis=2)
 
-    found = water_on(view, white, SceneSurroundings(made), sky_is_white, 1.0, 0)
+    found = water_layer_of(view, white, SceneEnvironment(made), sky_is_white, 1.0, 0)
     assert found is not None
     wet = found.share > 0.02
     np.testing.assert_allclose(found.color[wet][:, 1] / found.share[wet], 1, atol=0.02)

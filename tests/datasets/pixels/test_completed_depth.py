@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.completed_depth import completed_depth
-from gsrain_engine.datasets.depth_maps import completed_depths, measured_depths, road_depth, road_drop
+from gsrain_engine.datasets.depth_maps import camera_height_above_road, completed_depths, measured_depths, road_depth
 from tests.reconstruct.drive_capture import ROAD_Z, drive_capture, world_depth
 
 
@@ -73,9 +73,9 @@ def test_a_plane_stands_in_for_a_road_without_points() -> None:
 def test_the_road_lies_as_deep_as_the_lowest_points() -> None:
     drive = drive_capture(4)
     points = np.concatenate([sweep.points_m for sweep in drive.sweeps]).astype(np.float64)
-    assert road_drop(points, drive.views, (0, 0, 1)) == pytest.approx(-ROAD_Z, abs=0.02)
-    assert road_drop(points[:10], drive.views, (0, 0, 1)) is None
-    assert road_drop(points + [0, 0, 50], drive.views, (0, 0, 1)) is None
+    assert camera_height_above_road(points, drive.views, (0, 0, 1)) == pytest.approx(-ROAD_Z, abs=0.02)
+    assert camera_height_above_road(points[:10], drive.views, (0, 0, 1)) is None
+    assert camera_height_above_road(points + [0, 0, 50], drive.views, (0, 0, 1)) is None
     camera = drive.views[0].camera
     depth = road_depth(camera, -ROAD_Z, (0, 0, 1))
     assert np.isinf(depth[: camera.height // 2]).all()

@@ -7,28 +7,28 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from gsrain_engine.datasets.capture import Capture, CaptureError, View
+from gsrain_engine.datasets.capture import Capture, CaptureError, CaptureFrame
 from gsrain_engine.datasets.depth_maps import measured_depths, static_sweeps
 from gsrain_engine.datasets.masks import (
     box_outline,
-    inside_box,
-    moves,
+    is_moving,
     moving_boxes,
+    points_in_box,
     read_camera_masks,
     static_mask,
     with_camera_masks,
 )
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.datasets.undistort import prepared
+from gsrain_engine.datasets.undistort import undistort_frame
 from tests.reconstruct.drive_capture import HEIGHT, ROAD_Z, WIDTH, box, drive_capture
 
 
 def test_speed_and_way_tell_what_moves() -> None:
-    assert moves(box("fast", (10, 0), 3.0))
-    assert not moves(box("parked", (10, 0), 0.0))
-    assert not moves(box("jitter", (10, 0), 0.05))
-    assert moves(box("seen once", (10, 0), 0.0, seconds=1))
-    assert not moves(box("sign", (10, 0), 0.0, seconds=1, label="traffic_cone"))
+    assert is_moving(box("fast", (10, 0), 3.0))
+    assert not is_moving(box("parked", (10, 0), 0.0))
+    assert not is_moving(box("jitter", (10, 0), 0.05))
+    assert is_moving(box("seen once", (10, 0), 0.0, seconds=1))
+    assert not is_moving(box("sign", (10, 0), 0.0, seconds=1, label="traffic_cone"))
 
 
 @given(st.floats(4, 25), st.floats(-3, 3), st.floats(-20, 20), st.integers(0, 2**32 - 1))
@@ -39,7 +39,7 @@ def test_points_of_a_box_fall_into_its_mask(x: float, y: float, speed: float, se
     assert pose is not None
     local = np.random.default_rng(seed).uniform([-2, -1, 0], [2, 1, 1.5], (50, 3))
     world = local + pose[:3, 3]
-    assert inside_box(world, mover, view.time_s, 1e-6).all()
+    assert points_in_box(world, mover, view.time_s, 1e-6).all()
     seen = world @ view.camera.world_to_camera[:3, :3].T + view.camera.world_to_camera[:3, 3]
     seen = seen[seen[:, 2] > 0.2]
     u = seen[:, 0] / seen[:, 2] * view.camera.fx + view.camera.cx
@@ -96,14 +96,14 @@ def test_the_following_car_of_a_real_drive_is_masked(test_data: Path) -> None:
     capture = open_capture(test_data / "driving" / "dgp")
     moving = moving_boxes(capture)
     assert {each.class_name for each in moving} == {"Car"} and len(moving) == 4  # the other nine stand
-    rear = prepared(capture.views[5], 240)
+    rear = undistort_frame(capture.views[5], 240)
     mask = static_mask(rear, moving)
     row, column = 80, 117  # the car behind, see the photograph
     assert not mask[row, column] and mask.mean() > 0.98
     assert _depth_at(capture, rear, (row, column)) == 0
 
 
-def _depth_at(capture: Capture, view: View, window: tuple[int, int]) -> float:
+def _depth_at(capture: Capture, view: CaptureFrame, window: tuple[int, int]) -> float:
     """Nearest depth around a pixel of what stands: none where only a mover was hit."""
     depth = measured_depths(capture, [view])[0][window[0] - 2 : window[0] + 3, window[1] - 2 : window[1] + 3]
     return float(depth[(depth > 0) & (depth < 25)].min(initial=np.inf)) if (depth > 0).any() else 0.0

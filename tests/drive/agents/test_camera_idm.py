@@ -8,13 +8,13 @@ import pytest
 
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.evaluation.detection.detector import Detection
-from gsrain_engine.scene.open import open_to_draw
+from gsrain_engine.scene.open import load_sorted_scene
 from gsrain_engine.simulation.agents.base import Agent
 from gsrain_engine.simulation.agents.idm import CameraIDMAgent
 from gsrain_engine.simulation.agents.registry import AgentOptions, open_agent
 from gsrain_engine.simulation.scenario_io import load_scenario
 from gsrain_engine.simulation.simulation import Simulation, drive
-from gsrain_engine.simulation.vehicle import Control, moved_on
+from gsrain_engine.simulation.vehicle import Control, step_bicycle
 from small_scene import small_scene
 
 from .seen_road import FRONT_M, RIG, VEHICLE, car, observation, seen_car, state
@@ -49,7 +49,7 @@ def _driven(seen, stands_at_m=43.6, steps=60):
         plan = agent.plan(observation(now, step))
         passed.append((now, gap, plan.notes))
         mean = plan.points[0, 0] / 0.5
-        now = moved_on(VEHICLE, now, Control(float((mean - now.speed_m_s) / 0.25), 0.0), 0.25)
+        now = step_bicycle(VEHICLE, now, Control(float((mean - now.speed_m_s) / 0.25), 0.0), 0.25)
     return passed
 
 
@@ -156,7 +156,7 @@ def test_a_real_detector_sees_the_car_on_the_street_and_the_agent_stops(test_dat
     file = test_data / "detectors/yolox_nano.onnx"
     if not file.is_file():
         pytest.skip(f"no detector at {file}")
-    scene = open_to_draw(None)
+    scene = load_sorted_scene(None)
     near = msgspec.structs.replace(load_scenario("stationary-lead"), duration_s=2.5, speed_m_s=8.0)
     ahead = (msgspec.structs.replace(near.road_users[0], ahead_m=22.0),)
     near = msgspec.structs.replace(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.evaluation.detection.detector import Detection
-from gsrain_engine.simulation.agents.lead_tracking import LeadWatch, Sighting
+from gsrain_engine.simulation.agents.lead_tracking import LeadTracker, Sighting
 
 DT = 0.25
 
@@ -15,7 +15,7 @@ def sighting(gap_m, confidence=0.9, error_m=0.5):
 
 def _watched(gaps, own_speed_m_s=10.0, errors=None):
     """Look at gaps, one a moment (None: missed), from a car at constant speed; yields what is believed."""
-    watch = LeadWatch()
+    watch = LeadTracker()
     for k, gap in enumerate(gaps):
         error = 0.5 if errors is None else errors[k]
         seen = [] if gap is None else [sighting(gap, error_m=error)]
@@ -66,7 +66,7 @@ def test_one_that_was_lost_near_while_it_drove_off_is_given_up():
 
 
 def test_what_is_hardly_seen_keeps_a_known_lead_in_view_and_begins_none():
-    watch = LeadWatch()
+    watch = LeadTracker()
     assert watch.look([sighting(20.0, 0.15)], 0.0, 0.0, 0.0) is None
     assert watch.look([sighting(20.0, 0.4)], 0.0, 0.0, DT) is None
     assert watch.look([sighting(20.0, 0.15)], 0.0, 0.0, DT) is None
@@ -77,7 +77,7 @@ def test_what_is_hardly_seen_keeps_a_known_lead_in_view_and_begins_none():
 
 
 def test_the_unsure_must_be_seen_twice_on_end():
-    watch = LeadWatch()
+    watch = LeadTracker()
     assert watch.look([sighting(30.0, 0.4)], 0.0, 0.0, 0.0) is None
     assert watch.look([], 0.0, 0.0, DT) is None
     assert watch.look([sighting(30.0, 0.4)], 0.0, 0.0, DT) is None
@@ -91,7 +91,7 @@ def test_a_jump_is_not_taken_for_motion():
 
 
 def test_who_cuts_in_leads_at_once_and_the_other_is_remembered():
-    watch = LeadWatch()
+    watch = LeadTracker()
     for k in range(3):
         watch.look([sighting(30.0)], 0.0, 0.0, DT if k else 0.0)
     cut_in = watch.look([sighting(30.0), sighting(12.0)], 0.0, 0.0, DT)
@@ -103,7 +103,7 @@ def test_who_cuts_in_leads_at_once_and_the_other_is_remembered():
 
 
 def test_two_boxes_of_one_thing_are_one():
-    watch = LeadWatch()
+    watch = LeadTracker()
     for k in range(2):
         watch.look([sighting(20.0, 0.9), sighting(18.0, 0.35)], 0.0, 0.0, DT if k else 0.0)
     believed = watch.look([sighting(20.0)], 0.0, 0.0, DT)

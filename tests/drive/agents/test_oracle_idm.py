@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.simulation.agents.base import Agent, LanePath
-from gsrain_engine.simulation.agents.idm import OracleIDMAgent, known_lead
+from gsrain_engine.simulation.agents.idm import OracleIDMAgent, find_oracle_lead
 from gsrain_engine.simulation.agents.neuroncap import NeuroNCAPBaselineAgent
 from gsrain_engine.simulation.route import Route
 from gsrain_engine.simulation.traffic.base import RoadUser
@@ -13,7 +13,7 @@ from .seen_road import RIG, ROUTE, VEHICLE, car, observation, state
 
 
 def _lead(*users, of=None, route=ROUTE):
-    return known_lead(users, LanePath.of(of or state(), route), VEHICLE)
+    return find_oracle_lead(users, LanePath.of(of or state(), route), VEHICLE)
 
 
 def test_the_nearest_in_the_lane_leads_by_its_bumper():

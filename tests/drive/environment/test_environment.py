@@ -9,7 +9,7 @@ from gymnasium.utils.env_checker import check_env
 
 from gsrain_engine.simulation.gymnasium.environment import DriveEnvironment, Reward
 from gsrain_engine.simulation.gymnasium.registration import CONTROL_ID, PLAN_ID, register_environments
-from gsrain_engine.simulation.gymnasium.spaces import MOST_ROAD_USERS, control_of
+from gsrain_engine.simulation.gymnasium.spaces import MAX_ROAD_USERS, control_of
 from gsrain_engine.simulation.scenario import Scenario
 from gsrain_engine.simulation.vehicle import Vehicle
 from small_scene import small_scene
@@ -147,11 +147,11 @@ def test_the_end_of_the_route_and_leaving_it_terminate():
 
 
 def test_more_road_users_than_there_is_room_for_are_the_nearest():
-    users = [{**LEAD, "id": str(k), "ahead_m": 60.0 - k, "left_m": 5.0} for k in range(MOST_ROAD_USERS + 4)]
+    users = [{**LEAD, "id": str(k), "ahead_m": 60.0 - k, "left_m": 5.0} for k in range(MAX_ROAD_USERS + 4)]
     env = environment(scenario=scenario(road_users=users))
     seen, _ = env.reset(seed=0)
     ahead = seen["road_users"][:, 0]
-    assert seen["road_user_count"] == MOST_ROAD_USERS
+    assert seen["road_user_count"] == MAX_ROAD_USERS
     assert (np.diff(ahead) > 0).all()
     assert seen["road_users"][-1, 0] < 60 + Vehicle().middle_m - 3
     assert seen in env.observation_space

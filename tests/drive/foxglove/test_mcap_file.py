@@ -10,7 +10,7 @@ import pytest
 from msgspec.structs import replace
 
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.simulation.interop.mcap import CameraPicture, write_rollout_mcap
+from gsrain_engine.simulation.interop.mcap import CameraImage, write_rollout_mcap
 from gsrain_engine.simulation.route import Route
 from small_rollout import approach, ego, rollout, step, user
 
@@ -109,7 +109,7 @@ def _picture(index, shade=200):
     pose[:3, 3] = 1.0, 2.0, 3.0
     image = np.zeros((16, 24, 3), np.uint8)
     image[..., 0] = shade
-    return CameraPicture(index, "FRONT", image, Camera(24, 16, 20.0, 21.0, 12.0, 8.0, np.linalg.inv(pose)))
+    return CameraImage(index, "FRONT", image, Camera(24, 16, 20.0, 21.0, 12.0, 8.0, np.linalg.inv(pose)))
 
 
 def test_pictures_come_with_their_cameras(tmp_path):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 
-from gsrain_engine.scene.scene import Track
+from gsrain_engine.scene.scene import PoseTrack
 from gsrain_engine.scene.street.build import street_rigs
 from gsrain_engine.simulation.controller_base import ControllerSettings
 from gsrain_engine.simulation.scenario import Scenario, ScenarioUser
@@ -17,7 +17,7 @@ def scene():
     """The small scene, with a recorded drive of 30 m."""
     times = np.arange(6.0)
     places = np.stack([6 * times, np.zeros(6), np.full(6, 1.5)], axis=1)
-    ego = Track(times, places, np.tile([1.0, 0, 0, 0], (6, 1)), np.ones(6, bool))
+    ego = PoseTrack(times, places, np.tile([1.0, 0, 0, 0], (6, 1)), np.ones(6, bool))
     two = tuple(each for each in street_rigs()["nuscenes"] if each.name in ("CAM_FRONT", "CAM_BACK"))
     return replace(small_scene(), ego=ego, rigs={"nuscenes": two})
 

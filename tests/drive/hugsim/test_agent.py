@@ -11,15 +11,15 @@ import pytest
 
 from drive.hugsim.road_with_lead import scenario, scene
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.simulation.agents.base import Agent, Needs
+from gsrain_engine.simulation.agents.base import Agent, SensorRequirements
 from gsrain_engine.simulation.agents.http import ClientError
 from gsrain_engine.simulation.interop.hugsim_agent import HugsimAgent
 from gsrain_engine.simulation.interop.hugsim_protocol import (
     HugsimWorld,
-    all_six,
     camera_params,
     hugsim_info,
-    in_hugsim_setting,
+    six_hugsim_cameras,
+    with_hugsim_rig,
 )
 from gsrain_engine.simulation.simulation import Simulation, drive
 
@@ -37,7 +37,7 @@ def renderer():
 
 
 def simulation(renderer, agent, **fields):
-    asked, shown = in_hugsim_setting(scenario(**fields), scene())
+    asked, shown = with_hugsim_rig(scenario(**fields), scene())
     return Simulation(asked, shown, agent.needs, renderer)
 
 
@@ -143,8 +143,10 @@ def test_blue_first_and_all_that_hugsim_sends(moment, tmp_path):
 
 
 def test_labels_and_depths_are_drawn_when_asked_for(tmp_path):
-    assert HugsimAgent(tmp_path).needs == Needs(("all",))
-    assert HugsimAgent(tmp_path, semantic=True, depth=True).needs == Needs(("all",), depth=True, semantic=True)
+    assert HugsimAgent(tmp_path).needs == SensorRequirements(("all",))
+    assert HugsimAgent(tmp_path, semantic=True, depth=True).needs == SensorRequirements(
+        ("all",), depth=True, semantic=True
+    )
 
 
 def test_none_ends_the_drive(renderer, tmp_path):
@@ -221,11 +223,11 @@ def test_each_drive_takes_a_new_client(moment, tmp_path):
 
 def test_a_box_lies_on_the_car_in_the_picture(renderer):
     """From `obj_boxes` over the ego's pose and the lidar into the front picture, as stacks reckon."""
-    turned, shown = in_hugsim_setting(scenario(left_m=0.7), scene())
-    simulated = Simulation(turned, shown, Needs(("CAM_FRONT",), semantic=True), renderer)
+    turned, shown = with_hugsim_rig(scenario(left_m=0.7), scene())
+    simulated = Simulation(turned, shown, SensorRequirements(("CAM_FRONT",), semantic=True), renderer)
     rig, observation = simulated.rig, simulated.reset()
     world = HugsimWorld(-3.0, 2.0, 1.0, 0.3)  # wherever it began
-    info = hugsim_info(observation, rig, world, camera_params(all_six(rig.cameras), rig))
+    info = hugsim_info(observation, rig, world, camera_params(six_hugsim_cameras(rig.cameras), rig))
     box, yaw = info["obj_boxes"][0], -info["ego_rot"][1]
     away = np.array(box[:3]) + (0, 0, box[5]) - (info["ego_pos"][2], -info["ego_pos"][0], -info["ego_pos"][1])
     forward, left = np.cos(yaw) * away[0] + np.sin(yaw) * away[1], np.cos(yaw) * away[1] - np.sin(yaw) * away[0]

@@ -9,18 +9,18 @@ from gsrain_engine.simulation.agents.base import CameraView, Observation, Rig
 from gsrain_engine.simulation.interop.hugsim_protocol import (
     CAMERA_NAMES,
     HugsimWorld,
-    all_six,
     camera_params,
     hugsim_info,
     hugsim_obs,
     hugsim_rig,
+    six_hugsim_cameras,
 )
 from gsrain_engine.simulation.route import Route
 from gsrain_engine.simulation.traffic.base import RoadUser
 from gsrain_engine.simulation.vehicle import HUGSIM_VEHICLE, VehicleState
 
 RIG = Rig(HUGSIM_VEHICLE, hugsim_rig(street_rigs()["nuscenes"]), 1.5)
-SIX = all_six(RIG.cameras)
+SIX = six_hugsim_cameras(RIG.cameras)
 CAMERA = Camera(800, 450, 600.0, 600.0, 400.0, 225.0)
 
 

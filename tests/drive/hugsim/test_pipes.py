@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from gsrain_engine.simulation.agents.http import ClientError
-from gsrain_engine.simulation.interop.hugsim_protocol import Patience, Pipes
+from gsrain_engine.simulation.interop.hugsim_protocol import Pipes, Timeouts
 
 MESSAGE = bytes(range(256)) * 12_000  # 3 MB: more than a pipe holds
 
@@ -20,7 +20,7 @@ def nobody_known():
 
 
 def patience(seconds=20.0, ended=nobody_known):
-    return Patience(seconds, ended)
+    return Timeouts(seconds, ended)
 
 
 def other_end(work):

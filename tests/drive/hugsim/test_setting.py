@@ -7,7 +7,12 @@ import pytest
 
 from drive.hugsim.road_with_lead import scenario, scene
 from gsrain_engine.scene.street.build import street_rigs
-from gsrain_engine.simulation.interop.hugsim_protocol import CAMERA_NAMES, all_six, hugsim_rig, in_hugsim_setting
+from gsrain_engine.simulation.interop.hugsim_protocol import (
+    CAMERA_NAMES,
+    hugsim_rig,
+    six_hugsim_cameras,
+    with_hugsim_rig,
+)
 from gsrain_engine.simulation.vehicle import HUGSIM_VEHICLE
 
 
@@ -40,7 +45,7 @@ def test_waymo_cameras_are_renamed_and_cut_to_the_format():
 
 def test_missing_cameras_are_known_all_the_same():
     two = tuple(each for each in hugsim_rig(street_rigs()["nuscenes"]) if each.name in ("CAM_FRONT", "CAM_BACK"))
-    six, full = all_six(two), hugsim_rig(street_rigs()["nuscenes"])
+    six, full = six_hugsim_cameras(two), hugsim_rig(street_rigs()["nuscenes"])
     assert tuple(six) == CAMERA_NAMES
     for name in CAMERA_NAMES:
         np.testing.assert_allclose(six[name].camera_to_ego, named(full, name).camera_to_ego, atol=1e-12)
@@ -51,17 +56,17 @@ def test_no_front_camera():
     with pytest.raises(ValueError, match="needs a camera CAM_FRONT"):
         hugsim_rig(sides)
     with pytest.raises(ValueError, match="not only no cameras"):
-        in_hugsim_setting(scenario(), replace(scene(), rigs={}))
+        with_hugsim_rig(scenario(), replace(scene(), rigs={}))
 
 
 def test_a_camera_of_another_size_is_refused():
     with pytest.raises(ValueError, match=r"CAM_FRONT is 1600 x 900: HUGSIM's clients take 800 x 450"):
-        all_six(street_rigs()["nuscenes"])
+        six_hugsim_cameras(street_rigs()["nuscenes"])
 
 
 def test_setting_takes_the_rig_with_most_of_the_six():
     rigs = {"waymo_front3": street_rigs()["waymo_front3"], "nuscenes": street_rigs()["nuscenes"]}
-    changed, with_rig = in_hugsim_setting(scenario(), replace(scene(), rigs=rigs))
+    changed, with_rig = with_hugsim_rig(scenario(), replace(scene(), rigs=rigs))
     assert (changed.vehicle, changed.rig, changed.picture_width_px) == (HUGSIM_VEHICLE, "hugsim", 800)
     assert len(with_rig.rigs["hugsim"]) == 6
     assert set(with_rig.rigs) == {"waymo_front3", "nuscenes", "hugsim"}
@@ -69,7 +74,7 @@ def test_setting_takes_the_rig_with_most_of_the_six():
 
 def test_setting_keeps_to_the_rig_that_a_scenario_names():
     rigs = {"waymo_front3": street_rigs()["waymo_front3"], "nuscenes": street_rigs()["nuscenes"]}
-    _, with_rig = in_hugsim_setting(scenario(rig="waymo_front3"), replace(scene(), rigs=rigs))
+    _, with_rig = with_hugsim_rig(scenario(rig="waymo_front3"), replace(scene(), rigs=rigs))
     assert len(with_rig.rigs["hugsim"]) == 3
     with pytest.raises(ValueError, match="has no rig 'other', only nuscenes"):
-        in_hugsim_setting(scenario(rig="other"), scene())
+        with_hugsim_rig(scenario(rig="other"), scene())

@@ -9,37 +9,40 @@ from msgspec.structs import replace
 
 from gsrain_engine.evaluation.report import report_page
 from gsrain_engine.simulation.metrics.figures import (
-    band,
     birds_eye_sheet,
-    curve,
+    curve_band,
+    curve_over_time,
     kinematics_figure,
     rain_colors,
     write_figure,
 )
-from gsrain_engine.simulation.metrics.report import drive_report, rollout_hash
-from gsrain_engine.simulation.metrics.summary import Run, compare
+from gsrain_engine.simulation.metrics.report import drive_report_page, rollout_hash
+from gsrain_engine.simulation.metrics.summary import ScoredRun, compare_drives
 from gsrain_engine.simulation.route import Route
 from small_rollout import approach
 
 
 @cache
 def _compared():
-    runs = [Run.of(approach(intensity_mm_h=r, moments=m)) for r, m in ((0.0, 9), (1.2, 9), (12.0, 20))]
-    return runs, compare(runs)[0]
+    runs = [ScoredRun.of(approach(intensity_mm_h=r, moments=m)) for r, m in ((0.0, 9), (1.2, 9), (12.0, 20))]
+    return runs, compare_drives(runs)[0]
 
 
 def test_curves_of_a_run():
     run = approach(lead_x=40.0, moments=20)
-    assert curve(run, "speed_m_s") == pytest.approx(np.full(15, 10.0))
-    assert np.isnan(curve(run, "acceleration_m_s2")[0]) and (curve(run, "acceleration_m_s2")[1:] == 0).all()
-    assert curve(run, "gap_m")[:2] == pytest.approx([35.0, 32.5])
-    assert curve(run, "ttc_s")[-1] == 0.0
+    assert curve_over_time(run, "speed_m_s") == pytest.approx(np.full(15, 10.0))
+    assert (
+        np.isnan(curve_over_time(run, "acceleration_m_s2")[0])
+        and (curve_over_time(run, "acceleration_m_s2")[1:] == 0).all()
+    )
+    assert curve_over_time(run, "gap_m")[:2] == pytest.approx([35.0, 32.5])
+    assert curve_over_time(run, "ttc_s")[-1] == 0.0
 
 
 def test_bands_are_of_the_runs_that_go_on():
-    runs = [Run.of(approach(speed=v, seed=i, moments=m)) for i, (v, m) in enumerate(((8.0, 5), (10.0, 9)))]
-    (weather,) = compare(runs)[0].weathers
-    times, mean, low, high = band(weather, "speed_m_s")
+    runs = [ScoredRun.of(approach(speed=v, seed=i, moments=m)) for i, (v, m) in enumerate(((8.0, 5), (10.0, 9)))]
+    (weather,) = compare_drives(runs)[0].weathers
+    times, mean, low, high = curve_band(weather, "speed_m_s")
     assert len(times) == 9 and times[-1] == 2.0
     assert mean[:5] == pytest.approx(9.0) and mean[5:] == pytest.approx(10.0)
     assert (low[0], high[0]) == (8.0, 10.0) and low[-1] == high[-1] == 10.0
@@ -47,15 +50,15 @@ def test_bands_are_of_the_runs_that_go_on():
 
 def test_without_roll_outs_there_is_nothing_over_time():
     runs, _ = _compared()
-    bare = compare([Run(each.metrics) for each in runs])[0]
+    bare = compare_drives([ScoredRun(each.metrics) for each in runs])[0]
     with pytest.raises(ValueError, match="0 mm/h have no roll-outs"):
         kinematics_figure(bare)
 
 
 def test_runs_of_other_steps_have_no_common_curve():
-    runs = [Run.of(approach(moments=5)), Run.of(replace(approach(seed=1, moments=5), step_s=0.5))]
+    runs = [ScoredRun.of(approach(moments=5)), ScoredRun.of(replace(approach(seed=1, moments=5), step_s=0.5))]
     with pytest.raises(ValueError, match=r"steps of 0\.25 s and of 0\.5 s"):
-        band(compare(runs)[0].weathers[0], "speed_m_s")
+        curve_band(compare_drives(runs)[0].weathers[0], "speed_m_s")
 
 
 def test_all_intensities_are_in_every_panel_and_the_collision_is_marked():
@@ -105,11 +108,11 @@ def test_from_above_each_run_has_a_panel_on_one_scale():
 
 def test_the_page_has_results_figures_and_origins():
     runs, _ = _compared()
-    page = report_page(drive_report(runs, settings={"command": "gsrain drive <x>"}))
+    page = report_page(drive_report_page(runs, settings={"command": "gsrain drive <x>"}))
     assert page.count("<img") == 2
     for words in ("Driving in rain: made-up", "gsrain drive &lt;x&gt;", rollout_hash(runs[0].rollout)[:16], "shapely"):
         assert words in page
-    only_numbers = report_page(drive_report([Run(each.metrics) for each in runs]))
+    only_numbers = report_page(drive_report_page([ScoredRun(each.metrics) for each in runs]))
     assert "<img" not in only_numbers and "Every run" in only_numbers
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from drive.simulation.small_drive import driven, lead, scene_with_box
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.simulation.playback import PlayedRollout
-from gsrain_engine.simulation.video import DriveVideo, figure_slots
+from gsrain_engine.simulation.playback import RolloutPlayback
+from gsrain_engine.simulation.video import RolloutVideo, figure_slots
 
 PAPER = (18, 20, 24)
 
@@ -25,9 +25,9 @@ def test_figures_stand_beside_each_other_or_in_further_lines(width, lines):
 
 def test_a_narrow_film_is_as_high_as_its_lines_and_a_long_name_ends_in_its_slot():
     asked = {"road_users": [lead(ahead_m=20.0)], "duration_s": 0.5, "picture_width_px": 320}
-    played = PlayedRollout(driven(asked, scene_with_box()), scene_with_box())
+    played = RolloutPlayback(driven(asked, scene_with_box()), scene_with_box())
     with open_renderer("cpu") as renderer:
-        video = DriveVideo(played, renderer)
+        video = RolloutVideo(played, renderer)
         picture = video.picture(0.0)
     slots, seen = figure_slots(320), round(320 * played.rig.cameras[0].height / played.rig.cameras[0].width)
     strip = picture[seen : seen + 2 * 23]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from drive.simulation.small_drive import driven, lead, scene_with_box
-from gsrain_engine.simulation.playback import PlayedRollout
+from gsrain_engine.simulation.playback import RolloutPlayback
 
 RIGHT, LEFT = -np.pi + 0.2, np.pi - 0.2
 """Headings on both sides of the cut."""
@@ -29,7 +29,7 @@ def rollout():
 
 @pytest.fixture(scope="module")
 def played(rollout):
-    return PlayedRollout(rollout, scene_with_box())
+    return RolloutPlayback(rollout, scene_with_box())
 
 
 def test_between_two_steps_everybody_is_between(played, rollout):
@@ -62,4 +62,4 @@ def test_before_its_start_and_after_its_end_it_stands(played):
 def test_a_scenario_that_can_t_be_read_is_told_of(rollout):
     odd = msgspec.structs.replace(rollout, scenario={**rollout.scenario, "speed_m_s": -1.0})
     with pytest.raises(ValueError, match=r"the roll-out's scenario: Expected `float` >= 0.0 - at `\$.speed_m_s`"):
-        PlayedRollout(odd, scene_with_box())
+        RolloutPlayback(odd, scene_with_box())

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.open import cached_street
+from gsrain_engine.scene.open import load_street
 from gsrain_engine.scene.scene import Layer
 from gsrain_engine.scene.street.layout import StreetParameters, plan_street
 from gsrain_engine.simulation.geometry import PlanarBox
-from gsrain_engine.simulation.ground import ground_of
+from gsrain_engine.simulation.ground import road_surface_of
 from gsrain_engine.simulation.obstacles import CELL_M, drivable_of, occupied_space_of
 from small_scene import patch, small_scene
 
@@ -23,7 +23,7 @@ def standing(*things):
 
 
 def occupied(scene):
-    return occupied_space_of(scene, ground_of(scene))
+    return occupied_space_of(scene, road_surface_of(scene))
 
 
 def car_at(x, y, yaw=0.0):
@@ -95,7 +95,7 @@ def test_a_few_that_float_about_are_not_in_the_way():
 def test_what_is_hidden_or_deleted_is_gone(mark):
     scene = standing(upright(15.0, 0.0, 3.0, 0.0, 2.0, 20))
     assert occupied(scene).touches(car_at(15.0, 0.0))
-    gone = scene.with_member("layers/thing 0", marks=Marks(**{mark: Mask.all(400)}))
+    gone = scene.with_member("layers/thing 0", marks=SelectionFlags(**{mark: BitMask.all(400)}))
     assert not occupied(gone).touches(car_at(15.0, 0.0))
     assert not occupied(scene.with_member("layers/thing 0", visible=False)).touches(car_at(15.0, 0.0))
 
@@ -115,7 +115,7 @@ def test_cells_lie_where_things_are():
 
 @pytest.fixture(scope="module")
 def street():
-    return cached_street()
+    return load_street()
 
 
 @pytest.fixture(scope="module")
@@ -158,13 +158,13 @@ def test_trees_lamps_and_houses_are_hit(layout, space):
 def test_the_pavement_is_free(layout, space):
     p = layout.parameters
     between = np.arange(0.0, 120.0, 1.0)
-    free = [not space.touches(PlanarBox(float(x), p.kerb_y_m + 1.9, 0.0, 1.0, 1.0)) for x in between]
+    free = [not space.touches(PlanarBox(float(x), p.curb_y_m + 1.9, 0.0, 1.0, 1.0)) for x in between]
     assert np.mean(free) > 0.95
 
 
 def test_the_road_is_drivable_and_the_pavement_is_not(street, space, layout):
-    drivable = drivable_of(street, ground_of(street), space)
-    kerb = layout.parameters.kerb_y_m
+    drivable = drivable_of(street, road_surface_of(street), space)
+    kerb = layout.parameters.curb_y_m
     np.testing.assert_array_equal(drivable.share_on_road(car_at(30.0, -1.7)), np.ones((2, 2)))
     np.testing.assert_array_equal(drivable.share_on_road(car_at(30.0, -kerb - 1.5)), np.zeros((2, 2)))
     half = drivable.share_on_road(car_at(30.0, -kerb))
@@ -177,7 +177,7 @@ def test_without_a_road_layer_flat_ground_is_road():
     scene = standing(upright(15.0, 0.0, 3.0, 0.0, 2.0, 20))
     scene = replace(scene, layers=tuple(replace(each, name=f"part {i}") for i, each in enumerate(scene.layers)))
     space = occupied(scene)
-    drivable = drivable_of(scene, ground_of(scene), space)
+    drivable = drivable_of(scene, road_surface_of(scene), space)
     assert drivable.share_on_road(car_at(25.0, 0.0)).min() > 0.9
     assert drivable.share_on_road(car_at(25.0, 12.0)).max() == 0.0
 
@@ -186,4 +186,4 @@ def test_nowhere_is_road_where_there_is_nothing():
     scene = replace(small_scene(), layers=())
     space = occupied(scene)
     assert not space.touches(car_at(0.0, 0.0))
-    assert drivable_of(scene, ground_of(scene), space).share_on_road(car_at(0.0, 0.0)).max() == 0.0
+    assert drivable_of(scene, road_surface_of(scene), space).share_on_road(car_at(0.0, 0.0)).max() == 0.0

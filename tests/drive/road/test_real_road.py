@@ -7,7 +7,7 @@ from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.scene import Layer, Scene
 from gsrain_engine.simulation.geometry import PlanarBox
-from gsrain_engine.simulation.ground import ground_of
+from gsrain_engine.simulation.ground import road_surface_of
 from gsrain_engine.simulation.obstacles import occupied_space_of
 
 MIDDLE_S = 1.08
@@ -36,18 +36,18 @@ def labelled(capture):
 
 
 def test_the_rig_is_where_the_points_of_the_road_are_below_it(scene):
-    assert ground_of(scene).rig_height_m == pytest.approx(1.5, abs=0.05)
+    assert road_surface_of(scene).rig_height_m == pytest.approx(1.5, abs=0.05)
 
 
 def test_labelled_vehicles_stand_on_the_ground_that_is_found(capture, scene):
     near = labelled(capture)
     assert len(near) == 2
     for pose, _ in near:
-        assert pose[2, 3] == pytest.approx(ground_of(scene).height_m(pose[0, 3], pose[1, 3]), abs=0.3)
+        assert pose[2, 3] == pytest.approx(road_surface_of(scene).height_m(pose[0, 3], pose[1, 3]), abs=0.3)
 
 
 def test_they_are_in_the_way_and_the_lane_is_free(capture, scene):
-    space = occupied_space_of(scene, ground_of(scene))
+    space = occupied_space_of(scene, road_surface_of(scene))
     for pose, (length, width, _) in labelled(capture):
         yaw = float(np.arctan2(pose[1, 0], pose[0, 0]))
         assert space.touches(PlanarBox(pose[0, 3], pose[1, 3], yaw, length, width))

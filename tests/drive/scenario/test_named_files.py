@@ -8,7 +8,7 @@ import pytest
 from gsrain_engine.scene.formats.registry import write_gaussians
 from gsrain_engine.simulation.scenario import Scenario
 from gsrain_engine.simulation.scenario_io import load_scenario, save_scenario
-from gsrain_engine.simulation.traffic.appearance import built_in_vehicle, user_look
+from gsrain_engine.simulation.traffic.appearance import built_in_vehicle, vehicle_model
 from small_scene import small_scene
 
 TEST = """
@@ -41,7 +41,7 @@ def test_names_count_from_the_scenarios_own_folder(beside: Path, tmp_path: Path,
     found = load_scenario("tests/mine.yaml")
     assert found.scene == "tests/road" and found.rain.calibration == "tests/rain.yaml"
     first, second, third = found.road_users
-    assert first.model == "tests/cars/a.ply" and user_look(first.model, small_scene()).size_lwh_m[0] > 1
+    assert first.model == "tests/cars/a.ply" and vehicle_model(first.model, small_scene()).size_lwh_m[0] > 1
     assert (second.model, second.behaviour.rollout, third.model) == ("van/red", "tests/drive.jsonl", "actor:7")
     monkeypatch.chdir(beside / "cars")
     assert load_scenario("../mine.yaml").scene == "../road"

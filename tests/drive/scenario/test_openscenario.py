@@ -11,7 +11,7 @@ import pytest
 import xmlschema
 
 from curved_scene import RADIUS_M, curved_scene
-from gsrain_engine.scene.scene import Actor, Track
+from gsrain_engine.scene.scene import Actor, PoseTrack
 from gsrain_engine.simulation.interop.openscenario_write import write_openscenario
 from gsrain_engine.simulation.scenario import Scenario
 from gsrain_engine.simulation.scenario_io import load_scenario
@@ -116,7 +116,7 @@ def _moved(test):
 
 
 def test_actors_that_are_kept_follow_trajectories_and_are_kept_again(tmp_path):
-    way = Track(np.array([0.0, 4.0]), np.array([[5.0, 3, 0], [13, 3, 0]]), np.tile([1.0, 0, 0, 0], (2, 1)),
+    way = PoseTrack(np.array([0.0, 4.0]), np.array([[5.0, 3, 0], [13, 3, 0]]), np.tile([1.0, 0, 0, 0], (2, 1)),
                 np.ones(2, bool))  # fmt: skip
     scene = small_scene()
     box = scene.layers[0].gaussians

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drive.simulation.small_drive import box_actor, in_other_units, lead, scenario, scene_with_box
-from gsrain_engine.simulation.ground import ground_of
+from gsrain_engine.simulation.ground import road_surface_of
 from gsrain_engine.simulation.route import recorded_route
 from gsrain_engine.simulation.scenario import Traffic
 from gsrain_engine.simulation.simulation import RoadScene
@@ -18,7 +18,7 @@ EGO = RoadUser("ego", "car", (4.6, 1.85, 1.5), 1.3, 0.0, 0.0, 4.0)
 
 
 def traffic(scene, **fields):
-    return Traffic(scenario(**fields), scene, recorded_route(scene), ground_of(scene))
+    return Traffic(scenario(**fields), scene, recorded_route(scene), road_surface_of(scene))
 
 
 def test_places_are_measured_from_the_ego_vehicle_s_middle_along_the_route():

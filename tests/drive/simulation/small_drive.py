@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import Actor, Scene, Track
-from gsrain_engine.simulation.agents.base import Needs, Plan
+from gsrain_engine.scene.scene import Actor, PoseTrack, Scene
+from gsrain_engine.simulation.agents.base import SensorRequirements, Trajectory
 from gsrain_engine.simulation.scenario import Scenario
 from gsrain_engine.simulation.simulation import Simulation, drive
 from small_scene import patch, small_scene
@@ -17,13 +17,13 @@ class StraightOn:
     """Plans to keep its speed, straight ahead."""
 
     name = "straight-on"
-    needs = Needs()
+    needs = SensorRequirements()
 
     def reset(self, seed, rig):
         pass
 
     def plan(self, observation):
-        return Plan(np.array([[observation.state.speed_m_s * 0.5 * (k + 1), 0.0] for k in range(6)]))
+        return Trajectory(np.array([[observation.state.speed_m_s * 0.5 * (k + 1), 0.0] for k in range(6)]))
 
     def close(self):
         pass
@@ -47,7 +47,7 @@ def box_actor(id="box", positions=((5.0, 3.0, 0.0), (13.0, 3.0, 0.0)), times=(0.
     rear = patch((-2, -1, 0), np.array([0, 2.0, 0]), np.array([0, 0, 1.5]), 8, (0.8, 0.1, 0.1))
     sides = Gaussians.concatenate([flank, rear])
     n = len(times)
-    track = Track(np.array(times), np.array(positions, float), np.tile([1.0, 0, 0, 0], (n, 1)), np.ones(n, bool))
+    track = PoseTrack(np.array(times), np.array(positions, float), np.tile([1.0, 0, 0, 0], (n, 1)), np.ones(n, bool))
     return Actor(id, "car", (4.0, 2.0, 1.5), sides, track)
 
 

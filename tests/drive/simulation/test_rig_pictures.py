@@ -7,10 +7,10 @@ import pytest
 
 from drive.simulation.small_drive import scenario
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.rain.settings import Rain
+from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.simulation import sensors
-from gsrain_engine.simulation.agents.base import Needs
-from gsrain_engine.simulation.sensors import RigPictures
+from gsrain_engine.simulation.agents.base import SensorRequirements
+from gsrain_engine.simulation.sensors import RigRenderer
 from gsrain_engine.simulation.simulation import Simulation
 from gsrain_engine.simulation.vehicle import Control
 from small_scene import small_scene
@@ -30,20 +30,20 @@ def scene():
 @pytest.fixture
 def shots(monkeypatch):
     """What is drawn from now on."""
-    found, draw = [], sensors.draw_shot
+    found, draw = [], sensors.draw_view
 
     def watched(renderer, scene, rainfall, sky, shot, **options):
         found.append(shot)
         draw(renderer, scene, rainfall, sky, shot, **options)
 
-    monkeypatch.setattr(sensors, "draw_shot", watched)
+    monkeypatch.setattr(sensors, "draw_view", watched)
     return found
 
 
 def test_a_camera_ahead_of_the_axle_swings_out_in_a_turn(shots):
     simulation = Simulation(scenario(turned_deg=90.0), scene())
     with open_renderer("cpu") as renderer:
-        pictures = RigPictures(renderer, Rain(), simulation.rig.cameras, Needs(cameras=("front",)))
+        pictures = RigRenderer(renderer, RainSettings(), simulation.rig.cameras, SensorRequirements(cameras=("front",)))
         velocity = np.array([0.0, 4.0, 0.0])
         pictures.views(simulation.scene_now, simulation.rig_to_world, velocity, 0.5, 1.0)
     # Forward is the world's y: what lies ahead of the axle moves to the left, to the world's -x, by 0.5 rad/s.
@@ -55,7 +55,9 @@ def test_a_drive_hands_on_how_fast_it_goes_where_and_when(shots):
     simulation.reset()
     simulation.advance(Control(0.0, 0.3))
     with open_renderer("cpu") as renderer:
-        simulation.seen_by(RigPictures(renderer, Rain(), simulation.rig.cameras, Needs(cameras=("front",))))
+        simulation.render_cameras(
+            RigRenderer(renderer, RainSettings(), simulation.rig.cameras, SensorRequirements(cameras=("front",)))
+        )
     ego = simulation.rollout("nobody").steps[-1].ego
     assert ego.yaw_rate_rad_s > 0.05 and ego.yaw_rad > np.radians(30.0)
     heading = np.array([np.cos(ego.yaw_rad), np.sin(ego.yaw_rad), 0.0])

@@ -5,13 +5,13 @@ from dataclasses import replace
 import pytest
 
 from drive.simulation.small_drive import box_actor
-from gsrain_engine.scene.open import cached_street
+from gsrain_engine.scene.open import load_street
 from gsrain_engine.simulation.sensors import UNKNOWN, semantic_ids
 from small_scene import small_scene
 
 
 def test_every_layer_of_the_street_has_a_class():
-    street = cached_street()
+    street = load_street()
     ids = dict(zip(("nothing", *(each.name for each in street.members)), semantic_ids(street).tolist(), strict=True))
     assert UNKNOWN not in ids.values()
     assert (ids["nothing"], ids["road"], ids["pavements"], ids["houses"], ids["trees"], ids["sky"]) == (

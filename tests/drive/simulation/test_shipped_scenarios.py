@@ -2,7 +2,7 @@
 
 import pytest
 
-from gsrain_engine.scene.open import cached_street
+from gsrain_engine.scene.open import load_street
 from gsrain_engine.simulation.agents.registry import open_agent
 from gsrain_engine.simulation.scenario_io import load_scenario
 from gsrain_engine.simulation.simulation import Simulation, drive
@@ -10,7 +10,7 @@ from gsrain_engine.simulation.simulation import Simulation, drive
 
 @pytest.fixture(scope="module")
 def street():
-    return cached_street()
+    return load_street()
 
 
 def driven(name, agent, street):

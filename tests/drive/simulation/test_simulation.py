@@ -8,11 +8,11 @@ import pytest
 
 from drive.simulation.small_drive import StraightOn, box_actor, driven, in_other_units, lead, scenario, scene_with_box
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.scene.scene import Track
-from gsrain_engine.simulation.agents.base import Needs, Plan
+from gsrain_engine.scene.scene import PoseTrack
+from gsrain_engine.simulation.agents.base import SensorRequirements, Trajectory
 from gsrain_engine.simulation.rollout import BACKGROUND
 from gsrain_engine.simulation.rollout_io import read_rollout, write_rollout
-from gsrain_engine.simulation.simulation import Simulation, drive, drive_through
+from gsrain_engine.simulation.simulation import Simulation, drive, run_drive
 from gsrain_engine.simulation.vehicle import Control
 from small_scene import small_scene
 
@@ -40,7 +40,7 @@ def test_what_stands_there_is_hit_too():
     """The route ends at x = 10; a longer one leads into the wall at x = 40."""
     scene = small_scene()
     times = np.array([0.0, 20.0])
-    far = Track(times, np.array([[0, 0, 1.5], [60.0, 0, 1.5]]), np.tile([1.0, 0, 0, 0], (2, 1)), np.ones(2, bool))
+    far = PoseTrack(times, np.array([[0, 0, 1.5], [60.0, 0, 1.5]]), np.tile([1.0, 0, 0, 0], (2, 1)), np.ones(2, bool))
     rollout = driven({"duration_s": 30}, replace(scene, ego=far))
     assert (rollout.end, rollout.steps[-1].collision) == ("collision", BACKGROUND)
     assert rollout.steps[-1].ego.x_m + 3.6 == pytest.approx(40.0, abs=1.3)
@@ -51,7 +51,7 @@ def test_a_fast_vehicle_does_not_jump_over_what_stands_there(start_m):
     """40 m/s are 10 m a step, and the vehicle is 4.6 m long."""
     times = np.array([0.0, 20.0])
     places = np.array([[start_m, 0, 1.5], [200.0, 0, 1.5]])
-    far = Track(times, places, np.tile([1.0, 0, 0, 0], (2, 1)), np.ones(2, bool))
+    far = PoseTrack(times, places, np.tile([1.0, 0, 0, 0], (2, 1)), np.ones(2, bool))
     rollout = driven({"duration_s": 30, "speed_m_s": 40.0}, replace(small_scene(), ego=far))
     assert (rollout.end, rollout.steps[-1].collision) == ("collision", BACKGROUND)
     assert rollout.steps[-1].ego.x_m < 50
@@ -62,7 +62,7 @@ def test_a_fast_vehicle_does_not_jump_over_somebody_either(start_m):
     """24 m/s are 6 m a step; 4.6 m of vehicle and half a metre of somebody leave room for that."""
     times = np.array([0.0, 20.0])
     places = np.array([[0.0, 0, 1.5], [200.0, 0, 1.5]])
-    far = Track(times, places, np.tile([1.0, 0, 0, 0], (2, 1)), np.ones(2, bool))
+    far = PoseTrack(times, places, np.tile([1.0, 0, 0, 0], (2, 1)), np.ones(2, bool))
     somebody = lead(ahead_m=15.0 + start_m, size_lwh_m=[0.5, 0.5, 1.8], turned_deg=90.0)
     rollout = driven({"speed_m_s": 24.0, "road_users": [somebody]}, replace(scene_with_box(), ego=far))
     assert (rollout.end, rollout.steps[-1].collision) == ("collision", "lead")
@@ -70,7 +70,7 @@ def test_a_fast_vehicle_does_not_jump_over_somebody_either(start_m):
 
 def test_who_drives_behind_as_fast_is_not_hit():
     times = np.array([0.0, 20.0])
-    far = Track(times, np.array([[0, 0, 1.5], [200.0, 0, 1.5]]), np.tile([1.0, 0, 0, 0], (2, 1)), np.ones(2, bool))
+    far = PoseTrack(times, np.array([[0, 0, 1.5], [200.0, 0, 1.5]]), np.tile([1.0, 0, 0, 0], (2, 1)), np.ones(2, bool))
     follower = lead(ahead_m=-5.0, speed_m_s=24.0, behaviour={"kind": "constant-velocity"})
     fields = {"speed_m_s": 24.0, "duration_s": 1.0, "road_users": [follower]}
     assert driven(fields, replace(scene_with_box(), ego=far)).end == "time"
@@ -112,7 +112,7 @@ def test_a_plan_that_is_none_is_refused():
         ([[1.0, 0.0], [1e9, 0.0]], "farther than 10 km"),
     ):
         with pytest.raises(ValueError, match=words):
-            simulation.step(Plan(np.array(points)))
+            simulation.step(Trajectory(np.array(points)))
 
 
 def test_after_its_end_nothing_moves():
@@ -180,7 +180,7 @@ def test_a_scene_in_other_units_and_with_another_axis_up_drives_the_same():
 
 class _Sees(StraightOn):
     name = "sees"
-    needs = Needs(cameras=("front",), depth=True, semantic=True)
+    needs = SensorRequirements(cameras=("front",), depth=True, semantic=True)
 
     def __init__(self):
         self.views = []
@@ -220,7 +220,7 @@ def test_pictures_are_the_same_every_time():
 
 def test_an_agent_that_needs_pictures_gets_a_renderer_or_a_word():
     with pytest.raises(ValueError, match="the agent needs pictures, and there is nothing that draws them"):
-        Simulation(scenario(), small_scene(), Needs(cameras=("front",)))
+        Simulation(scenario(), small_scene(), SensorRequirements(cameras=("front",)))
 
 
 @pytest.mark.parametrize(
@@ -271,7 +271,7 @@ def test_a_scene_without_a_rig_shows_nothing_and_says_so():
     with open_renderer("cpu") as renderer:
         for name in ("front", "all", "FRONT"):
             with pytest.raises(ValueError, match="the scene has no rig of cameras"):
-                Simulation(scenario(), blind, Needs(cameras=(name,)), renderer)
+                Simulation(scenario(), blind, SensorRequirements(cameras=(name,)), renderer)
 
 
 def test_a_scene_without_a_drive_is_refused():
@@ -295,4 +295,4 @@ def test_a_drive_at_one_go_is_the_drive_step_by_step():
     for _ in drive(simulation, agent):
         pass
     stepwise = simulation.rollout(agent.name)
-    assert drive_through(simulation, agent) == stepwise and stepwise.end == "collision"
+    assert run_drive(simulation, agent) == stepwise and stepwise.end == "collision"

@@ -4,11 +4,11 @@ import os
 import signal
 from pathlib import Path
 
-from gsrain_engine.sweep.worker import Outcome
+from gsrain_engine.sweep.worker import JobResult
 
 
 def answer(job):
-    return Outcome(id=job.id, values={"end": job.scene})
+    return JobResult(id=job.id, values={"end": job.scene})
 
 
 def die_once(job, folder):

@@ -7,7 +7,7 @@ import numpy as np
 import yaml
 
 from gsrain_engine.scene.formats.scene_files import write_scene
-from gsrain_engine.scene.scene import Track
+from gsrain_engine.scene.scene import PoseTrack
 from gsrain_engine.sweep.expansion import jobs_of
 from gsrain_engine.sweep.settings import DriveSweep
 from small_scene import small_scene
@@ -17,7 +17,7 @@ def write_road(folder):
     """A scene folder; the ego drives 10 m/s for 3 s."""
     times = np.arange(4.0)
     way = np.stack([10 * times, np.zeros(4), np.full(4, 1.5)], axis=1)
-    ego = Track(times, way, np.tile([1.0, 0, 0, 0], (4, 1)), np.ones(4, bool))
+    ego = PoseTrack(times, way, np.tile([1.0, 0, 0, 0], (4, 1)), np.ones(4, bool))
     scene = replace(small_scene("road"), ego=ego)
     write_scene(scene, folder)
     return folder

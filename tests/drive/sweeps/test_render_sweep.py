@@ -8,13 +8,13 @@ from PIL import Image
 
 from boxy_scene import boxy_scene
 from gsrain_engine.scene.formats.scene_files import write_scene
-from gsrain_engine.sweep.executors import HereEngine
+from gsrain_engine.sweep.executors import SerialExecutor
 from gsrain_engine.sweep.expansion import jobs_of
 from gsrain_engine.sweep.report import write_tables
 from gsrain_engine.sweep.results import SweepFolder
 from gsrain_engine.sweep.run import SweepRun, run_sweep
 from gsrain_engine.sweep.settings import RenderSweep
-from gsrain_engine.sweep.worker import workbench
+from gsrain_engine.sweep.worker import worker_cache
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def finished(work):
 
 def test_clips_differ_in_rain_and_share_their_labels(sweep, tmp_path):
     jobs, folder = jobs_of(sweep), SweepFolder(tmp_path / "out")
-    assert finished(run_sweep(jobs, HereEngine(), folder)) == SweepRun(2, 0)
+    assert finished(run_sweep(jobs, SerialExecutor(), folder)) == SweepRun(2, 0)
     clear, rainy = (folder.read(jobs)[job.id] for job in jobs)
     assert (clear["frames"], clear["cameras"], clear["sizes_px"], clear["drops"]) == (2, 1, "96x64", 0)
     assert rainy["drops"] > 0 and rainy["implied_mm_h"] == pytest.approx(12, rel=0.02)
@@ -60,13 +60,13 @@ def test_again_elsewhere_it_is_the_same_bytes_and_a_clip_that_stands_is_not_draw
         part.mkdir(parents=True)
     os.utime(old, (0, 0))
     for folder in (first, second):
-        finished(run_sweep([job], HereEngine(), folder))
+        finished(run_sweep([job], SerialExecutor(), folder))
     rows = [(folder.rows / f"{job.id}.parquet").read_bytes() for folder in (first, second)]
     assert rows[0] == rows[1] and first.read([job])[job.id]["clip_hash"]
     assert {each.name for each in first.clips.iterdir()} == {job.id, new.name}
     (first.rows / f"{job.id}.parquet").unlink()
-    monkeypatch.setattr(workbench(), "renderer", lambda backend: pytest.fail("drawn again"))
-    finished(run_sweep([job], HereEngine(), first))
+    monkeypatch.setattr(worker_cache(), "renderer", lambda backend: pytest.fail("drawn again"))
+    finished(run_sweep([job], SerialExecutor(), first))
     assert (first.rows / f"{job.id}.parquet").read_bytes() == rows[0]
 
 
@@ -75,6 +75,6 @@ def test_a_clip_that_fails_leaves_nothing_but_its_row(sweep, tmp_path):
         jobs_of(sweep)[0], recording=msgspec.structs.replace(sweep.recording, cameras=("absent",))
     )
     folder = SweepFolder(tmp_path / "out")
-    assert finished(run_sweep([job], HereEngine(), folder)) == SweepRun(1, 1)
+    assert finished(run_sweep([job], SerialExecutor(), folder)) == SweepRun(1, 1)
     assert "absent" in folder.read([job])[job.id]["error"]
     assert not list(folder.path.glob("clips/*"))

@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from gsrain_engine.sweep.executors import HereEngine, LocalPool
+from gsrain_engine.sweep.executors import LocalPool, SerialExecutor
 from gsrain_engine.sweep.expansion import jobs_of
 from gsrain_engine.sweep.results import SweepFolder
 from gsrain_engine.sweep.run import run_sweep
@@ -30,7 +30,7 @@ def sweep(tmp_path_factory):
 def expected(sweep, tmp_path_factory):
     folder = SweepFolder(tmp_path_factory.mktemp("expected"))
     jobs = jobs_of(sweep)
-    assert len(list(run_sweep(jobs, HereEngine(), folder))) == len(jobs) + 1 == 13
+    assert len(list(run_sweep(jobs, SerialExecutor(), folder))) == len(jobs) + 1 == 13
     return contents(folder)
 
 
@@ -66,7 +66,7 @@ def test_a_killed_sweep_and_another_that_goes_on(sweep, expected, tmp_path):
     jobs = jobs_of(sweep)
     rest = folder.to_do(jobs)
     assert 0 < len(rest) <= len(jobs) - 5
-    list(run_sweep(rest, HereEngine(), folder))
+    list(run_sweep(rest, SerialExecutor(), folder))
     assert contents(folder) == expected
     assert len(set(logged(folder))) == len(jobs)
 

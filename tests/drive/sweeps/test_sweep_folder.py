@@ -7,10 +7,10 @@ from msgspec import structs
 
 from gsrain_engine.simulation.rollout_io import read_rollout
 from gsrain_engine.sweep import results
-from gsrain_engine.sweep.executors import HereEngine
+from gsrain_engine.sweep.executors import SerialExecutor
 from gsrain_engine.sweep.results import SweepFolder
 from gsrain_engine.sweep.run import SweepRun, run_sweep
-from gsrain_engine.sweep.worker import Outcome
+from gsrain_engine.sweep.worker import JobResult
 
 from .other_works import answer
 from .small_sweep import small_jobs, sweep_of
@@ -26,13 +26,13 @@ def finished(work):
 
 def test_it_goes_on_where_it_was_stopped(tmp_path):
     jobs, folder = small_jobs(tmp_path), SweepFolder(tmp_path / "out")
-    work = run_sweep(jobs, HereEngine(), folder)
+    work = run_sweep(jobs, SerialExecutor(), folder)
     for _ in range(3):
         next(work)
     work.close()
     rest = folder.to_do(jobs)
     assert rest == jobs[2:]
-    assert finished(run_sweep(rest, HereEngine(), folder)) == SweepRun(2, 0)
+    assert finished(run_sweep(rest, SerialExecutor(), folder)) == SweepRun(2, 0)
     assert folder.to_do(jobs) == [] and folder.others(jobs) == 0
     for job in jobs:
         rollout = read_rollout(folder.rollouts / f"{job.id}.jsonl")
@@ -54,7 +54,7 @@ def test_a_failed_job_is_a_row_and_done_again_only_when_asked(tmp_path):
     users = (structs.replace(scenario.road_users[0], model="absent.ply"),)
     broken = structs.replace(jobs[0], scenario=structs.replace(scenario, road_users=users))
     folder = SweepFolder(tmp_path / "out")
-    assert finished(run_sweep([broken, jobs[1]], HereEngine(), folder)) == SweepRun(2, 1)
+    assert finished(run_sweep([broken, jobs[1]], SerialExecutor(), folder)) == SweepRun(2, 1)
     row = folder.read([broken])[broken.id]
     assert row["status"] == "failed" and row["error"].startswith("model absent.ply: no such file")
     assert folder.to_do([broken, jobs[1]]) == []
@@ -82,7 +82,7 @@ def test_a_full_disk_stops_it_with_a_sentence_and_loses_nothing(tmp_path, monkey
 
     monkeypatch.setattr(results, "write_rollout", full)
     with pytest.raises(OSError, match="stopped after 2 rows: No space left on device; what was written is whole"):
-        finished(run_sweep(jobs, HereEngine(), folder))
+        finished(run_sweep(jobs, SerialExecutor(), folder))
     assert folder.to_do(jobs) == jobs[2:]
     assert all(file.suffix == ".parquet" and not file.name.startswith(".") for file in folder.rows.iterdir())
 
@@ -101,13 +101,13 @@ def test_a_scene_that_changes_meanwhile_stops_it_and_fails_no_job(tmp_path):
     scene = tmp_path / "road" / "scene.json"
     scene.write_bytes(scene.read_bytes() + b"\n")
     with pytest.raises(OSError, match="road is not what it was when the sweep began"):
-        finished(run_sweep(jobs, HereEngine(), folder))
+        finished(run_sweep(jobs, SerialExecutor(), folder))
     assert folder.read(jobs) == {}
 
 
 def test_of_equal_jobs_the_last_row_wins_whole(tmp_path):
     job, folder = small_jobs(tmp_path)[0], SweepFolder(tmp_path / "out")
-    folder.keep(job, Outcome(id=job.id, error="first"))
+    folder.keep(job, JobResult(id=job.id, error="first"))
     folder.keep(job, answer(job))
     assert folder.read([job])[job.id]["status"] == "finished"
     assert len(list(folder.rows.iterdir())) == 1 and len(folder.log.read_text().splitlines()) == 2

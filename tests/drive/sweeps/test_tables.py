@@ -8,7 +8,7 @@ from PIL import Image
 from gsrain_engine.sweep.expansion import jobs_of
 from gsrain_engine.sweep.report import write_tables
 from gsrain_engine.sweep.results import SweepFolder, rows_in
-from gsrain_engine.sweep.worker import do
+from gsrain_engine.sweep.worker import run_job
 
 from .small_sweep import sweep_of, write_road, write_scenario
 
@@ -22,7 +22,7 @@ def done(tmp_path_factory):
     jobs, folder = jobs_of(sweep), SweepFolder(base / "out")
     folder.describe(sweep, jobs)
     for job in jobs[:-1]:
-        folder.keep(job, do(job, folder.clips))
+        folder.keep(job, run_job(job, folder.clips))
     return sweep, jobs, folder
 
 
@@ -55,9 +55,9 @@ def test_rows_of_other_settings_are_left_out_and_counted(done):
 
 def test_a_worker_of_another_version_stops_the_sweep(done):
     _, jobs, folder = done
-    outcome = do(structs.replace(jobs[0], program="0.0.1"), folder.clips)
+    outcome = run_job(structs.replace(jobs[0], program="0.0.1"), folder.clips)
     assert outcome.stops and "the sweep was made by gsrain 0.0.1" in outcome.error
-    missing = do(structs.replace(jobs[0], files={"absent.onnx": "0123"}), folder.clips)
+    missing = run_job(structs.replace(jobs[0], files={"absent.onnx": "0123"}), folder.clips)
     assert missing.stops and "absent.onnx is not what it was when the sweep began (not there" in missing.error
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from drive.traffic.on_the_road import STRAIGHT, car, moves, settings
 from gsrain_engine.simulation.route import Route
-from gsrain_engine.simulation.traffic.base import InLane, ahead_in_lane
+from gsrain_engine.simulation.traffic.base import LanePosition, find_vehicle_ahead
 
 
 def test_on_a_free_road_it_accelerates_by_one_less_the_fourth_power():
@@ -51,15 +51,15 @@ def test_it_yields_to_the_ego_vehicle_too():
 
 @pytest.mark.parametrize(("y", "matters"), [(0.0, True), (1.9, True), (2.1, False), (-3.4, False)])
 def test_only_who_overlaps_its_lane_matters(y, matters):
-    assert (ahead_in_lane(STRAIGHT, car(0), (car(20, y),)) is not None) == matters
+    assert (find_vehicle_ahead(STRAIGHT, car(0), (car(20, y),)) is not None) == matters
 
 
 def test_who_stands_across_takes_up_its_length():
-    assert ahead_in_lane(STRAIGHT, car(0), (car(20, 2.9, yaw=np.pi / 2),)).gap_m == pytest.approx(20 - 2 - 1)
+    assert find_vehicle_ahead(STRAIGHT, car(0), (car(20, 2.9, yaw=np.pi / 2),)).gap_m == pytest.approx(20 - 2 - 1)
 
 
 def test_the_nearest_is_followed_and_nobody_behind():
-    ahead = ahead_in_lane(STRAIGHT, car(50, speed=9), (car(90), car(70, speed=3), car(40, speed=30)))
+    ahead = find_vehicle_ahead(STRAIGHT, car(50, speed=9), (car(90), car(70, speed=3), car(40, speed=30)))
     assert (ahead.gap_m, ahead.speed_m_s) == (pytest.approx(16.0), pytest.approx(3.0))
 
 
@@ -69,7 +69,7 @@ def test_it_drives_against_the_route_where_it_heads_so():
     assert seen[-1].y_m == pytest.approx(3.4)
     assert seen[-1].speed_m_s < 10
     assert np.cos(seen[-1].yaw_rad) == pytest.approx(-1.0)
-    assert ahead_in_lane(STRAIGHT, seen[0], (car(40, 3.4, 2.0, 0.0),)).speed_m_s == pytest.approx(-2.0)
+    assert find_vehicle_ahead(STRAIGHT, seen[0], (car(40, 3.4, 2.0, 0.0),)).speed_m_s == pytest.approx(-2.0)
 
 
 def test_it_follows_the_bends_of_the_route_in_its_own_lane():
@@ -85,7 +85,7 @@ def test_it_follows_the_bends_of_the_route_in_its_own_lane():
 
 
 def test_a_place_in_a_lane_and_back():
-    place = InLane.of(STRAIGHT, car(20, -3, yaw=0.2))
+    place = LanePosition.of(STRAIGHT, car(20, -3, yaw=0.2))
     assert (place.along_m, place.left_m, place.direction) == (20.0, -3.0, 1)
     assert place.ahead(STRAIGHT, 5.0).along_m == pytest.approx(25.0)
-    assert InLane.of(STRAIGHT, car(20, -3, yaw=3.0)).ahead(STRAIGHT, 5.0).along_m == pytest.approx(15.0)
+    assert LanePosition.of(STRAIGHT, car(20, -3, yaw=3.0)).ahead(STRAIGHT, 5.0).along_m == pytest.approx(15.0)

@@ -7,14 +7,14 @@ import pytest
 
 from gsrain_engine.scene.formats.registry import write_gaussians
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
-from gsrain_engine.scene.scene import Actor, Track
-from gsrain_engine.simulation.traffic.appearance import user_look
+from gsrain_engine.scene.scene import Actor, PoseTrack
+from gsrain_engine.simulation.traffic.appearance import vehicle_model
 from small_scene import patch, small_scene
 
 
 @pytest.mark.parametrize("model", ["hatchback", "saloon/red", "estate", "van/white", "truck", "truck/green"])
 def test_a_vehicle_fills_its_box_and_stands_on_the_ground(model):
-    look = user_look(model, small_scene())
+    look = vehicle_model(model, small_scene())
     body = look.gaussians.take(np.flatnonzero(look.gaussians.means[:, 2] > 0.1))
     low, high = body.means.min(axis=0), body.means.max(axis=0)
     half = np.array([look.size_lwh_m[0] / 2, look.size_lwh_m[1] / 2])
@@ -26,7 +26,7 @@ def test_a_vehicle_fills_its_box_and_stands_on_the_ground(model):
 
 def color(model):
     """Mean display colour of the upper half."""
-    look = user_look(model, small_scene())
+    look = vehicle_model(model, small_scene())
     upper = look.gaussians.means[:, 2] > 0.5
     return (SH_C0 * look.gaussians.sh[upper, 0] + 0.5).mean(axis=0)
 
@@ -40,7 +40,7 @@ def test_paint_paints():
 
 def test_models_are_made_once():
     scene = small_scene()
-    assert user_look("saloon", scene) is user_look("saloon", replace(scene))
+    assert vehicle_model("saloon", scene) is vehicle_model("saloon", replace(scene))
 
 
 @pytest.mark.parametrize(
@@ -56,13 +56,13 @@ def test_models_are_made_once():
 )
 def test_what_there_is_not_is_said(model, words):
     with pytest.raises(ValueError, match=words):
-        user_look(model, small_scene())
+        vehicle_model(model, small_scene())
 
 
 def test_an_actor_of_the_scene_in_metres():
     gaussians = patch((-1, -0.5, 0), np.array([2.0, 0, 0]), np.array([0, 0, 1.0]), 5, (1, 0, 0))
-    actor = Actor("van", "car", (2.0, 1.0, 1.0), gaussians, Track.standing(np.eye(4)))
-    look = user_look("actor:van", replace(small_scene(), actors=(actor,), metres_per_unit=2.0))
+    actor = Actor("van", "car", (2.0, 1.0, 1.0), gaussians, PoseTrack.standing(np.eye(4)))
+    look = vehicle_model("actor:van", replace(small_scene(), actors=(actor,), metres_per_unit=2.0))
     assert look.size_lwh_m == (4.0, 2.0, 2.0)
     np.testing.assert_allclose(look.gaussians.means, 2 * gaussians.means)
 
@@ -82,7 +82,7 @@ def box(at, size, strays=0):
 def test_a_file_is_stood_on_the_ground_and_measured_without_its_strays(tmp_path, ending):
     path = tmp_path / f"car{ending}"
     write_gaussians(box((0.4, -0.1, 1.0), (4.0, 1.8, 1.4), strays=4), path)
-    look = user_look(str(path), small_scene())
+    look = vehicle_model(str(path), small_scene())
     assert look.size_lwh_m == pytest.approx((4.0, 1.8, 1.4), abs=0.05)
     middle = np.median(look.gaussians.means[-4000:], axis=0)
     np.testing.assert_allclose(middle, (0, 0, 0.7), atol=0.1)
@@ -91,14 +91,14 @@ def test_a_file_is_stood_on_the_ground_and_measured_without_its_strays(tmp_path,
 def test_a_file_gets_a_shadow_and_is_read_again_when_it_changes(tmp_path):
     path = tmp_path / "car.ply"
     write_gaussians(box((0, 0, 0.7), (4.0, 1.8, 1.4)), path)
-    look = user_look(str(path), small_scene())
+    look = vehicle_model(str(path), small_scene())
     shadow = look.gaussians.take(slice(0, len(look.gaussians) - 4000))
     assert len(shadow) > 100
     assert shadow.means[:, 2].max() < 0.1
     assert (SH_C0 * shadow.sh[:, 0] + 0.5).max() < 0.3
-    assert user_look(str(path), small_scene()) is look
+    assert vehicle_model(str(path), small_scene()) is look
     write_gaussians(box((0, 0, 0.7), (5.0, 1.8, 1.4)).take(slice(0, 3000)), path)
-    assert user_look(str(path), small_scene()).size_lwh_m[0] > 4.8
+    assert vehicle_model(str(path), small_scene()).size_lwh_m[0] > 4.8
 
 
 @pytest.mark.parametrize(("size", "opacity", "words"), [
@@ -110,4 +110,4 @@ def test_a_file_that_can_be_no_road_user_is_refused(tmp_path, size, opacity, wor
     model = box((0, 0, 0), size)
     write_gaussians(replace(model, opacities=np.full(4000, opacity, np.float32)), path)
     with pytest.raises(ValueError, match=words):
-        user_look(str(path), small_scene())
+        vehicle_model(str(path), small_scene())

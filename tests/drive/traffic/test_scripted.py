@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from drive.traffic.on_the_road import car, moves, settings
-from gsrain_engine.scene.scene import Actor, Track
+from gsrain_engine.scene.scene import Actor, PoseTrack
 from gsrain_engine.simulation.rollout import EgoRecord, Rollout, RolloutStep, UserModel, UserRecord
 from gsrain_engine.simulation.rollout_io import write_rollout
-from gsrain_engine.simulation.traffic.models import BehaviourSettings
+from gsrain_engine.simulation.traffic.models import BehaviorSettings
 from small_scene import patch, small_scene
 
 
@@ -62,7 +62,7 @@ def test_a_track_that_is_none_is_refused(fields, words):
 
 def test_the_track_of_an_actor_whatever_place_the_scenario_states():
     times = np.array([0.0, 4.0])
-    track = Track(
+    track = PoseTrack(
         times, np.array([[5.0, 3, 0], [25.0, 3, 0]]), np.tile([1.0, 0, 0, 0], (2, 1)), np.array([True, False])
     )
     actor = Actor("van", "car", (4, 2, 2), patch((0, 0, 0), np.eye(3)[0], np.eye(3)[1], 3, (1, 0, 0)), track)
@@ -120,4 +120,4 @@ def test_a_replay_of_nothing_says_so(tmp_path):
 
 def test_an_unknown_kind_is_refused_by_name():
     with pytest.raises(msgspec.ValidationError, match=r"Invalid value 'fly' - at `\$.kind`"):
-        msgspec.convert({"kind": "fly"}, BehaviourSettings)
+        msgspec.convert({"kind": "fly"}, BehaviorSettings)

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.simulation.vehicle import Control, Vehicle, VehicleState, limited, moved_on
+from gsrain_engine.simulation.vehicle import Control, Vehicle, VehicleState, limit_control, step_bicycle
 
 CAR = Vehicle()
 
@@ -12,7 +12,7 @@ def test_a_straight_line_under_acceleration_is_exact_in_steps_of_any_length():
     for dt in (0.05, 0.25, 1.0):
         state = VehicleState(1.0, 2.0, np.pi / 6, 4.0)
         for _ in range(round(2 / dt)):
-            state = moved_on(CAR, state, Control(1.5, 0.0), dt)
+            state = step_bicycle(CAR, state, Control(1.5, 0.0), dt)
         way = 4.0 * 2 + 0.5 * 1.5 * 2**2
         assert (state.x_m, state.y_m) == pytest.approx((1 + way * np.cos(np.pi / 6), 2 + way / 2), abs=1e-12)
         assert (state.speed_m_s, state.yaw_rad) == pytest.approx((7.0, np.pi / 6), abs=1e-12)
@@ -22,7 +22,7 @@ def test_a_circle_at_constant_speed_is_exact():
     radius, speed, dt = 20.0, 5.0, 0.25
     state = VehicleState(0.0, 0.0, 0.0, speed, float(np.arctan(CAR.wheelbase_m / radius)))
     for k in range(1, 60):
-        state = moved_on(CAR, state, Control(0.0, 0.0), dt)
+        state = step_bicycle(CAR, state, Control(0.0, 0.0), dt)
         turned = speed * k * dt / radius
         place = radius * np.sin(turned), radius * (1 - np.cos(turned))
         assert (state.x_m, state.y_m) == pytest.approx(place, abs=1e-9)
@@ -33,7 +33,7 @@ def test_steps_converge_with_the_square_of_their_length():
     def end(dt: float) -> np.ndarray:
         state = VehicleState(0.0, 0.0, 0.0, 5.0)
         for _ in range(round(2 / dt)):
-            state = moved_on(CAR, state, Control(0.8, 0.2), dt)
+            state = step_bicycle(CAR, state, Control(0.8, 0.2), dt)
         return np.array([state.x_m, state.y_m, state.yaw_rad])
 
     fine = end(1 / 512)
@@ -44,14 +44,14 @@ def test_steps_converge_with_the_square_of_their_length():
 
 def test_braking_ends_at_standstill_and_does_not_go_back():
     state = VehicleState(0.0, 0.0, 0.0, 1.0)
-    assert limited(CAR, state, Control(-8.0, 0.0), 0.25) == Control(-4.0, 0.0)
-    stopped = moved_on(CAR, state, Control(-8.0, 0.0), 0.25)
+    assert limit_control(CAR, state, Control(-8.0, 0.0), 0.25) == Control(-4.0, 0.0)
+    stopped = step_bicycle(CAR, state, Control(-8.0, 0.0), 0.25)
     assert (stopped.x_m, stopped.speed_m_s) == (0.125, 0.0)
-    assert moved_on(CAR, stopped, Control(-8.0, 0.0), 0.25) == stopped
+    assert step_bicycle(CAR, stopped, Control(-8.0, 0.0), 0.25) == stopped
 
 
 def test_a_standing_vehicle_turns_its_wheels_and_nothing_else():
-    state = moved_on(CAR, VehicleState(3.0, 4.0, 0.5), Control(0.0, 0.4), 0.5)
+    state = step_bicycle(CAR, VehicleState(3.0, 4.0, 0.5), Control(0.0, 0.4), 0.5)
     assert state == VehicleState(3.0, 4.0, 0.5, 0.0, 0.2)
 
 
@@ -67,7 +67,7 @@ def test_a_standing_vehicle_turns_its_wheels_and_nothing_else():
     ],
 )
 def test_controls_are_cut_to_what_the_vehicle_can_do(state, asked, done):
-    assert limited(CAR, state, asked, 0.25) == pytest.approx(done)
+    assert limit_control(CAR, state, asked, 0.25) == pytest.approx(done)
 
 
 reals = st.floats(-1e6, 1e6)
@@ -76,7 +76,7 @@ reals = st.floats(-1e6, 1e6)
 @given(st.floats(0, 50), st.floats(-1.04, 1.04), reals, reals, st.floats(0.01, 1.0))
 def test_whatever_is_asked_the_limits_hold(speed, steer, acceleration, rate, dt):
     before = VehicleState(0.0, 0.0, 0.0, speed, steer)
-    after = moved_on(CAR, before, Control(acceleration, rate), dt)
+    after = step_bicycle(CAR, before, Control(acceleration, rate), dt)
     assert 0 <= after.speed_m_s <= CAR.top_speed_m_s + 1e-9
     assert abs(after.steer_rad) <= CAR.most_steer_rad + 1e-12
     assert abs(after.steer_rad - steer) <= CAR.most_steer_rate_rad_s * dt + 1e-12

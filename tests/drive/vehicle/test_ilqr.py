@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from controller_loop import CAR, STRAIGHT, circle, driven, lane_change
 from gsrain_engine.simulation.controller_base import Controller, ControllerSettings, PurePursuit
 from gsrain_engine.simulation.controllers import ILQRTracker, open_controller
-from gsrain_engine.simulation.vehicle import Control, VehicleState, moved_on
+from gsrain_engine.simulation.vehicle import Control, VehicleState, step_bicycle
 
 AHEAD = np.stack([2.5 * np.arange(1, 7), np.zeros(6)], axis=1)
 STAND = np.zeros((6, 2))
@@ -22,7 +22,7 @@ def standing(controller, state, steps=40, noise=0.0):
     random, states = np.random.default_rng(0), [state]
     for _ in range(steps):
         plan = noise * random.normal(size=(6, 2))
-        states.append(moved_on(CAR, states[-1], controller.control(CAR, states[-1], plan, 0.5), 0.25))
+        states.append(step_bicycle(CAR, states[-1], controller.control(CAR, states[-1], plan, 0.5), 0.25))
     return states
 
 

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from controller_loop import CAR, STRAIGHT, circle, driven, lane_change
 from gsrain_engine.simulation.controller_base import Controller, PurePursuit
-from gsrain_engine.simulation.vehicle import VehicleState, moved_on
+from gsrain_engine.simulation.vehicle import VehicleState, step_bicycle
 
 
 def test_it_is_a_controller_and_leaves_a_straight_drive_alone():
@@ -37,7 +37,7 @@ def test_it_takes_the_acceleration_of_the_plan():
 def test_a_full_stop_is_braked_straight_and_held():
     state = VehicleState(0.0, 0.0, 0.0, 8.0, 0.2)
     for _ in range(60):
-        state = moved_on(CAR, state, PurePursuit().control(CAR, state, np.zeros((6, 2)), 0.5), 0.25)
+        state = step_bicycle(CAR, state, PurePursuit().control(CAR, state, np.zeros((6, 2)), 0.5), 0.25)
     assert state.speed_m_s < 1e-4
     assert state.x_m < 5.0
     assert state.steer_rad == pytest.approx(0.0, abs=1e-6)

@@ -3,7 +3,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.simulation.controllers import improved, linearized, moved, policy, rolled_out
+from gsrain_engine.simulation.controllers import (
+    forward_pass,
+    linearize_dynamics,
+    roll_out,
+    solve_lqr_policy,
+    step_state,
+)
 
 DT, WHEELBASE = 0.5, 2.7
 LIMITS = np.array([3.0, 3.0, 0.4, np.pi / 3])
@@ -15,13 +21,13 @@ EULER, MIDPOINT = 0.0, 0.5
 
 def after(state, control, at):
     reached = np.empty(5)
-    moved(state, np.array(control, np.float64), DT, at, WHEELBASE, LIMITS, reached)
+    step_state(state, np.array(control, np.float64), DT, at, WHEELBASE, LIMITS, reached)
     return reached
 
 
 def derivatives(state, control, at):
     slope, effect = np.empty((5, 5)), np.empty((5, 2))
-    linearized(state, np.array(control, np.float64), DT, at, WHEELBASE, slope, effect)
+    linearize_dynamics(state, np.array(control, np.float64), DT, at, WHEELBASE, slope, effect)
     return slope, effect
 
 
@@ -57,7 +63,7 @@ def test_the_midpoint_is_exact_where_euler_cuts_the_corner():
 def test_controls_are_cut_to_the_limits_and_written_back():
     control = np.array([-9.0, 2.0])
     reached = np.empty(5)
-    moved(np.array([0.0, 0, 0, 5, np.pi / 3 - 0.05]), control, DT, EULER, WHEELBASE, LIMITS, reached)
+    step_state(np.array([0.0, 0, 0, 5, np.pi / 3 - 0.05]), control, DT, EULER, WHEELBASE, LIMITS, reached)
     assert control == pytest.approx([-3.0, 0.1])
     assert reached[3:] == pytest.approx([3.5, np.pi / 3])
 
@@ -68,9 +74,9 @@ def test_the_step_back_agrees_with_one_linear_system(at):
     start, controls = np.array([0.0, 0, 0.1, 6, 0.05]), random.normal(0, (0.5, 0.05), (5, 2))
     wanted = np.concatenate([start[None], np.cumsum(random.normal((3, 0.2, 0.1, 0, 0), 0.2, (5, 5)), axis=0)])
     states = np.empty((6, 5))
-    rolled_out(start, controls, DT, at, WHEELBASE, LIMITS, states)
+    roll_out(start, controls, DT, at, WHEELBASE, LIMITS, states)
     gains, offsets = np.empty((5, 2, 5)), np.empty((5, 2))
-    policy(states, controls, wanted, DT, at, WHEELBASE, WEIGHTS, gains, offsets)
+    solve_lqr_policy(states, controls, wanted, DT, at, WHEELBASE, WEIGHTS, gains, offsets)
     np.testing.assert_allclose(offsets, _by_one_system(states, controls, wanted, at), atol=1e-8)
 
 
@@ -100,6 +106,6 @@ def _by_one_system(states, controls, wanted, at):
 def test_no_answer_leaves_controls_alone():
     start, controls = np.array([0.0, 0, 0, 6, 0.05]), np.full((4, 2), 0.1)
     states, better = np.empty((5, 5)), np.empty((4, 2))
-    rolled_out(start, controls, DT, MIDPOINT, WHEELBASE, LIMITS, states)
-    improved(states, controls, DT, MIDPOINT, WHEELBASE, LIMITS, np.ones((4, 2, 5)), np.zeros((4, 2)), better)
+    roll_out(start, controls, DT, MIDPOINT, WHEELBASE, LIMITS, states)
+    forward_pass(states, controls, DT, MIDPOINT, WHEELBASE, LIMITS, np.ones((4, 2, 5)), np.zeros((4, 2)), better)
     np.testing.assert_allclose(better, controls, atol=1e-15)

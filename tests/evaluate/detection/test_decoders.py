@@ -3,14 +3,14 @@ import math
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluation.detection.decoders import Layout, decoded
+from gsrain_engine.evaluation.detection.decoders import DecoderInput, decode_outputs
 from gsrain_engine.evaluation.detection.description import DetectorDescription
 
 WIDTH, HEIGHT = 96, 64
 
 
-def _layout(decode: str, classes: int = 3, **fields: object) -> Layout:
-    return Layout(DetectorDescription(decode=decode, **fields), classes, WIDTH, HEIGHT)
+def _layout(decode: str, classes: int = 3, **fields: object) -> DecoderInput:
+    return DecoderInput(DetectorDescription(decode=decode, **fields), classes, WIDTH, HEIGHT)
 
 
 def _cells() -> list[tuple[int, int, int]]:
@@ -26,7 +26,7 @@ def _cells() -> list[tuple[int, int, int]]:
 def test_yolox_boxes_start_from_their_cells():
     generator = np.random.default_rng(3)
     table = generator.uniform(0, 1, (1, len(_cells()), 8)).astype(np.float32)
-    found = decoded([table], _layout("yolox", least_confidence=0.0))
+    found = decode_outputs([table], _layout("yolox", least_confidence=0.0))
     for number, ((column, row, stride), values) in enumerate(zip(_cells(), table[0], strict=True)):
         x, y = (values[0] + column) * stride, (values[1] + row) * stride
         width, height = math.exp(values[2]) * stride, math.exp(values[3]) * stride
@@ -49,25 +49,25 @@ def _nanodet_tables(bins: int) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("bins", [8, 11])
 def test_nanodet_boxes_are_means_of_distances(bins: int):
     scores, sides = _nanodet_tables(bins)
-    found = decoded([np.concatenate([scores, sides], axis=1)[None]], _layout("nanodet"))
+    found = decode_outputs([np.concatenate([scores, sides], axis=1)[None]], _layout("nanodet"))
     x, y = 2.5 * 16, 1.5 * 16
     assert found.boxes == pytest.approx(np.array([[x - 8, y - 16, x + 40, y + 64]]), abs=1e-3)
     assert (found.classes.tolist(), found.confidences.tolist()) == ([1], [pytest.approx(0.8)])
-    corner = decoded([np.concatenate([scores, sides], axis=1)[None]], _layout("nanodet", cell_center=0))
+    corner = decode_outputs([np.concatenate([scores, sides], axis=1)[None]], _layout("nanodet", cell_center=0))
     assert corner.boxes == pytest.approx(found.boxes - 8, abs=1e-3)
 
 
 def test_nanodet_tables_may_come_apart():
     scores, sides = _nanodet_tables(8)
-    whole = decoded([np.concatenate([scores, sides], axis=1)[None]], _layout("nanodet"))
+    whole = decode_outputs([np.concatenate([scores, sides], axis=1)[None]], _layout("nanodet"))
     pieces = [slice(96, 120), slice(0, 96), slice(120, 126)]
-    apart = decoded([table[piece] for table in (sides, scores) for piece in pieces], _layout("nanodet"))
+    apart = decode_outputs([table[piece] for table in (sides, scores) for piece in pieces], _layout("nanodet"))
     assert np.array_equal(apart.boxes, whole.boxes)
     assert np.array_equal(apart.classes, whole.classes)
     with pytest.raises(ValueError, match="is not nanodet's"):
-        decoded([scores[:96], sides], _layout("nanodet"))
+        decode_outputs([scores[:96], sides], _layout("nanodet"))
     with pytest.raises(ValueError, match="is not nanodet's"):
-        decoded([scores], _layout("nanodet"))
+        decode_outputs([scores], _layout("nanodet"))
 
 
 @pytest.mark.parametrize("decode", ["yolo", "yolo_objectness"])
@@ -76,23 +76,23 @@ def test_tables_lie_either_way_round(decode: str):
     table = np.zeros((1, 20, len(values)), np.float32)
     table[0, 7] = values
     for each in (table, table.transpose(0, 2, 1), table[:, None]):
-        found = decoded([np.ascontiguousarray(each)], _layout(decode))
+        found = decode_outputs([np.ascontiguousarray(each)], _layout(decode))
         assert found.boxes.tolist() == [[8, 17, 12, 23]]
         assert (found.classes.tolist(), found.confidences.tolist()) == ([1], [pytest.approx(0.45)])
 
 
 def test_other_grids_and_sizes_without_end_are_refused():
     with pytest.raises(ValueError, match="gives 100 rows; an input of 96x64 px has 126 cells of strides 8, 16, 32"):
-        decoded([np.zeros((1, 100, 8), np.float32)], _layout("yolox"))
+        decode_outputs([np.zeros((1, 100, 8), np.float32)], _layout("yolox"))
     table = np.zeros((1, 126, 8), np.float32)
     table[0, 5] = 0, 0, 500, 0, 1, 1, 0, 0
     with pytest.raises(ValueError, match="not finite"):
-        decoded([table], _layout("yolox"))
+        decode_outputs([table], _layout("yolox"))
     with pytest.raises(ValueError, match="gives 2 outputs"):
-        decoded([table, table], _layout("yolox"))
+        decode_outputs([table, table], _layout("yolox"))
 
 
 def test_logits_are_not_taken_for_confidences():
     table = np.full((1, 126, 7), -4.0, np.float32)
     with pytest.raises(ValueError, match=r"confidences are -4\.\.-4, not 0\.\.1"):
-        decoded([table], _layout("yolo"))
+        decode_outputs([table], _layout("yolo"))

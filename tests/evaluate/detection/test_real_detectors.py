@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("onnxruntime")
 
 from gsrain_engine.evaluation.detection.detector import Detection, Detector, open_detector
-from gsrain_engine.evaluation.detection.metrics import matched
+from gsrain_engine.evaluation.detection.metrics import match_detections
 
 INT8 = 0.06
 """Confidences of whole-number weights differ so much between processors."""
@@ -47,9 +47,9 @@ def test_yolo26n_in_clear_weather_and_transferred_to_rain(test_data: Path):
     labels = _labels("car", *CARS)
     assert [each.confidence for each in clear[:4]] == pytest.approx([0.89, 0.81, 0.58, 0.48], abs=INT8)
     assert clear[4].confidence < 0.25
-    found = matched(labels, clear)
+    found = match_detections(labels, clear)
     assert all(match.iou > 0.9 for match in found)
-    in_rain = [match.confidence for match in matched(labels, rainy)]
+    in_rain = [match.confidence for match in match_detections(labels, rainy)]
     assert in_rain[:3] == pytest.approx([0.86, 0.61, 0.53], abs=INT8)
     assert in_rain[3] < 0.25  # one lost
 
@@ -58,11 +58,11 @@ def test_both_find_the_car_and_the_person_in_torrential_rain(test_data: Path):
     for name, confidence in (("yolo26n_int8", 0.91), ("yolox_nano", 0.88)):
         detector = _opened(test_data, name)
         cars, people = (_seen(detector, _torrential(test_data), each) for each in ("car", "person"))
-        (car,) = matched(_labels("car", RAIN_CAR), cars)
+        (car,) = match_detections(_labels("car", RAIN_CAR), cars)
         assert car.confidence == pytest.approx(confidence, abs=INT8)
         assert car.iou > 0.9
         assert sum(each.confidence > 0.5 for each in people) == 2
-        (person,) = matched(_labels("person", RAIN_PERSON), people)
+        (person,) = match_detections(_labels("person", RAIN_PERSON), people)
         assert person.confidence > 0.6 and person.iou > 0.75
 
 
@@ -71,7 +71,7 @@ def test_yolox_is_told_from_its_grids(test_data: Path):
     assert (detector.description.decode, detector.description.channels) == ("yolox", "bgr")
     assert detector.input_size_px == (416, 416)
     cars = _seen(detector, test_data / "weather/img2img_turbo/clear2rainy_input.png", "car")
-    found = matched(_labels("car", *CARS), cars)
+    found = match_detections(_labels("car", *CARS), cars)
     assert all(match.confidence > 0.5 and match.iou > 0.6 for match in found)
 
 

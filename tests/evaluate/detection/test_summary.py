@@ -6,15 +6,22 @@ import pytest
 from gsrain_engine.evaluation.detection.detector import Detection
 from gsrain_engine.evaluation.detection.figures import (
     detection_sheet,
+    figure_pixels,
     object_figure,
-    pixels,
+    plotted_objects,
     precision_figure,
-    shown_objects,
 )
-from gsrain_engine.evaluation.detection.ground_truth import LabelledObject
-from gsrain_engine.evaluation.detection.run import JudgedFrame, JudgedPicture, Row, Trial, judged, rows_of
+from gsrain_engine.evaluation.detection.ground_truth import LabeledObject
+from gsrain_engine.evaluation.detection.run import (
+    Condition,
+    EvaluatedFrame,
+    EvaluatedImage,
+    ObjectRow,
+    evaluate_detections,
+    object_rows,
+)
 from gsrain_engine.evaluation.detection.summary import (
-    Change,
+    SeedChange,
     distance_scores,
     plain,
     robustness_of,
@@ -23,14 +30,14 @@ from gsrain_engine.evaluation.detection.summary import (
     write_parquet,
 )
 from gsrain_engine.evaluation.plot_styles import legend_columns, legend_width_in, series_styles, shades
-from gsrain_engine.render.draw import Shot
+from gsrain_engine.render.draw import RenderView
 from gsrain_engine.scene.camera import Camera
 
 pytest.importorskip("pycocotools")
 
-NEAR = LabelledObject("near", "car", (0.0, 0.0, 40.0, 40.0), distance_m=8.0)
-FAR = LabelledObject("far", "car", (50.0, 0.0, 80.0, 20.0), distance_m=35.0)
-FRAME = JudgedFrame("f", Shot(Camera(100, 100, 50.0, 50.0, 50.0, 50.0)), (NEAR, FAR))
+NEAR = LabeledObject("near", "car", (0.0, 0.0, 40.0, 40.0), distance_m=8.0)
+FAR = LabeledObject("far", "car", (50.0, 0.0, 80.0, 20.0), distance_m=35.0)
+FRAME = EvaluatedFrame("f", RenderView(Camera(100, 100, 50.0, 50.0, 50.0, 50.0)), (NEAR, FAR))
 
 
 def found(kind, rate, seeds, near, far):
@@ -38,7 +45,7 @@ def found(kind, rate, seeds, near, far):
     detections = [
         Detection("car", confidence, each.box_xyxy) for each, confidence in ((NEAR, near), (FAR, far)) if confidence
     ]
-    return judged("d", FRAME, Trial(kind, rate, seeds), detections)
+    return evaluate_detections("d", FRAME, Condition(kind, rate, seeds), detections)
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +59,7 @@ def judgements():
 
 @pytest.fixture(scope="module")
 def rows(judgements):
-    return [row for each in judgements for row in rows_of(each)]
+    return [row for each in judgements for row in object_rows(each)]
 
 
 def test_scores_are_means_over_objects_with_the_range_of_the_seeds(rows, judgements):
@@ -69,10 +76,10 @@ def test_scores_are_means_over_objects_with_the_range_of_the_seeds(rows, judgeme
 
 
 def test_changes_are_paired_by_seed():
-    change = Change.of([-0.1, -0.2, -0.3])
+    change = SeedChange.of([-0.1, -0.2, -0.3])
     half = 4.302652729911275 * 0.1 / np.sqrt(3)  # Student's t with two degrees of freedom
     assert (change.mean, change.low, change.high) == pytest.approx((-0.2, -0.2 - half, -0.2 + half))
-    alone = Change.of([-0.1])
+    alone = SeedChange.of([-0.1])
     assert alone.mean == -0.1
     assert np.isnan([alone.low, alone.high]).all()
 
@@ -93,7 +100,7 @@ def test_recall_falls_with_distance(rows):
 
 def test_a_detector_that_finds_nothing_can_be_scored_and_written():
     blind = [found("clear", 0.0, (0,), 0, 0), found("rainy", 8.5, (0,), 0, 0)]
-    blind_rows = [row for each in blind for row in rows_of(each)]
+    blind_rows = [row for each in blind for row in object_rows(each)]
     scored = scores(blind_rows, blind)
     assert [each.map50.mean for each in scored] == [0.0, 0.0]
     assert np.isnan(robustness_of(scored)["d"].rpc)
@@ -114,15 +121,15 @@ def test_tables_have_the_names_of_the_contract(rows, tmp_path):
 
 def test_only_what_is_believed_is_a_flip():
     faint, sure = (Detection("truck", confidence, NEAR.box_xyxy) for confidence in (0.1, 0.6))
-    trial = Trial("clear", 0.0, (0,))
+    trial = Condition("clear", 0.0, (0,))
     for each, share in ((faint, 0.0), (sure, 0.5)):
-        one = judged("d", FRAME, trial, [each])
-        assert scores(list(rows_of(one)), [one])[0].flips.mean == share
+        one = evaluate_detections("d", FRAME, trial, [each])
+        assert scores(list(object_rows(one)), [one])[0].flips.mean == share
 
 
 def test_a_reconstruction_is_compared_with_its_pictures():
     both = [found("original", 0.0, (0, 1), 0.9, 0.8), found("clear", 0.0, (0, 1), 0.8, 0.7)]
-    rows = [row for each in both for row in rows_of(each)]
+    rows = [row for each in both for row in object_rows(each)]
     original, clear = scores(rows, both)
     assert original.change is None
     assert clear.change.mean == pytest.approx(-0.1)
@@ -153,7 +160,7 @@ def test_a_legend_has_as_many_columns_as_its_lines_need(entries, height_in, colu
 
 
 def test_figures_show_means_and_bands_by_object(rows, judgements):
-    assert list(shown_objects(rows)) == ["near", "far"]
+    assert list(plotted_objects(rows)) == ["near", "far"]
     figure = object_figure(rows, "confidence")
     (panel,) = figure.axes
     curves = {line.get_label(): line.get_ydata() for line in panel.get_lines()}
@@ -163,12 +170,12 @@ def test_figures_show_means_and_bands_by_object(rows, judgements):
     corners = far.get_paths()[0].vertices
     at_last = corners[corners[:, 0] == 8.5][:, 1]
     assert (at_last.min(), at_last.max()) == pytest.approx((0.0, 0.4))
-    np.testing.assert_array_equal(pixels(object_figure(rows, "iou")), pixels(object_figure(rows, "iou")))
+    np.testing.assert_array_equal(figure_pixels(object_figure(rows, "iou")), figure_pixels(object_figure(rows, "iou")))
     assert len(precision_figure(scores(rows, judgements)).axes) == 2
 
 
 def row_of(detector, rain, seed, number):
-    return Row(
+    return ObjectRow(
         detector=detector, picture="rainy" if rain else "clear", intensity_mm_h=rain, seed=seed, frame="f",
         object=f"o{number}", class_name=f"class {number}", confidence=0.9 - 0.01 * number, iou=0.8,
         confidence_any_class=0.9, iou_any_class=0.8, class_seen=None, visibility=1.0, distance_m=10.0 + number,
@@ -181,7 +188,7 @@ def test_figures_take_any_number_of_classes_and_detectors(classes, detectors):
     names = [f"d{number}" for number in range(detectors)]
     rows = [row_of(name, rain, 0, number) for name in names for rain in (0.0, 8.5) for number in range(classes)]
     figure = object_figure(rows, "confidence")
-    assert pixels(figure).shape[1] < 4000
+    assert figure_pixels(figure).shape[1] < 4000
     panels = [panel for panel in figure.axes if panel.axison]
     assert len(panels) == detectors * (1 if classes == 1 else 2)
     assert len(panels[-1].get_lines()) == classes + 1  # and the mean of all
@@ -194,8 +201,10 @@ def test_figures_take_any_number_of_classes_and_detectors(classes, detectors):
 
 def test_a_sheet_of_many_weathers_goes_on_below():
     image = np.full((60, 300, 3), 90, np.uint8)
-    trials = [Trial("rainy", float(rain), (0,)) for rain in range(1, 31)]
-    pictures = [JudgedPicture(FRAME, each, {"d": judged("d", FRAME, each, [])}, lambda: image) for each in trials]
+    trials = [Condition("rainy", float(rain), (0,)) for rain in range(1, 31)]
+    pictures = [
+        EvaluatedImage(FRAME, each, {"d": evaluate_detections("d", FRAME, each, [])}, lambda: image) for each in trials
+    ]
     sheet = detection_sheet(pictures)
     assert sheet.shape[1] <= 1920
     assert (sheet == 90).all(axis=2).sum() > 30 * 240 * 40  # all of them are there

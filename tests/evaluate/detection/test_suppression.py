@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.evaluation.detection.decoders import intersection_over_union, kept_boxes
+from gsrain_engine.evaluation.detection.decoders import intersection_over_union, non_maximum_suppression
 
 COORDINATES = st.integers(0, 12)
 BOXES = st.lists(st.tuples(COORDINATES, COORDINATES, COORDINATES, COORDINATES), min_size=1, max_size=12)
@@ -30,4 +30,4 @@ def test_kept_boxes_are_those_that_nothing_better_covers(boxes: list, random, mo
     for row in sorted(range(len(boxes)), key=lambda row: -confidences[row]):
         if all(overlaps[row, better] <= most_iou or classes[row] != classes[better] for better in expected):
             expected.append(row)
-    assert kept_boxes(np.array(boxes, float), confidences, classes, most_iou).tolist() == expected
+    assert non_maximum_suppression(np.array(boxes, float), confidences, classes, most_iou).tolist() == expected

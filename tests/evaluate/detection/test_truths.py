@@ -8,16 +8,16 @@ import pytest
 from boxy_scene import boxy_scene
 from gsrain_engine.datasets.capture import TrackedBox
 from gsrain_engine.evaluation.detection.ground_truth import (
-    LabelledObject,
+    LabeledObject,
+    ground_truth_from_boxes,
+    ground_truth_from_scene,
     read_coco,
-    truth_from_boxes,
-    truth_from_scene,
 )
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.objects import scene_objects
 from gsrain_engine.scene.rig import rig_camera
-from gsrain_engine.scene.scene import Track
+from gsrain_engine.scene.scene import PoseTrack
 
 AHEAD = np.array([[0.0, -1, 0, 0], [0, 0, -1, 1.5], [1, 0, 0, 0], [0, 0, 0, 1]])
 CAMERA = Camera(200, 100, 100.0, 100.0, 100.0, 50.0, AHEAD)
@@ -25,12 +25,12 @@ CAMERA = Camera(200, 100, 100.0, 100.0, 100.0, 50.0, AHEAD)
 
 
 def box(name, x, y, size=(2.0, 2.0, 1.5), class_name="Pedestrian"):
-    where = Track(np.zeros(1), np.array([[x, y, 0.0]]), np.array([[1.0, 0, 0, 0]]), np.ones(1, bool))
+    where = PoseTrack(np.zeros(1), np.array([[x, y, 0.0]]), np.array([[1.0, 0, 0, 0]]), np.ones(1, bool))
     return TrackedBox(name, class_name, size, where)
 
 
 def test_boxes_are_projected_and_named_as_coco_does():
-    (found,) = truth_from_boxes([box("a", 11, 0)], CAMERA, 0.0)
+    (found,) = ground_truth_from_boxes([box("a", 11, 0)], CAMERA, 0.0)
     assert found.class_name == "person"
     np.testing.assert_allclose(found.box_xyxy, (90, 50, 110, 65), atol=1e-3)
     assert found.distance_m == pytest.approx(np.hypot(11, 0.75))
@@ -39,7 +39,7 @@ def test_boxes_are_projected_and_named_as_coco_does():
 
 def test_nearer_boxes_hide_farther_ones():
     behind, beside = box("behind", 21, -1.0), box("beside", 21, 12.0)
-    found = truth_from_boxes([behind, beside, box("front", 11, 0)], CAMERA, 0.0)
+    found = ground_truth_from_boxes([behind, beside, box("front", 11, 0)], CAMERA, 0.0)
     assert [each.id for each in found] == ["front", "behind", "beside"]
     assert found[0].visibility == found[2].visibility == 1.0
     assert 0.0 <= found[1].visibility < 0.2
@@ -47,24 +47,24 @@ def test_nearer_boxes_hide_farther_ones():
 
 
 def test_what_is_cut_off_or_gone_is_cut_off_or_gone():
-    (found,) = truth_from_boxes([box("edge", 11, 10), box("out", 11, 40), box("back", -9, 0)], CAMERA, 0.0)
+    (found,) = ground_truth_from_boxes([box("edge", 11, 10), box("out", 11, 40), box("back", -9, 0)], CAMERA, 0.0)
     assert (found.id, found.box_xyxy[0]) == ("edge", 0.0)
     gone = box("gone", 11, 0)
     gone.track.valid[0] = False
-    assert truth_from_boxes([gone], CAMERA, 0.0) == ()
+    assert ground_truth_from_boxes([gone], CAMERA, 0.0) == ()
 
 
 def test_small_and_hidden_objects_are_not_asked_for():
-    assert LabelledObject("a", "car", (0, 0, 30, 16)).counts
-    assert not LabelledObject("a", "car", (0, 0, 30, 15)).counts
-    assert not LabelledObject("a", "car", (0, 0, 30, 30), visibility=0.2).counts
-    assert not LabelledObject("a", "car", (0, 0, 30, 30), is_ignored=True).counts
+    assert LabeledObject("a", "car", (0, 0, 30, 16)).counts
+    assert not LabeledObject("a", "car", (0, 0, 30, 15)).counts
+    assert not LabeledObject("a", "car", (0, 0, 30, 30), visibility=0.2).counts
+    assert not LabeledObject("a", "car", (0, 0, 30, 30), is_ignored=True).counts
 
 
 def test_a_scene_shows_its_actors_under_cocos_names():
     scene = boxy_scene()
     camera = rig_camera(scene, "one", "FRONT", 0.0).resized(288, 192)
-    found = truth_from_scene(CpuRenderer(), scene, scene_objects(scene), camera, 0.0)
+    found = ground_truth_from_scene(CpuRenderer(), scene, scene_objects(scene), camera, 0.0)
     assert [(each.id, each.class_name) for each in found] == [("near", "car"), ("far", "car")]
     assert found[1].visibility == pytest.approx(0.5, abs=0.1)
 
@@ -87,7 +87,7 @@ def test_coco_files_are_read_by_the_names_of_pictures(tmp_path):
     labels = read_coco(file)
     assert labels["two.jpg"] == ()
     first, crowd = labels["a/one.jpg"]
-    assert first == LabelledObject("1", "car", (10.0, 20.0, 40.0, 60.0))
+    assert first == LabeledObject("1", "car", (10.0, 20.0, 40.0, 60.0))
     assert (crowd.is_ignored, crowd.distance_m) == (True, 9.0)
 
 

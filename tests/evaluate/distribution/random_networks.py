@@ -10,10 +10,10 @@ from gsrain_engine.evaluation.lpips_weights import write_arrays
 def random_arrays(make, seed=0):
     """Arrays for every name of a network, of sizes at which signals neither die nor explode."""
     random = np.random.default_rng(seed)
-    from gsrain_engine.evaluation.networks import hollow  # torch is an extra
+    from gsrain_engine.evaluation.networks import build_without_weights  # torch is an extra
 
     arrays: dict[str, np.ndarray] = {}
-    for name, tensor in hollow(make).state_dict().items():
+    for name, tensor in build_without_weights(make).state_dict().items():
         shape = tuple(tensor.shape)
         if len(shape) == 4:
             values = random.normal(0, (2 / np.prod(shape[1:])) ** 0.5, shape)

@@ -25,7 +25,7 @@ from gsrain_engine.evaluation.fid_torch_features import (  # noqa: E402
 from gsrain_engine.evaluation.lpips_weights import read_arrays  # noqa: E402
 from gsrain_engine.evaluation.networks import (  # noqa: E402
     Inception,
-    filled,
+    build_with_weights,
 )
 
 from .random_networks import write_inception  # noqa: E402
@@ -44,7 +44,7 @@ def picture():
 
 def test_inception_gives_what_the_network_of_fid_gives(inception_file):
     """Numbers of pytorch-fid's own InceptionV3 with these weights and this picture: once, every bit was the same."""
-    network = filled(Inception, inception_weights(inception_file))
+    network = build_with_weights(Inception, inception_weights(inception_file))
     y, x = np.mgrid[0:299, 0:299]
     picture = np.stack([x * 0.8, y * 0.8, (x + y) % 256], axis=2).astype(np.float32)
     found = network(torch.from_numpy(picture).permute(2, 0, 1)[None])[0].numpy()

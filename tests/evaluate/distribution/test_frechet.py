@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy import linalg
 
 from gsrain_engine.evaluation import fid as module
-from gsrain_engine.evaluation.fid import frechet_distance, nuclear_norm, rotated
+from gsrain_engine.evaluation.fid import frechet_distance, nuclear_norm, reduce_dimension
 from oracles.kernel_distance import kernel_distance
 from repository import REPOSITORY
 
@@ -55,7 +55,7 @@ def test_it_is_symmetric_never_negative_and_keeps_under_rotation(n, m, features,
     distance = frechet_distance(real, fake)
     assert distance >= 0
     assert frechet_distance(fake, real) == pytest.approx(distance, rel=1e-9, abs=1e-10)
-    short = rotated(real, fake)
+    short = reduce_dimension(real, fake)
     assert short[0].shape[1] <= min(features, n + m)
     assert frechet_distance(*short) == pytest.approx(distance, rel=1e-9, abs=1e-9)
 

@@ -10,7 +10,7 @@ from gsrain_engine.evaluation.fid import (
     kernel_estimate,
     kernel_interval,
     same_distribution,
-    warning,
+    small_sample_warning,
 )
 from gsrain_engine.evaluation.fid_features import Extractor
 from oracles.kernel_distance import kernel_distance
@@ -96,15 +96,15 @@ def test_the_warning_says_what_few_pictures_do():
     random = np.random.default_rng(2)
     few = _set(random, 12), _set(random, 12)
     value, same = frechet_distance(*few), same_distribution(*few, 40, 0)
-    said = warning(FID, value, (12, 12), same)
+    said = small_sample_warning(FID, value, (12, 12), same)
     assert said is not None
     assert said.startswith(f"for want of pictures (12 and 12 for {FEATURES} features) the FID of two such sets")
     assert f"{value:.4g} tells no difference" in said
-    far = warning(FID, 3 * same.interval.high, (12, 12), same)
+    far = small_sample_warning(FID, 3 * same.interval.high, (12, 12), same)
     assert far is not None
     assert "only with values of as many pictures, or take KID" in far
-    assert warning(FID, 100 * same.mean, (12, 12), same) is None
-    assert warning(FID, 1.0, (9, 9), SameDistribution(0.09, same.interval)) is None
+    assert small_sample_warning(FID, 100 * same.mean, (12, 12), same) is None
+    assert small_sample_warning(FID, 1.0, (9, 9), SameDistribution(0.09, same.interval)) is None
 
 
 def test_kid_and_its_interval_come_from_one_look_at_the_kernels():

@@ -5,20 +5,20 @@ import pytest
 
 from evaluate.lidar.wall_beams import SENSOR, sky_beams, wall_beams
 from gsrain_engine.evaluation.lidar.rain_echoes import (
-    DropSignals,
+    DropReturnModel,
+    drop_field_returns,
     drop_reflectance,
-    far_echoes,
-    field_echoes,
+    sample_far_returns,
     span_in_box,
 )
-from gsrain_engine.rain.settings import STREAK_REGION, Box, Rain
-from gsrain_engine.rain.simulation import Rainfall, View
+from gsrain_engine.rain.settings import STREAK_REGION, RainSettings, RegionBox
+from gsrain_engine.rain.simulation import RainCamera, RainSimulation
 from gsrain_engine.scene.camera import Camera
 
-RAINFALL = Rainfall.start(Rain(intensity_mm_h=12.0))
-SIGNALS = DropSignals(SENSOR, RAINFALL.state)
+RAINFALL = RainSimulation.start(RainSettings(intensity_mm_h=12.0))
+SIGNALS = DropReturnModel(SENSOR, RAINFALL.state)
 ANCHOR = np.eye(4)
-HERE = View(Camera.from_fov(1, 1, 45.0, np.eye(4)), ANCHOR, np.zeros(3))
+HERE = RainCamera(Camera.from_fov(1, 1, 45.0, np.eye(4)), ANCHOR, np.zeros(3))
 
 
 def integrated(sensor, state, start_m, end_m):
@@ -41,8 +41,8 @@ def integrated(sensor, state, start_m, end_m):
 
 @pytest.mark.parametrize("intensity", [1.2, 12.0, 50.0])
 def test_the_expected_number_is_the_integral_of_the_spectrum(intensity):
-    state = Rainfall.start(Rain(intensity_mm_h=intensity)).state
-    found = DropSignals(SENSOR, state).expected_up_to(np.array([2.0, 4.0, 50.0]))
+    state = RainSimulation.start(RainSettings(intensity_mm_h=intensity)).state
+    found = DropReturnModel(SENSOR, state).expected_up_to(np.array([2.0, 4.0, 50.0]))
     wanted = [integrated(SENSOR, state, 0.0, end) for end in (2.0, 4.0, 12.0)]
     assert wanted[0] > 1e-5
     np.testing.assert_allclose(found, wanted, rtol=0.03)  # 16,384 classes are coarse for the few largest drops
@@ -56,7 +56,7 @@ def test_no_drop_is_detected_beyond_the_reach():
 def test_far_drops_are_as_many_as_the_integral_and_where_it_says():
     beams = sky_beams(40_000)
     nowhere = np.zeros(len(beams)), np.zeros(len(beams))
-    found = far_echoes(beams, np.full(len(beams), 50.0), nowhere, SIGNALS, seed=1)
+    found = sample_far_returns(beams, np.full(len(beams), 50.0), nowhere, SIGNALS, seed=1)
     mean = len(beams) * SIGNALS.expected[-1]
     assert abs(len(found.beams) - mean) < 4 * np.sqrt(mean)
     for end in (1.5, 2.0, 3.0):
@@ -68,7 +68,7 @@ def test_far_drops_are_as_many_as_the_integral_and_where_it_says():
 def test_far_drops_keep_out_of_the_simulated_span():
     beams = sky_beams(20_000)
     span = np.full(len(beams), 1.5), np.full(len(beams), 2.5)
-    found = far_echoes(beams, np.full(len(beams), 50.0), span, SIGNALS, seed=1)
+    found = sample_far_returns(beams, np.full(len(beams), 50.0), span, SIGNALS, seed=1)
     assert not np.any((found.ranges_m > 1.505) & (found.ranges_m < 2.495))
     whole, start, end = SIGNALS.expected_up_to(np.array([50.0, 1.5, 2.5]))
     mean = len(beams) * (whole - end + start)
@@ -81,13 +81,13 @@ def test_the_field_has_as_many_drops_in_beams_as_the_integral():
     turn = np.arange(400) * np.pi * (3 - np.sqrt(5))
     directions = np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)
     beams = wall_beams(np.full(400, np.inf), directions=directions)
-    around = Box(minimum_m=(-3.0, -3.0, -3.0), maximum_m=(3.0, 3.0, 3.0))
+    around = RegionBox(minimum_m=(-3.0, -3.0, -3.0), maximum_m=(3.0, 3.0, 3.0))
     listened = np.full(400, 3.0)
     counts, near = 0, 0
     for seed in range(6):
-        rainfall = Rainfall.start(Rain(intensity_mm_h=40.0, seed=seed, streak_region=around))
-        found = field_echoes(
-            rainfall.streak_field(3.0, HERE), beams, listened, signals := DropSignals(SENSOR, rainfall.state)
+        rainfall = RainSimulation.start(RainSettings(intensity_mm_h=40.0, seed=seed, streak_region=around))
+        found = drop_field_returns(
+            rainfall.streak_field(3.0, HERE), beams, listened, signals := DropReturnModel(SENSOR, rainfall.state)
         )
         assert np.all(found.ranges_m < 3.0)
         counts, near = counts + len(found.beams), near + int(np.sum(found.ranges_m < 2.0))
@@ -105,7 +105,7 @@ def test_a_drop_of_the_field_is_found_in_the_beam_that_is_aimed_at_it():
     seen = np.flatnonzero(drops.class_index >= SIGNALS.first_detected(ranges))[:5]
     assert len(seen) == 5
     beams = wall_beams(np.full(5, np.inf), directions=places[seen] / ranges[seen, None])
-    found = field_echoes(field, beams, np.full(5, 50.0), SIGNALS)
+    found = drop_field_returns(field, beams, np.full(5, 50.0), SIGNALS)
     for k in range(5):
         assert np.min(np.abs(found.ranges_m[found.beams == k] - ranges[seen[k]])) < 1e-9
 

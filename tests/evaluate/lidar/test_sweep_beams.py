@@ -3,27 +3,27 @@ import numpy as np
 import pytest
 
 from evaluate.lidar.wall_beams import SENSOR
-from gsrain_engine.datasets.capture import Capture, Sweep
+from gsrain_engine.datasets.capture import Capture, LidarSweep
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.evaluation.lidar.scan import (
     ROOF_M,
-    Fate,
+    ReturnOutcome,
     capture_turns,
+    estimate_sensor_range,
     full_intensity,
-    range_told_by,
+    scan_in_rain,
     sweep_beams,
-    sweep_in_rain,
 )
-from gsrain_engine.rain.settings import Rain
-from gsrain_engine.rain.simulation import Rainfall
-from gsrain_engine.scene.scene import Track
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.scene.scene import PoseTrack
 
-EGO = Track(np.zeros(1), np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]), np.ones(1, bool))
+EGO = PoseTrack(np.zeros(1), np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]), np.ones(1, bool))
 
 
 def sweep(points, intensities=None, origin=(0.0, 0.0, 0.4)):
     light = None if intensities is None else np.array(intensities, np.float32)
-    return Sweep(0.0, np.array(points, np.float32), np.array(origin), light)
+    return LidarSweep(0.0, np.array(points, np.float32), np.array(origin), light)
 
 
 def test_reflectances_are_intensities_raised_to_what_is_just_detected():
@@ -57,9 +57,9 @@ def test_a_sweep_tells_how_far_its_sensor_sees():
     ranges, light = rng.uniform(2, 200, 20_000), rng.uniform(0.01, 1, 20_000)
     heard = light >= 0.1 * (ranges / 120) ** 2
     points = np.stack([ranges, np.zeros(20_000), np.full(20_000, 0.4)], axis=1)[heard]
-    told = range_told_by(sweep(points, light[heard]), 1.0)
+    told = estimate_sensor_range(sweep(points, light[heard]), 1.0)
     assert 112 < told <= 120
-    assert range_told_by(sweep(points), 1.0) is None
+    assert estimate_sensor_range(sweep(points), 1.0) is None
 
 
 def test_the_scale_of_intensities_is_guessed():
@@ -83,17 +83,17 @@ def test_real_sweeps_in_rain(test_data, capture):
     assert 40 < turn.sensor.range_m < 250
 
     def rained(intensity):
-        rainfall = Rainfall.start(Rain(intensity_mm_h=intensity))
-        return sweep_in_rain(turn.beams, turn.sensor, rainfall, turn.anchor_to_world, wet_road=intensity == 0)
+        rainfall = RainSimulation.start(RainSettings(intensity_mm_h=intensity))
+        return scan_in_rain(turn.beams, turn.sensor, rainfall, turn.anchor_to_world, wet_road=intensity == 0)
 
     clear = rained(0.0)
     assert clear.sweep.points_m.tobytes() == own.points_m.tobytes()
     assert clear.sweep.intensities.tobytes() == own.intensities.tobytes()
-    lost = rained(12.0).fates == Fate.DROPPED
+    lost = rained(12.0).fates == ReturnOutcome.DROPPED
     assert 0.005 < lost.mean() < 0.2
     # Extinction takes exp(-2 beta r) <= 1 - 1/e^(1/6) up to 33 m: only what was within that of the threshold can go.
     margin = turn.sensor.signal(np.maximum(turn.beams.ranges_m, 1.0), turn.beams.reflectances, 0.0)
-    beta = Rainfall.start(Rain(intensity_mm_h=12.0)).state.extinction_per_m
+    beta = RainSimulation.start(RainSettings(intensity_mm_h=12.0)).state.extinction_per_m
     wanted = turn.beams.is_echo & (margin * np.exp(-2 * beta * turn.beams.ranges_m) < 1)
     np.testing.assert_array_equal(lost, wanted)
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from evaluate.lidar.wall_beams import SENSOR
-from gsrain_engine.evaluation.lidar.scan import evenly, scan_scene, scene_turns
+from gsrain_engine.evaluation.lidar.scan import evenly_spaced, scan_scene, scene_turns
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.scene import Layer
 from small_scene import small_scene
@@ -96,8 +96,8 @@ def test_a_scan_is_the_same_each_time(scan):
 
 
 def test_some_are_chosen_evenly():
-    assert evenly(10, 3) == [0, 3, 6]
-    assert evenly(2, 5) == [0, 1]
+    assert evenly_spaced(10, 3) == [0, 3, 6]
+    assert evenly_spaced(2, 5) == [0, 1]
 
 
 def test_rings_that_all_point_down_or_up_are_in_the_picture(scan):

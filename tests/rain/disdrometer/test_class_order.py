@@ -6,13 +6,13 @@ from gsrain_engine.disdrometer.instruments import (
     PARSIVEL_DIAMETER_EDGES_MM,
     PARSIVEL_VELOCITY_EDGES_M_S,
     Order,
-    arrange,
+    arrange_spectrum,
 )
 from parsivel_text import DRY, RAIN_MM_H, rain
 
 
 def arranged(counts: np.ndarray, written: Order, reported_mm_h: float, records: int = 1) -> tuple[np.ndarray, Order]:
-    return arrange(
+    return arrange_spectrum(
         np.tile(counts.ravel().astype(float), (records, 1)),
         written,
         diameter_edges_mm=PARSIVEL_DIAMETER_EDGES_MM,

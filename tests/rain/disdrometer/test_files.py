@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.disdrometer import filter, spectra
-from gsrain_engine.disdrometer.file_summary import open_measured
+from gsrain_engine.disdrometer.file_summary import open_disdrometer_file
 from gsrain_engine.disdrometer.open import read_disdrometer
 from gsrain_engine.disdrometer.spectra import DisdrometerFileError
 from parsivel_text import DRY, RAIN_MM_H, locarno_line, rain, station_line, velocity_major
@@ -183,7 +183,7 @@ def test_a_transposed_spectrum_is_noticed(tmp_path: Path, caplog: pytest.LogCapt
 
 def test_a_rate_that_agrees_in_neither_order_is_read_and_disagrees(tmp_path: Path):
     path = written(tmp_path, *(station_line(second, rain(), "0008.500") for second in range(5)))
-    measured = open_measured(path).measured()
+    measured = open_disdrometer_file(path).measured()
     assert measured.rate_check is not None and measured.rate_check.agrees is False
     assert measured.rate_check.ratio == pytest.approx(0.0908, abs=1e-4)
 
@@ -291,7 +291,7 @@ def test_inflated_size_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 def test_number_of_spectra_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(spectra, "MOST_COUNTS", 2 * 1024)
+    monkeypatch.setattr(spectra, "MAX_COUNTS", 2 * 1024)
     path = written(tmp_path, *(station_line(second) for second in range(3)))
     assert refusal(path) == "line 3: more than 2 spectra: split the file by days"
 

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsrain_engine.disdrometer.filter import keep_trusted
+from gsrain_engine.disdrometer.filter import apply_quality_control
 from gsrain_engine.disdrometer.open import read_disdrometer
-from gsrain_engine.disdrometer.spectra import DisdrometerFileError, Reading
+from gsrain_engine.disdrometer.spectra import DisdrometerFileError, DisdrometerReading
 
 
 @pytest.fixture(scope="module")
@@ -16,11 +16,11 @@ def folder(test_data: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def locarno(folder: Path) -> Reading:
+def locarno(folder: Path) -> DisdrometerReading:
     return read_disdrometer(folder / "locarno_parsivel_20181029.dat.gz")
 
 
-def test_locarno_agrees_with_its_own_rate(locarno: Reading):
+def test_locarno_agrees_with_its_own_rate(locarno: DisdrometerReading):
     spectra = locarno.spectra
     assert len(spectra) == 6526 and locarno.skipped == ()
     assert (spectra.reported_mm_h > 0).sum() == 4114
@@ -32,14 +32,14 @@ def test_locarno_agrees_with_its_own_rate(locarno: Reading):
     assert np.corrcoef(measured, reported)[0, 1] > 0.99
 
 
-def test_locarno_under_quality_control(locarno: Reading, folder: Path):
-    trusted, report = keep_trusted(locarno.spectra)
+def test_locarno_under_quality_control(locarno: DisdrometerReading, folder: Path):
+    trusted, report = apply_quality_control(locarno.spectra)
     assert report.drops == locarno.spectra.counts.sum() == 1_013_869
     # The first two diameter classes of a Parsivel are always empty.
     assert report.masks[0].drops == 0
     assert 0.75 < report.drops_kept / report.drops < 0.95
     mask = np.loadtxt(folder / "parsivel_conditional_matrix.txt", delimiter=",", usecols=range(32)).T == 1
-    stricter, _ = keep_trusted(locarno.spectra, classes=mask)
+    stricter, _ = apply_quality_control(locarno.spectra, classes=mask)
     assert 0.9 < stricter.counts.sum() / trusted.counts.sum() < 1
 
 

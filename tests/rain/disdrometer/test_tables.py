@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from extension_package import titled_blocks
-from gsrain_engine.disdrometer.file_summary import open_measured
+from gsrain_engine.disdrometer.file_summary import open_disdrometer_file
 from gsrain_engine.disdrometer.open import read_disdrometer
 from gsrain_engine.disdrometer.spectra import DisdrometerFileError, UnknownKindError
 from gsrain_engine.disdrometer.tables import TableColumns, drops_of_densities, load_columns
@@ -305,7 +305,7 @@ def test_the_documented_example_prints_what_the_page_says(tmp_path: Path):
     blocks = titled_blocks(REPOSITORY / "docs" / "guide" / "calibration.md")
     for name in ("counter.csv", "counter.yaml"):
         (tmp_path / name).write_text(blocks[name], encoding="utf-8")
-    measured = open_measured(tmp_path / "counter.csv", load_columns(tmp_path / "counter.yaml")).measured()
+    measured = open_disdrometer_file(tmp_path / "counter.csv", load_columns(tmp_path / "counter.yaml")).measured()
     assert "\n".join(measured.lines) == blocks["printed"].rstrip()
 
 

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.disdrometer.file_summary import open_measured
+from gsrain_engine.disdrometer.file_summary import open_disdrometer_file
 from gsrain_engine.disdrometer.fit import calibrate_files
 from gsrain_engine.rain.calibration import load_calibration
 
@@ -16,7 +16,7 @@ EXPECTED = {1.21: (210, 8.9, 0.088), 8.43: (464, 6.65, 0.154), 12.0: (530, 6.26,
 @pytest.fixture(scope="module")
 def fitted(test_data):
     return calibrate_files(
-        [open_measured(test_data / "disdrometer" / "locarno_parsivel_20181029.dat.gz")], name="locarno_2018"
+        [open_disdrometer_file(test_data / "disdrometer" / "locarno_parsivel_20181029.dat.gz")], name="locarno_2018"
     )
 
 
@@ -56,7 +56,7 @@ def test_the_shipped_calibration_is_this_fit(fitted):
 
 def test_a_2dvd_shows_axis_ratios(test_data):
     file = test_data / "disdrometer" / "corvdisdropsM1.b1.20181214.020816.cdf"
-    fitted = calibrate_files([open_measured(file)], name="corv")
+    fitted = calibrate_files([open_disdrometer_file(file)], name="corv")
     assert fitted.axis_ratios is not None
     assert fitted.axis_ratios.drops > 20_000
     near_round = fitted.axis_ratios.medians[
@@ -69,7 +69,7 @@ def test_a_2dvd_shows_axis_ratios(test_data):
 
 def test_files_of_two_instruments_do_not_mix(test_data):
     files = [
-        open_measured(test_data / "disdrometer" / name)
+        open_disdrometer_file(test_data / "disdrometer" / name)
         for name in ("nasa_gv_iphex_2dvd_test.txt", "parsivel_telegraph_testfile.mis")
     ]
     with pytest.raises(ValueError, match="calibrate each instrument by itself"):

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsrain_engine.disdrometer.file_summary import RateCheck, check_rates, open_measured
+from gsrain_engine.disdrometer.file_summary import RateCheck, check_rates, open_disdrometer_file
 from gsrain_engine.disdrometer.fit import RatesDisagreeError, calibrate, calibrate_files
 from gsrain_engine.disdrometer.fit_models import FitOptions
 from gsrain_engine.disdrometer.netcdf import write_spectra
@@ -44,7 +44,7 @@ def test_a_summary_adds_up(tmp_path: Path):
         "garbage",
     ]
     (tmp_path / "log.txt").write_text("\n".join(lines))
-    measured = open_measured(tmp_path / "log.txt").measured()
+    measured = open_disdrometer_file(tmp_path / "log.txt").measured()
     assert (measured.file, measured.instrument, measured.records, measured.seconds) == (
         "log.txt",
         "OTT Parsivel",
@@ -82,7 +82,7 @@ def test_a_summary_adds_up(tmp_path: Path):
 def test_names_out_of_files_do_not_steer_a_terminal(tmp_path: Path, shower):
     odd = replace(shower, instrument="a\x1b[31m\u202e[/x]" + 200 * "b")
     path = written(tmp_path, "s\x1b[2Jnow.nc", odd, factor=0.4)
-    measured = open_measured(path).measured()
+    measured = open_disdrometer_file(path).measured()
     assert all(line.isprintable() for line in measured.lines) and len(measured.lines[0]) < 300
     assert measured.lines[0].startswith(r"s\x1b[2Jnow.nc: a\x1b[31m\u202e[/x]b")
     with pytest.raises(RatesDisagreeError) as caught:
@@ -93,7 +93,7 @@ def test_names_out_of_files_do_not_steer_a_terminal(tmp_path: Path, shower):
 def test_of_simulated_drops_nothing_is_rejected(tmp_path: Path, shower):
     dry = replace(shower, counts=np.zeros_like(shower.counts), instrument="GSRAIN virtual disdrometer")
     write_spectra(tmp_path / "dry.nc", dry)
-    measured = open_measured(tmp_path / "dry.nc").measured()
+    measured = open_disdrometer_file(tmp_path / "dry.nc").measured()
     assert measured.records_without_drops == measured.records_with_few_drops == 0
 
 
@@ -157,7 +157,7 @@ def test_a_phantom_drop_spoils_r_and_the_drops_that_are_used_show_it(tmp_path: P
     counts = shower.counts.copy()
     counts[5, 29, 5] += 1  # 19 mm at 0.55 m/s
     path = written(tmp_path, "phantom.nc", replace(shower, counts=counts))
-    measured = open_measured(path).measured()
+    measured = open_disdrometer_file(path).measured()
     assert measured.rate_check.correlation < 0.5 and measured.rate_check.agrees is False
     assert measured.used_rate_check.correlation > 0.97 and measured.used_rate_check.ratio == pytest.approx(1, abs=0.05)
     assert f"by the drops that are used: {measured.used_rate_check.figures}" in measured.lines[-1]
@@ -169,14 +169,14 @@ def test_a_phantom_drop_spoils_r_and_the_drops_that_are_used_show_it(tmp_path: P
 def test_files_that_only_together_have_enough_records_are_judged_together(tmp_path: Path, shower):
     halves = [written(tmp_path, f"{i}.nc", part, factor=0.5) for i, part in enumerate((shower[:20], shower[20:]))]
     with pytest.raises(RatesDisagreeError, match="2 files together: its drops give"):
-        calibrate_files([open_measured(path) for path in halves], name="test", options=OPTIONS)
+        calibrate_files([open_disdrometer_file(path) for path in halves], name="test", options=OPTIONS)
 
 
 def test_without_a_rate_of_its_own_nothing_is_judged(tmp_path: Path, shower):
-    silent = open_measured(written(tmp_path, "silent.nc", shower, factor=np.nan))
+    silent = open_disdrometer_file(written(tmp_path, "silent.nc", shower, factor=np.nan))
     measured = silent.measured()
     assert measured.reported_rain_mm is None and measured.rate_check is None
     assert "it reports no rate of its own" in measured.lines[1] and "not checked, it reports none" in measured.lines[-1]
     assert len(calibrate_files([silent], name="test", options=OPTIONS).rows) == 2
-    low = open_measured(written(tmp_path, "low.nc", shower, factor=1e-3)).measured()
+    low = open_disdrometer_file(written(tmp_path, "low.nc", shower, factor=1e-3)).measured()
     assert "not checked, fewer than two above 0.5 mm/h" in low.lines[-1]

@@ -7,8 +7,8 @@ import pytest
 from gsrain_engine.disdrometer.fit import fit_calibration
 from gsrain_engine.disdrometer.fit_models import FitOptions
 from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
-from gsrain_engine.rain.settings import Rain, load_preset
-from gsrain_engine.rain.simulation import Rainfall
+from gsrain_engine.rain.settings import RainSettings, load_preset
+from gsrain_engine.rain.simulation import RainSimulation
 
 INTENSITIES = (1.2, 8.5, 12.0)
 
@@ -19,9 +19,9 @@ def test_the_virtual_disdrometer_closes_the_loop(calibration):
     for intensity in INTENSITIES:
         values = msgspec.to_builtins(load_preset("paper"))
         rain = msgspec.convert(
-            values | {"intensity_mm_h": intensity, "calibration": calibration, "closure": "density"}, Rain
+            values | {"intensity_mm_h": intensity, "calibration": calibration, "closure": "density"}, RainSettings
         )
-        instruments.append(VirtualDisdrometer(Rainfall.start(rain), area_m2=0.5))
+        instruments.append(VirtualDisdrometer(RainSimulation.start(rain), area_m2=0.5))
     counted = [each.measure(np.arange(4) * 40.0) for each in instruments]
     options = FitOptions(intensities_mm_h=INTENSITIES, resamples=0)
     fitted = fit_calibration([each.spectra for each in counted], name="virtual", source="simulated", options=options)

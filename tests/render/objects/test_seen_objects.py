@@ -7,8 +7,8 @@ import pytest
 
 from boxy_scene import FAR_M, NEAR_M, boxy_scene
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.object_labels import seen_objects
-from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.render.object_labels import visible_objects
+from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.objects import scene_objects
 from gsrain_engine.scene.rig import rig_camera
 
@@ -20,7 +20,7 @@ def camera_of(scene):
 
 
 def seen(scene, camera=None):
-    objects = seen_objects(CpuRenderer(), scene, scene_objects(scene), camera or camera_of(scene))
+    objects = visible_objects(CpuRenderer(), scene, scene_objects(scene), camera or camera_of(scene))
     return {each.object.id: each for each in objects}
 
 
@@ -66,7 +66,7 @@ def test_what_leaves_the_picture_is_truncated():
 def test_what_is_hidden_by_a_person_is_not_there():
     scene = boxy_scene()
     count = len(scene.actors[0].gaussians)
-    without = scene.with_member("actors/near", marks=Marks(hidden=Mask.all(count)))
+    without = scene.with_member("actors/near", marks=SelectionFlags(hidden=BitMask.all(count)))
     assert list(seen(without)) == ["far"]
     assert seen(without)["far"].visibility == pytest.approx(1.0, abs=0.02)
     assert list(seen(scene.with_member("actors/near", visible=False))) == ["far"]

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
-from gsrain_engine.scene.formats.scene_folder import KnownFiles
+from gsrain_engine.scene.formats.scene_folder import FileCache
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.scene import Layer, Scene
 
@@ -35,7 +35,7 @@ def scene(number: int) -> Scene:
         np.full(COUNT, 0.5, np.float32),
         numbers[:, None],
     )
-    marks = Marks(deleted=Mask.of(np.arange(COUNT) < number))
+    marks = SelectionFlags(deleted=BitMask.of(np.arange(COUNT) < number))
     return Scene(str(number), (Layer("first", gaussians, marks=marks), Layer("second", gaussians)))
 
 
@@ -56,7 +56,7 @@ def complaint(folder: Path) -> str | None:
 
 def save_on(folder: Path, first: int) -> None:
     """Save one scene after the other until the process dies."""
-    known, gaussians = KnownFiles(), scene(first).layers[0].gaussians
+    known, gaussians = FileCache(), scene(first).layers[0].gaussians
     for number in range(first, COUNT):
         made = scene(number)
         if number % 3 == 2 and number > first:  # only marks change: the files are known

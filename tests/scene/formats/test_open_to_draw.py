@@ -8,8 +8,8 @@ import pytest
 
 from gsrain_engine.scene.formats._common import Format
 from gsrain_engine.scene.formats.registry import FORMATS, read_gaussians
-from gsrain_engine.scene.lod_order import drawing_order
-from gsrain_engine.scene.open import open_to_draw
+from gsrain_engine.scene.lod_order import lod_order
+from gsrain_engine.scene.open import load_sorted_scene
 
 from .sample_gaussians import sample_gaussians
 
@@ -26,9 +26,9 @@ FILES = (
 
 
 def check_opened(path: Path) -> None:
-    (layer,) = open_to_draw(str(path)).layers
+    (layer,) = load_sorted_scene(str(path)).layers
     read = read_gaussians(path)
-    order = drawing_order(read)
+    order = lod_order(read)
     for field in fields(read):
         np.testing.assert_array_equal(getattr(layer.gaussians, field.name), getattr(read, field.name)[order])
 

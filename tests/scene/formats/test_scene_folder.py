@@ -15,15 +15,15 @@ from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.formats import scene_folder
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import Actor, Layer, RigCamera, Scene, Track
+from gsrain_engine.scene.scene import Actor, Layer, PoseTrack, RigCamera, Scene
 
 from .sample_gaussians import assert_equal, sample_gaussians
 
 
-def track(samples: int) -> Track:
+def track(samples: int) -> PoseTrack:
     turns = np.linspace(0, 1, samples)
     quaternions = np.stack([np.cos(turns), 0 * turns, 0 * turns, np.sin(turns)], axis=1)
-    return Track(turns * 3, np.random.default_rng(2).normal(size=(samples, 3)), quaternions, turns < 0.8)
+    return PoseTrack(turns * 3, np.random.default_rng(2).normal(size=(samples, 3)), quaternions, turns < 0.8)
 
 
 def sample_scene() -> Scene:

@@ -9,7 +9,7 @@ import pytest
 
 from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
-from gsrain_engine.scene.formats.scene_folder import KnownFiles, write_scene_folder
+from gsrain_engine.scene.formats.scene_folder import FileCache, write_scene_folder
 from gsrain_engine.scene.scene import Layer
 
 from .sample_gaussians import assert_equal, sample_gaussians
@@ -43,7 +43,7 @@ def test_saving_leaves_what_a_link_leads_to(folder: Path, far: Path) -> None:
 
 
 def test_what_has_not_changed_stays_a_link(folder: Path, far: Path) -> None:
-    known = KnownFiles()
+    known = FileCache()
     scene = read_scene(folder, known)
     write_scene(replace(scene, name="renamed"), folder, known)
     assert next((folder / "layers").glob("000-*.ply")).resolve() == far
@@ -51,7 +51,7 @@ def test_what_has_not_changed_stays_a_link(folder: Path, far: Path) -> None:
 
 
 def test_an_autosave_beside_it_does_not_depend_on_the_link(folder: Path, far: Path, tmp_path: Path) -> None:
-    known = KnownFiles()
+    known = FileCache()
     scene = read_scene(folder, known)
     write_scene_folder(scene, tmp_path / "kept", known, linking=True)
     shutil.rmtree(folder)
@@ -65,7 +65,7 @@ def test_on_a_disk_without_second_names_an_autosave_is_a_copy(
     def refused(*_: object) -> None:
         raise OSError(95, "Operation not supported")
 
-    known = KnownFiles()
+    known = FileCache()
     scene = read_scene(folder, known)
     monkeypatch.setattr(os, "link", refused)
     write_scene_folder(scene, tmp_path / "kept", known, linking=True)
@@ -76,7 +76,7 @@ def test_on_a_disk_without_second_names_an_autosave_is_a_copy(
 
 def test_what_a_killed_autosave_left_is_not_written_through(folder: Path, tmp_path: Path) -> None:
     """Its unfinished file may be another name of one that is whole."""
-    known = KnownFiles()
+    known = FileCache()
     scene = read_scene(folder, known)
     whole = {file.read_bytes(): file for file in sorted((folder / "layers").glob("*.ply"))}
     first, other = list(whole.values())[:2]

@@ -15,14 +15,14 @@ from hypothesis import strategies as st
 
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.files import SceneFormatError
-from gsrain_engine.scene.flags import UNMARKED, Marks, Mask
+from gsrain_engine.scene.flags import UNMARKED, BitMask, SelectionFlags
 from gsrain_engine.scene.formats import scene_folder
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
-from gsrain_engine.scene.formats.scene_folder import KnownFiles
-from gsrain_engine.scene.formats.scene_json import SceneRecord, mask_of, record_of, scene_of, text_of
+from gsrain_engine.scene.formats.scene_folder import FileCache
+from gsrain_engine.scene.formats.scene_json import SceneRecord, mask_from_text, mask_to_text, record_of, scene_of
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.geometry import matrices_from_quaternions, normalized
-from gsrain_engine.scene.scene import UNCHANGED, Actor, Grading, Layer, Scene, Track
+from gsrain_engine.scene.scene import UNCHANGED, Actor, ColorGrading, Layer, PoseTrack, Scene
 
 from .sample_gaussians import assert_equal, sample_gaussians
 
@@ -65,14 +65,14 @@ PLANS = st.fixed_dictionaries(
 )
 
 
-def mask(bits: int | None, count: int) -> Mask | None:
+def mask(bits: int | None, count: int) -> BitMask | None:
     flags = np.array([bits is not None and bits >> n & 1 == 1 for n in range(count)], np.bool_)
-    return Mask.of(flags) if flags.any() else None
+    return BitMask.of(flags) if flags.any() else None
 
 
 def shown(plan: dict[str, Any], count: int) -> dict[str, Any]:
-    marks = Marks(*(mask(bits, count) for bits in plan["marks"]))
-    return plan | {"grading": Grading(**plan["grading"]), "marks": marks}
+    marks = SelectionFlags(*(mask(bits, count) for bits in plan["marks"]))
+    return plan | {"grading": ColorGrading(**plan["grading"]), "marks": marks}
 
 
 def unit(values: Any) -> np.ndarray:
@@ -86,7 +86,7 @@ def scene_of_plan(plan: dict[str, Any]) -> Scene:
         placed[:3, :3] = scale * matrices_from_quaternions(unit(turn)[0])
         placed[:3, 3] = place
         layers.append(Layer(f"{name}{n}", sample_gaussians(count, seed=n), "sky", placed, **shown(shows, count)))
-    track = Track(np.arange(2.0), np.zeros((2, 3)), unit([[1, 2, 3, 4], [1, 0, 0, 0]]), np.array([True, False]))
+    track = PoseTrack(np.arange(2.0), np.zeros((2, 3)), unit([[1, 2, 3, 4], [1, 0, 0, 0]]), np.array([True, False]))
     actor = Actor("car", "car", (4.0, 2.0, 1.0), sample_gaussians(9), track, **shown(plan["actor"], 9))
     path = None
     if plan["path"] is not None:
@@ -101,7 +101,7 @@ def scene_of_plan(plan: dict[str, Any]) -> Scene:
     return Scene("s", tuple(layers), (actor,), path=path, weather=plan["weather"], view=plan["view"], selections=sets)
 
 
-def same_mask(a: Mask | None, b: Mask | None) -> bool:
+def same_mask(a: BitMask | None, b: BitMask | None) -> bool:
     return a is b or (a is not None and b is not None and a.same_as(b))
 
 
@@ -135,7 +135,7 @@ def test_everything_comes_back(tmp_path_factory: pytest.TempPathFactory, plan: d
 
 
 def two_layers() -> Scene:
-    marks = Marks(selected=Mask.of(np.arange(50) % 2 == 0), deleted=Mask.of(np.arange(50) > 30))
+    marks = SelectionFlags(selected=BitMask.of(np.arange(50) % 2 == 0), deleted=BitMask.of(np.arange(50) > 30))
     return Scene("two", (Layer("a", sample_gaussians(50, 0), marks=marks), Layer("b", sample_gaussians(40, 1))))
 
 
@@ -169,10 +169,10 @@ def test_version_1_reads(folder: Path) -> None:
 
 def test_a_million_marks_take_little_room() -> None:
     flags = np.random.default_rng(0).random(1_000_000) < 0.5
-    text = text_of(Mask.of(flags))
+    text = mask_to_text(BitMask.of(flags))
     assert len(text) < 170_000  # chance can't be compressed: a bit and a third a Gaussian
-    assert np.array_equal(mask_of(text, 1_000_000, "here").flags, flags)
-    assert len(text_of(Mask.of(np.arange(1_000_000) < 300_000))) < 1_000
+    assert np.array_equal(mask_from_text(text, 1_000_000, "here").flags, flags)
+    assert len(mask_to_text(BitMask.of(np.arange(1_000_000) < 300_000))) < 1_000
 
 
 LONG = base64.b64encode(zlib.compress(bytes(1 << 24))).decode()
@@ -199,12 +199,15 @@ BAD: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "no base64": (first_marks(selected="?"), "no mask can be read"),
     "no stream": (first_marks(hidden="AAAA"), "no mask can be read"),
     "cut off": (
-        first_marks(deleted=text_of(Mask.all(50))[:-8]),
+        first_marks(deleted=mask_to_text(BitMask.all(50))[:-8]),
         "the mask is cut off - at `$.layers[0].marks.deleted`",
     ),
-    "too short": (first_marks(deleted=text_of(Mask.all(32))), "a mask of 50 Gaussians takes 8 bytes, this one has 4"),
+    "too short": (
+        first_marks(deleted=mask_to_text(BitMask.all(32))),
+        "a mask of 50 Gaussians takes 8 bytes, this one has 4",
+    ),
     "too long": (first_marks(deleted=LONG), "this one has more than 8 - at `$.layers[0].marks.deleted`"),
-    "beyond the end": (first_marks(deleted=text_of(Mask.all(64))), "Gaussians beyond the 50 that there are"),
+    "beyond the end": (first_marks(deleted=mask_to_text(BitMask.all(64))), "Gaussians beyond the 50 that there are"),
     "opacity": (second("opacity", 1.5), "Expected `float` <= 1.0 - at `$.layers[1].opacity`"),
     "grading": (second("grading", "contrast", 9), "<= 3.0 - at `$.layers[1].grading.contrast`"),
     "sheared": (second("to_scene", 0, 1, 0.5), "one scale above 0 and a place - at `$.layers[1].to_scene`"),
@@ -226,7 +229,7 @@ def test_bad_values_are_named(name: str, folder: Path) -> None:
 
 
 def test_what_a_selection_says_of_members_that_changed_is_dropped() -> None:
-    scene = replace(two_layers(), selections={"x": {"layers/a": Mask.all(50), "layers/gone": Mask.all(7)}})
+    scene = replace(two_layers(), selections={"x": {"layers/a": BitMask.all(50), "layers/gone": BitMask.all(7)}})
     kept = record_of(scene, ["a.ply", "b.ply"])
     assert set(kept.selections["x"]) == {"layers/a"}
     assert isinstance(kept, SceneRecord)
@@ -234,7 +237,7 @@ def test_what_a_selection_says_of_members_that_changed_is_dropped() -> None:
 
 
 def test_known_gaussians_are_not_written_again(folder: Path) -> None:
-    known = KnownFiles()
+    known = FileCache()
     scene = read_scene(folder, known)
     before = {path: path.stat().st_ino for path in folder.rglob("*.ply")}
     renamed = replace(scene, layers=(replace(scene.layers[1], name="c"), scene.layers[0]))
@@ -261,7 +264,7 @@ def test_a_scene_that_is_replaced_while_it_is_read_is_read_again(folder: Path, m
 
 
 def test_gaussians_that_two_layers_share_are_kept_twice(folder: Path) -> None:
-    known = KnownFiles()
+    known = FileCache()
     scene = read_scene(folder, known)
     doubled = replace(scene, layers=(*scene.layers, replace(scene.layers[0], name="copy")))
     for _ in range(2):

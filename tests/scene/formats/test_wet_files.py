@@ -9,8 +9,8 @@ import pytest
 
 from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
-from gsrain_engine.scene.formats.scene_folder import KnownFiles, read_harmonics, write_harmonics, write_scene_folder
-from gsrain_engine.scene.scene import Actor, Layer, Scene, Track
+from gsrain_engine.scene.formats.scene_folder import FileCache, read_harmonics, write_harmonics, write_scene_folder
+from gsrain_engine.scene.scene import Actor, Layer, PoseTrack, Scene
 
 from .sample_gaussians import sample_gaussians
 
@@ -21,7 +21,7 @@ def wet_of(gaussians, seed=9):
 
 def wet_scene() -> Scene:
     road, sky, car = sample_gaussians(40, 3), sample_gaussians(7, 0), sample_gaussians(12, 1)
-    track = Track(np.arange(2.0), np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)), np.ones(2, bool))
+    track = PoseTrack(np.arange(2.0), np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)), np.ones(2, bool))
     layers = (Layer("road", road, wet_sh=wet_of(road)), Layer("sky", sky, "sky"))
     return Scene("wet", layers, (Actor("car", "car", (4.0, 2.0, 1.0), car, track, wet_sh=wet_of(car)),))
 
@@ -70,7 +70,7 @@ def test_a_folder_of_version_2_has_no_wet_colours(folder: Path) -> None:
 
 
 def test_only_what_has_changed_is_written(folder: Path) -> None:
-    known = KnownFiles()
+    known = FileCache()
     scene = read_scene(folder, known)
     before = {path: path.stat().st_ino for path in folder.rglob("*.*") if path.name != "scene.json"}
     write_scene(replace(scene, name="renamed"), folder, known)
@@ -86,7 +86,7 @@ def test_only_what_has_changed_is_written(folder: Path) -> None:
 
 
 def test_a_copy_is_linked(folder: Path, tmp_path: Path) -> None:
-    known = KnownFiles()
+    known = FileCache()
     scene = read_scene(folder, known)
     write_scene_folder(scene, tmp_path / "copy", known, linking=True)
     assert files(tmp_path / "copy") == files(folder)

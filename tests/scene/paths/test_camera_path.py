@@ -9,8 +9,8 @@ from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.camera_path import CameraPath, circle_path, orbit_path
 from gsrain_engine.scene.camera_path_io import read_camera_path, write_camera_path
 from gsrain_engine.scene.files import SceneFormatError
-from gsrain_engine.scene.rig import drive_path
-from gsrain_engine.scene.scene import RigCamera, Scene, Track
+from gsrain_engine.scene.rig import rig_camera_path
+from gsrain_engine.scene.scene import PoseTrack, RigCamera, Scene
 
 LEVEL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # a camera that looks along +x, z up
 
@@ -157,19 +157,19 @@ def test_moving_a_path_moves_its_cameras():
 
 def test_drive_path_rides_with_the_ego():
     times = np.arange(3.0)
-    ego = Track(times, np.stack([5 * times, np.zeros(3), np.full(3, 1.5)], axis=1), np.tile([1.0, 0, 0, 0], (3, 1)),
+    ego = PoseTrack(times, np.stack([5 * times, np.zeros(3), np.full(3, 1.5)], axis=1), np.tile([1.0, 0, 0, 0], (3, 1)),
                 np.ones(3, bool))  # fmt: skip
     mount = np.eye(4)
     mount[:3, :3], mount[:3, 3] = LEVEL, [1.0, 0, 0.5]
     front = RigCamera("FRONT", 1920, 1280, 2060.0, 2060.0, 960.0, 640.0, mount, 0.003)
-    path = drive_path(Scene("s", ego=ego, rigs={"r": (front,)}), front, 960, 640)
+    path = rig_camera_path(Scene("s", ego=ego, rigs={"r": (front,)}), front, 960, 640)
     camera = path.camera(1.0, 960, 640)
     assert camera.position == pytest.approx([6, 0, 2.0])
     assert camera.fx == pytest.approx(1030)
     assert camera.exposure_s == 0.003
     assert path.velocity(1.0) == pytest.approx([5, 0, 0])
     with pytest.raises(ValueError, match="no ego track"):
-        drive_path(Scene("s"), front, 960, 640)
+        rig_camera_path(Scene("s"), front, 960, 640)
 
 
 def test_orbit_keeps_its_distance_and_its_sight():

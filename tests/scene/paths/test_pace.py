@@ -12,11 +12,11 @@ from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_edit import (
     WALKING_M_S,
     PathSpeed,
-    moved_key,
-    paced,
-    placed_key,
-    stretched,
-    with_key,
+    move_keyframe,
+    place_keyframe_at,
+    stretch_path_time,
+    with_constant_speed,
+    with_keyframe,
 )
 from gsrain_engine.scene.camera_path_io import read_camera_path
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
@@ -34,11 +34,11 @@ def photos(*places: float) -> CameraPath:
 
 
 def test_keys_are_passed_at_the_speed() -> None:
-    path = paced(photos(0, 1, 5, 6), 2.0)
+    path = with_constant_speed(photos(0, 1, 5, 6), 2.0)
     assert path.times_s.tolist() == [0, 0.5, 2.5, 3.0] and not path.is_timed
     assert PathSpeed.of(path).mean_km_h == pytest.approx(7.2, rel=0.02)
-    assert paced(path, 2.0, is_timed=True).is_timed
-    assert paced(photos(3), 2.0).times_s.tolist() == [0]
+    assert with_constant_speed(path, 2.0, is_timed=True).is_timed
+    assert with_constant_speed(photos(3), 2.0).times_s.tolist() == [0]
 
 
 def test_photos_from_one_place_take_time_to_turn() -> None:
@@ -46,14 +46,14 @@ def test_photos_from_one_place_take_time_to_turn() -> None:
     turned = replace(
         path, quaternions_wxyz=np.array([[1.0, 0, 0, 0], [np.sqrt(0.5), 0, np.sqrt(0.5), 0], [0, 0, 1, 0]])
     )
-    assert np.diff(paced(turned, 1.4).times_s) == pytest.approx([1.0, 1.0])
-    assert (np.diff(paced(path, 1.4).times_s) > 0).all()
+    assert np.diff(with_constant_speed(turned, 1.4).times_s) == pytest.approx([1.0, 1.0])
+    assert (np.diff(with_constant_speed(path, 1.4).times_s) > 0).all()
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, np.inf, np.nan])
 def test_a_speed_is_above_0(speed: float) -> None:
     with pytest.raises(ValueError, match="must be above 0"):
-        paced(photos(0, 1), speed)
+        with_constant_speed(photos(0, 1), speed)
 
 
 def test_lists_of_cameras_have_no_times_and_paths_have(tmp_path: Path) -> None:
@@ -80,7 +80,7 @@ def test_lists_of_cameras_have_no_times_and_paths_have(tmp_path: Path) -> None:
 
 
 def test_a_scene_folder_knows_and_a_new_scale_keeps_the_pace(tmp_path: Path) -> None:
-    scene = replace(small_scene(), metres_per_unit=1.0, path=paced(photos(0, 7, 14), WALKING_M_S))
+    scene = replace(small_scene(), metres_per_unit=1.0, path=with_constant_speed(photos(0, 7, 14), WALKING_M_S))
     write_scene(scene, tmp_path / "scene")
     read = read_scene(tmp_path / "scene")
     assert read.path is not None and not read.path.is_timed
@@ -91,8 +91,8 @@ def test_a_scene_folder_knows_and_a_new_scale_keeps_the_pace(tmp_path: Path) -> 
 
 
 def test_who_gives_a_key_a_moment_gives_the_path_times() -> None:
-    path = paced(photos(0, 7, 14), WALKING_M_S)
-    assert moved_key(path, 1, 6.0).path.is_timed
-    assert stretched(path, 2.0).is_timed
-    assert with_key(path, 3.0, path.camera(3.0, 6, 4)).path.is_timed
-    assert not placed_key(path, 1, np.array([7.0, 1.0, 2.0])).is_timed
+    path = with_constant_speed(photos(0, 7, 14), WALKING_M_S)
+    assert move_keyframe(path, 1, 6.0).path.is_timed
+    assert stretch_path_time(path, 2.0).is_timed
+    assert with_keyframe(path, 3.0, path.camera(3.0, 6, 4)).path.is_timed
+    assert not place_keyframe_at(path, 1, np.array([7.0, 1.0, 2.0])).is_timed

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from gsrain_engine.scene.camera_path import CameraPath, eased
+from gsrain_engine.scene.camera_path import CameraPath, apply_easing
 
 KNOTS = np.array([0.0, 1.0, 2.5, 3.0])
 
@@ -82,15 +82,15 @@ def test_a_linear_loop_flies_straight_back():
 @pytest.mark.parametrize("easing", ["none", "in and out", "at each key"])
 def test_easing_is_monotone_keeps_keys_and_tells_its_own_rate(easing):
     t = np.linspace(0, 3, 3001)
-    times, rates = eased(easing, KNOTS, t)
+    times, rates = apply_easing(easing, KNOTS, t)
     assert np.all(np.diff(times) >= 0)
-    assert eased(easing, KNOTS, KNOTS).times_s == pytest.approx(KNOTS)
+    assert apply_easing(easing, KNOTS, KNOTS).times_s == pytest.approx(KNOTS)
     assert np.all(rates >= 0)
     middle = (times[2:] - times[:-2]) / (t[2:] - t[:-2])
     assert middle == pytest.approx(rates[1:-1], abs=6e-3)
     assert np.abs(np.diff(rates)).max() < 0.02  # no jumps, at keys neither
     rests = {"none": [], "in and out": [0, 3], "at each key": [0, 1, 2, 3]}[easing]
-    at_keys = eased(easing, KNOTS, KNOTS).rates
+    at_keys = apply_easing(easing, KNOTS, KNOTS).rates
     assert [k for k in range(4) if at_keys[k] < 1e-9] == rests
 
 

@@ -9,16 +9,16 @@ from hypothesis import strategies as st
 
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_edit import (
-    LookAngles,
     PathSpeed,
-    every,
+    ViewAngles,
     focal_length_mm,
     fov_of_focal_length,
-    look_angles,
-    look_rotation,
-    nearest_moment,
-    simplified,
-    snapped_key,
+    nearest_time,
+    resample,
+    simplify,
+    snap_key_to,
+    view_angles,
+    view_rotation,
 )
 from gsrain_engine.scene.geometry import matrices_from_quaternions, quaternions_from_matrices
 
@@ -28,7 +28,7 @@ LEVEL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # looks along +x
 def flight(times, positions, headings_deg=None, fov=50.0):
     headings = np.zeros(len(times)) if headings_deg is None else headings_deg
     quaternions = np.array(
-        [quaternions_from_matrices(look_rotation(LookAngles(float(each), 0.0, 0.0))) for each in headings]
+        [quaternions_from_matrices(view_rotation(ViewAngles(float(each), 0.0, 0.0))) for each in headings]
     )
     return CameraPath(
         np.asarray(times, float), np.asarray(positions, float), quaternions, np.full(len(times), float(fov))
@@ -37,19 +37,19 @@ def flight(times, positions, headings_deg=None, fov=50.0):
 
 @given(st.floats(-179, 179), st.floats(-89, 89), st.floats(-179, 179))
 def test_angles_come_back(heading, pitch, roll):
-    rotation = look_rotation(LookAngles(heading, pitch, roll))
+    rotation = view_rotation(ViewAngles(heading, pitch, roll))
     assert np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(1)
-    assert look_angles(rotation) == pytest.approx((heading, pitch, roll), abs=1e-6)
+    assert view_angles(rotation) == pytest.approx((heading, pitch, roll), abs=1e-6)
 
 
 def test_angles_mean_what_they_say():
-    assert np.allclose(look_rotation(LookAngles(0, 0, 0)), LEVEL)
-    assert look_rotation(LookAngles(90, 0, 0))[:, 2] == pytest.approx([0, 1, 0])
-    assert look_rotation(LookAngles(0, 90, 0))[:, 2] == pytest.approx([0, 0, 1])
-    leaning = look_rotation(LookAngles(0, 0, 30))
+    assert np.allclose(view_rotation(ViewAngles(0, 0, 0)), LEVEL)
+    assert view_rotation(ViewAngles(90, 0, 0))[:, 2] == pytest.approx([0, 1, 0])
+    assert view_rotation(ViewAngles(0, 90, 0))[:, 2] == pytest.approx([0, 0, 1])
+    leaning = view_rotation(ViewAngles(0, 0, 30))
     assert leaning[2, 0] == pytest.approx(-0.5)  # its right side points down
-    assert look_angles(look_rotation(LookAngles(40, 90, 0))) == pytest.approx((40, 90, 0), abs=1e-5)
+    assert view_angles(view_rotation(ViewAngles(40, 90, 0))) == pytest.approx((40, 90, 0), abs=1e-5)
 
 
 def test_focal_lengths():
@@ -92,32 +92,32 @@ def a_drive():
 
 def test_a_drive_becomes_few_keys_that_follow_it():
     drive = a_drive()
-    few = simplified(drive, 0.05, 0.5)
+    few = simplify(drive, 0.05, 0.5)
     assert 4 <= len(few.times_s) < 40
     assert set(few.times_s) <= set(drive.times_s)
     assert (few.start_s, few.end_s) == (drive.start_s, drive.end_s)
     assert np.linalg.norm(few.places(drive.times_s) - drive.positions, axis=1).max() <= 0.05
     traces = np.einsum("tij,tij->t", few.turns(drive.times_s), drive.turns(drive.times_s))
     assert np.degrees(np.arccos(np.clip((traces - 1) / 2, -1, 1))).max() <= 0.5
-    assert len(simplified(drive, 1.0, 10).times_s) < len(few.times_s)
+    assert len(simplify(drive, 1.0, 10).times_s) < len(few.times_s)
 
 
 def test_keys_every_few_seconds():
     drive = a_drive()
-    assert every(drive, 10.0).times_s == pytest.approx(np.linspace(0, 59.9, 7), abs=0.06)
-    assert len(every(drive, 1e6).times_s) == 2
-    assert len(every(flight([1.0], [[0, 0, 0]]), 1.0).times_s) == 1
+    assert resample(drive, 10.0).times_s == pytest.approx(np.linspace(0, 59.9, 7), abs=0.06)
+    assert len(resample(drive, 1e6).times_s) == 2
+    assert len(resample(flight([1.0], [[0, 0, 0]]), 1.0).times_s) == 1
     with pytest.raises(ValueError, match="above 0"):
-        every(drive, 0.0)
+        resample(drive, 0.0)
 
 
 def test_a_key_snaps_to_the_nearest_place_of_a_drive():
     drive = flight([0, 10], [[0, 0, 0], [100, 0, 0]], [0, 0])
     path = flight([1, 2], [[42.5, 3, 1], [0, 0, 9]], [80, 80])
-    assert nearest_moment(drive, path.positions[0]) == pytest.approx(4.25)
-    snapped = snapped_key(path, 0, drive)
+    assert nearest_time(drive, path.positions[0]) == pytest.approx(4.25)
+    snapped = snap_key_to(path, 0, drive)
     assert snapped.positions[0] == pytest.approx([42.5, 0, 0])
-    assert look_angles(matrices_from_quaternions(snapped.quaternions_wxyz[0])).heading_deg == pytest.approx(0, abs=1e-6)
+    assert view_angles(matrices_from_quaternions(snapped.quaternions_wxyz[0])).heading_deg == pytest.approx(0, abs=1e-6)
     assert np.array_equal(snapped.positions[1], path.positions[1])
-    kept = snapped_key(path, 0, drive, turn_too=False)
+    kept = snap_key_to(path, 0, drive, turn_too=False)
     assert np.array_equal(kept.quaternions_wxyz, path.quaternions_wxyz)

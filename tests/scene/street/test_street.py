@@ -9,8 +9,15 @@ from gsrain_engine.scene.gaussians import SH_C0, Gaussians
 from gsrain_engine.scene.geometry import matrices_from_quaternions
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.scene.street.build import SH_C1, Daylight, StreetSurfaces, build_street, gaussians_of, shown_colors
-from gsrain_engine.scene.street.layout import KERB_HEIGHT_M, Label, StreetParameters, plan_street
+from gsrain_engine.scene.street.build import (
+    SH_C1,
+    Daylight,
+    StreetSurfaces,
+    build_street,
+    displayed_colors,
+    quads_to_gaussians,
+)
+from gsrain_engine.scene.street.layout import CURB_HEIGHT_M, Label, StreetParameters, plan_street
 
 
 def _digest(scene: Scene) -> str:
@@ -85,7 +92,7 @@ def test_road_has_no_holes_between_the_kerbs(surfaces: StreetSurfaces) -> None:
     corners = surfaces.layers["road"].corners[..., :2]
     low, high = corners.min(axis=1), corners.max(axis=1)
     rng = np.random.default_rng(0)
-    points = rng.uniform([p.start_x_m, -p.kerb_y_m], [p.end_x_m, p.kerb_y_m], (400, 2)).astype(np.float32)
+    points = rng.uniform([p.start_x_m, -p.curb_y_m], [p.end_x_m, p.curb_y_m], (400, 2)).astype(np.float32)
     covered = ((points[:, None] >= low) & (points[:, None] <= high)).all(axis=2).sum(axis=1)
     assert (covered >= 1).all()
 
@@ -130,11 +137,11 @@ def test_harmonics_of_degree_1_are_the_mirrored_sky(surfaces: StreetSurfaces) ->
     matte = light.display_colors(glossy, glossy.centers)
     direction = np.array([0.8, 0.36, -0.48])
     scene_sh = np.zeros((len(glossy), 3))
-    sh = gaussians_of(glossy, light).sh.astype(np.float64)
+    sh = quads_to_gaussians(glossy, light).sh.astype(np.float64)
     x, y, z = direction
     for k, basis in enumerate((SH_C0, -SH_C1 * y, SH_C1 * z, -SH_C1 * x)):
         scene_sh += basis * sh[:, k]
-    expected = shown_colors(glossy, light, matte, np.tile(direction, (len(glossy), 1)))
+    expected = displayed_colors(glossy, light, matte, np.tile(direction, (len(glossy), 1)))
     np.testing.assert_allclose(np.clip(scene_sh + 0.5, 0, 1), expected, atol=2e-5)
 
 
@@ -210,5 +217,5 @@ def test_another_street_can_be_built() -> None:
     changes = {"seed": 3, "length_m": 120.0, "pavement_width_m": 2.5, "parked_share": 0.0, "tree_spacing_m": 40.0}
     scene = build_street(msgspec.convert(changes, StreetParameters))
     assert scene.gaussian_count > 150_000
-    assert _layer(scene, "pavements").means[:, 2].max() == pytest.approx(KERB_HEIGHT_M)
+    assert _layer(scene, "pavements").means[:, 2].max() == pytest.approx(CURB_HEIGHT_M)
     assert len(_layer(scene, "parked cars")) == 0

@@ -11,16 +11,16 @@ import pytest
 from gsrain_engine import trusted_code
 from gsrain_engine.appearance.base import TransferSettings
 from gsrain_engine.appearance.finetune.settings import FinetuningSettings
-from gsrain_engine.appearance.finetune.task import TrainingTask
+from gsrain_engine.appearance.finetune.task import FinetuneTask
 from gsrain_engine.appearance.scene_views import ViewChoice, chosen_cameras
 from gsrain_engine.editor import finetune
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.jobs import training
 from gsrain_engine.editor.jobs.make_rainy import (
-    RAINY_SCENE_TITLE,
+    MAKE_RAINY_TITLE,
     PreviewedView,
-    Recipe,
-    TransferOrder,
+    PreviewSettings,
+    TransferRequest,
     make_rainy,
     preview_view,
 )
@@ -36,7 +36,7 @@ CHOICE = ViewChoice(source="rig", count=2, width_px=64)
 
 @pytest.fixture
 def session():
-    opened = Session(small_scene())
+    opened = Editor(small_scene())
     yield opened
     opened.close()
 
@@ -53,7 +53,7 @@ def follow(session, job, until=lambda: False):
 
 def test_the_work_writes_wet_colours_of_every_member_and_a_report(tmp_path):
     write_scene_folder(small_scene(), tmp_path / "scene")
-    order = TransferOrder("wet", TransferSettings(), CHOICE)
+    order = TransferRequest("wet", TransferSettings(), CHOICE)
     said = list(make_rainy(tmp_path / "scene", order, tmp_path / "colors.npz", tmp_path / "report.html"))
     assert [each.fraction for each in said] == sorted(each.fraction for each in said)
     assert sum(each.preview is not None for each in said) >= 2
@@ -79,7 +79,7 @@ def test_a_preview_is_the_view_that_the_job_would_make(tmp_path):
 
 def test_a_preview_fits_only_what_it_is_of(session):
     shot, scene = session.shot(96, 64), session.scene
-    recipe = Recipe("wet", TransferSettings())
+    recipe = PreviewSettings("wet", TransferSettings())
     view = PreviewedView(np.zeros((64, 96, 3), np.uint8), shot.camera, 0.0, scene, recipe)
     assert view.is_of(session.shot(960, 640).camera, 0.0, scene)
     assert not view.is_of(session.shot(960, 600).camera, 0.0, scene)
@@ -88,8 +88,8 @@ def test_a_preview_fits_only_what_it_is_of(session):
     assert not view.is_of(shot.camera, 0.0, scene.with_member("layers/road", visible=False))
     session.dolly(1.0)
     assert not view.is_of(session.shot(96, 64).camera, 0.0, scene)
-    assert view.is_made_by(Recipe("wet", TransferSettings()))
-    assert not view.is_made_by(Recipe("wet", TransferSettings(seed=1)))
+    assert view.is_made_by(PreviewSettings("wet", TransferSettings()))
+    assert not view.is_made_by(PreviewSettings("wet", TransferSettings(seed=1)))
 
 
 def test_views_that_a_scene_has_not_are_named(session):
@@ -110,7 +110,7 @@ def test_a_scene_is_made_rainy_once_as_soon_as_it_is_there(session):
     session.set_scene("Everything", scene)
     session.update(0.0)
     (job,) = session.jobs
-    assert (job.title, session.problem) == (RAINY_SCENE_TITLE, None)
+    assert (job.title, session.problem) == (MAKE_RAINY_TITLE, None)
     job.cancel()
     session.update(0.0)
     session.update(0.0)
@@ -159,7 +159,7 @@ def studio(session, tmp_path, monkeypatch):
 def test_losses_and_warnings_of_a_training_can_be_watched(session, studio):
     studio.start(session)
     (job,) = session.jobs
-    assert isinstance(job.task, TrainingTask)
+    assert isinstance(job.task, FinetuneTask)
     assert isinstance(job.task.settings, FinetuningSettings)
     assert job.task.settings.steps == 1000
     assert [each.path for each in job.task.settings.pictures.clear] == [str(studio.choice.clear)]
@@ -203,8 +203,8 @@ def test_a_program_that_the_settings_name_is_asked_about(session, tmp_path, monk
     monkeypatch.setattr(trusted_code, "_trusted", set())
     monkeypatch.setattr(finetune, "has_torch", lambda: True)
     started = []
-    monkeypatch.setattr(finetune, "TransferTraining", lambda task, files: started.append(task))
-    monkeypatch.setattr(Session, "start", lambda self, job: None)
+    monkeypatch.setattr(finetune, "FinetuneJob", lambda task, files: started.append(task))
+    monkeypatch.setattr(Editor, "start", lambda self, job: None)
     (tmp_path / "DSINE" / "models").mkdir(parents=True)
     (tmp_path / "DSINE" / "models" / "dsine.py").write_text("DSINE = 1\n")
     text = "pictures: {clear: [{path: a}], rainy: [{path: b}], normals: dsine, normals_checkout: DSINE}\n"

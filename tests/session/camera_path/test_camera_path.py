@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsrain_engine.editor import camera_path
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.editor.overlays import drag_in_view, path_drawing
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.overlays import drag_in_view, path_overlay_of
 from gsrain_engine.editor.timeline import content_span
-from gsrain_engine.editor.viewport.picking import projected_lines
-from gsrain_engine.rain.keyframes import Weather, WeatherKey
+from gsrain_engine.editor.viewport.picking import project_lines
+from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
 from gsrain_engine.render.sequence import FrameSequence
-from gsrain_engine.scene.camera_path_edit import LookAngles, shifted
+from gsrain_engine.scene.camera_path_edit import ViewAngles, shift_path_time
 from gsrain_engine.scene.camera_path_io import write_camera_path
 from gsrain_engine.scene.scene import Scene
 from small_scene import small_scene
@@ -24,7 +24,7 @@ AXES = {"metres_per_unit": 0.25, "up": (0.0, -1.0, 0.0)}
 
 @pytest.fixture
 def session():
-    opened = Session(replace(small_scene(), **AXES))
+    opened = Editor(replace(small_scene(), **AXES))
     opened.clock.playing = False
     yield opened
     opened.close()
@@ -39,17 +39,17 @@ def look_from(session, time_s, x):
 def four_keys(session):
     for time_s, x in ((0.0, 0.0), (1.0, 2.0), (2.0, 5.0), (4.0, 9.0)):
         look_from(session, time_s, x)
-        camera_path.add_key(session)
+        camera_path.add_keyframe(session)
     return session.scene.path
 
 
 def test_a_key_shows_what_the_view_showed_whatever_the_scene_s_axes(session):
     look_from(session, 1.0, 3.0)
     seen = session.shot(96, 64).camera
-    camera_path.add_key(session)
+    camera_path.add_keyframe(session)
     assert session.timeline.key == 0
     look_from(session, 1.0, 8.0)
-    camera_path.go_to_key(session, 0)
+    camera_path.go_to_keyframe(session, 0)
     again = session.shot(96, 64).camera
     assert np.allclose(again.world_to_camera, seen.world_to_camera, atol=1e-9)
     assert again.fy == pytest.approx(seen.fy)
@@ -60,32 +60,32 @@ def test_the_same_moment_updates_and_every_step_is_undone(session):
     bare = session.scene
     four_keys(session)
     look_from(session, 2.0, 20.0)
-    camera_path.add_key(session)
+    camera_path.add_keyframe(session)
     assert len(session.scene.path.times_s) == 4
     assert session.history.undo_label == "Update camera key"
     assert session.path.positions[2] == pytest.approx([20, 10, 2])
     for _ in range(5):
         session.undo()
     assert session.scene is bare
-    assert camera_path.chosen_key(session) is None
+    assert camera_path.active_keyframe(session) is None
 
 
 def test_keys_are_appended_at_the_usual_distance(session):
-    camera_path.append_key(session)
+    camera_path.append_keyframe(session)
     assert session.scene.path.times_s.tolist() == [0]
-    camera_path.append_key(session)
+    camera_path.append_keyframe(session)
     assert session.scene.path.times_s.tolist() == [0, 2]
-    camera_path.retime_key(session, 1, 0.5)
-    camera_path.append_key(session)
+    camera_path.retime_keyframe(session, 1, 0.5)
+    camera_path.append_keyframe(session)
     assert session.scene.path.times_s.tolist() == [0, 0.5, 1.0]
     assert session.clock.time_s == 1.0
 
 
 def test_roll_is_kept_by_a_ride_and_lost_by_the_hand(session):
     four_keys(session)
-    camera_path.place_key(session, 1, "Turn", look=LookAngles(10.0, -5.0, 25.0))
-    assert camera_path.key_look(session, 1) == pytest.approx((10, -5, 25), abs=1e-6)
-    camera_path.go_to_key(session, 1)
+    camera_path.place_keyframe(session, 1, "Turn", look=ViewAngles(10.0, -5.0, 25.0))
+    assert camera_path.key_angles(session, 1) == pytest.approx((10, -5, 25), abs=1e-6)
+    camera_path.go_to_keyframe(session, 1)
     assert session.shot(96, 64).camera.world_to_camera[1, 2] == pytest.approx(
         -np.cos(np.radians(25)) * np.cos(np.radians(5)), abs=1e-6
     )
@@ -116,12 +116,12 @@ def test_a_drag_in_the_picture_follows_the_hand(session):
     look_from(session, 0.0, -6.0)
     session.navigation.heading = 0.4
     shot = session.shot(600, 400)
-    before = {mark.key: np.array(mark.handle_px) for mark in path_drawing(session, shot.camera).keys}
+    before = {mark.key: np.array(mark.handle_px) for mark in path_overlay_of(session, shot.camera).keys}
     camera_path.begin_drag(session, 3, in_view=True)
     for moved in ((5.0, 5.0), (31.0, -12.0)):
         drag_in_view(session, shot, moved, upright=False)
     camera_path.end_drag(session)
-    after = {mark.key: np.array(mark.handle_px) for mark in path_drawing(session, shot.camera).keys}
+    after = {mark.key: np.array(mark.handle_px) for mark in path_overlay_of(session, shot.camera).keys}
     assert after[3] == pytest.approx(before[3] + [31, -12], abs=1e-6)
     assert after[2] == pytest.approx(before[2])
     camera_path.begin_drag(session, 3, in_view=True)
@@ -138,7 +138,7 @@ def test_lines_are_cut_off_at_the_eye(session):
     lines = np.array(
         [[ahead, eye - 5 * forward], [eye - forward, eye - 2 * forward], [ahead, ahead + camera.world_to_camera[0, :3]]]
     )
-    seen = projected_lines(lines, camera)
+    seen = project_lines(lines, camera)
     assert len(seen) == 2
     assert seen[0] == pytest.approx(np.tile([48.0, 32.0], (2, 1)), abs=1e-6)
     assert seen[1, 1] == pytest.approx([48 + camera.fx / 5, 32])
@@ -214,7 +214,7 @@ def test_next_and_previous_keys(session):
     four_keys(session)
     session.clock.seek(0.5)
     for steps, time_s in ((1, 1.0), (1, 2.0), (1, 4.0), (1, 4.0), (-1, 2.0)):
-        camera_path.go_to_next_key(session, steps)
+        camera_path.go_to_next_keyframe(session, steps)
         assert session.clock.time_s == time_s
     assert session.view.follow_path
 
@@ -222,32 +222,32 @@ def test_next_and_previous_keys(session):
 def test_what_has_no_path_is_left_alone(session):
     bare = session.scene
     for change in (
-        lambda: camera_path.update_key(session, 0), lambda: camera_path.delete_key(session, 0),
+        lambda: camera_path.update_keyframe(session, 0), lambda: camera_path.delete_keyframe(session, 0),
         lambda: camera_path.delete_path(session),
-        lambda: camera_path.retime_key(session, 0, 1.0), lambda: camera_path.reverse_path(session),
-        lambda: camera_path.stretch_path(session, 3.0), lambda: camera_path.go_to_next_key(session, 1),
+        lambda: camera_path.retime_keyframe(session, 0, 1.0), lambda: camera_path.reverse_path(session),
+        lambda: camera_path.stretch_path(session, 3.0), lambda: camera_path.go_to_next_keyframe(session, 1),
         lambda: camera_path.begin_drag(session, 0), lambda: camera_path.drag_in_time(session, 1.0),
         lambda: camera_path.end_drag(session),
     ):  # fmt: skip
         change()
     assert session.scene is bare
-    assert path_drawing(session, session.shot(96, 64).camera) is None
+    assert path_overlay_of(session, session.shot(96, 64).camera) is None
 
 
 def test_the_drive_becomes_a_path_and_keys_snap_to_it(session):
     camera_path.path_from_drive(session, every_s=1.0)
     assert len(session.scene.path.times_s) == 6
     drive = session.path
-    camera_path.place_key(
-        session, 2, "Move", position_m=drive.positions[2] + np.array([0, 0, 3.0]), look=LookAngles(90, 0, 0)
+    camera_path.place_keyframe(
+        session, 2, "Move", position_m=drive.positions[2] + np.array([0, 0, 3.0]), look=ViewAngles(90, 0, 0)
     )
-    camera_path.snap_key(session, 2)
+    camera_path.snap_keyframe(session, 2)
     assert session.path.positions[2] == pytest.approx(drive.positions[2], abs=1e-6)
     assert abs(session.path.quaternions_wxyz[2] @ drive.quaternions_wxyz[2]) == pytest.approx(1)
 
 
 def test_without_a_drive_it_is_told():
-    session = Session(Scene("empty"))
+    session = Editor(Scene("empty"))
     camera_path.path_from_drive(session)
     assert "no ego vehicle" in session.problem
     assert session.scene.path is None
@@ -269,14 +269,14 @@ def test_exports_read_back_or_are_told(session, tmp_path, export):
 
 
 def test_a_path_from_before_time_began_is_imported_later(session, tmp_path):
-    write_camera_path(tmp_path / "early.json", shifted(four_keys(session), -3.0))
+    write_camera_path(tmp_path / "early.json", shift_path_time(four_keys(session), -3.0))
     camera_path.import_path(session, tmp_path / "early.json")
     assert session.scene.path.times_s.tolist() == [0, 1, 2, 4]
 
 
 def test_the_span_is_that_of_the_flight_else_of_what_happens(session):
     assert session.span_s == (0, 5)  # the ego's drive
-    camera_path.add_key(session)
+    camera_path.add_keyframe(session)
     assert session.span_s == (0, 5)  # one key is no flight
     four_keys(session)
     assert session.span_s == (0, 4)
@@ -285,7 +285,9 @@ def test_the_span_is_that_of_the_flight_else_of_what_happens(session):
     assert session.span_s == pytest.approx((1.0, 1.0 + 1 / 30))
     session.clock.span_s = None
     assert content_span(Scene("empty")) == (0, 8)
-    shower = Weather(keys=(WeatherKey(time_s=0.0, intensity_mm_h=1.0), WeatherKey(time_s=60.0, intensity_mm_h=0.0)))
+    shower = RainKeyframes(
+        keys=(RainKeyframe(time_s=0.0, intensity_mm_h=1.0), RainKeyframe(time_s=60.0, intensity_mm_h=0.0))
+    )
     assert content_span(Scene("empty"), shower) == (0, 60)
 
 
@@ -296,7 +298,7 @@ CHANGES = st.lists(st.tuples(WORDS, st.integers(0, 5), st.floats(0, 9)), max_siz
 @settings(max_examples=20, deadline=None)
 @given(CHANGES)
 def test_any_edits_are_undone_to_the_very_values(changes):
-    session = Session(small_scene())
+    session = Editor(small_scene())
     session.clock.playing = False
     try:
         documents = [session.history.present]
@@ -305,10 +307,10 @@ def test_any_edits_are_undone_to_the_very_values(changes):
             key = key % len(path.times_s) if path is not None else 0
             session.clock.seek(number)
             {
-                "add": lambda: camera_path.add_key(session),
-                "delete": lambda key=key: camera_path.delete_key(session, key),
-                "retime": lambda key=key, number=number: camera_path.retime_key(session, key, number),
-                "copy": lambda key=key, number=number: camera_path.copy_key(session, key, number),
+                "add": lambda: camera_path.add_keyframe(session),
+                "delete": lambda key=key: camera_path.delete_keyframe(session, key),
+                "retime": lambda key=key, number=number: camera_path.retime_keyframe(session, key, number),
+                "copy": lambda key=key, number=number: camera_path.copy_keyframe(session, key, number),
                 "reverse": lambda: camera_path.reverse_path(session),
                 "stretch": lambda number=number: camera_path.stretch_path(session, 0.5 + number),
             }[word]()

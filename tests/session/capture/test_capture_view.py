@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsrain_engine.datasets.capture import Capture, CaptureError, Sweep
+from gsrain_engine.datasets.capture import Capture, CaptureError, LidarSweep
 from gsrain_engine.editor import capture_view
-from gsrain_engine.editor.capture_view import MOST_POINTS, THUMBNAIL_PX, ViewPictures, shown_points
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.capture_view import MAX_POINTS, THUMBNAIL_PX, CaptureImageLoader, sample_points
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.scene.scene import Scene
 from small_scene import small_scene
 
@@ -19,23 +19,23 @@ from .small_capture import COLORS, small_capture, written_capture
 
 @pytest.fixture
 def session():
-    session = Session(small_scene())
+    session = Editor(small_scene())
     yield session
     session.close()
 
 
-def _wait(session: Session) -> None:
+def _wait(session: Editor) -> None:
     reading = session.captures._opening
     assert reading is not None
     reading[1].exception(timeout=60)
     session.captures.poll(session)
 
 
-def _opened(session: Session, capture: Capture) -> None:
-    session.captures._enter(Path("small"), capture, shown_points(capture))
+def _opened(session: Editor, capture: Capture) -> None:
+    session.captures._enter(Path("small"), capture, sample_points(capture))
 
 
-def test_files_outside_of_the_folder_are_read_when_a_person_says_so(session: Session, tmp_path: Path):
+def test_files_outside_of_the_folder_are_read_when_a_person_says_so(session: Editor, tmp_path: Path):
     folder = written_capture(tmp_path / "drive")
     picture = next(folder.glob("*[0-9a-z].png"))
     picture.rename(tmp_path / "elsewhere.png")
@@ -54,7 +54,7 @@ def test_files_outside_of_the_folder_are_read_when_a_person_says_so(session: Ses
     assert not session.captures.allows_outside
 
 
-def test_a_folder_is_opened_in_the_background(session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_folder_is_opened_in_the_background(session: Editor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     may_go_on, threads = threading.Event(), []
     read = capture_view._read
 
@@ -76,7 +76,7 @@ def test_a_folder_is_opened_in_the_background(session: Session, tmp_path: Path, 
     assert threads[0] is not threading.main_thread()
 
 
-def test_what_is_no_capture_is_told_and_the_open_one_stays(session: Session, tmp_path: Path):
+def test_what_is_no_capture_is_told_and_the_open_one_stays(session: Editor, tmp_path: Path):
     _opened(session, small_capture())
     session.captures.open(tmp_path / "nowhere")
     _wait(session)
@@ -84,7 +84,7 @@ def test_what_is_no_capture_is_told_and_the_open_one_stays(session: Session, tmp
     assert session.captures.capture is not None and session.captures.capture.name == "small"
 
 
-def test_looking_from_a_view_takes_its_place_and_moment(session: Session):
+def test_looking_from_a_view_takes_its_place_and_moment(session: Editor):
     _opened(session, small_capture())
     captures = session.captures
     session.view.follow_path = True
@@ -99,7 +99,7 @@ def test_looking_from_a_view_takes_its_place_and_moment(session: Session):
     assert captures.stands_at(session) is None
 
 
-def test_stepping_goes_round_the_views_of_one_camera(session: Session):
+def test_stepping_goes_round_the_views_of_one_camera(session: Editor):
     _opened(session, small_capture())
     captures = session.captures
     captures.sensor = "right"
@@ -111,7 +111,7 @@ def test_stepping_goes_round_the_views_of_one_camera(session: Session):
     assert seen == [1, 3, 1, 3]
 
 
-def test_time_stops_at_the_moment_of_a_picture_where_things_move(session: Session):
+def test_time_stops_at_the_moment_of_a_picture_where_things_move(session: Editor):
     _opened(session, small_capture())
     captures = session.captures
     assert session.scene.actors == ()
@@ -120,7 +120,7 @@ def test_time_stops_at_the_moment_of_a_picture_where_things_move(session: Sessio
     assert session.clock.time_s == 4.0
 
 
-def test_a_capture_lies_as_the_scene_that_was_made_from_it_does(session: Session):
+def test_a_capture_lies_as_the_scene_that_was_made_from_it_does(session: Editor):
     capture = replace(small_capture(), up=(0.0, -1.0, 0.0))
     made = replace(small_scene(), up=(0.05, -1.0, 0.0), metres_per_unit=3.0)
     _opened(session, capture)
@@ -138,7 +138,7 @@ def test_a_capture_lies_as_the_scene_that_was_made_from_it_does(session: Session
     assert captures.to_world(Scene("none"))[2, :3] == pytest.approx([0, -1, 0])
 
 
-def test_pictures_come_when_they_are_asked_for_and_broken_ones_are_named(session: Session):
+def test_pictures_come_when_they_are_asked_for_and_broken_ones_are_named(session: Editor):
     capture = small_capture()
 
     def broken() -> np.ndarray:
@@ -159,7 +159,7 @@ def test_pictures_come_when_they_are_asked_for_and_broken_ones_are_named(session
     assert not pictures.is_reading  # what is broken is not tried again
 
 
-def _read_one(pictures: ViewPictures) -> None:
+def _read_one(pictures: CaptureImageLoader) -> None:
     pictures.poll()
     assert pictures._reading is not None
     pictures._reading[1].exception(timeout=60)
@@ -168,11 +168,11 @@ def _read_one(pictures: ViewPictures) -> None:
 
 def test_of_many_points_a_fair_share_is_shown():
     rng = np.random.default_rng(0)
-    sweeps = [Sweep(float(i), rng.random((MOST_POINTS, 3), np.float32) + 5 * i, np.zeros(3)) for i in range(2)]
-    got = shown_points(replace(small_capture(), sweeps=tuple(sweeps)))
+    sweeps = [LidarSweep(float(i), rng.random((MAX_POINTS, 3), np.float32) + 5 * i, np.zeros(3)) for i in range(2)]
+    got = sample_points(replace(small_capture(), sweeps=tuple(sweeps)))
     assert got is not None
-    assert got.total == 2 * MOST_POINTS + 500
-    assert MOST_POINTS - 3 <= len(got.positions) <= MOST_POINTS
+    assert got.total == 2 * MAX_POINTS + 500
+    assert MAX_POINTS - 3 <= len(got.positions) <= MAX_POINTS
     assert np.mean(got.positions[300:, 2] > 3) == pytest.approx(0.5, abs=0.01)
     heights, colors = got.positions[500:, 2], got.colors[500:].astype(int)
     low, high = colors[np.argmin(heights)], colors[np.argmax(heights)]
@@ -180,7 +180,7 @@ def test_of_many_points_a_fair_share_is_shown():
 
 
 def test_coloured_points_keep_their_colours():
-    got = shown_points(small_capture())
+    got = sample_points(small_capture())
     assert got is not None and got.total == 500
     assert (got.colors == [255, 0, 255]).all()
-    assert shown_points(replace(small_capture(), points_m=None)) is None
+    assert sample_points(replace(small_capture(), points_m=None)) is None

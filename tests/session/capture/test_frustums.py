@@ -7,13 +7,13 @@ import pytest
 
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.editor.overlays import (
-    MOST_FRUSTUMS,
+    MAX_FRUSTUMS,
     RecordedCameras,
-    fitting_fov_deg,
+    fov_to_fit_deg,
     frustum_length,
     frustums,
     image_corners,
-    picture_grid,
+    image_grid,
 )
 from gsrain_engine.scene.camera import Camera, look_at
 
@@ -49,9 +49,9 @@ def test_the_lower_right_corner_is_the_lower_right_of_what_the_camera_sees():
 def test_cameras_behind_the_eye_are_left_out_and_only_the_nearest_are_drawn():
     between = Camera.from_fov(300, 200, 60.0, look_at(np.array([1.6, 0, 1.5]), np.array([9.0, 0, 1.5]), UP))
     assert {each.view for each in frustums(_cameras(), range(4), 0.3, between)} == {2, 3}
-    many = _cameras(MOST_FRUSTUMS + 40)
+    many = _cameras(MAX_FRUSTUMS + 40)
     found = frustums(many, range(len(many)), 0.3, _ABOVE)
-    assert len(found) == MOST_FRUSTUMS
+    assert len(found) == MAX_FRUSTUMS
     assert found[-1].view == 0
     assert frustums(_cameras(), [], 0.3, _ABOVE) == []
 
@@ -68,7 +68,7 @@ def test_a_camera_that_the_eye_looks_through_hides_nothing():
 def test_from_the_recorded_camera_its_picture_fills_its_own_pixels_at_any_length():
     camera = _cameras()[2]
     for length in (0.1, 7.0):
-        grid = picture_grid(camera, length, camera, (4, 3))
+        grid = image_grid(camera, length, camera, (4, 3))
         assert grid is not None
         assert grid[0, 0] == pytest.approx([0, 0], abs=1e-9)
         assert grid[3, 4] == pytest.approx([80, 48])
@@ -78,16 +78,16 @@ def test_from_the_recorded_camera_its_picture_fills_its_own_pixels_at_any_length
 def test_a_picture_behind_the_eye_is_not_drawn():
     camera = _cameras()[2]
     ahead = replace(camera, world_to_camera=_cameras()[3].world_to_camera)
-    assert picture_grid(camera, 0.5, ahead, (2, 2)) is None
-    assert picture_grid(camera, 1.5, ahead, (2, 2)) is not None
+    assert image_grid(camera, 0.5, ahead, (2, 2)) is None
+    assert image_grid(camera, 1.5, ahead, (2, 2)) is not None
 
 
 @pytest.mark.parametrize("aspect", [0.6, 1.0, 3.0])
 def test_a_whole_recorded_picture_fits_into_the_viewport(aspect: float):
     camera = _cameras()[0]
     width, height = round(300 * aspect), 300
-    view = Camera.from_fov(width, height, fitting_fov_deg(camera, width / height), camera.world_to_camera)
-    grid = picture_grid(camera, 1.0, view, (1, 1))
+    view = Camera.from_fov(width, height, fov_to_fit_deg(camera, width / height), camera.world_to_camera)
+    grid = image_grid(camera, 1.0, view, (1, 1))
     assert grid is not None
     assert grid.min() > -0.01
     assert grid[..., 0].max() < width + 0.01 and grid[..., 1].max() < height + 0.01

@@ -1,16 +1,16 @@
 from gsrain_engine.editor.document import Document, History
-from gsrain_engine.rain.settings import Rain
+from gsrain_engine.rain.settings import RainSettings
 from small_scene import small_scene
 
 SCENE = small_scene()
 
 
 def document(intensity):
-    return Document(SCENE, Rain(intensity_mm_h=float(intensity)))
+    return Document(SCENE, RainSettings(intensity_mm_h=float(intensity)))
 
 
 def history():
-    return History.beginning_with(document(0))
+    return History.starting_with(document(0))
 
 
 def test_undo_and_redo_walk_over_the_steps():

@@ -5,8 +5,8 @@ from functools import cache
 
 import msgspec
 
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.rain.settings import Rain
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.simulation.agents.registry import open_agent
 from gsrain_engine.simulation.scenario import Scenario
 from gsrain_engine.simulation.simulation import Simulation, drive
@@ -55,6 +55,6 @@ def settled(session):
 
 def stopped_session(scene, intensity_mm_h=0.0):
     """A session in which time stands."""
-    session = Session(scene, Rain(intensity_mm_h=intensity_mm_h))
+    session = Editor(scene, RainSettings(intensity_mm_h=intensity_mm_h))
     session.clock.playing = False
     return session

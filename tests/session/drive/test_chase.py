@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.drive_playback import ShownRollout
-from gsrain_engine.editor.viewport.camera import Navigation
-from gsrain_engine.editor.viewport.camera_follow import Chase
+from gsrain_engine.editor.drive_playback import RolloutInScene
+from gsrain_engine.editor.viewport.camera import OrbitCamera
+from gsrain_engine.editor.viewport.camera_follow import ChaseCamera
 from gsrain_engine.simulation.sensors import placed_camera
 
 from .driven import driven
@@ -14,11 +14,11 @@ from .driven import driven
 @pytest.fixture
 def shown():
     scene, rollout = driven(start_s=0.5)
-    return ShownRollout(rollout, scene)
+    return RolloutInScene(rollout, scene)
 
 
 def test_behind_is_8_m_back_and_3_m_up_and_goes_along(shown):
-    chase, navigation = Chase(), Navigation()
+    chase, navigation = ChaseCamera(), OrbitCamera()
     chase.begin("behind")
     chase.ride(shown.vehicle(0.5), navigation)
     ego = shown.played.state(0.0)
@@ -33,7 +33,7 @@ def test_behind_is_8_m_back_and_3_m_up_and_goes_along(shown):
 
 
 def test_the_front_camera_is_that_of_the_rig(shown):
-    chase, navigation = Chase(), Navigation()
+    chase, navigation = ChaseCamera(), OrbitCamera()
     chase.begin("front camera")
     chase.ride(shown.vehicle(1.0), navigation)
     camera = placed_camera(shown.front_camera, shown.played.rig_to_world(0.5))
@@ -48,7 +48,7 @@ def test_the_front_camera_is_that_of_the_rig(shown):
 
 
 def test_after_the_end_it_stays_there(shown):
-    chase, navigation = Chase(), Navigation()
+    chase, navigation = ChaseCamera(), OrbitCamera()
     chase.begin("behind")
     chase.ride(shown.vehicle(1e3), navigation)
     assert navigation.position[0] == pytest.approx(shown.played.state(1e3).x_m - 8)

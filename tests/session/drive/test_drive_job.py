@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.jobs.drive import DriveJob
+from gsrain_engine.editor.jobs.drive import SimulationJob
 
 from .driven import CRASH, driven, settled, stopped_session
 
@@ -15,8 +15,8 @@ from .driven import CRASH, driven, settled, stopped_session
 @pytest.fixture
 def session():
     session = stopped_session(driven()[0], 4.0)
-    session.drives.wanted.wishes = msgspec.structs.replace(session.drives.wanted.wishes, agent="constant-velocity")
-    wanted = session.drives.wanted
+    session.drives.settings.wishes = msgspec.structs.replace(session.drives.settings.wishes, agent="constant-velocity")
+    wanted = session.drives.settings
     wanted.change(msgspec.convert(CRASH | {"duration_s": 3.0}, type(wanted.scenario)))
     yield session
     session.close()
@@ -43,7 +43,7 @@ def test_what_a_person_has_edited_is_driven_through_and_opened(session):
     session.drives.start(session)
     assert session.drives.why_not(session) == "A drive goes on."
     job, shown = follow(session)
-    assert isinstance(job, DriveJob)
+    assert isinstance(job, SimulationJob)
     assert (job.state, job.error, session.problem) == ("finished", None, None)
     (opened,) = session.drives.opened
     assert session.drives.playing is opened
@@ -58,8 +58,8 @@ def test_what_a_person_has_edited_is_driven_through_and_opened(session):
 def test_an_agent_that_can_t_be_opened_is_told_in_one_sentence(session, tmp_path):
     bad = tmp_path / "bad.onnx"
     bad.write_bytes(b"no network")
-    session.drives.wanted.wishes = msgspec.structs.replace(
-        session.drives.wanted.wishes, agent="camera-idm", detector=bad
+    session.drives.settings.wishes = msgspec.structs.replace(
+        session.drives.settings.wishes, agent="camera-idm", detector=bad
     )
     session.drives.start(session)
     job, _ = follow(session)

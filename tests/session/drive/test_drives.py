@@ -6,9 +6,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.files import Opened
-from gsrain_engine.editor.jobs.drive import open_rollout
-from gsrain_engine.scene.formats.scene_folder import KnownFiles
+from gsrain_engine.editor.files import LoadedDocument
+from gsrain_engine.editor.jobs.drive import load_rollout
+from gsrain_engine.scene.formats.scene_folder import FileCache
 from gsrain_engine.simulation.rollout_io import read_rollout, write_rollout
 
 from .driven import driven, settled, stopped_session
@@ -35,7 +35,7 @@ def test_an_opened_rollout_is_shown_and_the_document_stays(session, file):
     assert (session.problem, drives.trouble) == (None, None)
     assert drives.playing.path == file
     assert [each.id for each in session.shown_scene.actors] == ["lead", "ego car"]
-    assert session.sides[0].scene is session.shown_scene
+    assert session.split_panes[0].scene is session.shown_scene
     assert session.scene.actors == ()
     assert (session.history.cursor, session.has_changes) == (0, False)
     assert session.span_s == (0.0, drives.playing.duration_s)
@@ -46,15 +46,15 @@ def test_an_opened_rollout_is_shown_and_the_document_stays(session, file):
 
 
 def test_it_rains_as_it_was_driven_unless_a_person_wants_the_scene_s_rain(session):
-    assert session.sides[0].rainfall.rain.intensity_mm_h == 8.5
+    assert session.split_panes[0].rainfall.rain.intensity_mm_h == 8.5
     assert session.shown_rainfall is session.shown_rainfall
     session.drives.rain_as_driven = False
-    assert session.sides[0].rainfall.rain.intensity_mm_h == 0.0
+    assert session.split_panes[0].rainfall.rain.intensity_mm_h == 0.0
 
 
 def test_a_comparison_has_the_same_traffic_on_both_sides(session):
     session.view.split = "clear | rainy"
-    clear, rainy = session.sides
+    clear, rainy = session.split_panes
     assert clear.scene is rainy.scene
     assert (clear.rainfall.rain.intensity_mm_h, rainy.rainfall.rain.intensity_mm_h) == (0.0, 8.5)
 
@@ -75,7 +75,7 @@ def test_jumps_stop_at_the_collision_and_at_the_smallest_ttc(session):
     drives.jump(session, playing.collision_s)
     assert not session.clock.playing
     assert drives.step_now(session).collision == "lead"
-    drives.jump(session, playing.curves.most_critical_s)
+    drives.jump(session, playing.curves.min_ttc_time_s)
     assert playing.curves.ttc_s.min() == 0.0  # where it was hit
     assert session.clock.time_s == hit.time_s
 
@@ -98,7 +98,7 @@ def test_several_stay_open_and_one_of_them_plays(session, tmp_path):
     assert (first.intensity_mm_h, second.intensity_mm_h) == (8.5, 0.0)
     session.drives.play(session, first)
     settled(session)
-    assert session.sides[0].rainfall.rain.intensity_mm_h == 8.5
+    assert session.split_panes[0].rainfall.rain.intensity_mm_h == 8.5
     session.drives.close(session, first)
     settled(session)
     assert session.drives.playing is second
@@ -119,19 +119,19 @@ def test_what_is_no_rollout_is_told_and_nothing_changes(session, tmp_path, damag
 
 
 def test_a_rollout_that_was_not_saved_is_asked_about_before_it_is_lost(session, tmp_path):
-    session.leave()
+    session.request_quit()
     assert session.is_leaving  # it came from a file
     session.is_leaving = False
     own = replace(session.drives.playing, path=None)
     session.drives.opened, session.drives.playing = [own], own
-    session.leave()
+    session.request_quit()
     question = session.questions.present
     assert own.title in question.text and not question.enter_answers and not session.is_leaving
     session.questions.answer(question.answers[-1])
     assert not session.is_leaving
     session.drives.save_as(session, tmp_path / "mine")
     settled(session)
-    session.leave()
+    session.request_quit()
     assert session.is_leaving and session.questions.present is None
 
 
@@ -154,7 +154,7 @@ def test_a_rollout_is_saved_as_it_is(session, tmp_path, file):
 
 
 def test_another_document_closes_them(session):
-    session.enter(Opened(driven(scale=0.25)[0], "", None, None, KnownFiles()))
+    session.enter(LoadedDocument(driven(scale=0.25)[0], "", None, None, FileCache()))
     assert (session.drives.playing, session.drives.opened) == (None, [])
 
 
@@ -171,7 +171,7 @@ def test_a_rollout_that_does_not_belong_here_has_plots_but_no_picture(session, t
 
 
 def test_metrics_are_those_of_the_file(file):
-    opened = open_rollout(file)
+    opened = load_rollout(file)
     assert opened.rollout == read_rollout(file)
     assert (opened.metrics.end, opened.metrics.collided_with) == ("collision", "lead")
     assert opened.title == "crash, 8.5 mm/h, constant-velocity"

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.drive_playback import ShownRollout
-from gsrain_engine.editor.overlays_drive import planned_places, rollout_drawing
+from gsrain_engine.editor.drive_playback import RolloutInScene
+from gsrain_engine.editor.overlays_drive import planned_points_m, rollout_overlay
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.simulation.sensors import placed_camera
 
@@ -14,7 +14,7 @@ from .driven import driven
 @pytest.fixture
 def shown():
     scene, rollout = driven()
-    return ShownRollout(rollout, scene)
+    return RolloutInScene(rollout, scene)
 
 
 def from_above(height_m=20.0):
@@ -24,19 +24,19 @@ def from_above(height_m=20.0):
 
 def test_planned_points_lie_on_the_road_half_a_second_apart(shown):
     step = shown.played.rollout.steps[2]
-    places = planned_places(shown, step, step.time_s)
+    places = planned_points_m(shown, step, step.time_s)
     assert places[0, :2] == pytest.approx((step.ego.x_m, step.ego.y_m))
     assert np.diff(places[:, 0]) == pytest.approx(np.full(6, 1.0), abs=1e-2)  # 2 m/s
     assert places[:, 2] == pytest.approx(0.04, abs=0.01)
-    later = planned_places(shown, step, step.time_s + 0.2)
+    later = planned_points_m(shown, step, step.time_s + 0.2)
     assert later[0, 0] == pytest.approx(step.ego.x_m + 0.4, abs=1e-2)
     assert later[1:] == pytest.approx(places[1:])  # the plan stays while it is followed
 
 
 def test_dots_are_where_a_camera_sees_the_points(shown):
     camera = from_above()
-    drawing = rollout_drawing(shown, 0.5, camera, from_inside=False)
-    places = planned_places(shown, shown.played.step(0.5), 0.5)[1:]
+    drawing = rollout_overlay(shown, 0.5, camera, from_inside=False)
+    places = planned_points_m(shown, shown.played.step(0.5), 0.5)[1:]
     local = places @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
     pixels = local[:, :2] / local[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
     assert np.array([(x, y) for x, y, _ in drawing.dots]) == pytest.approx(pixels)
@@ -45,8 +45,8 @@ def test_dots_are_where_a_camera_sees_the_points(shown):
 def test_who_is_hit_is_marked_when_it_is_hit(shown):
     camera = from_above()
     hit_s = shown.played.end_s
-    early = {box.name: box for box in rollout_drawing(shown, 1.0, camera, from_inside=False).boxes}
-    late = {box.name: box for box in rollout_drawing(shown, hit_s, camera, from_inside=False).boxes}
+    early = {box.name: box for box in rollout_overlay(shown, 1.0, camera, from_inside=False).boxes}
+    late = {box.name: box for box in rollout_overlay(shown, hit_s, camera, from_inside=False).boxes}
     assert [early[name].is_hit for name in ("lead", "ego")] == [False, False]
     assert [late[name].is_hit for name in ("lead", "ego")] == [True, True]
     assert late["lead"].lines_px.shape == (12, 2, 2)
@@ -57,11 +57,11 @@ def test_who_is_hit_is_marked_when_it_is_hit(shown):
 
 def test_from_inside_the_ego_vehicle_has_no_box(shown):
     camera = placed_camera(shown.front_camera, shown.played.rig_to_world(0.0))
-    drawing = rollout_drawing(shown, 0.0, camera, from_inside=True)
+    drawing = rollout_overlay(shown, 0.0, camera, from_inside=True)
     assert [box.name for box in drawing.boxes] == ["lead"]
     assert len(drawing.driven_px) == 0
     assert drawing.boxes[0].top_px is not None
-    behind = rollout_drawing(shown, shown.played.end_s, backwards(camera), from_inside=True)
+    behind = rollout_overlay(shown, shown.played.end_s, backwards(camera), from_inside=True)
     assert behind.boxes[0].top_px is None
     assert behind.dots == []
 

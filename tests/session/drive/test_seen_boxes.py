@@ -3,9 +3,9 @@
 import msgspec
 import pytest
 
-from gsrain_engine.editor.drive_playback import ShownRollout
-from gsrain_engine.editor.overlays_drive import seen_boxes
-from gsrain_engine.simulation.sensors import of_width, placed_camera
+from gsrain_engine.editor.drive_playback import RolloutInScene
+from gsrain_engine.editor.overlays_drive import detection_boxes
+from gsrain_engine.simulation.sensors import camera_of_width, placed_camera
 
 from .driven import driven
 
@@ -23,7 +23,7 @@ NOTES = {
 @pytest.fixture
 def shown():
     scene, rollout = driven()
-    return ShownRollout(rollout, scene)
+    return RolloutInScene(rollout, scene)
 
 
 def noted(shown, notes):
@@ -32,8 +32,8 @@ def noted(shown, notes):
 
 def test_detections_lie_where_the_agent_has_seen_them(shown):
     front = shown.front_camera
-    twice = placed_camera(of_width(front, 2 * front.width), shown.played.rig_to_world(0.0))
-    lead, other = seen_boxes(noted(shown, NOTES), front, twice)
+    twice = placed_camera(camera_of_width(front, 2 * front.width), shown.played.rig_to_world(0.0))
+    lead, other = detection_boxes(noted(shown, NOTES), front, twice)
     assert lead.low_px == pytest.approx((200.0, 160.0), abs=1.0)
     assert lead.high_px == pytest.approx((400.0, 320.0), abs=1.0)
     assert (lead.is_lead, lead.words) == (True, "car 0.90, 12.3 m")
@@ -43,4 +43,4 @@ def test_detections_lie_where_the_agent_has_seen_them(shown):
 @pytest.mark.parametrize("notes", [{}, {"detections": "three"}, {"detections": [{"box": 1}]}, {"lead": 4}])
 def test_other_notes_are_passed_by(shown, notes):
     camera = placed_camera(shown.front_camera, shown.played.rig_to_world(0.0))
-    assert seen_boxes(noted(shown, notes), shown.front_camera, camera) == []
+    assert detection_boxes(noted(shown, notes), shown.front_camera, camera) == []

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.drive_playback import EGO_CAR, ShownRollout
+from gsrain_engine.editor.drive_playback import EGO_CAR, RolloutInScene
 from small_scene import small_scene
 
 from .driven import driven
@@ -20,7 +20,7 @@ def world_pose(scene, key, time_s):
 @pytest.mark.parametrize(("start_s", "scale"), [(0.0, 1.0), (0.7, 0.25)])
 def test_everybody_is_where_the_rollout_says_between_its_steps_too(start_s, scale):
     scene, rollout = driven(start_s=start_s, scale=scale)
-    shown = ShownRollout(rollout, scene)
+    shown = RolloutInScene(rollout, scene)
     played = shown.scene(scene, with_ego=True)
     first, second = rollout.steps[2], rollout.steps[3]
     for part in (0.0, 0.3):
@@ -37,14 +37,14 @@ def test_everybody_is_where_the_rollout_says_between_its_steps_too(start_s, scal
 def test_models_have_their_size_in_metres_whatever_the_unit():
     for scale in (1.0, 0.25):
         scene, rollout = driven(scale=scale)
-        actor = ShownRollout(rollout, scene).scene(scene, with_ego=False).member("actors/lead")
+        actor = RolloutInScene(rollout, scene).scene(scene, with_ego=False).member("actors/lead")
         length = np.ptp(actor.gaussians.means[:, 0]) * scale  # with its shadow
         assert length == pytest.approx(rollout.users["lead"].size_lwh_m[0], rel=0.25)
 
 
 def test_the_same_scene_gives_the_same_value_and_no_gaussians_are_copied():
     scene, rollout = driven()
-    shown = ShownRollout(rollout, scene)
+    shown = RolloutInScene(rollout, scene)
     with_ego, without = shown.scene(scene, with_ego=True), shown.scene(scene, with_ego=False)
     assert shown.scene(scene, with_ego=True) is with_ego
     assert shown.scene(scene, with_ego=False) is without
@@ -63,7 +63,7 @@ def test_a_rollout_of_another_scene_is_refused_in_a_sentence():
     _, rollout = driven()
     strange = kept_from_elsewhere(rollout)
     with pytest.raises(ValueError, match="another|no actor"):
-        ShownRollout(strange, small_scene())
+        RolloutInScene(strange, small_scene())
 
 
 def kept_from_elsewhere(rollout):

@@ -7,17 +7,17 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.drive import WantedDrive
-from gsrain_engine.editor.jobs.drive import DriveWishes
-from gsrain_engine.editor.overlays_drive import Mosaic, mosaic_rows
-from gsrain_engine.rain.settings import Rain
+from gsrain_engine.editor.drive import DriveSetup
+from gsrain_engine.editor.jobs.drive import DriveSettings
+from gsrain_engine.editor.overlays_drive import CameraMosaic, mosaic_rows
+from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.simulation.scenario_io import load_scenario
 
 from .driven import driven
 
 
 def test_a_changed_scenario_is_saved_and_opened_again(tmp_path):
-    wanted = WantedDrive()
+    wanted = DriveSetup()
     assert (wanted.source, wanted.is_changed) == ("stationary-lead", False)
     user = msgspec.structs.replace(wanted.scenario.road_users[0], ahead_m=25.0)
     wanted.change_user(0, user)
@@ -33,7 +33,7 @@ def test_a_changed_scenario_is_saved_and_opened_again(tmp_path):
 
 
 def test_what_is_out_of_bounds_is_not_taken():
-    wanted = WantedDrive()
+    wanted = DriveSetup()
     before = wanted.scenario
     wanted.change(msgspec.structs.replace(before, speed_m_s=-1.0))
     assert wanted.scenario is before
@@ -44,15 +44,15 @@ def test_what_is_out_of_bounds_is_not_taken():
 
 
 def test_a_missing_detector_is_told_before_anything_starts(tmp_path):
-    wanted = WantedDrive()
+    wanted = DriveSetup()
     assert wanted.why_not is None
     wanted.wishes = msgspec.structs.replace(wanted.wishes, detector=tmp_path / "none.onnx")
     assert "none.onnx" in wanted.why_not
 
 
 def test_rains_of_a_drive():
-    present = Rain(intensity_mm_h=3.0, exposure_s=0.01)
-    wishes = DriveWishes(agent="x")
+    present = RainSettings(intensity_mm_h=3.0, exposure_s=0.01)
+    wishes = DriveSettings(agent="x")
     assert wishes.rains(present) == (present,)
     one = msgspec.structs.replace(wishes, rain="one intensity", intensity_mm_h=7.0)
     assert [(each.intensity_mm_h, each.exposure_s) for each in one.rains(present)] == [(7.0, 0.01)]
@@ -73,10 +73,10 @@ def test_the_mosaic_shows_the_rig_as_one_would_look_for_it():
     rows = mosaic_rows([front, *(turned[name] for name in ("back right", "right", "back", "left", "back left"))])
     names = [[each.name for each in row] for row in rows]
     assert names == [["left", "FRONT", "right"], ["back left", "back", "back right"]]
-    mosaic = Mosaic(rig="gone")
+    mosaic = CameraMosaic(rig="gone")
     assert mosaic.cameras(scene) == (front,)
     mosaic.want(251.0)
-    assert (mosaic.is_wanted, mosaic.width_px) == (True, 256)
+    assert (mosaic.is_requested, mosaic.width_px) == (True, 256)
 
 
 def rotation(degrees):
@@ -84,9 +84,9 @@ def rotation(degrees):
     return np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1.0]])
 
 
-@pytest.mark.parametrize("name", WantedDrive().scenario_names)
+@pytest.mark.parametrize("name", DriveSetup().scenario_names)
 def test_every_shipped_scenario_comes_back_from_a_file(name, tmp_path):
-    wanted = WantedDrive()
+    wanted = DriveSetup()
     wanted.load(name)
     before = wanted.scenario
     wanted.save(tmp_path / "copy.yaml")

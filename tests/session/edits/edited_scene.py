@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from gsrain_engine.scene.flags import Mask
+from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import Actor, Grading, Layer, Scene, Track
-from gsrain_engine.scene.transforms import flattened
+from gsrain_engine.scene.scene import Actor, ColorGrading, Layer, PoseTrack, Scene
+from gsrain_engine.scene.transforms import flatten_scene
 
 
 def some_gaussians(seed, count=40, degree=1):
@@ -36,14 +36,14 @@ def turned(degrees, axis=2, scale=1.0, by=(0.0, 0.0, 0.0)):
 
 def driving():
     times = np.linspace(0, 4, 5)
-    return Track(times, np.stack([times, 0 * times, 0 * times], axis=1), np.tile([1.0, 0, 0, 0], (5, 1)),
+    return PoseTrack(times, np.stack([times, 0 * times, 0 * times], axis=1), np.tile([1.0, 0, 0, 0], (5, 1)),
                  np.ones(5, bool))  # fmt: skip
 
 
 def edited_scene():
     """Half a metre a unit, y down; two layers of unlike opacity and grading, a sky, a car."""
     ground = Layer("ground", some_gaussians(1), to_scene=turned(20, 1, 1.5, (1.0, 2.0, 3.0)))
-    house = Layer("house", some_gaussians(2, 30, 2), opacity=0.5, grading=Grading(exposure_ev=0.5, contrast=1.2))
+    house = Layer("house", some_gaussians(2, 30, 2), opacity=0.5, grading=ColorGrading(exposure_ev=0.5, contrast=1.2))
     sky = Layer("sky", some_gaussians(3, 20), kind="sky")
     car = Actor("car", "car", (4.0, 2.0, 1.5), some_gaussians(4, 25), driving())
     return Scene("edited", (ground, house, sky), (car,), metres_per_unit=0.5, up=(0.0, -1.0, 0.0), ground_m=-1.0)
@@ -54,7 +54,7 @@ def with_selection(scene, **first):
     for member in scene.members:
         if member.name in first:
             count = len(member.gaussians)
-            mask = Mask.of(np.arange(count) < first[member.name])
+            mask = BitMask.of(np.arange(count) < first[member.name])
             scene = scene.with_member(member.key, marks=replace(member.marks, selected=mask))
     return scene
 
@@ -70,7 +70,7 @@ def without(scene, *names):
 
 def seen(scene, time_s=0.0):
     """All that can be seen, in the world's metres, in an order that does not depend on who is drawn first."""
-    every = flattened(scene, time_s)
+    every = flatten_scene(scene, time_s)
     order = np.lexsort(np.round(every.means.T, 3))
     return every.take(order)
 

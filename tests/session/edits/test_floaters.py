@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.floaters import FloaterRules, FloaterSearch, select_floaters
 from gsrain_engine.editor.edits.gaussians import box_around
 from gsrain_engine.editor.jobs.floaters import FloaterJob
-from gsrain_engine.scene.flags import Mask
+from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.scene import Layer, Scene
 
@@ -56,7 +56,7 @@ def test_what_is_locked_hidden_or_deleted_is_no_floater():
     rules = FloaterRules()
     assert found(scene().with_member("layers/cloud", locked=True), rules) == {}
     marks = replace(
-        scene().layers[0].marks, hidden=Mask.of(np.arange(1000) == 2), deleted=Mask.of(np.arange(1000) == 0)
+        scene().layers[0].marks, hidden=BitMask.of(np.arange(1000) == 2), deleted=BitMask.of(np.arange(1000) == 0)
     )
     assert found(scene().with_member("layers/cloud", marks=marks), rules) == {"layers/cloud": [3]}
 
@@ -101,7 +101,7 @@ def finished(job, session):
 
 
 def test_the_job_selects_as_one_step():
-    session = Session(scene())
+    session = Editor(scene())
     job = FloaterJob(session.scene, FloaterRules())
     assert finished(job, session).found_count == 3
     assert session.history.labels == ["Open", "Find floaters"]
@@ -112,7 +112,7 @@ def test_the_job_selects_as_one_step():
 
 
 def test_a_cancelled_job_changes_nothing():
-    session = Session(scene())
+    session = Editor(scene())
     job = FloaterJob(session.scene, FloaterRules())
     job.cancel()
     job._running.result()

@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits import layers
 from gsrain_engine.editor.edits.actors import retime_actor, turn_actor
 from gsrain_engine.editor.edits.gaussians import (
@@ -21,9 +21,9 @@ from gsrain_engine.editor.edits.gaussians import (
 )
 from gsrain_engine.editor.edits.level import level_from_points, set_length
 from gsrain_engine.editor.edits.transform import move_member, move_selected
-from gsrain_engine.scene.flags import Mask
+from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.formats.scene_json import record_of
-from gsrain_engine.scene.scene import Grading
+from gsrain_engine.scene.scene import ColorGrading
 
 from .edited_scene import edited_scene, turned
 
@@ -53,7 +53,7 @@ def everything(session):
 def select(scene, which, seed):
     member = scene.members[which % len(scene.members)]
     flags = np.random.default_rng(seed).random(len(member.gaussians)) < 0.4
-    return scene.with_member(member.key, marks=replace(member.marks, selected=Mask.of(flags)))
+    return scene.with_member(member.key, marks=replace(member.marks, selected=BitMask.of(flags)))
 
 
 def keep_selection(scene, name):
@@ -84,7 +84,7 @@ EDIT = st.one_of(
             on_member(lambda scene, key, grading, opacity: scene.with_member(key, grading=grading, opacity=opacity))
         ),
         WHICH,
-        st.builds(Grading, exposure_ev=st.floats(-2, 2), saturation=st.floats(0, 2)),
+        st.builds(ColorGrading, exposure_ev=st.floats(-2, 2), saturation=st.floats(0, 2)),
         st.floats(0, 1),
     ),
     st.tuples(
@@ -115,7 +115,7 @@ def perform(session, what, *arguments):
 @settings(max_examples=40)
 @given(st.lists(EDIT, min_size=1, max_size=10))
 def test_every_byte_comes_back(edits):
-    session = Session(edited_scene())
+    session = Editor(edited_scene())
     try:
         states = [everything(session)]
         for each in edits:

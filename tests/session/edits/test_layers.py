@@ -5,7 +5,7 @@ import pytest
 
 from gsrain_engine.editor.edits import layers
 from gsrain_engine.editor.edits.members import unique_name
-from gsrain_engine.scene.flags import Mask
+from gsrain_engine.scene.flags import BitMask
 
 from .edited_scene import assert_same, edited_scene, seen, with_selection
 
@@ -57,7 +57,7 @@ def test_what_is_selected_of_several_layers_becomes_one():
 def test_what_can_not_be_seen_is_not_separated():
     scene = with_selection(edited_scene(), house=7)
     house = scene.layers[1]
-    hidden = replace(house.marks, hidden=Mask.of(np.arange(30) < 4))
+    hidden = replace(house.marks, hidden=BitMask.of(np.arange(30) < 4))
     parted = layers.separate(scene.with_member(house.key, marks=hidden))
     assert len(parted.layers[2].gaussians) == 3
 
@@ -65,9 +65,9 @@ def test_what_can_not_be_seen_is_not_separated():
 def test_merging_keeps_the_picture_and_the_marks():
     scene = with_selection(edited_scene(), ground=5, house=6)
     ground = scene.layers[0]
-    marks = replace(ground.marks, deleted=Mask.of(np.arange(40) >= 30), hidden=Mask.of(np.arange(40) == 7))
+    marks = replace(ground.marks, deleted=BitMask.of(np.arange(40) >= 30), hidden=BitMask.of(np.arange(40) == 7))
     scene = scene.with_member(ground.key, marks=marks)
-    saved = {"both": {ground.key: Mask.of(np.arange(40) == 3), "layers/house": Mask.of(np.arange(30) == 2)}}
+    saved = {"both": {ground.key: BitMask.of(np.arange(40) == 3), "layers/house": BitMask.of(np.arange(30) == 2)}}
     scene = replace(scene, selections=saved)
     one = layers.merge(scene, ["layers/ground", "layers/house"])
     assert names(one) == ["ground", "sky", "car"]
@@ -113,7 +113,7 @@ def test_locked_layers_are_neither_merged_nor_removed():
 
 
 def test_renaming_keeps_names_unique_and_selection_sets_true():
-    mask = Mask.of(np.arange(40) < 3)
+    mask = BitMask.of(np.arange(40) < 3)
     scene = replace(edited_scene(), selections={"three": {"layers/ground": mask}})
     renamed = layers.rename(scene, "layers/ground", " house ")
     assert names(renamed) == ["house 2", "house", "sky", "car"]
@@ -140,7 +140,7 @@ def test_order_changes_by_one_place():
 
 def test_imported_scenes_keep_their_place_in_the_world():
     scene, other = edited_scene(), replace(edited_scene(), metres_per_unit=2.0, up=(0.0, 0.0, 1.0))
-    other = replace(other, selections={"set": {"layers/ground": Mask.all(40)}})
+    other = replace(other, selections={"set": {"layers/ground": BitMask.all(40)}})
     both = layers.import_scene(scene, other)
     assert names(both) == ["ground", "house", "sky", "ground 2", "house 2", "sky 2", "car", "car 2"]
     alone = replace(both, layers=both.layers[3:], actors=both.actors[1:])

@@ -15,7 +15,7 @@ from gsrain_engine.editor.edits.gaussians import (
     selected_count,
     show_all,
 )
-from gsrain_engine.scene.flags import Mask
+from gsrain_engine.scene.flags import BitMask
 
 from .edited_scene import assert_same, edited_scene, seen, with_selection
 
@@ -64,10 +64,10 @@ def test_isolating_hides_the_rest():
 def test_compacting_keeps_the_picture_and_remaps_marks_and_sets():
     scene = delete_selected(with_selection(edited_scene(), ground=5))
     ground = scene.layers[0]
-    marks = replace(ground.marks, selected=Mask.of(np.arange(40) % 2 == 0), hidden=Mask.of(np.arange(40) == 9))
+    marks = replace(ground.marks, selected=BitMask.of(np.arange(40) % 2 == 0), hidden=BitMask.of(np.arange(40) == 9))
     scene = scene.with_member(ground.key, marks=marks)
     scene = replace(
-        scene, selections={"odd": {ground.key: Mask.of(np.arange(40) % 2 == 1), "layers/house": Mask.all(30)}}
+        scene, selections={"odd": {ground.key: BitMask.of(np.arange(40) % 2 == 1), "layers/house": BitMask.all(30)}}
     )
     small = compact(scene)
     assert len(small.layers[0].gaussians) == 35

@@ -11,12 +11,12 @@ from gsrain_engine.editor.edits.transform import (
     layer_pose,
     move_member,
     move_selected,
-    moving,
     pivot,
     pose_of,
+    preview_move,
     set_layer_pose,
 )
-from gsrain_engine.scene.transforms import moved
+from gsrain_engine.scene.transforms import transform_gaussians
 
 from .edited_scene import assert_same, edited_scene, seen, turned, with_selection, without
 
@@ -30,8 +30,8 @@ def test_a_member_is_moved_in_the_world(delta, name):
     key = scene.members[0].key
     for time_s in (0.0, 2.5):
         before, after = scene.parts(time_s)[0], move_member(scene, key, delta).parts(time_s)[0]
-        expected = moved(moved(before.gaussians, before.to_world), delta)
-        assert_same(moved(after.gaussians, after.to_world), expected)
+        expected = transform_gaussians(transform_gaussians(before.gaussians, before.to_world), delta)
+        assert_same(transform_gaussians(after.gaussians, after.to_world), expected)
 
 
 def test_a_layer_moves_without_new_arrays_and_a_locked_one_not_at_all():
@@ -48,8 +48,8 @@ def test_what_is_selected_is_moved_and_nothing_else(delta):
     for member, count in ((scene.layers[0], 6), (scene.actors[0], 5)):
         before, after = scene.part(member, 1.5), there.part(there.member(member.key), 1.5)
         first, rest = slice(0, count), slice(count, None)
-        expected = moved(moved(before.gaussians.take(first), before.to_world), delta)
-        assert_same(moved(after.gaussians.take(first), after.to_world), expected)
+        expected = transform_gaussians(transform_gaussians(before.gaussians.take(first), before.to_world), delta)
+        assert_same(transform_gaussians(after.gaussians.take(first), after.to_world), expected)
         for name in ("means", "scales", "quaternions", "opacities", "sh"):
             assert np.array_equal(getattr(after.gaussians, name)[rest], getattr(before.gaussians, name)[rest])
     assert there.layers[1] is scene.layers[1]
@@ -66,13 +66,13 @@ def test_a_shift_makes_new_centres_only():
 @pytest.mark.parametrize("delta", DELTAS)
 def test_a_drag_looks_like_what_it_will_come_to(delta):
     scene = with_selection(edited_scene(), ground=6, house=9, car=5)
-    assert_same(seen(moving(scene, None, delta, 1.5), 1.5), seen(move_selected(scene, delta, 1.5), 1.5))
-    assert_same(seen(moving(scene, "layers/sky", delta)), seen(move_member(scene, "layers/sky", delta)))
+    assert_same(seen(preview_move(scene, None, delta, 1.5), 1.5), seen(move_selected(scene, delta, 1.5), 1.5))
+    assert_same(seen(preview_move(scene, "layers/sky", delta)), seen(move_member(scene, "layers/sky", delta)))
 
 
 def test_a_drag_shares_arrays_and_masks_from_frame_to_frame():
     scene = with_selection(edited_scene(), ground=6)
-    first, second = (moving(scene, None, delta) for delta in DELTAS[:2])
+    first, second = (preview_move(scene, None, delta) for delta in DELTAS[:2])
     for one, other in zip(first.layers, second.layers, strict=True):
         assert one.gaussians is other.gaussians
         assert one.marks.left_out is other.marks.left_out

@@ -9,15 +9,15 @@ from gsrain_engine.editor.edits import gaussians, layers
 from gsrain_engine.editor.edits.actors import turn_actor
 from gsrain_engine.editor.edits.gaussians import compact
 from gsrain_engine.editor.edits.members import with_gaussians_of
-from gsrain_engine.editor.edits.transform import move_member, move_selected, moving
+from gsrain_engine.editor.edits.transform import move_member, move_selected, preview_move
 from gsrain_engine.recolor.result import with_colors
-from gsrain_engine.scene.flags import UNMARKED, Mask
+from gsrain_engine.scene.flags import UNMARKED, BitMask
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.open import open_to_draw
+from gsrain_engine.scene.open import load_sorted_scene
 from gsrain_engine.scene.transforms import (
-    blended_sh,
-    flattened,
+    blend_wet_sh,
+    flatten_scene,
     with_wet_colors_of,
     with_wetness_baked,
     without_wet_colors,
@@ -37,7 +37,7 @@ def wet_scene(*names):
     """The scene of the other tests with wet colours for the members that are named, a selection and what is deleted."""
     scene = with_selection(edited_scene(), ground=9, house=7, car=5)
     for seed, each in enumerate(scene.members):
-        gone = Mask.of(np.arange(len(each.gaussians)) % 4 == 1)
+        gone = BitMask.of(np.arange(len(each.gaussians)) % 4 == 1)
         wet = wet_of(each, seed) if not names or each.name in names else None
         scene = scene.with_member(each.key, wet_sh=wet, marks=replace(each.marks, deleted=gone))
     return scene
@@ -49,9 +49,11 @@ def soaked(scene):
 
 
 def seen(scene, wetness=0.0):
-    baked = [flattened(replace(scene, layers=(each,), actors=())) for each in with_wetness_baked(scene, wetness).layers]
+    baked = [
+        flatten_scene(replace(scene, layers=(each,), actors=())) for each in with_wetness_baked(scene, wetness).layers
+    ]
     baked += [
-        flattened(replace(scene, layers=(), actors=(each,))) for each in with_wetness_baked(scene, wetness).actors
+        flatten_scene(replace(scene, layers=(), actors=(each,))) for each in with_wetness_baked(scene, wetness).actors
     ]
     return Gaussians.concatenate(baked)
 
@@ -77,7 +79,7 @@ EDITS = {
     "shift the selection": lambda scene: move_selected(scene, turned(0, by=(1.0, 0.0, 0.0))),
     "move a layer": lambda scene: move_member(scene, "layers/house", TURN),
     "move an actor": lambda scene: move_member(scene, "actors/car", TURN),
-    "drag": lambda scene: moving(scene, None, TURN),
+    "drag": lambda scene: preview_move(scene, None, TURN),
     "turn an actor": lambda scene: turn_actor(scene, "actors/car", 30.0),
 }
 
@@ -111,9 +113,9 @@ def test_a_merged_layer_without_wet_colours_is_clear_when_soaked():
 def test_blends_end_at_the_very_numbers():
     member = wet_scene().layers[0]
     clear, wet = member.gaussians.sh, member.wet_sh
-    assert blended_sh(clear, wet, 0.0).tobytes() == clear.tobytes()
-    assert blended_sh(clear, wet, 1.0).tobytes() == wet.tobytes()
-    np.testing.assert_allclose(blended_sh(clear, wet, 0.25), 0.75 * clear + 0.25 * wet, atol=1e-6)
+    assert blend_wet_sh(clear, wet, 0.0).tobytes() == clear.tobytes()
+    assert blend_wet_sh(clear, wet, 1.0).tobytes() == wet.tobytes()
+    np.testing.assert_allclose(blend_wet_sh(clear, wet, 0.25), 0.75 * clear + 0.25 * wet, atol=1e-6)
 
 
 def test_wet_colours_have_the_shape_of_the_clear_ones():
@@ -168,7 +170,7 @@ def test_opening_puts_wet_colours_into_the_same_order(tmp_path):
     for seed, each in enumerate(scene.members):
         scene = scene.with_member(each.key, wet_sh=wet_of(each, seed))
     write_scene(scene, tmp_path / "s")
-    opened = open_to_draw(str(tmp_path / "s"))
+    opened = load_sorted_scene(str(tmp_path / "s"))
     assert not np.array_equal(opened.layers[0].gaussians.means, scene.layers[0].gaussians.means)
     for wetness in (0.0, 1.0):
         first, second = (seen_together(with_wetness_baked(each, wetness)) for each in (opened, scene))

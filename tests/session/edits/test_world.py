@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.actors import SENSOR_HEIGHT_M, set_ego_start, set_origin
 from gsrain_engine.editor.edits.level import (
     distance_m,
@@ -16,8 +16,8 @@ from gsrain_engine.editor.edits.level import (
     set_ground_height,
     set_length,
 )
-from gsrain_engine.editor.viewport.camera import Navigation
-from gsrain_engine.editor.viewport.camera_follow import Following
+from gsrain_engine.editor.viewport.camera import OrbitCamera
+from gsrain_engine.editor.viewport.camera_follow import ActorFollower
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.scene import Layer, Scene
 from small_scene import small_scene
@@ -131,7 +131,7 @@ def test_the_origin_moves_everything():
 
 
 def test_the_camera_sees_the_same_where_the_metre_and_up_change():
-    session = Session(edited_scene())
+    session = Editor(edited_scene())
     layer = session.scene.layers[1]
 
     def picture():
@@ -152,7 +152,7 @@ def test_the_camera_sees_the_same_where_the_metre_and_up_change():
 
 
 def test_a_refused_edit_leaves_everything_and_says_why():
-    session = Session(edited_scene())
+    session = Editor(edited_scene())
     before = session.scene
     session.edit("Scale", set_length, 0.0, 5.0)
     assert session.scene is before
@@ -162,7 +162,7 @@ def test_a_refused_edit_leaves_everything_and_says_why():
 
 def test_the_camera_follows_an_actor_and_keeps_its_offset():
     scene = replace(edited_scene(), up=(0.0, 0.0, 1.0))
-    eye, following = Navigation(position=np.array([-5.0, 1.0, 2.0])), Following()
+    eye, following = OrbitCamera(position=np.array([-5.0, 1.0, 2.0])), ActorFollower()
     following.follow("actors/car")
     following.ride(scene, 1.0, eye)
     assert eye.position == pytest.approx([-5, 1, 2])
@@ -183,7 +183,7 @@ def test_the_camera_turns_with_the_actor():
     half = np.sqrt(0.5)
     track = replace(scene.actors[0].track, quaternions_wxyz=np.array([[1.0, 0, 0, 0]] + [[half, 0, 0, half]] * 4))
     scene = scene.with_member("actors/car", track=track)
-    eye, following = Navigation(position=np.array([-5.0, 0.0, 2.0])), Following("actors/car")
+    eye, following = OrbitCamera(position=np.array([-5.0, 0.0, 2.0])), ActorFollower("actors/car")
     following.ride(scene, 0.0, eye)
     following.ride(scene, 1.0, eye)
     assert eye.position == pytest.approx([1, -5, 2])  # behind it, which now heads along +y

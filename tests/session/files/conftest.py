@@ -2,7 +2,7 @@
 
 import pytest
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.scene.formats.scene_files import write_scene
 from session.files.open_document import settle
 from small_scene import small_scene
@@ -19,7 +19,7 @@ def sessions():
     every = []
 
     def make(scene=None):
-        every.append(Session(scene))
+        every.append(Editor(scene))
         return every[-1]
 
     yield make

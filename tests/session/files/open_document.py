@@ -4,8 +4,8 @@ from concurrent.futures import wait
 
 import numpy as np
 
-from gsrain_engine.editor.viewport_state import StagedScene
-from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.editor.viewport_state import PendingScene
+from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.progress import Progress
 
 
@@ -24,8 +24,8 @@ def answer(session, label):
 
 def delete_every_third(session):
     member = session.scene.members[0]
-    deleted = Mask.of(np.arange(len(member.gaussians)) % 3 == 0)
-    session.set_scene("Delete", session.scene.with_member(member.key, marks=Marks(deleted=deleted)))
+    deleted = BitMask.of(np.arange(len(member.gaussians)) % 3 == 0)
+    session.set_scene("Delete", session.scene.with_member(member.key, marks=SelectionFlags(deleted=deleted)))
     return deleted
 
 
@@ -54,7 +54,7 @@ class HeldJob:
         if self.fails:
             self.state, self.error = "failed", "the third wheel is missing"
         elif self.result is not None:
-            session.stage(StagedScene(self.title, self.result))
+            session.stage(PendingScene(self.title, self.result))
             self.state = "finished"
 
     def cancel(self):

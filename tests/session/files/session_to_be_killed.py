@@ -8,11 +8,11 @@ from concurrent.futures import wait
 
 import numpy as np
 
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.scene.flags import BitMask, SelectionFlags
 
 
-def settle(session: Session) -> None:
+def settle(session: Editor) -> None:
     """Let background work end and take it in, without a live view."""
     for _ in range(4):
         wait(session.pending_files, timeout=60)
@@ -22,11 +22,11 @@ def settle(session: Session) -> None:
 
 def main(folder: str) -> None:
     """Do as the module says."""
-    session = Session()
+    session = Editor()
     session.open(folder)
     settle(session)
     member = session.scene.members[0]
-    marks = Marks(deleted=Mask.of(np.arange(len(member.gaussians)) < 100))
+    marks = SelectionFlags(deleted=BitMask.of(np.arange(len(member.gaussians)) < 100))
     session.set_scene("Delete", session.scene.with_member(member.key, marks=marks))
     session.change_rain("Intensity", intensity_mm_h=8.5)
     session.update(0.0)

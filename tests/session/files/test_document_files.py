@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsrain_engine.editor.jobs.drive import DriveFilmJob, DriveJob
+from gsrain_engine.editor.jobs.drive import RolloutVideoJob, SimulationJob
 from gsrain_engine.editor.jobs.floaters import FloaterJob
 from gsrain_engine.editor.jobs.job import BackgroundJob, SceneJob
-from gsrain_engine.editor.jobs.make_rainy import TransferPreview
-from gsrain_engine.editor.jobs.record import RecordingJob
-from gsrain_engine.editor.jobs.training import TransferTraining
+from gsrain_engine.editor.jobs.make_rainy import TransferPreviewJob
+from gsrain_engine.editor.jobs.record import ExportJob
+from gsrain_engine.editor.jobs.training import FinetuneJob
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.files import SceneFormatError
-from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.scene import Layer, Scene
-from gsrain_engine.scene.transforms import left_out_when_flat
+from gsrain_engine.scene.transforms import lost_when_flattened
 from session.files.open_document import HeldJob, answer, delete_every_third, keep_now, names_in, settle
 from small_scene import small_scene
 
@@ -53,7 +53,7 @@ def test_marks_stay_on_their_gaussians_when_a_scene_is_opened_to_be_drawn(sessio
     scene = small_scene()
     road = scene.layers[0]
     near = road.gaussians.means[:, 0] < 7
-    marked = scene.with_member(road.key, marks=Marks(hidden=Mask.of(near)))
+    marked = scene.with_member(road.key, marks=SelectionFlags(hidden=BitMask.of(near)))
     write_scene(marked, tmp_path / "marked")  # not in drawing order
     session = sessions()
     session.open(str(tmp_path / "marked"))
@@ -139,7 +139,7 @@ def test_an_export_is_a_copy_and_the_document_stays_unsaved(sessions, home, tmp_
     assert session.has_changes and session.problem is None
     assert (files.home, files.source, files.recent, session.scene.name) == before
     assert files.recovery.kept == kept and (kept / "scene" / "scene.json").is_file()
-    session.leave()
+    session.request_quit()
     assert session.questions.present.title == "Unsaved changes" and not session.is_leaving
     answer(session, "Save")
     if source != "folder":
@@ -151,7 +151,7 @@ def test_an_export_is_a_copy_and_the_document_stays_unsaved(sessions, home, tmp_
 def test_an_export_says_before_what_it_leaves_out(session, tmp_path):
     scene = session.scene
     path = CameraPath(np.zeros(1), np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]), np.full(1, 40.0))
-    hidden = Marks(hidden=Mask.of(np.arange(len(scene.layers[1].gaussians)) < 5))
+    hidden = SelectionFlags(hidden=BitMask.of(np.arange(len(scene.layers[1].gaussians)) < 5))
     scene = scene.with_member("layers/road", wet_sh=scene.layers[0].gaussians.sh)
     session.set_scene("Edit", replace(scene.with_member("layers/wall", marks=hidden), path=path))
     session.change_rain("Rain", intensity_mm_h=4.0)
@@ -172,7 +172,7 @@ def test_an_export_says_before_what_it_leaves_out(session, tmp_path):
         assert phrase not in text
     answer(session, "Cancel")
     assert not (tmp_path / "out.ply").exists()
-    assert left_out_when_flat(Scene("one", (Layer("one", scene.layers[0].gaussians),))) == []
+    assert lost_when_flattened(Scene("one", (Layer("one", scene.layers[0].gaussians),))) == []
 
 
 def test_an_export_asks_before_it_replaces_a_file_and_needs_the_name_of_one(sessions, tmp_path):
@@ -201,7 +201,7 @@ def test_an_export_asks_before_it_replaces_a_file_and_needs_the_name_of_one(sess
 @pytest.mark.parametrize("name", ["out.ply", "out.SPZ", "out.ksplat"])
 def test_save_writes_no_single_file_but_names_export(session, tmp_path, name):
     delete_every_third(session)
-    session.leave()
+    session.request_quit()
     answer(session, "Cancel")
     session.files.save_as(tmp_path / name)
     assert "Export" in session.questions.present.text
@@ -216,7 +216,7 @@ def test_save_writes_no_single_file_but_names_export(session, tmp_path, name):
 def test_what_is_being_written_and_read_is_waited_for_before_the_end(session, tmp_path):
     write_scene(small_scene("other"), tmp_path / "other.ply")
     session.files.import_from(str(tmp_path / "other.ply"))
-    session.leave()
+    session.request_quit()
     assert session.questions.present.title == "Waiting" and not session.is_leaving
     settle(session)
     assert session.questions.present.title == "Unsaved changes"  # the import is one
@@ -246,7 +246,7 @@ def test_a_scene_that_was_being_read_waits_for_the_answer_about_the_present_one(
     delete_every_third(session)
     session.open(str(tmp_path / "other"))
     session.questions.answer(session.questions.present.answers[1])
-    session.leave()
+    session.request_quit()
     settle(session)
     assert "the changes of crossing before you quit" in session.questions.present.text and session.has_changes
     answer(session, label)
@@ -278,16 +278,16 @@ def test_a_capture_is_offered_as_one(session, tmp_path):
 
 def test_leaving_asks_and_cancel_stays(session):
     delete_every_third(session)
-    session.leave()
+    session.request_quit()
     answer(session, "Cancel")
     assert not session.is_leaving and session.questions.present is None
-    session.leave()
+    session.request_quit()
     answer(session, "Don't save")
     assert session.is_leaving
 
 
 def test_leaving_without_changes_asks_nothing(session):
-    session.leave()
+    session.request_quit()
     assert session.is_leaving and session.questions.present is None
 
 
@@ -297,7 +297,7 @@ def test_a_save_that_fails_does_not_leave(session, monkeypatch):
 
     monkeypatch.setattr("gsrain_engine.editor.files.write_scene", full)
     delete_every_third(session)
-    session.leave()
+    session.request_quit()
     answer(session, "Save")
     assert not session.is_leaving and session.has_changes
     assert "can't be saved: No space left on device" in session.problem
@@ -389,7 +389,7 @@ def at_work(session, *jobs):
 @pytest.mark.parametrize("changes", [False, True])
 def test_the_end_waits_for_a_job_and_takes_its_result_in(session, changes):
     (job,) = at_work(session, HeldJob())
-    session.leave()
+    session.request_quit()
     question = session.questions.present
     assert question.title == "Work goes on" and "Make it rainy" in question.text and not session.is_leaving
     assert question.progress().fraction == 0.4
@@ -414,7 +414,7 @@ def test_the_end_waits_for_a_job_and_takes_its_result_in(session, changes):
 def test_stopping_a_job_goes_on_with_the_end(session):
     jobs = at_work(session, HeldJob(), HeldJob("Record clip.mp4", ends_with_scene=False))
     delete_every_third(session)
-    session.leave()
+    session.request_quit()
     assert "Make it rainy and Record clip.mp4 are" in session.questions.present.text
     answer(session, "Stop them")
     assert [job.state for job in jobs] == ["cancelled", "cancelled"]
@@ -425,22 +425,22 @@ def test_stopping_a_job_goes_on_with_the_end(session):
 
 def test_cancelling_leaves_window_and_job_as_they_are(session):
     (job,) = at_work(session, HeldJob())
-    session.leave()
+    session.request_quit()
     answer(session, "Cancel")
     assert (job.state, session.is_leaving, session.questions.present) == ("running", False, None)
-    session.leave()
+    session.request_quit()
     answer(session, "Wait")
     answer(session, "Cancel")
     job.state = "finished"
     settle(session)
     assert (session.is_leaving, session.questions.present) == (False, None)
-    session.leave()
+    session.request_quit()
     assert session.is_leaving
 
 
 def test_a_job_that_fails_while_it_is_waited_for_keeps_the_window_open(session):
     (job,) = at_work(session, HeldJob())
-    session.leave()
+    session.request_quit()
     answer(session, "Wait")
     job.fails = True
     settle(session)
@@ -469,11 +469,11 @@ def test_another_document_asks_about_jobs_that_end_with_this_one(session, tmp_pa
     settle(session)
     assert session.scene is not scene and (job.state, recording.state) == ("finished", "running")
     at_work(session, HeldJob())
-    session.leave()
+    session.request_quit()
     answer(session, "Stop them")
     assert session.is_leaving
 
 
 def test_every_kind_of_job_says_if_it_ends_with_its_scene():
-    kinds = SceneJob, FloaterJob, DriveJob, DriveFilmJob, TransferPreview, RecordingJob, TransferTraining
+    kinds = SceneJob, FloaterJob, SimulationJob, RolloutVideoJob, TransferPreviewJob, ExportJob, FinetuneJob
     assert [kind.ends_with_scene for kind in kinds] == [True] * 5 + [False] * 2

@@ -6,34 +6,34 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.editor.files import MOST, add_recent_file, forget_recent_file, recent_files
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.files import MAX_RECENT_FILES, add_recent_file, forget_recent_file, recent_files
 from gsrain_engine.editor.preferences import Preferences, load_preferences, preferences_file, save_preferences
 
 
 def test_preferences_come_back():
     assert load_preferences() == (Preferences(), None)
-    session = Session()
-    session.prefer(theme="light", font_scale=1.5)
+    session = Editor()
+    session.set_preference(theme="light", font_scale=1.5)
     assert session.preferences.font_scale == 1.5
     session.close()  # writes what is still to be written
-    again = Session()
+    again = Editor()
     assert (again.preferences.theme, again.preferences.font_scale) == ("light", 1.5)
     again.close()
 
 
 def test_two_windows_keep_each_others_preferences():
-    first, second = Session(), Session()
-    first.prefer(theme="light")
-    second.prefer(autosave_s=60.0)
+    first, second = Editor(), Editor()
+    first.set_preference(theme="light")
+    second.set_preference(autosave_s=60.0)
     first.close()
     second.close()
     assert load_preferences()[0] == Preferences(theme="light", autosave_s=60.0)
 
 
 def test_what_is_out_of_bounds_is_told_and_not_taken():
-    session = Session()
-    session.prefer(font_scale=100.0)
+    session = Editor()
+    session.set_preference(font_scale=100.0)
     assert "<= 3.0 - at `$.font_scale`" in session.problem
     assert session.preferences.font_scale == 1.0
     with pytest.raises(msgspec.ValidationError):
@@ -45,12 +45,12 @@ def test_what_is_out_of_bounds_is_told_and_not_taken():
 def test_a_bad_file_is_told_once_and_kept(text):
     preferences_file().parent.mkdir(parents=True)
     preferences_file().write_text(text)
-    session = Session()
+    session = Editor()
     assert str(preferences_file()) in session.questions.present.text
     assert session.preferences == Preferences()
     assert preferences_file().with_name("preferences.bad.yaml").read_text() == text
     session.close()
-    again = Session()
+    again = Editor()
     assert again.questions.present is None
     again.close()
 
@@ -62,11 +62,11 @@ def test_a_newer_programs_preferences_are_passed_over():
 
 
 def test_recent_files_are_the_latest_first_and_few():
-    for n in range(MOST + 3):
+    for n in range(MAX_RECENT_FILES + 3):
         add_recent_file(Path(f"/scenes/{n}"))
     add_recent_file(Path("/scenes/5"))
-    assert [path.name for path in recent_files()[:3]] == ["5", str(MOST + 2), str(MOST + 1)]
-    assert len(recent_files()) == MOST
+    assert [path.name for path in recent_files()[:3]] == ["5", str(MAX_RECENT_FILES + 2), str(MAX_RECENT_FILES + 1)]
+    assert len(recent_files()) == MAX_RECENT_FILES
     assert Path("/scenes/5") not in forget_recent_file(Path("/scenes/5"))
 
 

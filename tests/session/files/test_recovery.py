@@ -4,7 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from gsrain_engine.editor.autosave import beside
+from gsrain_engine.editor.autosave import autosave_folder
 from gsrain_engine.scene.formats.scene_files import read_scene
 from session.files.open_document import answer, delete_every_third, keep_now, names_in, settle
 from small_scene import small_scene
@@ -23,29 +23,29 @@ def test_an_autosave_that_fails_is_told_once_and_tried_again(session, home, monk
         keep_now(session)
         assert session.problem is None
     keep_now(session)
-    assert (beside(home) / "scene" / "scene.json").exists()
+    assert (autosave_folder(home) / "scene" / "scene.json").exists()
     session.files.give_up()
 
 
 def test_an_autosave_comes_in_time_and_goes_with_a_save(session, home):
     session.update(0.0)
     keep_now(session)
-    assert not beside(home).exists()  # nothing has changed
+    assert not autosave_folder(home).exists()  # nothing has changed
     session.files.save()
     settle(session)
     deleted = delete_every_third(session)
     session.update(0.0)
     settle(session)
-    assert not beside(home).exists()  # not yet
+    assert not autosave_folder(home).exists()  # not yet
     keep_now(session)
-    kept = beside(home) / "scene"
+    kept = autosave_folder(home) / "scene"
     assert read_scene(kept).members[0].marks.deleted.same_as(deleted)
     assert read_scene(home).members[0].marks.deleted is None
     linked = set(names_in(kept).values()) & set(names_in(home).values())
     assert len(linked) == 3  # the PLY files have a second name instead of a copy
     session.files.save()
     settle(session)
-    assert not beside(home).exists()
+    assert not autosave_folder(home).exists()
 
 
 def test_an_autosave_of_a_scene_without_folder_is_kept_in_the_state_folder(sessions, tmp_path):
@@ -73,7 +73,7 @@ def test_closing_without_an_answer_loses_nothing(sessions, home, session):
     again.files.save()
     settle(again)
     assert read_scene(home).members[0].marks.deleted is not None
-    assert not beside(home).exists()
+    assert not autosave_folder(home).exists()
 
 
 def test_discard_and_later(sessions, home, session):
@@ -86,9 +86,9 @@ def test_discard_and_later(sessions, home, session):
     answer(later, "Later")
     assert later.scene.members[0].marks.deleted is None
     delete_every_third(later)
-    before = names_in(beside(home))
+    before = names_in(autosave_folder(home))
     keep_now(later)
-    assert names_in(beside(home)) == before  # what was put off is not overwritten
+    assert names_in(autosave_folder(home)) == before  # what was put off is not overwritten
     later.files.give_up()
     later.close()
     again = sessions()
@@ -97,13 +97,13 @@ def test_discard_and_later(sessions, home, session):
     answer(again, "Discard")
     assert again.questions.present is None
     again.close()
-    assert not beside(home).exists()
+    assert not autosave_folder(home).exists()
 
 
 def test_an_autosave_of_a_living_session_is_not_offered_and_not_overwritten(sessions, home, session):
     delete_every_third(session)
     keep_now(session)
-    before = names_in(beside(home))
+    before = names_in(autosave_folder(home))
     other = sessions()
     other.files.offer_recovery()
     other.open(str(home))
@@ -113,7 +113,7 @@ def test_an_autosave_of_a_living_session_is_not_offered_and_not_overwritten(sess
     assert other.questions.present is None
     other.change_rain("Intensity", intensity_mm_h=3.0)
     keep_now(other)
-    assert names_in(beside(home)) == before
+    assert names_in(autosave_folder(home)) == before
     other.files.give_up()
 
 
@@ -154,11 +154,11 @@ def test_closing_it_here_goes_to_an_empty_scene(sessions, home, session):
 
 def test_an_autosave_that_was_never_whole_stands_in_nobody_s_way(session, home, tmp_path):
     """A process was killed in its first autosave: there is nothing to recover, and the place is free."""
-    beside(home).mkdir()
-    (beside(home) / "autosave.json").write_text('{"name": "crossing"}')
-    (beside(home) / ".scene.01dc11b5.part").mkdir()
+    autosave_folder(home).mkdir()
+    (autosave_folder(home) / "autosave.json").write_text('{"name": "crossing"}')
+    (autosave_folder(home) / ".scene.01dc11b5.part").mkdir()
     delete_every_third(session)
     keep_now(session)
-    assert sorted(each.name for each in beside(home).iterdir()) == ["autosave.json", "scene"]
+    assert sorted(each.name for each in autosave_folder(home).iterdir()) == ["autosave.json", "scene"]
     assert not (tmp_path / "state" / "gsrain" / "unsaved").exists()
     session.files.give_up()

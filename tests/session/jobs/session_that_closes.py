@@ -7,15 +7,17 @@ import sys
 from multiprocessing.connection import wait
 from pathlib import Path
 
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.editor.jobs.training import Reconstruction
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.jobs.training import ReconstructionJobKind
 from gsrain_engine.training.settings import TrainingSettings
 
 
 def main(capture: str) -> None:
     """Do as the module says; prints the worker's number when it trains."""
-    session = Session()
-    session.start_task(Reconstruction(Path(capture), TrainingSettings(steps=100_000, gaussians=1500, device="cpu")))
+    session = Editor()
+    session.start_task(
+        ReconstructionJobKind(Path(capture), TrainingSettings(steps=100_000, gaussians=1500, device="cpu"))
+    )
     (job,) = session.jobs
     while job.state == "running" and not job.progress.message.startswith("Step"):
         session.update(0.0)

@@ -11,7 +11,7 @@ import psutil
 import pytest
 
 from gsrain_engine.editor.jobs import process
-from gsrain_engine.editor.jobs.process import Job, SharedPicture
+from gsrain_engine.editor.jobs.process import SharedImage, WorkerProcess
 from gsrain_engine.scene.progress import Progress
 
 
@@ -71,7 +71,7 @@ def finish(job):
 
 
 def test_a_job_reports_and_leaves_its_result(tmp_path):
-    job = Job("Count", counting, tmp_path / "result", 3)
+    job = WorkerProcess("Count", counting, tmp_path / "result", 3)
     finish(job)
     assert job.state == "finished"
     assert job.progress.fraction == 1
@@ -87,7 +87,7 @@ def test_a_job_reports_and_leaves_its_result(tmp_path):
     ],
 )
 def test_a_failing_job_has_one_line_and_a_traceback(kind, told):
-    job = Job("Fail", failing, kind)
+    job = WorkerProcess("Fail", failing, kind)
     finish(job)
     assert (job.state, job.error) == ("failed", told)
     assert "in failing" in job.details
@@ -97,20 +97,20 @@ def test_a_failing_job_has_one_line_and_a_traceback(kind, told):
 def test_what_can_t_be_started_leaves_no_shared_memory(monkeypatch):
     made = []
 
-    class Recorded(SharedPicture):
+    class Recorded(SharedImage):
         def __init__(self):
             super().__init__()
             made.append(self.name)
 
-    monkeypatch.setattr(process, "SharedPicture", Recorded)
+    monkeypatch.setattr(process, "SharedImage", Recorded)
     with pytest.raises(AttributeError, match="pickle"):
-        Job("Local", counting, lambda: None)
+        WorkerProcess("Local", counting, lambda: None)
     with pytest.raises(FileNotFoundError):
         SharedMemory(made[0])
 
 
 def test_a_dead_worker_is_a_failed_job():
-    job = Job("Die", dying)
+    job = WorkerProcess("Die", dying)
     finish(job)
     assert job.state == "failed"
     assert "the worker was killed" in job.error
@@ -119,7 +119,7 @@ def test_a_dead_worker_is_a_failed_job():
 
 
 def test_missing_memory_is_told_in_a_sentence():
-    job = Job("Hungry", hungry)
+    job = WorkerProcess("Hungry", hungry)
     finish(job)
     assert job.state == "failed"
     assert job.error.startswith("the machine ran out of memory: close other programs")
@@ -128,7 +128,7 @@ def test_missing_memory_is_told_in_a_sentence():
 
 
 def test_the_newest_picture_arrives_and_stays():
-    job = Job("Show", showing)
+    job = WorkerProcess("Show", showing)
     finish(job)
     assert job.progress.preview.shape == (40, 30, 3)
     assert (job.progress.preview == 30).all()
@@ -136,7 +136,7 @@ def test_the_newest_picture_arrives_and_stays():
 
 
 def test_a_large_picture_arrives_smaller():
-    job = Job("Paint", painting_large)
+    job = WorkerProcess("Paint", painting_large)
     finish(job)
     height, width = job.progress.preview.shape[:2]
     assert width * height <= 1024 * 768
@@ -146,8 +146,8 @@ def test_a_large_picture_arrives_smaller():
 
 
 def test_two_slots_never_show_half_a_picture():
-    ours = SharedPicture()
-    theirs = SharedPicture(ours.name)
+    ours = SharedImage()
+    theirs = SharedImage(ours.name)
     assert ours.take() is None
     for value in (1, 2, 3):
         theirs.write(np.full((8, 6, 3), value, np.uint8))
@@ -163,14 +163,14 @@ def test_two_slots_never_show_half_a_picture():
 
 @pytest.mark.skipif(not psutil.POSIX, reason="niceness is POSIX's")
 def test_workers_come_after_the_window(tmp_path):
-    job = Job("Nice", telling_its_niceness, tmp_path / "nice")
+    job = WorkerProcess("Nice", telling_its_niceness, tmp_path / "nice")
     finish(job)
     assert int((tmp_path / "nice").read_text()) > psutil.Process().nice()
     job.close()
 
 
 def test_cancel_ends_the_process_within_a_second_wherever_it_is():
-    job = Job("Deaf", deaf)
+    job = WorkerProcess("Deaf", deaf)
     while job.progress.message != "multiplying":
         wait_for([job.waitable], timeout=30)
         job.poll()
@@ -183,7 +183,7 @@ def test_cancel_ends_the_process_within_a_second_wherever_it_is():
 
 
 def test_cancel_stops_a_job_that_would_go_on_for_ever():
-    job = Job("Endless", endless)
+    job = WorkerProcess("Endless", endless)
     wait_for([job.waitable], timeout=30)
     job.poll()
     job.cancel()
@@ -195,7 +195,7 @@ def test_cancel_stops_a_job_that_would_go_on_for_ever():
 
 @pytest.mark.parametrize("times", [1, 2])
 def test_cancel_may_come_at_once_and_twice(times):
-    job = Job("Endless", endless)
+    job = WorkerProcess("Endless", endless)
     for _ in range(times):
         job.cancel()
     assert job.state == "cancelled"

@@ -11,9 +11,9 @@ import numpy as np
 import psutil
 import pytest
 
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.editor.jobs.job import Assignment, SceneJob
-from gsrain_engine.editor.viewport_state import StagedScene
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.jobs.job import SceneJob, WorkerCall
+from gsrain_engine.editor.viewport_state import PendingScene
 from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.formats.scene_folder import write_scene_folder
 from gsrain_engine.scene.progress import Progress
@@ -48,7 +48,7 @@ class Growing:
 
     def prepare(self, folder):
         self.folder = folder
-        return Assignment(self.work, (folder, 3))
+        return WorkerCall(self.work, (folder, 3))
 
     def snapshot(self, folder):
         newest = max((int(each.name) for each in folder.iterdir() if each.name.isdigit()), default=0)
@@ -61,12 +61,12 @@ class Growing:
         return read_scene(folder / "3")
 
     def staged(self, scene):
-        return StagedScene("Grow", scene, is_whole=self.is_whole)
+        return PendingScene("Grow", scene, is_whole=self.is_whole)
 
 
 @pytest.fixture
 def session():
-    opened = Session(small_scene())
+    opened = Editor(small_scene())
     yield opened
     opened.close()
 
@@ -157,11 +157,11 @@ def test_a_failed_worker_says_why_and_leaves_no_file(session):
 
 
 def test_closing_the_session_ends_the_worker_and_leaves_nothing_behind():
-    session, task = Session(small_scene()), Growing()
+    session, task = Editor(small_scene()), Growing()
     job = SceneJob(task, session._files)
     session.start(job)
     follow(session, job, until=lambda: "Grow" in session.history.labels)
-    process, picture = psutil.Process(job._worker._process.pid), job._worker._picture.name
+    process, picture = psutil.Process(job._worker._process.pid), job._worker._image.name
     session.close()
     assert job.state == "cancelled"
     assert not process.is_running()
@@ -171,7 +171,7 @@ def test_closing_the_session_ends_the_worker_and_leaves_nothing_behind():
 
 
 def test_closing_the_session_before_the_worker_starts_leaves_no_file():
-    session, task = Session(small_scene()), Growing()
+    session, task = Editor(small_scene()), Growing()
     job = SceneJob(task, session._files)
     session.start(job)
     session.close()

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from appearance.matching.street_views import made_view
-from gsrain_engine.appearance.correspondence import COLORS, Outcome, correspondence
-from gsrain_engine.datasets.capture import Capture, View
+from gsrain_engine.appearance.correspondence import COLORS, MatchOutcome, correspondence
+from gsrain_engine.datasets.capture import Capture, CaptureFrame
 from gsrain_engine.datasets.capture_folder import write_views
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.editor.matching import neighbour
-from gsrain_engine.editor.matching_image import MatchableViews, MatchedViews, flow_lines, matching_picture, shares
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.matching import neighbor_view
+from gsrain_engine.editor.matching_image import MatchableViews, MatchedViews, flow_lines, matching_image, outcome_shares
 from gsrain_engine.scene.camera import Camera, look_at
 from small_scene import small_scene
 
@@ -32,7 +32,7 @@ def deep_capture(moments=3) -> Capture:
             across = depth * rays[..., 1]
             image = np.repeat((120 + 80 * np.sin(across))[..., None], 3, axis=2).astype(np.uint8)
             views.append(
-                View(
+                CaptureFrame(
                     f"{sensor}_{k}", camera, image, 0.1 * k, sensor, depth_source=depth.astype(np.float32),
                     sky_source=np.zeros((64, 96), bool),
                 )
@@ -49,7 +49,7 @@ def written(tmp_path):
 
 @pytest.fixture
 def session():
-    session = Session(small_scene())
+    session = Editor(small_scene())
     session.clock.playing = False
     yield session
     session.close()
@@ -74,17 +74,17 @@ def test_recorded_views_are_matched_with_the_one_that_is_asked_for(session, writ
     matching.is_on = True
     captures.look_from(session, 2)  # front_1
     _until(session, lambda: matching.shown is not None)
-    assert matching.shown.wish[2:4] == (2, 4)
+    assert matching.shown.request[2:4] == (2, 4)
     assert matching.shown.matched.to.name == "front_2"
     np.testing.assert_array_equal(matching.shown.camera.position, captures.cameras(session.scene)[2].position)
-    assert 0.6 < matching.shown.shares[Outcome.MATCHED] < 0.95
+    assert 0.6 < matching.shown.shares[MatchOutcome.MATCHED] < 0.95
     picture = matching.picture
     assert picture is matching.picture
     matching.mode = "pixels"
     assert matching.picture is not picture
 
     matching.against = "beside"
-    _until(session, lambda: matching.shown is not None and matching.shown.wish.to == 3)
+    _until(session, lambda: matching.shown is not None and matching.shown.request.to == 3)
     captures.look_from(session, 4)
     matching.against = "next"
     session.update(0.001)
@@ -103,7 +103,7 @@ def test_the_live_view_is_matched_by_the_scenes_depth(session, written):
     captures.chosen, captures.in_scene_axes, matching.is_on = 0, True, True
     session.navigation.look_like(captures.cameras(session.scene)[2])
     _until(session, lambda: matching.shown is not None)
-    assert matching.shown.wish.of is None
+    assert matching.shown.request.of is None
     assert matching.shown.matched.to.name == "front_0"
     assert matching.shown.matched.found.valid.any()
     captures.in_scene_axes = False
@@ -124,14 +124,14 @@ def test_views_without_depth_take_that_of_the_scene():
 
 def test_neighbours_are_those_a_person_would_name():
     capture = deep_capture()
-    assert neighbour(capture, 2, "next", 0) == 4
-    assert neighbour(capture, 2, "previous", 0) == 0
-    assert neighbour(capture, 0, "previous", 0) is None
-    assert neighbour(capture, 2, "beside", 0) == 3
-    assert neighbour(capture, 2, "chosen", 5) == 5
-    assert neighbour(capture, 2, "chosen", 2) is None
+    assert neighbor_view(capture, 2, "next", 0) == 4
+    assert neighbor_view(capture, 2, "previous", 0) == 0
+    assert neighbor_view(capture, 0, "previous", 0) is None
+    assert neighbor_view(capture, 2, "beside", 0) == 3
+    assert neighbor_view(capture, 2, "chosen", 5) == 5
+    assert neighbor_view(capture, 2, "chosen", 2) is None
     alone = replace(capture, views=capture.views[::2])
-    assert neighbour(alone, 0, "beside", 0) is None
+    assert neighbor_view(alone, 0, "beside", 0) is None
 
 
 def _pair(car=0.0):
@@ -148,19 +148,19 @@ def _pair(car=0.0):
 
 def test_pictures_show_the_other_view_the_difference_or_reasons():
     matched = _pair(car=1.0)
-    found = shares(matched)
-    assert found[Outcome.MATCHED] == pytest.approx(44 / 60)
-    assert found[Outcome.MOVING] == pytest.approx(10 / 60)
-    assert found[Outcome.OUTSIDE] == pytest.approx(6 / 60)
-    other = matching_picture(matched, "picture")
+    found = outcome_shares(matched)
+    assert found[MatchOutcome.MATCHED] == pytest.approx(44 / 60)
+    assert found[MatchOutcome.MOVING] == pytest.approx(10 / 60)
+    assert found[MatchOutcome.OUTSIDE] == pytest.approx(6 / 60)
+    other = matching_image(matched, "picture")
     assert tuple(other[20, 20]) == (0, 0, 255, 255)
     assert tuple(other[20, 2]) == (0, 0, 0, 166)
     assert 0 < other[20, 45, 3] < 255
-    difference = matching_picture(matched, "difference")
+    difference = matching_image(matched, "difference")
     assert difference[20, 20, :3].min() > 180  # red and blue differ by more than the scale has
-    reasons = matching_picture(matched, "pixels")
-    np.testing.assert_allclose(reasons[20, 20, :3] / 255, COLORS[Outcome.MATCHED], atol=0.01)
-    np.testing.assert_allclose(reasons[20, 45, :3] / 255, COLORS[Outcome.MOVING], atol=0.01)
+    reasons = matching_image(matched, "pixels")
+    np.testing.assert_allclose(reasons[20, 20, :3] / 255, COLORS[MatchOutcome.MATCHED], atol=0.01)
+    np.testing.assert_allclose(reasons[20, 45, :3] / 255, COLORS[MatchOutcome.MOVING], atol=0.01)
 
 
 def test_lines_lead_to_where_pixels_are_in_the_other_view():

@@ -7,23 +7,23 @@ import pytest
 
 from gsrain_engine.disdrometer.netcdf import write_spectra
 from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.editor.rain import RainLab, compare_calibration, use_calibration, use_fitted_calibration
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.rain import CalibrationTools, compare_calibration, use_calibration, use_fitted_calibration
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.settings import Rain
-from gsrain_engine.rain.simulation import Rainfall
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.simulation import RainSimulation
 from measured_rain import measured_rain
 from parsivel_text import rain, velocity_major
 
 
 @pytest.fixture
 def lab():
-    lab = RainLab()
+    lab = CalibrationTools()
     yield lab
     lab.close()
 
 
-def wait(lab: RainLab) -> None:
+def wait(lab: CalibrationTools) -> None:
     while lab._task is not None:
         lab._task.result.exception(timeout=120)
         lab.poll()
@@ -31,9 +31,9 @@ def wait(lab: RainLab) -> None:
 
 def test_the_rain_carries_what_was_asked_for(lab):
     lab.area_m2, lab.seconds = 0.2, 90.0
-    lab.measure(Rain(intensity_mm_h=8.5))
+    lab.measure(RainSettings(intensity_mm_h=8.5))
     assert "90 s" in lab.busy
-    lab.measure(Rain(intensity_mm_h=1.0))  # one at a time: this one is not begun
+    lab.measure(RainSettings(intensity_mm_h=1.0))  # one at a time: this one is not begun
     wait(lab)
     assert lab.problem is None
     assert len(lab.counted.counts) == 2
@@ -43,7 +43,7 @@ def test_the_rain_carries_what_was_asked_for(lab):
 
 def test_what_goes_wrong_is_one_sentence_and_the_last_result_stays(lab, tmp_path):
     lab.area_m2 = 1e6
-    lab.measure(Rain(intensity_mm_h=8.5))
+    lab.measure(RainSettings(intensity_mm_h=8.5))
     wait(lab)
     assert "area" in lab.problem
     bad = tmp_path / "bad.txt"
@@ -89,9 +89,9 @@ def test_a_fit_is_kept_and_used(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
     times = 60.0 * np.arange(9)
     for number, intensity in enumerate((2.0, 8.5)):
-        instrument = VirtualDisdrometer(Rainfall.start(Rain(intensity_mm_h=intensity)), 1.0)
+        instrument = VirtualDisdrometer(RainSimulation.start(RainSettings(intensity_mm_h=intensity)), 1.0)
         write_spectra(tmp_path / f"rain{number}.nc", instrument.measure(times).spectra)
-    session = Session(rain=Rain(intensity_mm_h=8.5))
+    session = Editor(rain=RainSettings(intensity_mm_h=8.5))
     session.lab.fit([tmp_path / "rain0.nc", tmp_path / "rain1.nc"])
     wait(session.lab)
     assert session.lab.problem is None
@@ -100,14 +100,14 @@ def test_a_fit_is_kept_and_used(tmp_path, monkeypatch):
     assert session.rain.calibration in session.lab.calibrations
     kept = load_calibration(session.rain.calibration)
     # Simulated by the published table with its density closed: the fit finds that table's sizes again.
-    assert kept.rows[-1].shape == pytest.approx(session.lab.beside.rows[1].shape, rel=0.1)
+    assert kept.rows[-1].shape == pytest.approx(session.lab.pass_file.rows[1].shape, rel=0.1)
     session.undo()
     assert session.rain.calibration == "published"
     session.close()
 
 
 def test_calibrations_that_are_not_there_are_told(tmp_path):
-    session = Session()
+    session = Editor()
     use_calibration(session, session.lab, str(tmp_path / "none.yaml"))
     assert "none.yaml" in session.problem
     assert session.rain.calibration == "published"

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.rain_regions import FaceHandle, FacePull, face_handles, frustum_lines, inset_shot
-from gsrain_engine.rain.settings import HAZE_REGION, STREAK_REGION, Box
+from gsrain_engine.editor.rain_regions import BoxFaceDrag, FaceHandle, face_handles, frustum_lines, inset_view
+from gsrain_engine.rain.settings import HAZE_REGION, STREAK_REGION, RegionBox
 from gsrain_engine.scene.camera import Camera, look_at
 
 UP = np.array([0.0, 0, 1])
@@ -25,7 +25,7 @@ def project(camera, point):
 
 @pytest.mark.parametrize("box", [STREAK_REGION, HAZE_REGION])
 def test_from_outside_every_face_has_its_handle_in_its_middle(box):
-    camera = inset_shot(box, anchor(), 240, 170).camera
+    camera = inset_view(box, anchor(), 240, 170).camera
     handles = face_handles(box, anchor(), camera, inset=0.0)
     assert len(handles) == 6
     for handle in handles:
@@ -55,9 +55,9 @@ def test_from_inside_handles_stand_on_what_is_seen():
 @pytest.mark.parametrize("face", [(0, False), (0, True), (1, False), (1, True), (2, False), (2, True)])
 def test_a_face_follows_the_mouse_along_its_normal(face):
     """Pulled to where a point 0.8 m farther out is seen, the face stands there; the others stay."""
-    camera = inset_shot(STREAK_REGION, anchor(), 240, 170).camera
+    camera = inset_view(STREAK_REGION, anchor(), 240, 170).camera
     (handle,) = [each for each in face_handles(STREAK_REGION, anchor(), camera, inset=0.0) if each.face == face]
-    pull = FacePull(handle, STREAK_REGION, "streak_region", camera, project(camera, handle.point_m))
+    pull = BoxFaceDrag(handle, STREAK_REGION, "streak_region", camera, project(camera, handle.point_m))
     pulled = pull.pulled(*project(camera, handle.point_m + 0.8 * handle.normal))
     axis, upper = face
     expected = {"minimum_m": list(STREAK_REGION.minimum_m), "maximum_m": list(STREAK_REGION.maximum_m)}
@@ -72,22 +72,22 @@ def test_a_face_seen_end_on_moves_with_the_mouses_height():
     camera = Camera.from_fov(960, 640, 50.0, look_at(eye, eye + anchor()[:3, 0], UP))
     (front,) = [each for each in face_handles(STREAK_REGION, anchor(), camera) if each.face == (0, True)]
     middle = FaceHandle(0, True, eye + 5.0 * anchor()[:3, 0], front.normal)
-    pull = FacePull(middle, STREAK_REGION, "streak_region", camera, (480.0, 320.0))
+    pull = BoxFaceDrag(middle, STREAK_REGION, "streak_region", camera, (480.0, 320.0))
     assert pull.is_end_on
     assert pull.pulled(480.0, 256.0).maximum_m[0] == pytest.approx(6.0)
     assert pull.pulled(480.0, 384.0).maximum_m[0] == pytest.approx(4.0)
 
 
 def test_no_pull_turns_a_region_inside_out_or_makes_it_too_large():
-    camera = inset_shot(STREAK_REGION, anchor(), 240, 170).camera
+    camera = inset_view(STREAK_REGION, anchor(), 240, 170).camera
     top = next(each for each in face_handles(STREAK_REGION, anchor(), camera, inset=0.0) if each.face == (2, True))
-    pull = FacePull(top, STREAK_REGION, "streak_region", camera, project(camera, top.point_m))
+    pull = BoxFaceDrag(top, STREAK_REGION, "streak_region", camera, project(camera, top.point_m))
     x, y = pull.start_px
     assert pull.pulled(x, y + 500).size_m[2] == pytest.approx(0.1)
     largest = pull.pulled(x, y - 160)
     assert STREAK_REGION.volume_m3 < largest.volume_m3 <= 5_000.5
-    huge = Box(minimum_m=(-50.0, -50.0, 0.0), maximum_m=(50.0, 50.0, 10.0))
-    pull = FacePull(top, huge, "streak_region", camera, pull.start_px)
+    huge = RegionBox(minimum_m=(-50.0, -50.0, 0.0), maximum_m=(50.0, 50.0, 10.0))
+    pull = BoxFaceDrag(top, huge, "streak_region", camera, pull.start_px)
     assert pull.pulled(x, y - 100) == huge  # what was typed stays; it can be made smaller
     assert pull.pulled(x, y + 1).maximum_m[2] < 10.0
 

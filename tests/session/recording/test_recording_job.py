@@ -12,8 +12,8 @@ from PIL import Image
 
 from app.main import run
 from gsrain_engine.editor.autosave import saved_scene
-from gsrain_engine.editor.editor import Session
-from gsrain_engine.rain.settings import Rain
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
@@ -21,7 +21,7 @@ from small_scene import small_scene
 
 @pytest.fixture
 def session():
-    session = Session(small_scene(), Rain(intensity_mm_h=8.5))
+    session = Editor(small_scene(), RainSettings(intensity_mm_h=8.5))
     yield session
     session.close()
 
@@ -86,7 +86,7 @@ def test_the_window_s_recording_is_that_of_the_command_line(session, tmp_path, c
 def test_so_is_that_of_a_project_that_was_opened_again(session, tmp_path):
     project = tmp_path / "project"
     write_scene(saved_scene(session), project, in_drawing_order=True)
-    again = Session()
+    again = Editor()
     try:
         open_now(again, project)
         assert again.rain.intensity_mm_h == 8.5
@@ -165,7 +165,7 @@ def test_what_goes_wrong_is_one_sentence(session, tmp_path):
     assert "even width and height, got 95x64" in session.problem
     session.recorder.change(motion_blur=1000)
     assert "<= 64 - at `$.motion_blur`" in session.problem
-    assert session.recorder.wanted.motion_blur == 1
+    assert session.recorder.settings.motion_blur == 1
 
 
 def test_extent_says_how_much_it_is(session):

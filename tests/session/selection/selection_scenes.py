@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gsrain_engine.render.draw import Shot
+from gsrain_engine.render.draw import RenderView
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.scene import Layer, Scene
@@ -36,7 +36,7 @@ def cloud(count=300, seed=0):
 def shot_at(eye=(0.0, -12, 3), target=(0.0, 0, 0)):
     """A small picture of what is around the origin."""
     matrix = look_at(np.array(eye, float), np.array(target, float), np.array([0.0, 0, 1]))
-    return Shot(Camera.from_fov(WIDTH, HEIGHT, 60.0, matrix))
+    return RenderView(Camera.from_fov(WIDTH, HEIGHT, 60.0, matrix))
 
 
 def two_walls(steps=16):

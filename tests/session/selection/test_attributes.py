@@ -7,13 +7,13 @@ from gsrain_engine.editor.selection.attributes import (
     ATTRIBUTES,
     BINS,
     AttributeHistogram,
-    in_range,
+    attribute_inputs,
     layer_names,
     read_attribute,
-    readings,
+    select_attribute_range,
 )
-from gsrain_engine.editor.selection.candidates import all_selected, base_colors, combined
-from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.editor.selection.candidates import all_selected, base_colors, combine_selection
+from gsrain_engine.scene.flags import BitMask, SelectionFlags
 
 from .selection_scenes import cloud, pixels_of, shot_at, world_means
 
@@ -23,7 +23,7 @@ KEY = "layers/turned"
 @pytest.fixture
 def values():
     scene, shot = cloud(), shot_at()
-    read = readings(scene, 0.0, shot.camera)[KEY]
+    read = attribute_inputs(scene, 0.0, shot.camera)[KEY]
     return scene, shot, {name: read_attribute(name, read) for name in ATTRIBUTES}
 
 
@@ -57,7 +57,7 @@ def test_height_is_above_the_ground_where_that_is_known():
 
     scene, camera = cloud(), shot_at().camera
     raised = replace(scene, ground_m=1.5)
-    heights = [read_attribute("height", readings(each, 0.0, camera)[KEY]) for each in (scene, raised)]
+    heights = [read_attribute("height", attribute_inputs(each, 0.0, camera)[KEY]) for each in (scene, raised)]
     assert heights[0] - heights[1] == pytest.approx(np.full(300, 1.5), abs=1e-5)
 
 
@@ -65,7 +65,7 @@ def test_height_is_above_the_ground_where_that_is_known():
 def test_a_range_takes_what_lies_in_it(values, name):
     scene, shot, read = values
     low, high = np.quantile(read[name], (0.2, 0.6)).tolist()
-    mask = in_range(scene, 0.0, shot.camera, name, low, high)[KEY]
+    mask = select_attribute_range(scene, 0.0, shot.camera, name, low, high)[KEY]
     assert np.array_equal(mask.flags, (read[name] >= low) & (read[name] <= high))
     assert mask.size > 0
 
@@ -73,16 +73,18 @@ def test_a_range_takes_what_lies_in_it(values, name):
 @pytest.mark.parametrize("name", ATTRIBUTES)
 def test_histogram_counts_what_is_shown_and_what_is_selected(name):
     shot = shot_at()
-    hidden = Mask.of(np.arange(300) < 40)
-    scene = all_selected(cloud()).with_member("layers/plain", marks=Marks(hidden=hidden))
+    hidden = BitMask.of(np.arange(300) < 40)
+    scene = all_selected(cloud()).with_member("layers/plain", marks=SelectionFlags(hidden=hidden))
     histogram = AttributeHistogram().of(scene, shot, name)
     assert histogram.shown.sum() == 560
     assert histogram.selected.sum() == 300
     low, high = float(histogram.edges[BINS // 4]), float(histogram.edges[BINS // 2])
-    found = in_range(scene, 0.0, shot.camera, name, low, high)
+    found = select_attribute_range(scene, 0.0, shot.camera, name, low, high)
     expected = found[KEY].size + (found["layers/plain"] - hidden).size
     assert histogram.count_within(low, high) == pytest.approx(expected, abs=3)
-    everything = in_range(scene, 0.0, shot.camera, name, *histogram.opened(histogram.edges[0], histogram.edges[-1]))
+    everything = select_attribute_range(
+        scene, 0.0, shot.camera, name, *histogram.opened(histogram.edges[0], histogram.edges[-1])
+    )
     assert everything[KEY].size == 300
 
 
@@ -99,7 +101,7 @@ def test_histogram_is_made_again_only_when_something_changes():
     depth = histogram.of(scene, shot, "depth")
     assert histogram.of(scene, shot, "depth") is depth
     assert not np.array_equal(histogram.of(scene, shot_at((3.0, -9, 1)), "depth").edges, depth.edges)
-    chosen = combined(scene, {KEY: Mask.of(np.arange(300) < 11)}, "set")
+    chosen = combine_selection(scene, {KEY: BitMask.of(np.arange(300) < 11)}, "set")
     assert histogram.of(chosen, shot, "opacity").selected.sum() == 11
 
 

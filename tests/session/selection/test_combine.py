@@ -7,14 +7,14 @@ from hypothesis import strategies as st
 
 from gsrain_engine.editor.selection.candidates import (
     all_selected,
-    combined,
+    combine_selection,
     inverted,
     none_selected,
     selectable_count,
     selected,
     selected_count,
 )
-from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.scene.flags import BitMask, SelectionFlags
 
 from .selection_scenes import cloud
 
@@ -29,14 +29,14 @@ flags = st.lists(st.booleans(), min_size=N, max_size=N).map(np.array)
 
 
 def marked(key="layers/plain", **marks):
-    return cloud(N).with_member(key, marks=Marks(**{name: Mask.of(each) for name, each in marks.items()}))
+    return cloud(N).with_member(key, marks=SelectionFlags(**{name: BitMask.of(each) for name, each in marks.items()}))
 
 
 @settings(max_examples=30)
 @given(flags, flags, flags, flags, st.sampled_from(list(PUT_TOGETHER)))
 def test_modes_among_what_is_shown(now, found, hidden, deleted, mode):
     scene = marked(selected=now, hidden=hidden, deleted=deleted)
-    after = combined(scene, {"layers/plain": Mask.of(found)}, mode)
+    after = combine_selection(scene, {"layers/plain": BitMask.of(found)}, mode)
     shown_and_found = found & ~hidden & ~deleted
     assert np.array_equal(selected(after.member("layers/plain")).flags, PUT_TOGETHER[mode](now, shown_and_found))
     assert after.member("layers/plain").marks.hidden is scene.member("layers/plain").marks.hidden
@@ -61,7 +61,7 @@ def test_all_none_invert():
     assert not (selected(everything.layers[0]).flags & deleted).any()
     assert selected_count(inverted(everything)) == 0
     assert none_selected(everything).layers[0].marks.selected is None
-    half = combined(scene, {"layers/plain": Mask.of(np.arange(N) % 2 == 0)}, "set")
+    half = combine_selection(scene, {"layers/plain": BitMask.of(np.arange(N) % 2 == 0)}, "set")
     assert selected_count(inverted(half)) == selectable_count(scene) - selected_count(half)
     twice = inverted(inverted(half))
     assert all(selected(a).same_as(selected(b)) for a, b in zip(twice.layers, half.layers, strict=True))
@@ -70,12 +70,12 @@ def test_all_none_invert():
 def test_what_changes_nothing_is_the_very_same_scene():
     scene = all_selected(cloud(N))
     assert all_selected(scene) is scene
-    assert combined(scene, {}, "remove") is scene
+    assert combine_selection(scene, {}, "remove") is scene
     assert none_selected(cloud(N)).layers[0].marks.selected is None
 
 
 def test_set_lets_go_of_members_in_which_nothing_is_found():
     scene = all_selected(cloud(N))
-    after = combined(scene, {"layers/turned": Mask.of(np.arange(N) < 3)}, "set")
+    after = combine_selection(scene, {"layers/turned": BitMask.of(np.arange(N) < 3)}, "set")
     assert selected_count(after) == 3
     assert replace(after.layers[0]).marks.selected is None

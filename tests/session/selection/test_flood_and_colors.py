@@ -5,10 +5,10 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from gsrain_engine.editor.selection.candidates import alike, base_color, base_colors
-from gsrain_engine.editor.selection.volume import _connected, flooded
+from gsrain_engine.editor.selection.candidates import base_color, base_colors, select_similar_colors
+from gsrain_engine.editor.selection.volume import _connected, flood_select
 from gsrain_engine.scene.gaussians import SH_C0
-from gsrain_engine.scene.scene import Grading, Layer, Scene
+from gsrain_engine.scene.scene import ColorGrading, Layer, Scene
 from small_scene import patch
 
 from .selection_scenes import cloud, two_walls
@@ -18,7 +18,7 @@ def test_base_colors_are_graded_and_within_bounds():
     scene = cloud()
     part = scene.parts()[0]
     assert base_colors(part) == pytest.approx(np.clip(SH_C0 * part.gaussians.sh[:, 0] + 0.5, 0, 1), abs=1e-6)
-    grey = scene.with_member("layers/plain", grading=Grading(saturation=0.0)).parts()[0]
+    grey = scene.with_member("layers/plain", grading=ColorGrading(saturation=0.0)).parts()[0]
     assert np.ptp(base_colors(grey), axis=1).max() < 1e-5
     assert np.array_equal(base_color(grey, 7), base_colors(grey)[7])
 
@@ -26,15 +26,15 @@ def test_base_colors_are_graded_and_within_bounds():
 def test_alike_means_each_channel():
     scene = cloud()
     color = base_color(scene.parts()[0], 5)
-    for key, mask in alike(scene, 0.0, color, 0.2).items():
+    for key, mask in select_similar_colors(scene, 0.0, color, 0.2).items():
         difference = np.abs(base_colors(scene.part(scene.member(key))) - color).max(axis=1)
         assert np.array_equal(mask.flags, difference <= np.float32(0.2))
-    assert alike(scene, 0.0, color, 0.0)["layers/plain"].indices.tolist() == [5]
+    assert select_similar_colors(scene, 0.0, color, 0.0)["layers/plain"].indices.tolist() == [5]
 
 
 def test_alike_passes_locked_members_by():
     scene = cloud().with_member("layers/turned", locked=True)
-    assert set(alike(scene, 0.0, base_color(scene.parts()[0], 0), 1.0)) == {"layers/plain"}
+    assert set(select_similar_colors(scene, 0.0, base_color(scene.parts()[0], 0), 1.0)) == {"layers/plain"}
 
 
 @settings(max_examples=30)
@@ -59,7 +59,7 @@ def test_flood_stops_at_gaps_and_other_colors():
     scene = three_patches()
 
     def counts(tolerance, reach):
-        found = flooded(scene, 0.0, "layers/red", 30, tolerance, reach)
+        found = flood_select(scene, 0.0, "layers/red", 30, tolerance, reach)
         return {key.split("/")[1]: mask.size for key, mask in found.items()}
 
     assert counts(0.1, 2.0) == {"red": 144, "far": 0, "green": 0}
@@ -72,6 +72,6 @@ def test_flood_from_the_only_one_of_its_color_is_that_one():
     odd = scene.layers[0].gaussians.sh.copy()
     odd[3] = 1.7
     scene = scene.with_member("layers/front", gaussians=scene.layers[0].gaussians.with_sh(odd))
-    found = flooded(scene, 0.0, "layers/front", 3, 0.05, 2.0)
+    found = flood_select(scene, 0.0, "layers/front", 3, 0.05, 2.0)
     assert found["layers/front"].indices.tolist() == [3]
     assert found["layers/back"].size == 0

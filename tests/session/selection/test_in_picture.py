@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsrain_engine.editor.selection.screen import Reach, in_picture, rectangle, seen_shares
-from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.editor.selection.screen import DepthMode, rectangle, select_in_screen_shape, visible_shares
+from gsrain_engine.scene.flags import BitMask, SelectionFlags
 
 from .selection_scenes import HEIGHT, WIDTH, cloud, pixels_of, shot_at, two_walls, world_means
 
@@ -18,7 +18,7 @@ EVERYWHERE = np.ones((HEIGHT, WIDTH), bool)
 def test_centers_as_the_slow_way_finds_them(seed, eye, depth_m):
     scene, shot = cloud(seed=seed % 7), shot_at(eye)
     pixels = np.random.default_rng(seed).random((HEIGHT, WIDTH)) < 0.5
-    found = in_picture(scene, shot, pixels, Reach("to a depth", depth_m))
+    found = select_in_screen_shape(scene, shot, pixels, DepthMode("to a depth", depth_m))
     assert set(found) == {"layers/plain", "layers/turned"}
     for key, mask in found.items():
         u, v, z = pixels_of(world_means(scene, key), shot.camera).T
@@ -34,8 +34,8 @@ def test_centers_as_the_slow_way_finds_them(seed, eye, depth_m):
 def test_touching_takes_more_than_centers_and_nothing_far_away():
     scene, shot = two_walls(6), shot_at((0.0, -8, 0))
     strip = rectangle((40, 30), (44, 34), WIDTH, HEIGHT)
-    centers = in_picture(scene, shot, strip)["layers/front"]
-    touched = in_picture(scene, shot, strip, Reach(touching=True))["layers/front"]
+    centers = select_in_screen_shape(scene, shot, strip)["layers/front"]
+    touched = select_in_screen_shape(scene, shot, strip, DepthMode(touching=True))["layers/front"]
     assert touched.size > centers.size
     assert not (centers - touched)
     u, v, z = pixels_of(world_means(scene, "layers/front")[touched.indices], shot.camera).T
@@ -46,7 +46,9 @@ def test_touching_takes_more_than_centers_and_nothing_far_away():
 def test_front_most_leaves_what_is_behind_a_wall_alone():
     scene, shot = two_walls(), shot_at((0.0, -8, 0))
     middle = rectangle((34, 22), (62, 42), WIDTH, HEIGHT)  # well inside the front wall
-    through, front = (in_picture(scene, shot, middle, Reach(depths)) for depths in ("all through", "front-most"))
+    through, front = (
+        select_in_screen_shape(scene, shot, middle, DepthMode(depths)) for depths in ("all through", "front-most")
+    )
     assert through["layers/back"].size > 10
     assert front["layers/back"].size == 0
     assert front["layers/front"].size > 0.9 * through["layers/front"].size > 10
@@ -55,16 +57,16 @@ def test_front_most_leaves_what_is_behind_a_wall_alone():
 @pytest.mark.parametrize("marks", ["hidden", "deleted"])
 def test_front_most_sees_what_is_behind_a_wall_that_is_left_out(marks):
     scene, shot = two_walls(), shot_at((0.0, -8, 0))
-    everything = Mask.all(len(scene.layers[0].gaussians))
-    scene = scene.with_member("layers/front", marks=Marks(**{marks: everything}))
+    everything = BitMask.all(len(scene.layers[0].gaussians))
+    scene = scene.with_member("layers/front", marks=SelectionFlags(**{marks: everything}))
     middle = rectangle((34, 22), (62, 42), WIDTH, HEIGHT)
-    assert in_picture(scene, shot, middle, Reach("front-most"))["layers/back"].size > 10
+    assert select_in_screen_shape(scene, shot, middle, DepthMode("front-most"))["layers/back"].size > 10
 
 
 def test_a_locked_wall_hides_what_is_behind_it_and_is_not_found_itself():
     scene, shot = two_walls(), shot_at((0.0, -8, 0))
     scene = scene.with_member("layers/front", locked=True)
-    found = in_picture(scene, shot, rectangle((34, 22), (62, 42), WIDTH, HEIGHT), Reach("front-most"))
+    found = select_in_screen_shape(scene, shot, rectangle((34, 22), (62, 42), WIDTH, HEIGHT), DepthMode("front-most"))
     assert {key: mask.size for key, mask in found.items()} == {"layers/back": 0}
 
 
@@ -72,11 +74,11 @@ def test_seen_share_is_what_lies_before_lets_through():
     scene, shot = two_walls(), shot_at((0.0, -8, 0))
     glass = replace(scene.layers[0].gaussians, opacities=np.full(len(scene.layers[0].gaussians), 0.02, np.float32))
     scene = scene.with_member("layers/front", gaussians=glass)
-    shares = seen_shares(scene, shot, (34, 22, 62, 42))["layers/back"]
+    shares = visible_shares(scene, shot, (34, 22, 62, 42))["layers/back"]
     assert 0.3 < np.median(shares[shares > 0]) <= 1
-    opaque = seen_shares(two_walls(), shot, (34, 22, 62, 42))["layers/back"]
+    opaque = visible_shares(two_walls(), shot, (34, 22, 62, 42))["layers/back"]
     assert opaque.max() < 0.05
 
 
 def test_an_empty_shape_finds_nothing():
-    assert not in_picture(cloud(), shot_at(), ~EVERYWHERE)
+    assert not select_in_screen_shape(cloud(), shot_at(), ~EVERYWHERE)

@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsrain_engine.editor.selection.candidates import combined, selected, selected_count
-from gsrain_engine.editor.selection.volume import grown, rim
-from gsrain_engine.scene.flags import Mask
+from gsrain_engine.editor.selection.candidates import combine_selection, selected, selected_count
+from gsrain_engine.editor.selection.volume import expand, selection_boundary
+from gsrain_engine.scene.flags import BitMask
 
 from .selection_scenes import cloud, world_means
 
@@ -14,7 +14,9 @@ N = 120
 
 def some(seed):
     chosen = np.random.default_rng(seed).random((2, N)) < 0.1
-    return combined(cloud(N), dict(zip(("layers/plain", "layers/turned"), map(Mask.of, chosen), strict=True)), "set")
+    return combine_selection(
+        cloud(N), dict(zip(("layers/plain", "layers/turned"), map(BitMask.of, chosen), strict=True)), "set"
+    )
 
 
 def everything(scene):
@@ -32,7 +34,7 @@ def test_both_as_all_distances_say(seed, distance_m):
     scene = some(seed)
     points, chosen = everything(scene)
     distances = np.linalg.norm(points[:, None] - points[None], axis=2)
-    for found, from_, to in ((grown, chosen, ~chosen), (rim, ~chosen, chosen)):
+    for found, from_, to in ((expand, chosen, ~chosen), (selection_boundary, ~chosen, chosen)):
         nearest = np.where(from_, distances, np.inf).min(axis=1)
         clear = np.abs(nearest - distance_m) > 1e-4
         assert np.array_equal(flags_of(found(scene, 0.0, distance_m))[clear], ((nearest <= distance_m) & to)[clear])
@@ -42,15 +44,15 @@ def test_both_as_all_distances_say(seed, distance_m):
 @given(st.integers(0, 1000), st.floats(0.1, 3))
 def test_what_has_grown_and_shrunk_holds_what_it_was(seed, distance_m):
     before = some(seed)
-    larger = combined(before, grown(before, 0.0, distance_m), "add")
-    back = combined(larger, rim(larger, 0.0, distance_m), "remove")
+    larger = combine_selection(before, expand(before, 0.0, distance_m), "add")
+    back = combine_selection(larger, selection_boundary(larger, 0.0, distance_m), "remove")
     _, was = everything(before)
     _, now = everything(back)
     assert now[was].all()
     assert selected_count(larger) >= selected_count(back) >= selected_count(before)
 
 
-@pytest.mark.parametrize("found", [grown, rim])
+@pytest.mark.parametrize("found", [expand, selection_boundary])
 def test_nothing_grows_from_nothing(found):
     assert not flags_of(found(cloud(N), 0.0, 5.0)).any()
 
@@ -58,7 +60,7 @@ def test_nothing_grows_from_nothing(found):
 def test_locked_members_neither_grow_nor_hold():
     scene = some(3)
     locked = scene.with_member("layers/turned", locked=True)
-    assert set(grown(locked, 0.0, 50.0)) == {"layers/plain"}
-    after = combined(locked, grown(locked, 0.0, 50.0), "add")
+    assert set(expand(locked, 0.0, 50.0)) == {"layers/plain"}
+    after = combine_selection(locked, expand(locked, 0.0, 50.0), "add")
     assert selected(after.layers[0]).size == N
     assert after.layers[1] is locked.layers[1]

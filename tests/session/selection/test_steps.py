@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.editor import Session
+from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.selection import commands
 from gsrain_engine.editor.selection.candidates import selected, selected_count
-from gsrain_engine.editor.selection.commands import found_in_set, renamed, saved
-from gsrain_engine.scene.flags import Mask
+from gsrain_engine.editor.selection.commands import rename_selection_set, save_selection_set, selection_set_contents
+from gsrain_engine.scene.flags import BitMask
 
 from .selection_scenes import cloud
 
@@ -16,18 +16,18 @@ KEY = "layers/plain"
 
 @pytest.fixture
 def session():
-    opened = Session(cloud())
+    opened = Editor(cloud())
     yield opened
     opened.close()
 
 
 def first(count):
-    return {KEY: Mask.of(np.arange(300) < count)}
+    return {KEY: BitMask.of(np.arange(300) < count)}
 
 
 def test_names_of_steps_tell_what_happened(session):
     commands.select(session, first(200), "set", "lasso")
-    commands.select(session, {KEY: Mask.of(np.arange(300) >= 150)}, "add", "brush")
+    commands.select(session, {KEY: BitMask.of(np.arange(300) >= 150)}, "add", "brush")
     commands.select(session, first(20), "remove", "box")
     commands.select(session, first(100), "intersect", "sphere")
     commands.select(session, {}, "set", "rectangle")
@@ -95,16 +95,16 @@ def test_what_is_wrong_with_a_set_is_told_and_nothing_changes(session):
 def test_a_renamed_set_keeps_its_place_and_a_saved_one_replaces_its_namesake():
     scene = cloud()
     scene = scene.with_member(KEY, marks=replace(scene.layers[0].marks, selected=first(9)[KEY]))
-    scene = saved(saved(saved(scene, "a"), "b"), "c")
-    assert list(renamed(scene, "b", "x").selections) == ["a", "x", "c"]
-    assert list(saved(scene, "a").selections) == ["a", "b", "c"]
+    scene = save_selection_set(save_selection_set(save_selection_set(scene, "a"), "b"), "c")
+    assert list(rename_selection_set(scene, "b", "x").selections) == ["a", "x", "c"]
+    assert list(save_selection_set(scene, "a").selections) == ["a", "b", "c"]
 
 
 def test_sets_pass_by_members_that_are_gone_or_other():
     scene = cloud()
-    sets = {"old": {KEY: Mask.all(7), "layers/gone": Mask.all(300), "layers/turned": Mask.all(300)}}
+    sets = {"old": {KEY: BitMask.all(7), "layers/gone": BitMask.all(300), "layers/turned": BitMask.all(300)}}
     scene = replace(scene, selections=sets)
-    assert set(found_in_set(scene, "old")) == {"layers/turned"}
+    assert set(selection_set_contents(scene, "old")) == {"layers/turned"}
 
 
 def test_hidden_gaussians_of_a_set_stay_as_they_are(session):

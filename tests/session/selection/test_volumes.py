@@ -3,7 +3,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsrain_engine.editor.edits.gaussians import CropBox
-from gsrain_engine.editor.selection.volume import Ball, in_volume, standing_on
+from gsrain_engine.editor.selection.volume import Sphere, in_volume, placed_on
 
 from .selection_scenes import cloud, world_means
 
@@ -14,7 +14,7 @@ places = st.tuples(*[st.floats(-8, 8)] * 3)
 @given(places, st.floats(0.1, 10))
 def test_ball_takes_what_is_within_its_radius(center, radius):
     scene = cloud()
-    for key, mask in in_volume(scene, 0.0, Ball(center, radius)).items():
+    for key, mask in in_volume(scene, 0.0, Sphere(center, radius)).items():
         distance = np.linalg.norm(world_means(scene, key) - center, axis=1)
         clear = np.abs(distance - radius) > 1e-4
         assert np.array_equal(mask.flags[clear], (distance <= radius)[clear])
@@ -34,16 +34,16 @@ def test_box_takes_what_is_between_its_faces(center, size, yaw):
 
 def test_both_find_everything_wherever_the_camera_looks():
     scene = cloud()  # no camera is asked for: the whole cloud is found, on every side of any eye
-    for volume in (Ball((0.0, 0, 0), 100.0), CropBox((0.0, 0, 0), (200.0, 200.0, 200.0))):
+    for volume in (Sphere((0.0, 0, 0), 100.0), CropBox((0.0, 0, 0), (200.0, 200.0, 200.0))):
         assert sum(mask.size for mask in in_volume(scene, 0.0, volume).values()) == scene.gaussian_count
 
 
 def test_a_ball_reaches_to_where_the_mouse_points():
-    ball = Ball((0.0, 10, 0), 1.0).reaching(np.zeros(3), np.array([3.0, 4, 0]) / 5)
+    ball = Sphere((0.0, 10, 0), 1.0).reaching(np.zeros(3), np.array([3.0, 4, 0]) / 5)
     assert np.isclose(ball.radius_m, 6.0)
 
 
 def test_a_box_stands_on_a_point():
-    box = standing_on(CropBox((0.0, 0, 0), (1.0, 2.0, 3.0), 20.0), np.array([5.0, 6, 7]))
+    box = placed_on(CropBox((0.0, 0, 0), (1.0, 2.0, 3.0), 20.0), np.array([5.0, 6, 7]))
     assert box.center_m == (5.0, 6.0, 8.5)
     assert box.yaw_deg == 20

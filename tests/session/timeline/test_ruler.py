@@ -14,8 +14,8 @@ def test_the_ruler_zooms_about_the_mouse_and_comes_back_from_pixels(first, shown
     assert ruler.x(ruler.time(x)) == pytest.approx(x, abs=1e-6)
     held = ruler.time(x)
     ruler.zoom(steps, x)
-    if ruler.first_s > -0.0399 * ruler.shown_s:  # not held back at 0
-        assert ruler.time(x) == pytest.approx(held, abs=1e-6 * ruler.shown_s)
+    if ruler.first_s > -0.0399 * ruler.visible_span_s:  # not held back at 0
+        assert ruler.time(x) == pytest.approx(held, abs=1e-6 * ruler.visible_span_s)
 
 
 @given(st.floats(0, 1000), st.floats(0.1, 5000), st.floats(20, 200))

@@ -5,13 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.viewport.camera import Navigation, home_camera, home_navigation, is_in_view, scene_core
-from gsrain_engine.editor.viewport_state import ViewedDocument
+from gsrain_engine.editor.viewport.camera import (
+    OrbitCamera,
+    find_scene_core,
+    home_camera,
+    home_viewport_camera,
+    is_in_view,
+)
+from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
-from gsrain_engine.scene.open import cached_street
-from gsrain_engine.scene.scene import Core, Layer, Scene
-from gsrain_engine.scene.transforms import FILE_UP, flattened
+from gsrain_engine.scene.open import load_street
+from gsrain_engine.scene.scene import Layer, Scene, SceneCore
+from gsrain_engine.scene.transforms import FILE_UP, flatten_scene
 from small_scene import small_scene
 
 WIDTH, HEIGHT = 96, 64
@@ -54,12 +60,12 @@ def seen(scene, camera):
 
 @pytest.fixture(scope="module")
 def street():
-    return cached_street()
+    return load_street()
 
 
 def test_a_street_in_a_single_file_is_framed_as_in_its_folder(street):
-    flat = Scene("flat", (Layer("flat", flattened(street)),), up=FILE_UP)
-    core, layered = scene_core(flat), scene_core(street)
+    flat = Scene("flat", (Layer("flat", flatten_scene(street)),), up=FILE_UP)
+    core, layered = find_scene_core(flat), find_scene_core(street)
     np.testing.assert_allclose([core.low, core.high], [layered.low, layered.high], atol=1.5)
     for shell in (core.shell, layered.shell):
         assert 850 < shell.radius_m < 950
@@ -87,7 +93,7 @@ SHAPES = {
 @pytest.mark.parametrize("size", [(WIDTH, HEIGHT), (HEIGHT, 2 * HEIGHT)])
 def test_first_views_show_what_is_there(shape, size):
     scene = scene_of(SHAPES[shape])
-    core = scene_core(scene)
+    core = find_scene_core(scene)
     camera = home_camera(scene, *size)
     clean = scene_of(SHAPES[shape].take(np.isfinite(SHAPES[shape].means).all(axis=1).nonzero()[0]))
     picture = seen(clean, camera)
@@ -99,15 +105,15 @@ def test_first_views_show_what_is_there(shape, size):
 
 
 def test_both_of_two_far_clusters_are_framed_but_not_a_small_one():
-    core = scene_core(scene_of(SHAPES["two clusters"]))
+    core = find_scene_core(scene_of(SHAPES["two clusters"]))
     assert core.low[0] < 0.5 < 59.5 < core.high[0]
-    small = scene_core(scene_of(blob(np.concatenate([cube(990), cube(10, (60, 0, 0))]))))
+    small = find_scene_core(scene_of(blob(np.concatenate([cube(990), cube(10, (60, 0, 0))]))))
     assert small.high[0] < 1.1 and small.shell is None
 
 
 def test_f_frames_the_layer_that_is_chosen():
     """A large layer of few Gaussians around a small one of many: the scene's core is the small one."""
-    document = ViewedDocument(scene_of(blob(cube(3000, side=0.3)), blob(cube(300, at=(40, 0, 0), side=30), sigma=1)))
+    document = ViewportState(scene_of(blob(cube(3000, side=0.3)), blob(cube(300, at=(40, 0, 0), side=30), sigma=1)))
     document.frame_scene()
     assert document.navigation.distance_m < 2
     document.view.member = document.scene.layers[1].key
@@ -134,8 +140,8 @@ PLACES = {
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("key", ["F", "Home", "wheel in", "wheel out"])
 def test_keys_and_wheel_lead_back_from_everywhere(place, key):
-    document = ViewedDocument(surrounded())
-    eye, core = Navigation(*PLACES[place]), document.core
+    document = ViewportState(surrounded())
+    eye, core = OrbitCamera(*PLACES[place]), document.core
     document.navigation = eye
     for _ in range(200 if "wheel" in key else 1):
         {
@@ -155,8 +161,8 @@ def test_keys_and_wheel_lead_back_from_everywhere(place, key):
 
 
 def test_the_wheel_comes_near_to_what_is_far_and_goes_on_ahead_of_it():
-    document = ViewedDocument(scene_of(blob(cube())))
-    document.navigation = Navigation(np.array([-1000.0, 0, 0]), distance_m=5.0)
+    document = ViewportState(scene_of(blob(cube())))
+    document.navigation = OrbitCamera(np.array([-1000.0, 0, 0]), distance_m=5.0)
     document.dolly(10.0)
     assert -450 < document.navigation.position[0] < -300
     document.dolly(60.0)
@@ -175,23 +181,25 @@ def test_a_windscreen_that_sees_nothing_is_no_first_view():
     elsewhere = replace(scene, layers=(away,))
     camera = home_camera(elsewhere, WIDTH, HEIGHT)
     assert camera.position[0] < -800
-    assert home_navigation(elsewhere, WIDTH, HEIGHT, 5.0).distance_m > 20
+    assert home_viewport_camera(elsewhere, WIDTH, HEIGHT, 5.0).distance_m > 20
 
 
 def test_framing_with_a_long_lens_stays_inside_of_the_sky():
-    eye, core = Navigation(vertical_fov_deg=2.0), scene_core(surrounded())
+    eye, core = OrbitCamera(vertical_fov_deg=2.0), find_scene_core(surrounded())
     eye.frame(core)
     assert np.linalg.norm(eye.position - core.middle) < 0.9 * core.shell.radius_m
-    point = Navigation()
-    point.frame(Core(np.ones(3), np.ones(3)))
+    point = OrbitCamera()
+    point.frame(SceneCore(np.ones(3), np.ones(3)))
     assert np.isfinite(point.position).all()
 
 
 def test_the_core_is_looked_for_once_while_nothing_else_is_to_be_seen(monkeypatch):
     calls = []
-    real = scene_core
-    monkeypatch.setattr("gsrain_engine.editor.viewport_state.scene_core", lambda scene: calls.append(1) or real(scene))
-    document = ViewedDocument(surrounded())
+    real = find_scene_core
+    monkeypatch.setattr(
+        "gsrain_engine.editor.viewport_state.find_scene_core", lambda scene: calls.append(1) or real(scene)
+    )
+    document = ViewportState(surrounded())
     for _ in range(5):
         document.dolly(1.0)
     assert len(calls) == 1

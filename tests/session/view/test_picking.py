@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from gsrain_engine.editor.viewport.picking import pick, pick_point
-from gsrain_engine.render.draw import Shot
+from gsrain_engine.render.draw import RenderView
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.flags import Marks, Mask
+from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from small_scene import small_scene
 
 
 @pytest.fixture
 def shot():
     matrix = look_at(np.array([-4.0, 0, 3]), np.array([10.0, 0, 1]), np.array([0.0, 0, 1]))
-    return Shot(Camera.from_fov(320, 240, 50.0, matrix))
+    return RenderView(Camera.from_fov(320, 240, 50.0, matrix))
 
 
 def on_plane(shot, x, y, axis, at):
@@ -43,7 +43,7 @@ def test_sky_is_no_place_but_can_be_picked(shot):
 def test_what_is_hidden_or_not_asked_for_is_seen_through(shot):
     scene = small_scene()
     assert pick(scene, shot, 160, 80).key == "layers/wall"
-    gone = scene.with_member("layers/wall", marks=Marks(deleted=Mask.all(400)))
+    gone = scene.with_member("layers/wall", marks=SelectionFlags(deleted=BitMask.all(400)))
     assert pick(gone, shot, 160, 80).key == "layers/sky"
     assert pick(scene.with_member("layers/wall", visible=False), shot, 160, 80).key == "layers/sky"
     assert pick(scene, shot, 160, 80, lambda member: member.name == "sky").key == "layers/sky"
@@ -64,4 +64,4 @@ def test_the_picked_gaussian_covers_the_pixel(shot):
 
 def test_nothing_is_under_a_pixel_beside_everything():
     away = look_at(np.array([0.0, 0, 500]), np.array([0.0, 0, 600]), np.array([1.0, 0, 0]))
-    assert pick_point(small_scene(), Shot(Camera.from_fov(64, 48, 50.0, away)), 32, 24) is None
+    assert pick_point(small_scene(), RenderView(Camera.from_fov(64, 48, 50.0, away)), 32, 24) is None

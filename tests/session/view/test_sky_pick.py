@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.editor.viewport.picking import SkyPick, color_there
-from gsrain_engine.render.draw import Shot
+from gsrain_engine.editor.viewport.picking import SkyColorPick, mean_color_in_rectangle
+from gsrain_engine.render.draw import RenderView
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
 from small_scene import small_scene
@@ -20,7 +20,7 @@ def renderer():
 @pytest.fixture
 def shot():
     eye = np.array([0.0, 0, 1.5])
-    return Shot(Camera.from_fov(120, 80, 50.0, look_at(eye, eye + [1.0, 0, 0], np.array([0.0, 0, 1]))))
+    return RenderView(Camera.from_fov(120, 80, 50.0, look_at(eye, eye + [1.0, 0, 0], np.array([0.0, 0, 1]))))
 
 
 def picture(renderer, shot):
@@ -31,7 +31,7 @@ def picture(renderer, shot):
 
 def test_a_rectangle_is_averaged_in_linear_light(renderer, shot):
     """Half sky, half wall: the mean of display values would be darker."""
-    color = color_there(renderer, small_scene(), shot, SkyPick(0.25, 0.1, 0.75, 0.6), (0.2, 0.0, 0.0))
+    color = mean_color_in_rectangle(renderer, small_scene(), shot, SkyColorPick(0.25, 0.1, 0.75, 0.6), (0.2, 0.0, 0.0))
     shown = np.clip(picture(renderer, shot)[8:48, 30:90].reshape(-1, 3), 0, 1)
     expected = linear_to_srgb(srgb_to_linear(shown).mean(axis=0))
     assert color == pytest.approx(expected, abs=1e-6)
@@ -39,10 +39,10 @@ def test_a_rectangle_is_averaged_in_linear_light(renderer, shot):
 
 
 def test_a_click_takes_one_pixel(renderer, shot):
-    pick = SkyPick.between((60.4 / 120, 3.2 / 80), (60.4 / 120, 3.2 / 80))
-    color = color_there(renderer, small_scene(), shot, pick, (0.2, 0.0, 0.0))
+    pick = SkyColorPick.between((60.4 / 120, 3.2 / 80), (60.4 / 120, 3.2 / 80))
+    color = mean_color_in_rectangle(renderer, small_scene(), shot, pick, (0.2, 0.0, 0.0))
     assert color == pytest.approx(np.clip(picture(renderer, shot)[3, 60], 0, 1), abs=1e-6)
 
 
 def test_corners_come_in_any_order_and_are_cut_off_at_the_edges():
-    assert SkyPick.between((1.4, 0.2), (0.5, -3.0)) == SkyPick(0.5, 0.0, 1.0, 0.2)
+    assert SkyColorPick.between((1.4, 0.2), (0.5, -3.0)) == SkyColorPick(0.5, 0.0, 1.0, 0.2)

@@ -5,10 +5,10 @@ import pytest
 from PIL import Image
 
 from gsrain_engine.appearance.finetune.dataset import (
-    PictureSettings,
-    PictureSource,
+    ImageSettings,
+    ImageSource,
     is_daylight,
-    open_pictures,
+    open_images,
     weather_of,
 )
 from gsrain_engine.datasets.capture import CaptureError
@@ -60,10 +60,10 @@ def rainsense(tmp_path_factory):
 
 def settings(clear, rainy, **changes):
     def source(path, weather, count):
-        return PictureSource(path=str(path), weather=weather, count=count)
+        return ImageSource(path=str(path), weather=weather, count=count)
 
     values = {"width_px": 16, "height_px": 16, "guide": "none"} | changes
-    return PictureSettings(
+    return ImageSettings(
         clear=tuple(source(path, "clear", count) for path, count in clear),
         rainy=tuple(source(path, "rainy", count) for path, count in rainy),
         **values,
@@ -72,7 +72,7 @@ def settings(clear, rainy, **changes):
 
 def test_composition_of_the_papers_table(bdd100k, rainsense):
     both = ((rainsense, 22), (bdd100k, 139))
-    split = open_pictures(settings(both, both))
+    split = open_images(settings(both, both))
     assert [(look, count) for _, look, count, _ in split.table] == [
         ("clear", 22), ("clear", 139), ("rainy", 22), ("rainy", 139),
     ]  # fmt: skip
@@ -83,7 +83,7 @@ def test_composition_of_the_papers_table(bdd100k, rainsense):
 
 
 def test_rainy_pictures_come_from_all_sequences_alike(rainsense):
-    split = open_pictures(settings([(rainsense, 22)], [(rainsense, 22)], test_share=0.0))
+    split = open_images(settings([(rainsense, 22)], [(rainsense, 22)], test_share=0.0))
     cases = [picture.view.sensor for picture in split.train.target]
     assert sorted(cases.count(case) for case in set(cases)) == [7, 7, 8]
     assert {picture.view.attributes["rain_mm_h"] for picture in split.train.target} == {"1.376", "4.75", "9.245"}
@@ -91,14 +91,14 @@ def test_rainy_pictures_come_from_all_sequences_alike(rainsense):
 
 def test_seed_alone_decides_the_split(bdd100k):
     def tested(seed):
-        split = open_pictures(settings([(bdd100k, 20)], [(bdd100k, 20)], seed=seed))
+        split = open_images(settings([(bdd100k, 20)], [(bdd100k, 20)], seed=seed))
         return {picture.name for picture in split.test.source}
 
     assert tested(3) == tested(3) != tested(4)
 
 
 def test_night_and_other_weather_are_left_out(bdd100k):
-    split = open_pictures(settings([(bdd100k, None)], [(bdd100k, None)], test_share=0.0))
+    split = open_images(settings([(bdd100k, None)], [(bdd100k, None)], test_share=0.0))
     assert (len(split.train.source), len(split.train.target)) == (146, 145)
 
 
@@ -108,10 +108,10 @@ def test_pictures_are_framed(tmp_path):
     for look in ("clear", "rainy"):
         (tmp_path / look).mkdir()
         Image.fromarray(stripes).save(tmp_path / look / "stripes.png")
-    sources = {look: (PictureSource(path=str(tmp_path / look)),) for look in ("clear", "rainy")}
+    sources = {look: (ImageSource(path=str(tmp_path / look)),) for look in ("clear", "rainy")}
     size = {"width_px": 16, "height_px": 16, "guide": "none", "test_share": 0.0}
     stretched, cropped = (
-        open_pictures(PictureSettings(**sources, **size, framing=framing)).train.source[0].read()[0]
+        open_images(ImageSettings(**sources, **size, framing=framing)).train.source[0].read()[0]
         for framing in ("stretch", "crop")
     )
     assert stretched.shape == cropped.shape == (16, 16, 3)
@@ -126,8 +126,8 @@ def test_broken_picture_is_named_and_left_out(tmp_path):
             save(tmp_path / look / f"{number}.png", number)
     whole = (tmp_path / "clear" / "1.png").read_bytes()
     (tmp_path / "clear" / "1.png").write_bytes(whole[: len(whole) // 2])
-    sources = {look: (PictureSource(path=str(tmp_path / look)),) for look in ("clear", "rainy")}
-    split = open_pictures(PictureSettings(**sources, guide="none", test_share=0.0))
+    sources = {look: (ImageSource(path=str(tmp_path / look)),) for look in ("clear", "rainy")}
+    split = open_images(ImageSettings(**sources, guide="none", test_share=0.0))
     assert len(split.train.source) == 2
     assert any("1" in problem and "left out" in problem for problem in split.problems)
 
@@ -146,9 +146,9 @@ def test_what_is_missing_is_said_in_a_sentence(bdd100k, tmp_path, changes, sente
     rows = [{"name": f"{name_of(1)}.jpg", "attributes": {"weather": "clear", "timeofday": "night"}}]
     (tmp_path / "night" / "det_val.json").write_text(json.dumps(rows))
     place = {"plain": tmp_path / "plain", "night": tmp_path / "night"}.get(changes.get("path"), bdd100k)
-    source = PictureSource(path=str(place), **{key: value for key, value in changes.items() if key != "path"})
+    source = ImageSource(path=str(place), **{key: value for key, value in changes.items() if key != "path"})
     with pytest.raises(CaptureError, match=sentence):
-        open_pictures(PictureSettings(clear=(source,), rainy=(PictureSource(path=str(bdd100k)),), guide="none"))
+        open_images(ImageSettings(clear=(source,), rainy=(ImageSource(path=str(bdd100k)),), guide="none"))
 
 
 def test_words_for_weather_and_light():
