@@ -6,7 +6,7 @@ VENV ?= .venv
 RUN = $(VENV)/bin
 OUT ?= out
 
-.PHONY: demo docs diagrams pictures test tests kernels modules coverage fuzz lint wheel sbom licences bundle setup system clean
+.PHONY: demo docs pictures test tests kernels modules coverage fuzz lint wheel sbom licences bundle setup system clean
 
 demo: setup
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
@@ -63,9 +63,6 @@ pictures: setup
 # The site needs no network: open out/docs/index.html, or for its search: python3 -m http.server -d out/docs.
 docs: $(VENV)/.installed-docs
 	NO_MKDOCS_2_WARNING=1 $(RUN)/python -m mkdocs build --strict --site-dir $(abspath $(OUT))/docs
-
-diagrams: setup
-	$(RUN)/python -m docs.draw_diagrams
 
 # A release: docs/release.md. The wheel is installed alone, where no checkout is near, and run there.
 RELEASE = $(abspath $(OUT))/release

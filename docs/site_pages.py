@@ -1,7 +1,5 @@
-"""MkDocs hook: pages that are made when the site is built, and diagrams that need no script from elsewhere."""
+"""MkDocs hook: pages that are generated when the site is built."""
 
-import hashlib
-import logging
 import posixpath
 import re
 import sys
@@ -9,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
-DIAGRAMS = "images/diagrams"
 
 # Texts that stand outside docs/, where people look for them first, and their pages in the site.
 ELSEWHERE = {
@@ -22,13 +19,10 @@ ELSEWHERE = {
 }
 
 _LINK = re.compile(r"(!?\[[^\]]*\]\()([^)\s#]+)(#[^)\s]*)?\)")
-_MERMAID = re.compile(r"^```mermaid\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 _EXAMPLE = re.compile(r"(?<=\n\n)(gsrain [a-z].*)(?=\n\n)")
 _CONTENTS = re.compile(r"^## Table of Contents$.*?(?=^## )", re.DOTALL | re.MULTILINE)
 _LIST_BELOW_TEXT = re.compile(r"^(?![*#|> `]|\d+\. )(.+)\n(?=\* )", re.MULTILINE)
 _LISTS = re.compile(r"^\*\*Commands\*\*:\n\n(?:\* .*\n)+\n?", re.MULTILINE)
-
-log = logging.getLogger("mkdocs.hooks.site_pages")
 
 
 def on_files(files: Any, config: Any) -> Any:
@@ -42,13 +36,13 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
-    """Lead links to where texts are in the site, and put pictures in the place of diagrams."""
+    """Point links to where texts are in the site."""
     here = page.file.src_uri
     if here == "index.md":
         page.meta["hide"] = ["navigation"]  # it would hold this one page
     source = next((each for each, name in ELSEWHERE.items() if name == here), f"docs/{here}")
     spaced = _LIST_BELOW_TEXT.sub(r"\1\n\n", markdown)  # GitHub needs no empty line before a list, Python-Markdown does
-    return with_diagrams(with_site_links(spaced, source, here), here)
+    return with_site_links(spaced, source, here)
 
 
 def with_site_links(markdown: str, source: str, page: str) -> str:
@@ -63,26 +57,6 @@ def with_site_links(markdown: str, source: str, page: str) -> str:
         return f"{opening}{posixpath.relpath(place, posixpath.dirname(page) or '.')}{anchor})"
 
     return _LINK.sub(led, markdown)
-
-
-def with_diagrams(markdown: str, page: str) -> str:
-    """Show each Mermaid diagram as the pictures that were drawn of it, one for each scheme; else as its text."""
-
-    def drawn(fence: re.Match[str]) -> str:
-        names = [f"{DIAGRAMS}/{diagram_name(fence[1])}_{scheme}.svg" for scheme in ("light", "dark")]
-        if not all((ROOT / "docs" / name).is_file() for name in names):
-            log.info("%s: a diagram has changed since it was drawn and is shown as text; make diagrams draws it", page)
-            return f"```text\n{fence[1]}```"
-        up = posixpath.relpath(".", posixpath.dirname(page) or ".")
-        light, dark = (posixpath.normpath(posixpath.join(up, name)) for name in names)
-        return f"![Diagram]({light}#only-light)\n![Diagram]({dark}#only-dark)"
-
-    return _MERMAID.sub(drawn, markdown)
-
-
-def diagram_name(source: str) -> str:
-    """Name of a diagram's pictures: a diagram that changes has none until it is drawn again."""
-    return hashlib.sha256(source.strip().encode()).hexdigest()[:12]
 
 
 def commands_page() -> str:

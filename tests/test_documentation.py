@@ -98,17 +98,6 @@ def test_links_lead_to_where_texts_are_in_the_site(site_pages, text, source, pag
     assert site_pages.with_site_links(text, source, page) == expected
 
 
-def test_diagrams_are_pictures_and_none_is_of_another_time(site_pages):
-    names = set()
-    for page in PAGES:
-        for source in re.findall(r"^```mermaid\n(.*?)^```$", text_of(page), re.DOTALL | re.MULTILINE):
-            shown = site_pages.with_diagrams(f"```mermaid\n{source}```", "a/b.md")
-            names |= {f"{site_pages.diagram_name(source)}_{scheme}.svg" for scheme in ("light", "dark")}
-            assert shown.count("![Diagram](../images/diagrams/") == 2, f"{page}: make diagrams draws it anew"
-    assert {each.name for each in (REPOSITORY / "docs" / site_pages.DIAGRAMS).iterdir()} == names
-    assert site_pages.with_diagrams("```mermaid\nnew\n```", "a.md") == "```text\nnew\n```"
-
-
 def test_lists_below_text_are_lists_in_the_site(site_pages):
     from types import SimpleNamespace
 

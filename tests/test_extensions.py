@@ -145,7 +145,7 @@ def test_a_transfer_that_does_not_open_says_so(bad_lab):
 @pytest.mark.parametrize(
     ("name", "says"),
     [
-        ("lists", "gives a list, not a Candidates"),
+        ("lists", "gives a list, not a BoxCandidates"),
         ("class-9", r"names a class that is not within 0\.\.1"),
         ("text", "is a NoneType, not a Decoder"),
     ],
@@ -160,7 +160,7 @@ def test_logs_that_a_package_fails_on_name_it_and_others_are_as_before(bad_lab, 
     log = tmp_path / "log.txt"
     for text, says in (
         ("doubt", "disdrometer format doubts .*: the magic smoke has left"),
-        ("nothing", "reads a int, not a Reading"),
+        ("nothing", "reads a int, not a DisdrometerReading"),
         ("whatever", "not a disdrometer file of a kind that is known"),
     ):
         log.write_text(f"{text}\nmore\n")

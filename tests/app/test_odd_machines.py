@@ -93,7 +93,7 @@ import app.scene as info
 def talk(name):
     for _ in range(100_000):
         print("street")
-info.open_scene = talk
+info.load_scene = talk
 raise SystemExit(run(["info", "street"]))
 """
     with subprocess.Popen(

@@ -7,8 +7,8 @@ FAULTS_OF_THE_LAST_ROUND = """
 import resource, sys
 import numpy as np
 if sys.argv[1] == "kept":
-    from gsrain_engine.malloc_tuning import keep_freed_memory
-    keep_freed_memory()
+    from gsrain_engine.malloc_tuning import tune_malloc
+    tune_malloc()
 for _ in range(4):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
     arrays = [np.ones(1 << 20, np.float32) for _ in range(10)]

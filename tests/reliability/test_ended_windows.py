@@ -29,7 +29,7 @@ def go_on(self, context):
             os.kill(os.getpid(), signal.SIGKILL) if session.files.recovery.kept else None
         os.kill(os.getpid(), getattr(signal, sys.argv[2]))
 
-before, window.Window._go_on = window.Window._go_on, go_on
+before, window.MainWindow._go_on = window.MainWindow._go_on, go_on
 sys.exit(run([sys.argv[1], "--backend", "cpu"]))
 """
 

@@ -123,8 +123,8 @@ import sys
 shared = sys.argv[1:] == ["shared"]
 sys.argv = ["/usr/bin/gsrain", "street", "my out \\x1b[31m"]
 from pathlib import Path
-from gsrain_engine.scene.files import holding
-with holding(Path(sys.stdin.readline().rstrip("\\n")), shared=shared):
+from gsrain_engine.scene.files import hold_for_writing
+with hold_for_writing(Path(sys.stdin.readline().rstrip("\\n")), shared=shared):
     print("held", flush=True)
     sys.stdin.read()
 """

@@ -203,12 +203,12 @@ def test_freed_memory_goes_back_to_the_system():
 LEFT_BY_THREADS = """
 import sys, threading
 import psutil
-from gsrain_engine.malloc_tuning import keep_freed_memory
-from gsrain_engine.malloc_tuning import return_freed_memory, use_one_arena
+from gsrain_engine.malloc_tuning import tune_malloc
+from gsrain_engine.malloc_tuning import trim_memory, use_one_arena
 
 if sys.argv[1] == "one":
     use_one_arena()
-keep_freed_memory()
+tune_malloc()
 before = psutil.Process().memory_info().rss
 together = threading.Barrier(4)
 
@@ -223,7 +223,7 @@ for each in threads:
     each.start()
 for each in threads:
     each.join()
-return_freed_memory()
+trim_memory()
 print(psutil.Process().memory_info().rss - before)
 """
 

@@ -9,14 +9,14 @@ from gsrain_engine.simulation.agents.registry import AgentOptions, agent_file, o
 
 _AGENT = """
 import numpy as np
-from gsrain_engine.simulation.agents.base import Needs, Plan
+from gsrain_engine.simulation.agents.base import SensorRequirements, Trajectory
 from beside_it import SPEED
 
 class Slow:
     name = "slow"
-    needs = Needs()
+    needs = SensorRequirements()
     def reset(self, seed, rig): pass
-    def plan(self, observation): return Plan(np.array([[SPEED * 0.5, 0.0]]))
+    def plan(self, observation): return Trajectory(np.array([[SPEED * 0.5, 0.0]]))
     def close(self): pass
 
 class Helper:
