@@ -49,7 +49,7 @@ def _into_a_model() -> Callable[[Path], None]:
 def _state(folder: Path) -> Path:
     torch, files = import_module("torch"), import_module("gsrain_engine.appearance.finetune.checkpoint")
     files.write_finetune_checkpoint(
-        folder / "state.safetensors", files.Checkpoint(3, 1.5, {"a": torch.arange(4.0)}, False), _settings(), "two"
+        folder / "state.safetensors", files.FinetuneCheckpoint(3, 1.5, {"a": torch.arange(4.0)}, False), _settings(), "two"
     )
     return folder / "state.safetensors"
 
