@@ -49,13 +49,18 @@ def _into_a_model() -> Callable[[Path], None]:
 def _state(folder: Path) -> Path:
     torch, files = import_module("torch"), import_module("gsrain_engine.appearance.finetune.checkpoint")
     files.write_finetune_checkpoint(
-        folder / "state.safetensors", files.FinetuneCheckpoint(3, 1.5, {"a": torch.arange(4.0)}, False), _settings(), "two"
+        folder / "state.safetensors",
+        files.FinetuneCheckpoint(3, 1.5, {"a": torch.arange(4.0)}, False),
+        _settings(),
+        "two",
     )
     return folder / "state.safetensors"
 
 
 def _read_state(path: Path) -> None:
-    import_module("gsrain_engine.appearance.finetune.checkpoint").read_checkpoint(path, _settings(), "two", False)
+    import_module("gsrain_engine.appearance.finetune.checkpoint").read_finetune_checkpoint(
+        path, _settings(), "two", False
+    )
 
 
 def _settings() -> Any:
