@@ -1,6 +1,7 @@
 """The structure of the code: no circles of imports, no file that is too long, one door for printing."""
 
 import ast
+import re
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -107,3 +108,47 @@ def test_other_doors_are_seen(tmp_path):
     assert list(printers(file)) == ["rich.table", "rich", "print", "sys.stderr.write"]
     file.write_text("from ..console import print\nprint(1)\n")
     assert list(printers(file)) == []
+
+
+BANNED = (
+    "beside", "told", "said", "kept", "wanted", "wish", "seen", "shown", "taken", "way", "beginning", "again", "sides", "whoever",
+    "at_once", "haste", "pull", "most", "least", "usual", "given",
+)  # fmt: skip
+"""Words that say nothing in names of functions and classes: use the field's terms, docs/glossary.md."""
+FIELD_TERMS = ("least_squares", "right_of_way")
+
+
+def definitions() -> Iterator[tuple[str, ast.ClassDef | ast.FunctionDef]]:
+    for module, path in modules().items():
+        for node in ast.walk(ast.parse(path.read_bytes())):
+            if isinstance(node, ast.ClassDef | ast.FunctionDef):
+                yield module, node
+
+
+def test_no_class_name_stands_for_two_classes():
+    places: dict[str, set[str]] = {}
+    for module, node in definitions():
+        if isinstance(node, ast.ClassDef):
+            places.setdefault(node.name, set()).add(module)
+    assert {name: each for name, each in places.items() if len(each) > 1} == {}
+
+
+def test_names_have_no_banned_words():
+    assert [f"{module}: {node.name}" for module, node in definitions() if banned_words(node.name)] == []
+
+
+def test_banned_words_are_seen_in_both_spellings_of_names():
+    assert banned_words("_look_again") == {"again"} and banned_words("WantedDrive") == {"wanted"}
+    assert not banned_words("regularized_least_squares") and not banned_words("gateway")
+
+
+def banned_words(name: str) -> set[str]:
+    words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
+    for term in FIELD_TERMS:
+        words = words.replace(term, "")
+    return {each for each in BANNED if f"_{each}_" in f"_{words}_"}
+
+
+def test_no_package_is_smaller_than_three_modules():
+    packages = [path.parent for each in PACKAGES for path in (ROOT / each).rglob("__init__.py")]
+    assert [each for each in packages if len(list(each.glob("*.py"))) + len(list(each.glob("*/__init__.py"))) < 3] == []

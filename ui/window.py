@@ -189,7 +189,7 @@ class MainWindow:
     @property
     def left(self) -> RestartState:
         files = self._session.files if self._session is not None else None
-        return RestartState(files.recovery.kept, files.source) if files is not None else RestartState()
+        return RestartState(files.recovery.autosaved_path, files.source) if files is not None else RestartState()
 
     def close(self) -> None:
         """Stop everything behind the window. To be called once more does nothing."""

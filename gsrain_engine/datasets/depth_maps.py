@@ -26,7 +26,7 @@ class DepthPriors:
     skies: tuple[Bool[np.ndarray, "_ _"], ...]
 
     @property
-    def usual(self) -> float:
+    def median_depth(self) -> float:
         """Median of what was measured, 0 where nothing was."""
         known = np.concatenate([np.zeros(0, np.float32), *(depth[depth > 0] for depth in self.measured)])
         return float(np.median(known)) if len(known) else 0.0

@@ -24,7 +24,7 @@ class MeasuredKeyframes:
     """From the first key to the last."""
 
     @property
-    def told(self) -> str:
+    def summary(self) -> str:
         words = [f"{self.records:,} records over {self.duration_s:,.0f} s"]
         if self.left_out:
             words.append(f"{self.left_out:,} left out, without a time or a rate")

@@ -187,7 +187,7 @@ class Editor(EditorServices):
         """Let time go by and take in what background work has finished. Once a frame."""
         self.clock.advance(real_s, self.span_s)
         self._shown_preview, self.preview = self.preview, None
-        self.following.ride(self.shown_scene, self.clock.time_s, self.navigation)
+        self.following.ride(self.displayed_scene, self.clock.time_s, self.navigation)
         self.files.poll()
         self._preferences.poll()
         if self.rain.roofs:
@@ -217,19 +217,19 @@ class Editor(EditorServices):
         return [each.title for each in self.drives.opened if each.path is None]
 
     @property
-    def shown_scene(self) -> Scene:
+    def displayed_scene(self) -> Scene:
         """What the viewport shows: what a tool drags, with the road users of a roll-out that plays."""
-        return self.drives.scene_in_place_of(super().shown_scene)
+        return self.drives.scene_in_place_of(super().displayed_scene)
 
     @property
-    def shown_rainfall(self) -> RainSimulation:
+    def displayed_rain(self) -> RainSimulation:
         """The rain that the viewport shows: the document's, or that of a roll-out that plays."""
         return self.drives.rainfall(roofs=self._roofs.knows(self.scene)) or self._drawn_rainfall
 
     @property
     def split_panes(self) -> list[SplitPane]:
         """What the viewport shows: one side, or two from left to right."""
-        shown, rainfall = self.shown_scene, self.shown_rainfall
+        shown, rainfall = self.displayed_scene, self.displayed_rain
         here = SplitPane("", shown, rainfall)
         if self.view.split == "clear | rainy":
             clear = rainfall.rain.without_rain

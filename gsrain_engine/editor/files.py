@@ -665,7 +665,7 @@ class Recovery:
             self._begin_keeping(present, stamp, known)
 
     @property
-    def kept(self) -> Path | None:
+    def autosaved_path(self) -> Path | None:
         """Where the document is kept, to be asked after the end; None where it is not."""
         try:
             if self._keeping is not None:

@@ -214,7 +214,7 @@ def region_outlines(session: ViewportState, width: int, height: int) -> list[Reg
     if session.view.show_haze_region:
         shown.append(("haze region", session.rain.haze_region))
     shot = session.shot(width, height)
-    anchor = rain_anchor(session.shown_scene, session.shown_rainfall, shot)
+    anchor = rain_anchor(session.displayed_scene, session.displayed_rain, shot)
     return [RegionOutline(name, project_edges(box, anchor, shot.camera)) for name, box in shown]
 
 

@@ -72,19 +72,19 @@ class ViewportState(EditedDocument):
     # What is shown
 
     @property
-    def shown_scene(self) -> Scene:
+    def displayed_scene(self) -> Scene:
         """What the viewport shows: the scene, or what a tool drags."""
         return self.scene if self._shown_preview is None else self._shown_preview
 
     @property
-    def shown_rainfall(self) -> RainSimulation:
+    def displayed_rain(self) -> RainSimulation:
         """The rain that the viewport shows."""
         return self.rainfall
 
     @property
     def wetness_now(self) -> float:
         """Share of the soaked colours at the present time, 0..1."""
-        return self.shown_rainfall.wetness_at(self.clock.time_s)
+        return self.displayed_rain.wetness_at(self.clock.time_s)
 
     @property
     def sky(self) -> Color:

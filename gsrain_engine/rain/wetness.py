@@ -73,7 +73,7 @@ class WetnessCurve:
         if self.drying_s == 0 or knot < 0:  # before the first key it has always rained like this
             return now
         times, values = self.intensity.times_s, self.intensity.values[:, 0]
-        kept = self._kept[knot]
+        kept = self._decayed_max[knot]
         if knot + 1 < len(times):
             share = (time_s - times[knot]) / (times[knot + 1] - times[knot])
             ends = np.array([values[knot], values[knot] + share * (values[knot + 1] - values[knot])])
@@ -81,7 +81,7 @@ class WetnessCurve:
         return max(now, math.exp(kept - time_s / self.drying_s))
 
     @cached_property
-    def _kept(self) -> Float64[np.ndarray, " n"]:
+    def _decayed_max(self) -> Float64[np.ndarray, " n"]:
         """Largest ln w(R(s)) + s / drying of all moments up to each knot."""
         times, values = self.intensity.times_s, self.intensity.values[:, 0]
         first = _log_wetness(values[:1]) + times[:1] / self.drying_s
@@ -95,16 +95,16 @@ class WetnessCurve:
         Where it rises, the end has it; where it falls, ln w + s / drying is concave in s: thirds close in on its top.
         """
 
-        def kept(share: Float64[np.ndarray, " m"]) -> Float64[np.ndarray, " m"]:
+        def log_decayed(share: Float64[np.ndarray, " m"]) -> Float64[np.ndarray, " m"]:
             there = intensities[:-1] + share * np.diff(intensities)
             return _log_wetness(there) + (times_s[:-1] + share * np.diff(times_s)) / self.drying_s
 
         low, high = np.zeros(len(times_s) - 1), np.ones(len(times_s) - 1)
         for _ in range(_THIRDS):
             third = (high - low) / 3
-            is_later = kept(low + third) < kept(high - third)
+            is_later = log_decayed(low + third) < log_decayed(high - third)
             low, high = np.where(is_later, low + third, low), np.where(is_later, high, high - third)
-        return np.maximum(kept(0.5 * (low + high)), kept(np.ones_like(low)))
+        return np.maximum(log_decayed(0.5 * (low + high)), log_decayed(np.ones_like(low)))
 
 
 def _log_wetness(intensities_mm_h: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:

@@ -31,7 +31,7 @@ class ProblemView:
         """Premultiplied picture of harmonics, in the linear model."""
         return self.seen.weights.blend(_HALF + evaluate_colors(sh, self.indices, self.basis))
 
-    def shown(self, sh: Float32[np.ndarray, "n k 3"]) -> Float32[np.ndarray, "h w 3"]:
+    def rendered(self, sh: Float32[np.ndarray, "n k 3"]) -> Float32[np.ndarray, "h w 3"]:
         """Picture as renderers show it, no splat's colour below 0, over what is there; what isn't is the target's."""
         colors = np.maximum(_HALF + evaluate_colors(sh, self.indices, self.basis), np.float32(0))
         over = (1 - self.seen.alpha[..., None]) * self.seen.target.image
@@ -96,7 +96,7 @@ class ColorProblem:
     one_view: Float32[np.ndarray, " n"]
     """Mean evidence (sum of squared weights) of each Gaussian in one view."""
 
-    def pull(self, settings: RecolorSettings) -> Float32[np.ndarray, "n k 1"]:
+    def prior_weights(self, settings: RecolorSettings) -> Float32[np.ndarray, "n k 1"]:
         """Pull towards the prior by evidence.
 
         Above degree 0 the evidence of one view adds its share: however many pixels a single view has of a Gaussian, it
@@ -115,7 +115,7 @@ class ColorProblem:
             The solver's steps; their `change` is from the prior.
         """
         sh = self.prior
-        affines, pull = (NO_CHANGE,) * len(self.views), self.pull(settings)
+        affines, pull = (NO_CHANGE,) * len(self.views), self.prior_weights(settings)
         if settings.exposure and len(self.views) > 1:
             affines = _affines(self.views, len(self.rows))
         solution = Solution(sh, affines, np.ones(len(self.views)))
@@ -277,7 +277,7 @@ def choose_prior_weight(problem: ColorProblem, settings: RecolorSettings) -> Gen
     best, least = STRENGTHS[0], np.inf
     targets, nothing = trial.first_targets(settings), np.zeros_like(problem.prior)
     for strength in STRENGTHS:
-        pull = trial.pull(msgspec.structs.replace(settings, tikhonov=strength))
+        pull = trial.prior_weights(msgspec.structs.replace(settings, tikhonov=strength))
         change = nothing
         for step in solve_colors(targets, len(problem.rows), _ITERATIONS, pull, nothing):
             change = step.change
@@ -292,7 +292,7 @@ def choose_prior_weight(problem: ColorProblem, settings: RecolorSettings) -> Gen
 def _error(view: ProblemView, sh: np.ndarray) -> float:
     """Mean squared error of a view; 0 where no pixel counts."""
     counted = view.seen.counted
-    difference = (view.shown(sh) - view.seen.target.image)[counted]
+    difference = (view.rendered(sh) - view.seen.target.image)[counted]
     return float(np.mean(difference**2)) if counted.any() else 0.0
 
 

@@ -164,7 +164,7 @@ def _solved(
             return finished.value, tuple(lengths)
         lengths.append(step.length)
         share = _CHOSEN_DONE + (_SOLVED_DONE - _CHOSEN_DONE) * len(lengths) / settings.iterations
-        picture = problem.views[0].shown(problem.prior + step.change)
+        picture = problem.views[0].rendered(problem.prior + step.change)
         yield Progress(share, f"Solving colours, step {len(lengths)} of {settings.iterations}", thumbnail(picture))
 
 
@@ -184,7 +184,7 @@ def _report(
 ) -> RecolorViewReport:
     seen = view.seen
     clear = seen.alpha[..., None] * seen.clear + (1 - seen.alpha[..., None]) * seen.target.image
-    pictures = (np.clip(clear, 0, 1), view.shown(setup.problem.prior), view.shown(solution.sh))
+    pictures = (np.clip(clear, 0, 1), view.rendered(setup.problem.prior), view.rendered(solution.sh))
     figures = [psnr(picture, seen.target.image, seen.counted) for picture in pictures]
     return RecolorViewReport(seen.target.name, is_held_out, trust, *figures)
 
@@ -350,7 +350,7 @@ def _run_report(
 
 def _comparison(view: ProblemView, solution: Solution) -> ImageComparison:
     seen = view.seen
-    return ImageComparison.measured(seen.target.name, view.shown(solution.sh), seen.target.image, seen.counted)
+    return ImageComparison.measured(seen.target.name, view.rendered(solution.sh), seen.target.image, seen.counted)
 
 
 _VIEWS_DONE = 0.6

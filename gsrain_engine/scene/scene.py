@@ -398,7 +398,7 @@ class Layer(SceneNode):
         """Name among all members of a scene."""
         return f"layers/{self.name}"
 
-    def way(self, time_s: float) -> Float64[np.ndarray, "4 4"]:
+    def pose_at(self, time_s: float) -> Float64[np.ndarray, "4 4"]:
         """Similarity to the scene, at any time."""
         return self.to_scene
 
@@ -424,7 +424,7 @@ class Actor(SceneNode):
     def name(self) -> str:
         return self.id
 
-    def way(self, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
+    def pose_at(self, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
         """Pose in the scene at a time; None while it is not there."""
         return self.track.pose(time_s)
 
@@ -525,7 +525,7 @@ class Scene:
         self, member: Layer | Actor, time_s: float = 0.0, *, selection: bool = False, wetness: float = 0.0
     ) -> DrawItem | None:
         """What of a member is drawn at a time; None while it is not there. See `parts`."""
-        way = member.way(time_s)
+        way = member.pose_at(time_s)
         if way is None:
             return None
         return DrawItem(

@@ -51,8 +51,8 @@ def lost_when_flattened(scene: Scene, time_s: float = 0.0) -> list[str]:
     """Name what `flattened` leaves out of a scene, a phrase each; empty where a single file holds all of it."""
     shown = [each for each in scene.members if each.visible]
     layers = [each for each in scene.layers if each.visible]
-    there = [each for each in scene.actors if each.visible and each.way(time_s) is not None]
-    gone = [each for each in scene.actors if each.visible and each.way(time_s) is None]
+    there = [each for each in scene.actors if each.visible and each.pose_at(time_s) is not None]
+    gone = [each for each in scene.actors if each.visible and each.pose_at(time_s) is None]
     hidden_members = len(scene.members) - len(shown)
     hidden = sum(each.marks.hidden.size for each in shown if each.marks.hidden is not None)
     keys = len(scene.weather.get("keys", ())) if scene.weather is not None else 0

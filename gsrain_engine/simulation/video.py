@@ -88,7 +88,7 @@ class RolloutVideo:
     def picture(self, time_s: float) -> RgbImage:
         seen = self._camera_panel(time_s)
         above = self._above(time_s, seen.shape[1])
-        told = self._told(time_s, seen.shape[1])
+        told = self._readout_panel(time_s, seen.shape[1])
         whole = np.concatenate([seen, told, above])
         return np.ascontiguousarray(whole[: whole.shape[0] // 2 * 2])
 
@@ -110,7 +110,7 @@ class RolloutVideo:
         _draw_plan(picture, camera, points[ahead], step.ego.z_m + 0.02)
         return picture
 
-    def _told(self, time_s: float, width: int) -> RgbImage:
+    def _readout_panel(self, time_s: float, width: int) -> RgbImage:
         played, step = self._played, self._played.step(time_s)
         state = played.state(time_s)
         at = step.step - played.rollout.steps[0].step

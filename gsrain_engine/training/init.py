@@ -89,7 +89,7 @@ def initial_gaussians(
         if stride > max(view.camera.width for view in views):  # not even one for each view
             raise ValueError(f"a budget of {budget} Gaussians is too small for {len(views)} views")
     gaussians = _without_holes(surfels, views, depths, stride, round((1 - _FOR_PIECES) * budget))
-    way = camera_trajectory(views, known.usual)
+    way = camera_trajectory(views, known.median_depth)
     ground = inpaint_road(gaussians, views, way, capture.up, round(_FOR_GROUND * budget), SURFACE_OPACITY)
     return split_long_gaussians(Gaussians.concatenate([gaussians, ground]), way, budget)
 

@@ -73,7 +73,7 @@ class Trainer:
         loss = view_loss(picture, shown, truth, settings)
         total = loss.total
         if self._exposures is not None:
-            total = total + settings.exposure * self._exposures.pull(index)
+            total = total + settings.exposure * self._exposures.penalty(index)
         pull = self._control.regularization(self.model.background)
         if pull is not None:
             total = total + pull
@@ -357,7 +357,7 @@ class ExposureAffine:
         change = self.changes[index]
         return color + color @ change[:, :3].T + change[:, 3]
 
-    def pull(self, index: int) -> Tensor:
+    def penalty(self, index: int) -> Tensor:
         """Sum of squares of one picture's change: 0 where there is none."""
         return (self.changes[index] ** 2).sum()
 

@@ -228,23 +228,23 @@ class _TrainingLoop:
         for number in range(self._first, settings.steps):
             done = self._training.step(number)
             self._curves.add(done.loss, self._training.model.count, self._seconds)
-            yield self._told(done)
+            yield self._losses_progress(done)
             if _is_due(settings.measured_every, number, settings.steps):
                 yield self._look(number)
             if _is_due(settings.saved_every, number, settings.steps):
                 self._save(number + 1)
-                yield self._said(number, f"Saved {self._task.checkpoint.name}")
+                yield self._progress_at(number, f"Saved {self._task.checkpoint.name}")
 
     def _look(self, number: int) -> Progress:
         """Write the scene as it is now where that is asked for, and look at some held-out views."""
         if self._task.snapshot is not None:
             write_scene(scene_of(self._training.model, self._capture), self._task.snapshot)
         if not self._held:
-            return self._said(number, f"After {number + 1:,} steps: loss {self._curves.recent_loss():.4f}")
+            return self._progress_at(number, f"After {number + 1:,} steps: loss {self._curves.recent_loss():.4f}")
         self._note(number + 1, [self._training.measure(view) for view in self._held[:_QUICK_VIEWS]])
         told = f"Held-out views after {number + 1:,} steps: {self._curves.measured_db[-1]:.2f} dB"
         logger.info("%s, %.0f s", told, self._seconds)
-        return self._said(number, told)
+        return self._progress_at(number, told)
 
     def measure(self) -> Generator[Progress, None, TrainingReport]:
         """Measure all held-out views, and some that were learned from."""
@@ -270,15 +270,15 @@ class _TrainingLoop:
     def _seconds(self) -> float:
         return time.perf_counter() - self._began
 
-    def _told(self, done: TrainingStepResult) -> Progress:
+    def _losses_progress(self, done: TrainingStepResult) -> Progress:
         now, preview = time.perf_counter(), None
         if now - self._shown_at > _PREVIEW_INTERVAL_S:
             self._shown_at, preview = now, comparison_image(done.shown, done.truth)
         message = f"Step {done.step + 1:,} of {self._settings.steps:,}: loss {self._curves.recent_loss():.4f}, "
         message += f"{self._training.model.count:,} Gaussians"
-        return self._said(done.step, f"{message} ({done.change})" if done.change else message, preview)
+        return self._progress_at(done.step, f"{message} ({done.change})" if done.change else message, preview)
 
-    def _said(self, number: int, message: str, preview: np.ndarray | None = None) -> Progress:
+    def _progress_at(self, number: int, message: str, preview: np.ndarray | None = None) -> Progress:
         done = (number + 1) / self._settings.steps
         return Progress(_STARTED + (_TRAINED - _STARTED) * done, message, preview)
 
@@ -348,7 +348,7 @@ def start_training(
     schedule = TrainingSchedule(settings, camera_extent([views[i] for i in learned]))
     control = _control(settings, schedule)
     own, own_views = known.of(learned), [views[i] for i in learned]
-    way = camera_trajectory(own_views, own.usual)
+    way = camera_trajectory(own_views, own.median_depth)
     free = FreeSpaceCarving.of([view.camera for view in own_views], own.measured, way, settings.free_space)
     if free is not None and settings.free_space:
         control = FreeSpaceStrategy(control, free, settings.steps)

@@ -153,7 +153,7 @@ def test_a_disdrometers_day_becomes_a_weather(test_data):
     assert measured.duration_s == pytest.approx(span / 60.0)
     rates = np.array([key.intensity_mm_h for key in measured.weather.keys])
     assert rates.max() == pytest.approx(min(100.0, np.nanmax(spectra.reported_mm_h)))
-    assert f"{measured.records:,} records" in measured.told
+    assert f"{measured.records:,} records" in measured.summary
     with pytest.raises(ValueError, match="speed-up"):
         keyframes_from_spectra(reading, speed_up=0.0)
 

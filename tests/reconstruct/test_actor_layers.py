@@ -54,7 +54,7 @@ def test_a_car_becomes_an_actor_in_its_colour(car) -> None:
     assert actor.track is car.track
     assert np.abs(actor.gaussians.means[:, 1]).max() < 1.0
     view = capture.views[2]
-    frame = rasterize([DrawItem(actor.gaussians, actor.way(view.time_s))], view.camera)
+    frame = rasterize([DrawItem(actor.gaussians, actor.pose_at(view.time_s))], view.camera)
     pose = car.track.pose(view.time_s)
     middle = view.camera.world_to_camera[:3] @ (pose @ [-1.95, 0, 0.8, 1])
     row = int(middle[1] / middle[2] * view.camera.fy + view.camera.cy)

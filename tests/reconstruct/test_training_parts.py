@@ -56,7 +56,7 @@ def test_exposures_find_known_gains_and_keep_no_change_as_their_mean():
         assert float(exposures.changes.detach().mean(dim=0).abs().max()) < 1e-6
     for k, gain in ((0, 0.8), (1, 1.2)):
         assert float((exposures.apply(k, scene) - gain * scene).detach().abs().max()) < 0.02
-    assert float(exposures.pull(0).detach()) > 0.05
+    assert float(exposures.penalty(0).detach()) > 0.05
 
 
 def test_exposures_go_on_from_their_state():

@@ -26,7 +26,7 @@ def go_on(self, context):
         delete_every_third(session)
         if sys.argv[2] == "close":
             self.ask_to_close()
-            os.kill(os.getpid(), signal.SIGKILL) if session.files.recovery.kept else None
+            os.kill(os.getpid(), signal.SIGKILL) if session.files.recovery.autosaved_path else None
         os.kill(os.getpid(), getattr(signal, sys.argv[2]))
 
 before, window.MainWindow._go_on = window.MainWindow._go_on, go_on

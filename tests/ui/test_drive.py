@@ -138,7 +138,7 @@ def test_a_rollout_that_was_dropped_plays_and_goes_away_again(driver, rollout):
         front = session.navigation.camera(90, 60).world_to_camera
         driver.ctx.item_click("//Drive/Ego car")
         driver.frames()
-        assert [each.id for each in session.shown_scene.actors] == ["lead"]
+        assert [each.id for each in session.displayed_scene.actors] == ["lead"]
         driver.ctx.mouse_move("//View/view")
         driver.ctx.mouse_drag_with_delta(imgui.ImVec2(40, 0), 1)  # a person looks elsewhere
         driver.frames()

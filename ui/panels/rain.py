@@ -210,7 +210,7 @@ def wetness_fields(session: Editor) -> None:
 
 
 def rain_properties_panel(session: Editor) -> None:
-    state = session.shown_rainfall.state_at(session.clock.time_s)
+    state = session.displayed_rain.state_at(session.clock.time_s)
     if state.intensity_mm_h == 0:
         imgui.text_wrapped("0 mm/h now: no rain at all." if session.weather.keys else "0 mm/h: no rain at all.")
         return
@@ -227,7 +227,7 @@ def rain_properties_panel(session: Editor) -> None:
         ),
         (
             "Table has as many at",
-            _by_number(state.density_m3, session.shown_rainfall.calibration),
+            _by_number(state.density_m3, session.displayed_rain.calibration),
             "Intensity at which the calibration's own table has as many drops as are drawn.",
         ),
         ("Gamma shape", f"{state.shape:.3f}", "mu of the gamma law of diameters."),

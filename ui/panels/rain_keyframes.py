@@ -138,7 +138,7 @@ def _series(session: Editor) -> None:
     except ValueError as error:
         lab.series, lab.problem = None, f"{name}: {error}"
         return
-    imgui.text_wrapped(f"{measured.told}. The heaviest: {measured.weather.heaviest_mm_h(session.rain):.1f} mm/h.")
+    imgui.text_wrapped(f"{measured.summary}. The heaviest: {measured.weather.heaviest_mm_h(session.rain):.1f} mm/h.")
     width = 5.5 * imgui.get_font_size()
     imgui.set_next_item_width(width)
     flags = imgui.SliderFlags_.logarithmic | imgui.SliderFlags_.always_clamp

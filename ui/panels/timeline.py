@@ -230,7 +230,7 @@ def _choice(session: Editor, title: str, field: str, choices: tuple[str, ...], p
 
 def _read_out(session: Editor) -> None:
     speed, t = speed_of(session.path), session.clock.time_s
-    ego = ego_speed_km_h(session.shown_scene, t)
+    ego = ego_speed_km_h(session.displayed_scene, t)
     now = 3.6 * float(np.linalg.norm(session.path.velocity(t)))
     imgui.text(f"{speed.length_m:.1f} m, {speed.mean_km_h:.0f} km/h, at most {speed.fastest_km_h:.0f} km/h")
     imgui.set_item_tooltip("Length of the flight, its mean and its highest speed.")
@@ -351,7 +351,7 @@ def rows(session: Editor, titles_px: float, width: float) -> None:
     last_s = ruler.first_s + ruler.visible_span_s
     if weather.keys:
         _row(session, weather_row(weather, ruler.first_s, last_s, int(width / 6)), titles_px, width, is_rain=True)
-    for row in track_rows(session.shown_scene):
+    for row in track_rows(session.displayed_scene):
         _row(session, row, titles_px, width)
 
 

@@ -57,7 +57,7 @@ class RegionTool:
     def draw(self, session: Editor, viewport: Viewport) -> bool:
         """Draw the region with a dot on each face that is seen, and the same from outside; act on the mouse."""
         box = getattr(session.rain, self._region)
-        anchor = rain_anchor(session.shown_scene, session.shown_rainfall, viewport.shot)
+        anchor = rain_anchor(session.displayed_scene, session.displayed_rain, viewport.shot)
         _edges(viewport, box, anchor, _COLORS[self._region])
         inset = self._inset(viewport, box, anchor)
         handles = face_handles(box, anchor, viewport.shot.camera)

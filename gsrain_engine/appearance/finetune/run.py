@@ -103,7 +103,7 @@ class _FinetuneLoop:
             self._go_on()
         self._shown = choose_samples(split.test.source or split.train.source, task.settings.samples)
         self._warning: CollapseMonitor = start_warning(task.settings, split.train)
-        self._told: str | None = None
+        self._warned: str | None = None
         self._previewed_at = self._flushed_at = -np.inf
         self._grid: Path = task.samples
         write_finetuning(task.config, task.settings)
@@ -117,15 +117,15 @@ class _FinetuneLoop:
                 done = self._iterate(number)
                 self._warning.add(done.losses)
                 log.add(number + 1, done.losses)
-                yield self._said(number, self._line(number, done), self._preview(done))
+                yield self._progress_at(number, self._line(number, done), self._preview(done))
                 if _is_due(settings.sampled_every, number, settings.steps):
                     grid = self._sample(number)
                     log.show(number + 1, grid)
-                    yield self._said(number, f"Samples after {number + 1:,} iterations", grid)
+                    yield self._progress_at(number, f"Samples after {number + 1:,} iterations", grid)
                 if _is_due(settings.saved_every, number, settings.steps):
                     log.flush()  # first: who goes on from the checkpoint has the losses before it
                     self._save(number + 1)
-                    yield self._said(number, f"Saved {self._task.checkpoint.name}")
+                    yield self._progress_at(number, f"Saved {self._task.checkpoint.name}")
                 if (now := time.perf_counter()) - self._flushed_at > _FLUSHED_EVERY_S:
                     log.flush()
                     self._flushed_at = now
@@ -184,9 +184,9 @@ class _FinetuneLoop:
     def _line(self, number: int, done: FinetuneStepResult) -> str:
         """Say what an iteration did; a warning once, when it comes up, in the log too."""
         verdict = self._warning.verdict(number + 1)
-        if verdict.warning is not None and self._told is None:
+        if verdict.warning is not None and self._warned is None:
             logger.warning("%s", verdict.warning)
-        self._told = verdict.warning
+        self._warned = verdict.warning
         losses = done.losses
         cycle, deceit = (losses[f"{kind}_clear"] + losses[f"{kind}_rainy"] for kind in ("cycle", "gan"))
         told = (
@@ -202,7 +202,7 @@ class _FinetuneLoop:
         self._previewed_at = now
         return join_horizontally(done.clear, done.translated)
 
-    def _said(self, number: int, message: str, preview: UInt8[np.ndarray, "h w 3"] | None = None) -> Progress:
+    def _progress_at(self, number: int, message: str, preview: UInt8[np.ndarray, "h w 3"] | None = None) -> Progress:
         share = (number + 1) / self._settings.steps
         return Progress(_STARTED + (_TRAINED - _STARTED) * share, message, preview)
 

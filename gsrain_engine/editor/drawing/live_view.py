@@ -107,7 +107,7 @@ class LiveView:
         if session.screenshot is not None:
             detail = FULL_QUALITY
         shot = self._shot(width, height, detail)
-        raining = session.shown_rainfall.can_rain
+        raining = session.displayed_rain.can_rain
         if session.sky_is_stale and raining and self._can_draw:
             self._look_at_sky(shot)
         if session.sky_pick is not None and self._can_draw:
@@ -134,7 +134,7 @@ class LiveView:
     def is_catching_up(self) -> bool:
         """Whether the next frames go on with what this one has begun, though nothing moves."""
         session = self.session
-        looks = session.sky_is_stale and session.shown_rainfall.can_rain and self._can_draw and not self._sky.is_through
+        looks = session.sky_is_stale and session.displayed_rain.can_rain and self._can_draw and not self._sky.is_through
         return self._is_uploading or looks
 
     @property
@@ -152,7 +152,7 @@ class LiveView:
             return None
         share = min(session.detail.gaussians, _ASIDE) if session.clock.playing else 1.0
         thinning = self._thinning(QualityLevel(share, 1.0))
-        draw_view(self._renderer, scene, session.shown_rainfall, session.sky, shot, thinning=thinning)
+        draw_view(self._renderer, scene, session.displayed_rain, session.sky, shot, thinning=thinning)
         picture = self._cpu.upload() if self._cpu is not None and self._on_cpu else self._opengl.picture
         return screen.show(picture, session.view.background, 2.0**session.view.gain_ev)
 
@@ -445,7 +445,7 @@ def _velocity(scene: Scene, time_s: float) -> np.ndarray | None:
 def _state(session: Editor, scene: Scene, camera: RigCamera) -> Hashable:
     return (
         scene.appearance,
-        session.shown_rainfall,
+        session.displayed_rain,
         session.sky,
         session.clock.time_s,
         session.drives.mosaic.width_px,

@@ -36,7 +36,7 @@ def move_selected(scene: Scene, delta: Similarity, time_s: float = 0.0) -> Scene
     way = _in_scene(scene, delta)
 
     def placed(member: Layer | Actor) -> Layer | Actor:
-        to_scene = member.way(time_s)
+        to_scene = member.pose_at(time_s)
         if to_scene is None or not member.marks.selected:
             return member
         own = np.linalg.inv(to_scene) @ way @ to_scene
@@ -56,7 +56,7 @@ def preview_move(scene: Scene, key: str | None, delta: Similarity, time_s: float
         return move_member(scene, key, delta)
     way, dragged = _in_scene(scene, delta), list[Layer]()
     for member in scene.members:
-        to_scene = member.way(time_s)
+        to_scene = member.pose_at(time_s)
         if to_scene is not None and is_editable(member) and member.marks.selected:
             dragged.append(_dragged(member, way @ to_scene))
     at_rest = edit_members(scene, _without_selection)
@@ -70,7 +70,7 @@ def pivot(scene: Scene, key: str | None, time_s: float = 0.0) -> Float64[np.ndar
     """
     places: list[Float64[np.ndarray, "n 3"]] = []
     for member in scene.members:
-        to_scene = member.way(time_s)
+        to_scene = member.pose_at(time_s)
         wanted = member.key == key if key is not None else is_editable(member) and bool(member.marks.selected)
         if to_scene is None or not wanted or not len(member.gaussians):
             continue
@@ -210,10 +210,10 @@ def layer_pose(scene: Scene, key: str, time_s: float = 0.0) -> Pose | None:
     """
     member, to_world = scene.member(key), scene.scene_to_world
     if key.startswith("layers/"):
-        way = member.way(time_s)
+        way = member.pose_at(time_s)
         assert way is not None
         return pose_of(to_world @ way @ np.linalg.inv(to_world))
-    way = member.way(time_s)
+    way = member.pose_at(time_s)
     if way is None:
         return None
     pose = to_world @ way

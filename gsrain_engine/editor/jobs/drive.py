@@ -247,7 +247,7 @@ class RolloutVideoJob(CopiedSceneJob):
         super().__init__(title, scene, known, files, partial(_start_video, title, rollout, film, fps))
         self._film = film
 
-    def _said(self, error: Exception) -> str:
+    def _describe(self, error: Exception) -> str:
         return describe_error(f"{self._film} can't be filmed", error)
 
     def _take(self, last: Progress) -> None:

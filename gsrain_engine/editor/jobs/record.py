@@ -82,7 +82,7 @@ class ExportJob(CopiedSceneJob):
             logger.info("Stopped recording %s: %s", self._output, left)
         super().cancel()
 
-    def _said(self, error: Exception) -> str:
+    def _describe(self, error: Exception) -> str:
         return describe_error(f"{self._output} can't be recorded", error)
 
     def _take(self, last: Progress) -> None:

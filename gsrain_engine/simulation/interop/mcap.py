@@ -107,7 +107,7 @@ class _McapWriter:
         self._add(step, "/plan", SCENE_UPDATE, plan_update(step))
         if first and self._route is not None:
             self._add(step, "/route", SCENE_UPDATE, route_update(step, self._route.points))
-        for level, text in self._said(step):
+        for level, text in self._log_lines(step):
             self._add(step, "/log", LOG, log_message(step.time_s, level, text))
 
     def _image(self, step: RolloutStep, picture: CameraImage) -> None:
@@ -128,7 +128,7 @@ class _McapWriter:
         }  # fmt: skip
         return {**motion, "gap_m": gap_m} if np.isfinite(gap_m) else motion
 
-    def _said(self, step: RolloutStep) -> list[tuple[int, str]]:
+    def _log_lines(self, step: RolloutStep) -> list[tuple[int, str]]:
         lines: list[tuple[int, str]] = []
         if step is self._rollout.steps[0]:
             rain, agent = self._setting.intensity_mm_h, self._rollout.agent

@@ -61,7 +61,7 @@ class RecordedTrack:
         return float((after[:2, 3] - before[:2, 3]) @ forward) / (end - begin)
 
     def _pose(self, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
-        way = self._actor.way(self._start_s + time_s)
+        way = self._actor.pose_at(self._start_s + time_s)
         return None if way is None else self._scene.scene_to_world @ way
 
 

@@ -112,7 +112,7 @@ def assert_same(found: Scene, expected: Scene) -> None:
             b.key, b.visible, b.locked, b.opacity, b.grading,
         )  # fmt: skip
         assert_equal(a.gaussians, b.gaussians)
-        assert np.array_equal(a.way(0.0), b.way(0.0))
+        assert np.array_equal(a.pose_at(0.0), b.pose_at(0.0))
         for name in ("selected", "hidden", "deleted"):
             assert same_mask(getattr(a.marks, name), getattr(b.marks, name))
     assert (found.path is None) == (expected.path is None)

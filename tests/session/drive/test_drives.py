@@ -34,20 +34,20 @@ def test_an_opened_rollout_is_shown_and_the_document_stays(session, file):
     scene, drives = session.scene, session.drives
     assert (session.problem, drives.trouble) == (None, None)
     assert drives.playing.path == file
-    assert [each.id for each in session.shown_scene.actors] == ["lead", "ego car"]
-    assert session.split_panes[0].scene is session.shown_scene
+    assert [each.id for each in session.displayed_scene.actors] == ["lead", "ego car"]
+    assert session.split_panes[0].scene is session.displayed_scene
     assert session.scene.actors == ()
     assert (session.history.cursor, session.has_changes) == (0, False)
     assert session.span_s == (0.0, drives.playing.duration_s)
     drives.close(session, drives.playing)
-    assert session.shown_scene is scene
+    assert session.displayed_scene is scene
     assert session.span_s == (0.0, 5.0)  # of the recorded drive
     assert drives.opened == []
 
 
 def test_it_rains_as_it_was_driven_unless_a_person_wants_the_scene_s_rain(session):
     assert session.split_panes[0].rainfall.rain.intensity_mm_h == 8.5
-    assert session.shown_rainfall is session.shown_rainfall
+    assert session.displayed_rain is session.displayed_rain
     session.drives.rain_as_driven = False
     assert session.split_panes[0].rainfall.rain.intensity_mm_h == 0.0
 
@@ -61,10 +61,10 @@ def test_a_comparison_has_the_same_traffic_on_both_sides(session):
 
 def test_an_edit_of_the_document_is_seen_while_a_rollout_plays(session):
     session.show_member("layers/wall", False)
-    assert not session.shown_scene.member("layers/wall").visible
-    assert [each.id for each in session.shown_scene.actors] == ["lead", "ego car"]
+    assert not session.displayed_scene.member("layers/wall").visible
+    assert [each.id for each in session.displayed_scene.actors] == ["lead", "ego car"]
     session.undo()
-    assert session.shown_scene.member("layers/wall").visible
+    assert session.displayed_scene.member("layers/wall").visible
 
 
 def test_jumps_stop_at_the_collision_and_at_the_smallest_ttc(session):
@@ -166,7 +166,7 @@ def test_a_rollout_that_does_not_belong_here_has_plots_but_no_picture(session, t
     settled(session)
     assert "elsewhere" in session.drives.trouble
     assert session.problem == session.drives.trouble
-    assert session.shown_scene is session.scene
+    assert session.displayed_scene is session.scene
     assert session.drives.playing.metrics.collided_with == "lead"
 
 

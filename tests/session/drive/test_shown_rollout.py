@@ -14,7 +14,7 @@ from .driven import driven
 
 def world_pose(scene, key, time_s):
     member = scene.member(key)
-    return scene.scene_to_world @ member.way(time_s)
+    return scene.scene_to_world @ member.pose_at(time_s)
 
 
 @pytest.mark.parametrize(("start_s", "scale"), [(0.0, 1.0), (0.7, 0.25)])

@@ -128,8 +128,8 @@ def test_an_actor_is_placed_where_the_numbers_say_at_that_moment():
 
 def test_an_actor_turns_in_place():
     scene = edited_scene()
-    pose = turn_actor(scene, "actors/car", 90.0).actors[0].way(2.0)
-    assert pose[:3, 3] == pytest.approx(scene.actors[0].way(2.0)[:3, 3])
+    pose = turn_actor(scene, "actors/car", 90.0).actors[0].pose_at(2.0)
+    assert pose[:3, 3] == pytest.approx(scene.actors[0].pose_at(2.0)[:3, 3])
     assert pose[:3, 0] == pytest.approx([0, 1, 0])
     with pytest.raises(ValueError, match="ground is a layer"):
         turn_actor(scene, "layers/ground", 90.0)
@@ -138,6 +138,6 @@ def test_an_actor_turns_in_place():
 def test_an_actor_drives_at_other_times():
     later = retime_actor(edited_scene(), "actors/car", 10.0, 2.0).actors[0]
     assert (start_of(later), duration_of(later)) == (10.0, 2.0)
-    assert later.way(11.0)[:3, 3] == pytest.approx([2.0, 0, 0])  # half way
+    assert later.pose_at(11.0)[:3, 3] == pytest.approx([2.0, 0, 0])  # half way
     with pytest.raises(ValueError, match="longer than 0 s"):
         retime_actor(edited_scene(), "actors/car", 0.0, 0.0)

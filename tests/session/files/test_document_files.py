@@ -128,7 +128,7 @@ def test_an_export_is_a_copy_and_the_document_stays_unsaved(sessions, home, tmp_
         settle(session)
     delete_every_third(session)
     keep_now(session)
-    kept, files = session.files.recovery.kept, session.files
+    kept, files = session.files.recovery.autosaved_path, session.files
     before = files.home, files.source, files.recent, session.scene.name
     assert (kept / "scene" / "scene.json").is_file()
     files.export_to(tmp_path / f"copy{suffix}")
@@ -138,7 +138,7 @@ def test_an_export_is_a_copy_and_the_document_stays_unsaved(sessions, home, tmp_
     assert read_scene(tmp_path / f"copy{suffix}").gaussian_count == session.scene.gaussian_count
     assert session.has_changes and session.problem is None
     assert (files.home, files.source, files.recent, session.scene.name) == before
-    assert files.recovery.kept == kept and (kept / "scene" / "scene.json").is_file()
+    assert files.recovery.autosaved_path == kept and (kept / "scene" / "scene.json").is_file()
     session.request_quit()
     assert session.questions.present.title == "Unsaved changes" and not session.is_leaving
     answer(session, "Save")
