@@ -123,8 +123,7 @@ class RainKeyframes(
 ):
     """Keyframes of the rain in order of time, with unique times.
 
-    A field is constant before its first and after its last keyframe. Raises `ValueError` for keyframes that are out of
-    order.
+    A field is constant before its first and after its last keyframe. Raises `ValueError` for keyframes out of order.
     """
 
     keys: tuple[RainKeyframe, ...] = ()
