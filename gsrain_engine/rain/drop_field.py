@@ -143,7 +143,6 @@ def find_in_region(
 def count_in_region(
     count: int, seed: int, where: DropPhases, period_m: Float64[np.ndarray, "3"], culling: DropCulling
 ) -> int:
-    """Count the drops in the streak region, visible or not."""
     return len(_search(count, seed, where, period_m, culling, only_seen=False))
 
 
@@ -226,8 +225,7 @@ def _mark_class(first, count, seed, wraps, fractions, geometry, margin, far, eve
 
 # Stateless random numbers: the pcg4d hash
 # Jarzynski and Olano 2020, "Hash Functions for GPU Rendering". A number is a pure function of its inputs, so any drop
-# at
-# any time can be computed independently, with identical bits in NumPy, Numba and GLSL.
+# at any time can be computed independently, with identical bits in NumPy, Numba and GLSL.
 
 MULTIPLIER = np.uint32(1664525)
 

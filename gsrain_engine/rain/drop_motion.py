@@ -65,7 +65,6 @@ class DropMotion:
         return moved
 
     def without_drift(self) -> "DropMotion":
-        """Return the same motion without wind."""
         return replace(self, wind=Wind(), drifted_m=None)
 
     def drift(self, time_s: float) -> Float64[np.ndarray, "2"]:
@@ -129,12 +128,10 @@ class KeyframedDropMotion:
         return DropMotion(wind, speeds, time_s, self.drift(time_s), self.fallen(time_s))
 
     def drift(self, time_s: float) -> Float64[np.ndarray, "2"]:
-        """Drift of all drops by the wind along x and y, in meters."""
         moved = self.mean_wind.integral(time_s) + self.gusts.displacement(time_s)
         return moved if self.drifted_m is None else moved + self.drifted_m
 
     def fallen(self, time_s: float) -> Float64[np.ndarray, " classes"]:
-        """Fall of each class in meters."""
         moved = self._since_first_knot(time_s) - self._at_zero
         return moved if self.fallen_m is None else moved + self.fallen_m
 

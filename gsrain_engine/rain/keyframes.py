@@ -55,9 +55,6 @@ class RainKeyframe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         return self.intensity_mm_h is None and self.wind_m_s is None and self.exposure_s is None
 
 
-# Keyframe curves
-
-
 @dataclass(frozen=True, eq=False)
 class KeyframeCurve:
     """Piecewise linear function of time with k components and exact integrals; constant beyond its end knots."""
@@ -155,7 +152,6 @@ class RainKeyframes(
         return np.array([key.time_s for key in self.keys], np.float64)
 
     def is_keyed(self, name: str) -> bool:
-        """True if a field of the rain has a keyframe at any time."""
         return name in self.curves
 
     def key_at(self, time_s: float) -> RainKeyframe | None:
@@ -171,7 +167,6 @@ class RainKeyframes(
         return msgspec.structs.replace(rain, **changes)
 
     def heaviest_mm_h(self, rain: RainSettings) -> float:
-        """Highest intensity at any time."""
         curve = self.curves.get("intensity_mm_h")
         return rain.intensity_mm_h if curve is None else float(curve.values.max())
 

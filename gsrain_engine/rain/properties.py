@@ -23,8 +23,6 @@ _MIN_MM_H = 1e-3
 
 Velocity = Callable[[Float[np.ndarray, "*n"]], Float[np.ndarray, "*n"]]
 
-# Drop sizes
-
 
 @dataclass(frozen=True)
 class DropSizes:

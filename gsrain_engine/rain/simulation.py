@@ -33,7 +33,6 @@ class RainCamera:
     anchor_to_world: Float64[np.ndarray, "4 4"]
     """Frame of the rain regions: x forward, y left, z up, without tilt."""
     velocity_m_s: Float64[np.ndarray, "3"]
-    """Velocity of the camera."""
     focal_px: float | None = None
     """Focal length of the output image; None uses the camera's own."""
     roofs: ShelterMap | None = None
@@ -56,7 +55,6 @@ class RainFrame:
     color: Float64[np.ndarray, "3"]
     """Display color of a drop."""
     light_linear: Float32[np.ndarray, "3"]
-    """Linear-light color of a drop."""
     mixing: Literal["linear", "display"]
     """Space in which drops are blended: linear light, or display color (the paper's form)."""
 
@@ -175,7 +173,6 @@ class RainSimulation:
 
     @property
     def can_rain(self) -> bool:
-        """True if it rains at any time."""
         return self.weather.heaviest_mm_h(self.rain) > 0
 
     def at(self, time_s: float, view: RainCamera, sky: tuple[float, float, float] = OVERCAST) -> RainFrame | None:

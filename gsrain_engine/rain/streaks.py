@@ -102,7 +102,6 @@ class DropBatch:
         return drops.positions(self.period_m) @ self.axes.T + self.center_m
 
     def streaks(self, drops: Drops) -> StreakGaussians:
-        """Turn drops into streak Gaussians in the world."""
         c = drops.class_index
         return streak_gaussians(
             self.positions(drops), self.diameters_mm[c], self.velocities(c), self.shutter, self.rain

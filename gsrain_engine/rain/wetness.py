@@ -58,7 +58,6 @@ class WetnessCurve:
     drying_s: float
     """Time in which a wet surface dries to 1/e; 0 follows the intensity at once."""
     _at: dict[float, float] = field(default_factory=dict[float, float], init=False)
-    """Cache of the latest time."""
 
     def at(self, time_s: float) -> float:
         if time_s not in self._at:

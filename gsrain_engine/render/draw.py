@@ -61,7 +61,6 @@ class LodSubset:
         return self._growths[key][1]
 
     def forget_all_but(self, kept: Iterable[Gaussians]) -> None:
-        """Remove every other set from the cache."""
         keys = {_shape(each) for each in kept}
         self._growths = {key: known for key, known in self._growths.items() if key in keys}
 
@@ -132,7 +131,6 @@ def _leveled(forward: Float64[np.ndarray, "3"], origin: Float64[np.ndarray, "3"]
 
 
 def subset_items(parts: Sequence[DrawItem], thinning: LodSubset | None) -> Sequence[DrawItem]:
-    """Apply level of detail to every part, if any."""
     return parts if thinning is None else [thinning(part) for part in parts]
 
 

@@ -120,19 +120,16 @@ def _open(recording: ExportSettings, sequences: Mapping[str, FrameSequence], sta
 
 
 def _clock_time(seconds: float) -> str:
-    """Minutes and seconds, with hours from one hour on."""
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d} h" if minutes >= 60 else f"{minutes}:{rest:02d} min"
 
 
 def _small(frame: Frame) -> UInt8[np.ndarray, "h w 3"]:
-    """Every n-th pixel of a frame."""
     step = -(-frame.rgba.shape[1] // _PREVIEW_PX)
     return np.ascontiguousarray(Frame(frame.rgba[::step, ::step]).to_uint8())
 
 
 def _problem(recording: ExportSettings, error: OSError, done: int) -> str:
-    """One sentence with the error, the output and the number of complete frames."""
     reason = error.strerror or str(error)
     return f"{recording.output} can't be written on after {done} frames: {reason}; what was written before is whole"
 
@@ -180,7 +177,7 @@ def film_frames(
 # Cameras, size and times of an export
 
 LONGEST_DEFAULT_S = 10.0
-"""Maximum default length of a video from a fixed camera or untimed path."""
+"""Maximum default length of a video from a fixed camera or a path with times of its own."""
 
 
 def export_sequences(
@@ -230,7 +227,7 @@ def frame_numbers(recording: ExportSettings, sequences: Mapping[str, FrameSequen
 
 
 def _length_s(sequence: FrameSequence) -> float:
-    """Full length of a drive or a timed path; at most `LONGEST_DEFAULT_S` otherwise."""
+    """Full length of a drive or a path in scene time; at most `LONGEST_DEFAULT_S` otherwise."""
     length_s = LONGEST_DEFAULT_S if sequence.length_s is None else sequence.length_s
     is_made = sequence.in_scene_time or isinstance(sequence.camera, RigCameraView)
     return length_s if is_made else min(LONGEST_DEFAULT_S, length_s)

@@ -161,7 +161,6 @@ class ExportSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
     @property
     def is_still(self) -> bool:
-        """True if the output is a single image."""
         return self.suffix in (".png", ".jpg", ".jpeg", ".exr", ".npy")
 
     def check(self) -> None:
@@ -203,12 +202,10 @@ class ExportFiles:
     """True if `path` is a folder of frames; its name may contain dots."""
 
     def color(self, number: int) -> Path:
-        """Path of a frame's colors."""
         ending = "jpg" if self.format == "jpeg" else self.format
         return self.path / f"{number:06d}.{ending}" if self.is_folder else self.path
 
     def pass_file(self, number: int, name: Pass) -> Path:
-        """Path of another pass of a frame."""
         kind = "npy" if self.format == "npy" and name == "depth" else "png"
         if self.is_video:
             return self._folder(name) / f"{number:06d}.{kind}"
@@ -218,7 +215,6 @@ class ExportFiles:
 
     @property
     def legend(self) -> Path:
-        """Path of the label legend."""
         if self.is_video:
             return self._folder("labels") / "labels.json"
         return self.path / "labels.json" if self.is_folder else self.path.with_name(f"{self.path.stem}.labels.json")
@@ -255,7 +251,6 @@ def export_files(recording: ExportSettings, camera: str | None, *, is_clear: boo
 
 
 def export_outputs(recording: ExportSettings, cameras: Sequence[str]) -> list[Path]:
-    """All files and folders that an export of these cameras writes."""
     names = cameras if len(cameras) > 1 else [None]
     twins = (False, True) if recording.twin else (False,)
     return [path for name in names for twin in twins for path in export_files(recording, name, is_clear=twin).roots()]

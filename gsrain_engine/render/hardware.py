@@ -23,7 +23,6 @@ def describe_machine() -> dict[str, str | int]:
 
 
 def processor_name() -> str:
-    """Model name of the processor."""
     listing = Path("/proc/cpuinfo")  # Linux only
     lines = listing.read_text().splitlines() if listing.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]

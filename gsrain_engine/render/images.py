@@ -78,7 +78,6 @@ def write_labels(path: Path, labels: UInt16[np.ndarray, "h w"], count: int) -> N
 
 
 def write_legend(path: Path, legend: Mapping[str, Any]) -> None:
-    """Write the meaning of the labels as JSON."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as beside:
         beside.write_text(json.dumps(legend, indent=1) + "\n", encoding="utf-8")
@@ -120,9 +119,6 @@ def write_exr(path: Path, frame: Frame, passes: Set[Pass]) -> None:
             OpenEXR.File(header, channels).write(str(beside))
         except RuntimeError as error:  # raised by OpenEXR's C++ code for I/O errors
             raise OSError(str(error)) from None
-
-
-# Frame writer
 
 
 @contextmanager

@@ -50,7 +50,6 @@ class CocoLabels:
 
     @property
     def document(self) -> dict[str, Any]:
-        """Content of the file as plain values."""
         categories = COCO_CATEGORIES | self._own_classes
         return {
             "info": {
@@ -92,9 +91,8 @@ class CocoLabels:
 
 
 # KITTI
-# Format of KITTI's object benchmark (Geiger et al., 2012): label_2, calib, and instance masks. Its pixel centers are
-# whole
-# numbers, ours are halves: boxes and principal points are shifted by half a pixel.
+# Format of KITTI's object benchmark (Geiger et al., 2012): label_2, calib, and instance masks. Its pixel centers
+# are whole numbers, ours are halves: boxes and principal points are shifted by half a pixel.
 
 _CLASSES = {"car": "Car", "truck": "Truck", "person": "Pedestrian", "cyclist": "Cyclist", "train": "Tram"}
 
@@ -235,9 +233,8 @@ def _write_kitti(files: ExportFiles, number: int, sequence: FrameSequence, seen:
 
 
 # COCO masks
-# Run lengths by column (maskApi.c of the COCO API, Lin and Dollar, 2015). Strings hold five bits per character,
-# starting
-# at "0", and from the third run on the difference to the run before the last.
+# Run lengths by column (maskApi.c of the COCO API, Lin and Dollar, 2015). Strings hold five bits per
+# character, starting at "0", and from the third run on the difference to the run before the last.
 
 _FIRST = 48
 

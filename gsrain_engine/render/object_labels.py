@@ -90,7 +90,6 @@ class VisibleObject:
     """From its frame (x forward, y left, z up, origin at the bottom center) to the camera's (OpenCV axes), meters."""
     size_lwh_m: tuple[float, float, float]
     mask: Bool[np.ndarray, "h w"]
-    """Pixels of the object."""
     visibility: float
     """Ratio of its pixels to its pixels without occlusion; 0..1."""
     truncation: float

@@ -56,7 +56,6 @@ class Frame:
     """Expected depth of the scene along the view axis in meters, without rain; 0 where empty."""
 
     def over(self, background: Color = (0.0, 0.0, 0.0)) -> Float32[np.ndarray, "h w 3"]:
-        """Composite the image over a plain background."""
         alpha = self.rgba[..., 3:]
         return self.rgba[..., :3] + (1 - alpha) * np.asarray(background, np.float32)
 
@@ -78,9 +77,7 @@ class Renderer(Protocol):
         ...
 
     @property
-    def statistics(self) -> RenderStatistics:
-        """Statistics of the last image."""
-        ...
+    def statistics(self) -> RenderStatistics: ...
 
     def draw(
         self,

@@ -128,9 +128,6 @@ def _pyav(path: Path) -> Any:
     return av
 
 
-# Error-capturing file
-
-
 class ErrorCapturingFile:
     """File object that stores the first write error and pretends success from then on.
 
@@ -144,7 +141,6 @@ class ErrorCapturingFile:
         self.error: OSError | None = None
 
     def check(self) -> None:
-        """Raise the stored error, if any."""
         if self.error is not None:
             raise self.error
 
@@ -162,7 +158,6 @@ class ErrorCapturingFile:
         return len(data)
 
     def seek(self, offset: int, whence: int = 0) -> int:
-        """Go to a position: from the start, from here, or from the end."""
         self._position = offset + (0, self._position, self._end)[whence]
         return self._position
 

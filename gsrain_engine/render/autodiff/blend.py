@@ -115,7 +115,6 @@ def _blend(shape, channels, x0, y0, state):
 # Backward pass
 
 SUMS = 10
-"""Number of sums per splat."""
 
 
 def blend_backward(

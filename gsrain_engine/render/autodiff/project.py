@@ -307,7 +307,6 @@ def _shape_back(mean, scale, q, m, intrinsics, shape, sums, by_mean, by_scale, b
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def _combined(a, first, b, second, c, third):
-    """Weighted sum of three triples."""
     return (
         a * first[0] + b * second[0] + c * third[0],
         a * first[1] + b * second[1] + c * third[1],

@@ -36,8 +36,7 @@ class Splats:
         ln alpha = log_opacity + sharpness_x * dx^2 + sharpness_y * (v - y - shear * dx)^2, cut below log_cut,
     where shear = cov_xy / cov_xx, sharpness_x = -1 / (2 cov_xx), sharpness_y = -cov_xx / (2 det), |dx| <= reach_x: the
     2D Gaussian column by column. Both terms are negative, so that long needles suffer no cancellation. Columns suit
-    rain:
-    a falling streak touches few of them.
+    rain: a falling streak touches few of them.
     """
 
     shapes: Float32[np.ndarray, "m 8"]
@@ -56,7 +55,6 @@ class Splats:
         return self.shapes[:, 6] < MIN_SCENE_CUT
 
     def nearest_first(self) -> Int32[np.ndarray, " drawn"]:
-        """Drawn rows sorted by depth; equal depths keep their index."""
         return nearest_first(self.colors[:, 3])
 
 

@@ -28,8 +28,6 @@ _OPAQUE = 0.98
 _FIXED_POINT = 2.0**40
 """Logarithms are added as integers: the sum, and thus the output, doesn't depend on the order."""
 
-# Depth slabs
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DepthSlabs:

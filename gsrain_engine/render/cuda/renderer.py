@@ -89,7 +89,6 @@ class CudaRenderer:
         self._arrays.release_unused()
 
     def read(self) -> Frame:
-        """Return the last image, with depth if it was drawn."""
         assert self._frame is not None, "draw before reading the picture"
         rgba, depth = self._frame
         return Frame(rgba.cpu().numpy(), depth.cpu().numpy() if depth is not None else None)

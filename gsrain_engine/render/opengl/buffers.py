@@ -153,7 +153,6 @@ class GpuArrays:
 
     @property
     def mark_count(self) -> int:
-        """Number of uploaded mask pairs."""
         return len(self._marks)
 
     def release_unused(self) -> None:
@@ -362,7 +361,6 @@ class ProjectedSplatBuffer:
 
     @property
     def switches(self) -> Switches:
-        """Macros for compiling the shaders."""
         return {"SPLAT_BLOCKS": self._record_blocks, "BLOCK_SHIFT": self._block_shift}
 
     def reserve(self, slots: int) -> None:

@@ -98,7 +98,6 @@ class _OSMesa:
         return self._library.OSMesaGetProcAddress(name.encode()) or 0
 
     def enter(self) -> None:
-        """Make the context current on this thread."""
         if not self._library.OSMesaMakeCurrent(self._handle, self._screen, 0x1401, 4, 4):  # GL_UNSIGNED_BYTE
             raise RuntimeError("OSMesaMakeCurrent failed")
         self._depth += 1
@@ -171,11 +170,9 @@ class EglContext:
         self.enter()
 
     def load_opengl_function(self, name: str) -> int:
-        """Return the address of an entry point, or 0."""
         return self._address(name.encode()) or 0
 
     def enter(self) -> None:
-        """Make the context current on this thread."""
         display, surface = self._current_display() or self._display, self._current_surface(_DRAW)
         self._before.append((display, surface, surface, self._current()))
         _need(self._make_current(self._display, None, None, self._context), "the context can't be current")

@@ -23,8 +23,6 @@ from .sort import SLOTS, CpuSort, DepthSort
 _QUADS_BY_INSTANCE = 128
 """Splats per instance; instances of one quad would leave a GPU's vertex units idle. As in splat.vert."""
 
-# Framebuffers
-
 
 class FramebufferLayout(NamedTuple):
     """Attachments of a framebuffer: the fragment shader's locations 0, 1, 2."""
@@ -252,9 +250,6 @@ def _quad_indices() -> np.ndarray:
     return (quads + np.array([0, 1, 2, 1, 3, 2], np.uint32)).ravel()
 
 
-# Tone mapping
-
-
 class Screen:
     """Converts images for the screen: background, display gain, 8 bits."""
 
@@ -285,9 +280,6 @@ class Screen:
         self._vertices.render(moderngl.TRIANGLES, vertices=3)
         before.use()
         return self._texture
-
-
-# Off-screen renderer
 
 
 class OffscreenRenderer(SplatRenderer):

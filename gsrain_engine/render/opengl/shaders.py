@@ -85,9 +85,6 @@ def _read(name: str) -> list[str]:
     return (shipped_folder("shaders") / name).read_text(encoding="utf-8").splitlines()
 
 
-# GPU timers
-
-
 class GpuTimers:
     """One timer query per stage; `collect` reads them after the frame has finished, to avoid stalls.
 

@@ -36,7 +36,6 @@ class DepthSort:
         self._counts = GrowableBuffer(context)
 
     def reserve(self, capacity: int) -> None:
-        """Make room for `capacity` pairs."""
         for keys, slots in self._pairs:
             keys.reserve(4 * capacity)
             slots.reserve(4 * capacity)
@@ -126,9 +125,6 @@ def sort_faults(
     )
 
 
-# CPU sort
-
-
 class CpuSort:
     """Sorts on the CPU in the same order as `DepthSort`, bit for bit; faster for software rasterizers."""
 
@@ -136,17 +132,14 @@ class CpuSort:
         self._keys, self._slots = GrowableBuffer(context), GrowableBuffer(context)
 
     def reserve(self, capacity: int) -> None:
-        """Make room for `capacity` pairs."""
         self._keys.reserve(4 * capacity)
         self._slots.reserve(4 * capacity)
 
     @property
     def unsorted(self) -> tuple[moderngl.Buffer, moderngl.Buffer]:
-        """Input buffers of keys and slots."""
         return self._keys.buffer, self._slots.buffer
 
     def sort(self, work: moderngl.Buffer) -> moderngl.Buffer:
-        """Sort by rising key; `work` contains the number of keys. Returns the sorted slots."""
         keys, slots = self.unsorted
         count = int(np.frombuffer(work.read(4, offset=COUNT_OFFSET), np.uint32)[0])
         if count:
