@@ -1,1 +1,1 @@
-"""High-frequency rain: what a person asks for, what follows from it, and the drops, streaks and haze it looks like."""
+"""Rain: settings, physical properties, and the drops, streaks, haze and wetness derived from them."""

@@ -1,4 +1,4 @@
-"""A rain calibration: drop number and size over the rainfall intensity, and fall speed over the diameter."""
+"""Rain calibration: drop number and size over the rainfall intensity, and fall speed over the diameter."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -21,7 +21,7 @@ Interval = tuple[float, float]
 
 
 class RowConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Between which values 95 % of the fits to resampled minutes lie."""
+    """Intervals that contain 95 % of the fits to resampled minutes."""
 
     density_m3: Interval
     shape: Interval
@@ -29,7 +29,7 @@ class RowConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 class CalibrationRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Drops at one intensity: number density and the gamma law of their diameters (paper, table III, eq. 8)."""
+    """Drops at one intensity: number density and gamma distribution of diameters (paper, table III, eq. 8)."""
 
     intensity_mm_h: Positive
     density_m3: Positive
@@ -39,7 +39,7 @@ class CalibrationRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 
 class VelocityFit(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Fall speed in m/s as a quadratic of the diameter in mm: highest power first (paper, eq. 9)."""
+    """Fall speed in m/s as a quadratic of the diameter in mm, highest power first (paper, eq. 9)."""
 
     coefficients: tuple[float, float, float]
     r2: float | None = None
@@ -52,19 +52,19 @@ class VelocityFit(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 class SourceFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A file that a calibration was fitted to."""
+    """File that a calibration was fitted to."""
 
     name: str
     sha256: str
 
 
 class Provenance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """What a calibration was fitted to, and how."""
+    """Source data and method of a calibration."""
 
     files: tuple[SourceFile, ...]
     instrument: str
     first: str | None = None
-    """End of the first record, UTC; none where the file has no times."""
+    """End of the first record, UTC; None for files without times."""
     last: str | None = None
     records: int
     records_used: int
@@ -72,14 +72,14 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class Calibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """What a disdrometer says about rain: a YAML file."""
+    """Drop statistics fitted to disdrometer records; saved as YAML."""
 
     name: str
     source: str
     rows: Annotated[tuple[CalibrationRow, ...], Meta(min_length=2)]
     velocity: VelocityFit
     provenance: Provenance | None = None
-    """Where the numbers come from, when they were fitted here."""
+    """Source of the numbers; None for calibrations not fitted by this program."""
 
     def __post_init__(self) -> None:
         intensities = [row.intensity_mm_h for row in self.rows]
@@ -101,7 +101,7 @@ def load_calibration(name: str) -> Calibration:
 
 
 def save_calibration(calibration: Calibration, path: Path | str) -> None:
-    """Write a calibration file, whole or not at all."""
+    """Write a calibration file atomically."""
     with whole_file(Path(path)) as beside:
         text = yaml.safe_dump(
             msgspec.to_builtins(calibration), sort_keys=False, default_flow_style=None, allow_unicode=True, width=120

@@ -1,10 +1,10 @@
-"""The drop field: where every drop is, as a function of (seed, t).
+"""Drop field: position of every drop as a function of (seed, t).
 
 Drops live on a lattice cell with periodic faces. A position is a 32-bit fraction of the cell's edge on each axis, so
-adding is exact and every implementation agrees in every bit. The cell is centred on the streak region and moves with
-it; what moves the cell and what moves the drop enter as one offset a class and axis, split into whole wraps and a
-32-bit fraction. A drop that wraps is drawn anew on the axes that come later in the order z, x, y; it therefore jumps
-only at a face of the cell.
+addition is exact and all implementations agree in every bit. The cell is centered on the streak region and moves with
+it. The motions of cell and drops enter as one offset per class and axis, split into whole wraps and a 32-bit fraction.
+A drop that wraps is redrawn on the axes that come later in the order z, x, y; it therefore jumps only at a face of the
+cell.
 """
 
 from typing import NamedTuple, no_type_check
@@ -20,7 +20,7 @@ CLASS_STRIDE = 10125
 """Odd, about CLASSES / golden ratio: i -> i * stride mod CLASSES visits every class once in CLASSES drops, evenly."""
 
 FIRST_OF_CLASS = pow(CLASS_STRIDE, -1, CLASSES)
-"""Class c belongs to the drops c * this mod CLASSES, that plus CLASSES, and so on."""
+"""Inverse of `CLASS_STRIDE`: class c has the drops (c * this mod CLASSES) + k CLASSES."""
 
 _CLASSES_BY_CHUNK = 64
 
@@ -28,42 +28,42 @@ _LANES = 16
 
 
 class DropPhases(NamedTuple):
-    """How far the cell and the drops of each class are apart: whole periods and the 32-bit rest."""
+    """Offset between the cell and the drops of each class: whole periods and the 32-bit fraction."""
 
     wraps: Int32[np.ndarray, "classes 3"]
     fractions: UInt32[np.ndarray, "classes 3"]
 
 
 class Drops(NamedTuple):
-    """Some drops of the field."""
+    """Drops of the field by number, with class and position."""
 
     numbers: Int64[np.ndarray, " m"]
-    """Rising; a drop exists when its number is below the cell's count."""
+    """Rising; a drop exists if its number is below the cell's count."""
     class_index: Int64[np.ndarray, " m"]
     fractions: UInt32[np.ndarray, "m 3"]
     """Position in the cell: 0 is the lower face, 2^32 the upper one."""
 
     def positions(self, period_m: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "m 3"]:
-        """Positions in metres from the centre of the cell."""
+        """Positions in meters from the center of the cell."""
         return (self.fractions * 2.0**-32 - 0.5) * period_m
 
 
 class DropCulling(NamedTuple):
-    """Which drops are worth drawing: cheap, generous tests in the cell's frame, in metres."""
+    """Parameters of the cheap, conservative visibility tests. Cell frame, meters."""
 
     region_rotation: Float64[np.ndarray, "2 2"]
     """Cell x, y to region x, y."""
     region_half: Float64[np.ndarray, "3"]
-    """Half the edges of the streak region, which shares its centre with the cell."""
+    """Half the edges of the streak region, which shares its center with the cell."""
     camera_position: Float64[np.ndarray, "3"]
-    """Camera relative to the centre of the cell."""
+    """Camera relative to the center of the cell."""
     cell_to_camera: Float64[np.ndarray, "3 3"]
     slopes: Float64[np.ndarray, "4"]
     """Edges of the view: lowest and highest x/z, lowest and highest y/z."""
     class_margin_m: Float64[np.ndarray, " classes"]
-    """How far a streak reaches beyond its drop."""
+    """Maximum distance of a streak's fragments from its drop."""
     class_far_m: Float64[np.ndarray, " classes"]
-    """View depth beyond which drops of a class are left to the haze."""
+    """View depth beyond which haze represents the drops of a class."""
 
 
 def drop_phases(
@@ -71,7 +71,7 @@ def drop_phases(
     cell_center_m: Float64[np.ndarray, "3"],
     period_m: Float64[np.ndarray, "3"],
 ) -> DropPhases:
-    """Split (drop displacement - cell centre) / period + 1/2 into whole wraps and a 32-bit fraction."""
+    """Split (drop displacement - cell center) / period + 1/2 into whole wraps and a 32-bit fraction."""
     wraps, fractions = np.empty(displacement_m.shape, np.int32), np.empty(displacement_m.shape, np.uint32)
     for axis in range(3):
         _split(displacement_m[:, axis], cell_center_m[axis], period_m[axis], wraps[:, axis], fractions[:, axis])
@@ -81,7 +81,7 @@ def drop_phases(
 def drop_phases_of_motion(
     motion: DropMotion, time_s: float, cell_center_m: Float64[np.ndarray, "3"], period_m: Float64[np.ndarray, "3"]
 ) -> DropPhases:
-    """`offsets` of a motion's displacement, to the bit, without making it: all classes drift alike."""
+    """Return the same bits as `drop_phases` of the motion's displacement, but faster: all classes drift alike."""
     drift, fallen = motion.drift(time_s), motion.fallen(time_s)
     wraps, fractions = np.empty((len(fallen), 3), np.int32), np.empty((len(fallen), 3), np.uint32)
     for axis in range(2):
@@ -102,7 +102,7 @@ def _split(displacement, center, period, wraps, fractions):
 
 
 def place_drops(numbers: Int64[np.ndarray, " m"], seed: int, where: DropPhases) -> Drops:
-    """Place drops by their numbers: the readable reference of the compiled search below."""
+    """Place drops by their numbers: readable reference of the compiled search below."""
     classes = (numbers * CLASS_STRIDE) % CLASSES
     i, s = numbers.astype(np.uint32), np.full(len(numbers), seed, np.uint32)
     zero = np.zeros_like(i)
@@ -120,7 +120,7 @@ def _place(
     axis: int,
     fractions: UInt32[np.ndarray, "m 3"],
 ) -> UInt32[np.ndarray, " m"]:
-    """Write the fraction on one axis and return how often each drop has wrapped there (modulo 2^32)."""
+    """Write the fraction on one axis and return the number of wraps of each drop (modulo 2^32)."""
     moved = start + where.fractions[classes, axis]
     fractions[:, axis] = moved
     return where.wraps[classes, axis].view(np.uint32) + (moved < start)
@@ -129,21 +129,20 @@ def _place(
 def visible_drops(
     count: int, seed: int, where: DropPhases, period_m: Float64[np.ndarray, "3"], culling: DropCulling
 ) -> Drops:
-    """Find the drops below a number that the camera may see, in rising order."""
+    """Find the drops with numbers below `count` that may be visible to the camera, in rising order."""
     return place_drops(_search(count, seed, where, period_m, culling, only_seen=True), seed, where)
 
 
 def find_in_region(
     count: int, seed: int, where: DropPhases, period_m: Float64[np.ndarray, "3"], culling: DropCulling
 ) -> Drops:
-    """Find the drops that are inside the streak region, seen or not, in rising order."""
+    """Find the drops in the streak region, visible or not, in rising order."""
     return place_drops(_search(count, seed, where, period_m, culling, only_seen=False), seed, where)
 
 
 def count_in_region(
     count: int, seed: int, where: DropPhases, period_m: Float64[np.ndarray, "3"], culling: DropCulling
 ) -> int:
-    """Count the drops that are inside the streak region, seen or not."""
     return len(_search(count, seed, where, period_m, culling, only_seen=False))
 
 
@@ -156,7 +155,7 @@ def _search(
     *,
     only_seen: bool,
 ) -> Int64[np.ndarray, " m"]:
-    turns = -(-count // (CLASSES * _LANES)) * _LANES  # whole vectors: what is left over would go one by one
+    turns = -(-count // (CLASSES * _LANES)) * _LANES  # whole SIMD vectors: a remainder would run one by one
     found = np.empty((CLASSES, turns), np.bool_)
     geometry = np.concatenate([np.ravel(each) for each in (period_m, *culling[:5])])
     margins, far = culling.class_margin_m, culling.class_far_m
@@ -177,8 +176,8 @@ def _mark(seed, count, wraps, fractions, geometry, margins, far, everywhere, fou
 @numba.njit
 @no_type_check
 def _mark_class(first, count, seed, wraps, fractions, geometry, margin, far, everywhere, found):
-    """Place a class' drops as `place_drops` does and test them, all without a branch: LLVM turns the loop into SIMD."""
-    # Into local numbers: the compiler can't know that what is written into `found` leaves an array alone.
+    """Place the drops of a class as `place_drops` does and test them, branch-free for LLVM's vectorizer."""
+    # Copied to locals: the compiler can't prove that writes to `found` leave `geometry` unchanged.
     period_x, period_y, period_z = geometry[0], geometry[1], geometry[2]
     turn_xx, turn_xy, turn_yx, turn_yy = geometry[3], geometry[4], geometry[5], geometry[6]
     region_x, region_y, region_z = geometry[7], geometry[8], geometry[9]
@@ -224,11 +223,9 @@ def _mark_class(first, count, seed, wraps, fractions, geometry, margin, far, eve
         found[k] = (i < count) & in_region & (in_view | everywhere)
 
 
-# § Random numbers without a state: the pcg4d hash (Jarzynski and Olano 2020, "Hash Functions for GPU Rendering").
-#
-# Each number is a pure function of what it belongs to, so any drop at any time can be had alone, in any order, and
-# the
-# same few lines give the same bits in NumPy, Numba and GLSL.
+# Stateless random numbers: the pcg4d hash
+# Jarzynski and Olano 2020, "Hash Functions for GPU Rendering". A number is a pure function of its inputs, so any drop
+# at any time can be computed independently, with identical bits in NumPy, Numba and GLSL.
 
 MULTIPLIER = np.uint32(1664525)
 
@@ -240,7 +237,7 @@ _Bits = UInt32[np.ndarray, "*n"]
 
 
 def pcg4d(x: _Bits, y: _Bits, z: _Bits, w: _Bits) -> tuple[_Bits, _Bits, _Bits, _Bits]:
-    """Hash four 32-bit numbers to four: the readable reference of `pcg4d_scalar`."""
+    """Hash four 32-bit numbers to four: readable reference of `pcg4d_scalar`."""
     with np.errstate(over="ignore"):
         x, y, z, w = _mix(*(v * MULTIPLIER + INCREMENT for v in (x, y, z, w)))
         return _mix(*(v ^ (v >> _SHIFT) for v in (x, y, z, w)))

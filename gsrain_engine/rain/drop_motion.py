@@ -1,4 +1,4 @@
-"""How far the drops of each diameter class have moved: fall, wind and gusts, integrated over time in float64."""
+"""Drop motion: fall, wind and gusts of each diameter class, integrated over time in float64."""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -12,12 +12,12 @@ from .properties import DropClassTable
 from .settings import RainSettings
 
 GUST_PERIODS_S = (7.0, 11.3, 18.1)
-"""Periods of the sines that a gust is made of: no common multiple within hours."""
+"""Periods of a gust's sines: no common multiple within hours."""
 
 
 @dataclass(frozen=True, eq=False)
 class Wind:
-    """A mean wind and its slow variation, as a smooth function of (seed, t)."""
+    """Mean wind and its slow variation, as a smooth function of (seed, t)."""
 
     mean_m_s: tuple[float, float] = (0.0, 0.0)
     gust_m_s: float = 0.0
@@ -29,7 +29,7 @@ class Wind:
         return np.asarray(self.mean_m_s) + np.sum(amplitude * np.sin(rate * time_s + phase), axis=1)
 
     def displacement(self, time_s: float) -> Float64[np.ndarray, "2"]:
-        """Integral of the velocity from 0 to t, in metres."""
+        """Integral of the velocity from 0 to t, in meters."""
         amplitude, rate, phase = self._sines()
         swing = np.sum(amplitude / rate * (np.cos(phase) - np.cos(rate * time_s + phase)), axis=1)
         return np.asarray(self.mean_m_s) * time_s + swing
@@ -42,10 +42,10 @@ class Wind:
 
 @dataclass(frozen=True, eq=False)
 class DropMotion:
-    """Displacement of each class since t = 0: where it stood at `since_s`, and how it moves from then on.
+    """Displacement of each class since t = 0: its value at `since_s` and the motion from then on.
 
-    While nothing changes this is a closed form of t. When a person moves a slider, `changed` starts a new stretch at
-    the place that each class has reached, so that no drop jumps.
+    With constant settings it is a closed form of t. `changed` starts a new segment at the displacement that each class
+    has reached, so that no drop jumps when settings change.
     """
 
     wind: Wind
@@ -53,42 +53,41 @@ class DropMotion:
     """Downward speed of each class."""
     since_s: float = 0.0
     drifted_m: Float64[np.ndarray, "2"] | None = None
-    """How far all drops had drifted at `since_s`; none is not at all."""
+    """Drift of all drops up to `since_s`; None is zero."""
     fallen_m: Float64[np.ndarray, " classes"] | None = None
-    """How far each class had fallen at `since_s`; none is not at all."""
+    """Fall of each class up to `since_s`; None is zero."""
 
     def displacement(self, time_s: float) -> Float64[np.ndarray, "classes 3"]:
-        """World displacement of each class in metres."""
+        """World displacement of each class in meters."""
         moved = np.empty((len(self.fall_speed_m_s), 3))
         moved[:, :2] = self.drift(time_s)
         moved[:, 2] = -self.fallen(time_s)
         return moved
 
     def without_drift(self) -> "DropMotion":
-        """Return the same fall from straight above."""
         return replace(self, wind=Wind(), drifted_m=None)
 
     def drift(self, time_s: float) -> Float64[np.ndarray, "2"]:
-        """How far the wind has carried all drops along x and y, in metres."""
+        """Drift of all drops by the wind along x and y, in meters."""
         moved = self.wind.displacement(time_s) - self.wind.displacement(self.since_s)
         return moved if self.drifted_m is None else moved + self.drifted_m
 
     def fallen(self, time_s: float) -> Float64[np.ndarray, " classes"]:
-        """How far each class has fallen, in metres."""
+        """Fall of each class in meters."""
         moved = self.fall_speed_m_s * (time_s - self.since_s)
         return moved if self.fallen_m is None else moved + self.fallen_m
 
     def changed(self, time_s: float, wind: Wind, fall_speed_m_s: Float64[np.ndarray, " classes"]) -> "DropMotion":
-        """Go on from where every class is at a time with another wind and other speeds."""
+        """Continue from the displacement at a time with another wind and other speeds."""
         return DropMotion(wind, fall_speed_m_s, time_s, self.drift(time_s), self.fallen(time_s))
 
 
-# § How far drops have fallen and drifted in rain that changes over time: integrals of their speeds.
+# Drop motion with keyframes
 
 
 @dataclass(frozen=True, eq=False)
 class KeyframedDropMotion:
-    """Displacement of each class since t = 0 under a weather, as a function of t alone.
+    """Displacement of each class since t = 0 under keyframes, as a function of t alone.
 
     A class falls with v_c(R) = sum_j h_j(R) v_c(R_j), h_j the hat functions of tabulated intensities R_j. So its fall
     is sum_j v_c(R_j) W_j(t), W_j the integral of h_j(R(t')) over time: exact for an R that is piecewise linear.
@@ -97,21 +96,21 @@ class KeyframedDropMotion:
     intensity: KeyframeCurve
     mean_wind: KeyframeCurve
     gusts: Wind
-    """Without a mean of its own."""
+    """Gusts with zero mean."""
     table: DropClassTable
     weights_s: Float64[np.ndarray, "n nodes"]
-    """W_j from the first knot of the intensity to each."""
+    """W_j from the first knot of the intensity to each knot."""
     drifted_m: Float64[np.ndarray, "2"] | None = None
-    """Added to the drift; none is nothing. With it drops go on from where they are when a person changes the rain."""
+    """Offset added to the drift; None is zero. It makes drops continue from their positions when settings change."""
     fallen_m: Float64[np.ndarray, " classes"] | None = None
-    """Added to the fall of each class; none is nothing."""
+    """Offset added to the fall of each class; None is zero."""
     _base: dict[tuple[int, int], Float64[np.ndarray, " classes"]] = field(default_factory=dict, init=False)
-    """Fall up to where the last time asked for counts from: frames that follow one another count from the same."""
+    """Cache of the fall up to the latest (knot, interval): consecutive frames usually share it."""
 
     @classmethod
     def of(cls, rain: RainSettings, weather: RainKeyframes, calibration: Calibration) -> "KeyframedDropMotion":
-        """Work out what is needed once for a rain and its weather."""
-        curves, paper = weather.curves, rain.streak_reset == "paper"  # its drops fall straight down
+        """Precompute the motion of a rain and its keyframes."""
+        curves, paper = weather.curves, rain.streak_reset == "paper"  # the paper's drops fall straight down
         intensity = curves.get("intensity_mm_h") or _still(rain.intensity_mm_h)
         wind = curves.get("wind_m_s") or _still(*rain.wind_m_s)
         table = DropClassTable.between(float(intensity.values.min()), float(intensity.values.max()), rain, calibration)
@@ -122,24 +121,22 @@ class KeyframedDropMotion:
         return self.table.at(self.table.diameters_mm, self._rate(time_s))
 
     def motion(self, time_s: float) -> DropMotion:
-        """How drops move at a time, and how far they have come."""
+        """Motion and displacement of drops at a time."""
         (x, y), gusts = self.mean_wind.at(time_s), self.gusts
         speeds = self.table.at(self.table.fall_speed_m_s, self._rate(time_s))
         wind = Wind((float(x), float(y)), gusts.gust_m_s, gusts.seed)
         return DropMotion(wind, speeds, time_s, self.drift(time_s), self.fallen(time_s))
 
     def drift(self, time_s: float) -> Float64[np.ndarray, "2"]:
-        """How far the wind has carried all drops along x and y, in metres."""
         moved = self.mean_wind.integral(time_s) + self.gusts.displacement(time_s)
         return moved if self.drifted_m is None else moved + self.drifted_m
 
     def fallen(self, time_s: float) -> Float64[np.ndarray, " classes"]:
-        """How far each class has fallen, in metres."""
         moved = self._since_first_knot(time_s) - self._at_zero
         return moved if self.fallen_m is None else moved + self.fallen_m
 
     def going_on_from(self, motion: DropMotion) -> "KeyframedDropMotion":
-        """Return the course with all drops, at that motion's own time, where the motion has them."""
+        """Return a copy with offsets that match the motion's displacement at its `since_s`."""
         time_s = motion.since_s
         bare = replace(self, drifted_m=None, fallen_m=None)
         drifted, fallen = motion.drift(time_s) - bare.drift(time_s), motion.fallen(time_s) - bare.fallen(time_s)
@@ -153,7 +150,7 @@ class KeyframedDropMotion:
         return self._since_first_knot(0.0)
 
     def _since_first_knot(self, time_s: float) -> Float64[np.ndarray, " classes"]:
-        """Fall up to the last knot, or node that the intensity has crossed since, and from there to the time."""
+        """Fall since the first knot: up to the last knot or crossed table node, plus the rest."""
         table, times, rate = self.table, self.intensity.times_s, self._rate(time_s)
         knot = max(self.intensity.before(time_s), 0)
         interval, start_s = table.interval(rate), float(times[knot])
@@ -169,7 +166,7 @@ class KeyframedDropMotion:
             base = table.mix(table.fall_speed_m_s, self.weights_s[knot] + passed)
             self._base.clear()
             self._base[knot, interval] = base
-        # Between two nodes the speed is linear in R: its mean is that of the middle.
+        # Between two nodes the speed is linear in R: its mean is the speed at the mean R.
         return base + table.at(table.fall_speed_m_s, 0.5 * (start + rate)) * (time_s - start_s)
 
 

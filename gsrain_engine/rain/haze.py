@@ -1,4 +1,4 @@
-"""Far drops as haze: large, faint Gaussians that take from a ray what the drops themselves would take."""
+"""Haze: far drops as large, faint Gaussians with the extinction of the drops."""
 
 from dataclasses import dataclass
 
@@ -10,28 +10,28 @@ from .settings import RainSettings
 from .shelter_map import ShelterMap
 
 LIFETIME_S, FADE_S = 4.0, 1.0
-"""A haze Gaussian comes, stays and goes within 4 s; smoothstep fades of 1 s at both ends."""
+"""Lifetime of a haze Gaussian, with a smoothstep fade at both ends."""
 
 RAMP_M = (3.0, 5.0)
-"""Between these distances from the camera haze fades in: nearer is the streaks' part."""
+"""Distances from the camera between which haze fades in; streaks represent nearer drops."""
 
 _SMOOTH_COUNT, _MAX_SHARES = 16_000, 16
-"""M Gaussians are split up into the geometric mean of M and the first, at most 16 each: few enough to be drawn."""
+"""M Gaussians are split into the geometric mean of M and `_SMOOTH_COUNT`, at most 16 each, to limit their number."""
 
-_SALT = 0x68617A65  # keeps haze apart from drops of the same seed
+_SALT = 0x68617A65  # makes haze independent of drops with the same seed
 
 _FADE_MEAN = (LIFETIME_S - FADE_S) / LIFETIME_S  # a smoothstep has mean 1/2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Haze:
-    """Haze Gaussians in the world: isotropic, so a position and an opacity each."""
+    """Isotropic haze Gaussians in the world."""
 
     means: Float32[np.ndarray, "n 3"]
     opacities: Float32[np.ndarray, " n"]
 
     def outside(self, roofs: ShelterMap) -> "Haze":
-        """Leave out what has its centre under a roof."""
+        """Return the haze without Gaussians whose center is under a roof."""
         kept = ~roofs.shelter(self.means.astype(np.float64))
         return Haze(self.means[kept], self.opacities[kept])
 
@@ -43,10 +43,10 @@ def make_haze(
     anchor_to_world: Float64[np.ndarray, "4 4"],
     camera_position: Float64[np.ndarray, "3"],
 ) -> Haze:
-    """Place the haze of a moment; `count` is M, the number within the haze region at full opacity.
+    """Place the haze Gaussians at a time; `count` is M, the number within the haze region at full opacity.
 
-    Each of the M is drawn as several fainter ones that share its opacity, each at a place of its own, or as it is where
-    a person set their number or wants the paper's reset.
+    Each of the M is split into several fainter ones at independent positions that share its opacity, unless the
+    settings fix the number or use the paper's reset.
     """
     shares = 1.0
     if rain.haze_reset == "paper":
@@ -61,14 +61,14 @@ def make_haze(
 
 
 def _shares(count: int) -> float:
-    """How many Gaussians each of the M is split up into: the haze gets smoother by the root of it."""
+    """Number of Gaussians that each of the M is split into; noise falls with its square root."""
     return float(np.clip(np.sqrt(_SMOOTH_COUNT / max(count, 1)), 1, _MAX_SHARES))
 
 
 def _fading(
     rain: RainSettings, count: float, time_s: float, anchor_to_world: Float64[np.ndarray, "4 4"]
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
-    """World-fixed Gaussians on a lattice around the region: each lives at one place, then is born elsewhere."""
+    """World-fixed Gaussians on a lattice around the region: each lives at one position, then reappears elsewhere."""
     size = np.array(rain.haze_region.size_m) + 6 * rain.haze_sigma_m  # 3 sigma beyond each face
     horizontal = np.hypot(size[0], size[1])  # covers the region at any yaw
     period = np.array([horizontal, horizontal, size[2]])
@@ -79,7 +79,7 @@ def _fading(
     life = np.floor(age)
     birthplace = np.stack(_hash(rain.seed, index, (life.astype(np.int64) + 1).astype(np.uint32))[:3], axis=1) * 2.0**-32
     center = anchor_to_world[:3, :3] @ np.array(rain.haze_region.center_m) + anchor_to_world[:3, 3]
-    # The copy of the lattice point that lies in the cell around the region's centre.
+    # The copy of the lattice point that lies in the cell around the region's center.
     local = ((birthplace - center / period + 0.5) % 1.0 - 0.5) * period
     inside = np.all(np.abs(local @ anchor_to_world[:3, :3]) <= size / 2, axis=1)
     elapsed = (age - life)[inside] * LIFETIME_S
@@ -90,7 +90,7 @@ def _fading(
 def _jumping(
     rain: RainSettings, count: int, time_s: float, anchor_to_world: Float64[np.ndarray, "4 4"]
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
-    """All positions drawn anew at every moment (paper, Algorithm 1)."""
+    """Positions drawn independently at every time (paper, Algorithm 1)."""
     size = np.array(rain.haze_region.size_m) + 6 * rain.haze_sigma_m
     index = np.arange(round(count * np.prod(size) / rain.haze_region.volume_m3), dtype=np.uint32)
     moment = np.full_like(index, round(time_s * 1e6) & 0xFFFFFFFF)

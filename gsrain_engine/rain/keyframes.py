@@ -1,4 +1,4 @@
-"""How the rain changes over time: keys on a timeline and what stands between them, saved with a scene."""
+"""Rain keyframes: intensity, wind and exposure over time, saved with a scene."""
 
 import logging
 import math
@@ -22,17 +22,17 @@ from .settings import RainSettings
 Keyed = Literal["intensity_mm_h", "wind_m_s", "exposure_s"]
 
 KEYED: tuple[Keyed, ...] = ("intensity_mm_h", "wind_m_s", "exposure_s")
-"""Fields of the rain that can have keys."""
+"""Fields of the rain that can have keyframes."""
 
 HEAVIEST_MM_H = 100.0
-"""Nothing rains harder here: measured series are cut off there."""
+"""Maximum intensity of a keyframe; measured series are clipped to it."""
 
 LONGEST_S = 1e7
-"""The last time that a key can have; the first is as long before 0."""
+"""Maximum absolute time of a keyframe."""
 
 
 class RainKeyframe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """What is set at one time. None is not set there: that field goes on from its own keys."""
+    """Values at one time. None leaves a field to its other keyframes."""
 
     time_s: Annotated[float, Meta(title="Time", description="In the scene's time.", extra={"unit": "s"})]
     intensity_mm_h: float | None = None
@@ -55,12 +55,9 @@ class RainKeyframe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         return self.intensity_mm_h is None and self.wind_m_s is None and self.exposure_s is None
 
 
-# § A keyed quantity over time: straight between its knots, held before the first and after the last.
-
-
 @dataclass(frozen=True, eq=False)
 class KeyframeCurve:
-    """A piecewise linear function of time with k components. Integrals of it are exact."""
+    """Piecewise linear function of time with k components and exact integrals; constant beyond its end knots."""
 
     times_s: Float64[np.ndarray, " n"]
     """Rising."""
@@ -70,20 +67,20 @@ class KeyframeCurve:
     def through(
         cls, times_s: Float64[np.ndarray, " n"], values: Float64[np.ndarray, "n k"], *, smooth: bool = False
     ) -> "KeyframeCurve":
-        """Join keys; `smooth` rounds the corners by a cubic that overshoots no key (Fritsch and Carlson, 1980)."""
+        """Join keyframes; `smooth` rounds corners with a cubic without overshoot (Fritsch and Carlson, 1980)."""
         pieces = min(_PIECES, _MAX_KNOTS // len(times_s))
         if not smooth or len(times_s) < 2 or pieces < 2:
             return cls(times_s, values)
-        # One more key at each end, as high as the end: the curve then comes out of what is held before it.
+        # One more keyframe at each end with the end's value gives the curve a slope of 0 there.
         reach = times_s[-1] - times_s[0]
         along = np.concatenate([[times_s[0] - reach], times_s, [times_s[-1] + reach]])
-        with np.errstate(over="ignore"):  # one over a slope that is next to nothing
+        with np.errstate(over="ignore"):  # reciprocal of a tiny slope
             rounded = scipy.interpolate.PchipInterpolator(along, np.concatenate([values[:1], values, values[-1:]]))
         shares = np.arange(pieces) / pieces
         inner = (times_s[:-1, None] + shares * np.diff(times_s)[:, None]).ravel()
         knots = np.append(inner, times_s[-1])
         drawn = rounded(knots)
-        drawn[::pieces] = values  # to the bit
+        drawn[::pieces] = values  # bit-exact
         return cls(knots, np.clip(drawn, values.min(axis=0), values.max(axis=0)))
 
     def at(self, time_s: float) -> Float64[np.ndarray, " k"]:
@@ -96,11 +93,11 @@ class KeyframeCurve:
         return self.values[before] + share * (self.values[before + 1] - self.values[before])
 
     def integral(self, time_s: float) -> Float64[np.ndarray, " k"]:
-        """Integral over time from 0 to a time."""
+        """Integral from 0 to a time."""
         return self._from_first(time_s) - self._from_first_to_zero
 
     def before(self, time_s: float) -> int:
-        """Number of the last knot that is not later than a time; -1 before the first."""
+        """Index of the last knot that is not later than a time; -1 before the first."""
         return int(np.searchsorted(self.times_s, time_s, side="right")) - 1
 
     @cached_property
@@ -121,9 +118,9 @@ class KeyframeCurve:
 class RainKeyframes(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True, dict=True
 ):
-    """Keys of the rain in order of time, each time once. Before a field's first key and after its last its value stays.
+    """Keyframes of the rain in order of time, with unique times.
 
-    Raises `ValueError` for keys that are out of order.
+    A field is constant before its first and after its last keyframe. Raises `ValueError` for keyframes out of order.
     """
 
     keys: tuple[RainKeyframe, ...] = ()
@@ -155,34 +152,32 @@ class RainKeyframes(
         return np.array([key.time_s for key in self.keys], np.float64)
 
     def is_keyed(self, name: str) -> bool:
-        """Whether a field of the rain has a key at any time."""
         return name in self.curves
 
     def key_at(self, time_s: float) -> RainKeyframe | None:
-        """Return the key of a time; None where there is none."""
+        """Return the keyframe at a time; None without one."""
         at = bisect_left(self.keys, time_s, key=_time)
         return self.keys[at] if at < len(self.keys) and self.keys[at].time_s == time_s else None
 
     def rain_at(self, rain: RainSettings, time_s: float) -> RainSettings:
-        """Return the rain of a time: what is keyed from the curves, the rest as it is."""
+        """Return the rain at a time: fields with keyframes from the curves, the others unchanged."""
         if not self.keys:
             return rain
         changes = {name: _plain(curve.at(time_s)) for name, curve in self.curves.items()}
         return msgspec.structs.replace(rain, **changes)
 
     def heaviest_mm_h(self, rain: RainSettings) -> float:
-        """Highest intensity that is reached at any time."""
         curve = self.curves.get("intensity_mm_h")
         return rain.intensity_mm_h if curve is None else float(curve.values.max())
 
     def with_key(self, time_s: float, **fields: Any) -> "RainKeyframes":
-        """Return the weather with fields set at a time, beside what is set there already."""
+        """Return a copy with fields set at a time, in addition to those already set there."""
         present = self.key_at(time_s)
         key = RainKeyframe(time_s=time_s, **fields) if present is None else msgspec.structs.replace(present, **fields)
         return self._with(*(each for each in self.keys if each is not present), key)
 
     def without_key(self, time_s: float, name: Keyed | None = None) -> "RainKeyframes":
-        """Return the weather without the key of a time, or without one field of it."""
+        """Return a copy without the keyframe at a time, or without one field of it."""
         present = self.key_at(time_s)
         if present is None:
             return self
@@ -192,12 +187,15 @@ class RainKeyframes(
         return self._with(*(each for each in kept if not each.is_empty))
 
     def without(self, name: Keyed) -> "RainKeyframes":
-        """Return the weather without any key of a field."""
+        """Return a copy without any keyframe of a field."""
         bare = (msgspec.structs.replace(key, **{name: None}) for key in self.keys)
         return self._with(*(key for key in bare if not key.is_empty))
 
     def moved_key(self, time_s: float, to_s: float, name: Keyed, **fields: Any) -> "RainKeyframes":
-        """Return the weather with one field's key at another time, and changed; a key it meets there gives way."""
+        """Return a copy with one field's keyframe moved to another time, optionally with a new value.
+
+        It replaces a keyframe of that field at the new time.
+        """
         key = self.key_at(time_s)
         if key is None or getattr(key, name) is None:
             return self
@@ -206,7 +204,7 @@ class RainKeyframes(
 
     @cached_property
     def key_times(self) -> dict[Keyed, Float64[np.ndarray, " n"]]:
-        """Times of each field's keys, rising; empty where it has none."""
+        """Times of each field's keyframes, rising; empty for fields without any."""
         return {
             name: np.array([key.time_s for key in self.keys if getattr(key, name) is not None], np.float64)
             for name in KEYED
@@ -226,18 +224,18 @@ def _plain(value: Float64[np.ndarray, " k"]) -> float | tuple[float, ...]:
 
 
 _PIECES = 16
-"""A smooth stretch between two keys is drawn with so many straight pieces: 1/300 of its height off at most."""
+"""Number of straight pieces per smooth stretch between two keyframes: off by at most 1/300 of its height."""
 
 _MAX_KNOTS = 200_000
 
 NO_KEYFRAMES = RainKeyframes()
-"""Without keys: the rain stays as it is set."""
+"""No keyframes: the rain is constant."""
 
 
 def keyframes_from_series(times_s: Float64[np.ndarray, " n"], rates_mm_h: Float64[np.ndarray, " n"]) -> RainKeyframes:
-    """Return the weather of a series of rates; what is above 100 mm/h is cut off there.
+    """Return the keyframes of a series of rain rates, clipped to 100 mm/h.
 
-    Raises `ValueError` for times that don't rise, or numbers that are no rain rates.
+    Raises `ValueError` for times that don't rise, or negative or non-finite rates.
     """
     if not np.all(np.isfinite(rates_mm_h)) or np.any(rates_mm_h < 0):
         raise ValueError("rain rates must be 0 mm/h or more")
@@ -248,7 +246,7 @@ def keyframes_from_series(times_s: Float64[np.ndarray, " n"], rates_mm_h: Float6
 def shower_keyframes(
     start_s: float = 0.0, *, duration_s: float = 60.0, peak_mm_h: float = 12.0, steps: int = 6
 ) -> RainKeyframes:
-    """Return a shower that comes, is heaviest in the middle and goes: R = R_max sin^2(pi t / T)."""
+    """Return a shower with its peak in the middle: R = R_max sin^2(pi t / T)."""
     keys = (
         RainKeyframe(
             time_s=start_s + duration_s * k / steps,
@@ -259,7 +257,7 @@ def shower_keyframes(
     return RainKeyframes(keys=tuple(keys), between="smooth")
 
 
-# § The rain and the weather that were saved with a scene, as plain values.
+# Rain saved with a scene
 
 logger = logging.getLogger("gsrain")
 
@@ -267,12 +265,12 @@ Saved = TypeVar("Saved", RainSettings, RainKeyframes)
 
 
 def rain_of(scene: Scene) -> RainSettings | None:
-    """Return the rain that a scene was saved with; None without, or where it can't be used, which is logged."""
+    """Return the rain saved with a scene; None if absent, or invalid, which is logged."""
     return _read(scene, "rain", scene.rain, RainSettings)
 
 
 def keyframes_of(scene: Scene) -> RainKeyframes | None:
-    """Return the weather that a scene was saved with; None without, or where it can't be used, which is logged."""
+    """Return the keyframes saved with a scene; None if absent, or invalid, which is logged."""
     return _read(scene, "weather", scene.weather, RainKeyframes)
 
 

@@ -1,4 +1,4 @@
-"""What follows from the intensity: drop numbers, sizes, speeds, extinction. Plain numbers, no arrays."""
+"""Physical properties of rain: drop numbers, sizes, fall speeds and extinction from the intensity."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
-import scipy  # which loads its parts where they are used first: at the calibration's rows none is
+import scipy  # loads its submodules lazily: at the calibration's rows none is needed
 from jaxtyping import Float, Float64
 from scipy import special
 
@@ -19,16 +19,14 @@ EXTINCTION_EFFICIENCY = 2.0
 """Q: a drop much larger than the wavelength removes twice its cross-section from a beam (van de Hulst, 1957)."""
 
 _MIN_MM_H = 1e-3
-"""Fainter rain has the sizes of this."""
+"""Intensity below which drop sizes no longer change."""
 
 Velocity = Callable[[Float[np.ndarray, "*n"]], Float[np.ndarray, "*n"]]
-
-# § Drop diameters at one intensity: the gamma law (paper, eq. 8), cut to the sizes that raindrops have.
 
 
 @dataclass(frozen=True)
 class DropSizes:
-    """Gamma law with shape mu and scale theta (mm), cut to [0.1, 8] mm."""
+    """Gamma distribution of drop diameters with shape mu and scale theta (mm), cut to [0.1, 8] mm (paper, eq. 8)."""
 
     shape: float
     scale_mm: float
@@ -45,7 +43,7 @@ class DropSizes:
         return np.clip(diameter, SMALLEST_MM, LARGEST_MM)
 
     def probability_per_mm(self, diameter_mm: Float64[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
-        """Density of the law in 1/mm, for diameters within its bounds."""
+        """Probability density in 1/mm, for diameters within the bounds."""
         low, high = self._limits
         x = diameter_mm / self.scale_mm
         density = np.exp((self.shape - 1) * np.log(x) - x - special.gammaln(self.shape))
@@ -57,7 +55,7 @@ class DropSizes:
         return self.quantile((np.arange(CLASSES) + 0.5) / CLASSES)
 
     def expectation(self, quantity: Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " n"]]) -> float:
-        """Mean of a quantity of the diameter (mm) over the drops, by Gauss-Legendre quadrature."""
+        """Mean of a function of the diameter (mm) over the drops, by Gauss-Legendre quadrature."""
         diameter, weight = _quadrature()
         log_density = (self.shape - 1) * np.log(diameter) - diameter / self.scale_mm
         mass = weight * np.exp(log_density - log_density.max())
@@ -65,40 +63,39 @@ class DropSizes:
 
     @cached_property
     def mean_mm(self) -> float:
-        """Mean diameter in mm."""
         return self.expectation(lambda diameter: diameter)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RainProperties:
-    """The rain at one intensity."""
+    """Physical properties of rain at one intensity."""
 
     intensity_mm_h: float
-    """As requested."""
+    """Intensity in the settings."""
     density_m3: float
-    """Drops a cubic metre, after the closure."""
+    """Drops per cubic meter, after the closure."""
     table_density_m3: float
-    """Drops a cubic metre as the calibration's table has it."""
+    """Drops per cubic meter in the calibration's table."""
     shape: float
     scale_mm: float
     mean_diameter_mm: float
     mean_fall_speed_m_s: float
     implied_mm_h: float
-    """Rate that the drawn drops carry: 6e-4 pi N E[V D^3]."""
+    """Rain rate of the drawn drops: 6e-4 pi N E[V D^3]."""
     table_implied_mm_h: float
-    """Rate that the table's own density would carry."""
+    """Rain rate of the table's own density."""
     extinction_per_m: float
     """beta = (pi/4) Q N E[D^2] times the haze gain."""
     visibility_m: float
-    """Meteorological optical range: where 5 % of a beam is left, ln(20) / beta; infinite without rain."""
+    """Meteorological optical range, at which 5 % of a beam remains: ln(20) / beta; infinite without rain."""
     drops: int
     """Drops in the streak region: density times volume."""
     haze_gaussians: int
-    """M: haze Gaussians of full opacity in the haze region; `make_haze` splits them up."""
+    """M: haze Gaussians of full opacity in the haze region; `make_haze` splits them."""
 
     @property
     def beyond_calibration(self) -> bool:
-        """Whether the intensity lies above what was measured."""
+        """True if the intensity exceeds the calibrated range."""
         return self.intensity_mm_h > CALIBRATED_UP_TO_MM_H
 
     @property
@@ -107,19 +104,19 @@ class RainProperties:
 
 
 def fall_speed(rain: RainSettings, calibration: Calibration) -> Velocity:
-    """Fall speed in m/s over the diameter in mm that this rain uses."""
+    """Fall speed in m/s over the diameter in mm for these settings."""
     return atlas_velocity if rain.velocity == "atlas" else calibration.velocity
 
 
 def flux_mm_h(density_m3: float, sizes: DropSizes, velocity: Velocity) -> float:
-    """Rain rate that a population carries: R = 6e-4 pi N E[V D^3], N in 1/m^3, V in m/s, D in mm."""
+    """Rain rate of a drop population: R = 6e-4 pi N E[V D^3], N in 1/m^3, V in m/s, D in mm."""
     return 6e-4 * np.pi * density_m3 * sizes.expectation(lambda d: velocity(d) * d**3)
 
 
 def rain_properties(rain: RainSettings, calibration: Calibration) -> RainProperties:
-    """Work out the state at an intensity (docs/physics.md, sections 1 and 2)."""
+    """Compute the properties of the rain (docs/physics.md, sections 1 and 2)."""
     intensity = rain.intensity_mm_h
-    # At R = 0 the sizes stay those of the faintest rain, so that nothing divides by nothing; there are no drops.
+    # At R = 0 there are no drops; their sizes stay those of the faintest rain to avoid division by zero.
     table_density, sizes = _interpolate_table(calibration, max(intensity, _MIN_MM_H))
     velocity = fall_speed(rain, calibration)
     if intensity == 0:
@@ -148,9 +145,9 @@ def rain_properties(rain: RainSettings, calibration: Calibration) -> RainPropert
 
 
 def intensity_for_density(density_m3: float, rain: RainSettings, calibration: Calibration) -> float:
-    """Intensity in mm/h at which a rain has so many drops a cubic metre, with its closure. 0 for none.
+    """Intensity in mm/h at which rain with these settings has a drop density; 0 for 0.
 
-    Raises `ValueError` for more than there are at 100 mm/h.
+    Raises `ValueError` for densities above that at 100 mm/h.
     """
     if density_m3 == 0:
         return 0.0
@@ -168,7 +165,7 @@ def intensity_for_density(density_m3: float, rain: RainSettings, calibration: Ca
 
 
 def _haze_gaussians(rain: RainSettings, extinction_per_m: float) -> int:
-    """M = beta V_f / (2 pi s_h^2 alpha_m): a ray through the region loses what the drops would take from it."""
+    """M = beta V_f / (2 pi s_h^2 alpha_m): the extinction along a ray equals that of the drops."""
     if extinction_per_m == 0:
         return 0
     if rain.haze_count is not None:
@@ -178,7 +175,7 @@ def _haze_gaussians(rain: RainSettings, extinction_per_m: float) -> int:
 
 
 def _interpolate_table(calibration: Calibration, intensity: float) -> tuple[float, DropSizes]:
-    """Density and sizes between and beyond the rows; at a row the row itself comes back."""
+    """Density and sizes between and beyond the calibration's rows; exactly the row at a row."""
     for row in calibration.rows:
         if row.intensity_mm_h == intensity:
             return row.density_m3, DropSizes(row.shape, row.scale_mm)
@@ -192,7 +189,7 @@ def _interpolate_table(calibration: Calibration, intensity: float) -> tuple[floa
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _LogCurve:
-    """Shape-preserving cubic inside (Fritsch and Carlson, 1980); outside, on with the slope fitted over all points."""
+    """Shape-preserving cubic (Fritsch and Carlson, 1980), extrapolated with the slope fitted to all points."""
 
     inside: Callable[[float], Any]
     ends: tuple[float, float]
@@ -209,7 +206,7 @@ class _LogCurve:
 
 
 class _CalibrationCurves(NamedTuple):
-    """A calibration's rows as curves over ln R."""
+    """Rows of a calibration as curves over ln R."""
 
     log_density: _LogCurve
     log_mean: _LogCurve
@@ -230,41 +227,43 @@ def _table(calibration: Calibration) -> _CalibrationCurves:
 SMALLEST_MM = 0.1
 
 LARGEST_MM = 8.0
-"""Drops below are drizzle mist, drops above break up; the law is cut there and normalized again."""
+"""Diameter limits: smaller drops are drizzle mist, larger ones break up. The distribution is cut and renormalized."""
 
 CLASSES = 16384
-"""Diameter classes of a drop field: class c is the quantile (c + 1/2) / CLASSES. A drop keeps its class as R moves."""
+"""Diameter classes of a drop field: class c is the quantile (c + 1/2) / CLASSES. A drop keeps its class as R changes.
+"""
 
 _PANELS, _NODES = 20, 20
-"""Few nodes in each of many panels: the eigenvalues behind 400 nodes at once keep a busy machine for seconds."""
+"""Few nodes in each of many panels: the eigenvalues for 400 nodes at once take seconds on a busy machine."""
 
 
 @cache
 def _quadrature() -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """Gauss-Legendre nodes in mm and their weights, in the square root of D: they crowd where small drops are."""
+    """Gauss-Legendre nodes in mm and their weights, in the square root of D: denser at small drops."""
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     edges = np.linspace(np.sqrt(SMALLEST_MM), np.sqrt(LARGEST_MM), _PANELS + 1)[:, None]
     root = (edges[:-1] + 0.5 * (nodes + 1) * np.diff(edges, axis=0)).ravel()
     return root**2, np.tile(weights, _PANELS) * root
 
 
-# § Diameter and fall speed of each class over the intensity, tabulated: drops grow and speed up little by little.
+# Diameter and fall speed of each class over the intensity
+# Tabulated and interpolated, so that drops change continuously with the intensity.
 
 LOWEST_MM_H = 0.02
-"""Fainter rain has the drops of this."""
+"""Intensity below which drops no longer change."""
 
 _RATIO = 1.2
-"""From node to node. Straight lines between them miss a diameter by 0.04 % outside the calibration; between
-the paper's rows at 8.5 and 12 mm/h, whose laws differ most, the median class by 0.4 % and the smallest drops by 3 %.
+"""Ratio of successive nodes. Linear interpolation is off by 0.04 % in diameter outside the calibration; between the
+paper's rows at 8.5 and 12 mm/h, which differ most, by 0.4 % in the median class and 3 % in the smallest drops.
 """
 
 _CACHED_TABLES = 96
-"""Nodes that are kept, 256 kB each; from 0.02 to 100 mm/h are 48."""
+"""Maximum number of cached nodes, 256 kB each; 0.02 to 100 mm/h needs 48."""
 
 
 @dataclass(frozen=True, eq=False)
 class DropClassTable:
-    """Classes at some intensities; what lies between two of them is a mean of both."""
+    """Diameters and fall speeds of all classes at some intensities, with linear interpolation."""
 
     nodes_mm_h: Float64[np.ndarray, " nodes"]
     """Rising."""
@@ -275,14 +274,14 @@ class DropClassTable:
     def between(
         cls, lowest_mm_h: float, highest_mm_h: float, rain: RainSettings, calibration: Calibration
     ) -> "DropClassTable":
-        """Tabulate a range of intensities; one alone is exact."""
+        """Tabulate a range of intensities; exact for a single intensity."""
         if lowest_mm_h == highest_mm_h:
             nodes = np.array([lowest_mm_h])
         else:
             first = int(np.floor(_steps(lowest_mm_h)))
             last = max(first + 1, int(np.ceil(_steps(highest_mm_h))))
             grid = LOWEST_MM_H * _RATIO ** np.arange(first, last + 1)
-            # The law has corners at the calibration's rows.
+            # The table has kinks at the calibration's rows.
             rows = np.array([row.intensity_mm_h for row in calibration.rows])
             low = [0.0] if lowest_mm_h < LOWEST_MM_H else []
             nodes = np.unique(np.concatenate([low, grid, rows[(rows > grid[0]) & (rows < grid[-1])]]))
@@ -292,14 +291,14 @@ class DropClassTable:
         return cls(nodes, diameters, speeds)
 
     def interval(self, intensity_mm_h: float) -> int:
-        """Number of the node below an intensity that is not the last one."""
+        """Index of the last node at or below an intensity, except the last node."""
         node = int(np.searchsorted(self.nodes_mm_h, intensity_mm_h, side="right")) - 1
         return min(max(node, 0), max(len(self.nodes_mm_h) - 2, 0))
 
     def at(
         self, of: tuple[Float64[np.ndarray, " classes"], ...], intensity_mm_h: float
     ) -> Float64[np.ndarray, " classes"]:
-        """Diameters or speeds at an intensity within the nodes: hat functions over them."""
+        """Diameters or speeds at an intensity within the nodes, by linear interpolation."""
         if len(of) == 1:
             return of[0]
         j = self.interval(intensity_mm_h)
@@ -310,7 +309,7 @@ class DropClassTable:
     def mean_shares(
         self, start_mm_h: Float64[np.ndarray, " n"], end_mm_h: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n nodes"]:
-        """How much each node counts on average while the intensity goes evenly from one value to another. Exact."""
+        """Mean weight of each node while the intensity changes linearly from start to end. Exact."""
         if len(self.nodes_mm_h) == 1:
             return np.ones((len(start_mm_h), 1))
         change = end_mm_h - start_mm_h
@@ -329,7 +328,7 @@ class DropClassTable:
     def mix(
         self, of: tuple[Float64[np.ndarray, " classes"], ...], shares: Float64[np.ndarray, " nodes"]
     ) -> Float64[np.ndarray, " classes"]:
-        """Add up nodes by their shares, in their order: the same numbers on every machine."""
+        """Weighted sum of nodes in a fixed order, for identical results on every machine."""
         total = np.zeros(len(of[0]))
         for j in np.flatnonzero(shares):
             total += shares[j] * of[j]
@@ -349,7 +348,7 @@ def _classes_at(
     return diameters, fall_speed(rain, calibration)(diameters)
 
 
-# § What a calibration says over all intensities and diameters: the curves that people compare.
+# Calibration curves for plots
 
 _INTENSITIES_MM_H = np.geomspace(0.1, 100, 61)
 
@@ -358,13 +357,13 @@ _DIAMETERS_MM = np.linspace(SMALLEST_MM, LARGEST_MM, 159)
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CalibrationCurves:
-    """Of the calibration's own table, before any closure."""
+    """Curves of the calibration's own table, before any closure."""
 
     intensities_mm_h: Float64[np.ndarray, " n"]
     density_m3: Float64[np.ndarray, " n"]
     mean_diameter_mm: Float64[np.ndarray, " n"]
     implied_share: Float64[np.ndarray, " n"]
-    """Rate that the drops carry, over the intensity that they stand for."""
+    """Rain rate of the drops, relative to the intensity."""
     diameters_mm: Float64[np.ndarray, " d"]
     fall_speed_m_s: Float64[np.ndarray, " d"]
 
@@ -385,6 +384,6 @@ def calibration_curves(calibration: Calibration) -> CalibrationCurves:
 
 @cache
 def spectrum_at(calibration: Calibration, intensity_mm_h: float) -> Float64[np.ndarray, " d"]:
-    """N(D) in 1/(m^3 mm) at the curves' diameters, of the table's own density."""
+    """Drop spectrum N(D) in 1/(m^3 mm) at `CalibrationCurves.diameters_mm`, with the table's own density."""
     state = rain_properties(RainSettings(intensity_mm_h=intensity_mm_h), calibration)
     return state.table_density_m3 * state.sizes.probability_per_mm(_DIAMETERS_MM)

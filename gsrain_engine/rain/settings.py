@@ -1,4 +1,4 @@
-"""What a person asks for: one value with every knob of the rain, its bounds, unit and help text."""
+"""Rain settings: every parameter with bounds, unit and help text, and the presets."""
 
 from typing import Annotated, Literal
 
@@ -11,11 +11,11 @@ from .calibration import calibration_names
 Vector = tuple[float, float, float]
 
 CALIBRATED_UP_TO_MM_H = 13.0
-"""Above this the published calibration is an extrapolation, and everything that shows R says so."""
+"""Upper end of the published calibration; higher intensities are marked as extrapolated wherever R is shown."""
 
 
 class RegionBox(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """An axis-aligned box in the anchor's frame (x forward, y left, z up, origin 1.5 m above the road), in metres."""
+    """Axis-aligned box in the anchor's frame (x forward, y left, z up, origin 1.5 m above the road), in meters."""
 
     minimum_m: Vector
     maximum_m: Vector
@@ -37,7 +37,6 @@ class RegionBox(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     @property
     def volume_m3(self) -> float:
-        """Volume in cubic metres."""
         x, y, z = self.size_m
         return x * y * z
 
@@ -48,7 +47,7 @@ HAZE_REGION = RegionBox(minimum_m=(-10.0, -10.0, -1.5), maximum_m=(60.0, 10.0, 2
 
 
 class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Everything that rain depends on. The defaults are physical; docs/physics.md gives the reason for each."""
+    """Rain parameters. The defaults are physical; docs/physics.md gives the reason for each."""
 
     intensity_mm_h: Annotated[
         float,
@@ -235,17 +234,18 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     @property
     def without_rain(self) -> "RainSettings":
-        """The same at 0 mm/h and dry: what a clear picture beside a rainy one shows."""
+        """The same settings at 0 mm/h and dry, for the clear image of a rainy/clear pair."""
         return msgspec.structs.replace(self, intensity_mm_h=0.0, wetness=None)
 
     @property
     def exaggeration(self) -> str:
-        """Say in words where gains leave physics, empty where they don't."""
+        """Text that lists gains other than 1; empty if all gains are physical."""
         gains = {"streaks": self.streak_gain, "haze": self.haze_gain}
         return ", ".join(f"{name} x{gain:g} exaggerated" for name, gain in gains.items() if gain != 1)
 
 
-# § Rain presets: YAML files with the fields of `Rain`, those left out at their defaults.
+# Presets
+# YAML files with the fields of `RainSettings`; omitted fields have their defaults.
 
 _FOLDER = "rain"
 
@@ -261,7 +261,7 @@ def preset_names() -> list[str]:
 def load_preset(name: str) -> RainSettings:
     """Load a shipped preset by name, or a preset file by path.
 
-    A calibration file that it names is looked for in its own folder first. Raises `ValueError` with the file, the field
-    and the allowed range.
+    A calibration file that it names is searched for in the preset's folder first. Raises `ValueError` with the file,
+    the field and the allowed range.
     """
     return load_config(_FOLDER, name, RainSettings, "preset", ("calibration",), calibration_names())

@@ -1,4 +1,4 @@
-"""Where rain does not reach: the scene seen from above, as the height of the roof over each cell of a grid."""
+"""Shelter map: areas that rain doesn't reach, as the height of the roof over each cell of a grid."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -14,19 +14,19 @@ from ..scene.geometry import matrices_from_quaternions
 from ..scene.scene import DrawItem, Layer, Scene, robust_bounds
 
 CELL_M = 0.5
-"""Edge of a cell: about the distance between the Gaussians of a captured surface, and less than any canopy."""
+"""Edge of a cell: about the spacing of Gaussians of a captured surface, and less than any canopy."""
 
 CLEARANCE_M = 2.0
-"""A roof has something solid at least so far below it; the road has not, whatever its slope."""
+"""Minimum height of a roof above the lowest solid surface; a road surface fails it at any slope."""
 
 _SOLID = np.log(2)
-"""Optical depth, seen from above, at which a surface counts: floaters alone don't reach it."""
+"""Optical depth from above at which a surface counts as solid: floaters alone don't reach it."""
 
 _MAX_CELLS = 2048
-"""On a side; of a larger scene, the middle."""
+"""Maximum number of cells per side; a larger scene is covered in its middle only."""
 
 _MAX_GAUSSIANS = 1_000_000
-"""Of more than these every so manieth is taken, for as many as it stands for."""
+"""Number of Gaussians above which every n-th is used, with n-fold weight."""
 
 _CHUNK = 1 << 16
 
@@ -35,7 +35,7 @@ _DRAWS = np.random.default_rng(0).standard_normal((64, 3))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShelterMap:
-    """Heights of roofs over the world's x and y. World frame, metres, z up."""
+    """Heights of roofs over the world's x and y. World frame, meters, z up."""
 
     heights_m: Float32[np.ndarray, "rows columns"]
     """Rows along y, columns along x; -inf in the open."""
@@ -44,7 +44,7 @@ class ShelterMap:
     cell_m: float = CELL_M
 
     def shelter(self, positions_m: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        """Say which places are under a roof."""
+        """Return the mask of positions under a roof."""
         column, row = np.floor((positions_m[:, :2] - self.corner_m) / self.cell_m).astype(np.int64).T
         rows, columns = self.heights_m.shape
         inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
@@ -53,7 +53,7 @@ class ShelterMap:
         return sheltered
 
     def around(self, x_m: float, y_m: float, reach_m: float) -> "ShelterMap | None":
-        """Return the piece that covers a circle; None where all of it is in the open."""
+        """Return the piece that covers a circle; None if all of it is in the open."""
         low = np.floor((np.array([x_m, y_m]) - reach_m - self.corner_m) / self.cell_m).astype(int)
         high = np.ceil((np.array([x_m, y_m]) + reach_m - self.corner_m) / self.cell_m).astype(int)
         low, high = np.maximum(low, 0), np.maximum(high, 0)
@@ -71,8 +71,6 @@ class _HeightGrid(NamedTuple):
 
 
 class _GaussianPieces(NamedTuple):
-    """Pieces of Gaussians."""
-
     cells: Int32[np.ndarray, " n"]
     heights_m: Float32[np.ndarray, " n"]
     depths: Float32[np.ndarray, " n"]
@@ -80,7 +78,7 @@ class _GaussianPieces(NamedTuple):
 
 
 class _SolidLayer(NamedTuple):
-    """What of a layer roofs are found in: a selection, a grading or a name change nothing about them."""
+    """The part of a layer that determines roofs: selection, grading and name don't matter."""
 
     gaussians: Gaussians
     to_world: bytes
@@ -89,9 +87,9 @@ class _SolidLayer(NamedTuple):
 
 
 def shelter_map_of(scene: Scene) -> ShelterMap | None:
-    """Find the roofs of what stands still and can be seen in a scene, sky apart; None where there are none.
+    """Find the roofs of a scene's visible background layers; None without any.
 
-    Those of the last two scenes are kept: a split view shows as many.
+    The maps of the last two scenes are cached, for split views.
     """
     layers = [layer for layer in scene.layers if layer.visible and layer.kind == "background"]
     ways = [np.ascontiguousarray(scene.scene_to_world @ layer.to_scene).tobytes() for layer in layers]
@@ -114,11 +112,11 @@ def _roofs_of_solids(solids: tuple[_SolidLayer, ...]) -> ShelterMap | None:
 
 
 def build_shelter_map(parts: Sequence[DrawItem]) -> ShelterMap | None:
-    """Find roofs among Gaussians; None where there are none.
+    """Find roofs among Gaussians; None without any.
 
-    From above, the optical depth of the Gaussians is added up in each cell. Where it reaches ln 2 is the highest
-    surface, and from below the lowest. The highest is a roof if it is `CLEARANCE_M` above the lowest, and belongs to a
-    patch: seven of nine cells around it or around a neighbour. So a wall, a lamp post or a lone floater is none.
+    In each cell, the optical depth of the Gaussians is accumulated from above and from below; the highest and the
+    lowest surface are where it reaches ln 2. The highest is a roof if it is `CLEARANCE_M` above the lowest and belongs
+    to a patch: seven of nine cells around it or around a neighbor. This rejects walls, lamp posts and lone floaters.
     """
     parts = [part._replace(gaussians=part.remaining, left_out=None) for part in parts]
     parts = [part for part in parts if len(part.gaussians)]
@@ -137,7 +135,7 @@ def build_shelter_map(parts: Sequence[DrawItem]) -> ShelterMap | None:
 
 
 def _grid(parts: Sequence[DrawItem]) -> _HeightGrid:
-    """Cells over where most Gaussians are."""
+    """Grid over the area that contains most Gaussians."""
     boxes = [robust_bounds(part.gaussians, share=0.999) for part in parts]
     corners = np.concatenate([_corners(np.stack(box)) @ p.to_world[:3, :3].T + p.to_world[:3, 3]
                               for box, p in zip(boxes, parts, strict=True)])[:, :2]  # fmt: skip
@@ -151,7 +149,7 @@ def _corners(box: Float64[np.ndarray, "2 3"]) -> Float64[np.ndarray, "8 3"]:
 
 
 def _points(part: DrawItem, grid: _HeightGrid) -> Iterator[_GaussianPieces]:
-    """Take Gaussians apart into points: small ones into one, large ones into many that are strewn like them."""
+    """Split Gaussians into points: small ones into one, large ones into many with the same distribution."""
     g, to_world = part.gaussians, part.to_world
     step = -(-len(g) // _MAX_GAUSSIANS)
     for first in range(0, len(g), _CHUNK * step):
@@ -171,7 +169,7 @@ def _points(part: DrawItem, grid: _HeightGrid) -> Iterator[_GaussianPieces]:
 def _in_world(
     gaussians: Gaussians, to_world: Float64[np.ndarray, "4 4"]
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3 3"]]:
-    """Centres, and axes as long as their standard deviations (columns), in metres."""
+    """Centers, and axes scaled to standard deviations (columns), in meters."""
     turn = matrices_from_quaternions(gaussians.quaternions.astype(np.float64))
     axes = to_world[:3, :3] @ (turn * gaussians.scales[:, None, :])
     return gaussians.means @ to_world[:3, :3].T + to_world[:3, 3], axes
@@ -192,7 +190,7 @@ def _roof_candidates(points: _GaussianPieces, grid: _HeightGrid) -> Float32[np.n
     cells, heights, depths = (column[order] for column in points)
     first = np.searchsorted(cells, np.arange(grid.rows * grid.columns + 1))
     total = np.concatenate([[0.0], np.cumsum(depths, dtype=np.float64)])
-    above = total[:-1] - total[first[cells]]  # what is over a point in its own cell
+    above = total[:-1] - total[first[cells]]  # optical depth above a point in its own cell
     below = total[first[cells + 1]] - total[1:]
     highest, lowest = (np.full(grid.rows * grid.columns, -np.inf) for _ in range(2))
     for surface, beyond in ((highest, above), (lowest, below)):

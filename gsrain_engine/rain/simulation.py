@@ -1,4 +1,4 @@
-"""Rain that falls: from what a person asks for, a moment and a camera to the drops and the haze of that moment."""
+"""Rain simulation: from settings, time and camera to drops and haze."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -22,50 +22,45 @@ from .streaks import STREAK_REACH, DropBatch, ShutterModel, circle_of_confusion_
 from .wetness import WetnessCurve, wetness
 
 OVERCAST: tuple[float, float, float] = (0.78, 0.79, 0.80)
-"""Display colour of drops where a scene shows no sky to take it from."""
+"""Display color of drops in scenes without sky."""
 
 
 @dataclass(frozen=True, eq=False)
 class RainCamera:
-    """From where, and how, rain is looked at. World frame, metres."""
+    """Camera and surroundings for which rain is computed. World frame, meters."""
 
     camera: Camera
     anchor_to_world: Float64[np.ndarray, "4 4"]
-    """Frame of the rain regions: x forward, y left, z up; without tilt."""
+    """Frame of the rain regions: x forward, y left, z up, without tilt."""
     velocity_m_s: Float64[np.ndarray, "3"]
-    """Of the camera."""
     focal_px: float | None = None
-    """Focal length of the output image; none takes the camera's own."""
+    """Focal length of the output image; None uses the camera's own."""
     roofs: ShelterMap | None = None
-    """Where rain does not reach; none is open everywhere."""
+    """Map of sheltered areas; None if rain reaches everything."""
     exposure_share: float = 1.0
-    """Of the shutter time, for one of several sub-frames that share it."""
-
-
-# § The rain of one moment before one camera: what a renderer makes its drops from.
+    """Fraction of the shutter time, for one of several sub-frames that share it."""
 
 
 @dataclass(frozen=True, eq=False)
 class RainFrame:
-    """Drops and haze in the world (metres, z up), to be sorted and composited among the scene's own Gaussians.
+    """Drops and haze at one time for one camera, to be sorted and composited with the scene's Gaussians.
 
-    Renderers draw them with the dilation's compensation and down to an alpha of 1/65536. A GPU makes the streaks itself
-    from `streak_field`; whoever can't takes `gaussians`.
+    World frame, meters, z up. Renderers apply the dilation compensation and draw down to an alpha of 1/65536. GPU
+    renderers build the streaks from `streak_field`; others use `gaussians`.
     """
 
     streak_field: DropBatch | None
     haze: Haze | None
     haze_sigma_m: float
     color: Float64[np.ndarray, "3"]
-    """A drop's display colour."""
+    """Display color of a drop."""
     light_linear: Float32[np.ndarray, "3"]
-    """The same in linear light."""
     mixing: Literal["linear", "display"]
-    """Whether the drop's light adds to the scene's in linear light, or as display colour (the paper's form)."""
+    """Space in which drops are blended: linear light, or display color (the paper's form)."""
 
     @cached_property
     def gaussians(self) -> Gaussians:
-        """Streak and haze Gaussians that the camera may see."""
+        """Streak and haze Gaussians that may be visible to the camera."""
         return Gaussians.concatenate([self._streaks[1], self.haze_gaussians])
 
     @cached_property
@@ -79,7 +74,7 @@ class RainFrame:
 
     @property
     def drops_drawn(self) -> int:
-        """Drops that become streaks; each is one to `Rain.max_copies` Gaussians."""
+        """Number of drops drawn as streaks; each has one to `RainSettings.max_copies` Gaussians."""
         return self._streaks[0]
 
     @property
@@ -101,22 +96,21 @@ class RainFrame:
 
 @dataclass(frozen=True, eq=False)
 class RainSimulation:
-    """One rain with everything that is worked out once for it. A value: `changed` makes the next one.
+    """Rain with its precomputed quantities. Immutable: `changed` returns a new one.
 
-    Under a weather rain, state, sizes and speeds are those of the time: `moment` has them, and what is asked about a
-    time goes by it.
+    With keyframes, properties, sizes and speeds depend on time: `frozen_at` returns them for one time.
     """
 
     rain: RainSettings
     calibration: Calibration
     state: RainProperties
-    """Of the rain as it is without a weather; see `state_at`."""
+    """Properties of the rain without keyframes; see `state_at`."""
     diameters_mm: Float64[np.ndarray, " classes"]
     motion: DropMotion
     weather: RainKeyframes = NO_KEYFRAMES
     _course: KeyframedDropMotion | None = None
     _moments: "dict[float, RainSimulation]" = field(default_factory=dict, init=False)
-    """The one that was asked for last."""
+    """Cache of the latest `frozen_at`."""
 
     @classmethod
     def start(
@@ -132,7 +126,7 @@ class RainSimulation:
         return cls(rain, calibration, state, diameters, motion, weather, course)
 
     def changed(self, rain: RainSettings, time_s: float, weather: RainKeyframes | None = None) -> "RainSimulation":
-        """Change the rain while it falls, and its weather if one is given: drops go on from where they are."""
+        """Change the rain, and optionally its keyframes; drops continue from their current positions."""
         calibration = self.calibration
         if rain.calibration != self.rain.calibration:
             calibration = load_calibration(rain.calibration)
@@ -147,7 +141,7 @@ class RainSimulation:
         return RainSimulation(rain, calibration, state, diameters, motion, weather, course)
 
     def frozen_at(self, time_s: float) -> "RainSimulation":
-        """Return the rain as it falls at a time, without a weather; it is right for that time alone."""
+        """Return the rain at a time, without keyframes; valid for that time only."""
         if self._course is None:
             return self
         now = self._moments.get(time_s)
@@ -160,11 +154,10 @@ class RainSimulation:
         return now
 
     def state_at(self, time_s: float) -> RainProperties:
-        """Numbers of the rain at a time."""
         return self.frozen_at(time_s).state
 
     def wetness_at(self, time_s: float) -> float:
-        """Share of the soaked colours at a time, 0..1: what a person has set, else what follows from the intensity."""
+        """Share of the soaked colors at a time, 0..1: the set value, or derived from the intensity."""
         if self.rain.wetness is not None:
             return self.rain.wetness
         return self._steady_wetness if self._wetness is None else self._wetness.at(time_s)
@@ -180,11 +173,10 @@ class RainSimulation:
 
     @property
     def can_rain(self) -> bool:
-        """Whether it rains at any time."""
         return self.weather.heaviest_mm_h(self.rain) > 0
 
     def at(self, time_s: float, view: RainCamera, sky: tuple[float, float, float] = OVERCAST) -> RainFrame | None:
-        """Return the rain of a moment; None at 0 mm/h. `sky` is the display colour of the scene's sky."""
+        """Return the drops and haze at a time; None at 0 mm/h. `sky` is the display color of the scene's sky."""
         if self._course is not None:
             return self.frozen_at(time_s).at(time_s, view, sky)
         rain = self.rain
@@ -201,11 +193,11 @@ class RainSimulation:
         )
 
     def drops_in_region(self, time_s: float, view: RainCamera) -> int:
-        """Count the drops that are in the streak region at a moment, seen or not."""
+        """Count the drops in the streak region at a time, visible or not."""
         return self.streak_field(time_s, view).drops_in_region()
 
     def exposure_s(self, view: RainCamera) -> float:
-        """Shutter time: the rain's own, else the camera's."""
+        """Shutter time: the rain's own, or the camera's."""
         whole = self.rain.exposure_s if self.rain.exposure_s is not None else view.camera.exposure_s
         return whole * view.exposure_share
 
@@ -215,7 +207,7 @@ class RainSimulation:
         return haze if view.roofs is None else haze.outside(view.roofs)
 
     def _blur_reach(self, far_m: Float64[np.ndarray, " classes"], farthest_m: float) -> Float64[np.ndarray, " classes"]:
-        """How far defocus spreads drops up to a distance: five standard deviations of the largest circle."""
+        """Distance over which defocus spreads drops up to a depth: five standard deviations of the largest circle."""
         if self.rain.aperture_mm == 0:
             return np.zeros(len(far_m))
         at_ends = [circle_of_confusion_m(depth, self.rain) for depth in (0 * far_m, np.minimum(far_m, farthest_m))]
@@ -225,14 +217,14 @@ class RainSimulation:
         return view.focal_px or float(np.sqrt(view.camera.fx * view.camera.fy))
 
     def streak_field(self, time_s: float, view: RainCamera) -> DropBatch:
-        """Place the cell of drops around a view at a moment."""
+        """Place the cell of drops around a camera at a time."""
         if self._course is not None:
             return self.frozen_at(time_s).streak_field(time_s, view)
         region, turn = self.rain.streak_region, view.anchor_to_world[:3, :3]
         size = np.array(region.size_m)
         center = turn @ np.array(region.center_m) + view.anchor_to_world[:3, 3]
         if self.rain.streak_reset == "paper":
-            # The region itself is the cell: drops stay in the ego's frame, fall straight, re-enter at the top.
+            # The region itself is the cell: drops stay in the ego's frame, fall straight and re-enter at the top.
             period, axes = size, turn
             where = drop_phases_of_motion(self.motion.without_drift(), time_s, np.zeros(3), period)
         else:
@@ -290,18 +282,18 @@ def _roofs_over(
 
 
 def _wind(rain: RainSettings) -> Wind:
-    if rain.streak_reset == "paper":  # its drops fall straight down
+    if rain.streak_reset == "paper":  # the paper's drops fall straight down
         return Wind()
     return Wind(rain.wind_m_s, rain.gust_m_s, rain.seed)
 
 
 def _what_moves(rain: RainSettings) -> tuple[object, ...]:
-    """Fields on which the fall and the drift of drops under a weather depend."""
+    """Fields that determine the fall and drift of drops under keyframes."""
     moving = rain.intensity_mm_h, rain.wind_m_s, rain.gust_m_s, rain.seed
     return (*moving, rain.velocity, rain.calibration, rain.streak_reset)
 
 
 def mean_linear_color(colors: Float64[np.ndarray, "n 3"]) -> tuple[float, float, float]:
-    """Mean in linear light of the sky's display colours (paper, eq. 3), as a display colour."""
+    """Mean of the sky's display colors in linear light (paper, eq. 3), as a display color."""
     red, green, blue = linear_to_srgb(srgb_to_linear(colors).mean(axis=0))
     return float(red), float(green), float(blue)

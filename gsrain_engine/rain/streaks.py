@@ -1,4 +1,4 @@
-"""Near drops as streak Gaussians: size, opacity and direction of what a shutter sees of a moving drop."""
+"""Rain streaks: near drops as Gaussians with the size, opacity and direction of a drop's motion blur."""
 
 from dataclasses import dataclass
 from typing import no_type_check
@@ -16,12 +16,13 @@ AXIS_RATIO_SLOPE, AXIS_RATIO_OFFSET = -0.07, 1.07
 """tau(D) = k D + b for 1 mm < D < 9 mm (paper, eq. 4)."""
 
 STREAK_REACH = 2.0
-"""No streak reaches farther from its drop than so many of its lengths (the outermost copy's last visible fragment)."""
+"""Maximum distance of a streak fragment from its drop, in streak lengths (last visible fragment of the outermost copy).
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StreakGaussians:
-    """Streak Gaussians in the world: everything but their colour."""
+    """Streak Gaussians in the world, without color."""
 
     means: Float32[np.ndarray, "n 3"]
     scales: Float32[np.ndarray, "n 3"]
@@ -31,45 +32,45 @@ class StreakGaussians:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShutterModel:
-    """The camera as a streak sees it."""
+    """Camera motion and shutter that determine motion blur."""
 
     camera: Camera
     velocity_m_s: Float64[np.ndarray, "3"]
     exposure_s: float
     focal_px: float
-    """Focal length of the *output* image, whatever resolution is being drawn."""
+    """Focal length of the *output* image, at any drawn resolution."""
 
 
 def visible_distance_m(diameter_mm: Float64[np.ndarray, " n"], focal_px: float) -> Float64[np.ndarray, " n"]:
-    """Distance d_m = f D at which a drop covers exactly one pixel, in metres (paper, eq. 6)."""
+    """Distance d_m = f D at which a drop covers exactly one pixel, in meters (paper, eq. 6)."""
     return focal_px * diameter_mm * 1e-3
 
 
 def circle_of_confusion_m(depth_m: Float64[np.ndarray, " n"], rain: RainSettings) -> Float64[np.ndarray, " n"]:
-    """Diameter at the drop of what a thin lens spreads a point over: A |1 - d / d_focus|.
+    """Circle of confusion of a thin lens, as a diameter at the drop's depth: A |1 - d / d_focus|.
 
-    In the image it is c = f A |1/d - 1/d_focus| px, with f in px and A the aperture's diameter in metres.
+    In the image it is c = f A |1/d - 1/d_focus| px, with f in px and A the aperture's diameter in meters.
     """
     return 1e-3 * rain.aperture_mm * np.abs(1 - depth_m / rain.focus_distance_m)
 
 
-# § The drops of one moment around one camera: everything from which a kernel or a shader makes their streaks.
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class DropBatch:
-    """A periodic cell of drops, and the shutter through which they are seen. World frame, metres."""
+    """Drops at one time around one camera: a periodic cell of drops and the shutter. World frame, meters.
+
+    Kernels and shaders compute the streaks from it.
+    """
 
     rain: RainSettings
     count: int
-    """Drops with numbers below this exist."""
+    """Number of drops in the cell; drops have the numbers 0 to `count` - 1."""
     where: DropPhases
     period_m: Float64[np.ndarray, "3"]
-    """Edges of the cell."""
+    """Edge lengths of the cell."""
     axes: Float64[np.ndarray, "3 3"]
     """Cell to world, a rotation."""
     center_m: Float64[np.ndarray, "3"]
-    """Centre of the cell, and of the streak region, in the world."""
+    """Center of the cell, and of the streak region, in the world."""
     culling: DropCulling
     diameters_mm: Float64[np.ndarray, " classes"]
     wind_m_s: Float64[np.ndarray, "2"]
@@ -77,14 +78,14 @@ class DropBatch:
     fall_speed_m_s: Float64[np.ndarray, " classes"]
     shutter: ShutterModel
     roofs: ShelterMap | None = None
-    """Those over the cell; none where it is in the open."""
+    """Sheltered areas over the cell; None without any."""
 
     def drops(self) -> Drops:
-        """Drops that the camera may see."""
+        """Drops that may be visible to the camera."""
         return self._in_the_open(visible_drops(self.count, self.rain.seed, self.where, self.period_m, self.culling))
 
     def region_drops(self) -> Drops:
-        """Drops in the streak region, seen or not: what other sensors than the camera meet."""
+        """Drops in the streak region, visible or not, for sensors other than the camera."""
         return self._in_the_open(find_in_region(self.count, self.rain.seed, self.where, self.period_m, self.culling))
 
     def _in_the_open(self, found: Drops) -> Drops:
@@ -94,15 +95,13 @@ class DropBatch:
         return Drops(found.numbers[kept], found.class_index[kept], found.fractions[kept])
 
     def drops_in_region(self) -> int:
-        """Count the drops in the streak region, seen or not, under roofs too."""
+        """Count the drops in the streak region, visible or not, including sheltered ones."""
         return count_in_region(self.count, self.rain.seed, self.where, self.period_m, self.culling)
 
     def positions(self, drops: Drops) -> Float64[np.ndarray, "m 3"]:
-        """Positions in the world."""
         return drops.positions(self.period_m) @ self.axes.T + self.center_m
 
     def streaks(self, drops: Drops) -> StreakGaussians:
-        """Turn drops into streak Gaussians in the world."""
         c = drops.class_index
         return streak_gaussians(
             self.positions(drops), self.diameters_mm[c], self.velocities(c), self.shutter, self.rain
@@ -117,7 +116,7 @@ class DropBatch:
 
     @property
     def max_drops(self) -> int:
-        """More drops than the camera can see but by a chance of one in millions: room to reserve for them."""
+        """Upper bound on the number of visible drops, exceeded with a chance of one in millions; sizes GPU buffers."""
         left, right, top, bottom = np.abs(self.culling.slopes)
         wide, high, far, margin = left + right, top + bottom, self.culling.class_far_m, self.culling.class_margin_m
         volume = wide * high * far**3 / 3 + margin * (wide + high) * far**2 + 4 * margin**2 * far
@@ -125,10 +124,10 @@ class DropBatch:
         return min(self.count, int(1.1 * expected + 10 * np.sqrt(expected)) + 64)
 
 
-# § Compiled streak physics: moving drops to the streak Gaussians that a camera can see.
+# Streak physics
 
 _REACH = 4.8
-"""Standard deviations at which even alpha 1 has fallen below a streak's cut of 1/65536 (exp(-4.8^2 / 2))."""
+"""Standard deviations at which even alpha 1 has fallen below a streak's cutoff of 1/65536 (exp(-4.8^2 / 2))."""
 
 
 def streak_gaussians(
@@ -138,12 +137,12 @@ def streak_gaussians(
     shutter: ShutterModel,
     rain: RainSettings,
 ) -> StreakGaussians:
-    """Turn drops into one to n_max Gaussians each along their path through the picture; leave out what no pixel shows.
+    """Turn drops into one to n_max Gaussians each along their path through the image; skip those outside the image.
 
-    Opacity: eq. 5 with the speed across the line of sight (`world`: V itself, the paper's form), times eq. 7's
-    attenuation with distance. Copies: eq. 10-12. With the speed across, the integral of alpha over the image is the
-    drop's own cross-section, pi D^2 / 4 (f / d)^2, near and far, in focus and out of it: the circle of confusion adds a
-    sixteenth of its diameter's square to the variances, as a disc has.
+    Opacity: eq. 5 with the speed perpendicular to the line of sight (`world`: V itself, the paper's form), times the
+    distance attenuation of eq. 7. Copies: eq. 10-12. With the perpendicular speed, the integral of alpha over the image
+    equals the drop's cross-section, pi D^2 / 4 (f / d)^2, at any distance and focus: the circle of confusion adds a
+    sixteenth of its squared diameter to the variances, as a disc has.
     """
     camera, most = shutter.camera, rain.max_copies
     rows = np.empty((len(positions_m) * most, 11), np.float32)
@@ -194,7 +193,7 @@ def _fill(
                 alpha = haze_opacity
             alpha = min(1.0, gain * alpha)
             # Copies overlap: their opacities would add up to sqrt(2 pi) alpha. This is exact on the streak's axis; off
-            # it, where alpha is large, they add up to more than they should: a smaller width keeps the integral.
+            # the axis, where alpha is large, the sum is too high: a smaller width preserves the integral.
             opacity = 1 - (1 - alpha) ** (1 / np.sqrt(2 * np.pi))
 
             length = speed * exposure

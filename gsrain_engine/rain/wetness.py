@@ -1,4 +1,4 @@
-"""How wet a scene looks in rain: the share of its soaked colours, which follows the rainfall intensity."""
+"""Wetness: share of a scene's soaked colors, as a function of the rainfall intensity."""
 
 import math
 from dataclasses import dataclass, field
@@ -10,16 +10,16 @@ from jaxtyping import Float64
 from .keyframes import KeyframeCurve
 
 DRAINAGE_LENGTH_M = 5.0
-"""How far water runs over the road before a place: from the crown to the middle of the outer lane."""
+"""Drainage path over the road: from the crown to the middle of the outer lane."""
 
 CROSS_SLOPE = 0.02
-"""Fall of a road towards its edge, m/m: what roads are built with."""
+"""Cross slope of a road, m/m; a usual design value."""
 
 TEXTURE_DEPTH_MM = 0.5
-"""Mean depth of the road's texture: dense asphalt."""
+"""Mean texture depth of dense asphalt."""
 
 SOAKING_DEPTH_MM = 0.2
-"""Mean depth of water at which a road shows 1 - 1/e of its soaked look; our decision, see docs/physics.md."""
+"""Mean depth of water at which a road has 1 - 1/e of its soaked look; our choice, see docs/physics.md."""
 
 _SCALE, _OF_TEXTURE, _OF_LENGTH, _OF_INTENSITY, _OF_SLOPE = 0.01485, 0.11, 0.43, 0.59, 0.42
 """Gallaway et al. 1979, in mm, m and mm/h."""
@@ -28,37 +28,36 @@ _THIRDS = 60
 
 
 def water_depth_mm(intensity_mm_h: float) -> float:
-    """Depth of the water on a road that rains on steadily, counted from the bottom of its texture.
+    """Depth of the water on a road in steady rain, measured from the bottom of its texture.
 
     0.01485 MTD^0.11 L^0.43 R^0.59 / S^0.42 (Gallaway, Ivey, Hayes, Ledbetter, Olson, Woods and Schiller 1979, Federal
-    Highway Administration report RD-79-31), of which they take MTD off to count from the texture's top.
+    Highway Administration report RD-79-31); they subtract MTD to measure from the texture's top.
     """
     road = TEXTURE_DEPTH_MM**_OF_TEXTURE * DRAINAGE_LENGTH_M**_OF_LENGTH / CROSS_SLOPE**_OF_SLOPE
     return _SCALE * road * intensity_mm_h**_OF_INTENSITY
 
 
 def wetness(intensity_mm_h: float) -> float:
-    """Share of soaked colours in steady rain: 0 at 0 mm/h, rising, towards 1.
+    """Share of soaked colors in steady rain: 0 at 0 mm/h, rising towards 1.
 
-    1 - exp(-h / SOAKING_DEPTH_MM), h the water's depth: the share of a surface that patches of that depth cover when
-    they lie at random. 0.55 at 1.2, 0.92 at 8.5, 0.95 at 12 mm/h.
+    1 - exp(-h / SOAKING_DEPTH_MM), h the water's depth: the share of a surface covered by randomly placed patches of
+    that depth. 0.55 at 1.2, 0.92 at 8.5, 0.95 at 12 mm/h.
     """
     return -math.expm1(-water_depth_mm(intensity_mm_h) / SOAKING_DEPTH_MM)
 
 
 @dataclass(frozen=True, eq=False)
 class WetnessCurve:
-    """Wetness under an intensity that changes over time, as a function of the time alone.
+    """Wetness under an intensity that changes over time, as a function of time alone.
 
     A surface gets wet at once and dries with a time constant: w(t) is the largest w(R(s)) exp(-(t - s) / drying) of all
-    moments s up to t.
+    times s up to t.
     """
 
     intensity: KeyframeCurve
     drying_s: float
-    """Time in which what was wet dries to 1/e; 0 follows the intensity at once."""
+    """Time in which a wet surface dries to 1/e; 0 follows the intensity at once."""
     _at: dict[float, float] = field(default_factory=dict[float, float], init=False)
-    """The moment that was asked for last."""
 
     def at(self, time_s: float) -> float:
         if time_s not in self._at:
@@ -70,7 +69,7 @@ class WetnessCurve:
     def _found(self, time_s: float) -> float:
         now = wetness(float(self.intensity.at(time_s)[0]))
         knot = self.intensity.before(time_s)
-        if self.drying_s == 0 or knot < 0:  # before the first key it has always rained like this
+        if self.drying_s == 0 or knot < 0:  # the rain was constant before the first keyframe
             return now
         times, values = self.intensity.times_s, self.intensity.values[:, 0]
         kept = self._decayed_max[knot]
@@ -82,7 +81,7 @@ class WetnessCurve:
 
     @cached_property
     def _decayed_max(self) -> Float64[np.ndarray, " n"]:
-        """Largest ln w(R(s)) + s / drying of all moments up to each knot."""
+        """Largest ln w(R(s)) + s / drying of all times up to each knot."""
         times, values = self.intensity.times_s, self.intensity.values[:, 0]
         first = _log_wetness(values[:1]) + times[:1] / self.drying_s
         return np.maximum.accumulate(np.concatenate([first, self._decayed_max_between(times, values)]))
@@ -90,9 +89,9 @@ class WetnessCurve:
     def _decayed_max_between(
         self, times_s: Float64[np.ndarray, " n"], intensities: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, " n-1"]:
-        """The same for what lies between each two knots, where the intensity is straight.
+        """Largest ln w(R(s)) + s / drying between each two knots, where the intensity is linear.
 
-        Where it rises, the end has it; where it falls, ln w + s / drying is concave in s: thirds close in on its top.
+        If the intensity rises, it is at the end; if it falls, ln w + s / drying is concave in s: ternary search.
         """
 
         def log_decayed(share: Float64[np.ndarray, " m"]) -> Float64[np.ndarray, " m"]:
@@ -109,5 +108,5 @@ class WetnessCurve:
 
 def _log_wetness(intensities_mm_h: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
     depths = water_depth_mm(1.0) * intensities_mm_h**_OF_INTENSITY
-    with np.errstate(divide="ignore"):  # nothing is wet at 0 mm/h
+    with np.errstate(divide="ignore"):  # ln 0 = -inf at 0 mm/h
         return np.log(-np.expm1(-depths / SOAKING_DEPTH_MM))

@@ -1,1 +1,1 @@
-"""OpenGL: contexts, the splat pipeline, frames, pictures and video."""
+"""Rendering: OpenGL, CPU, CUDA and differentiable renderers, frame sequences, and image, video and label export."""

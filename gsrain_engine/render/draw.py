@@ -1,4 +1,4 @@
-"""A scene in its rain, seen from a camera at a moment: the one way in which window and command line draw."""
+"""Drawing a scene with rain for a camera and time, shared by window and command line."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -18,49 +18,49 @@ from .renderer import Color, Renderer, RenderMode
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderView:
-    """A moment of a scene from a place. World frame, metres."""
+    """Camera, time and motion for which a scene is drawn. World frame, meters."""
 
     camera: Camera
     time_s: float = 0.0
     velocity_m_s: Float64[np.ndarray, "3"] | None = None
-    """Of the camera; none while it stands."""
+    """Velocity of the camera; None if it is at rest."""
     focal_px: float | None = None
-    """Focal length of the output image where a smaller one is drawn; none takes the camera's."""
+    """Focal length of the output image if a smaller one is drawn; None uses the camera's."""
     exposure_share: float = 1.0
-    """Of the shutter time, for one of several sub-frames that share it."""
+    """Fraction of the shutter time, for one of several sub-frames that share it."""
 
 
-# § Draws a share of a scene's Gaussians for all of them: those that matter most, grown to cover as much.
+# Level of detail
 
 _Shape = tuple[int, int]
-"""Identity of what growth depends on: scales and opacities."""
+"""Identity of the arrays that growth depends on: scales and opacities."""
 
 
 @dataclass(slots=True)
 class LodSubset:
-    """Takes parts whose Gaussians are in their drawing order; remembers what it worked out for each set of them.
+    """Draws the most important share of each part's Gaussians, enlarged to cover as much as all of them.
 
-    Masks are not looked at: where they leave out much of what matters, the rest is drawn a little too large.
+    Gaussians must be in their drawing order. Growths are cached by set of Gaussians. Masks are ignored: if they leave
+    out many important Gaussians, the rest is drawn slightly too large.
     """
 
     share: float
     _growths: dict[_Shape, tuple[Gaussians, float]] = field(
-        default_factory=dict[_Shape, "tuple[Gaussians, float]"]  # held on to, so that the identity stays taken
+        default_factory=dict[_Shape, "tuple[Gaussians, float]"]  # a reference, so that the identity stays unique
     )
 
     def __call__(self, part: DrawItem) -> DrawItem:
-        """Leave out all but the share that matters most."""
+        """Limit a part to its most important Gaussians."""
         return part._replace(limit=math.ceil(self.share * len(part.gaussians)), growth=self.growth(part.gaussians))
 
     def growth(self, gaussians: Gaussians) -> float:
-        """How much larger those that are left are drawn; worked out once for all colours of the same Gaussians."""
+        """Scale factor of the remaining Gaussians; cached for all colors of the same Gaussians."""
         key = _shape(gaussians)
         if key not in self._growths:
             self._growths[key] = gaussians, lod_growth(gaussians, self.share)
         return self._growths[key][1]
 
     def forget_all_but(self, kept: Iterable[Gaussians]) -> None:
-        """Let go of every other set."""
         keys = {_shape(each) for each in kept}
         self._growths = {key: known for key, known in self._growths.items() if key in keys}
 
@@ -77,10 +77,10 @@ def draw_view(
     thinning: LodSubset | None = None,
     selection: bool = False,
 ) -> None:
-    """Draw a scene in its rain into the renderer's picture; without it where there is none, or with another look.
+    """Draw a scene with its rain into the renderer's image; render modes other than "splats" omit the rain.
 
-    The scene's wet colours come with the rain's wetness; without a rainfall it is clear. `thinning` leaves out some
-    of each part's Gaussians; `selection` tints those that are selected.
+    Wet colors follow the rain's wetness; without `rainfall` the scene is clear and dry. `thinning` leaves out some of
+    each part's Gaussians; `selection` tints selected ones.
     """
     falling = rain_frame_of(scene, rainfall, sky, shot) if rainfall is not None and look == "splats" else None
     wetness = rainfall.wetness_at(shot.time_s) if rainfall is not None else 0.0
@@ -91,12 +91,12 @@ def draw_view(
 
 
 def rain_frame_of(scene: Scene, rainfall: RainSimulation, sky: Color, shot: RenderView) -> RainFrame | None:
-    """Rain of a shot as Gaussians; None at 0 mm/h."""
+    """Drops and haze of a view; None at 0 mm/h."""
     return rainfall.at(shot.time_s, rain_camera_of(scene, rainfall, shot), sky)
 
 
 def rain_camera_of(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> RainCamera:
-    """How the rain sees a shot: from where, how fast, around what its regions stand, and under which roofs."""
+    """Camera, velocity, rain anchor and sheltered areas of a view."""
     velocity = shot.velocity_m_s if shot.velocity_m_s is not None else np.zeros(3)
     roofs = shelter_map_of(scene) if rainfall.rain.roofs else None
     return RainCamera(
@@ -105,10 +105,10 @@ def rain_camera_of(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> 
 
 
 def rain_anchor(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> Float64[np.ndarray, "4 4"]:
-    """Frame that the rain regions stand in.
+    """Frame of the rain regions.
 
-    The ego vehicle's, levelled, for a camera that rides on it, so that the cameras of a rig see the same drops. Any
-    other camera carries its rain along: the regions stand at its place and turn with its heading.
+    For a camera on the ego vehicle it is the vehicle's frame, leveled, so that all cameras of a rig show the same
+    drops. Any other camera carries the regions along: they are at its position and turn with its heading.
     """
     ego = scene.ego_to_world(shot.time_s)
     position = shot.camera.position
@@ -131,7 +131,6 @@ def _leveled(forward: Float64[np.ndarray, "3"], origin: Float64[np.ndarray, "3"]
 
 
 def subset_items(parts: Sequence[DrawItem], thinning: LodSubset | None) -> Sequence[DrawItem]:
-    """Thin out every part, or none."""
     return parts if thinning is None else [thinning(part) for part in parts]
 
 

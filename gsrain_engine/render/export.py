@@ -1,4 +1,4 @@
-"""Records a clip: all cameras, passes and the clear twin, frame by frame; the window and the command line run this."""
+"""Export of frames: all cameras, passes and the clear twin, used by window and command line."""
 
 import shlex
 import time
@@ -36,14 +36,14 @@ def export_frames(
     *,
     look: RenderMode = "splats",
 ) -> Iterator[Progress]:
-    """Render and write frames by their numbers; yields after each, with the time that is left.
+    """Render and write frames by their numbers; yields progress with the remaining time after each.
 
-    Frames are whole, and videos are brought to an end, wherever the caller stops. The same input gives the same bytes.
+    Frames are complete and videos playable wherever the caller stops. The output is deterministic.
 
     Raises:
         ValueError: For an output that can't be encoded.
-        OSError: When it can't be written; what had been written can be played. `PathInUseError` where another process
-        does.
+        OSError: If it can't be written; frames written before remain playable. `PathInUseError` if another process
+        writes it.
     """
     with ExitStack() as stack:
         for path in export_outputs(recording, list(sequences)):
@@ -62,7 +62,7 @@ def export_frames(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _OutputStream:
-    """One camera's clip, in the rain or without."""
+    """Output of one camera, with or without rain."""
 
     sequence: FrameSequence
     sink: FrameWriter
@@ -70,7 +70,7 @@ class _OutputStream:
     is_clear: bool
 
     def write(self, renderer: Renderer, number: int, sky: SkyColor, look: RenderMode) -> Frame | None:
-        """Render a frame and write its passes; the renderer's last picture is that of the colours."""
+        """Render a frame and write its passes; the renderer's last image is the color pass."""
         labels = frame = None
         if "labels" in self.passes:
             shot = self.sequence.shot(number)
@@ -83,20 +83,20 @@ class _OutputStream:
 
 
 class _EtaEstimator:
-    """How far a recording has come, and how long it will take."""
+    """Progress, preview and remaining time of an export."""
 
     def __init__(self, frames: int) -> None:
         self.done = 0
         self._frames, self._began, self._previewed = frames, -np.inf, -np.inf
 
     def step(self, frame: Frame | None) -> Progress:
-        """Count a frame; now and then show it."""
+        """Count a frame; attach a preview at intervals."""
         self.done += 1
         now, preview = time.perf_counter(), None
         if frame is not None and now - self._previewed >= _PREVIEW_EVERY_S:
             preview, self._previewed = _small(frame), now
         message = f"Frame {self.done:,} of {self._frames:,}"
-        if self.done == 1:  # it loads and compiles what all others use: it says nothing about them
+        if self.done == 1:  # excluded from the estimate: it loads data and compiles kernels
             self._began = now
         else:
             left_s = (now - self._began) / (self.done - 1) * (self._frames - self.done)
@@ -105,7 +105,7 @@ class _EtaEstimator:
 
 
 def _open(recording: ExportSettings, sequences: Mapping[str, FrameSequence], stack: ExitStack) -> list[_OutputStream]:
-    """One take for each camera, the clear twin before the one in the rain; `stack` closes them."""
+    """Return one output stream per camera, the clear twin before the rainy one; `stack` closes them."""
     takes: list[_OutputStream] = []
     for name, sequence in sequences.items():
         for is_clear in (True, False) if recording.twin else (False,):
@@ -120,37 +120,34 @@ def _open(recording: ExportSettings, sequences: Mapping[str, FrameSequence], sta
 
 
 def _clock_time(seconds: float) -> str:
-    """Minutes and seconds, with hours where there are any."""
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d} h" if minutes >= 60 else f"{minutes}:{rest:02d} min"
 
 
 def _small(frame: Frame) -> UInt8[np.ndarray, "h w 3"]:
-    """Every so many-th pixel of a frame."""
     step = -(-frame.rgba.shape[1] // _PREVIEW_PX)
     return np.ascontiguousarray(Frame(frame.rgba[::step, ::step]).to_uint8())
 
 
 def _problem(recording: ExportSettings, error: OSError, done: int) -> str:
-    """Say in one sentence what a disk has against it, and what is left."""
     reason = error.strerror or str(error)
     return f"{recording.output} can't be written on after {done} frames: {reason}; what was written before is whole"
 
 
-# § A clip of a scene in the rain, from a scene, a rain and a camera: as files, or frame by frame.
+# Export from scene, rain and camera
 
 
 def render_video(
     renderer: Renderer, recording: ExportSettings, scene: Scene, rain: RainSettings, camera: Camera | CameraPath
 ) -> Iterator[Progress]:
-    """Record a scene in its rain from a camera or along a path of the world (metres, z up); yields after each frame.
+    """Export a scene in its rain from a camera or along a path (world, meters, z up); yields after each frame.
 
-    The path's times are those of the scene and the rain. The window's Record panel and `gsrain render` write the same
-    bytes. Where a caller stops, what was written can be played.
+    The path's times are those of the scene and the rain. The output is byte-identical to that of the window and of
+    `gsrain render`. If a caller stops early, the frames written so far are playable.
 
     Raises:
-        ValueError: For settings that contradict themselves, and a calibration that the rain names and there is not.
-        OSError: When the output can't be written.
+        ValueError: For contradictory settings, or a missing calibration named by the rain.
+        OSError: If the output can't be written.
     """
     rainfall = RainSimulation.start(rain)
     sequences = export_sequences(recording, scene, rainfall, camera, in_scene_time=True)
@@ -166,9 +163,10 @@ def film_frames(
     *,
     with_depth: bool = False,
 ) -> Iterator[Frame]:
-    """Render the frames that `film` would record, one by one, and write nothing; of `recording` its output is unused.
+    """Render the frames that `render_video` would export, one by one, without writing; `recording.output` is unused.
 
-    Depth is that of the scene in metres, without rain. Raises `ValueError` as `film` does, before the first frame.
+    Depth is that of the scene in meters, without rain. Raises `ValueError` as `render_video` does, before the first
+    frame.
     """
     rainfall = RainSimulation.start(rain)
     (sequence,) = export_sequences(recording, scene, rainfall, camera, in_scene_time=True).values()
@@ -176,10 +174,10 @@ def film_frames(
     return (each.frame for each in sequence.render(renderer, numbers, sequence.sky(renderer), with_depth=with_depth))
 
 
-# § Which cameras a recording shows, in which size, and at which moments.
+# Cameras, size and times of an export
 
 LONGEST_DEFAULT_S = 10.0
-"""Of a clip that neither a person nor a path of theirs gives a length."""
+"""Maximum default length of a video from a fixed camera or a path with times of its own."""
 
 
 def export_sequences(
@@ -190,10 +188,10 @@ def export_sequences(
     *,
     in_scene_time: bool,
 ) -> dict[str, FrameSequence]:
-    """What a recording shows, by the names of its cameras: rig cameras where it names some, else one viewpoint.
+    """Frame sequences of an export by camera name: rig cameras if it names some, or else one viewpoint.
 
-    `in_scene_time` says whether a path's times are the scene's own. A still from a path without times is one of a
-    camera at rest. Raises `ValueError` for what contradicts itself.
+    `in_scene_time` is true if a path's times are the scene's own. A still from an untimed path is rendered with the
+    camera at rest. Raises `ValueError` for contradictory settings.
     """
     recording.check()
     views: dict[str, Camera | CameraPath | RigCameraView] = {"": viewpoint}
@@ -219,7 +217,7 @@ def export_sequences(
 
 
 def frame_numbers(recording: ExportSettings, sequences: Mapping[str, FrameSequence]) -> range:
-    """Numbers of the frames between a recording's two moments; without the second, as long as the path is."""
+    """Numbers of the frames between first and last time; without a last time, up to the end of the path."""
     if recording.is_still:
         return range(1)
     if recording.last_s is not None:
@@ -229,14 +227,14 @@ def frame_numbers(recording: ExportSettings, sequences: Mapping[str, FrameSequen
 
 
 def _length_s(sequence: FrameSequence) -> float:
-    """All of a drive or of a person's own flight; of anything else so much that its end is seen soon."""
+    """Full length of a drive or a path in scene time; at most `LONGEST_DEFAULT_S` otherwise."""
     length_s = LONGEST_DEFAULT_S if sequence.length_s is None else sequence.length_s
     is_made = sequence.in_scene_time or isinstance(sequence.camera, RigCameraView)
     return length_s if is_made else min(LONGEST_DEFAULT_S, length_s)
 
 
 def _by_name(cameras: list[RigCameraView]) -> dict[str, Camera | CameraPath | RigCameraView]:
-    """Name cameras as their files: with the rig in front where there are several rigs."""
+    """Name cameras as their files; prefixed with the rig if there are several rigs."""
     several = len({each.rig for each in cameras}) > 1
     return {f"{each.rig}_{each.name}" if several else each.name: each for each in cameras}
 
@@ -248,7 +246,7 @@ def _own_size(view: Camera | CameraPath | RigCameraView, time_s: float) -> tuple
     return camera.width, camera.height
 
 
-# § The command line that records the same as a `ExportSettings`.
+# Equivalent command line
 
 _OPTIONS = {
     "fps": "--fps",
@@ -261,7 +259,7 @@ _OPTIONS = {
 
 
 def export_command(recording: ExportSettings, project: str) -> str:
-    """What to type for the same bytes; `project` is the scene folder."""
+    """Shell command for the same bytes; `project` is the scene folder."""
     words = ["gsrain", "render", project, "-o", recording.output]
     if recording.size_px is not None:
         words += ["--size", "{}x{}".format(*recording.size_px)]

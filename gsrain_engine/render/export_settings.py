@@ -1,4 +1,4 @@
-"""What a person asks for when a clip is recorded: one value, its bounds, units and help texts."""
+"""Export settings: output, frame rate, size, passes and codec, and the names of the written files."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -22,10 +22,10 @@ Pixels = Annotated[int, Meta(ge=1, le=LARGEST_PX)]
 DEFAULT_SIZE_PX = (960, 640)
 
 DEFAULT_QUALITY = {"h264": 18, "vp9": 24, "av1": 28}
-"""Constant rate factor of each video codec where none is asked for: hardly a difference to be seen."""
+"""Default constant rate factor of each video codec: visually nearly lossless."""
 
 DEFAULT_JPEG_QUALITY = 93
-"""With whole chroma: errors of about a level, which rain streaks of one pixel live through."""
+"""With full-resolution chroma: errors of about one level, so that one-pixel rain streaks survive."""
 
 _CONTAINERS: dict[str, tuple[str, ...]] = {
     "h264": (".mp4",),
@@ -36,7 +36,7 @@ _CONTAINERS: dict[str, tuple[str, ...]] = {
     "exr": (".exr", ""),
     "npy": (".npy",),
 }
-"""Endings of the files that each codec goes into, the usual one first; "" is a folder."""
+"""File suffixes of each codec, the default one first; "" is a folder."""
 
 _BY_SUFFIX = {
     ".mp4": "h264",
@@ -51,7 +51,7 @@ _BY_SUFFIX = {
 
 
 class ExportSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One export. What it shows (scene, rain, path) is the document's."""
+    """Settings of one export; scene, rain and path belong to the document."""
 
     output: Annotated[
         str,
@@ -137,36 +137,34 @@ class ExportSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
     @property
     def path(self) -> Path:
-        """The output as a path."""
         return Path(self.output)
 
     @property
     def suffix(self) -> str:
-        """Ending of the output in lower case; "" is a folder."""
+        """Suffix of the output in lower case; "" is a folder."""
         return self.path.suffix.lower()
 
     @property
     def format(self) -> str:
-        """What is written: h264, vp9, av1, png, exr or npy; "" where the ending says nothing known."""
+        """Output format: h264, vp9, av1, png, jpeg, exr or npy; "" for an unknown suffix."""
         return _BY_SUFFIX.get(self.suffix, "") if self.codec == "auto" else self.codec
 
     @property
     def default_suffix(self) -> str:
-        """Ending that a video of this format usually has; "" for frames, which go into a folder."""
+        """Default suffix of a video in this format; "" for frames, which are written to a folder."""
         return _CONTAINERS[self.format][0] if self.is_video else ""
 
     @property
     def is_video(self) -> bool:
-        """Whether colour goes into a video."""
+        """True if color is written as a video."""
         return self.format in ("h264", "vp9", "av1")
 
     @property
     def is_still(self) -> bool:
-        """Whether it is a single picture."""
         return self.suffix in (".png", ".jpg", ".jpeg", ".exr", ".npy")
 
     def check(self) -> None:
-        """Raise `ValueError` where output, codec, size and passes contradict one another."""
+        """Raise `ValueError` for contradictory output, codec, size and passes."""
         if not self.output.strip():
             raise ValueError("output is empty: expected the name of a file or folder, such as clip.mp4")
         if self.suffix not in _BY_SUFFIX:
@@ -184,15 +182,16 @@ class ExportSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
             raise ValueError(f"{self.output}: a video needs an even width and height, got {width}x{height}")
 
 
-# § The names of what a recording writes: one file or folder for each camera and its clear twin, passes beside them.
+# Output files
 
 
 @dataclass(frozen=True, slots=True)
 class ExportFiles:
     """Files of one camera.
 
-    `still.png` has its passes beside it: `still.depth.png`; so do the frames of a folder: `frames/000007.depth.png`;
-    those of a video get a folder each: `clip.depth/000007.png`. EXR holds colour, alpha and depth in one file.
+    Passes are written next to `still.png` as `still.depth.png`, next to the frames of a folder as
+    `frames/000007.depth.png`, and for a video into a folder each: `clip.depth/000007.png`. EXR files contain color,
+    alpha and depth.
     """
 
     path: Path
@@ -200,15 +199,13 @@ class ExportFiles:
     is_video: bool
     passes: frozenset[Pass]
     is_folder: bool
-    """Whether `path` is a folder of frames; its name may have dots in it."""
+    """True if `path` is a folder of frames; its name may contain dots."""
 
     def color(self, number: int) -> Path:
-        """Where the colours of a frame go."""
         ending = "jpg" if self.format == "jpeg" else self.format
         return self.path / f"{number:06d}.{ending}" if self.is_folder else self.path
 
     def pass_file(self, number: int, name: Pass) -> Path:
-        """Where another pass of a frame goes."""
         kind = "npy" if self.format == "npy" and name == "depth" else "png"
         if self.is_video:
             return self._folder(name) / f"{number:06d}.{kind}"
@@ -218,13 +215,12 @@ class ExportFiles:
 
     @property
     def legend(self) -> Path:
-        """Where the meaning of the labels goes."""
         if self.is_video:
             return self._folder("labels") / "labels.json"
         return self.path / "labels.json" if self.is_folder else self.path.with_name(f"{self.path.stem}.labels.json")
 
     def roots(self) -> Iterator[Path]:
-        """Every file and folder that is written, without what lies in a folder."""
+        """All written files and folders, without the contents of folders."""
         if self.is_folder:
             yield self.path
             return
@@ -239,10 +235,10 @@ class ExportFiles:
 
 
 def export_files(recording: ExportSettings, camera: str | None, *, is_clear: bool = False) -> ExportFiles:
-    """Files of one camera, or of its clear twin, which is called `NAME.clear`; none where there is only one camera.
+    """Files of a camera or its clear twin, named `NAME.clear`; `camera` is None for a single camera.
 
-    Several cameras share a folder: `drive.mp4` becomes `drive/FRONT.mp4`. Depth and labels are the scene's own, with
-    rain or without: the twin does not repeat them.
+    Several cameras share a folder: `drive.mp4` becomes `drive/FRONT.mp4`. Depth and labels don't depend on rain: the
+    twin does not repeat them.
     """
     path, passes = recording.path, frozenset(recording.passes)
     if camera is not None:
@@ -255,7 +251,6 @@ def export_files(recording: ExportSettings, camera: str | None, *, is_clear: boo
 
 
 def export_outputs(recording: ExportSettings, cameras: Sequence[str]) -> list[Path]:
-    """Every file and folder that a recording of these cameras writes."""
     names = cameras if len(cameras) > 1 else [None]
     twins = (False, True) if recording.twin else (False,)
     return [path for name in names for twin in twins for path in export_files(recording, name, is_clear=twin).roots()]

@@ -1,4 +1,4 @@
-"""What measurements were made on."""
+"""Description of the machine, for benchmarks."""
 
 import os
 import platform
@@ -11,7 +11,7 @@ _PACKAGES = ("numpy", "numba", "moderngl")
 
 
 def describe_machine() -> dict[str, str | int]:
-    """Name the processor, the operating system, and the versions that speed depends on."""
+    """Processor, operating system, and versions that affect speed."""
     return {
         "cpu": processor_name(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1,
@@ -23,8 +23,7 @@ def describe_machine() -> dict[str, str | int]:
 
 
 def processor_name() -> str:
-    """Name the processor as its maker does."""
-    listing = Path("/proc/cpuinfo")  # Linux; elsewhere Python knows the name itself
+    listing = Path("/proc/cpuinfo")  # Linux only
     lines = listing.read_text().splitlines() if listing.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return names[0] if names else platform.processor() or platform.machine()

@@ -1,4 +1,4 @@
-"""Pictures out: PNG stills and float arrays, whole or not at all."""
+"""Image output: PNG, JPEG, OpenEXR and NPY files, written atomically, and color conversions."""
 
 import colorsys
 import json
@@ -21,18 +21,18 @@ from .renderer import Frame
 from .video import VideoWriter
 
 _PALETTE_COLORS = 255
-"""Labels that fit into an indexed picture of 8 bits, besides 0."""
+"""Maximum number of labels besides 0 in an 8-bit indexed image."""
 
 
 def write_png(path: Path | str, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
-    """Write an 8-bit picture as PNG; missing folders are made."""
+    """Write an 8-bit image as PNG; creates missing folders."""
     _write_png(Path(path), Image.fromarray(pixels))
 
 
 def write_jpeg(path: Path, pixels: UInt8[np.ndarray, "h w 3"], quality: int) -> None:
-    """Write an 8-bit picture as JPEG of a quality 1..100, its chroma whole, with the profile of sRGB inside.
+    """Write an 8-bit image as JPEG of a quality 1..100, with full-resolution chroma and an sRGB profile.
 
-    The same pixels give the same bytes. Missing folders are made.
+    The same pixels give the same bytes. Creates missing folders.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as beside:
@@ -43,31 +43,31 @@ def write_jpeg(path: Path, pixels: UInt8[np.ndarray, "h w 3"], quality: int) -> 
 
 @cache
 def _srgb_profile() -> bytes:
-    """Return the ICC profile of sRGB, with a date that is always the same (bytes 24 to 35 of its header)."""
+    """Return the ICC profile of sRGB, with a fixed date (bytes 24 to 35 of its header) for reproducible files."""
     profile = bytearray(ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes())
     profile[24:36] = struct.pack(">6H", 2000, 1, 1, 0, 0, 0)
     return bytes(profile)
 
 
 def write_image(path: Path, image: Image.Image) -> None:
-    """Write a picture for people in the format that its name says; PNG where that says none."""
+    """Write an image in the format of its suffix; PNG if the suffix is unknown."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as beside:
         image.save(beside, format=Image.registered_extensions().get(path.suffix.lower(), "PNG"))
 
 
 def write_depth(path: Path, depth_m: Float32[np.ndarray, "h w"]) -> None:
-    """Write depth as 16-bit PNG in centimetres; beyond 655.35 m it saturates, 0 is nothing."""
+    """Write depth as 16-bit PNG in centimeters; saturates beyond 655.35 m, 0 is empty."""
     _write_png(path, Image.fromarray(np.rint(np.clip(depth_m * 100, 0, 65535)).astype(np.uint16)))
 
 
 def write_alpha(path: Path, alpha: Float32[np.ndarray, "h w"]) -> None:
-    """Write alpha as 8-bit grey PNG; 255 is solid."""
+    """Write alpha as 8-bit gray PNG; 255 is solid."""
     _write_png(path, Image.fromarray(np.rint(np.clip(alpha, 0, 1) * 255).astype(np.uint8)))
 
 
 def write_labels(path: Path, labels: UInt16[np.ndarray, "h w"], count: int) -> None:
-    """Write labels 0..count as PNG: indexed, each in a colour of its own; more than 255 as 16-bit grey."""
+    """Write labels 0..count as indexed PNG with distinct colors; more than 255 as 16-bit gray."""
     if count > _PALETTE_COLORS:
         _write_png(path, Image.fromarray(labels))
         return
@@ -78,7 +78,6 @@ def write_labels(path: Path, labels: UInt16[np.ndarray, "h w"], count: int) -> N
 
 
 def write_legend(path: Path, legend: Mapping[str, Any]) -> None:
-    """Write what labels mean as JSON."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as beside:
         beside.write_text(json.dumps(legend, indent=1) + "\n", encoding="utf-8")
@@ -96,17 +95,15 @@ def _write_png(path: Path, image: Image.Image) -> None:
         image.save(beside, format="PNG")
 
 
-# § OpenEXR out: scene-linear colour and depth, as compositing programs take them.
+# OpenEXR
 
 
 def write_exr(path: Path, frame: Frame, passes: Set[Pass]) -> None:
-    """Write the passes of a frame as one EXR file, whole or not at all.
+    """Write the passes of a frame as one EXR file, atomically.
 
-    RGBA are half floats: linear light with sRGB primaries, multiplied by alpha as OpenEXR wants it; A alone where only
-    alpha is asked for. Z is a 32-bit float: metres along the view axis, 0 where there is nothing. Compression is ZIP,
-    which loses nothing.
-
-    Raises `OSError` where it can't be written.
+    RGBA are half floats: linear light with sRGB primaries, premultiplied as OpenEXR requires; A alone if only alpha is
+    requested. Z is a 32-bit float: meters along the view axis, 0 where empty. Compression is lossless (ZIP). Raises
+    `OSError` if it can't be written.
     """
     channels: dict[str, np.ndarray] = {}
     if "color" in passes:
@@ -120,20 +117,17 @@ def write_exr(path: Path, frame: Frame, passes: Set[Pass]) -> None:
     with whole_file(path) as beside:
         try:
             OpenEXR.File(header, channels).write(str(beside))
-        except RuntimeError as error:  # what its C++ says of a disk
+        except RuntimeError as error:  # raised by OpenEXR's C++ code for I/O errors
             raise OSError(str(error)) from None
-
-
-# § Where recorded frames go: a video, a still, or a folder of frames, with the passes beside them.
 
 
 @contextmanager
 def open_frame_writer(
     recording: ExportSettings, files: ExportFiles, size_px: tuple[int, int], legend: Mapping[str, Any]
 ) -> Generator["FrameWriter"]:
-    """Open what takes the frames of one camera; `legend` says what labels mean.
+    """Open the writer for the frames of one camera; `legend` contains the meaning of the labels.
 
-    Raises `ValueError` for what can't be encoded.
+    Raises `ValueError` for an output that can't be encoded.
     """
     video = nullcontext()
     if files.is_video and "color" in files.passes:
@@ -144,10 +138,10 @@ def open_frame_writer(
 
 
 def write_still(path: Path | str, frame: Frame) -> None:
-    """Write a frame as PNG, JPEG, EXR or NPY, by the ending; the same bytes as a recorded still.
+    """Write a frame as PNG, JPEG, EXR or NPY, by suffix; byte-identical to an exported still.
 
-    An EXR file holds the depth, too, where the frame has it; NPY holds premultiplied display colors and alpha. Missing
-    folders are made. Raises `ValueError` for another ending, `OSError` where it can't be written.
+    An EXR file also contains the depth if the frame has it; NPY contains premultiplied display colors and alpha.
+    Creates missing folders. Raises `ValueError` for another suffix, `OSError` if it can't be written.
     """
     has_depth = frame.depth is not None and Path(path).suffix.lower() == ".exr"
     recording = ExportSettings(output=str(path), passes=("color", "depth") if has_depth else ("color",))
@@ -159,18 +153,18 @@ def write_still(path: Path | str, frame: Frame) -> None:
 
 
 class FrameWriter:
-    """Takes the frames of one camera. Those that are files of their own are there whole or not at all."""
+    """Writes the frames of one camera; still files are written atomically."""
 
     def __init__(
         self, files: ExportFiles, legend: Mapping[str, Any], video: VideoWriter | None, quality: int | None
     ) -> None:
-        """`quality` is that of JPEG."""
+        """`quality` applies to JPEG."""
         self._files, self._legend, self._video = files, legend, video
         self._quality = DEFAULT_JPEG_QUALITY if quality is None else quality
         self._has_legend = False
 
     def write(self, number: int, frame: Frame | None, labels: UInt16[np.ndarray, "h w"] | None = None) -> None:
-        """Take a frame of a sequence. Raises `OSError` where it can't be written."""
+        """Write a frame of a sequence. Raises `OSError` if it can't be written."""
         if frame is not None and self._files.format == "exr":
             write_exr(self._files.color(number), frame, self._files.passes)
         elif frame is not None:
@@ -198,24 +192,25 @@ class FrameWriter:
             write_alpha(files.pass_file(number, "alpha"), frame.rgba[..., 3])
 
 
-# § Premultiplied pictures as display values and as linear light.
+# Display and linear-light colors
 
 _MIN_ALPHA = np.float32(1e-6)
 
 
 def to_linear_light(rgba: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h w 4"]:
-    """Turn display colours times alpha into linear light times alpha; the colour itself is decoded, not the product."""
+    """Convert premultiplied display colors to premultiplied linear light; decodes the color, not the product."""
     alpha = np.maximum(rgba[..., 3:], _MIN_ALPHA)
     return np.concatenate([srgb_to_linear(rgba[..., :3] / alpha) * alpha, rgba[..., 3:]], axis=-1, dtype=np.float32)
 
 
 def to_display(light: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h w 4"]:
-    """Turn linear light times alpha into display colours times alpha."""
+    """Convert premultiplied linear light to premultiplied display colors."""
     alpha = np.maximum(light[..., 3:], _MIN_ALPHA)
     return np.concatenate([linear_to_srgb(light[..., :3] / alpha) * alpha, light[..., 3:]], axis=-1, dtype=np.float32)
 
 
-# § Colours for numbers, and for layers; common_heat.glsl's twin.
+# Color maps
+# The same as in common_heat.glsl.
 
 _COEFFICIENTS = np.array(
     [
@@ -231,7 +226,7 @@ _COEFFICIENTS = np.array(
 
 
 def turbo_colors(numbers: Float32[np.ndarray, "*n"]) -> Float32[np.ndarray, "*n 3"]:
-    """Colour map "turbo" of numbers in 0..1 (Mikhailov 2019), a polynomial of degree 5 a channel."""
+    """Color map "turbo" of numbers in 0..1 (Mikhailov 2019), a polynomial of degree 5 per channel."""
     t = np.clip(numbers, 0, 1)[..., None]
     color = np.broadcast_to(_COEFFICIENTS[-1], (*numbers.shape, 3))
     for coefficients in _COEFFICIENTS[-2::-1]:
@@ -240,5 +235,5 @@ def turbo_colors(numbers: Float32[np.ndarray, "*n"]) -> Float32[np.ndarray, "*n 
 
 
 def layer_color(number: int) -> tuple[float, float, float]:
-    """Colour of layer or actor 0, 1, 2...: hues a golden angle apart, bright and darker in turn."""
+    """Color of layer or actor 0, 1, 2...: hues a golden angle apart, with alternating brightness."""
     return colorsys.hsv_to_rgb((0.6 + number * 0.61803399) % 1.0, 0.65, (0.95, 0.75, 0.55)[number % 3])

@@ -1,4 +1,4 @@
-"""Labels of rendered frames as COCO's JSON: boxes, instance masks, and beyond COCO visibility and 3D boxes."""
+"""Label export: COCO and KITTI files with boxes, instance masks, visibility and 3D boxes."""
 
 import json
 from collections.abc import Generator, Mapping, Sequence
@@ -19,11 +19,11 @@ from .renderer import Renderer
 from .sequence import FrameSequence
 
 _FIRST_OWN = 1000
-"""Category ids of classes that COCO lacks begin here."""
+"""First category id of classes missing in COCO."""
 
 
 class CocoLabels:
-    """Collects the frames of one camera; `document` is the file's content."""
+    """COCO labels of the frames of one camera; `document` is the file's content."""
 
     def __init__(self, scene: str) -> None:
         self._scene = scene
@@ -32,7 +32,7 @@ class CocoLabels:
         self._own_classes: dict[str, int] = {}
 
     def add(self, number: int, time_s: float, camera: Camera, seen: Sequence[VisibleObject], **files: str) -> None:
-        """Add a frame; `files` are its files by kind, of which COCO knows `file_name`."""
+        """Add a frame; `files` are its files by kind, of which `file_name` is part of COCO."""
         image_id = len(self._images) + 1
         self._images.append(
             {
@@ -50,7 +50,6 @@ class CocoLabels:
 
     @property
     def document(self) -> dict[str, Any]:
-        """The whole file as plain values."""
         categories = COCO_CATEGORIES | self._own_classes
         return {
             "info": {
@@ -91,22 +90,21 @@ class CocoLabels:
         return self._own_classes.setdefault(name, _FIRST_OWN + len(self._own_classes))
 
 
-# § Labels of rendered frames as KITTI's object benchmark has them: label_2, calib, and numbered instance masks.
-#
-# Source: the development kit of KITTI's object benchmark (Geiger et al., 2012). Its pixel centres are whole numbers,
-# ours are halves: boxes and principal points are shifted by half a pixel.
+# KITTI
+# Format of KITTI's object benchmark (Geiger et al., 2012): label_2, calib, and instance masks. Its pixel centers
+# are whole numbers, ours are halves: boxes and principal points are shifted by half a pixel.
 
 _CLASSES = {"car": "Car", "truck": "Truck", "person": "Pedestrian", "cyclist": "Cyclist", "train": "Tram"}
 
 _FREE, _PARTLY = 0.8, 0.4
-"""Visibilities from which on an object is fully visible, and partly occluded."""
+"""Minimum visibility of a fully visible, and of a partly occluded object."""
 
 _EGO_TO_CAMERA = "0 -1 0 0 0 0 -1 0 1 0 0 0"
-"""From x forward, y left, z up to x right, y down, z forward, as KITTI's lidar has it; without an offset."""
+"""From x forward, y left, z up (KITTI's lidar) to x right, y down, z forward; without translation."""
 
 
 def label_line(seen: VisibleObject) -> str:
-    """Type, truncation, occlusion, alpha, 2D box, height width length, place of the bottom centre, rotation about y."""
+    """Type, truncation, occlusion, alpha, 2D box, height, width, length, bottom center, rotation about y."""
     x, y, z = seen.to_camera[:3, 3]
     ahead = seen.to_camera[:3, 0]
     turn = float(np.arctan2(-ahead[2], ahead[0]))
@@ -119,12 +117,12 @@ def label_line(seen: VisibleObject) -> str:
 
 
 def label_file(seen: Sequence[VisibleObject]) -> str:
-    """Lines of a frame, the nearest object first."""
+    """Label lines of a frame, nearest object first."""
     return "".join(f"{label_line(each)}\n" for each in seen)
 
 
 def calibration_file(camera: Camera) -> str:
-    """Calibration of a frame: four equal cameras without a baseline, and a lidar in the camera's own place."""
+    """Calibration of a frame: four identical cameras without a baseline, and a lidar at the camera's position."""
     matrix = f"{camera.fx:.12e} 0 {camera.cx - 0.5:.12e} 0 0 {camera.fy:.12e} {camera.cy - 0.5:.12e} 0 0 0 1 0"
     cameras = "".join(f"P{number}: {matrix}\n" for number in range(4))
     return (
@@ -134,7 +132,7 @@ def calibration_file(camera: Camera) -> str:
 
 
 def instances(seen: Sequence[VisibleObject], camera: Camera) -> UInt16[np.ndarray, "h w"]:
-    """Which line of the label file, counted from 1, each pixel belongs to; 0 is none."""
+    """Number of the label line, counted from 1, for each pixel; 0 is none."""
     picture = np.zeros((camera.height, camera.width), np.uint16)
     for line, each in enumerate(seen, start=1):
         picture[each.mask] = line
@@ -152,7 +150,7 @@ def _wrapped(angle: float) -> float:
     return float((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
-# § Writes label files beside recorded frames: COCO's one file a camera, or KITTI's two texts a frame.
+# Label files
 
 
 def write_object_labels(
@@ -162,10 +160,10 @@ def write_object_labels(
     sequences: Mapping[str, FrameSequence],
     numbers: Sequence[int],
 ) -> Generator[Progress, None, list[Path]]:
-    """Label the frames of a recording by their numbers; returns which files and folders were written.
+    """Label the frames of an export by their numbers; returns the written files and folders.
 
-    Rain takes no part, so that the clear twin has the same labels. Raises OSError where they can't be written, and
-    ValueError for a scene in which nothing has a class and a box.
+    Labels don't depend on rain, so the clear twin has the same ones. Raises `OSError` if they can't be written, and
+    `ValueError` for a scene without labeled objects.
     """
     written: list[Path] = []
     for place, (name, sequence) in enumerate(sequences.items()):
@@ -192,18 +190,18 @@ def write_object_labels(
 
 
 def label_outputs(form: LabelFormat, recording: ExportSettings, cameras: Sequence[str]) -> list[Path]:
-    """Every file and folder that the labels of these cameras go to, but for those in folders of frames."""
+    """Files and folders of these cameras' labels, except those inside folders of frames."""
     found = [export_files(recording, name if len(cameras) > 1 else None) for name in cameras]
     return [coco_file(each) if form == "coco" else kitti_folder(each) for each in found if not each.is_folder]
 
 
 def coco_file(files: ExportFiles) -> Path:
-    """Where the labels of one camera go: into the folder of its frames, else beside its file."""
+    """Path of one camera's labels: in the folder of its frames, or next to its file."""
     return files.path / "labels.coco.json" if files.is_folder else files.path.with_name(f"{files.path.stem}.coco.json")
 
 
 def kitti_folder(files: ExportFiles) -> Path:
-    """The folder that has label_2, calib and instance_2: that of the frames, else one beside their file."""
+    """Folder of label_2, calib and instance_2: that of the frames, or one next to their file."""
     return files.path if files.is_folder else files.path.with_name(f"{files.path.stem}.kitti")
 
 
@@ -219,7 +217,7 @@ def _names(files: ExportFiles, twin: ExportFiles | None, number: int) -> dict[st
 
 
 def _name(files: ExportFiles, number: int) -> str:
-    """Name of a frame's file; that of a frame in a video is the video's with its number."""
+    """Name of a frame's file; for videos the video's name and the frame number."""
     return f"{files.path.name}/{number:06d}" if files.is_video else files.color(number).name
 
 
@@ -234,16 +232,15 @@ def _write_kitti(files: ExportFiles, number: int, sequence: FrameSequence, seen:
     write_labels(folder / "instance_2" / f"{number:06d}.png", instances(seen, camera), 256)
 
 
-# § Masks as COCO writes them: run lengths down the columns, as a list of numbers or packed into a string.
-#
-# Source: maskApi.c of the COCO API (Lin and Dollar, 2015), whose strings hold five bits a character from "0" on, and
-# from the third run on the difference to the run before the last.
+# COCO masks
+# Run lengths by column (maskApi.c of the COCO API, Lin and Dollar, 2015). Strings hold five bits per
+# character, starting at "0", and from the third run on the difference to the run before the last.
 
 _FIRST = 48
 
 
 class RunLengths(TypedDict):
-    """A mask in COCO's JSON."""
+    """Mask in COCO's JSON format."""
 
     size: list[int]
     """Height, width."""
@@ -251,7 +248,7 @@ class RunLengths(TypedDict):
 
 
 def run_lengths(mask: Bool[np.ndarray, "h w"]) -> list[int]:
-    """Lengths of the runs of equal pixels, column by column; the first is of pixels that are False and may be 0."""
+    """Lengths of the runs of equal pixels, column by column; the first run is of False pixels and may be 0."""
     flat = np.concatenate([[False], mask.ravel(order="F"), [False]])
     changes = np.flatnonzero(flat[1:] != flat[:-1])
     edges = np.concatenate([[0], changes[changes < mask.size], [mask.size]])
@@ -259,7 +256,7 @@ def run_lengths(mask: Bool[np.ndarray, "h w"]) -> list[int]:
 
 
 def encode_rle(mask: Bool[np.ndarray, "h w"]) -> RunLengths:
-    """Return a mask as COCO's JSON has it for crowds and for results: its size and its runs as a string."""
+    """Return a mask in COCO's compressed format: its size and its runs as a string."""
     runs = run_lengths(mask)
     text = "".join(_characters(run - (runs[k - 2] if k > 2 else 0)) for k, run in enumerate(runs))
     return {"size": list(mask.shape), "counts": text}

@@ -1,4 +1,4 @@
-"""The label pass: which layer or actor each pixel shows, and the legend that goes with it."""
+"""Object labels: label pass, masks, boxes and visibility of layers and actors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,14 +16,14 @@ from ..scene.scene import Actor, DrawItem, Scene, take_gaussians
 from .renderer import Renderer
 
 _MIN_ALPHA = 0.5
-"""Pixels that the scene covers less than this show nothing, as they have no depth."""
+"""Minimum alpha of a labeled pixel, as for depth."""
 
 
 def draw_labels(renderer: Renderer, scene: Scene, camera: Camera, time_s: float) -> UInt16[np.ndarray, "h w"]:
-    """Label each pixel with the member that has the largest share in its colour: 1 is the first member, 0 is nothing.
+    """Label each pixel with the member of the largest share in its color: 1 is the first member, 0 is nothing.
 
-    Three members at a time are drawn in pure red, green and blue, the others in black: a channel is then a member's
-    blending weight. Rain takes no part in it.
+    Three members at a time are drawn in pure red, green and blue, the others in black: each channel is then a member's
+    blending weight. Rain is ignored.
     """
     shown = [
         (number, part)
@@ -43,7 +43,7 @@ def draw_labels(renderer: Renderer, scene: Scene, camera: Camera, time_s: float)
 
 
 def label_legend(scene: Scene) -> dict[str, Any]:
-    """What the labels of a scene mean, as plain values: the same for every frame."""
+    """Meaning of a scene's labels as plain values, identical for every frame."""
     return {
         "0": {"name": "", "kind": "nothing"},
         **{
@@ -56,29 +56,26 @@ def label_legend(scene: Scene) -> dict[str, Any]:
 
 
 def _in_signal_colors(parts: Sequence[DrawItem], first: int) -> list[DrawItem]:
-    """Parts `first`, `first + 1` and `first + 2` in red, green and blue, all others in black."""
+    """Return parts `first`, `first + 1` and `first + 2` in red, green and blue, all others in black."""
     return [part._replace(colors=single_channel_grading(number - first)) for number, part in enumerate(parts)]
 
 
 def single_channel_grading(channel: int) -> Float64[np.ndarray, "3 4"]:
-    """Colour change to one pure colour, whatever the colour was; black for channels that don't exist."""
+    """Color matrix that maps every color to one pure channel; black for channels that don't exist."""
     change = np.zeros((3, 4))
     if 0 <= channel < 3:
         change[channel, 3] = 1.0
     return change
 
 
-# § The objects that a picture shows: each one's pixels, its boxes, and how much of it stands free.
-#
-# Rain takes no part: what a picture shows is the same in any weather.
+# Visible objects
 
 MIN_SHARE = 0.5
-"""A pixel shows an object where at least this share of its light comes from it."""
+"""Minimum share of a pixel's light that an object needs to own the pixel."""
 
 _MIN_HEIGHT_PX = 3.0
-"""What a whole object is lower than is not looked for."""
+"""Minimum height of an object's outline; smaller ones are skipped."""
 
-# § A box in the camera's frame (OpenCV axes, metres) as it falls into the picture.
 
 BoxXYXY = tuple[float, float, float, float]
 """Left, top, right, bottom in pixels; the left edge of the first column is 0."""
@@ -86,30 +83,29 @@ BoxXYXY = tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VisibleObject:
-    """An object in a picture."""
+    """Object visible in an image."""
 
     object: SceneObject
     to_camera: Float64[np.ndarray, "4 4"]
-    """From its frame (x forward, y left, z up, origin at the bottom centre) to the camera's (OpenCV axes), metres."""
+    """From its frame (x forward, y left, z up, origin at the bottom center) to the camera's (OpenCV axes), meters."""
     size_lwh_m: tuple[float, float, float]
     mask: Bool[np.ndarray, "h w"]
-    """Pixels that show it."""
     visibility: float
-    """Its pixels over those that it would have if nothing stood in front of it; 0..1."""
+    """Ratio of its pixels to its pixels without occlusion; 0..1."""
     truncation: float
-    """Share of its box's outline that lies outside the picture; 0..1."""
+    """Share of its box's outline outside the image; 0..1."""
     outline_xyxy: BoxXYXY
-    """Box around its projected 3D box, cut at the picture's edges."""
+    """Bounding box of its projected 3D box, clipped to the image."""
 
     @property
     def box_xyxy(self) -> BoxXYXY:
-        """Box around its pixels; their outer edges."""
+        """Bounding box of its pixels, at their outer edges."""
         rows, columns = np.flatnonzero(self.mask.any(axis=1)), np.flatnonzero(self.mask.any(axis=0))
         return float(columns[0]), float(rows[0]), float(columns[-1] + 1), float(rows[-1] + 1)
 
     @property
     def center_m(self) -> Float64[np.ndarray, "3"]:
-        """Middle of its 3D box in the camera's frame."""
+        """Center of its 3D box in the camera's frame."""
         return self.to_camera[:3, 3] + self.to_camera[:3, 2] * (self.size_lwh_m[2] / 2)
 
     @property
@@ -128,10 +124,10 @@ class _ObjectCandidate(NamedTuple):
 def visible_objects(
     renderer: Renderer, scene: Scene, objects: Sequence[SceneObject], camera: Camera, time_s: float = 0.0
 ) -> list[VisibleObject]:
-    """Find which objects of a scene a camera (world, metres) sees at a time, the nearest first.
+    """Find the objects visible to a camera (world, meters) at a time, nearest first.
 
     Three at a time are drawn in pure red, green and blue and all else in black, so that a channel is an object's share
-    of a pixel's light; then each one alone. Objects without a pixel of their own are left out.
+    of a pixel's light; then each one alone for its occlusion. Objects without pixels are omitted.
     """
     candidates = _in_image(scene, objects, camera, time_s)
     rest, own = _split(scene, candidates, time_s)
@@ -173,7 +169,7 @@ def _in_image(scene: Scene, objects: Sequence[SceneObject], camera: Camera, time
 def _split(
     scene: Scene, candidates: Sequence[_ObjectCandidate], time_s: float
 ) -> tuple[list[DrawItem], list[DrawItem]]:
-    """What is drawn, as the parts that are no object (in black) and one part for each object."""
+    """Split the scene into the parts that are no object (in black) and one part per object."""
     rest: list[DrawItem] = []
     own: dict[int, DrawItem] = {}
     for member in scene.members:
@@ -197,7 +193,7 @@ def _drawn(renderer: Renderer, parts: Sequence[DrawItem], camera: Camera) -> Flo
 
 
 def convex_outline(corners: Float64[np.ndarray, "8 3"], camera: Camera) -> Float64[np.ndarray, "c 2"]:
-    """Convex outline of a box in pixels, not cut at the picture's edges; none where all of it is behind the camera."""
+    """Convex outline of a box in pixels, not clipped to the image; empty if the box is behind the camera."""
     points = before_camera(corners)
     if len(points) < 3:
         return np.zeros((0, 2))
@@ -206,7 +202,7 @@ def convex_outline(corners: Float64[np.ndarray, "8 3"], camera: Camera) -> Float
 
 
 def cut_at_edges(hull: Float64[np.ndarray, "c 2"], camera: Camera) -> Float64[np.ndarray, "d 2"]:
-    """The part of a convex outline that lies in the picture; none where no part does."""
+    """Part of a convex outline inside the image; may be empty."""
     if len(hull) < 3:
         return np.zeros((0, 2))
     width, height = camera.width, camera.height
@@ -216,18 +212,15 @@ def cut_at_edges(hull: Float64[np.ndarray, "c 2"], camera: Camera) -> Float64[np
 
 
 def area_px(polygon: Float64[np.ndarray, "c 2"]) -> float:
-    """Area of a polygon in square pixels."""
     x, y = polygon.T if len(polygon) else np.zeros((2, 1))
     return abs(float(x @ np.roll(y, 1) - y @ np.roll(x, 1))) / 2
 
 
 def bounding_rectangle(polygon: Float64[np.ndarray, "c 2"]) -> BoxXYXY:
-    """Smallest upright box around points, of which there must be one."""
+    """Bounding box of at least one point."""
     left, top = polygon.min(axis=0).tolist()
     right, bottom = polygon.max(axis=0).tolist()
     return left, top, right, bottom
 
-
-# § Which kinds of label files there are.
 
 LabelFormat = Literal["coco", "kitti"]

@@ -1,4 +1,4 @@
-"""What every back end does: draw scene and rain, hand out the picture."""
+"""Renderer interface: images, render modes, statistics and timing."""
 
 import time
 from collections.abc import Sequence
@@ -12,38 +12,35 @@ from ..rain.simulation import RainFrame
 from ..scene.camera import Camera
 from ..scene.scene import DrawItem
 
-# § Ways to look into a scene: its picture, or what the picture is made of.
-
 RenderMode = Literal["splats", "points", "ellipsoids", "depth", "normals", "opacity", "overdraw", "layers"]
-"""
-splats: the picture. All others show the scene alone, without rain:
-points: each Gaussian an opaque dot of one pixel's standard deviation, in its own colour;
-ellipsoids: the surface on which a Gaussian's alpha is 1/4, solid and shaded like a ball;
-depth: expected depth as a heat colour of its logarithm, `NEAREST_M` to `FARTHEST_M`;
-normals: each Gaussian's shortest axis, turned to the camera, as the colour 0.5 + 0.5 n of world axes;
-opacity: each Gaussian's largest alpha, 0 to 1, as a heat colour;
-overdraw: how many fragments a pixel is made of, 0 to `MAX_FRAGMENTS`, as a heat colour;
-layers: each layer and actor in a colour of its own.
-"""
+"""Visualization modes. All except `splats` show the scene without rain:
 
-# § What the last frame was made of, and how long each stage of it took.
+* splats: the image;
+* points: each Gaussian as an opaque dot of one pixel's standard deviation, in its own color;
+* ellipsoids: the surface on which a Gaussian's alpha is 1/4, solid and shaded like a ball;
+* depth: expected depth as a heat color of its logarithm, `NEAREST_M` to `FARTHEST_M`;
+* normals: each Gaussian's shortest axis, facing the camera, as the color 0.5 + 0.5 n of world axes;
+* opacity: each Gaussian's largest alpha, 0 to 1, as a heat color;
+* overdraw: number of fragments per pixel, 0 to `MAX_FRAGMENTS`, as a heat color;
+* layers: each layer and actor in a distinct color.
+"""
 
 
 @dataclass(slots=True)
 class RenderStatistics:
-    """What the last frame was made of."""
+    """Element counts and stage times of the last frame."""
 
     gaussians: int = 0
     splats_drawn: int = 0
     drops_drawn: int = 0
-    """Drops that became streaks; each is one to four Gaussians."""
+    """Number of drops drawn as streaks; each is one to `RainSettings.max_copies` Gaussians."""
     haze_drawn: int = 0
-    """Haze Gaussians that were handed to the renderer."""
+    """Number of haze Gaussians passed to the renderer."""
     stages_ms: dict[str, float] = field(default_factory=dict[str, float])
-    """Wall time a stage: project, sort, draw (GPU work included, since each stage waits for its result)."""
+    """Wall time per stage: project, sort, draw (including GPU work, since each stage waits for its result)."""
 
 
-# § One rendered picture, as plain arrays.
+# Images
 
 Color = tuple[float, float, float]
 """Red, green, blue as display values (sRGB-encoded), 0 to 1."""
@@ -51,39 +48,36 @@ Color = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """A picture before it is brought to a screen: premultiplied display colour, nothing clamped."""
+    """Rendered image before tone mapping: premultiplied display color, unclamped."""
 
     rgba: Float32[np.ndarray, "h w 4"]
-    """Premultiplied display colour (sRGB-encoded) and alpha, top row first."""
+    """Premultiplied display color (sRGB-encoded) and alpha, top row first."""
     depth: Float32[np.ndarray, "h w"] | None = None
-    """Expected depth of the scene along the view axis in metres (rain left out); 0 where there is nothing."""
+    """Expected depth of the scene along the view axis in meters, without rain; 0 where empty."""
 
     def over(self, background: Color = (0.0, 0.0, 0.0)) -> Float32[np.ndarray, "h w 3"]:
-        """Lay the picture over a plain background."""
         alpha = self.rgba[..., 3:]
         return self.rgba[..., :3] + (1 - alpha) * np.asarray(background, np.float32)
 
     def to_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> UInt8[np.ndarray, "h w 3"]:
-        """8-bit picture over a plain background, rounded to nearest."""
+        """Return the 8-bit image over a plain background, rounded to nearest."""
         shown = self.over(background)
-        np.clip(shown, 0, 1, out=shown)  # in place: every video frame comes through here
+        np.clip(shown, 0, 1, out=shown)  # in place, since every video frame is converted here
         shown *= 255
         return np.rint(shown, out=shown).astype(np.uint8)
 
 
 @runtime_checkable
 class Renderer(Protocol):
-    """Draws one picture at a time. `SplatRenderer` does it with OpenGL, `CpuRenderer` without."""
+    """Interface of the renderers: `SplatRenderer` (OpenGL), `CpuRenderer` and `CudaRenderer`."""
 
     @property
     def name(self) -> str:
-        """What this back end is called on the command line."""
+        """Name on the command line."""
         ...
 
     @property
-    def statistics(self) -> RenderStatistics:
-        """What the last picture was made of."""
-        ...
+    def statistics(self) -> RenderStatistics: ...
 
     def draw(
         self,
@@ -94,23 +88,23 @@ class Renderer(Protocol):
         with_depth: bool = False,
         look: RenderMode = "splats",
     ) -> None:
-        """Draw parts and rain as one depth-ordered compositing; `read` hands out the picture.
+        """Draw parts and rain as one depth-ordered compositing; `read` returns the image.
 
-        `camera` is in the world (metres). Depth is the scene's own: rain takes no part in it. `look` shows something
-        else than the picture, without rain.
+        `camera` is in the world (meters). Depth is the scene's own, without rain. `look` selects another render mode,
+        without rain.
         """
         ...
 
     def read(self) -> Frame:
-        """Hand out the last picture, with depth if it was drawn."""
+        """Return the last image, with depth if it was drawn."""
         ...
 
 
 NEAREST_M, FARTHEST_M = 0.5, 200.0
-"""Ends of the depth's colours: of small captures and of streets each octave has a colour of its own."""
+"""Range of the depth colors: each octave is distinct for small captures and for streets."""
 
 MAX_FRAGMENTS = 256
-"""Upper end of the colours of overdraw."""
+"""Upper end of the overdraw colors."""
 
 
 class Stopwatch:

@@ -1,4 +1,4 @@
-"""A run of frames: which camera, which moments. Frame k is the same whether it is rendered alone or among others."""
+"""Frame sequences: cameras and times of a video; frame k doesn't depend on the other frames."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -20,29 +20,26 @@ from .sky_color import SkyColor, sky_color
 
 
 class SequenceFrame(NamedTuple):
-    """A frame of a sequence."""
+    """Rendered frame and its number."""
 
     number: int
     frame: Frame
 
 
-# § A camera of the ego vehicle's rig as it drives. World frame, metres.
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class RigCameraView:
-    """One camera of a rig, wherever its vehicle is."""
+    """One camera of the ego vehicle's rig during the drive. World frame, meters."""
 
     scene: Scene
     rig: str
     name: str
 
     def at(self, time_s: float) -> Camera:
-        """Camera at a time, in its own size; raises `ValueError` while there is no vehicle."""
+        """Camera at a time, in its own size; raises `ValueError` if the vehicle is absent."""
         return rig_camera(self.scene, self.rig, self.name, time_s)
 
     def velocity(self, time_s: float) -> Float64[np.ndarray, "3"]:
-        """Velocity at a time; zero before and after the drive, and where the vehicle comes or goes."""
+        """Velocity at a time; zero outside the drive, and when the vehicle appears or disappears."""
         times = self._times_s
         before, after = np.clip([time_s - _STEP_S, time_s + _STEP_S], times[0], times[-1])
         if not before < after or not times[0] <= time_s <= times[-1]:
@@ -58,7 +55,7 @@ class RigCameraView:
 
     @property
     def front_at_start(self) -> Camera:
-        """The rig's camera that looks most straight ahead, where the drive begins."""
+        """The rig's most forward-facing camera, at the start of the drive."""
         assert self.scene.ego is not None
         ahead = max(self.scene.rigs[self.rig], key=lambda each: each.camera_to_ego[0, 2])
         first = int(np.argmax(self.scene.ego.valid))
@@ -72,32 +69,32 @@ class RigCameraView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameSequence:
-    """What to render. World frame, metres."""
+    """Scene, rain, camera and timing of a sequence of frames. World frame, meters."""
 
     scene: Scene
     rainfall: RainSimulation
     camera: Camera | CameraPath | RigCameraView
-    """A camera that stands still, a path that is flown along, or a camera of the ego vehicle's rig."""
+    """Fixed camera, camera path, or camera of the ego vehicle's rig."""
     width: int
     height: int
     fps: float = 30.0
     start_s: float = 0.0
     in_scene_time: bool = False
-    """Whether a path's times are the scene's own; else its first key is at 0 s."""
+    """True if a path's times are the scene's own; otherwise its first keyframe is at 0 s."""
     supersampling: int = 1
-    """Draw so many times wider and higher."""
+    """Factor by which width and height are multiplied for drawing."""
     motion_blur: int = 1
-    """Sub-frames over the exposure."""
+    """Number of sub-frames over the exposure."""
     at_rest: bool = False
-    """Whether the camera stands still while the shutter is open: nothing says how fast it goes along its path."""
+    """True if the camera is at rest during the exposure, for paths without times."""
 
     def time_s(self, number: int) -> float:
-        """Moment of a frame, the middle of its exposure."""
+        """Time of a frame, the middle of its exposure."""
         return self.start_s + number / self.fps
 
     @property
     def length_s(self) -> float | None:
-        """Time from the start to the end of the flight or of the drive; None for a camera that stands still."""
+        """Time from the start to the end of the path or drive; None for a fixed camera."""
         match self.camera:
             case Camera():
                 return None
@@ -122,7 +119,7 @@ class FrameSequence:
                 return RenderView(camera, time_s, self.camera.velocity(time_s))
 
     def sky(self, renderer: Renderer) -> SkyColor:
-        """Look at the sky from where the sequence begins; all cameras of a rig look at it from the same place."""
+        """Sample the sky from the start of the sequence; all cameras of a rig use the same position."""
         match self.camera:
             case Camera():
                 place = self.camera
@@ -141,7 +138,7 @@ class FrameSequence:
         with_depth: bool = False,
         look: RenderMode = "splats",
     ) -> Frame:
-        """Render a frame; without a sky there is no rain. Depth is the scene's at its moment, one sample a pixel."""
+        """Render a frame; `sky=None` omits the rain. Depth is the scene's at the frame's time, one sample per pixel."""
         shots, rainfall = self._shots(number), None if sky is None else self.rainfall
         color = (0.0, 0.0, 0.0) if sky is None else sky.at(self.rainfall.wetness_at(self.time_s(number)))
         at_once = with_depth and len(shots) == self.supersampling == 1
@@ -166,14 +163,14 @@ class FrameSequence:
             yield SequenceFrame(number, self.frame(renderer, number, sky, with_depth=with_depth, look=look))
 
     def _shots(self, number: int) -> list[RenderView]:
-        """What the shutter sees, evenly over the exposure around the frame's moment."""
+        """Views of the sub-frames, evenly spaced over the exposure around the frame's time."""
         middle, k = self.shot(number), self.motion_blur
         if k == 1:
             return [middle]
         rain = self.rainfall.frozen_at(middle.time_s)
         exposure_s = rain.exposure_s(rain_camera_of(self.scene, rain, middle))
         moments = middle.time_s + exposure_s * ((np.arange(k) + 0.5) / k - 0.5)
-        # At its ends a path has no speed beyond the keys: there the camera stands where it last had one.
+        # A path has no speed beyond its ends: there the camera keeps its last position on the path.
         low, high = self._flight_s
         places = np.clip(moments, low, high) if low <= middle.time_s <= high else moments
         if self.at_rest:
@@ -185,14 +182,14 @@ class FrameSequence:
 
     @property
     def _flight_s(self) -> tuple[float, float]:
-        """When a path begins and ends; what stands still, loops or drives does not end."""
+        """Start and end of a path; infinite for fixed cameras, loops and drives."""
         if not isinstance(self.camera, CameraPath) or self.camera.loop:
             return -np.inf, np.inf
         start = self.camera.start_s if self.in_scene_time else 0.0
         return start, start + self.camera.duration_s
 
 
-# § One frame from several pictures: samples inside its pixels, and sub-frames of its exposure.
+# Supersampling and motion blur
 
 
 def expose(
@@ -206,10 +203,10 @@ def expose(
     with_depth: bool = False,
     look: RenderMode = "splats",
 ) -> Frame:
-    """Take the mean of shots, each drawn `supersampling` times wider and higher. Depth is that of the last shot.
+    """Average the images of several views, each drawn `supersampling` times wider and higher.
 
-    The samples inside a pixel are averaged as the renderer blends: premultiplied, in display values. The sub-frames are
-    averaged as a sensor adds them up: in linear light.
+    Samples inside a pixel are averaged as the renderer blends: premultiplied, in display values. Sub-frames are
+    averaged as on a sensor: in linear light. Depth is that of the last view.
     """
     total: Float32[np.ndarray, "h w 4"] | None = None
     frame: Frame | None = None
@@ -227,7 +224,7 @@ def expose(
 
 
 def _finer(shot: RenderView, times: int) -> RenderView:
-    """The same shot in more pixels; which drops exist still follows from the output image's focal length."""
+    """Return the view in more pixels; the choice of drops still follows the output image's focal length."""
     if times == 1:
         return shot
     camera = shot.camera
@@ -241,13 +238,13 @@ def _mean_of_blocks(rgba: Float32[np.ndarray, "H W 4"], side: int) -> Float32[np
 
 
 _STEP_S = 0.005
-"""Half the time over which the speed is taken: tracks are linear between their samples, 100 ms apart."""
+"""Half the time span for velocities: tracks are linear between samples 100 ms apart."""
 
 
 def find_rig_cameras(scene: Scene, names: tuple[str, ...]) -> list[RigCameraView]:
     """Find rig cameras by RIG (all of a rig), RIG/NAME, NAME, or "all"; each once, in the order of the rigs.
 
-    Raises `ValueError` for a name that fits none, and where the scene has no ego vehicle.
+    Raises `ValueError` for an unmatched name, or a scene without an ego vehicle.
     """
     every = [(rig, camera) for rig, cameras in scene.rigs.items() for camera in cameras]
     if not every or scene.ego is None or not len(scene.ego.times):
@@ -264,7 +261,7 @@ def _fits(name: str, rig: str, camera: RigCamera) -> bool:
     return name in ("all", rig, camera.name, f"{rig}/{camera.name}")
 
 
-# § One picture of a scene in the rain: for those who want an array, and no clip.
+# Single image
 
 
 def render_image(
@@ -276,13 +273,13 @@ def render_image(
     *,
     with_depth: bool = False,
 ) -> Frame:
-    """Draw a scene in its rain from a camera that stands in the world (metres, z up), at a moment of scene and rain.
+    """Draw a scene in its rain from a fixed camera (world, meters, z up) at a time of scene and rain.
 
-    The scene's wet colours come with the rain's wetness; depth (m) is the scene's, without rain. It is the frame that
-    `gsrain render` writes. Each call looks around for the colour of the sky, which is that of the drops (paper, eq. 3):
-    for many frames keep one `FrameSequence`. Raises ValueError for a calibration that the rain names and there is not.
+    The result is the frame that `gsrain render` writes: wet colors follow the rain's wetness, and depth (m) is the
+    scene's, without rain. Each call samples the sky for the color of the drops (paper, eq. 3): for many frames, reuse
+    one `FrameSequence`. Raises `ValueError` for a missing calibration named by the rain.
     """
     rainfall = RainSimulation.start(rain)
     sequence = FrameSequence(scene, rainfall, camera, camera.width, camera.height, start_s=time_s)
-    sky = sequence.sky(renderer) if rainfall.can_rain else SkyColor(OVERCAST, found=False)  # without drops nobody asks
+    sky = sequence.sky(renderer) if rainfall.can_rain else SkyColor(OVERCAST, found=False)  # unused without drops
     return sequence.frame(renderer, 0, sky, with_depth=with_depth)

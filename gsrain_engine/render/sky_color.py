@@ -1,4 +1,4 @@
-"""The colour of a scene's sky, which is that of its drops (paper, eq. 3): taken once, the same for every camera."""
+"""Sky color of a scene, used as the color of its drops (paper, eq. 3): sampled once for all cameras."""
 
 from collections.abc import Generator
 from dataclasses import replace
@@ -15,22 +15,22 @@ from .renderer import Color, Renderer
 _VIEWS, _WIDTH, _HEIGHT, _FOV_DEG = 4, 160, 120, 75.0
 
 _FAR_M = 60.0
-"""In a capture without a sky layer: what stands above the horizon farther than this is sky."""
+"""Minimum distance of sky above the horizon, in scenes without a sky layer."""
 
 _MIN_PIXELS = 200
 
 
 class SkyColor(NamedTuple):
-    """A sky's mean colour, and whether the scene showed one."""
+    """Mean color of the sky; `found` is false for the default color."""
 
     color: Color
-    """While the scene is clear."""
+    """Color in the dry scene."""
     found: bool
     wet_color: Color | None = None
-    """When the scene is soaked; none where it then looks the same."""
+    """Color in the soaked scene; None if it is the same."""
 
     def at(self, wetness: float) -> Color:
-        """Colour at a wetness (0..1): between both ends as each Gaussian's own, in display values."""
+        """Color at a wetness (0..1): a linear mix of both colors in display values, as for each Gaussian."""
         if self.wet_color is None:
             return self.color
         red, green, blue = ((1 - wetness) * c + wetness * w for c, w in zip(self.color, self.wet_color, strict=True))
@@ -38,10 +38,10 @@ class SkyColor(NamedTuple):
 
 
 def sky_color(renderer: Renderer, scene: Scene, place: Camera, time_s: float = 0.0) -> SkyColor:
-    """Look around from a camera's place and average, in linear light, what is sky.
+    """Render around a camera's position and average the sky in linear light.
 
-    Sky is what a sky layer shows past everything else; in a scene without one, what is far above the horizon. Where
-    there is neither, drops take the colour of an overcast sky.
+    Sky is the visible part of a sky layer; in a scene without one, distant pixels above the horizon. If there is
+    neither, drops have the color of an overcast sky.
     """
     looking = sample_sky(renderer, scene, place, time_s)
     while True:
@@ -54,9 +54,9 @@ def sky_color(renderer: Renderer, scene: Scene, place: Camera, time_s: float = 0
 def sample_sky(
     renderer: Renderer, scene: Scene, place: Camera, time_s: float = 0.0, thinning: LodSubset | None = None
 ) -> Generator[None, None, SkyColor]:
-    """Do what `sky_color` does, one picture a step, so that frames can go between them; the return value is the sky.
+    """Compute `sky_color` in steps of one image, so that frames can be drawn in between; returns the sky.
 
-    `thinning` leaves out some of the Gaussians, for a first answer. A scene with wet colours is looked at twice.
+    `thinning` leaves out some Gaussians, for a quick first answer. A scene with wet colors is sampled twice.
     """
     clear = yield from _mean_visible_sky(renderer, scene, place, time_s, thinning, wetness=0.0)
     if clear is None or not scene.has_wet_colors:
@@ -67,7 +67,7 @@ def sample_sky(
 def _mean_visible_sky(
     renderer: Renderer, scene: Scene, place: Camera, time_s: float, thinning: LodSubset | None, *, wetness: float
 ) -> Generator[None, None, Color | None]:
-    """Mean colour of the sky around a place; None where hardly any is seen."""
+    """Mean color of the sky around a position; None if hardly any is visible."""
     found: list[np.ndarray] = []
     sky = [layer for layer in scene.layers if layer.kind == "sky" and layer.visible]
     without_sky = replace(scene, layers=tuple(layer for layer in scene.layers if layer.kind != "sky"))
@@ -102,5 +102,5 @@ def _look_around(place: Camera) -> list[Camera]:
 
 
 def _horizon_row(camera: Camera) -> float:
-    """Image row of points straight ahead at the camera's own height, less five degrees to stay above it."""
+    """Image row of points straight ahead at the camera's own height, raised by five degrees."""
     return float(camera.cy + camera.fy * np.tan(np.radians(15.0)))

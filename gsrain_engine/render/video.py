@@ -1,4 +1,4 @@
-"""Video out by PyAV: H.264 or AV1 in MP4, VP9 or AV1 in WebM, the same bytes every time, playable whenever it stops."""
+"""Video output with PyAV: H.264 or AV1 in MP4, VP9 or AV1 in WebM; deterministic, and playable if interrupted."""
 
 import os
 from concurrent.futures import ThreadPoolExecutor
@@ -16,7 +16,7 @@ from .export_settings import DEFAULT_QUALITY
 SUFFIXES = (".mp4", ".webm")
 
 _GROUP = 30
-"""Frames between key frames: what a torn file can lose at most."""
+"""Frames between key frames: the maximum loss in an interrupted file."""
 
 
 class _Encoder(NamedTuple):
@@ -25,7 +25,7 @@ class _Encoder(NamedTuple):
 
 
 _ENCODERS = {
-    # mbtree=0: its lookahead depends on the number of threads, and so would the bytes.
+    # mbtree=0: its lookahead, and thus the bytes, depend on the number of threads.
     "h264": _Encoder("libx264", {"preset": "medium", "x264-params": "mbtree=0"}),
     "vp9": _Encoder("libvpx-vp9", {"b": "0", "deadline": "good", "cpu-used": "4"}),
     "av1": _Encoder("libsvtav1", {"preset": "8", "svtav1-params": "lp=1"}),
@@ -41,21 +41,20 @@ _CODECS = {".mp4": ("h264", "av1"), ".webm": ("vp9", "av1")}
 
 
 def can_write_videos() -> bool:
-    """Whether PyAV is here, which a frozen program leaves out."""
+    """True if PyAV is installed; frozen programs omit it."""
     return find_spec("av") is not None
 
 
 class VideoWriter:
-    """Writes frames of one size. Use it in a `with` block: leaving it, even by an exception, ends the file properly."""
+    """Writes frames of one size. Use it in a `with` block, which finalizes the file, also after an exception."""
 
     def __init__(
         self, path: Path, width: int, height: int, fps: float, *, codec: str | None = None, quality: int | None = None
     ) -> None:
-        """Open a video file; its suffix chooses the format, and the codec where none is named.
+        """Open a video file; its suffix selects the format, and the codec if `codec` is None.
 
-        `quality` is the encoder's constant rate factor: lower is better and larger.
-
-        Raises `ValueError` for a suffix, a codec or a size that can't be encoded, and where PyAV is missing.
+        `quality` is the encoder's constant rate factor: lower is better and larger. Raises `ValueError` for a suffix,
+        codec or size that can't be encoded, and if PyAV is missing.
         """
         suffix = path.suffix.lower()
         if suffix not in _CODECS:
@@ -69,9 +68,9 @@ class VideoWriter:
         encoder = _ENCODERS[codec]
         options = {"crf": str(DEFAULT_QUALITY[codec] if quality is None else quality), **encoder.options}
         if encoder.name == "libsvtav1":
-            os.environ.setdefault("SVT_LOG", "1")  # errors only: it is talkative on the console
+            os.environ.setdefault("SVT_LOG", "1")  # errors only: SVT-AV1 is verbose on the console
         path.parent.mkdir(parents=True, exist_ok=True)
-        # Ctrl-C is raised in the main thread, and lost where FFmpeg has called what it is raised in.
+        # Ctrl-C is raised in the main thread, and would be lost inside a callback from FFmpeg.
         self._thread = ThreadPoolExecutor(1, "video")
         self._file = ErrorCapturingFile(path)
         self._container: Any = self._av.open(self._file, mode="w", format=suffix[1:], options=_CONTAINERS[suffix])
@@ -82,12 +81,12 @@ class VideoWriter:
         self._stream.codec_context.gop_size = _GROUP
 
     def write(self, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
-        """Add a frame. Raises `OSError` where it can't be written."""
+        """Add a frame. Raises `OSError` if it can't be written."""
         frame = self._av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")
         self._thread.submit(self._mux, self._container, frame).result()
 
     def close(self) -> None:
-        """Write what the encoder still holds and end the file. Raises `OSError` where it can't be written."""
+        """Flush the encoder and finalize the file. Raises `OSError` if it can't be written."""
         if self._container is not None:
             container, self._container = self._container, None
             with self._thread:
@@ -98,7 +97,7 @@ class VideoWriter:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is not None and issubclass(kind, OSError):
-            with suppress(OSError):  # a full disk has been told already
+            with suppress(OSError):  # a full disk has been reported already
                 self.close()
         else:
             self.close()
@@ -115,9 +114,9 @@ class VideoWriter:
 
 
 def _pyav(path: Path) -> Any:
-    """The package `av`. Asked for here, so that a program without it still makes pictures.
+    """Import PyAV lazily, so that programs without it can still write images.
 
-    What PyInstaller builds has none: the wheel of PyAV holds encoders under the GPL.
+    PyInstaller builds omit it: the wheel of PyAV contains encoders under the GPL.
     """
     try:
         import av
@@ -129,23 +128,19 @@ def _pyav(path: Path) -> Any:
     return av
 
 
-# § A file for an encoder that does not survive a full disk: it never hears of errors, who drives it does.
-
-
 class ErrorCapturingFile:
-    """Takes bytes until the disk refuses some; from then on it pretends, and keeps the error.
+    """File object that stores the first write error and pretends success from then on.
 
-    FFmpeg's fragmented MP4 ends the process when it is closed after an error of its output.
+    FFmpeg's fragmented MP4 ends the process if it is closed after an error of its output.
     """
 
     def __init__(self, path: Path) -> None:
-        """Open a file for writing, without a buffer: what is written survives the process."""
+        """Open a file for writing, unbuffered: written data survives the process."""
         self._path, self._file = path, path.open("wb", buffering=0)
         self._position = self._end = 0
         self.error: OSError | None = None
 
     def check(self) -> None:
-        """Raise the error that there was, if there was one."""
         if self.error is not None:
             raise self.error
 
@@ -163,7 +158,6 @@ class ErrorCapturingFile:
         return len(data)
 
     def seek(self, offset: int, whence: int = 0) -> int:
-        """Go to a position: from the start, from here, or from the end."""
         self._position = offset + (0, self._position, self._end)[whence]
         return self._position
 

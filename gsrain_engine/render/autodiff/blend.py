@@ -1,4 +1,4 @@
-"""Sorted splats in tiles -> colour, alpha and depth in float32 or float64: the picture that gradients start from."""
+"""Differentiable blending of tiled splats to color, alpha and depth in float32 or float64, and its backward pass."""
 
 from typing import NamedTuple, no_type_check
 
@@ -17,19 +17,19 @@ MIN_TRANSMITTANCE = 1e-4
 
 
 class BlendedImage(NamedTuple):
-    """What splats are blended into, or a loss's gradient by it."""
+    """Blended image, or a loss's gradient with respect to it."""
 
     color: Float[np.ndarray, "h w 3"]
-    """Display colour, premultiplied over nothing."""
+    """Display color, premultiplied over nothing."""
     alpha: Float[np.ndarray, "h w"]
     depth: Float[np.ndarray, "h w"]
-    """Sum of view depths (m) by weight."""
+    """Sum of view depths (m) times weights."""
 
 
 def blend(shapes: Float[np.ndarray, "n 8"], channels: Float[np.ndarray, "n 4"], tiles: TileLists) -> BlendedImage:
-    """Blend colour and depth of the splats (three channels and one) over nothing, in the precision of `shapes`.
+    """Blend color and depth of the splats (three channels and one) over nothing, in the precision of `shapes`.
 
-    The weights are those of `compositing.composite`. The same bytes at any thread count.
+    The weights are those of `compositing.composite`. The output is byte-identical at any thread count.
     """
     h, w, dtype = tiles.height, tiles.width, shapes.dtype
     picture = BlendedImage(np.empty((h, w, 3), dtype), np.empty((h, w), dtype), np.empty((h, w), dtype))
@@ -62,7 +62,7 @@ def _blend_tile(tile, shapes, channels, starts, members, columns, color, alpha, 
     height, width = alpha.shape
     real = shapes.dtype.type
     x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
-    # A column's lines of TILE numbers: transmittance (0 once finished), three colours, depth, alpha.
+    # A column's lines of TILE numbers: transmittance (0 once finished), three colors, depth, alpha.
     state = np.zeros((TILE, 6 * TILE), shapes.dtype)
     state[: width - x0, : min(TILE, height - y0)] = 1
     near_shapes, near_channels = np.empty((BATCH, 8), shapes.dtype), np.empty((BATCH, 4), shapes.dtype)
@@ -112,10 +112,9 @@ def _blend(shape, channels, x0, y0, state):
             line[v + 5 * TILE] += weight
 
 
-# § The derivative of blending: from a loss's gradient by the picture to sums for each splat's shape, colour, depth.
+# Backward pass
 
 SUMS = 10
-"""How many sums are gathered a splat."""
 
 
 def blend_backward(
@@ -125,17 +124,15 @@ def blend_backward(
     picture: BlendedImage,
     gradient: BlendedImage,
 ) -> Float[np.ndarray, "n 10"]:
-    """Sum what a loss asks of each splat over the pixels that it covers.
+    """Sum the gradients for each splat over the pixels that it covers.
 
-    `picture` is what `blend` returned, `gradient` the loss's derivative by it. With w a fragment's weight, G
-    the gradient at its pixel and q the loss's derivative by ln alpha, the columns are the sums of
-
+    `picture` is the result of `blend`, `gradient` the loss's derivative with respect to it. With w a fragment's weight,
+    G the gradient at its pixel and q the loss's derivative with respect to ln alpha, the columns are the sums of
         w G_red, w G_green, w G_blue, w G_depth, q, q dx, q dx^2, q e, q e dx, q e^2
-
-    where dx and e = v - y - shear * dx stand in `Splats`. Front to back as blending itself: what lies behind a
-    fragment is the pixel's result less what has been blended so far, so that q = w (c G) - behind alpha / (1 - alpha)
-    needs nothing stored but the picture. A splat's sums over each tile are taken by themselves, then added in the order
-    of the tiles: the same bytes at any thread count.
+    with dx and e = v - y - shear * dx as in `Splats`. The order is front to back as in blending: the contribution
+    behind a fragment is the pixel's result minus the part blended so far, so that q = w (c G) - behind alpha / (1 -
+    alpha) needs only the stored image. A splat's sums are taken per tile, then added in tile order: byte-identical at
+    any thread count.
     """
     by_pair = np.zeros((len(tiles.members), SUMS), shapes.dtype)
     _gather_tiles(shapes, channels, tiles.starts, tiles.members, tiles.columns, *picture, *gradient, by_pair)
@@ -164,8 +161,8 @@ def _gather_tile(
     height, width = alpha.shape
     real = shapes.dtype.type
     x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
-    # A column's lines of TILE numbers: transmittance (0 once finished), gradient by three colours, depth and alpha,
-    # and what is still to come of the pixel's result times its gradient.
+    # A column's lines of TILE numbers: transmittance (0 once finished), gradient by three colors, depth and alpha,
+    # and the remaining part of the pixel's result times its gradient.
     state = np.zeros((TILE, 7 * TILE), shapes.dtype)
     state[: width - x0, : min(TILE, height - y0)] = 1
     for v in range(min(TILE, height - y0)):
@@ -198,7 +195,7 @@ def _gather_tile(
 @numba.njit(error_model="numpy", fastmath=FAST)
 @no_type_check
 def _gather(shape, channels, x0, y0, state, lanes):
-    """Walk the same pixels with the same weights as blending does; one lane a row of the tile."""
+    """Accumulate over the same pixels with the same weights as blending; one lane per row of the tile."""
     real = state.dtype.type
     most, least, nothing, one = real(MAX_ALPHA), real(MIN_TRANSMITTANCE), real(0), real(1)
     red, green, blue, far = channels[0], channels[1], channels[2], channels[3]
@@ -222,7 +219,7 @@ def _gather(shape, channels, x0, y0, state, lanes):
             rest = line[v + 6 * TILE] - share
             line[v + 6 * TILE] = rest
             q = share - rest * (alpha / (one - alpha))
-            # Alpha at its most does not move, and a finished pixel's rest is rounding.
+            # Clamped alpha has no gradient, and a finished pixel's rest is rounding error.
             q = q if alpha < most else nothing
             q = q if before > nothing else nothing
             across, down = q * dx, q * dy
@@ -238,13 +235,13 @@ def _gather(shape, channels, x0, y0, state, lanes):
             lanes[v + 9 * TILE] += down * dy
 
 
-# § What splats' colours alone ask of a picture's gradient: all that a fixed geometry needs, in either precision.
+# Backward pass of colors alone
 
 
 def blend_colors_backward(
     shapes: Float[np.ndarray, "n 8"], tiles: TileLists, gradient: Float[np.ndarray, "h w 3"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Sum w G over the pixels of each splat: all that its colour needs where nothing else is to move."""
+    """Sum w G over the pixels of each splat: the gradient of its color for fixed geometry."""
     by_pair = np.zeros((len(tiles.members), 3), shapes.dtype)
     _gather_colors(shapes, tiles.starts, tiles.members, tiles.columns, gradient, by_pair)
     return add_pairs(tiles.members, by_pair, len(shapes))
@@ -311,7 +308,7 @@ def _gather_color(shape, x0, y0, state, lanes):
             lanes[v + 2 * TILE] += weight * line[v + 3 * TILE]
 
 
-# § Sums over a splat's pixels, tile by tile and then over its tiles: in one order, whatever the number of threads.
+# Deterministic sums
 
 
 def add_pairs(
@@ -326,7 +323,7 @@ def add_pairs(
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
 def _add_pairs(members, by_pair, sums, shares):
-    """Threads share out the splats, so that no row is written by two; each goes through all pairs."""
+    """Each thread goes through all pairs but owns a range of splats, so that no row is written by two."""
     count = len(sums)
     for share in numba.prange(shares):
         first, last = share * count // shares, (share + 1) * count // shares
@@ -340,7 +337,7 @@ def _add_pairs(members, by_pair, sums, shares):
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST | {"reassoc"})
 @no_type_check
 def add_lanes(lanes, count, sums):
-    """Add up `count` lines of lanes; a constant count makes it straight SIMD, always in the same order."""
+    """Add up `count` lines of lanes; a constant count lets LLVM vectorize it, always in the same order."""
     for c in range(count):
         total = lanes[c * TILE]
         for v in range(1, TILE):
@@ -348,12 +345,12 @@ def add_lanes(lanes, count, sums):
         sums[c] = total
 
 
-# § The exponential of the differentiable kernels: a polynomial in float32, exact in float64.
+# Exponential
 
 
 @no_type_check
 def exp_kernel(x):
-    """exp(x) for x <= 0 inside compiled code, to the precision that x has; see `exp_of_negative` for float32."""
+    """exp(x) for x <= 0 inside compiled code, in the precision of x; see `exp_of_negative` for float32."""
     return np.exp(x)
 
 

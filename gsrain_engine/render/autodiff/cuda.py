@@ -1,6 +1,7 @@
-"""Differentiable rendering on an NVIDIA GPU: gsplat's own kernels and gradients, with our conventions.
+"""Differentiable rendering on an NVIDIA GPU with gsplat's kernels and gradients.
 
-gsplat (Ye et al. 2025) ends a pixel before the splat that would leave less than 1e-4, ours after it; all else is alike.
+gsplat (Ye et al. 2025) ends a pixel before the splat that would leave less than 1e-4, our renderers after it; all other
+conventions are the same.
 """
 
 from collections.abc import Callable
@@ -26,25 +27,25 @@ def render_with_gsplat(
     world_to_camera: Tensor | None,
     rasterize: Callable[..., tuple[Tensor, Tensor, dict[str, Any]]] | None = None,
 ) -> Rendered:
-    """Render what `differentiable.render_gaussians` was given.
+    """Render the arguments of `differentiable.render_gaussians`.
 
     Args:
-        means: And all that follows as there, float32 on one device.
+        means: Like the following, as in `render_gaussians`; float32 on one device.
         scales: As there.
         quaternions: As there.
         opacities: As there.
         colors: As there.
         camera: As there.
         world_to_camera: As there.
-        rasterize: `gsplat.rasterization`, or a function that takes and returns the same; None imports gsplat.
+        rasterize: `gsplat.rasterization`, or a function with the same signature; None imports gsplat.
 
     Raises:
-        ValueError: For float64, or where gsplat is not installed.
+        ValueError: For float64, or if gsplat is not installed.
     """
     if means.dtype != torch.float32:
         raise ValueError(f"the cuda backend renders float32, got {means.dtype}; backend='cpu' renders both")
     rasterize = rasterize or _gsplat()
-    if not len(means):  # gsplat takes no empty scene
+    if not len(means):  # gsplat rejects an empty scene
         return _nothing(means, camera)
     values = _without_what_is_not_finite([means, scales, quaternions, opacities, colors])
     means, scales, quaternions, opacities, colors = values
@@ -81,7 +82,7 @@ def _gsplat() -> Callable[..., tuple[Tensor, Tensor, dict[str, Any]]]:
 
 
 def _nothing(means: Tensor, camera: Camera) -> Rendered:
-    blank = means.sum() + means.new_zeros((camera.height, camera.width))  # a sum over nothing keeps the graph whole
+    blank = means.sum() + means.new_zeros((camera.height, camera.width))  # an empty sum keeps the graph connected
     footprint = Footprint(means.new_zeros(0))
     footprint.gradients = means.new_zeros(0)
     return Rendered(blank[..., None].expand(-1, -1, 3), blank, blank, footprint)
@@ -97,7 +98,7 @@ def _radii(found: dict[str, Any]) -> Tensor:
 
 
 def _without_what_is_not_finite(values: list[Tensor]) -> list[Tensor]:
-    """Make Gaussians that hold NaN or infinity transparent and cut them off from the graph; gsplat takes them as is."""
+    """Make Gaussians with NaN or infinity transparent and detach them, since gsplat doesn't check them."""
     good = torch.stack([torch.isfinite(each.detach()).reshape(len(each), -1).all(dim=1) for each in values]).all(dim=0)
     good = good & (values[2].detach().norm(dim=1) > 0)
     if bool(good.all()):

@@ -1,4 +1,4 @@
-"""Renders Gaussians so that a loss on the picture can be taken back to all of them, and to the camera's pose."""
+"""Differentiable rendering of Gaussians, with gradients for all of them and for the camera's pose."""
 
 from importlib import import_module
 from typing import Any, Literal
@@ -30,24 +30,24 @@ def render_gaussians(
     world_to_camera: Tensor | None = None,
     backend: Backend = "auto",
 ) -> Rendered:
-    """Render Gaussians as `rasterizer.rasterize` does, with gradients by everything that is a tensor.
+    """Render Gaussians with gradients for every argument that is a tensor.
 
     Conventions are the renderers': 0.3 px^2 of dilation, alpha cut at 1/255 and at most 0.999, a pixel ends at a
-    transmittance of 1e-4, nothing nearer than 0.2 m, colours never negative. What is not finite is left out and gets
-    zero gradients. On the CPU the same inputs give the same bytes, gradients too, at any number of threads.
+    transmittance of 1e-4, near plane at 0.2 m, colors never negative. Gaussians that are not finite are left out and
+    get zero gradients. On the CPU, image and gradients are byte-identical at any number of threads.
 
     Args:
-        means: (n, 3) world, metres.
-        scales: (n, 3) standard deviations in metres.
+        means: (n, 3) world, meters.
+        scales: (n, 3) standard deviations in meters.
         quaternions: (n, 4) wxyz, of any length above 0.
         opacities: (n,) within 0..1.
-        colors: (n, k, 3) spherical harmonics as in `Gaussians.sh` with k = 1, 4, 9 or 16, or (n, 3) display colours.
-        camera: From where, in the world.
-        world_to_camera: (4, 4) to take instead of the camera's own pose; gradients reach it.
-        backend: "cpu" (Numba kernels; float32 or float64), "cuda" (gsplat; float32), "auto": where the tensors are.
+        colors: (n, k, 3) spherical harmonics as in `Gaussians.sh` with k = 1, 4, 9 or 16, or (n, 3) display colors.
+        camera: Camera in the world.
+        world_to_camera: (4, 4) replaces the camera's own pose and receives gradients.
+        backend: "cpu" (Numba kernels; float32 or float64), "cuda" (gsplat; float32), "auto": by the tensors' device.
 
     Raises:
-        ValueError: For shapes, precisions or devices that don't go together; the message names the tensor.
+        ValueError: For inconsistent shapes, precisions or devices; the message names the tensor.
     """
     check_tensors(means, scales, quaternions, opacities, colors, world_to_camera)
     if backend != "auto" and (backend == "cuda") != bool(means.is_cuda):
@@ -116,7 +116,7 @@ class _Render(torch.autograd.Function):
 
 
 def _tiles(splats: TrainedSplats, camera: Camera) -> TileLists:
-    """Lists of splats by tile, nearest first; depths are compared in float32, as in every renderer of ours."""
+    """Lists of splats by tile, nearest first; depths are compared in float32, as in all our renderers."""
     order, shapes = nearest_first(splats.channels[:, 3]), splats.shapes
     if shapes.dtype != np.float32:
         shapes = np.zeros(shapes.shape, np.float32)

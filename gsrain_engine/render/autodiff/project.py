@@ -1,4 +1,4 @@
-"""Trained Gaussians -> splats, in float32 or float64: the part of `projection` that has a derivative."""
+"""Differentiable projection of Gaussians to splats in float32 or float64, and its backward pass."""
 
 from typing import NamedTuple, no_type_check
 
@@ -10,28 +10,28 @@ from ...scene.camera import Camera
 from ..cpu.projection import DILATION_PX2, LOG_SCENE_CUT, NEAR_M
 
 CHUNK = 512
-"""Gaussians that one thread takes at a time."""
+"""Gaussians that one thread processes at a time."""
 
 
 class TrainedGaussians(NamedTuple):
-    """Gaussians in the world (metres), all arrays in one precision; quaternions (wxyz) of any length above 0."""
+    """Gaussians in the world (meters), all arrays in one precision; quaternions (wxyz) of any length above 0."""
 
     means: Float[np.ndarray, "n 3"]
     scales: Float[np.ndarray, "n 3"]
     quaternions: Float[np.ndarray, "n 4"]
     opacities: Float[np.ndarray, " n"]
     colors: Float[np.ndarray, "n k 3"]
-    """Spherical harmonics (k = 1, 4, 9, 16); k = 0 stands for display colours in `display`."""
+    """Spherical harmonics (k = 1, 4, 9, 16); k = 0 if `display` is used."""
     display: Float[np.ndarray, "_ 3"]
-    """Display colours where there are no harmonics, else no rows."""
+    """Display colors, no rows if there are harmonics."""
 
 
 class TrainedSplats(NamedTuple):
-    """What `Splats` holds, a row for each Gaussian; rows with radius 0 are not drawn and hold anything but a depth."""
+    """Content of `Splats`, a row for each Gaussian; rows with radius 0 are not drawn and undefined except for depth."""
 
     shapes: Float[np.ndarray, "n 8"]
     channels: Float[np.ndarray, "n 4"]
-    """Display colour, never negative, and depth along the view axis in metres, 0 where not drawn."""
+    """Display color, never negative, and depth along the view axis in meters, 0 where not drawn."""
     radii_px: Float[np.ndarray, " n"]
     """Three standard deviations of the longer axis."""
 
@@ -41,7 +41,7 @@ def project_trained(
 ) -> TrainedSplats:
     """Project as `projection.project` does (EWA splatting as in 3DGS), a row for each Gaussian.
 
-    What is nearer than `NEAR_M`, outside the image, fainter than the scene's cut or not finite is not drawn.
+    Gaussians nearer than `NEAR_M`, outside the image, fainter than the scene's cut or not finite are not drawn.
     """
     n, dtype = len(gaussians.means), gaussians.means.dtype
     splats = TrainedSplats(np.empty((n, 8), dtype), np.empty((n, 4), dtype), np.empty(n, dtype))
@@ -50,7 +50,7 @@ def project_trained(
 
 
 def eye_of(world_to_camera: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "3"]:
-    """Where the camera stands in the world; the matrix need not hold a pure rotation."""
+    """Camera position in the world; the matrix need not hold a pure rotation."""
     return np.linalg.solve(world_to_camera[:3, :3], -world_to_camera[:3, 3])
 
 
@@ -82,9 +82,9 @@ def _project(means, scales, quaternions, opacities, colors, display, m, eye, int
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def jacobian(px, py, pz, m, intrinsics):
-    """The two rows that take the world's axes to pixels, the slopes they were made with, and if those are free.
+    """Two rows that map the world's axes to pixels, the slopes used, and whether each slope is unclamped.
 
-    Slopes are held back at 1.3 times the field of view: there they no longer depend on the mean.
+    Slopes are clamped at 1.3 times the field of view: there they no longer depend on the mean.
     """
     fx, fy, cx, cy, width, height = intrinsics
     near = 1 / pz
@@ -114,27 +114,26 @@ def rotation(q):
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def dot(a, b):
-    """Scalar product of two triples."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def moved(m, row, mean):
-    """One coordinate of a mean before the camera."""
+    """One coordinate of a mean in the camera's frame."""
     return m[row, 0] * mean[0] + m[row, 1] * mean[1] + m[row, 2] * mean[2] + m[row, 3]
 
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def _shape(mean, scale, q, opacity, m, intrinsics, shape):
-    """Write one splat's shape as in `Splats`; return its depth in m and radius in px, or 0 where it is not drawn.
+    """Write one splat's shape as in `Splats`; return its depth in m and radius in px, or 0 if it is not drawn.
 
     Scalars are float64 in either precision.
     """
     fx, fy, cx, cy, width, height = intrinsics
     pz = moved(m, 2, mean)
-    if not (NEAR_M < pz < 3e38):  # also drops NaN
+    if not (NEAR_M < pz < 3e38):  # also rejects NaN
         return 0.0, 0.0
     px, py = moved(m, 0, mean), moved(m, 1, mean)
     u, v = fx * px / pz + cx, fy * py / pz + cy
@@ -179,7 +178,7 @@ def direction(mean, eye):
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def _color(mean, sh, eye, basis):
-    """Display colour before it is cut at 0: the sum of harmonics + 0.5."""
+    """Display color before clamping at 0: the sum of harmonics + 0.5."""
     x, y, z, _ = direction(mean, eye)
     write_sh_basis(x, y, z, len(sh), basis)
     red = green = blue = 0.5
@@ -190,11 +189,11 @@ def _color(mean, sh, eye, basis):
     return red, green, blue
 
 
-# § The derivative of projection: from what a loss asks of splats to what it asks of Gaussians and of the pose.
+# Backward pass of projection
 
 
 class GaussianGradients(NamedTuple):
-    """A loss's gradient by each array of `TrainedGaussians`; zero rows for what is not drawn."""
+    """Loss gradients with respect to each array of `TrainedGaussians`; zero rows for Gaussians that are not drawn."""
 
     means: Float[np.ndarray, "n 3"]
     scales: Float[np.ndarray, "n 3"]
@@ -203,7 +202,7 @@ class GaussianGradients(NamedTuple):
     colors: Float[np.ndarray, "n k 3"]
     display: Float[np.ndarray, "_ 3"]
     on_screen: Float[np.ndarray, " n"]
-    """Length of the gradient by the centre in the image (px)."""
+    """Length of the gradient with respect to the center in the image (px)."""
 
 
 def project_backward(
@@ -213,10 +212,10 @@ def project_backward(
     camera: Camera,
     world_to_camera: Float64[np.ndarray, "4 4"],
 ) -> tuple[GaussianGradients, Float64[np.ndarray, "4 4"]]:
-    """Take the sums of `backward_blending.gather` to the Gaussians and to the elements of `world_to_camera`.
+    """Convert the sums of `blend_backward` to gradients of the Gaussians and of the elements of `world_to_camera`.
 
     The chain of EWA splatting: shape -> 2D covariance -> Jacobian (which depends on the mean) and axes -> mean, scale,
-    quaternion before it was made a unit one, pose; and colour -> harmonics -> direction of view -> mean and eye.
+    unnormalized quaternion, pose; and color -> harmonics -> view direction -> mean and eye.
     """
     arrays = GaussianGradients(*map(np.zeros_like, [*gaussians, gaussians.opacities]))
     eye = eye_of(world_to_camera)
@@ -225,7 +224,7 @@ def project_backward(
     total = by_chunk.sum(axis=0)
     pose = np.zeros((4, 4))
     pose[:3] = total[:12].reshape(3, 4)
-    # The eye is where R eye + t = 0: it moves by -R^-1 (dR eye + dt).
+    # The eye satisfies R eye + t = 0: it moves by -R^-1 (dR eye + dt).
     pull = np.linalg.solve(world_to_camera[:3, :3].T, total[12:])
     pose[:3] -= np.outer(pull, np.append(eye, 1))
     return arrays, pose
@@ -260,7 +259,7 @@ def _project_back(
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def _shape_back(mean, scale, q, m, intrinsics, shape, sums, by_mean, by_scale, by_q, pose):
-    """Write gradients by mean, scale and quaternion, add that by the pose; return the length of that by the centre."""
+    """Write gradients by mean, scale and quaternion, add that by the pose; return the length of that by the center."""
     fx, fy, _, _, _, _ = intrinsics
     px, py, pz = moved(m, 0, mean), moved(m, 1, mean), moved(m, 2, mean)
     near = 1 / pz
@@ -270,7 +269,7 @@ def _shape_back(mean, scale, q, m, intrinsics, shape, sums, by_mean, by_scale, b
     u0, v0, u1, v1 = a * dot(row_u, first), a * dot(row_v, first), b * dot(row_u, second), b * dot(row_v, second)
     u2, v2 = c * dot(row_u, third), c * dot(row_v, third)
 
-    # From the sums to centre and covariance; sharpness_y is -1 / (2 (yy - xy^2 / xx)).
+    # From the sums to center and covariance; sharpness_y is -1 / (2 (yy - xy^2 / xx)).
     shear, sharp_x, sharp_y = np.float64(shape[2]), np.float64(shape[3]), np.float64(shape[4])
     by_x, by_y = -2 * sharp_x * sums[5] + 2 * sharp_y * shear * sums[7], -2 * sharp_y * sums[7]
     by_shear = -2 * sharp_y * sums[8]
@@ -289,7 +288,7 @@ def _shape_back(mean, scale, q, m, intrinsics, shape, sums, by_mean, by_scale, b
     by_scale[0], by_scale[1], by_scale[2] = dot(g0, first), dot(g1, second), dot(g2, third)
     _quaternion_back(unit, by_length, a, g0, b, g1, c, g2, by_q)
 
-    # From the rows of the Jacobian, row = near (f R_row - slope R_2), and the centre to the mean before the camera.
+    # From the rows of the Jacobian, row = near (f R_row - slope R_2), and the center to the mean in the camera's frame.
     by_slope_x = -near * (gu[0] * m[2, 0] + gu[1] * m[2, 1] + gu[2] * m[2, 2]) if is_free_x else 0.0
     by_slope_y = -near * (gv[0] * m[2, 0] + gv[1] * m[2, 1] + gv[2] * m[2, 2]) if is_free_y else 0.0
     across, down = fx * near * (by_x + by_slope_x), fy * near * (by_y + by_slope_y)
@@ -308,7 +307,6 @@ def _shape_back(mean, scale, q, m, intrinsics, shape, sums, by_mean, by_scale, b
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def _combined(a, first, b, second, c, third):
-    """Sum of three triples, each with its factor."""
     return (
         a * first[0] + b * second[0] + c * third[0],
         a * first[1] + b * second[1] + c * third[1],
@@ -333,7 +331,7 @@ def _quaternion_back(unit, by_length, a, g0, b, g1, c, g2, by_q):
     by_q[2], by_q[3] = by_length * (by_y - along * y), by_length * (by_z - along * z)
 
 
-# § The derivative of a Gaussian's colour: from what a loss asks of splats' colours to harmonics, means and the eye.
+# Backward pass of colors
 
 
 def sh_backward(
@@ -342,7 +340,7 @@ def sh_backward(
     sums: Float[np.ndarray, "n 3"],
     world_to_camera: Float64[np.ndarray, "4 4"],
 ) -> tuple[Float[np.ndarray, "n k 3"], Float[np.ndarray, "_ 3"]]:
-    """Take the sums of `backward_blending.gather_colors` to harmonics and display colours alone."""
+    """Convert the sums of `blend_colors_backward` to gradients of harmonics and display colors alone."""
     by_colors, by_display = np.zeros_like(gaussians.colors), np.zeros_like(gaussians.display)
     _colors_back(gaussians.means, *splats[1:], sums, eye_of(world_to_camera), by_colors, by_display)
     return by_colors, by_display
@@ -372,7 +370,7 @@ def _colors_back(means, channels, radii, sums, eye, by_colors, by_display):
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def _open(channels, sums):
-    """Gradient by the colour before it was cut at 0: none where it was."""
+    """Gradient by the color before clamping at 0: zero for clamped channels."""
     red = np.float64(sums[0]) if channels[0] > 0 else 0.0
     green = np.float64(sums[1]) if channels[1] > 0 else 0.0
     blue = np.float64(sums[2]) if channels[2] > 0 else 0.0
@@ -403,7 +401,8 @@ def sh_backward_row(mean, sh, channels, sums, eye, basis, by_basis, by_mean, by_
     pose[14] -= gz
 
 
-# § Real spherical harmonics in float64 inside compiled code, and their derivative by direction; signed as in 3DGS.
+# Spherical harmonics and their derivative
+# Float64, with 3DGS signs.
 
 _C0 = 0.28209479177387814
 

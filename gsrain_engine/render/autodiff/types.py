@@ -1,16 +1,16 @@
-"""What differentiable rendering hands out: the picture, and where each Gaussian lies in it."""
+"""Results of differentiable rendering and checks of its arguments."""
 
 from dataclasses import dataclass
 from typing import Any
 
 Tensor = Any
-"""torch is an extra: no type of it can be named."""
+"""torch is an optional dependency: its types can't be named."""
 
 
 class Footprint:
-    """Where Gaussians lie in one picture, and after the backward pass how hard the loss pulls at them there.
+    """Size of Gaussians in one image, and after the backward pass the loss gradients of their positions in it.
 
-    Density control reads it (Kerbl et al. 2023).
+    Density control uses it (Kerbl et al. 2023).
     """
 
     def __init__(self, radii_px: Tensor, centers: Tensor | None = None) -> None:
@@ -22,15 +22,15 @@ class Footprint:
 
     @property
     def drawn(self) -> Tensor:
-        """(n,) bool: which Gaussians the picture is made of."""
+        """(n,) bool: Gaussians drawn in the image."""
         return self.radii_px > 0
 
     @property
     def screen_gradients(self) -> Tensor:
-        """(n,) length of the loss's gradient by each centre in the image, per px; 0 where not drawn.
+        """(n,) length of the loss's gradient by each center in the image, per px; 0 where not drawn.
 
         Raises:
-            RuntimeError: Before a backward pass, or when nothing but colours needed gradients.
+            RuntimeError: Before a backward pass, or when only colors needed gradients.
         """
         if self.gradients is not None:
             return self.gradients
@@ -41,10 +41,10 @@ class Footprint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rendered:
-    """A picture whose parts carry gradients."""
+    """Image, alpha and depth with gradients."""
 
     color: Tensor
-    """(h, w, 3) display colour, premultiplied over nothing."""
+    """(h, w, 3) display color, premultiplied over nothing."""
     alpha: Tensor
     """(h, w)"""
     depth: Tensor
@@ -52,7 +52,7 @@ class Rendered:
     footprint: Footprint
 
 
-# § Checks what comes into differentiable rendering, so that an error names the tensor and not a kernel.
+# Argument checks
 
 _HARMONICS = (1, 4, 9, 16)
 
@@ -60,7 +60,7 @@ _HARMONICS = (1, 4, 9, 16)
 def check_tensors(
     means: Tensor, scales: Tensor, quaternions: Tensor, opacities: Tensor, colors: Tensor, pose: Tensor | None
 ) -> None:
-    """Raise `ValueError` for the first tensor whose shape, precision or device does not fit."""
+    """Raise `ValueError` for the first tensor with an invalid shape, precision or device."""
     if means.ndim != 2 or means.shape[1] != 3:
         raise ValueError(f"means have shape {tuple(means.shape)}, expected (n, 3)")
     n = len(means)

@@ -1,1 +1,1 @@
-"""The CPU back end: projection, tiles and compositing as Numba kernels."""
+"""CPU renderer: projection, tiles and compositing as Numba kernels."""

@@ -1,4 +1,4 @@
-"""Sorted splats in tiles -> an image, front to back: alpha compositing in SIMD with early termination."""
+"""Alpha compositing of tiled splats, front to back with early termination, and its transpose."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,27 +15,28 @@ from .projection import MIN_SCENE_CUT, Splats, project
 from .tiles import TILE, TileLists, bin_into_tiles
 
 MAX_ALPHA = np.float32(0.999)
-"""No fragment is opaque, as in the reference rasterizer."""
+"""Maximum alpha of a fragment, as in the reference rasterizer."""
 
 MIN_TRANSMITTANCE = np.float32(1e-4)
-"""A pixel is finished by the splat that leaves less than this.
+"""Transmittance below which a pixel is finished.
 
-3DGS (Kerbl et al. 2023) stops before that splat, which loses up to a tenth of a pixel all at once: a drop that hardly
-dims a pixel could switch such a splat off. Blended, what is left out is never more than this.
+3DGS (Kerbl et al. 2023) stops before the splat that falls below it, which loses up to a tenth of a pixel at once: a
+drop that hardly dims a pixel could switch such a splat off. Here that splat is blended, so the loss never exceeds this
+value.
 """
 
 BATCH = 32
-"""Splats between two looks at whether a whole tile is finished."""
+"""Splats between two checks for a finished tile."""
 
 
 def composite(
     shapes: Float32[np.ndarray, "m 8"], channels: Float32[np.ndarray, "m 4"], tiles: TileLists
 ) -> tuple[Float32[np.ndarray, "h w 4"], Float32[np.ndarray, "h w"]]:
-    """Blend four channels a splat over nothing. Returns the first three with alpha, and the fourth.
+    """Blend four channels per splat over nothing. Returns the first three with alpha, and the fourth.
 
     Each pixel gets sum_i w_i channel_i with w_i = alpha_i * prod_{j<i} (1 - alpha_j), alpha from `shapes` (see
-    `Splats`), at most `MAX_ALPHA`, until transmittance has fallen below `MIN_TRANSMITTANCE`. The same bytes at any
-    thread count.
+    `Splats`), at most `MAX_ALPHA`, until transmittance has fallen below `MIN_TRANSMITTANCE`. The output is
+    byte-identical at any thread count.
     """
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     fourth = np.empty((tiles.height, tiles.width), np.float32)
@@ -49,7 +50,7 @@ def composite_rain_display_space(
     veil: Float32[np.ndarray, "3"],
     tiles: TileLists,
 ) -> Float32[np.ndarray, "h w 4"]:
-    """Blend as `composite` does where the rain among the splats is all of one colour, `veil`: cheaper a drop."""
+    """Blend as `composite` does, for rain of a single color `veil`, which is cheaper per drop."""
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     fourth = np.empty((tiles.height, tiles.width), np.float32)
     _composite(shapes, channels, tiles.starts, tiles.members, tiles.columns, rgba, fourth, None, None, veil)
@@ -62,11 +63,11 @@ def composite_in_rain(
     light_linear: Float32[np.ndarray, "3"],
     tiles: TileLists,
 ) -> tuple[Float32[np.ndarray, "h w 4"], Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
-    """Blend the scene's splats as `composite` does, and let rain of one colour fall before and among them.
+    """Blend the scene's splats as `composite` does, with rain of one color in front of and among them.
 
-    With T_i the product of 1 - alpha_j over all nearer splats, of scene and rain alike, the share of the scene and
-    that of the rain are the sums of alpha_i T_i over their own splats. Behind what is opaque no rain is seen either.
-    `add_rain_light` makes the picture of them. Returns it, and the fourth channel and alpha of the scene alone.
+    With T_i the product of 1 - alpha_j over all nearer splats, of scene and rain alike, the shares of the scene and of
+    the rain are the sums of alpha_i T_i over their own splats. Rain behind opaque surfaces is hidden. `add_rain_light`
+    combines the shares into the image. Returns it, and the fourth channel and alpha of the scene alone.
     """
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     fourth = np.empty((tiles.height, tiles.width), np.float32)
@@ -87,22 +88,22 @@ def alpha_of(power, log_cut):
 @numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite(shapes, channels, starts, members, columns, rgba, fourth, light_linear, clear_alpha, veil):
-    """Compiled three times: without rain, where the last three are None, with its light, and with its colour."""
+    """Compiled three times: without rain, where the last three are None, with its light, and with its color."""
     height, width = fourth.shape
     rows = (len(starts) - 1) // columns
     for place in numba.prange(len(starts) - 1):
-        # Threads take ranges: column by column, so that each has sky and road alike.
+        # Threads get ranges of tiles: column by column, so that each range has sky and road.
         tile = place % rows * columns + place // rows
         x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
         u0, v0 = np.float32(x0 + 0.5), np.float32(y0 + 0.5)
         # A column's lines of TILE numbers: transmittance (0 once finished), four channels, alpha; for rain see
-        # rain_light.
+        # add_rain_light.
         lines = RAIN_LINES if light_linear is not None else 6 if veil is None else 7
         state = np.zeros((TILE, lines * TILE), np.float32)
         state[: width - x0, : min(TILE, height - y0)] = 1
         if light_linear is not None:
             state[:, OPEN : OPEN + TILE] = 1
-        # What lies far apart in memory is brought together first: its many misses of the cache then wait at once.
+        # Gather scattered data first, so that cache misses overlap.
         near_shapes, near_channels = np.empty((BATCH, 8), np.float32), np.empty((BATCH, 4), np.float32)
         for first in range(starts[tile], starts[tile + 1], BATCH):
             if is_finished(state):
@@ -145,7 +146,7 @@ def _composite(shapes, channels, starts, members, columns, rgba, fourth, light_l
 @numba.njit(inline="always")
 @no_type_check
 def is_finished(state):
-    """Whether no pixel of a tile takes any more light."""
+    """Return whether all pixels of a tile are finished."""
     for u in range(TILE):
         line = state[u]
         largest = np.float32(0)
@@ -159,7 +160,7 @@ def is_finished(state):
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
 def columns_of(shape, x0):
-    """First and past-the-last column of a tile that a splat reaches; x0 is the tile's first pixel centre."""
+    """First and past-the-last column of a tile that a splat reaches; x0 is the tile's first pixel center."""
     low = np.ceil(shape[0] - shape[7] - x0 - np.float32(0.01))
     high = np.floor(shape[0] + shape[7] - x0 + np.float32(0.01))
     return int(max(low, np.float32(0))), int(min(high, np.float32(TILE - 1))) + 1
@@ -193,10 +194,10 @@ def _blend(shape, channels, x0, y0, state):
 @numba.njit(error_model="numpy", fastmath=FAST)
 @no_type_check
 def _blend_rain(shape, x0, y0, state):
-    """Let a rain splat shine and cover what is behind it; the lines of the clear scene stay as they are.
+    """Blend a rain splat and occlude splats behind it; the lines of the clear scene are unchanged.
 
-    Of all that enters a pixel, `taken` meets its first drop here. On its way the scene had covered A of that; the rest
-    sees the drop.
+    Of all light that enters a pixel, `taken` meets its first drop here. The scene in front had covered A of that; the
+    rest shows the drop.
     """
     y, shear, sharpness, log_cut = shape[1], shape[2], shape[4], shape[6]
     left, right = columns_of(shape, x0)
@@ -216,7 +217,7 @@ def _blend_rain(shape, x0, y0, state):
 @numba.njit(error_model="numpy", fastmath=FAST)
 @no_type_check
 def _blend_veil(shape, x0, y0, state):
-    """Let a splat cover what is behind it; its colour comes on at the end, by its share."""
+    """Occlude splats behind a rain splat and accumulate its share; the color is added at the end."""
     y, shear, sharpness, log_cut = shape[1], shape[2], shape[4], shape[6]
     left, right = columns_of(shape, x0)
     for u in range(left, right):
@@ -232,14 +233,16 @@ def _blend_veil(shape, x0, y0, state):
             line[v + VEIL_SHARE] += share
 
 
-# § Adds the rain's light to the scene's in linear space (docs/physics.md, section 6); `rain_resolve.frag`'s twin.
+# Rain light
+# Adds the rain's light to the scene's in linear space (docs/physics.md, section 6), as in rain_resolve.frag.
 
 OPEN, RAIN_SHARE, SCENE_SHARE = 6 * TILE, 7 * TILE, 8 * TILE
-"""Where a tile's column keeps, behind the lines of `composite`: the product of 1 - alpha of the rain alone, the rain's
-share, and the scene's share before rain; TILE numbers each."""
+"""Offsets in a tile's column, after the lines of `composite`: the product of 1 - alpha of the rain alone, the rain's
+share, and the scene's share before rain; TILE numbers each.
+"""
 
 VEIL_SHARE = 6 * TILE
-"""Where a column keeps the rain's share alone, when its colour comes on at the end."""
+"""Offset of the rain's share in a column if its color is added at the end."""
 
 RAIN_LINES = 9
 """Lines of a column in rain."""
@@ -248,17 +251,17 @@ RAIN_LINES = 9
 @numba.njit(error_model="numpy", fastmath=FAST)
 @no_type_check
 def add_rain_light(line: Float32[np.ndarray, " nine_tiles"], light_linear: Float32[np.ndarray, "3"]) -> None:
-    """Put a column's scene and the drops before and in it together, in place of the scene's colour and alpha.
+    """Combine a column's scene and rain, replacing the scene's color and alpha.
 
-    With the scene's premultiplied colour B and alpha A, its share W_s, the rain's share W_r and a drop's colour S in
-    linear light: enc(min(W_s / A, 1) dec(B) + W_r S), alpha W_r + W_s. Where there is no rain, B and A bit for bit.
+    With the scene's premultiplied color B and alpha A, its share W_s, the rain's share W_r and a drop's color S in
+    linear light: enc(min(W_s / A, 1) dec(B) + W_r S), alpha W_r + W_s. Without rain, B and A bit for bit.
     """
     wettest = np.float32(0)
     for v in range(TILE):
         wettest = max(wettest, line[v + RAIN_SHARE])
     if wettest == 0:
         return
-    # One channel after the other: only numbers that lie side by side become SIMD.
+    # One channel after the other: only contiguous numbers are vectorized.
     for v in range(TILE):
         alpha = line[v + 5 * TILE]
         scene = line[v + SCENE_SHARE] + line[v + OPEN] * alpha
@@ -274,7 +277,7 @@ def add_rain_light(line: Float32[np.ndarray, " nine_tiles"], light_linear: Float
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _to_linear(display):
-    """The sRGB transfer function (IEC 61966-2-1) without a branch. Colours of Gaussians are never negative."""
+    """Branch-free sRGB transfer function (IEC 61966-2-1). Colors of Gaussians are never negative."""
     least, most = np.float32(0.04045), np.float32(1e9)
     bounded = min(max(display, least), most)
     curve = power((bounded + np.float32(0.055)) * np.float32(1 / 1.055), np.float32(2.4))
@@ -289,16 +292,16 @@ def _to_display(linear):
     return curve if linear > least else np.float32(12.92) * linear
 
 
-# § The transpose of compositing: what each splat gathers from an image through its own weights.
+# Transpose of compositing
 
 
 def color_operator_transpose(
     shapes: Float32[np.ndarray, "m 8"], image: Float32[np.ndarray, "h w 3"], tiles: TileLists
 ) -> Float32[np.ndarray, "m 4"]:
-    """Sum w(pixel) * image(pixel) over all pixels, a splat; the fourth column is the sum of w^2.
+    """Sum w(pixel) * image(pixel) over all pixels, per splat; the fourth column is the sum of w^2.
 
-    The weights w are those of `composite`: blending is image = W colors, this is W^T image and the diagonal of W^T W.
-    A splat's sum over each tile is taken by itself, then those in tile order: the same bytes at any thread count.
+    The weights w are those of `composite`: blending is image = W colors, this is W^T image and the diagonal of W^T W. A
+    splat's sums are taken per tile, then added in tile order: byte-identical at any thread count.
     """
     by_pair = np.zeros((len(tiles.members), 4), np.float32)
     _accumulate(shapes, tiles.starts, tiles.members, tiles.columns, image, by_pair)
@@ -325,7 +328,7 @@ def _accumulate(shapes, starts, members, columns, image, by_pair):
         # Column by column, as in compositing.
         tile = place % rows * columns + place // rows
         x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
-        # One line a column: transmittance (0 once finished) and the image's three channels.
+        # One line per column: transmittance (0 once finished) and the image's three channels.
         state = np.zeros((TILE, 4 * TILE), np.float32)
         state[: width - x0, : min(TILE, height - y0)] = 1
         for v in range(min(TILE, height - y0)):
@@ -348,7 +351,7 @@ def _accumulate(shapes, starts, members, columns, image, by_pair):
 @numba.njit(error_model="numpy", fastmath=FAST)
 @no_type_check
 def _gather(shape, x0, y0, state, lanes):
-    """Walk the same pixels with the same weights as compositing does; one lane a row of the tile."""
+    """Accumulate over the same pixels with the same weights as compositing; one lane per row of the tile."""
     y, shear, sharpness, log_cut = shape[1], shape[2], shape[4], shape[6]
     left, right = columns_of(shape, x0)
     for u in range(left, right):
@@ -369,17 +372,18 @@ def _gather(shape, x0, y0, state, lanes):
             lanes[v + 3 * TILE] += weight * weight
 
 
-# § One view as a linear operator on the Gaussians' colours: image = W colours, never storing W.
+# Color operator
+# One view as a linear operator on the Gaussians' colors: image = W colors, without storing W.
 
 _LEAST_ALPHA = np.float32(1e-3)
-"""Where alpha is below this nothing is there."""
+"""Alpha below which a pixel counts as empty."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColorOperator:
-    """Splats of one view and their tiles: all that is needed to blend any colours, and to go back.
+    """Splats of one view and their tiles, for blending any colors and for the transpose.
 
-    Colours here are linear: the max(0, .) that a renderer puts on a splat's colour is not part of W.
+    Colors are linear: a renderer's max(0, .) on a splat's color is not part of W.
     """
 
     splats: Splats
@@ -394,7 +398,7 @@ class ColorOperator:
         return np.ascontiguousarray(rgba[..., :c]) if c < 4 else np.dstack([rgba[..., :3], fourth])
 
     def accumulate(self, image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "m 3"]:
-        """W transposed times an image: what each splat gathers from it."""
+        """W transposed times an image."""
         return color_operator_transpose(self.splats.shapes, image, self.tiles)[:, :3]
 
     def squared_sums(self) -> Float32[np.ndarray, " m"]:
@@ -404,11 +408,11 @@ class ColorOperator:
 
 
 def color_operator(parts: Sequence[DrawItem], camera: Camera) -> ColorOperator:
-    """Project, sort and bin the parts for one camera (in the world, metres)."""
+    """Project, sort and bin the parts for one camera (in the world, meters)."""
     splats = project(parts, camera)
     return ColorOperator(splats, bin_into_tiles(splats.shapes, splats.nearest_first(), camera.width, camera.height))
 
 
 def expected(weighted: Float32[np.ndarray, "h w"], weight: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """Mean of a blended channel over what was blended; 0 where there is nothing."""
+    """Weighted mean of a blended channel; 0 where empty."""
     return np.where(weight > _LEAST_ALPHA, weighted / np.maximum(weight, _LEAST_ALPHA), np.float32(0))

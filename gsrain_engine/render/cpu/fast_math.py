@@ -1,4 +1,4 @@
-"""Exponentials and powers in steps that LLVM turns into SIMD inside compiled code; those of libm it can't."""
+"""Vectorizable exponential, power and spherical harmonics for compiled kernels."""
 
 from typing import no_type_check
 
@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float32
 
 FAST = {"contract", "nsz", "arcp"}
-"""Rounding freedom of the kernels: fused multiply-add and reciprocals, but infinities and order stay as written."""
+"""Rounding freedom of the kernels: fused multiply-add and reciprocals, but no change of infinities or order."""
 
 _ROOT_HALF = 0x3F3504F3  # the bits of sqrt(1/2) as float32
 
@@ -17,8 +17,8 @@ _ROOT_HALF = 0x3F3504F3  # the bits of sqrt(1/2) as float32
 def exp_of_negative(x):
     """exp(x) for x in [-11.1, 0] to 5e-6 relative, exactly 1 at 0.
 
-    A polynomial of degree 5 for exp(x / 16) on [-0.694, 0] (least squares at Chebyshev nodes), squared four times:
-    nothing in it keeps LLVM from turning it into SIMD. Smaller x count as -11.1, whose exp is below every cut.
+    A polynomial of degree 5 for exp(x / 16) on [-0.694, 0] (least squares at Chebyshev nodes), squared four times,
+    which LLVM vectorizes. Smaller x count as -11.1, whose exp is below every cut.
     """
     x = x if x > np.float32(-11.1) else np.float32(-11.1)
     x = x * np.float32(0.0625)
@@ -37,7 +37,7 @@ def exp_of_negative(x):
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def power(x, exponent):
-    """Raise a positive x to an exponent, to 1e-6 relative, in steps that LLVM turns into SIMD (powf it can't).
+    """Raise a positive x to an exponent, to 1e-6 relative, in steps that LLVM vectorizes, unlike powf.
 
     2^(exponent log2 x). Of x = m 2^e with m in [sqrt(1/2), sqrt(2)) the bits give e; log2 m is a polynomial of degree 9
     and 2^f on [-1/2, 1/2] one of degree 6 (least squares at Chebyshev nodes).
@@ -67,15 +67,15 @@ def power(x, exponent):
     return q * np.int32((np.int32(whole) + 127) << 23).view(np.float32)
 
 
-# § Real spherical harmonics up to degree 3 inside compiled code, in the order and sign of 3DGS.
+# Spherical harmonics
 
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def sh_basis(x: np.float32, y: np.float32, z: np.float32, coefficients: int, basis: Float32[np.ndarray, "16"]) -> None:
-    """Write the harmonics of the unit direction (x, y, z), eye to Gaussian, into the first places of `basis`.
+    """Write the harmonics of the unit direction (x, y, z), eye to Gaussian, to the start of `basis`.
 
-    `coefficients` is 1, 4, 9 or 16. Constants as in 3DGS (Kerbl et al. 2023).
+    `coefficients` is 1, 4, 9 or 16. Constants, order and sign as in 3DGS (Kerbl et al. 2023).
     """
     basis[0] = np.float32(0.28209479177387814)
     if coefficients > 1:

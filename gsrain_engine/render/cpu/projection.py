@@ -1,4 +1,4 @@
-"""Gaussians in the world -> splats: what each of them is in one image."""
+"""Projection of Gaussians to splats: shape, color and depth in one image."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from ...scene.scene import DrawItem
 from .fast_math import sh_basis
 
 NEAR_M = 0.2
-"""Gaussians whose centre is nearer than this are left out, as in the reference rasterizer."""
+"""Gaussians with nearer centers are skipped, as in the reference rasterizer."""
 
 DILATION_PX2 = 0.3
 """Added to the 2D covariance: the pixel's own footprint (3DGS, Kerbl et al. 2023)."""
@@ -22,34 +22,30 @@ DILATION_PX2 = 0.3
 _CHUNK = 512
 
 FEW = 8192
-"""So many Gaussians one thread does sooner than it could call the others."""
+"""Number of Gaussians below which a single thread is faster than starting others."""
 
 _Flags = Sequence[Bool[np.ndarray, " _"] | None]
-
-# § Gaussians as one camera sees them.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Splats:
-    """Gaussians that one camera may see, in their own order.
+    """Gaussians that may be visible to one camera, in their own order.
 
-    A row of `shapes` holds x, y, shear, sharpness_x, sharpness_y, log_opacity, log_cut, reach_x. With the pixel centre
+    A row of `shapes` holds x, y, shear, sharpness_x, sharpness_y, log_opacity, log_cut, reach_x. With the pixel center
     (u, v) and dx = u - x,
-
         ln alpha = log_opacity + sharpness_x * dx^2 + sharpness_y * (v - y - shear * dx)^2, cut below log_cut,
-
     where shear = cov_xy / cov_xx, sharpness_x = -1 / (2 cov_xx), sharpness_y = -cov_xx / (2 det), |dx| <= reach_x: the
-    2D Gaussian column by column, both terms negative, so that no cancellation spoils long needles. By columns because
-    rain falls: a streak touches few of them.
+    2D Gaussian column by column. Both terms are negative, so that long needles suffer no cancellation. Columns suit
+    rain: a falling streak touches few of them.
     """
 
     shapes: Float32[np.ndarray, "m 8"]
     colors: Float32[np.ndarray, "m 4"]
-    """Display colour, never negative, and depth along the view axis in metres.
-
-    All 0 for the few that turn out not to be seen: those are not drawn."""
+    """Display color, never negative, and depth along the view axis in meters. All 0 for the few that turn out to be
+    invisible; they are not drawn.
+    """
     indices: Int64[np.ndarray, " m"]
-    """Which Gaussian it is, counted through all parts in order, rising; those beyond a part's limit count too."""
+    """Index of the Gaussian, counted through all parts in order, rising; those beyond a part's limit count too."""
 
     def __len__(self) -> int:
         return len(self.indices)
@@ -59,7 +55,6 @@ class Splats:
         return self.shapes[:, 6] < MIN_SCENE_CUT
 
     def nearest_first(self) -> Int32[np.ndarray, " drawn"]:
-        """Rows that are drawn, sorted by depth; equal depths keep their index."""
         return nearest_first(self.colors[:, 3])
 
 
@@ -68,15 +63,15 @@ def project(
 ) -> Splats:
     """Project Gaussians.
 
-    EWA splatting (Zwicker et al. 2002) as in 3DGS (Kerbl et al. 2023), with gsplat's limits for off-centre cameras.
-    What is nearer than `NEAR_M`, outside the image, fainter than its cut, not finite or in its part's mask is left out.
-    Memory is taken for what may be seen only.
+    EWA splatting (Zwicker et al. 2002) as in 3DGS (Kerbl et al. 2023), with gsplat's limits for off-center cameras.
+    Gaussians are left out if they are nearer than `NEAR_M`, outside the image, fainter than their cut, not finite or in
+    their part's mask. Memory is allocated only for possibly visible ones.
 
     Args:
-        parts: Gaussians with their similarity to the world (metres).
-        camera: Where it is seen from.
-        rain: For each part, which of its Gaussians are rain (None: none of them). Rain keeps its integral over the
-            image, opacity * sqrt(det / dilated det) (Yu et al. 2024), and is cut at `RAIN_ALPHA_CUT`.
+        parts: Gaussians with their similarity to the world (meters).
+        camera: Camera in the world.
+        rain: For each part, the mask of its rain Gaussians (None: none). Rain keeps its integral over the image,
+            opacity * sqrt(det / dilated det) (Yu et al. 2024), and is cut at `RAIN_ALPHA_CUT`.
         as_points: Make each an opaque dot with a standard deviation of one pixel instead.
     """
     intrinsics = _intrinsics(camera)
@@ -109,24 +104,24 @@ def _intrinsics(camera: Camera) -> tuple[float, ...]:
 
 
 def _words(mask: BitMask | None) -> UInt32[np.ndarray, " w"]:
-    """Bits of a mask, none where there is no mask; writable, since read-only arrays would need kernels of their own."""
+    """Bits of a mask, empty without a mask; writable, since read-only arrays would need separate kernels."""
     return np.zeros(0, np.uint32) if mask is None else np.require(mask.words, np.uint32, ("C", "W"))
 
 
 def _color_change(part: DrawItem) -> Float32[np.ndarray, "rows 4"]:
-    """The affine change of a part's display colours; no rows where there is none."""
+    """Affine change of a part's display colors; no rows without one."""
     return np.zeros((0, 4), np.float32) if part.colors is None else np.ascontiguousarray(part.colors, np.float32)
 
 
 def _wet_sh(part: DrawItem) -> Float32[np.ndarray, "_ _ 3"]:
-    """Harmonics that are blended in; no rows where there are none, and the kernels do what they do without."""
+    """Wet harmonics to blend in; no rows without any, which the kernels skip."""
     if part.wet_sh is None or not part.is_wet:
         return np.zeros((0, 1, 3), np.float32)
     return np.require(part.wet_sh, np.float32, ("C", "W"))
 
 
 def eye_in_object(camera: Camera, part: DrawItem) -> Float64[np.ndarray, "3"]:
-    """Centre of projection in the part's own frame, where its spherical harmonics live."""
+    """Center of projection in the part's own frame, in which its spherical harmonics are defined."""
     return np.linalg.solve(part.to_world[:3, :3], camera.position - part.to_world[:3, 3])
 
 
@@ -148,7 +143,7 @@ def view_directions(
 def _candidates(
     part: DrawItem, object_to_camera: Float64[np.ndarray, "4 4"], intrinsics: tuple[float, ...], as_points: bool
 ) -> Int64[np.ndarray, " m"]:
-    """Which Gaussians of a part may be seen: all that are, and few that are not."""
+    """Indices of a part's possibly visible Gaussians: all visible ones, and few others."""
     g, n = part.gaussians, part.drawn_count if part.opacity > 0 else 0
     flags = np.empty(n, np.bool_)
     largest = part.growth * np.cbrt(abs(np.linalg.det(object_to_camera[:3, :3])))
@@ -162,7 +157,7 @@ def _candidates(
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
 def _find_candidates(means, scales, opacities, left_out, least_opacity, m, scale, intrinsics, flags):
-    """Flag what comes near the image when each Gaussian is taken for a ball as large as its longest axis."""
+    """Flag Gaussians near the image, each treated as a ball with the radius of its longest axis."""
     for chunk in numba.prange((len(means) + _CHUNK - 1) // _CHUNK):
         first, last = chunk * _CHUNK, min(len(means), (chunk + 1) * _CHUNK)
         _flag_range(first, last, means, scales, opacities, left_out, least_opacity, m, scale, intrinsics, flags)
@@ -194,7 +189,7 @@ def _flag_range(first, last, means, scales, opacities, left_out, least_opacity, 
         is_near_x = abs(fx * px + (cx - half_x) * pz) <= (half_x + dot) * pz + reach_x * s
         is_near_y = abs(fy * py + (cy - half_y) * pz) <= (half_y + dot) * pz + reach_y * s
         flags[i] = pz > NEAR_M and is_near_x and is_near_y and opacities[i] > least_opacity
-    if len(left_out) > 0:  # by itself, so that the loop above stays without a branch
+    if len(left_out) > 0:  # separate, so that the loop above stays branch-free
         for i in range(first, last):
             flags[i] = flags[i] and not _has(left_out, i)
 
@@ -211,7 +206,7 @@ def _project_part(
     members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain, opacity, change, selected, as_points,
     object_to_camera, eye, intrinsics, shapes, colors,
 ):  # fmt: skip
-    """Fill shapes and colours of some Gaussians of one part; depth 0 for what is not to be drawn after all."""
+    """Fill shapes and colors of some Gaussians of one part; depth 0 marks those not to be drawn."""
     for chunk in numba.prange((len(members) + _CHUNK - 1) // _CHUNK):
         _project_range(
             chunk * _CHUNK, min(len(members), (chunk + 1) * _CHUNK), members, means, scales, quaternions, opacities, sh,
@@ -261,7 +256,7 @@ def _project_range(
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def _shape(mean, scale, q, opacity, is_rain, as_point, m, intrinsics, shape):
-    """Write one splat's shape; return its depth in metres, or 0 where it is not to be drawn.
+    """Write one splat's shape; return its depth in meters, or 0 if it is not to be drawn.
 
     Scalars are float64: 1e12 m squared still fits.
     """
@@ -269,10 +264,10 @@ def _shape(mean, scale, q, opacity, is_rain, as_point, m, intrinsics, shape):
     px = m[0, 0] * mean[0] + m[0, 1] * mean[1] + m[0, 2] * mean[2] + m[0, 3]
     py = m[1, 0] * mean[0] + m[1, 1] * mean[1] + m[1, 2] * mean[2] + m[1, 3]
     pz = m[2, 0] * mean[0] + m[2, 1] * mean[1] + m[2, 2] * mean[2] + m[2, 3]
-    if not (NEAR_M < pz < 3e38):  # also drops NaN
+    if not (NEAR_M < pz < 3e38):  # also rejects NaN
         return 0.0
 
-    # Local affine approximation of the projection, held back at 1.3 times the field of view: two rows that take the
+    # Local affine approximation of the projection, clamped at 1.3 times the field of view: two rows that map the
     # object's axes to pixels.
     near = 1 / pz
     margin_x, margin_y = 0.15 * width, 0.15 * height
@@ -327,9 +322,9 @@ def _along(length, x, y, z, ux, uy, uz, vx, vy, vz):
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def _color(mean, sh, wet_sh, i, wetness, eye, change, basis, color):
-    """Write the display colour, max(0, change of (sum of harmonics + 0.5)); return whether it is finite.
+    """Write the display color, max(0, change of (sum of harmonics + 0.5)); return whether it is finite.
 
-    Where there are wet harmonics, row i of theirs is blended in before the change.
+    If there are wet harmonics, their row i is blended in before the change.
     """
     x, y, z = mean[0] - eye[0], mean[1] - eye[1], mean[2] - eye[2]
     by_length = 1 / np.sqrt(x * x + y * y + z * z)
@@ -358,22 +353,22 @@ def _color(mean, sh, wet_sh, i, wetness, eye, change, basis, color):
 
 
 SCENE_ALPHA_CUT = 1 / 255
-"""Fainter fragments of the scene are left out, as in the reference rasterizer."""
+"""Alpha below which fragments of the scene are skipped, as in the reference rasterizer."""
 
 RAIN_ALPHA_CUT = 1 / 65536
-"""The same for rain: a streak's alpha is about 0.01, of which 1/255 would leave nothing."""
+"""Alpha below which fragments of rain are skipped: streaks of alpha 0.01 would hardly survive a cut at 1/255."""
 
 LOG_SCENE_CUT, LOG_RAIN_CUT = float(np.log(SCENE_ALPHA_CUT)), float(np.log(RAIN_ALPHA_CUT))
-"""What stands in `Splats.shapes`; it tells rain from scene."""
+"""Values of log_cut in `Splats.shapes`, by which rain is distinguished from the scene."""
 
 MIN_SCENE_CUT = np.float32(LOG_SCENE_CUT - 1)
-"""Rain's logarithm is below, the scene's above."""
+"""Threshold between the logarithms of rain (below) and scene (above)."""
 
 
 def nearest_first(depths: Float[np.ndarray, " m"]) -> Int32[np.ndarray, " drawn"]:
     """Rows with a depth above 0, sorted by it as float32; equal depths keep their index.
 
-    One 64-bit number each, depth above row: no two are equal, so any fast sort is a stable one. The bits of a positive
+    One 64-bit number each, depth above row: all are distinct, so any fast sort is stable. The bits of a positive
     float32 sort like the number itself.
     """
     depths = np.ascontiguousarray(depths, np.float32)
@@ -385,10 +380,11 @@ def nearest_first(depths: Float[np.ndarray, " m"]) -> Int32[np.ndarray, " drawn"
     return keys.astype(np.uint32).view(np.int32)  # the lower halves
 
 
-# § The colour that selected splats are tinted with; common_tint.glsl's twin.
+# Selection tint
+# The same as in common_tint.glsl.
 
 TINT = (1.0, 0.82, 0.15)
-"""Display colour: a warm yellow, which hardly any street has."""
+"""Display color of the selection: a warm yellow, rare in streets."""
 
 TINT_SHARE = 0.5
-"""How much of a selected splat's colour it is."""
+"""Share of the tint in a selected splat's color."""

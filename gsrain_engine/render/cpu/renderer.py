@@ -1,4 +1,4 @@
-"""Draws scene and rain on the CPU, behind the same interface as the OpenGL renderer."""
+"""CPU renderer: scene, rain and render modes without OpenGL."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,7 +21,7 @@ from .tiles import TILE, TileLists, bin_into_tiles
 
 
 class CpuRenderer:
-    """Renders scene and rain into one picture. Needs no OpenGL; the same bytes at any number of threads."""
+    """Renders scene and rain into one image without OpenGL; byte-identical at any number of threads."""
 
     name = "cpu"
 
@@ -70,14 +70,14 @@ class CpuRenderer:
         return Stopwatch(self.statistics.stages_ms, stage)
 
 
-# § Splats in tiles -> a picture: of the scene, of scene and rain, or of what the scene is made of.
+# Drawing
 
 _MIN_WEIGHT = np.float32(0.5)
-"""Pixels that the scene covers less than this have no depth, as in the OpenGL renderer."""
+"""Minimum alpha of pixels with depth, as in the OpenGL renderer."""
 
 
 def draw_mode(look: RenderMode, splats: Splats, tiles: TileLists, *, with_depth: bool) -> Frame:
-    """Draw a scene without rain; depth is that of all splats' blending, whatever the look."""
+    """Draw a scene without rain; depth is blended from all splats, in any render mode."""
     if look == "ellipsoids" and not with_depth:
         return Frame(nearest_surface_colors(splats.shapes, splats.colors, tiles))
     if look == "overdraw" and not with_depth:
@@ -96,10 +96,10 @@ def draw_mode(look: RenderMode, splats: Splats, tiles: TileLists, *, with_depth:
 def draw_in_rain(
     splats: Splats, order: Int32[np.ndarray, " drawn"], tiles: TileLists, rain: RainFrame, *, with_depth: bool
 ) -> Frame:
-    """Draw scene and rain through each other; `tiles` hold the splats in that order."""
+    """Draw scene and rain; `tiles` hold the splats in that order."""
     if rain.mixing == "linear":
         rgba, weighted, weight = composite_in_rain(splats.shapes, splats.colors, rain.light_linear, tiles)
-    else:  # one more colour (the paper's form)
+    else:  # blended as a display color (the paper's form)
         rgba = composite_rain_display_space(splats.shapes, splats.colors, rain.color.astype(np.float32), tiles)
         if not with_depth:
             return Frame(rgba)
@@ -128,13 +128,13 @@ def _heat_where(numbers: Float32[np.ndarray, "h w"], there: np.ndarray) -> Float
     return np.where(there[..., None], np.dstack([turbo_colors(numbers), np.ones_like(numbers)]), np.float32(0))
 
 
-# § Other colours for splats: what they are rather than how they look.
+# Render modes by color
 
 
 def color_by_mode(look: RenderMode, splats: Splats, parts: Sequence[DrawItem], camera: Camera) -> Splats:
-    """Colour the splats of `parts` by their normals, opacity or layer; any other look leaves them as they are.
+    """Color the splats of `parts` by their normals, opacity or layer; other render modes leave them unchanged.
 
-    What is selected is tinted here, too.
+    Selected splats are tinted here, too.
     """
     if look not in ("normals", "opacity", "layers"):
         return splats
@@ -161,7 +161,7 @@ def color_by_mode(look: RenderMode, splats: Splats, parts: Sequence[DrawItem], c
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
 def _normal_colors(rows, members, means, scales, quaternions, to_world, eye, colors):
-    """0.5 + 0.5 n of each Gaussian's shortest axis n in the world, turned to the eye; `rows` are those in `colors`."""
+    """Write 0.5 + 0.5 n of each Gaussian's shortest axis n in the world, facing the eye, to `rows` of `colors`."""
     for n in numba.prange(len(rows)):
         i = members[n]
         w, x, y, z = quaternions[i, 0], quaternions[i, 1], quaternions[i, 2], quaternions[i, 3]
@@ -184,11 +184,11 @@ def _normal_colors(rows, members, means, scales, quaternions, to_world, eye, col
             colors[rows[n], k] = 0.5 + half * normal
 
 
-# § How many fragments a pixel is made of.
+# Overdraw
 
 
 def count_fragments(shapes: Float32[np.ndarray, "m 8"], tiles: TileLists) -> Float32[np.ndarray, "h w"]:
-    """Count the splats whose alpha in a pixel is not below their cut, also those behind what is opaque."""
+    """Count the splats per pixel whose alpha is not below their cut, including those behind opaque ones."""
     counts = np.empty((tiles.height, tiles.width), np.float32)
     _count(shapes, tiles.starts, tiles.members, tiles.columns, counts)
     return counts
@@ -221,10 +221,10 @@ def _count_pixels(shape, x0, y0, state):
             state[u, v] += np.float32(1) if shape[4] * dy * dy + peak >= shape[6] else np.float32(0)
 
 
-# § The nearest ellipsoid in each pixel: Gaussians as solid bodies.
+# Ellipsoids
 
 SURFACE_ALPHA = 1 / 4
-"""A Gaussian's surface is where its alpha is this."""
+"""Alpha on the surface of a Gaussian's ellipsoid."""
 
 _LOG_SURFACE_ALPHA = np.float32(np.log(SURFACE_ALPHA))
 
@@ -232,9 +232,9 @@ _LOG_SURFACE_ALPHA = np.float32(np.log(SURFACE_ALPHA))
 def nearest_surface_colors(
     shapes: Float32[np.ndarray, "m 8"], colors: Float32[np.ndarray, "m 4"], tiles: TileLists
 ) -> Float32[np.ndarray, "h w 4"]:
-    """Colour each pixel as the nearest splat whose alpha there is at least `SURFACE_ALPHA`, with an alpha of 1.
+    """Color each pixel by the nearest splat whose alpha there is at least `SURFACE_ALPHA`, with an alpha of 1.
 
-    Shaded like a ball: full colour in the middle, half of it at the rim. `shapes` and `colors` as in `Splats`.
+    Shaded like a ball: full color in the middle, half of it at the rim. `shapes` and `colors` as in `Splats`.
     """
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     _cover(shapes, colors, tiles.starts, tiles.members, tiles.columns, rgba)
@@ -247,7 +247,7 @@ def _cover(shapes, colors, starts, members, columns, rgba):
     height, width = rgba.shape[:2]
     for tile in numba.prange(len(starts) - 1):
         x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
-        # A column's lines of TILE numbers: 1 while nothing covers the pixel, three channels.
+        # A column's lines of TILE numbers: 1 while the pixel is uncovered, three channels.
         state = np.zeros((TILE, 4 * TILE), np.float32)
         state[: width - x0, : min(TILE, height - y0)] = 1
         for k in range(starts[tile], starts[tile + 1]):

@@ -1,4 +1,4 @@
-"""Which splats touch which tile of the image, nearest first."""
+"""Tile lists: the splats that touch each tile of the image, nearest first."""
 
 from dataclasses import dataclass
 from typing import no_type_check
@@ -11,15 +11,15 @@ TILE = 16
 """Side of a tile in pixels: a column of it is one 512-bit or two 256-bit vectors of float32."""
 
 BATCH = 32
-"""Splats that are brought together from all over memory before work on them begins: their cache misses wait at once."""
+"""Splats gathered from memory before they are processed, so that their cache misses overlap."""
 
 _CHUNKS = 32
-"""Parts of the splat list that are counted and written side by side; the result does not depend on it."""
+"""Parts of the splat list that are processed in parallel; the result does not depend on it."""
 
 _MAX_PAIRS = 1 << 30
 
 _SLACK_PX = 1e-2
-"""Float32 rounding of an ellipse's edge must never leave out a pixel."""
+"""Margin for float32 rounding, so that an ellipse's edge never loses a pixel."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +29,7 @@ class TileLists:
     width: int
     height: int
     starts: Int64[np.ndarray, " tiles_and_one"]
-    """Where each tile's list starts in `members`; the last entry is its length."""
+    """Start of each tile's list in `members`; the last entry is the total length."""
     members: Int32[np.ndarray, " pairs"]
 
     @property
@@ -46,8 +46,8 @@ def bin_into_tiles(
 ) -> TileLists:
     """List the splats of each tile in a given order; `shapes` as in `Splats`.
 
-    The test is exact: a tile is listed if and only if a pixel centre's rectangle of it meets the ellipse on which alpha
-    is the splat's cut (the idea of Speedy-Splat, Hanson et al. 2025, column by column).
+    The test is exact: a tile is listed if and only if the rectangle of its pixel centers meets the ellipse on which
+    alpha is the splat's cut (the idea of Speedy-Splat, Hanson et al. 2025, column by column).
 
     Raises:
         MemoryError: When the lists would hold more than 2^30 entries.
@@ -71,10 +71,10 @@ def bin_into_tiles(
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
 def _count(shapes, order, columns, rows, counts, boxes, masks):
-    """Count each tile's splats. For each splat note the box of tiles around it, and which of them it touches.
+    """Count each tile's splats. For each splat store the box of tiles around it, and a mask of the touched ones.
 
-    One bit a tile, column by column; none where the box has more than 64. A chunk of the splats has counts of its own:
-    chunks are walked side by side.
+    The mask has one bit per tile, column by column; it is 0 if the box has more than 64. Each chunk of the splats has
+    its own counts, since chunks are processed in parallel.
     """
     size = (len(order) + _CHUNKS - 1) // _CHUNKS
     for chunk in numba.prange(_CHUNKS):
@@ -104,7 +104,7 @@ def _count(shapes, order, columns, rows, counts, boxes, masks):
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
 def _write(shapes, order, columns, rows, boxes, masks, places, members):
-    """Write each splat to the places of the tiles that it touches, and move those on by one."""
+    """Write each splat to the places of the tiles that it touches, and advance those by one."""
     size = (len(order) + _CHUNKS - 1) // _CHUNKS
     for chunk in numba.prange(_CHUNKS):
         place = places[chunk]
@@ -132,12 +132,12 @@ def _write(shapes, order, columns, rows, boxes, masks, places, members):
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def _ellipse(shape):
-    """Where alpha is the cut: centre, reach in x and y, shear, and what each column's extent is made of; float64."""
+    """Ellipse at the alpha cut: center, reach in x and y, shear, and parameters of each column's extent; float64."""
     shear, cov_xx, variance = np.float64(shape[2]), -0.5 / np.float64(shape[3]), -0.5 / np.float64(shape[4])
-    depth = np.float64(shape[5]) - shape[6]  # ln(alpha / cut) at the centre
+    depth = np.float64(shape[5]) - shape[6]  # ln(alpha / cut) at the center
     cov_yy = variance + shear * shear * cov_xx
     reach_y = np.sqrt(2 * depth * cov_yy)
-    # The lowest point is so far to the right of the centre; the highest is opposite.
+    # Horizontal offset of the lowest point from the center; the highest is opposite.
     turn = reach_y * shear * cov_xx / cov_yy
     return np.float64(shape[0]), np.float64(shape[1]), np.float64(shape[7]), reach_y, shear, variance, depth, turn
 
@@ -145,9 +145,9 @@ def _ellipse(shape):
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def _box(ellipse, columns, rows):
-    """First and past-the-last tile in x and y, and whether all in between are touched for sure.
+    """First and past-the-last tile in x and y, and whether all in between are certainly touched.
 
-    They are where the ellipse lies within the pixel centres of one row or one column of tiles.
+    They are if the ellipse lies within the pixel centers of one row or one column of tiles.
     """
     x, y, reach_x, reach_y = ellipse[:4]
     left, right = _tiles_between(x - reach_x, x + reach_x, columns)
@@ -167,7 +167,7 @@ def _lies_within(center, reach, tile):
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def _tiles_between(low, high, count):
-    """First and past-the-last of `count` tiles with a pixel centre in [low, high] px, clamped before it becomes int."""
+    """First and past-the-last of `count` tiles with a pixel center in [low, high] px, clamped before it becomes int."""
     first = np.ceil((low - (TILE - 0.5) - _SLACK_PX) / TILE)
     last = np.floor((high - 0.5 + _SLACK_PX) / TILE)
     return int(min(max(first, 0.0), count)), int(min(max(last + 1, 0.0), count))
@@ -176,7 +176,7 @@ def _tiles_between(low, high, count):
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def _rows_of_column(ellipse, column, rows):
-    """Tiles of one column that the ellipse touches: its extent in y within the band of the column's pixel centres."""
+    """Tiles of one column that the ellipse touches: its extent in y within the band of the column's pixel centers."""
     x, y, reach, _, shear, variance, depth, turn = ellipse
     left = min(max(column * TILE + 0.5 - _SLACK_PX - x, -reach), reach)
     right = max(min((column + 1) * TILE - 0.5 + _SLACK_PX - x, reach), -reach)

@@ -1,1 +1,1 @@
-"""The CUDA back end, on gsplat."""
+"""CUDA renderer, based on gsplat."""

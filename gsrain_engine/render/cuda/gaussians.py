@@ -1,4 +1,4 @@
-"""Gaussians in torch: uploaded once, brought before the camera each frame."""
+"""Gaussians as torch tensors: uploaded once, transformed to the camera's frame for each frame."""
 
 from importlib import import_module
 from typing import Any, NamedTuple
@@ -15,11 +15,11 @@ from ..cpu.projection import TINT, TINT_SHARE, eye_in_object
 torch: Any = import_module("torch")
 
 Tensor = Any
-"""torch is an extra: where it is missing, nothing here is ever imported, and no type of it can be named."""
+"""torch is an optional dependency: this module is imported only if it is installed, and its types can't be named."""
 
 
 class CameraSpace(NamedTuple):
-    """Gaussians of all parts in the camera's frame (OpenCV axes, metres), as gsplat takes them."""
+    """Gaussians of all parts in the camera's frame (OpenCV axes, meters), in gsplat's layout."""
 
     means: Tensor
     """(n, 3)"""
@@ -30,11 +30,11 @@ class CameraSpace(NamedTuple):
     opacities: Tensor
     """(n,)"""
     colors: Tensor
-    """(n, 3) display colour, never negative."""
+    """(n, 3) display color, never negative."""
 
 
 class CudaArrays:
-    """Uploads Gaussians the first time they are seen and finds them again by identity."""
+    """Uploads Gaussians on first use and finds them by identity."""
 
     def __init__(self, device: str) -> None:
         self._device = device
@@ -42,18 +42,18 @@ class CudaArrays:
         self._used: set[int] = set()
 
     def before_camera(self, parts: list[DrawItem], camera: Camera) -> CameraSpace:
-        """Move what is drawn of each part before the camera, harmonics evaluated in the part's own frame."""
+        """Move the drawn Gaussians of each part to the camera's frame; evaluate harmonics in the part's own frame."""
         moved = [self._moved(part, camera) for part in parts]
         nothing = (self._uploaded(np.zeros(shape, np.float32)) for shape in ((0, 3), (0, 3), (0, 4), 0, (0, 3)))
         return CameraSpace(*(torch.cat(each) for each in zip(nothing, *moved, strict=True)))
 
     def release_unused(self) -> None:
-        """Free every set that nobody asked for since the last call."""
+        """Free every set that was not used since the last call."""
         self._held = {key: held for key, held in self._held.items() if key in self._used}
         self._used.clear()
 
     def _moved(self, part: DrawItem, camera: Camera) -> CameraSpace:
-        object_to_camera = camera.world_to_camera @ part.to_world  # in float64: far from the origin nothing is lost
+        object_to_camera = camera.world_to_camera @ part.to_world  # float64 for accuracy far from the origin
         scale = float(np.cbrt(np.linalg.det(object_to_camera[:3, :3])))
         turn = quaternions_from_matrices(object_to_camera[:3, :3] / scale)
         rows = _rows(part)
@@ -88,7 +88,7 @@ class CudaArrays:
         if key not in self._held:
             g = _without_what_is_not_finite(gaussians)
             arrays = tuple(self._uploaded(each) for each in (g.means, g.scales, g.quaternions, g.opacities, g.sh))
-            self._held[key] = gaussians, arrays  # held on to, so that its identity stays taken
+            self._held[key] = gaussians, arrays  # with a reference, so that the identity stays unique
         return self._held[key][1]
 
     def _wet(self, wet_sh: Any) -> Tensor:
@@ -103,7 +103,7 @@ class CudaArrays:
 
 
 def _rows(part: DrawItem) -> Any:
-    """Which of a part's Gaussians are drawn: a slice where no mask leaves out any, else their indices."""
+    """Drawn Gaussians of a part: a slice without a mask, or else their indices."""
     count = part.drawn_count if part.opacity > 0 else 0
     if part.left_out is None:
         return slice(0, count)
@@ -112,7 +112,7 @@ def _rows(part: DrawItem) -> Any:
 
 
 def sh_basis(directions: Tensor) -> Tensor:
-    """Real spherical harmonics up to degree 3 (n, 16) in unit directions (n, 3), signed as in 3DGS."""
+    """Real spherical harmonics up to degree 3 (n, 16) in unit directions (n, 3), with 3DGS signs."""
     x, y, z = directions.unbind(1)
     xx, yy, zz = x * x, y * y, z * z
     return torch.stack(
@@ -139,13 +139,13 @@ def sh_basis(directions: Tensor) -> Tensor:
 
 
 def _product_matrix(turn: Float64[np.ndarray, "4"]) -> Float64[np.ndarray, "4 4"]:
-    """The matrix P with q @ P = turn * q, the product of quaternions."""
+    """Matrix P with q @ P = turn * q, the product of quaternions."""
     w, x, y, z = turn
     return np.array([[w, x, y, z], [-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]])
 
 
 def _without_what_is_not_finite(gaussians: Gaussians) -> Gaussians:
-    """Replace Gaussians that hold NaN or infinity by transparent ones: gsplat would take them as they are."""
+    """Make Gaussians that contain NaN or infinity transparent, since gsplat doesn't check them."""
     g = gaussians
     rows = (g.means, g.scales, g.quaternions, g.opacities[:, None], g.sh.reshape(len(g), 3 * g.sh.shape[1]))
     bad = ~np.logical_and.reduce([np.isfinite(each).all(axis=1) for each in rows])

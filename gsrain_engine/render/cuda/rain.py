@@ -1,7 +1,7 @@
-"""Rain for the `cuda` back end, in torch: gsplat's cut at an alpha of 1/255 is compiled in and would erase it.
+"""Rain in torch for the CUDA renderer, since gsplat's fixed alpha cutoff of 1/255 would erase it.
 
-The scene comes from gsplat with its blending weights gathered by depth, in as many channels as there are edges between
-slabs of rain; rain is composited slab by slab between them. Inside a slab rain counts as spread evenly over its depth.
+gsplat renders the scene with its blending weights gathered by depth, with one channel per edge between slabs of rain;
+rain is composited slab by slab in between. Inside a slab rain is assumed to be spread evenly over its depth.
 """
 
 from dataclasses import dataclass
@@ -20,15 +20,13 @@ torch: Any = import_module("torch")
 Tensor = Any
 
 _COLUMNS = 1 << 14
-"""Pixel columns of splats that are worked on at once."""
+"""Pixel columns of splats that are processed at once."""
 
 _OPAQUE = 0.98
 """The other renderers end a pixel before the splat that would leave less than 1e-4, with up to 2 % of light left."""
 
 _FIXED_POINT = 2.0**40
-"""Logarithms are added as integers: the same sum in any order, so the same bytes in every run."""
-
-# § Rain cut into slabs by depth, for a back end that can't sort it in among the scene.
+"""Logarithms are added as integers: the sum, and thus the output, doesn't depend on the order."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,15 +36,15 @@ class DepthSlabs:
     shapes: Float32[np.ndarray, "m 8"]
     """As in `Splats`."""
     starts: Int64[np.ndarray, " slabs_and_one"]
-    """Where each slab's splats start; the last entry is their number."""
+    """First splat of each slab; the last entry is the number of splats."""
     edges_m: Float32[np.ndarray, " slabs_and_one"]
-    """Depths between the slabs, those of the nearest and the farthest splat among them; rising."""
+    """Depths between the slabs, including those of the nearest and the farthest splat; rising."""
 
 
 def slab_edge_channels(depths: Tensor, slabs: DepthSlabs) -> Tensor:
-    """One channel an edge between slabs (n, edges) for scene splats at depths (n,): shares of the two nearest edges.
+    """Shares of the two nearest slab edges, one channel per edge (n, edges), for scene splats at depths (n,).
 
-    They are linear in depth and add up to 1; before all rain it is the first edge alone, behind it the last.
+    They are linear in depth and add up to 1; in front of all rain only the first edge, behind it only the last.
     """
     edges = torch.as_tensor(slabs.edges_m, device=depths.device)
     upper = torch.clamp(torch.searchsorted(edges, depths.contiguous()), 1, len(edges) - 1)
@@ -56,9 +54,9 @@ def slab_edge_channels(depths: Tensor, slabs: DepthSlabs) -> Tensor:
 
 
 def composite_rain_slabs(rgba: Tensor, by_edge: Tensor, slabs: DepthSlabs, rain: RainFrame) -> Tensor:
-    """Put rain over and into a scene: premultiplied display colour and alpha (h, w, 4).
+    """Composite rain with a scene: premultiplied display color and alpha (h, w, 4).
 
-    `rgba` is the clear scene, `by_edge` its weights (h, w, edges) from `slab_edge_channels`. With the scene's colour B
+    `rgba` is the clear scene, `by_edge` its weights (h, w, edges) from `slab_edge_channels`. With the scene's color B
     and alpha A, its share W_s and the rain's W_r under each other: enc(min(W_s / A, 1) dec(B) + W_r S) in linear light,
     as in `add_rain_light`; the display form is the same without enc and dec.
     """
@@ -75,7 +73,7 @@ def composite_rain_slabs(rgba: Tensor, by_edge: Tensor, slabs: DepthSlabs, rain:
 
 
 def _shares(by_edge: Tensor, alpha: Tensor, slabs: DepthSlabs) -> tuple[Tensor, Tensor]:
-    """What the eye sees of rain and of scene through both (h, w), see `composite_in_rain`."""
+    """Visible shares of rain and of scene through each other (h, w), see `composite_in_rain`."""
     height, width = alpha.shape
     hidden = torch.where(alpha > _OPAQUE, 1 - alpha, 0.0)
     through_scene = 1 - hidden
@@ -90,7 +88,7 @@ def _shares(by_edge: Tensor, alpha: Tensor, slabs: DepthSlabs) -> tuple[Tensor, 
 
 
 def _covers(slabs: DepthSlabs, height: int, width: int, device: Tensor) -> Tensor:
-    """What the splats of each slab cover together (slabs, h, w): 1 - prod (1 - alpha), in any order."""
+    """Combined alpha of each slab's splats (slabs, h, w): 1 - prod (1 - alpha), in any order."""
     count = len(slabs.starts) - 1
     total = torch.zeros(count * height * width, dtype=torch.int64, device=device)
     shapes = torch.as_tensor(slabs.shapes, device=device)
@@ -104,7 +102,7 @@ def _covers(slabs: DepthSlabs, height: int, width: int, device: Tensor) -> Tenso
 
 
 def _add_columns(shapes: Tensor, columns: Tensor, places: Tensor, size: tuple[int, int], total: Tensor) -> None:
-    """Add ln(1 - alpha) down one pixel column of each splat, which begins at a place in `total`; see `Splats`."""
+    """Add ln(1 - alpha) along one pixel column of each splat, starting at a position in `total`; see `Splats`."""
     height, width = size
     x, y, shear, sharpness_x, sharpness_y, log_opacity, log_cut, _ = shapes.unbind(1)
     dx = columns + 0.5 - x
@@ -121,7 +119,7 @@ def _add_columns(shapes: Tensor, columns: Tensor, places: Tensor, size: tuple[in
 
 
 def _spread(starts: Tensor, ends: Tensor) -> tuple[Tensor, Tensor]:
-    """Every integer from starts to before ends, and which of them it belongs to."""
+    """Every integer from starts to before ends, and the index of its range."""
     counts = torch.clamp(ends - starts, min=0)
     owner = torch.repeat_interleave(torch.arange(len(counts), device=counts.device), counts)
     first = torch.cumsum(counts, 0) - counts
@@ -129,7 +127,7 @@ def _spread(starts: Tensor, ends: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _to_linear(display: Tensor) -> Tensor:
-    """The sRGB transfer function (IEC 61966-2-1)."""
+    """Decode by the sRGB transfer function (IEC 61966-2-1)."""
     return torch.where(display > 0.04045, ((torch.clamp(display, min=0.04045) + 0.055) / 1.055) ** 2.4, display / 12.92)
 
 
@@ -139,14 +137,14 @@ def _to_display(linear: Tensor) -> Tensor:
 
 
 SLABS = 91
-"""They have 92 edges; with colour and depth that makes 96 channels, of which gsplat draws 32 at once."""
+"""91 slabs have 92 edges; with color and depth that makes 96 channels, of which gsplat draws 32 at once."""
 
 
 def split_into_depth_slabs(splats: Splats, slabs: int = SLABS) -> DepthSlabs:
-    """Cut at depths between which rain weighs the same: opacity times the area of its ellipse.
+    """Split rain at depths that give each slab the same weight: opacity times the area of its ellipse.
 
-    What is drawn in the wrong order, the scene's splats in a slab against the rain in it, is then a small share of all
-    rain wherever that lies.
+    Only the scene's splats inside a slab are drawn in the wrong order relative to rain; this way that affects a small
+    share of the rain at any depth.
     """
     order = splats.nearest_first()
     shapes, depths = splats.shapes[order], splats.colors[order, 3]

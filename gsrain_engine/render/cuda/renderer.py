@@ -1,9 +1,8 @@
-"""Draws scene and rain with gsplat on an NVIDIA GPU, behind the same interface as the other renderers.
+"""CUDA renderer: scene and rain with gsplat on an NVIDIA GPU, for data-center GPUs with hardly any graphics pipeline.
 
-For data-centre GPUs, which have hardly any graphics pipeline. gsplat has the same conventions as the other back ends:
-0.3 px^2 of dilation, alpha cut at 1/255 and at most 0.999, end at a transmittance of 1e-4 (Ye et al. 2025).
-What has run so far is everything around gsplat, on torch's CPU with a stand-in of its signature made from our own
-rasterizer (tests/raster/gsplat_stand_in.py); gsplat itself, and a GPU, have not been tried with it.
+gsplat has the same conventions as the other renderers: 0.3 px^2 of dilation, alpha cut at 1/255 and at most 0.999, end
+at a transmittance of 1e-4 (Ye et al. 2025). This renderer has been tested only on torch's CPU with a stand-in for
+gsplat based on our own rasterizer (tests/raster/gsplat_stand_in.py), not with gsplat or a GPU.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,15 +22,15 @@ from .rain import DepthSlabs, composite_rain_slabs, slab_edge_channels, split_in
 torch: Any = import_module("torch")
 
 _MIN_WEIGHT = 0.5
-"""Pixels that the scene covers less than this have no depth, as in the other renderers."""
+"""Minimum alpha of pixels with depth, as in the other renderers."""
 
 
 class CudaRenderer:
-    """Renders scene and rain into one picture.
+    """Renders scene and rain into one image.
 
     Args:
-        rasterize: `gsplat.rasterization`, or a function that takes and returns the same.
-        device: Where torch computes, such as "cuda".
+        rasterize: `gsplat.rasterization`, or a function with the same signature.
+        device: torch device, such as "cuda".
     """
 
     name = "cuda"
@@ -56,13 +55,13 @@ class CudaRenderer:
         with_depth: bool = False,
         look: RenderMode = "splats",
     ) -> None:
-        """Draw parts and rain as one compositing; `read` hands out the picture.
+        """Draw parts and rain as one compositing; `read` returns the image.
 
-        `camera` is in the world (metres). The scene is sorted exactly; rain lies between it in slabs of depth, see
-        `cuda_rain`. Depth is the scene's own.
+        `camera` is in the world (meters). The scene is sorted exactly; rain is inserted in slabs of depth, see
+        `composite_rain_slabs`. Depth is the scene's own.
 
         Raises:
-            ValueError: For any other look than "splats".
+            ValueError: For any render mode except "splats".
         """
         if look != "splats":
             raise ValueError(f"the cuda back end shows splats only; look at {look} with --backend opengl or cpu")
@@ -90,17 +89,16 @@ class CudaRenderer:
         self._arrays.release_unused()
 
     def read(self) -> Frame:
-        """Hand out the last picture, with depth if it was drawn."""
         assert self._frame is not None, "draw before reading the picture"
         rgba, depth = self._frame
         return Frame(rgba.cpu().numpy(), depth.cpu().numpy() if depth is not None else None)
 
     def _composited(self, scene: CameraSpace, camera: Camera, slabs: DepthSlabs | None) -> tuple[Tensor, Tensor]:
-        """Blend colour, depth and, for rain, one channel a slab: (h, w, 4 + slabs) and alpha (h, w, 1)."""
+        """Blend color, depth and, for rain, one channel per slab edge: (h, w, 4 + edges) and alpha (h, w, 1)."""
         depths = scene.means[:, 2]
         channels = [scene.colors, depths[:, None], *([slab_edge_channels(depths, slabs)] if slabs is not None else [])]
         colors = torch.cat(channels, dim=1)
-        if not len(depths):  # gsplat takes no empty scene
+        if not len(depths):  # gsplat rejects an empty scene
             blank = torch.zeros((camera.height, camera.width, colors.shape[1] + 1), device=self._device)
             return blank[..., :-1], blank[..., -1:]
         intrinsics = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
@@ -110,7 +108,7 @@ class CudaRenderer:
             scales=scene.scales,
             opacities=scene.opacities,
             colors=colors,
-            viewmats=torch.eye(4, device=self._device)[None],  # they are in the camera's frame already
+            viewmats=torch.eye(4, device=self._device)[None],  # already in the camera's frame
             Ks=torch.tensor(intrinsics, device=self._device)[None],
             width=camera.width,
             height=camera.height,
@@ -125,7 +123,7 @@ class CudaRenderer:
 
 
 class _SynchronizedStopwatch(Stopwatch):
-    """Waits for the device at the end of a stage, so that the stage's time is its own."""
+    """Waits for the device at the end of a stage, so that stage times don't overlap."""
 
     def __init__(self, stages: dict[str, float], stage: str, device: str) -> None:
         super().__init__(stages, stage)

@@ -1,1 +1,1 @@
-"""The OpenGL back end: compute passes over tiles and quads."""
+"""OpenGL renderer: compute passes and instanced quads."""

@@ -1,4 +1,4 @@
-"""Gaussians on the GPU: one set of buffers an array, uploaded once, in slices where a frame must not stall."""
+"""GPU buffers of Gaussians, masks and projected splats, uploaded in slices to keep frames smooth."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -14,50 +14,50 @@ from .prefix_sum import WORK_BYTES
 from .shaders import Switches
 
 CHUNK = 1 << 19
-"""Gaussians a buffer: at SH degree 3 that is 96 MiB, below the 128 MiB that a storage block may have on llvmpipe."""
+"""Gaussians per buffer: 96 MiB at SH degree 3, below llvmpipe's limit of 128 MiB per storage block."""
 
 _RESTING_BYTES = 1 << 29
-"""Of arrays that nobody draws any more: a step back in the history, or the other of two pictures, finds them here."""
+"""Memory kept for arrays that are no longer drawn, so that undo or the other image of a split view finds them."""
 
 Harmonics = Literal["single", "half", "byte"]
-"""How colours lie on the GPU: 32-bit floats; halves; or the first harmonic in halves and the others in signed bytes.
+"""GPU storage of colors: 32-bit floats; halves; or the first harmonic in halves and the others in signed bytes.
 
-Reading them is what bounds a frame on a GPU: 192, 96 or 56 bytes a Gaussian at SH degree 3.
+Reading them limits the frame rate on a GPU: 192, 96 or 56 bytes per Gaussian at SH degree 3.
 """
 
 SH_BITS: dict[Harmonics, int] = {"single": 32, "half": 16, "byte": 8}
-"""The shaders' name for each."""
+"""Value of the shader macro `SH_BITS`."""
 
 
 @dataclass(frozen=True, slots=True)
 class GaussianBuffers:
-    """The buffers of one set of Gaussians, a chunk each; the first four are bound in this order from binding 0 on."""
+    """Buffers of one set of Gaussians, one per chunk; the first four are bound in this order from binding 0 on."""
 
     means_opacities: list[moderngl.Buffer]
     scales: list[moderngl.Buffer]
     quaternions: list[moderngl.Buffer]
     sh: list[moderngl.Buffer]
     wet_sh: list[moderngl.Buffer] = field(default_factory=list[moderngl.Buffer])
-    """Of the wet colours; none where they were not asked for."""
+    """Wet colors; empty if not requested."""
 
     def chunks(self) -> Iterator[tuple[moderngl.Buffer, ...]]:
         return zip(self.means_opacities, self.scales, self.quaternions, self.sh, strict=True)
 
 
 WetColors = Float32[np.ndarray, "n k 3"] | None
-"""A second set of harmonics for the same Gaussians; none where there is none."""
+"""Second set of harmonics for the same Gaussians, or None."""
 
 _Key = tuple[int, ...]
 
 
 @dataclass(slots=True)
 class _Array:
-    """One array on the GPU; holds on to its source, so that the key (its identity) stays taken."""
+    """One array on the GPU, with a reference to its source so that the key (its identity) stays unique."""
 
     sources: tuple[Any, ...]
     buffers: list[moderngl.Buffer]
     is_awaited: bool = True
-    """Uploaded ahead of its first frame."""
+    """Uploaded before its first frame."""
 
     @property
     def nbytes(self) -> int:
@@ -65,35 +65,35 @@ class _Array:
 
 
 class GpuArrays:
-    """Uploads arrays the first time they are seen and finds them again by identity.
+    """Uploads arrays on first use and finds them by identity.
 
-    Gaussians are values, so two sets that share an array (the same geometry in other colours) share its buffers.
+    Gaussians are immutable, so two sets that share an array (the same geometry in other colors) share its buffers.
     """
 
     def __init__(self, context: moderngl.Context, harmonics: Harmonics = "half") -> None:
         self._context = context
         self.harmonics: Harmonics = harmonics
         self._arrays: dict[_Key, _Array] = {}
-        """Those that were drawn last come last."""
+        """Least recently drawn first."""
         self._marks: dict[_Key, _Array] = {}
         self._used: set[_Key] = set()
         self._leaving: list[moderngl.Buffer] = []
 
     def buffers(self, gaussians: Gaussians, wet_sh: WetColors = None) -> GaussianBuffers:
-        """Return the buffers of a set and of its wet colours, uploading what is not there yet."""
+        """Return the buffers of a set and of its wet colors, uploading missing ones."""
         for _ in self.upload(gaussians, wet_sh=wet_sh):
             pass
         found: list[list[moderngl.Buffer]] = []
         for sources in _sources(gaussians, wet_sh):
             key = tuple(map(id, sources))
             self._used.add(key)
-            array = self._arrays[key] = self._arrays.pop(key)  # to the end
+            array = self._arrays[key] = self._arrays.pop(key)  # moved to the end: most recently drawn
             array.is_awaited = False
             found.append(array.buffers)
         return GaussianBuffers(*found)
 
     def keep(self, wet_sh: WetColors) -> None:
-        """Count wet colours as drawn where they are here: at a wetness of 0 nobody reads them, but the next may."""
+        """Mark uploaded wet colors as used: at a wetness of 0 they are not read, but the next frame may need them."""
         key = (id(wet_sh),)
         if key in self._arrays:
             self._used.add(key)
@@ -101,9 +101,9 @@ class GpuArrays:
             array.is_awaited = False
 
     def upload(self, gaussians: Gaussians, slice_size: int = CHUNK, *, wet_sh: WetColors = None) -> Iterator[float]:
-        """Upload a set slice by slice; yields the fraction done after each, so that frames can go between them.
+        """Upload a set slice by slice; yields the fraction done after each, so that frames can be drawn in between.
 
-        Raises `MemoryError` where the graphics card has no room for it.
+        Raises `MemoryError` if the graphics card is full.
         """
         missing = [sources for sources in _sources(gaussians, wet_sh) if tuple(map(id, sources)) not in self._arrays]
         steps = max(1, sum(-(-len(gaussians) // slice_size) for _ in missing))
@@ -114,16 +114,16 @@ class GpuArrays:
                 for _ in self._written(array, slice_size):
                     done += 1
                     yield done / steps
-            except BaseException:  # nobody waits for it any more, or the card is full
+            except BaseException:  # the upload was abandoned, or the card is full
                 self._leave(array)
                 raise
-            if key in self._arrays:  # a frame could not wait for it
+            if key in self._arrays:  # a frame has uploaded it meanwhile
                 self._leave(array)
             else:
                 self._arrays[key] = array
 
     def _written(self, array: _Array, slice_size: int) -> Iterator[None]:
-        """Make an array's buffers and fill them, a slice at each step."""
+        """Create an array's buffers and fill them, one slice per step."""
         count, row_bytes = len(array.sources[0]), self._packed(array.sources, slice(0, 1)).shape[1]
         for start in range(0, count, CHUNK):
             array.buffers.append(reserve_buffer(self._context, row_bytes * min(CHUNK, count - start)))
@@ -135,12 +135,12 @@ class GpuArrays:
             yield
 
     def missing(self, gaussians: Gaussians, wet_sh: WetColors = None) -> int:
-        """How many Gaussians would have to be uploaded to draw these: all or none, were it for a single array."""
+        """Number of Gaussians to be uploaded before these can be drawn: all if any array is missing, or else 0."""
         is_here = all(tuple(map(id, sources)) in self._arrays for sources in _sources(gaussians, wet_sh))
         return 0 if is_here else len(gaussians)
 
     def marks(self, left_out: BitMask | None, selected: BitMask | None) -> list[moderngl.Buffer]:
-        """Return the bits of both masks, word beside word, a buffer for each chunk; none where there is no mask."""
+        """Return the bits of both masks, interleaved by word, one buffer per chunk; empty without masks."""
         if left_out is None and selected is None:
             return []
         words = [each.words if each is not None else None for each in (left_out, selected)]
@@ -153,13 +153,12 @@ class GpuArrays:
 
     @property
     def mark_count(self) -> int:
-        """Pairs of masks that are here."""
         return len(self._marks)
 
     def release_unused(self) -> None:
-        """Free what nobody asked for since the last call, a buffer a call: giving memory back takes its time.
+        """Free arrays that were not used since the last call, one buffer per call, since freeing takes time.
 
-        What waits for its first frame stays, and so do some of the arrays that were drawn before.
+        Arrays uploaded before their first frame stay, as do recently drawn ones up to `_RESTING_BYTES`.
         """
         for key in [key for key in self._marks if key not in self._used]:
             self._leave(self._marks.pop(key))
@@ -174,18 +173,18 @@ class GpuArrays:
             self._leaving.pop().release()
 
     def release_awaited(self) -> None:
-        """Give up what was uploaded ahead of its first frame and has not been drawn yet."""
+        """Free arrays that were uploaded before their first frame and have not been drawn yet."""
         for key in [key for key, array in self._arrays.items() if array.is_awaited]:
             self._leave(self._arrays.pop(key))
 
     def release_all_but(self, kept: Iterable[tuple[Gaussians, WetColors]]) -> None:
-        """Free all arrays but those of some sets and their wet colours: another scene has come."""
+        """Free all arrays except those of some sets and their wet colors, for a new scene."""
         keys = {tuple(map(id, sources)) for each in kept for sources in _sources(*each)}
         for key in [key for key in self._arrays if key not in keys]:
             self._leave(self._arrays.pop(key))
 
     def release_everything(self) -> None:
-        """Free all of it at once. No upload may be under way."""
+        """Free everything immediately. No upload may be in progress."""
         self.release_all_but(())
         for key in list(self._marks):
             self._leave(self._marks.pop(key))
@@ -196,9 +195,9 @@ class GpuArrays:
         self._leaving += array.buffers
 
     def keep_harmonics_as(self, harmonics: Harmonics) -> None:
-        """Keep colours in another storage; those that are here are uploaded anew for their next frame.
+        """Change the storage of colors; uploaded ones are uploaded again for their next frame.
 
-        No upload may be under way.
+        No upload may be in progress.
         """
         self.harmonics = harmonics
         for key in [key for key, array in self._arrays.items() if array.sources[0].ndim == 3]:
@@ -206,7 +205,7 @@ class GpuArrays:
                 buffer.release()
 
     def _packed(self, sources: tuple[Float32[np.ndarray, "..."], ...], rows: slice) -> UInt8[np.ndarray, "m bytes"]:
-        """Rows as the shader reads them: means beside opacities, harmonics in their storage, the rest as it is."""
+        """Rows in the shader's layout: means with opacities, harmonics in their storage, the rest unchanged."""
         first = sources[0][rows]
         if len(sources) == 2:
             return _as_bytes(np.concatenate([first, sources[1][rows][:, None]], axis=1))
@@ -216,10 +215,10 @@ class GpuArrays:
 
 
 def packed_harmonics(sh: Float32[np.ndarray, "m k 3"], storage: Harmonics) -> UInt8[np.ndarray, "m bytes"]:
-    """Harmonics as splat_project.comp reads them; rows are whole 32-bit words.
+    """Harmonics in the layout of splat_project.comp; rows are whole 32-bit words.
 
-    Bytes hold n/127 of a Gaussian's largest coefficient after the first harmonic; that one number stands, as a half,
-    beside the three of the first harmonic.
+    Bytes store n/127 of a Gaussian's largest coefficient after the first harmonic; that number is stored as a half,
+    next to the three of the first harmonic.
     """
     flat = np.ascontiguousarray(sh).reshape(len(sh), 3 * sh.shape[1])
     if storage == "single":
@@ -235,7 +234,7 @@ def packed_harmonics(sh: Float32[np.ndarray, "m k 3"], storage: Harmonics) -> UI
 
 
 def _packed_marks(words: Sequence[UInt32[np.ndarray, " w"] | None]) -> Iterator[UInt32[np.ndarray, "c 2"]]:
-    """Two masks word beside word, 0 where one is missing, cut at chunks."""
+    """Interleave two masks by word, 0 for a missing one, split into chunks."""
     count = max(len(each) for each in words if each is not None)
     pairs = np.zeros((count, 2), np.uint32)
     for column, each in enumerate(words):
@@ -268,14 +267,15 @@ def _sources(gaussians: Gaussians, wet_sh: WetColors = None) -> list[tuple[Float
     ]
 
 
-# § Memory of the graphics card: OpenGL only says that there was none left when it is asked.
+# GPU memory
+# OpenGL reports a lack of memory only when queried.
 
 _MAX_ERRORS = 8
-"""Each kind is kept once until it is asked for; a context that is lost never stops telling."""
+"""Each kind of error is queued at most once; a lost context returns errors forever."""
 
 
 def reserve_buffer(context: moderngl.Context, size: int) -> moderngl.Buffer:
-    """Make a buffer of so many bytes; raises `MemoryError` where the card has no room for it."""
+    """Create a buffer of `size` bytes; raises `MemoryError` if the graphics card is full."""
     try:
         buffer = context.buffer(reserve=size)
     except moderngl.Error:
@@ -289,7 +289,7 @@ def reserve_buffer(context: moderngl.Context, size: int) -> moderngl.Buffer:
 
 
 def check_gpu_memory(context: moderngl.Context, size: int) -> None:
-    """Raise `MemoryError` where the driver has had no room for something of so many bytes that was just made."""
+    """Raise `MemoryError` if the driver failed to allocate the object of `size` bytes just created."""
     for _ in range(_MAX_ERRORS):
         error = context.error
         if error == "GL_OUT_OF_MEMORY":
@@ -302,11 +302,8 @@ def _size_text(size: int) -> str:
     return f"the graphics card has no room for {max(1, size >> 20)} MiB more"
 
 
-# § A storage buffer that is made anew, larger, when more is asked of it.
-
-
 class GrowableBuffer:
-    """Keeps nothing of what was in it when it grows."""
+    """Storage buffer that is replaced by a larger one on demand; its content is lost."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
@@ -314,17 +311,17 @@ class GrowableBuffer:
 
     @property
     def buffer(self) -> moderngl.Buffer:
-        """The buffer as it is now; another one after it has grown."""
+        """Current buffer; replaced when it grows."""
         return self._buffer
 
     def reserve(self, size: int, at_most: int | None = None) -> moderngl.Buffer:
-        """Make room for so many bytes; where it has to grow it takes an eighth more, but `at_most` so many in all.
+        """Make room for `size` bytes; grows with an eighth to spare, but to at most `at_most` bytes.
 
-        Raises `MemoryError` where the graphics card has no room for it.
+        Raises `MemoryError` if the graphics card is full.
         """
         if size > self._buffer.size:
             self._buffer.release()
-            self._buffer = self._context.buffer(reserve=4)  # to be there whatever comes
+            self._buffer = self._context.buffer(reserve=4)  # valid even if the next allocation fails
             roomy = size + size // 32 * 4
             self._buffer = reserve_buffer(self._context, roomy if at_most is None else max(size, min(roomy, at_most)))
         return self._buffer
@@ -333,13 +330,13 @@ class GrowableBuffer:
         self._buffer.bind_to_storage_buffer(binding)
 
 
-# § Where projected splats lie on the GPU: records in blocks, their keys, and how many of them can be seen.
+# Projected splats
 
 NEAR_M = 0.2
-"""Gaussians whose centre is nearer than this are left out, as in the reference rasterizer."""
+"""Gaussians with nearer centers are skipped, as in the reference rasterizer."""
 
 SLOTS_BY_BLOCK = 256
-"""Slots that one workgroup of a projection fills, from the front; each dispatch starts with a new such block."""
+"""Slots that one workgroup of a projection fills, from the front; each dispatch starts a new block."""
 
 _SPLAT_BYTES = 32
 
@@ -349,7 +346,7 @@ _RECORDS, _SPARSE_KEYS, _COUNTS, _WORK = 8, 4, 5, 7
 
 
 class ProjectedSplatBuffer:
-    """Buffers for a number of slots; `switches` tell the shaders how they are split."""
+    """Buffers of projected splats: records in blocks, sort keys, counts; `switches` are the matching shader macros."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._limit = int(context.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"])
@@ -358,19 +355,18 @@ class ProjectedSplatBuffer:
         self._record_blocks = 1
         self._sparse_keys = GrowableBuffer(context)
         self.counts = GrowableBuffer(context)
-        """Visible splats of each block; after the scan, where they begin."""
+        """Visible splats per block; after the prefix sum, the offset of each block."""
         self.work = context.buffer(reserve=WORK_BYTES)
-        """See `visible_scan`."""
+        """Indirect work; see `WORK_BYTES`."""
 
     @property
     def switches(self) -> Switches:
-        """How the shaders are to be compiled."""
         return {"SPLAT_BLOCKS": self._record_blocks, "BLOCK_SHIFT": self._block_shift}
 
     def reserve(self, slots: int) -> None:
-        """Make room for so many slots, a multiple of 256.
+        """Make room for `slots`, a multiple of 256.
 
-        Raises `MemoryError` when the driver's storage blocks can't hold them.
+        Raises `MemoryError` if they exceed the driver's storage blocks.
         """
         by_block = 1 << self._block_shift
         if slots > _MAX_RECORD_BLOCKS * by_block:

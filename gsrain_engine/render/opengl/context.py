@@ -1,4 +1,4 @@
-"""Where OpenGL comes from when there is no window: EGL, or OSMesa where EGL is missing."""
+"""OpenGL contexts without a window (EGL or OSMesa), and detection of lost contexts."""
 
 import ctypes
 import ctypes.util
@@ -16,7 +16,7 @@ ContextSource = Literal["auto", "egl", "osmesa"]
 
 
 class NoOpenGLError(OSError):
-    """No OpenGL 4.3 could be had; says what was tried and what to install."""
+    """Raised if no OpenGL 4.3 context can be opened; lists the attempts and the packages to install."""
 
 
 def open_context(source: ContextSource = "auto") -> moderngl.Context:
@@ -28,7 +28,7 @@ def open_context(source: ContextSource = "auto") -> moderngl.Context:
             context = openers[name]()
             context.__exit__(None, None, None)
             return context
-        except Exception as error:  # drivers fail in their own ways: whatever they say goes into the message
+        except Exception as error:  # drivers raise all kinds of errors; the message lists them
             tried.append(f"{name}: {error}")
     packages = "libosmesa6" if source == "osmesa" else "libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri"
     raise NoOpenGLError(
@@ -38,17 +38,17 @@ def open_context(source: ContextSource = "auto") -> moderngl.Context:
 
 
 def is_software(context: moderngl.Context) -> bool:
-    """Whether a processor, not a GPU, executes this context's drawing (Mesa's llvmpipe, softpipe, swrast)."""
+    """True if the CPU executes this context's drawing (Mesa's llvmpipe, softpipe, swrast)."""
     name = context.info["GL_RENDERER"].lower()
     return any(word in name for word in ("llvmpipe", "softpipe", "swrast", "software"))
 
 
 def _open_egl() -> moderngl.Context:
-    """Open a context that tells when it is lost; where the driver has none, one that does not."""
+    """Open a context with reset notification, or without it if the driver lacks it."""
     try:
         loader: Any = EglContext()
         context = moderngl.create_context(context=loader, require=REQUIRED_VERSION)
-    except (OSError, AttributeError):  # no such library, or no such function in it
+    except (OSError, AttributeError):  # no such library or function
         return _open_plain_egl()
     monitor_context(context, loader.load_opengl_function)
     return context
@@ -65,7 +65,7 @@ def _open_osmesa() -> moderngl.Context:
 
 
 class _OSMesa:
-    """The loader object that moderngl asks for entry points (Mesa's off-screen library, GL/osmesa.h)."""
+    """Context loader for moderngl based on OSMesa (Mesa's off-screen library, GL/osmesa.h)."""
 
     _ATTRIBUTES = (
         0x22, 0x1908,  # OSMESA_FORMAT, OSMESA_RGBA
@@ -90,21 +90,20 @@ class _OSMesa:
         self._handle = library.OSMesaCreateContextAttribs(attributes, None)
         if not self._handle:
             raise RuntimeError(f"{name} gives no OpenGL 4.3 core context")
-        self._screen = (ctypes.c_ubyte * (4 * 4 * 4))()  # nothing is ever drawn to the default framebuffer
+        self._screen = (ctypes.c_ubyte * (4 * 4 * 4))()  # the default framebuffer is never used
         self.enter()
 
     def load_opengl_function(self, name: str) -> int:
-        """Return the address of an entry point, 0 where there is none."""
+        """Return the address of an entry point, or 0."""
         return self._library.OSMesaGetProcAddress(name.encode()) or 0
 
     def enter(self) -> None:
-        """Make the context current on this thread."""
         if not self._library.OSMesaMakeCurrent(self._handle, self._screen, 0x1401, 4, 4):  # GL_UNSIGNED_BYTE
             raise RuntimeError("OSMesaMakeCurrent failed")
         self._depth += 1
 
     def exit(self) -> None:
-        """Leave no context current on this thread, once for each time that it was entered."""
+        """Release the context from this thread after as many calls as `enter`."""
         self._depth -= 1
         if not self._depth:
             self._library.OSMesaMakeCurrent(None, None, 0, 0, 0)
@@ -121,7 +120,8 @@ class _OSMesa:
             self._handle = None
 
 
-# § An OpenGL context without a window whose driver tells when it is lost (EGL 1.5, on a device).
+# EGL context with reset notification
+# EGL 1.5, on a device.
 
 _POINTER, _INT = ctypes.c_void_p, ctypes.c_int
 
@@ -145,7 +145,7 @@ _CONTEXT = (
 
 
 class EglContext:
-    """The loader object that moderngl asks for entry points. Raises `OSError` where there is no such context."""
+    """Context loader for moderngl based on EGL. Raises `OSError` if there is no such context."""
 
     def __init__(self) -> None:
         library = ctypes.CDLL(ctypes.util.find_library("EGL") or "libEGL.so.1")
@@ -170,17 +170,15 @@ class EglContext:
         self.enter()
 
     def load_opengl_function(self, name: str) -> int:
-        """Return the address of an entry point, 0 where there is none."""
         return self._address(name.encode()) or 0
 
     def enter(self) -> None:
-        """Make the context current on this thread."""
         display, surface = self._current_display() or self._display, self._current_surface(_DRAW)
         self._before.append((display, surface, surface, self._current()))
         _need(self._make_current(self._display, None, None, self._context), "the context can't be current")
 
     def exit(self) -> None:
-        """Give this thread back the context that it had before, none where that is gone."""
+        """Restore the thread's previous context, or none if it no longer exists."""
         if not self._make_current(*self._before.pop()):
             self._make_current(self._display, None, None, None)
 
@@ -196,7 +194,7 @@ class EglContext:
             self._context = None
 
     def _device(self) -> int:
-        """Open the display of a device: the first, or that of GLCONTEXT_DEVICE_INDEX as everywhere with moderngl."""
+        """Open the display of a device: the first, or GLCONTEXT_DEVICE_INDEX as in moderngl."""
         devices, count = (_POINTER * _MAX_DEVICES)(), _INT()
         query, wanted = self._address(b"eglQueryDevicesEXT"), int(os.environ.get("GLCONTEXT_DEVICE_INDEX", "0"))
         display = self._address(b"eglGetPlatformDisplayEXT")
@@ -221,63 +219,64 @@ def _need(value: Any, otherwise: str) -> Any:
     return value
 
 
-# § Contexts that are lost: a driver that restarts, or a card that goes away, takes all that is on the card along.
+# Lost contexts
+# A driver restart or a removed card destroys everything in GPU memory.
 
 _QUESTIONS = (("GL_KHR_robustness", "KHR"), ("GL_ARB_robustness", "ARB"))
 
 
 class DeviceLostError(OSError):
-    """What was on the graphics card is gone; nothing more can be drawn in this context."""
+    """Raised if the contents of the graphics card are lost; the context can no longer be used."""
 
     def __init__(self) -> None:
         super().__init__("the graphics driver has restarted, or the card is gone: what was being drawn is lost")
 
 
 class ContextLossMonitor:
-    """Remembers that a context is lost: some drivers say so only once."""
+    """Remembers that a context is lost, since some drivers report it only once."""
 
     def __init__(self, ask: Callable[[], int]) -> None:
-        """`ask` is the driver's glGetGraphicsResetStatus: 0 while all is well, or again."""
+        """`ask` is the driver's glGetGraphicsResetStatus: 0 if the context works (again)."""
         self.ask = ask
         self._is_lost = False
 
     def is_lost(self) -> bool:
-        """Whether the context was ever lost. Asks the driver, which takes about a microsecond."""
+        """Return whether the context was ever lost. The query takes about a microsecond."""
         self._is_lost = self._is_lost or self.ask() != 0
         return self._is_lost
 
     def wait_for_driver(self, most_s: float) -> None:
-        """Wait until the driver has restarted: it says so until then."""
+        """Wait up to `most_s` seconds until the driver has restarted, as reported by its reset status."""
         until = time.monotonic() + most_s
         while self.ask() and time.monotonic() < until:
             time.sleep(0.05)
 
 
 def monitor_context(context: moderngl.Context, address_of: Callable[[str], int | None]) -> None:
-    """Let a context be asked whether it is lost; `address_of` finds entry points of OpenGL by name.
+    """Attach a loss monitor to a context; `address_of` finds entry points of OpenGL by name.
 
-    Drivers know only of contexts that were made to tell of resets.
+    Drivers report losses only for contexts created with reset notification.
     """
     extensions = context.extensions
     endings = ["", *(ending for name, ending in _QUESTIONS if name in extensions)]
-    for ending in endings if context.version_code >= 450 else endings[1:]:  # an address alone does not prove anything
+    for ending in endings if context.version_code >= 450 else endings[1:]:  # a nonzero address does not prove support
         if address := address_of(f"glGetGraphicsResetStatus{ending}"):
             context.extra = ContextLossMonitor(_question(address))
             return
 
 
 def context_monitor(context: moderngl.Context) -> ContextLossMonitor | None:
-    """Who knows whether a context is lost; None where its driver does not tell."""
+    """Loss monitor of a context; None if its driver doesn't report losses."""
     return context.extra
 
 
 def check_context(context: moderngl.Context) -> None:
-    """Raise `DeviceLostError` where what was drawn or read may be nothing at all."""
+    """Raise `DeviceLostError` if the context is lost, so that drawn or read data may be invalid."""
     watcher = context_monitor(context)
     if watcher is not None and watcher.is_lost():
         raise DeviceLostError
 
 
 def _question(address: int) -> Callable[[], int]:
-    """Make glGetGraphicsResetStatus, which is at an address, a function of Python."""
+    """Wrap glGetGraphicsResetStatus at an address as a Python function."""
     return ctypes.CFUNCTYPE(ctypes.c_uint)(address)

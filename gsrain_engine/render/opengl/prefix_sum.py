@@ -1,4 +1,4 @@
-"""From how many each block of 256 has to where each block's begin, and the indirect work that follows."""
+"""Prefix sum over blocks of 256 counts, and the arguments of the indirect draw and dispatch."""
 
 import moderngl
 import numpy as np
@@ -6,10 +6,10 @@ import numpy as np
 from .shaders import load_compute_shader
 
 WORK_BYTES = 4 * 9
-"""The draw's command (5 numbers), how many there are, an indirect dispatch (3)."""
+"""The draw's command (5 numbers), the number of elements, an indirect dispatch (3)."""
 
 COUNT_OFFSET, GROUPS_OFFSET = 20, 24
-"""Where the number and the dispatch stand in it, in bytes; the draw's command is first."""
+"""Byte offsets of the number of elements and of the dispatch; the draw's command is first."""
 
 _COUNTS, _FOUND_WORK, _WORK = 5, 6, 7
 
@@ -34,8 +34,9 @@ class PrefixSum:
     ) -> None:
         """Scan the counts of blocks in place and fill in `work`.
 
-        `by_group` things, of `most` at most, go to a workgroup of the dispatch. `found` is the work of drops that were
-        found before, the first of their blocks, and how many blocks each of their groups fills: the others are empty.
+        Each workgroup of the dispatch processes `by_group` elements, of at most `most`. `found` consists of the work
+        buffer of found drops, the first of their blocks, and the number of blocks per group of drops: all other blocks
+        are empty.
         """
         found_work, fixed, copies = found or (self._nothing_found, blocks, 0)
         for name, value in {

@@ -1,4 +1,4 @@
-"""The first half of a frame on the GPU: Gaussians and drops become splats, and those that can be seen move together."""
+"""Projection on the GPU: Gaussians and drops to splats, and compaction of the visible ones."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -18,32 +18,32 @@ from .shaders import load_compute_shader
 from .sort import KEYS, KEYS_BY_GROUP, SLOTS, CpuSort, DepthSort
 
 _LOOKS: dict[RenderMode, int] = {"points": 1, "normals": 2, "opacity": 3, "layers": 4}
-"""Looks that change what a Gaussian is projected to; as in splat_project.comp."""
+"""Render modes that change the projection of a Gaussian; as in splat_project.comp."""
 
 _LONGEST_DISPATCH = 1 << 15
-"""Workgroups along one axis, half of what every driver allows."""
+"""Workgroups along one axis, half of the limit guaranteed by OpenGL."""
 
 _MARKS = 6
-"""Binding of the masks: of the eight that every driver has, the one that is left."""
+"""Binding of the masks: the last of the eight guaranteed storage bindings."""
 
 _WET = 12
-"""Binding of the wet colours, past all blocks of records. Only the shader that blends them in has this ninth block."""
+"""Binding of the wet colors, after all blocks of records. Only the shader that blends them uses this ninth block."""
 
 _SAME_COLORS = np.eye(3, 4)
 
 
 class FrameSlots(NamedTuple):
-    """What a frame takes of a store."""
+    """Slots of a frame in a `ProjectedSplatBuffer`."""
 
     all: int
     fixed: int
-    """The first so many are Gaussians', the others streaks', of which only the GPU knows how many there are."""
+    """Slots of Gaussians, which come first; the rest are for streaks, whose number only the GPU has."""
     copies: int
-    """Blocks that a group of drops fills."""
+    """Blocks per group of drops."""
 
 
 class ProjectionPass:
-    """Fills a store with the splats of a frame."""
+    """Fills a `ProjectedSplatBuffer` with the splats of a frame."""
 
     def __init__(self, context: moderngl.Context, arrays: GpuArrays) -> None:
         self._context = context
@@ -92,7 +92,7 @@ class ProjectionPass:
         return slots
 
     def compact_visible(self, store: ProjectedSplatBuffer, sort: DepthSort | CpuSort, slots: FrameSlots) -> None:
-        """Pack the keys of all visible splats into what the sort takes, and tell it and the draw how many they are."""
+        """Compact the keys of all visible splats for the sort, and write their number for the sort and the draw."""
         blocks = slots.all // SLOTS_BY_BLOCK
         sort.reserve(max(slots.all, 1))
         found = (self.drops.work, slots.fixed // SLOTS_BY_BLOCK, slots.copies) if slots.copies else None

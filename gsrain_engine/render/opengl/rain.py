@@ -1,4 +1,4 @@
-"""Drops on the GPU: found, made into streaks and projected there; what is uploaded is a row for each class of drops."""
+"""Rain on the GPU: find, expand and project drops; uploads one row per diameter class."""
 
 import moderngl
 import numpy as np
@@ -15,11 +15,11 @@ from .shaders import load_compute_shader
 _CLASS_ROWS, _FOUND, _PLACES, _ROOFS, _COUNTS, _FOUND_WORK = 1, 2, 3, 3, 5, 6
 
 _IN_THE_OPEN = np.float32(-1e9)
-"""What stands for a roof at -inf, which shaders need not know."""
+"""Replacement for a roof height of -inf in shaders."""
 
 
 class RainPass:
-    """Writes the streaks of a moment into a store, behind the scene's splats."""
+    """Writes the streaks at one time into a `ProjectedSplatBuffer`, after the scene's splats."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
@@ -32,10 +32,10 @@ class RainPass:
         self._roofs = GrowableBuffer(context)
         self._masks_by_class = 1
         self.work = context.buffer(np.zeros(WORK_BYTES // 4, np.uint32))
-        """How many drops were found; see `visible_scan`."""
+        """Number of found drops and the indirect dispatch; see `WORK_BYTES`."""
 
     def find(self, field: DropBatch) -> None:
-        """Find the drops that the camera may see."""
+        """Find the drops that may be visible to the camera."""
         self._masks_by_class = max(1, -(-field.count // (CLASSES * 32)))
         masks = self._masks_by_class * CLASSES
         self._classes.reserve(4 * 12 * CLASSES).write(class_rows(field))
@@ -57,7 +57,7 @@ class RainPass:
     def project(
         self, store: ProjectedSplatBuffer, field: DropBatch, display_color: Float64[np.ndarray, "3"], first_slot: int
     ) -> None:
-        """Make streaks of the drops that were found and write what can be seen of them."""
+        """Turn the found drops into streaks and write the visible ones."""
         shader, shutter, wishes = self._shader(store), field.shutter, field.rain
         camera = shutter.camera
         self._set_field(shader, field)
@@ -86,11 +86,11 @@ class RainPass:
         shader.run_indirect(self.work, GROUPS_OFFSET)
 
     def found_count(self) -> int:
-        """How many drops were found last; waits for the GPU."""
+        """Number of drops found last; waits for the GPU."""
         return int(np.frombuffer(self.work.read(4, offset=COUNT_OFFSET), np.uint32)[0])
 
     def found(self) -> UInt32[np.ndarray, " m"]:
-        """Numbers of the drops that were found last, class by class; waits for the GPU."""
+        """Numbers of the drops found last, class by class; waits for the GPU."""
         size = 4 * self._masks_by_class * CLASSES
         masks = np.frombuffer(self._found.buffer.read(size), np.uint32)
         bits = (masks[:, None] >> np.arange(32, dtype=np.uint32)) & np.uint32(1)
@@ -138,7 +138,7 @@ def streak_slots(field: DropBatch) -> int:
 
 
 def class_rows(field: DropBatch) -> UInt32[np.ndarray, "classes 12"]:
-    """Rows as common_drop_field.glsl reads them."""
+    """Rows in the layout of common_drop_field.glsl."""
     seen = field.velocities(np.arange(CLASSES))
     if field.rain.streak_frame == "camera":
         seen = seen - field.shutter.velocity_m_s

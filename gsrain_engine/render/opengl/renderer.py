@@ -1,4 +1,4 @@
-"""Draws Gaussians with OpenGL: project each once, sort by depth, blend quads from back to front, all on the GPU."""
+"""OpenGL renderer: projects, sorts by depth and blends quads back to front, all on the GPU."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -21,13 +21,11 @@ from .shaders import GpuTimers, Switches, load_program
 from .sort import SLOTS, CpuSort, DepthSort
 
 _QUADS_BY_INSTANCE = 128
-"""Splats an instance; instances of one quad would leave a GPU's vertex units idle. As in splat.vert."""
-
-# § Textures that splats are drawn into.
+"""Splats per instance; instances of one quad would leave a GPU's vertex units idle. As in splat.vert."""
 
 
 class FramebufferLayout(NamedTuple):
-    """What a target holds; the fragment shader's locations 0, 1, 2."""
+    """Attachments of a framebuffer: the fragment shader's locations 0, 1, 2."""
 
     size: tuple[int, int]
     dtype: str
@@ -37,7 +35,7 @@ class FramebufferLayout(NamedTuple):
 
 @dataclass(slots=True)
 class Framebuffer:
-    """A framebuffer and its textures."""
+    """Framebuffer with its textures."""
 
     layout: FramebufferLayout
     color: moderngl.Texture
@@ -47,10 +45,10 @@ class Framebuffer:
 
     @classmethod
     def make(cls, context: moderngl.Context, layout: FramebufferLayout) -> "Framebuffer":
-        """Make the textures of a layout; raises `MemoryError` where the graphics card has no room for them."""
+        """Create the textures of a layout; raises `MemoryError` if the graphics card is full."""
         color = context.texture(layout.size, 4, dtype=layout.dtype)
         color.filter = moderngl.NEAREST, moderngl.NEAREST
-        # Without rain the second attachment only keeps the third one's place.
+        # Without rain the second attachment only keeps the location of the third.
         with_shares = layout.shares or layout.depth
         shares = context.texture(layout.size, 2, dtype=layout.dtype) if with_shares else None
         depth = context.texture(layout.size, 2, dtype="f4") if layout.depth else None
@@ -66,14 +64,14 @@ class Framebuffer:
 
 
 class SplatRenderer:
-    """Renders scene and rain into one picture in the current OpenGL context. No count comes back to the processor.
+    """Renders scene and rain into one image in the current OpenGL context, without reading counts back to the CPU.
 
-    Call it on the thread and inside the context that it was made with.
+    Call it on the thread and in the context in which it was created.
 
     Args:
         context: OpenGL 4.3 or later.
-        precision: Of the picture. Half is for scenes without rain: it loses a part of the haze.
-        harmonics: How colours are kept on the GPU.
+        precision: Precision of the image. Half is for scenes without rain: it loses part of the haze.
+        harmonics: GPU storage of colors.
     """
 
     name = "opengl"
@@ -99,12 +97,12 @@ class SplatRenderer:
 
     @property
     def statistics(self) -> RenderStatistics:
-        """What the last picture was made of if it was read, else the one before: nobody waits for the GPU."""
+        """Statistics of the last image if it was read, or else of the one before, to avoid waiting for the GPU."""
         return self._measured
 
     @property
     def picture(self) -> moderngl.Texture:
-        """The last picture: premultiplied display colour, first row on top."""
+        """Last image: premultiplied display color, top row first."""
         assert self._image is not None, "draw before looking at the picture"
         return self._image
 
@@ -119,7 +117,7 @@ class SplatRenderer:
     ) -> None:
         """Draw parts and rain as one depth-ordered compositing; the result is `picture`, and `read()` fetches it.
 
-        `camera` is in the world (metres). Depth is the scene's own: rain takes no part in it.
+        `camera` is in the world (meters). Depth is the scene's own, without rain.
         """
         self._take_stock()
         self._drawn = RenderStatistics(
@@ -129,7 +127,7 @@ class SplatRenderer:
         self._drawn.haze_drawn = falling.haze_drawn if falling is not None else 0
         self._makes_drops = falling is not None and falling.streak_field is not None
         before = self.context.detect_framebuffer()
-        self.context.memory_barrier()  # else shaders may write what those of the last frame still read
+        self.context.memory_barrier()  # otherwise shaders may overwrite data that the last frame still reads
         with self._timers.stage("project"):
             slots = self._projection.project(self._store, parts, camera, falling, look)
         with self._timers.stage("sort"):
@@ -146,9 +144,9 @@ class SplatRenderer:
             self._take_stock()
 
     def read(self) -> Frame:
-        """Fetch the last picture (and depth, if it was drawn) from the GPU.
+        """Fetch the last image (and depth, if it was drawn) from the GPU.
 
-        Raises `DeviceLostError` where the GPU was reset meanwhile: what comes from it is then no picture.
+        Raises `DeviceLostError` if the GPU was reset meanwhile: the data would be invalid.
         """
         self._take_stock()
         rgba = self._fetch(self.picture)
@@ -163,11 +161,11 @@ class SplatRenderer:
     def upload(
         self, gaussians: Gaussians, slice_size: int = CHUNK // 64, *, wet_sh: WetColors = None
     ) -> Iterator[float]:
-        """Bring Gaussians, and their wet colours, to the GPU ahead of their first frame, a slice at each step."""
+        """Upload Gaussians and their wet colors before their first frame, one slice per step."""
         return self.arrays.upload(gaussians, slice_size, wet_sh=wet_sh)
 
     def _take_stock(self) -> None:
-        """Ask the GPU what the last picture was made of."""
+        """Read the statistics of the last image from the GPU."""
         if self._drawn is None:
             return
         self._measured, self._drawn = self._drawn, None
@@ -184,7 +182,7 @@ class SplatRenderer:
     def _blend(
         self, order: moderngl.Buffer, camera: Camera, look: RenderMode, *, with_depth: bool, linear_rain: bool
     ) -> None:
-        """Draw the splats of an order over nothing."""
+        """Draw the sorted splats into an empty framebuffer."""
         size = (camera.width, camera.height)
         target = self._target("splats", FramebufferLayout(size, self._dtype, linear_rain, with_depth))
         switches = {"LINEAR_RAIN": linear_rain, "WITH_DEPTH": with_depth}
@@ -205,7 +203,7 @@ class SplatRenderer:
         context.enable_only(moderngl.NOTHING)
 
     def _resolve(self, look: RenderMode, rain_light: Float32[np.ndarray, "3"] | None) -> moderngl.Texture:
-        """Make the picture of what was blended: scene and rain in linear light, or numbers as heat colours."""
+        """Combine scene and rain in linear light, or turn numbers into heat colors."""
         splats = self._targets["splats"]
         if rain_light is not None:
             assert splats.shares is not None
@@ -247,16 +245,13 @@ class SplatRenderer:
 
 
 def _quad_indices() -> np.ndarray:
-    """Two triangles for each quad of an instance; both begin with the quad's first vertex."""
+    """Two triangles per quad of an instance; both start with the quad's first vertex."""
     quads = 4 * np.arange(_QUADS_BY_INSTANCE, dtype=np.uint32)[:, None]
     return (quads + np.array([0, 1, 2, 1, 3, 2], np.uint32)).ravel()
 
 
-# § Brings a picture to a screen: background, display gain, 8 bits.
-
-
 class Screen:
-    """An 8-bit texture of the size of the last picture."""
+    """Converts images for the screen: background, display gain, 8 bits."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
@@ -268,7 +263,7 @@ class Screen:
     def show(
         self, picture: moderngl.Texture, background: Color = (0.0, 0.0, 0.0), gain: float = 1.0
     ) -> moderngl.Texture:
-        """Tone-map a premultiplied picture; `gain` multiplies linear light."""
+        """Tone-map a premultiplied image; `gain` multiplies linear light."""
         if self._texture is None or self._texture.size != picture.size:
             if self._texture is not None and self._framebuffer is not None:
                 self._framebuffer.release()
@@ -287,11 +282,8 @@ class Screen:
         return self._texture
 
 
-# § Draws without a window, in an OpenGL context of its own.
-
-
 class OffscreenRenderer(SplatRenderer):
-    """A `SplatRenderer` that draws in its context whichever is current, so that several can take turns on a thread."""
+    """`SplatRenderer` that activates its own context, so that several can be used alternately on one thread."""
 
     def draw(
         self,

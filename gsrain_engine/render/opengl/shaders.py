@@ -1,4 +1,4 @@
-"""GLSL sources: includes, switches, and compile errors that name the shader's own file and line."""
+"""GLSL shaders: includes, macros, compile errors with file and line of the source, and GPU timers."""
 
 import re
 import time
@@ -17,15 +17,15 @@ _LINE_IN_ERROR = re.compile(r"^(?:ERROR: )?0[:(](\d+)\)?", re.MULTILINE)
 
 
 class ShaderError(RuntimeError):
-    """A shader that does not compile: the driver's words with our files and lines."""
+    """Raised if a shader does not compile; contains the driver's message with source files and lines."""
 
 
 Switches = Mapping[str, int]
-"""Macros that a shader is compiled with, by name."""
+"""Macros of a shader, by name."""
 
 
 def load_program(context: moderngl.Context, *names: str, switches: Switches | None = None) -> moderngl.Program:
-    """Compile a vertex and a fragment shader (`name.vert`, `name.frag`) of the package `shaders`."""
+    """Compile a vertex and a fragment shader (`name.vert`, `name.frag`) of the folder `shaders`."""
     vertex, fragment = (_Source(name, switches or {}) for name in names)
     try:
         return context.program(vertex_shader=vertex.text, fragment_shader=fragment.text)
@@ -37,7 +37,7 @@ def load_program(context: moderngl.Context, *names: str, switches: Switches | No
 def load_compute_shader(
     context: moderngl.Context, name: str, switches: Switches | None = None
 ) -> moderngl.ComputeShader:
-    """Compile a compute shader (`name.comp`) of the package `shaders`."""
+    """Compile a compute shader (`name.comp`) of the folder `shaders`."""
     source = _Source(name, switches or {})
     try:
         return context.compute_shader(source.text)
@@ -46,7 +46,7 @@ def load_compute_shader(
 
 
 class _Source:
-    """The text of a shader after its includes, and where each line came from."""
+    """Text of a shader with expanded includes, and the origin of each line."""
 
     def __init__(self, name: str, switches: Switches) -> None:
         self.name = name
@@ -85,14 +85,11 @@ def _read(name: str) -> list[str]:
     return (shipped_folder("shaders") / name).read_text(encoding="utf-8").splitlines()
 
 
-# § How long each stage of a frame takes on the GPU, without making anyone wait for it.
-
-
 class GpuTimers:
-    """One timer query a stage; `collect` reads them when the frame is long done.
+    """One timer query per stage; `collect` reads them after the frame has finished, to avoid stalls.
 
-    A software rasterizer's queries mean nothing: there each stage is waited for and its wall time taken, which costs
-    little where the same processor does the work.
+    A software rasterizer's queries are meaningless: there each stage is awaited and its wall time used, which costs
+    little since the same processor does the work.
     """
 
     def __init__(self, context: moderngl.Context) -> None:
@@ -104,7 +101,7 @@ class GpuTimers:
 
     @contextmanager
     def stage(self, name: str) -> Generator[None]:
-        """Measure the work that is handed to OpenGL within the block. Stages don't nest; of one name they add up."""
+        """Measure the OpenGL work issued within the block. Stages don't nest; times of the same name are summed."""
         if self._is_software:
             start = time.perf_counter()
             yield
@@ -117,7 +114,7 @@ class GpuTimers:
         self._running.append((name, query))
 
     def collect(self) -> dict[str, float]:
-        """Milliseconds by stage since the last call; waits for the GPU where it is not done yet."""
+        """Milliseconds by stage since the last call; waits for the GPU if necessary."""
         for name, query in self._running:
             self._add(name, query.elapsed / 1e6)
             self._free.append(query)

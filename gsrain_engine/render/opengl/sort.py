@@ -1,4 +1,4 @@
-"""Sorts the visible splats by depth on the GPU: a radix sort by reduce, scan and scatter."""
+"""Depth sort of visible splats: radix sort on the GPU, or a CPU sort for software rasterizers."""
 
 from typing import NamedTuple
 
@@ -15,16 +15,16 @@ KEY_BITS = 28
 DIGIT_BITS = 4
 
 KEYS_BY_GROUP = 4096
-"""Keys that a workgroup takes; as in common_radix.glsl."""
+"""Keys per workgroup; as in common_radix.glsl."""
 
 KEYS, SLOTS, SORTED_KEYS, SORTED_SLOTS, COUNTS, WORK = 0, 1, 2, 3, 4, 7
 """Storage bindings of the shaders."""
 
 
 class DepthSort:
-    """A stable sort of (key, slot) pairs whose number only the GPU knows (Merrill and Grimshaw's reduce-then-scan).
+    """Stable GPU sort of (key, slot) pairs whose number only the GPU has (Merrill and Grimshaw's reduce-then-scan).
 
-    No subgroups and no look-back: it runs on every driver with OpenGL 4.3, software rasterizers included.
+    It uses neither subgroups nor look-back, so it runs on every driver with OpenGL 4.3, including software rasterizers.
     """
 
     def __init__(self, context: moderngl.Context) -> None:
@@ -36,7 +36,6 @@ class DepthSort:
         self._counts = GrowableBuffer(context)
 
     def reserve(self, capacity: int) -> None:
-        """Make room for so many pairs."""
         for keys, slots in self._pairs:
             keys.reserve(4 * capacity)
             slots.reserve(4 * capacity)
@@ -44,12 +43,12 @@ class DepthSort:
 
     @property
     def unsorted(self) -> tuple[moderngl.Buffer, moderngl.Buffer]:
-        """Where keys and slots are to be written to."""
+        """Input buffers of keys and slots."""
         keys, slots = self._pairs[0]
         return keys.buffer, slots.buffer
 
     def sort(self, work: moderngl.Buffer) -> moderngl.Buffer:
-        """Sort by rising key; `work` is a store's: it holds the number of keys. Returns the sorted slots."""
+        """Sort by rising key; `work` contains the number of keys. Returns the sorted slots."""
         here, there = self._pairs
         work.bind_to_storage_buffer(WORK)
         self._counts.bind(COUNTS)
@@ -69,19 +68,18 @@ class DepthSort:
 
 
 class SortCheck(NamedTuple):
-    """The faults of an order of so many splats that a GPU made; all 0 where it is right."""
+    """Faults in a GPU's order of splats; all 0 if it is correct."""
 
     splats: int
     missing: int
-    """Slots that the order does not hold: others are in it twice, or what is no slot."""
+    """Slots missing from the order: others are duplicated or invalid."""
     inversions: int
-    """Neighbors in it of which the second belongs before the first, by key or, of equal keys, by slot."""
+    """Neighbors of which the second belongs before the first, by key or, for equal keys, by slot."""
     changed: int
-    """Places that hold another slot when the same keys are sorted a second time."""
+    """Positions with a different slot when the same keys are sorted a second time."""
 
     @property
     def is_right(self) -> bool:
-        """True where it has no fault."""
         return not (self.missing or self.inversions or self.changed)
 
     def __str__(self) -> str:
@@ -92,14 +90,14 @@ class SortCheck(NamedTuple):
 
 
 def check_sort(context: moderngl.Context, count: int) -> SortCheck:
-    """Sort so many depths twice on the context, which is current, and compare what comes back with the keys.
+    """Sort `count` depths twice on the current context and compare the result with the keys.
 
-    A barrier that a shader or a driver lacks shows as a fault on a GPU, not on a software rasterizer. Raises
-    `MemoryError` where the graphics card has no room for 18 bytes a key.
+    A barrier missing in a shader or driver appears as a fault on a GPU, not on a software rasterizer. Raises
+    `MemoryError` if the graphics card has no room for 18 bytes per key.
     """
     rng = np.random.default_rng(count)
     depths_m = (NEAR_M + rng.lognormal(2.0, 1.0, count)).astype(np.float32)
-    depths_m[::2] = np.ceil(depths_m[::2])  # so that many are equal
+    depths_m[::2] = np.ceil(depths_m[::2])  # makes many keys equal
     keys, slots = depths_m.view(np.uint32) - np.float32(NEAR_M).view(np.uint32), np.arange(count, dtype=np.uint32)
     numbers = np.zeros(WORK_BYTES // 4, np.uint32)
     numbers[COUNT_OFFSET // 4], numbers[GROUPS_OFFSET // 4 :] = count, (-(-count // KEYS_BY_GROUP), 1, 1)
@@ -116,7 +114,7 @@ def check_sort(context: moderngl.Context, count: int) -> SortCheck:
 def sort_faults(
     keys: UInt32[np.ndarray, " n"], order: UInt32[np.ndarray, " n"], second: UInt32[np.ndarray, " n"]
 ) -> SortCheck:
-    """Count the faults of an order of slots 0 to n - 1, whose keys are given; a second order should be the same."""
+    """Count the faults of an order of slots 0 to n - 1 with these keys; a second order should be identical."""
     held = order[order < len(keys)].astype(np.int64)
     ranks = keys[held].astype(np.int64) * len(keys) + held  # by key, then by slot
     return SortCheck(
@@ -127,27 +125,21 @@ def sort_faults(
     )
 
 
-# § Sorts the visible splats by depth on the processor, where a software rasterizer would do it there anyway, slower.
-
-
 class CpuSort:
-    """The same order as `DepthSort`, bit for bit."""
+    """Sorts on the CPU in the same order as `DepthSort`, bit for bit; faster for software rasterizers."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._keys, self._slots = GrowableBuffer(context), GrowableBuffer(context)
 
     def reserve(self, capacity: int) -> None:
-        """Make room for so many pairs."""
         self._keys.reserve(4 * capacity)
         self._slots.reserve(4 * capacity)
 
     @property
     def unsorted(self) -> tuple[moderngl.Buffer, moderngl.Buffer]:
-        """Where keys and slots are to be written to."""
         return self._keys.buffer, self._slots.buffer
 
     def sort(self, work: moderngl.Buffer) -> moderngl.Buffer:
-        """Sort by rising key; `work` is a store's: it holds the number of keys. Returns the sorted slots."""
         keys, slots = self.unsorted
         count = int(np.frombuffer(work.read(4, offset=COUNT_OFFSET), np.uint32)[0])
         if count:
@@ -157,8 +149,8 @@ class CpuSort:
 
 
 def nearest_first(keys: UInt32[np.ndarray, " n"], slots: UInt32[np.ndarray, " n"]) -> UInt32[np.ndarray, " n"]:
-    """Slots by rising key; of equal keys the lower slot comes first."""
-    # One 64-bit number a splat, key above slot: no two are equal, so any fast sort is a stable one.
+    """Slots by rising key; for equal keys the lower slot comes first."""
+    # One 64-bit number per splat, key above slot: all are distinct, so any fast sort is stable.
     pairs = (keys.astype(np.uint64) << np.uint64(32)) | slots
     pairs.sort()
     return (pairs & np.uint64(0xFFFFFFFF)).astype(np.uint32)
