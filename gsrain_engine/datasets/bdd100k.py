@@ -47,8 +47,8 @@ def _holds_frames(files: list[Path]) -> bool:
 def read_bdd100k(path: Path) -> Capture:
     """Read all frames at or below a folder as independent views, with attributes from label files if found.
 
-    Images with other names, broken frames and label files are omitted and listed as problems. Raises `CaptureError` if
-    no frame is readable.
+    Images with other names, broken frames and label files are listed as problems. Raises `CaptureError` without any
+    frame.
     """
     pictures = [file for folder in _image_folders(path) for file in images_in(folder)]
     files = [file for file in pictures if _is_frame(file)]

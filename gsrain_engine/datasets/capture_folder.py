@@ -197,7 +197,6 @@ def _folder(path: Path) -> Path | None:
 
 
 # Plain image folders
-# Without poses they serve for transfer and evaluation, not for reconstruction.
 
 ASSUMED_HORIZONTAL_FOV_DEG = 60.0
 """Field of view of uncalibrated cameras: between a phone's (about 65) and a narrow driving camera's (50)."""

@@ -204,7 +204,6 @@ _BROWN = ("SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 _EQUIDISTANT = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_FISHEYE", "FISHEYE")
 
 # COLMAP captures
-# In the unit and the axes of the reconstruction.
 
 _LAYOUTS = (".", "0", "sparse", "sparse/*", "colmap/sparse/*", "colmap_derived/sparse/*", "distorted/sparse/*")
 

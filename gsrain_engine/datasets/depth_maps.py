@@ -45,7 +45,6 @@ def depth_priors(capture: Capture, views: Sequence[CaptureFrame]) -> DepthPriors
 
 
 # Measured depth
-# From depth images, lidar, or surface points, for the static scene.
 
 _MAX_SWEEPS = 9
 """Maximum number of sweeps, nearest in time, for a view's depth: more sweeps fill more pixels until poses drift."""
@@ -97,8 +96,8 @@ def completed_depths(
 ) -> list[Float32[np.ndarray, "_ _"]]:
     """Depth of all pixels but the sky's, from `measured_depths`; all 0 without measurements.
 
-    A view's own depth image is kept unchanged. With triangulated points only, which are sparse on roads, a plane
-    represents the road.
+    Keeps a view's own depth image unchanged. With triangulated points only, sparse on roads, a plane represents the
+    road.
     """
     drop = None
     if not capture.sweeps and capture.points_m is not None and len(capture.points_m):
@@ -114,7 +113,6 @@ def completed_depths(
 
 
 # Road plane
-# Assumed under the cameras of a drive where points are sparse.
 
 _LOWEST = 0.03
 """Fraction of the points near the cameras that lie below the road because of triangulation errors."""

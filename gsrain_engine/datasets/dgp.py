@@ -238,8 +238,6 @@ class _DgpScene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _DgpLidar:
-    """A point cloud of a sample."""
-
     name: str
     cloud: dict[str, Any]
     time_s: float

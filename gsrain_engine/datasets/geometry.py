@@ -88,7 +88,6 @@ def named_pose(values: Mapping[str, Any]) -> Float64[np.ndarray, "4 4"]:
 
 
 # Projection
-# For any world axes and unit, including OpenCV's lenses.
 
 _STEPS = 4096
 
@@ -157,8 +156,7 @@ def _rising(values: Float64[np.ndarray, " n"]) -> int:
     return int(falls[0]) if len(falls) else len(values) - 1
 
 
-# OpenCV calibrations
-# Their first pixel's center is (0, 0), not (0.5, 0.5).
+# OpenCV calibrations: the first pixel's center is (0, 0), not (0.5, 0.5)
 
 _TO_OURS_PX = 0.5
 
@@ -257,7 +255,6 @@ def _near_road(cloud: Float[np.ndarray, "p 3"], expected_m: float) -> Float[np.n
 
 
 # Up direction
-# Estimated from the cameras of a world without a known up direction.
 
 _TIE_BREAK = 0.02
 """Weight of the images' mean up direction relative to level right axes: it only resolves ambiguities."""
@@ -273,8 +270,7 @@ def estimate_up_direction(cameras: Sequence[Camera]) -> tuple[float, float, floa
     """Estimate the unit upward direction in the world's axes.
 
     Image rows are usually level, so up is the direction most orthogonal to all right axes. Cameras that all look one
-    way leave the pitch undetermined; then up is also orthogonal to a flat course, otherwise the mean of the images' up
-    directions.
+    way leave the pitch undetermined; then up is also orthogonal to a flat course, otherwise the images' mean up.
     """
     rotations = np.stack([camera.world_to_camera[:3, :3] for camera in cameras])
     right, upright = rotations[:, 0], -rotations[:, 1].mean(axis=0)
@@ -301,7 +297,6 @@ def _course(cameras: Sequence[Camera], upright: Float64[np.ndarray, "3"]) -> Flo
 
 
 # Lidar depth
-# Sparse, without points occluded from the camera.
 
 BEAM_GAP_DEG = (0.6, 1.5)
 """Largest gap between adjacent beams to be bridged, horizontal and vertical, for a lidar with 32 beams."""
@@ -409,8 +404,7 @@ def tracked_boxes(samples: Iterable[BoxSample], times_s: Sequence[float]) -> tup
     """Join the annotations of each object; `times_s` are all annotated times, with or without boxes.
 
     An object exists from half-way after the last time without it to half-way before the next one. Its motion is
-    extrapolated in these intervals, and as far outside the annotated times, because cameras fire between lidar sweeps.
-    Its size is the median.
+    extrapolated there, and as far outside the annotated times, because cameras fire between sweeps. Sizes are medians.
     """
     stamps = np.unique([time for time in times_s if np.isfinite(time)])
     by_id: dict[str, dict[int, BoxSample]] = defaultdict(dict)

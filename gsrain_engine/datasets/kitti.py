@@ -108,9 +108,8 @@ def read_velodyne(file: Path) -> tuple[Float32[np.ndarray, "p 3"], Float32[np.nd
 
 
 # KITTI odometry
-# Sequences of rectified images with the poses of the first camera. The world has the first pose's axes, rotated to x
-# forward, y left and z up, like the vehicle's frame, which is the first camera's. The world is as level as that camera
-# was on the road.
+# The world has the first pose's axes, rotated to x forward, y left and z up, like the vehicle's frame, which is the
+# first camera's. The world is as level as that camera was on the road.
 
 _COLOR, _GRAY = ("image_2", "image_3"), ("image_0", "image_1")
 
@@ -232,10 +231,9 @@ def _scans(
             record.problems.append(f"velodyne/{file.name} left out: {error}")
 
 
-# OXTS records
-# KITTI's positions and attitudes as poses in meters, by a Mercator projection as defined in
-# devkit/matlab/convertOxtsToPose.m: scale of the first record's latitude, yaw 0 to the east. The world is x east, y
-# north, z up; the frame is that of the inertial unit: x forward, y left, z up.
+# OXTS poses
+# A Mercator projection as in devkit/matlab/convertOxtsToPose.m: scale of the first record's latitude, yaw 0 to the
+# east. The world is x east, y north, z up; the frame is the inertial unit's: x forward, y left, z up.
 
 OxtsRecord = Float64[np.ndarray, "6"]
 """Latitude, longitude (degrees), altitude (m), roll, pitch, yaw (rad)."""
@@ -280,8 +278,7 @@ def _turn(roll_pitch_yaw: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"
     return about_z @ about_y @ about_x
 
 
-# Tracklets
-# tracklet_labels.xml of a raw drive: boxes in the lidar's frame by image number.
+# Tracklets (tracklet_labels.xml)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -332,8 +329,7 @@ def _number(item: ElementTree.Element, name: str) -> float:
 
 
 # KITTI raw
-# Synchronized and rectified drives, with the calibration of the day in the parent folder. The vehicle's frame is that
-# of the inertial unit (x forward, y left, z up); the world is x east, y north, z up.
+# The vehicle's frame is that of the inertial unit (x forward, y left, z up); the world is x east, y north, z up.
 
 _CAMERAS, _GRAY_CAMERAS = ("image_02", "image_03"), ("image_00", "image_01")
 
@@ -472,7 +468,6 @@ class _KittiDrive:
 
 
 def _pose_of_lines(values: Calibration, file: Path) -> Float64[np.ndarray, "4 4"]:
-    """Pose of the lines R and T."""
     return _rigid(numbers_of(values, "R", 9, file), numbers_of(values, "T", 3, file), file)
 
 

@@ -71,8 +71,8 @@ def _tables_in(path: Path) -> Path | None:
 
 
 # Tables
-# Only the tables and fields that a capture needs. Facts: docs/schema_nuscenes.md of
-# github.com/nutonomy/nuscenes-devkit. Rotations are w x y z, sizes are width length height.
+# Facts: docs/schema_nuscenes.md of github.com/nutonomy/nuscenes-devkit. Rotations are w x y z, sizes width length
+# height.
 
 
 class NuScenesScene(msgspec.Struct, frozen=True, gc=False):

@@ -1,7 +1,6 @@
 """Check of a capture's poses against its lidar, and against matches between neighboring views.
 
-A wrong convention (inverted matrices, OpenGL's axes, swapped cameras) prevents sharp reconstructions; this check finds
-and names it within seconds.
+A wrong convention (inverted matrices, OpenGL's axes, swapped cameras) prevents sharp reconstructions.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -38,8 +37,7 @@ class PoseCheck:
     """The finding as one sentence with its figures."""
 
 
-# Check by lidar
-# Depth edges must coincide with image edges.
+# Check by lidar: depth edges must coincide with image edges
 
 
 def check_by_lidar(capture: Capture, sensor: str) -> PoseCheck | None:
@@ -58,7 +56,6 @@ def check_by_lidar(capture: Capture, sensor: str) -> PoseCheck | None:
 
 
 # Check by matches
-# Between neighboring views of one camera: epipolar distances, and points in front of both.
 
 
 def check_by_matches(capture: Capture, sensor: str) -> PoseCheck | None:
@@ -101,9 +98,7 @@ def check_poses(capture: Capture, on_progress: Callable[[float], None] | None = 
 
 
 STANDS_OUT = 1.5
-"""Minimum fit of a correct pose, in standard deviations above rotated poses. Observed: 1.9 to 7.8 a view, wrong poses
--2.9 to 2.7.
-"""
+"""Minimum fit of a correct pose, in standard deviations. Observed: 1.9 to 7.8 a view, wrong poses -2.9 to 2.7."""
 
 _VIEWS = 4
 
@@ -141,8 +136,7 @@ def _sweep_pairs(capture: Capture, views: Sequence[CaptureFrame]) -> list[_Sweep
 
 
 EXPLAINED = 0.6
-"""Minimum share of matches for correct poses, which explain 83 to 100 % in real drives; wrong ones explain up to 52 %.
-"""
+"""Minimum share of matches for correct poses, which explain 83 to 100 % in real drives, wrong ones up to 52 %."""
 
 _PAIRS = 3
 
@@ -198,7 +192,6 @@ def _features(view: CaptureFrame) -> ImageFeatures | None:
 
 
 # Common mistakes
-# Expressed as the poses that would be correct.
 
 _FLIPPED = np.diag([1.0, -1.0, -1.0, 1.0])
 

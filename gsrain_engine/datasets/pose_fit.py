@@ -149,8 +149,7 @@ def _pairs(first: Float32[np.ndarray, "f 128"], second: Float32[np.ndarray, "g 1
     return np.array(kept, np.int64).reshape(-1, 2)
 
 
-# Lidar edges
-# Agreement of a lidar's depth edges with image edges under a pose (after Levinson and Thrun 2013).
+# Lidar edges against image edges (after Levinson and Thrun 2013)
 
 EDGE_WIDTH_PX = 640
 """Image width: far edges of a lidar with 32 beams are no finer."""

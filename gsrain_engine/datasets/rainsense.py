@@ -56,9 +56,8 @@ def read_rainsense(path: Path) -> Capture:
 
 
 # Sequences
-# Images of a fixed roadside camera in rain of known intensity. A sequence is a folder with image/image_NNN.jpg,
-# context/camera_intrinsics.txt, context/rainfall_intensity.txt and timestamps.txt (IVtest-Lab/RainSense, doi
-# 10.5281/zenodo.17231190).
+# Folders with image/image_NNN.jpg, context/camera_intrinsics.txt, context/rainfall_intensity.txt and timestamps.txt
+# (IVtest-Lab/RainSense, doi 10.5281/zenodo.17231190).
 
 
 @dataclass(frozen=True, slots=True, eq=False)

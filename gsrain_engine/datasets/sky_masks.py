@@ -36,8 +36,7 @@ _WIDTH = 320
 """Width in pixels of the small image for `certain_sky`; the constants below refer to it, with colors in CIELAB."""
 
 _EVEN, _SOFT = 1.5, 3.5
-"""Maximum color step a pixel of an even region, and within one sky: clouds have soft edges, roofs and twigs hard ones.
-"""
+"""Maximum color step a pixel of an even region, and within one sky: unlike roofs and twigs, clouds have soft edges."""
 
 _BLUE_B, _PAINT_CHROMA, _PALE_CHROMA, _WARM_B, _WARM_LIGHT = -5.0, 62.0, 16.0, 20.0, 85.0
 """Maximum b* of blue, minimum chroma of paint, maximum chroma of white or gray; b* and lightness of a sunset sky."""
@@ -55,14 +54,13 @@ _EVEN_SHARE, _GRAIN = 0.4, 0.8
 """Minimum share of even pixels in a sky, and its maximum median grain of lightness."""
 
 _BLUE_PER_SURE, _BRIGHT_PER_SURE, _WORST_LEAD, _WHITE, _FOR_WHITE = 10.0, 8.0, -2.0, 97.0, 0.6
-"""Scores of a patch: blueness, and lead in lightness over the brightest tenth of the rest, for one point each; the
-minimum score of the lead, for scenes with white objects; lightness of white, and the bonus for it, because sensors clip
-skies first.
+"""Blueness and lead in lightness over the brightest tenth of the rest, each worth one point; minimum points of the lead
+(white objects); lightness that counts as white, and the points for it: sensors clip skies first.
 """
 
 _DIM, _BRIGHT_SKY, _FINE_GRAIN, _DEEP_BLUE = 60.0, 80.0, 0.35, 15.0
-"""Lightness below which only deep blue is sky, lightness below which a sky without deep blue must have the finest
-grain, that grain, and the blueness of deep blue.
+"""Lightness below which only deep blue is sky, and below which other skies must have fine grain; that grain; blueness
+of deep blue.
 """
 
 _COOL, _SUNLIT_WALL = 3.0, 10.0
@@ -77,20 +75,17 @@ _WIRE, _WIRES = 8, 3
 """Width in pixels of a blurred wire, which may divide a sky, and maximum number of wires one below the other."""
 
 _BODY = 7
-"""Minimum width in pixels of a connection: soft edges between a gray truck and a cloud, and bright ledges of walls, are
-narrower.
-"""
+"""Minimum width in pixels of a connection: soft edges of gray trucks and bright ledges of walls are narrower."""
 
 _MIXED = (0.75, 0.45)
-"""Minimum fractions of the surrounding sky's lightness and blue for a mixture of twigs and sky; blue cars are darker.
-"""
+"""Minimum fractions of the surrounding sky's lightness and blue for a mixture of twigs and sky, unlike blue cars."""
 
 _ALIKE = 12.0
 """Maximum color difference from certain sky of another sky patch at the upper edge."""
 
 _AMIDST, _SPREAD_PX, _BLUE_ROUNDS, _PALE_ROUNDS, _GAP_DISTANCE, _RIM_DISTANCE = 0.3, 6.0, 8, 2, 9.0, 14.0
-"""For gaps between wires or twigs: minimum share of surrounding sky, its radius in pixels, rounds for blue and for pale
-skies, and maximum color difference; last, that difference for the rim lost by smoothing.
+"""For gaps between wires or twigs: minimum share of surrounding sky, radius in pixels, rounds for blue and for pale
+skies, maximum color difference; last, that difference for the rim lost by smoothing.
 """
 
 

@@ -125,7 +125,6 @@ def _length(places: Float64[np.ndarray, "n 3"]) -> float:
 
 
 # Overlays
-# Images with points (colored by depth) and boxes, for a visual check of the calibration.
 
 _NEAREST_PART, _FARTHEST_PART = 0.02, 0.98
 

@@ -25,10 +25,8 @@ CAMERAS = {
     7: "REAR",
     8: "REAR_RIGHT",
 }
-"""Names of cameras by number."""
 
 CLASSES = {1: "vehicle", 2: "pedestrian", 3: "sign", 4: "cyclist"}
-"""Names of classes by number."""
 
 _LONGEST_EXPOSURE_S = 1.0
 
@@ -94,7 +92,6 @@ def heading_pose(center_m: Sequence[float], heading_rad: float) -> Float64[np.nd
 # Facts: RangeImage in dataset.proto and v2/perception/lidar.py of github.com/waymo-research/waymo-open-dataset.
 
 LASERS = {1: "TOP", 2: "FRONT", 3: "SIDE_LEFT", 4: "SIDE_RIGHT", 5: "REAR"}
-"""Names of lidars by number."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,9 +177,8 @@ def _moved(pose, x, y, z):
     )
 
 
-# Protocol buffers
-# Only the fields that a capture needs, so that TensorFlow is not required. Names and numbers of fields are facts of
-# dataset.proto and label.proto of github.com/waymo-research/waymo-open-dataset.
+# Protocol buffers, so that TensorFlow is not required
+# Names and numbers are facts of dataset.proto and label.proto of github.com/waymo-research/waymo-open-dataset.
 
 _SCALARS = {"double": 1, "float": 2, "int64": 3, "int32": 5, "string": 9, "bytes": 12}
 """Numbers of FieldDescriptorProto.Type; enumerations are read as int32."""

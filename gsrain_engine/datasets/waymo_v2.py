@@ -184,7 +184,6 @@ def vehicle_poses(file: Path) -> tuple[dict[int, Float64[np.ndarray, "4 4"]], li
 
 
 # Lidar
-# Rows of range images and of their pixels' poses, as points.
 
 _LIDAR_TIME, _LASER = "key.frame_timestamp_micros", "key.laser_name"
 

@@ -26,8 +26,7 @@ FEWEST_FAR_OFF, FAR_OFF = 5, 3.0
 """Number of records that suffices if the ratio is beyond 3 or 1/3."""
 
 LOWEST_RATIO, HIGHEST_RATIO, LOWEST_CORRELATION = 0.7, 1.4, 0.9
-"""Real Parsivels' drops give 0.98 to 1.14 times the instrument's rate, with r = 0.99; snow and insects 2 to 80 times.
-"""
+"""Real Parsivels' drops give 0.98 to 1.14 times the instrument's rate (r = 0.99); snow and insects 2 to 80 times."""
 
 _REASONS = 5
 """Maximum number of reasons printed for a file, most frequent first."""
@@ -73,7 +72,6 @@ class RateCheck:
 
     @property
     def line(self) -> str:
-        """One line with the figures and the verdict."""
         agrees = self.agrees
         verdict = "agrees" if agrees else "DISAGREES"
         if agrees is None:

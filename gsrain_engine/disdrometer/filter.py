@@ -149,8 +149,7 @@ def _speed_off(spectra: DropSpectra) -> Float64[np.ndarray, "diameters velocitie
     return speeds / expected - 1
 
 
-# Class masks
-# A table of 32 x 32 zeros and ones for Parsivel spectra, like PyDSD's conditional matrix.
+# Class masks: 32 x 32 zeros and ones for Parsivel spectra, like PyDSD's conditional matrix
 
 
 def is_class_mask(lines: list[str]) -> bool:
@@ -173,7 +172,7 @@ LARGEST_FILE = 256 * 2**20
 """Bytes after inflation: about two months of one-minute Parsivel records as text."""
 
 MAX_LINES = 8_000_000
-"""Maximum number of text lines: a telegram has one line a field, about every third or fourth with hundreds of bytes."""
+"""Maximum number of text lines: a telegram has one line a field, with some hundred bytes in three or four."""
 
 _GZIP_MAGIC = b"\x1f\x8b"
 

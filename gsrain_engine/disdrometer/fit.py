@@ -173,8 +173,7 @@ def calibrate_files(
     """Fit to all files together and record the provenance.
 
     Raises `RatesDisagreeError` if the drops contradict the instrument's own rate, in one file or in all together
-    (`RateCheck.problem`), unless `force` is set; `ValueError` if the files are of different instruments, or if there
-    isn't enough rain in them.
+    (`RateCheck.problem`), unless `force` is set; `ValueError` for different instruments, or without enough rain.
     """
     options = options or FitOptions()
     instruments = list(dict.fromkeys(each.trusted.instrument for each in files))

@@ -149,8 +149,7 @@ def _scoring_step(
     return step
 
 
-# Fall speed over diameter
-# A quadratic through the mean speed of each diameter class (paper, eq. 9).
+# Fall speed over diameter (paper, eq. 9)
 
 MIN_SPEED_DROPS = 10
 """Minimum number of drops for a class's mean speed."""
@@ -203,8 +202,7 @@ def assumed_velocity() -> VelocityFit:
     return VelocityFit(coefficients=(a, b, c))
 
 
-# Axis ratio over diameter
-# Height over width of single drops (paper, eq. 4), for instruments that measure drop shapes.
+# Axis ratio (height over width) over diameter (paper, eq. 4)
 
 _WIDTH_MM = 0.25
 

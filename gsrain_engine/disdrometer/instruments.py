@@ -80,8 +80,7 @@ class Instrument:
         return DisdrometerReading(spectra=spectra, skipped=tuple(skipped))
 
 
-# OTT Parsivel
-# Parsivel2 manual, appendix C: 32 diameters, 32 fall speeds.
+# OTT Parsivel (Parsivel2 manual, appendix C)
 
 
 def _edges(*runs: tuple[int, float]) -> Float64[np.ndarray, " edges"]:
@@ -105,9 +104,9 @@ def effective_area_m2(diameters_mm: Float64[np.ndarray, " diameters"]) -> Float6
 
 PARSIVEL_AREA_M2 = effective_area_m2(0.5 * (PARSIVEL_DIAMETER_EDGES_MM[:-1] + PARSIVEL_DIAMETER_EDGES_MM[1:]))
 
-# Thies laser precipitation monitor
-# Instruction for use: 22 diameters, 20 speeds. The last diameter class is open, from 8 mm; it gets the width of the one
-# before. The last speed class ends at 20 m/s, beyond which the instrument counts no particle.
+# Thies laser precipitation monitor (instruction for use)
+# The last diameter class is open, from 8 mm; it gets the width of the one before. The last speed class ends at 20 m/s,
+# beyond which the instrument counts no particle.
 
 THIES_DIAMETER_EDGES_MM = np.concatenate([[0.125, 0.25, 0.375, 0.5], np.arange(0.75, 2, 0.25), np.arange(2, 8.6, 0.5)])
 

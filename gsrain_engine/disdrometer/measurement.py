@@ -50,7 +50,7 @@ class DisdrometerMeasurement:
     def standard_error_mm_h(self) -> float:
         """Standard error of the rate: sqrt(sum w^2), w the contribution of one drop; arrivals are Poisson.
 
-        For an area that is a share p of the lattice's period, the true error is sqrt(1 - p) times this, as the total is
+        For an area that is a share p of the lattice's period, the true error is sqrt(1 - p) times this: the total is
         fixed.
         """
         return float(np.sqrt(np.sum(self._totals * self._rate_of_one_mm_h**2)))

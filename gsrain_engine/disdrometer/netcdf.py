@@ -109,8 +109,7 @@ def usable_records(
     return usable, skipped
 
 
-# GSRAIN's drop-spectra format
-# NetCDF-4 (CF-1.10), with every array of `DropSpectra` by its own name and unit.
+# GSRAIN's drop-spectra format: NetCDF-4 (CF-1.10)
 
 FORMAT_ATTRIBUTE = "gsrain_drop_spectra"
 """File attribute that identifies the format; its value is the layout version."""
@@ -219,8 +218,7 @@ def _edges(dataset: xr.Dataset, name: str) -> Float64[np.ndarray, " n_and_one"]:
     return edges
 
 
-# Instruments' spectra
-# Files with a spectrum of diameter and fall speed a record: ARM, Cloudnet, disdrodb and similar.
+# Instruments' spectra: ARM, Cloudnet, disdrodb and similar
 
 _SPEED_WORDS = ("vel", "speed")
 

@@ -52,8 +52,6 @@ def record_layout(data: bytes) -> RecordLayout:
 
 
 class _NetcdfHeader:
-    """Cursor over the header."""
-
     def __init__(self, data: bytes):
         self.data = data
         self.at = 4

@@ -108,7 +108,6 @@ def _unknown_kind(contents: FileContents, where: str) -> UnknownKindError:
 
 
 # NetCDF
-# Classic or HDF5 files are opened from memory and passed to the instrument's reader.
 
 _CLASSIC = (b"CDF\x01", b"CDF\x02")
 
@@ -195,7 +194,6 @@ def _damaged(path: Path, error: Exception) -> DisdrometerFileError:
 
 
 # Text formats from installed packages
-# Tried after all built-in formats.
 
 
 @dataclass(frozen=True, slots=True)

@@ -133,7 +133,6 @@ def _record(line: str, columns: _Columns) -> SpectrumRecord:
 
 
 # Station logs
-# One record a line, in the dialect of the station.
 
 _LOG_LOOK_AHEAD = 20
 
@@ -215,8 +214,7 @@ _DIALECTS = (
     Dialect(re.compile(r"^\d{14}(\.\d+)?;[^;]*;[^;]*;[^;]*;[^;]*;[^;]*;\d+;"), _station),
 )
 
-# Telegrams
-# One numbered field a line (Parsivel2 manual, section 11.2).
+# Telegrams (Parsivel2 manual, section 11.2)
 
 _FIELD = re.compile(r"^(\d\d):(.*)")
 

@@ -21,7 +21,6 @@ class DropSpectra:
     times: Shaped[np.ndarray, " records"]
     """End of each record in UTC, datetime64[ms]; NaT if the file has no times."""
     seconds: Float64[np.ndarray, " records"]
-    """Length of each record."""
     diameter_edges_mm: Float64[np.ndarray, " diameters_and_one"]
     """Increasing bounds of the diameter classes, as volume-equivalent sphere diameters."""
     velocity_edges_m_s: Float64[np.ndarray, " velocities_and_one"] | None
@@ -41,7 +40,6 @@ class DropSpectra:
         return len(self.counts)
 
     def __getitem__(self, records: slice | Bool[np.ndarray, " picked"]) -> "DropSpectra":
-        """Select records."""
         return replace(
             self,
             times=self.times[records],

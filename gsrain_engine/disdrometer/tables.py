@@ -115,7 +115,6 @@ def drops_of_densities(
 
 
 # Rain rates without drops
-# RainSense's intensity files, and short telegrams.
 
 _INTENSITY = re.compile(r"^\s*current intensity\s*:\s*(\S*)\s*$", re.IGNORECASE)
 
@@ -158,7 +157,6 @@ def rates_reading(instrument: str, records: list[SpectrumRecord], skipped: list[
 
 
 # Text tables
-# One record a line, in a dialect recognized by the header, or described by a YAML file.
 
 _RATE_UNITS = {"mm/h": 1.0, "mm/min": 60.0, "mm/s": 3600.0, "m/s": 3.6e6}
 
@@ -298,7 +296,7 @@ def load_columns(path: Path | str) -> TableColumns:
 def table_columns(lines: Sequence[str]) -> TableColumns | None:
     """Description of a table whose header names a time and all drops; None without such a header.
 
-    Recognizes Campbell's TOA5 logs of a Parsivel, pyAtmosLogger's CSV, DISDRODB's names (NOAA's SCAMP), and RD-80
+    Recognizes Campbell's TOA5 logs of a Parsivel, pyAtmosLogger's CSV, DISDRODB's names (NOAA's SCAMP) and RD-80
     tables.
     """
     for i, line in enumerate(lines[:_HEADER_WITHIN]):

@@ -34,10 +34,9 @@ def is_thies(lines: list[str]) -> bool:
 
 
 def read_thies(path: Path, lines: list[str]) -> DisdrometerReading:
-    """Read telegrams, one a line, bare or after a logger's time.
+    """Read telegrams, one a line, bare or after a logger's time; without spectra, the reading has rates and no drops.
 
-    If every telegram is too short for a spectrum, the reading has rates and no drops. Raises `DisdrometerFileError` if
-    no record is usable.
+    Raises `DisdrometerFileError` if no record is usable.
     """
     numbered = list(_telegrams(lines))
     if all(len(_values(text)) <= _SHORT for _, text in numbered):

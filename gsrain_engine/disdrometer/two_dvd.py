@@ -141,7 +141,6 @@ def _usable(
 
 
 # Joss-Waldvogel impact disdrometer (JWD, RD-80)
-# 20 diameters, without fall speeds.
 
 NAME = "Joss-Waldvogel"
 

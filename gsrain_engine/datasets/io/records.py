@@ -101,10 +101,9 @@ def _parquet() -> Any:
         raise CaptureError("Waymo's Parquet files need the package pyarrow: pip install 'gsrain[waymo]'") from None
 
 
-# TFRecord
-# Read without TensorFlow. A record is its length (u64), a checksum of these 8 bytes (u32), the content, and a checksum
-# of the content (u32), all little endian; a checksum is a CRC-32C, masked by a rotation of 15 bits plus a constant.
-# Facts: tensorflow/core/lib/io/record_writer.h.
+# TFRecord, without TensorFlow
+# A record is its length (u64), a checksum of these 8 bytes (u32), the content, and a checksum of it (u32), all little
+# endian; a checksum is a CRC-32C rotated by 15 bits plus a constant. Facts: tensorflow/core/lib/io/record_writer.h.
 
 _HEAD, _TAIL = struct.Struct("<QI"), struct.Struct("<I")
 
@@ -178,7 +177,6 @@ def _crc32c(content, table):
 
 
 # Point clouds in PLY
-# Text or binary: positions, and optional colors.
 
 _LARGEST_HEADER = 1 << 20
 

@@ -31,8 +31,8 @@ _STOP, _PUT, _BINPUT, _LONG_BINPUT = (code[0] for code in (pickle.STOP, pickle.P
 def lying_instruction(content: bytes) -> int | None:
     """Byte of the first instruction that is invalid or claims too much memory; None if there is none.
 
-    Compares lengths with the rest of the file, and memo indices, up to which Python allocates, with the number of
-    instructions so far.
+    Compares lengths with the rest of the file, and memo indices, up to which Python allocates, with the instruction
+    count.
     """
     place = int(_walk(np.frombuffer(content, np.uint8), _LENGTHS))
     return None if place < 0 else place
@@ -108,7 +108,6 @@ def _number(content, at, width):
 
 
 # Reading
-# Only plain values and arrays are built; any other request is refused, and no code is executed.
 
 _MAX_BYTES = 8 << 30
 
