@@ -26,13 +26,13 @@ _PEOPLE = ("person", "pedestrian", "human", "child", "adult", "animal", "sitting
 
 
 def can_move(box: TrackedBox) -> bool:
-    """Return whether its class is a vehicle, a person or an animal, in any dataset's words."""
+    """Return whether a box's class is a vehicle, a person or an animal, in any dataset's words."""
     name = box.class_name.lower()
     return any(word in name for word in _MOVERS + _PEOPLE)
 
 
 def is_moving(box: TrackedBox) -> bool:
-    """Return whether it traveled far enough; an object seen only once counts as moving if it can move."""
+    """Return whether a box traveled far enough; an object seen only once counts as moving if it can move."""
     there = np.flatnonzero(box.track.valid) if len(box.track.times) > 1 else np.zeros(0, np.int64)
     if len(there) < 2:
         return can_move(box)
