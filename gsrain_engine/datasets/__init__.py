@@ -1,1 +1,1 @@
-"""Recorded drives, photogrammetry and pictures, each as one `Capture`."""
+"""Readers of driving datasets, photogrammetry and image folders, which each return a `Capture`."""

@@ -1,7 +1,7 @@
-"""BDD-100K: frames of dash cameras in all weathers, without poses; weather and time of day from its label files.
+"""BDD-100K: dashcam frames in all weathers, without poses, with weather and time of day from label files.
 
-Names are two groups of eight hexadecimal digits. Labels are one list for all frames (bdd100k_labels_images_*.json,
-det_20/det_*.json) or one file a frame (labels/100k/train/NAME.json): either has `name` and `attributes`.
+File names are two groups of eight hexadecimal digits. Labels are one list for all frames (bdd100k_labels_images_*.json,
+det_20/det_*.json) or one file a frame (labels/100k/train/NAME.json), each with `name` and `attributes`.
 """
 
 import re
@@ -23,20 +23,20 @@ _IMAGE_LAYOUTS = (".", "images", "images/*", "images/*/*", "bdd100k/images/*/*")
 _FOLDERS_UP = 4
 
 _FIRST = 20
-"""Pictures of a folder that tell its kind by their names."""
+"""Number of images of a folder whose names are checked."""
 
 _MAX_LABEL_FILES = 200_000
 
 
 class _LabeledFrame(msgspec.Struct):
-    """What of a frame's labels is used; the boxes are passed by without being built."""
+    """Used fields of a frame's labels; boxes are skipped without being decoded."""
 
     name: str
     attributes: dict[str, Any] = {}
 
 
 def recognizes_bdd100k(path: Path) -> bool:
-    """Whether most of the first pictures in a folder, or in a usual one below it, are named as those of BDD-100K."""
+    """Return whether most of the first images in a folder, or in a standard subfolder, are named as in BDD-100K."""
     return any(_holds_frames(images_in(folder)[:_FIRST]) for folder in _image_folders(path))
 
 
@@ -45,10 +45,10 @@ def _holds_frames(files: list[Path]) -> bool:
 
 
 def read_bdd100k(path: Path) -> Capture:
-    """Read all frames at or below a folder, each standing by itself; their attributes where label files lie by.
+    """Read all frames at or below a folder as independent views, with attributes from label files if found.
 
-    Pictures with other names, broken frames and label files are left out, counted and named. Raises `CaptureError`
-    where no frame is whole.
+    Images with other names, broken frames and label files are listed as problems. Raises `CaptureError` without any
+    frame.
     """
     pictures = [file for folder in _image_folders(path) for file in images_in(folder)]
     files = [file for file in pictures if _is_frame(file)]
@@ -73,7 +73,7 @@ def _image_folders(path: Path) -> list[Path]:
 
 
 def _attributes(path: Path, wanted: set[str], problems: list[str]) -> dict[str, dict[str, str]]:
-    """Attributes by the frame's name, from label files in the folder or beside its parents."""
+    """Attributes by the frame's name, from label files in the folder or next to its parents."""
     found: dict[str, dict[str, str]] = {}
     broken: list[str] = []
     for file in _label_files(path, wanted):

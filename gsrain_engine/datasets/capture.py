@@ -1,4 +1,4 @@
-"""What a data set reader returns: pictures, the cameras that took them, and what else is known about the place."""
+"""`Capture`, the result of every dataset reader: images, cameras, lidar and boxes; view names; checks of file names."""
 
 import os
 from collections import Counter
@@ -17,26 +17,26 @@ from ..scene.camera import Camera
 from ..scene.scene import PoseTrack
 
 EGO_HEIGHT_M = 1.5
-"""Height of the ego frame's origin above the road in captures and scenes: a sensor on a car, as the paper has it."""
+"""Height of the ego frame's origin above the road in captures and scenes: a sensor on a car, as in the paper."""
 
 _LONGEST = 1200
-"""Signs of a sentence about a capture, which may name several files."""
+"""Maximum number of characters of a message about a capture, which may name several files."""
 
 
 class CaptureError(ValueError):
-    """A capture can't be read, or a file of it; the message names the file and what is wrong."""
+    """A capture or one of its files can't be read; the message names the file and the fault."""
 
     def __init__(self, message: str) -> None:
         super().__init__(printable_line(message, _LONGEST))
 
 
 Source = Shaped[np.ndarray, "..."] | Callable[[], Shaped[np.ndarray, "..."]]
-"""An array of pixels, or a function that reads it: what a view holds, so that a long drive fits into memory."""
+"""Array of pixels, or a function that reads it, so that a long drive fits into memory."""
 
 
 @dataclass(frozen=True, slots=True)
 class Lens:
-    """How a picture is bent, as OpenCV describes it: "opencv" (k1 k2 p1 p2 k3 ...) or "fisheye" (k1 k2 k3 k4)."""
+    """Lens distortion in OpenCV's terms: "opencv" (k1 k2 p1 p2 k3 ...) or "fisheye" (k1 k2 k3 k4)."""
 
     model: Literal["opencv", "fisheye"]
     coefficients: tuple[float, ...]
@@ -49,58 +49,58 @@ class Lens:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CaptureFrame:
-    """One picture of a capture, with its camera in the capture's world."""
+    """One image of a capture, with its camera in the capture's world."""
 
     name: str
     camera: Camera
-    """Its size is that of the picture, its focal length and centre those of the lens without distortion."""
+    """Camera of the image's size, with focal length and center of the undistorted lens."""
     image_source: Source
     time_s: float = 0.0
-    """From the first view of the capture."""
+    """Seconds from the first view of the capture."""
     sensor: str = ""
-    """Which camera of a rig took it, such as CAM_FRONT; empty where there is only one."""
+    """Camera of a rig, such as CAM_FRONT; empty if there is only one."""
     lens: Lens | None = None
-    """What bends the picture, the depth, the labels and the mask; None where lines are straight."""
+    """Distortion of the image, depth, labels and mask; None for a pinhole camera."""
     depth_source: Source | None = None
     normals_source: Source | None = None
     labels_source: Source | None = None
     mask_source: Source | None = None
     sky_source: Source | None = None
     attributes: Mapping[str, str] = field(default_factory=dict[str, str])
-    """What else the data set says about the picture, such as weather and time of day, in its own words."""
+    """Other properties in the dataset's own words, such as weather and time of day."""
 
     @property
     def image(self) -> UInt8[np.ndarray, "h w 3"]:
-        """Display colour (sRGB). Raises `CaptureError` where the file is broken or of another size."""
+        """Display color (sRGB). Raises `CaptureError` if the file is broken or of another size."""
         return self._read("image", self.image_source)
 
     @property
     def depth(self) -> Float32[np.ndarray, "h w"] | None:
-        """Metres along the view axis at pixel centres; 0 where nothing was measured (the sky)."""
+        """Meters along the view axis at pixel centers; 0 without a measurement (the sky)."""
         return self._read("depth", self.depth_source)
 
     @property
     def normals(self) -> Float32[np.ndarray, "h w 3"] | None:
-        """Unit surface normals in the world, towards the camera; 0 where there is none."""
+        """Unit surface normals in the world, toward the camera; 0 if unknown."""
         return self._read("normals", self.normals_source)
 
     @property
     def labels(self) -> UInt8[np.ndarray, "h w"] | None:
-        """Semantic classes; 0 where there is none."""
+        """Semantic classes; 0 if unknown."""
         return self._read("labels", self.labels_source)
 
     @property
     def mask(self) -> Bool[np.ndarray, "h w"] | None:
-        """Which pixels show the static scene and may be learned from; None means all."""
+        """Pixels of the static scene, usable for training; None means all."""
         return self._read("mask", self.mask_source)
 
     @property
     def sky(self) -> Bool[np.ndarray, "h w"] | None:
-        """Which pixels show the sky."""
+        """Pixels of the sky."""
         return self._read("sky", self.sky_source)
 
     def held(self) -> "CaptureFrame":
-        """Return the view with its arrays in memory; raises `CaptureError` as reading them does."""
+        """Return the view with its arrays in memory; raises `CaptureError` if reading fails."""
         names = ("image", "depth", "normals", "labels", "mask", "sky")
         return replace(self, **{f"{name}_source": getattr(self, name) for name in names})
 
@@ -119,54 +119,54 @@ class CaptureFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LidarSweep:
-    """Points that a lidar measured, in the capture's world."""
+    """Lidar points in the capture's world."""
 
     time_s: float
     points_m: Float32[np.ndarray, "p 3"]
     origin_m: Float64[np.ndarray, "3"]
-    """Where the sensor stood."""
+    """Position of the sensor."""
     intensities: Float32[np.ndarray, " p"] | None = None
-    """As the data set has them."""
+    """Intensities in the dataset's own unit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedBox:
-    """An annotated thing over time. Its frame: x forward, y left, z up, origin at the bottom centre."""
+    """An annotated object over time. Its frame: x forward, y left, z up, origin at the bottom center."""
 
     id: str
     class_name: str
     size_lwh: tuple[float, float, float]
-    """Metres."""
+    """Length, width and height in meters."""
     track: PoseTrack
     """Object to the capture's world."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Capture:
-    """Views of one place. Treat the arrays as values: nobody writes into them.
+    """Views of one place. The arrays must not be modified.
 
-    The world of a driving capture has metres, the data set's own axes with z up, and its origin at the ego's first
-    place (so that float32 is fine everywhere). A COLMAP world has the axes and the unit that COLMAP chose.
+    The world of a driving capture has meters, the dataset's own axes with z up, and its origin at the ego's first
+    position, so that float32 suffices. A COLMAP world keeps COLMAP's axes and unit.
     """
 
     name: str
     views: tuple[CaptureFrame, ...]
     points_m: Float64[np.ndarray, "p 3"] | None = None
-    """Points on surfaces (COLMAP) in the world, where the data set has them."""
+    """Surface points (COLMAP) in the world; None if the dataset has none."""
     point_colors: UInt8[np.ndarray, "p 3"] | None = None
-    """Display colour of each point."""
+    """Display color of each point."""
     sweeps: tuple[LidarSweep, ...] = ()
     boxes: tuple[TrackedBox, ...] = ()
     ego: PoseTrack | None = None
-    """Where the vehicle drives: x forward, y left, z up, origin `EGO_HEIGHT_M` above the road."""
+    """Track of the vehicle: x forward, y left, z up, origin `EGO_HEIGHT_M` above the road."""
     is_metric: bool = True
-    """Whether lengths are metres; else their unit is unknown."""
+    """True if lengths are in meters; otherwise their unit is unknown."""
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """Upward direction in the world's axes."""
     has_poses: bool = True
-    """Whether it is known where the cameras stood; else each view stands at the origin by itself."""
+    """True if camera poses are known; otherwise each view has its own origin."""
     problems: tuple[str, ...] = ()
-    """What was left out and why, a sentence each: the rest is used."""
+    """One sentence for each omission with its reason; everything else is used."""
 
     def __post_init__(self) -> None:
         names = [view.name for view in self.views]
@@ -192,7 +192,7 @@ class Capture:
 
     @property
     def has(self) -> frozenset[str]:
-        """Which optional pixels every view has: depth, normals, labels, mask, sky."""
+        """Optional arrays that every view has: depth, normals, labels, mask, sky."""
         optional = ("depth", "normals", "labels", "mask", "sky")
         return frozenset(
             name for name in optional if all(getattr(view, f"{name}_source") is not None for view in self.views)
@@ -204,13 +204,13 @@ class Capture:
         return tuple(dict.fromkeys(view.sensor for view in self.views))
 
 
-# § Names of views that are fit for files, and of the cameras whose pictures lie in folders of their own.
+# View and camera names
 
 
 def view_names(pictures: Sequence[str]) -> list[str]:
-    """Name views after their pictures' paths, one each: folders that all share and suffixes that nobody needs left out.
+    """Name views after their image paths, uniquely, without common folders and, if possible, suffixes.
 
-    Other folders stay, joined by "_".
+    Other folders are joined by "_".
     """
     flat = ["_".join(parts) for parts in _parts(pictures)]
     short = [name.rpartition(".")[0] or name for name in flat]
@@ -219,12 +219,12 @@ def view_names(pictures: Sequence[str]) -> list[str]:
 
 
 def sensor_names(pictures: Sequence[str]) -> list[str]:
-    """Name the camera of each picture after its folder, without folders that all share; empty where that is all."""
+    """Name the camera of each image after its folder, without common folders; empty if nothing is left."""
     return ["_".join(parts[:-1]) for parts in _parts(pictures)]
 
 
 def _parts(pictures: Sequence[str]) -> list[tuple[str, ...]]:
-    """Folders and name of each picture, without the folders that all have in common."""
+    """Folders and name of each image, without the common folders."""
     parts = [
         tuple(part for part in PurePosixPath(picture.replace("\\", "/")).parts if part not in ("/", ".", ".."))
         or ("unnamed",)
@@ -237,7 +237,7 @@ def _parts(pictures: Sequence[str]) -> list[tuple[str, ...]]:
 
 
 def _apart(names: Sequence[str]) -> list[str]:
-    """Number the names that come again."""
+    """Number repeated names."""
     apart: dict[str, None] = {}
     for name in names:
         number, free = 1, name
@@ -248,13 +248,13 @@ def _apart(names: Sequence[str]) -> list[str]:
     return list(apart)
 
 
-# § A capture without the pictures that can't be read: found by reading each once.
+# Readable images
 
 
 def readable_images(capture: Capture, on_progress: Callable[[float], None] | None = None) -> Capture:
-    """Leave out the views whose pictures can't be read, and name them in the capture's problems.
+    """Read each image once and omit unreadable views, listing them in the capture's problems.
 
-    Raises `CaptureError` where none is left.
+    Raises `CaptureError` if none is left.
     """
     kept: list[CaptureFrame] = []
     broken: list[str] = []
@@ -272,37 +272,37 @@ def readable_images(capture: Capture, on_progress: Callable[[float], None] | Non
     return replace(capture, views=tuple(kept), problems=(*capture.problems, *broken)) if broken else capture
 
 
-# § Many names in one sentence: what is wrong with several files or views, without a page of lines.
+# Abbreviated lists
 
 _MAX_NAMES = 3
 
 
 def abbreviated_names(names: Sequence[str]) -> str:
-    """Return the first few names and how many there are more: "a, b, c and 4 more"."""
+    """Return the first few names and the number of others: "a, b, c and 4 more"."""
     more = len(names) - _MAX_NAMES
     return ", ".join(names[:_MAX_NAMES]) + (f" and {more} more" if more > 0 else "")
 
 
-# § Names of files that stand in files of captures: none may lead out of the capture's folder, unless that is allowed.
+# File names inside a capture
 
 _LONGEST_NAME = 200
-"""Signs of a name in a sentence."""
+"""Maximum number of characters of a name in a message."""
 
 _allowed: ContextVar[bool] = ContextVar("outside_allowed", default=False)
 
 
 class OutsideError(CaptureError):
-    """A file of a capture names a file outside the capture's folder."""
+    """A capture names a file outside its folder."""
 
 
 def allow_outside(allowed: bool) -> None:
-    """Let names lead anywhere, or nowhere but below the capture's folder, for the rest of this context."""
+    """Allow or forbid names outside the capture's folder for the rest of this context."""
     _allowed.set(allowed)
 
 
 @contextmanager
 def outside_allowed(allowed: bool | None) -> Generator[None]:
-    """Let names lead anywhere (True) or not (False) in this block; None leaves it as it is."""
+    """Allow (True) or forbid (False) outside names in this block; None keeps the current state."""
     token = _allowed.set(_allowed.get() if allowed is None else allowed)
     try:
         yield
@@ -311,10 +311,10 @@ def outside_allowed(allowed: bool | None) -> Generator[None]:
 
 
 def check_inside(folder: Path, names: Iterable[str], source: Path) -> None:
-    """Look where names lead that stand in the file `source` and are meant from `folder` on.
+    """Check that names found in the file `source` stay inside `folder`, to which they are relative.
 
-    Raises `OutsideError` for the first one that leads out of it: absolute, by "..", or through a link; unless that is
-    allowed. What can't be a name of a file at all is left to who reads it.
+    Raises `OutsideError` for the first one that leads out of it (absolute, by "..", or through a link), unless that is
+    allowed. Names that can't be file names are left to their readers.
     """
     if _allowed.get():
         return
@@ -329,7 +329,7 @@ def check_inside(folder: Path, names: Iterable[str], source: Path) -> None:
         real = parents[path.parent] / path.name
         try:
             is_elsewhere = path.name in ("", "..") or real.is_symlink()
-        except OSError:  # longer than any name
+        except OSError:  # name too long
             continue
         if is_elsewhere:
             real = Path(os.path.realpath(real))

@@ -1,10 +1,9 @@
-"""A capture as a folder: pictures, what is known about each pixel, and one file with the cameras.
+"""Capture folders (images, per-pixel data, cameras.json) and plain image folders.
 
-NAME.png is the picture, NAME.depth.npy depth in metres (float32), NAME.normals.npy world normals (float16),
-NAME.labels.png class numbers, NAME.mask.png and NAME.sky.png are white where True. cameras.json holds for each view its
-name, time and camera, and its sensor, lens and attributes where it has them. The world has metres and z up, unless
-world.json says otherwise: {"up": [x, y, z], "is_metric": false}; with "has_poses": false the cameras' poses in it are
-not known.
+NAME.png is the image, NAME.depth.npy depth in meters (float32), NAME.normals.npy world normals (float16),
+NAME.labels.png class numbers; NAME.mask.png and NAME.sky.png are white where True. cameras.json holds for each view its
+name, time and camera, and optionally sensor, lens and attributes. The world has meters and z up, unless world.json
+differs: {"up": [x, y, z], "is_metric": false}; "has_poses": false marks unknown camera poses.
 """
 
 import json
@@ -30,11 +29,11 @@ CAMERAS, WORLD = "cameras.json", "world.json"
 _NO_POSES = "No poses: these pictures were made of pictures without any; good for evaluation, not for reconstruction."
 
 _LARGEST = 1e12
-"""Larger numbers are those of damaged files."""
+"""Larger numbers indicate a damaged file."""
 
 
 def _read_measured(file: Path) -> np.ndarray:
-    """Numbers of pixels, 0 where they are none."""
+    """Read floats, with 0 for values that are not finite."""
     return np.nan_to_num(read_floats(file), copy=False, nan=0, posinf=0, neginf=0)
 
 
@@ -50,7 +49,7 @@ _ENDINGS = ("png", *(ending for ending, _ in _OTHER_PIXELS.values()))
 
 
 def write_views(folder: Path, views: Iterable[CaptureFrame]) -> Iterator[CaptureFrame]:
-    """Write views as they come, and yield each when it is on the disk; the cameras' file comes last."""
+    """Write views as they arrive and yield each once it is on disk; cameras.json is written last."""
     folder.mkdir(parents=True, exist_ok=True)
     rows: list[dict[str, Any]] = []
     for view in views:
@@ -60,7 +59,7 @@ def write_views(folder: Path, views: Iterable[CaptureFrame]) -> Iterator[Capture
 
 
 def write_view(folder: Path, view: CaptureFrame) -> dict[str, Any]:
-    """Write the pixels of one view; returns its row of the cameras' file."""
+    """Write the pixels of one view; returns its row of cameras.json."""
     Image.fromarray(view.image).save(folder / f"{view.name}.png")
     if view.depth is not None:
         np.save(folder / f"{view.name}.depth.npy", view.depth, allow_pickle=False)
@@ -75,17 +74,17 @@ def write_view(folder: Path, view: CaptureFrame) -> dict[str, Any]:
 
 
 def write_cameras(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write the cameras' file from the rows of all views: from then on the folder is a capture."""
+    """Write cameras.json from the rows of all views, which completes the capture folder."""
     (folder / CAMERAS).write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
 
 def recognizes_capture_folder(path: Path) -> bool:
-    """Whether a folder, or `images` in it (as `gsrain street` writes it), holds cameras.json and pictures."""
+    """Return whether a folder, or `images` in it (as written by `gsrain street`), holds cameras.json and images."""
     return _folder(path) is not None
 
 
 def read_capture_folder(path: Path) -> Capture:
-    """Read a folder back as it was written; pictures that are missing or broken are left out and named."""
+    """Read a capture folder; missing or broken images are omitted and listed as problems."""
     folder = _folder(path) or path
     file = folder / CAMERAS
     views: list[CaptureFrame] = []
@@ -109,13 +108,13 @@ def read_capture_folder(path: Path) -> Capture:
 
 
 def write_world(folder: Path, up: tuple[float, float, float], *, is_metric: bool, has_poses: bool = True) -> None:
-    """Write which way is up in the views' world, whether its unit is the metre, and whether poses are known in it."""
+    """Write the up direction of the views' world, whether its unit is the meter, and whether poses are known."""
     values = {"up": list(up), "is_metric": is_metric} | ({} if has_poses else {"has_poses": False})
     (folder / WORLD).write_text(json.dumps(values) + "\n", encoding="utf-8")
 
 
 def _world(file: Path) -> tuple[tuple[float, float, float], bool, bool]:
-    """Read which way is up, whether the unit is the metre, and whether poses are known; z, yes and yes without file."""
+    """Read the up direction, whether the unit is the meter, and whether poses are known; defaults: z, True, True."""
     if not file.is_file():
         return (0.0, 0.0, 1.0), True, True
     values = read_json_object(file)
@@ -197,10 +196,10 @@ def _folder(path: Path) -> Path | None:
     return next((each for each in below if (each / CAMERAS).is_file() and any(each.glob("*.png"))), None)
 
 
-# § A plain folder of pictures: no poses, so it serves for transfer and evaluation, not for reconstruction.
+# Plain image folders
 
 ASSUMED_HORIZONTAL_FOV_DEG = 60.0
-"""Of cameras that nobody calibrated: between a phone's (about 65) and a narrow driving camera's (50)."""
+"""Field of view of uncalibrated cameras: between a phone's (about 65) and a narrow driving camera's (50)."""
 
 NO_POSES = (
     "No poses and no calibration: each view stands at the origin with an assumed horizontal field of view of "
@@ -210,12 +209,12 @@ NO_POSES = (
 
 
 def recognizes_image_folder(path: Path) -> bool:
-    """Whether a folder, or the folder `images` in it, holds pictures."""
+    """Return whether a folder, or the folder `images` in it, holds images."""
     return bool(images_in(_image_folder(path)))
 
 
 def read_image_folder(path: Path) -> Capture:
-    """Read a folder of pictures; broken ones are left out and named. Raises `CaptureError` where none is whole."""
+    """Read a folder of images; broken ones are omitted and listed. Raises `CaptureError` if none is readable."""
     near = nearest_layout(path)
     problems = [] if near is None else [f"Read as pictures alone: nearest to the folder is {near}."]
     unread = unread_images_in(_image_folder(path))
@@ -231,7 +230,7 @@ def capture_without_poses(
     attributes: Mapping[str, Mapping[str, str]] | None = None,
     problems: Sequence[str] = (),
 ) -> Capture:
-    """Views that all stand at the origin, look along +x, and know nothing of each other; `attributes` by file stem."""
+    """Capture of independent views at the origin that look along +x; `attributes` are by file stem."""
     attributes = attributes or {}
     stems = Counter(file.stem for file in files)
     views: list[CaptureFrame] = []
@@ -253,12 +252,12 @@ def capture_without_poses(
 
 
 def camera_without_calibration(width: int, height: int) -> Camera:
-    """A level pinhole camera at the origin of a z-up world, looking along +x."""
+    """Level pinhole camera at the origin of a z-up world, looking along +x."""
     focal = width / 2 / np.tan(np.radians(ASSUMED_HORIZONTAL_FOV_DEG) / 2)
     level = np.array([[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
     return Camera(width, height, float(focal), float(focal), width / 2, height / 2, level)
 
 
 def _image_folder(path: Path) -> Path:
-    """Where the pictures lie: directly in the folder, else in `images` below it."""
+    """Folder of the images: the given one, otherwise `images` below it."""
     return path if images_in(path) else path / "images"

@@ -1,4 +1,4 @@
-"""COLMAP's binary files: cameras.bin, images.bin, points3D.bin, all little-endian."""
+"""COLMAP reconstructions, binary and text, and captures made of them."""
 
 import struct
 from collections.abc import Iterator
@@ -26,7 +26,7 @@ from .capture import (
 from .geometry import camera_of_image, checked_camera, estimate_up_direction, rigid_from_quaternion
 from .io.images import image_size, read_color, read_mask
 
-# § What a COLMAP model holds, as plain values: its cameras, its registered images, its points.
+# COLMAP models
 
 PARAMETERS = {
     "SIMPLE_PINHOLE": 3,
@@ -48,7 +48,7 @@ PARAMETERS = {
     "EUCM": 6,
     "EQUIRECTANGULAR": 2,
 }
-"""How many parameters a camera model has, in the order of the numbers of binary files (COLMAP's sensor models)."""
+"""Number of parameters of each camera model, in the order of the model numbers in binary files."""
 
 _MODELS = tuple(PARAMETERS)
 
@@ -63,7 +63,7 @@ _LONGEST_NAME = 4096
 
 @dataclass(frozen=True, slots=True)
 class ColmapCamera:
-    """Intrinsics that images share. Its pixels have their first centre at (0.5, 0.5), as ours."""
+    """Intrinsics shared by images. The center of the first pixel is (0.5, 0.5), as in GSRAIN."""
 
     id: int
     model: str
@@ -72,7 +72,7 @@ class ColmapCamera:
     parameters: tuple[float, ...]
 
     def lens(self) -> Lens | None:
-        """What bends its pictures, in OpenCV's terms. Raises `CaptureError` for a model that OpenCV doesn't have."""
+        """Distortion in OpenCV's terms. Raises `CaptureError` for a model that OpenCV lacks."""
         bends = self.parameters[3 if self.model in _ONE_FOCAL else 4 :]
         padded = (*bends, *[0.0] * (4 - len(bends)))
         if self.model in _STRAIGHT or (self.model in _BROWN and not any(bends)):
@@ -88,7 +88,7 @@ class ColmapCamera:
         )
 
     def pinhole(self, world_to_camera: Float64[np.ndarray, "4 4"]) -> Camera:
-        """The camera without what bends its pictures, at a pose."""
+        """Camera at a pose, without distortion."""
         p = self.parameters
         fx, fy, cx, cy = (p[0], p[0], p[1], p[2]) if self.model in _ONE_FOCAL else p[:4]
         return Camera(self.width, self.height, fx, fy, cx, cy, world_to_camera)
@@ -96,13 +96,13 @@ class ColmapCamera:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColmapImage:
-    """A registered image: which camera took it, and from where."""
+    """A registered image with its camera and pose."""
 
     name: str
-    """Path below the folder of the images."""
+    """Path below the image folder."""
     camera_id: int
     quaternion_wxyz: tuple[float, float, float, float]
-    """World to camera, with its translation; not always of length one."""
+    """World to camera rotation, not necessarily normalized; `translation` belongs to it."""
     translation: tuple[float, float, float]
 
 
@@ -117,13 +117,13 @@ class ColmapModel:
 
 
 def read_colmap_binary(folder: Path) -> ColmapModel:
-    """Read a model; raises `CaptureError` for a file that is cut, or whose counts don't fit into it."""
+    """Read a model; raises `CaptureError` for a file that is truncated or too small for its counts."""
     points, colors = _points(folder / "points3D.bin")
     return ColmapModel(_cameras(folder / "cameras.bin"), _images(folder / "images.bin"), points, colors)
 
 
 class _ByteCursor:
-    """A file's bytes and how far they are read; whatever is asked for is checked against what is left."""
+    """Cursor over a file's bytes that checks each read against the rest of the file."""
 
     def __init__(self, file: Path) -> None:
         self.file = file
@@ -144,7 +144,7 @@ class _ByteCursor:
         self.at += size
 
     def count(self, smallest: int) -> int:
-        """Read a count of records that take at least so many bytes each."""
+        """Read a count of records of at least `smallest` bytes each."""
         (count,) = self.take(_COUNT)
         if count > (len(self.data) - self.at) // smallest:
             raise CaptureError(f"{self.file}: says {count} records, its {len(self.data)} bytes can't hold them")
@@ -203,7 +203,7 @@ _BROWN = ("SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 
 _EQUIDISTANT = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_FISHEYE", "FISHEYE")
 
-# § COLMAP reconstructions as captures: its cameras, images and points, in the unit and the axes that COLMAP chose.
+# COLMAP captures
 
 _LAYOUTS = (".", "0", "sparse", "sparse/*", "colmap/sparse/*", "colmap_derived/sparse/*", "distorted/sparse/*")
 
@@ -215,15 +215,16 @@ _LARGEST_NUMBER = 1e12
 
 
 def recognizes_colmap(path: Path) -> bool:
-    """Whether a model lies in the folder, or in one of the usual folders below it."""
+    """Return whether the folder, or a standard subfolder, holds a model."""
     return bool(_models(path))
 
 
 def read_colmap(path: Path) -> Capture:
-    """Read the model with the most images at or below a folder, binary or text; newer rigs and frames aren't needed.
+    """Read the model with the most images at or below a folder, binary or text.
 
-    Images that are missing, broken, or taken by a camera model that OpenCV lacks are left out and named. Masks of
-    COLMAP's own layout (masks/NAME.png beside images/, black is left out) come along. Raises `CaptureError`.
+    Images that are missing, broken, or of a camera model that OpenCV lacks are omitted and listed as problems. Masks in
+    COLMAP's layout (masks/NAME.png next to images/, black is masked out) are included.
+    COLMAP's newer rigs and frames are ignored. Raises `CaptureError`.
     """
     model_folder, *others = sorted(_models(path), key=_images_bytes, reverse=True)
     model = _read_model(model_folder)
@@ -267,7 +268,7 @@ def _view(model: ColmapModel, image: ColmapImage, folder: Path, name: str, senso
         raise CaptureError(f"image {image.name!r} was taken by camera {image.camera_id}, which the model lacks")
     taken_by = model.cameras[image.camera_id]
     file = folder / image.name
-    lens = taken_by.lens()  # what OpenCV lacks has no focal length to look for, either
+    lens = taken_by.lens()  # first, because models that OpenCV lacks have no focal length to read
     camera = checked_camera(taken_by.pinhole(_pose(image)), f"camera {taken_by.id} or the pose of {image.name!r}")
     camera = camera_of_image(camera, image_size(file), str(file))
     mask = _mask_file(folder, image.name)
@@ -323,10 +324,10 @@ def _check_parameters(folder: Path, camera: ColmapCamera) -> None:
 
 
 def _image_folder(path: Path, model_folder: Path, model: ColmapModel, names_file: Path) -> Path:
-    """Where the pictures lie: beside the model or above it, or in any other folder of `path`.
+    """Folder of the images: next to the model, above it, or any other folder of `path`.
 
-    It is the one that has the most of the first ones. Raises `CaptureError` where none has any, and where it is a link
-    that leads out of the folder it stands in.
+    Chooses the folder with most of the first ten images. Raises `CaptureError` if none has any, or if it is a link that
+    leads out of its parent folder.
     """
     above = [path, *(model_folder.resolve().parents[:_FOLDERS_UP]), model_folder]
     wanted = [image.name for image in model.images[:10]]
@@ -352,7 +353,7 @@ def _mask_file(folder: Path, name: str) -> Path | None:
     return next((file for file in candidates if file.is_file()), None)
 
 
-# § COLMAP's text files: cameras.txt, images.txt, points3D.txt.
+# Text files
 
 _MAX_TEXT_BYTES = 1 << 34
 
@@ -378,7 +379,7 @@ def _text_cameras(file: Path) -> dict[int, ColmapCamera]:
 
 
 def _text_images(file: Path) -> tuple[ColmapImage, ...]:
-    """Each image has two lines; the second, with what was seen in it, may be empty and is passed by."""
+    """Read two lines an image; the second, with the image's observations, may be empty and is skipped."""
     images: list[ColmapImage] = []
     lines = _lines(file)
     for number, line in lines:

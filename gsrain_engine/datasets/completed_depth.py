@@ -1,4 +1,4 @@
-"""Fills the gaps of a sparse depth picture, so that every pixel below the sky has a surface to begin with."""
+"""Completion of sparse depth maps, so that every pixel below the sky has an initial surface."""
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
@@ -6,13 +6,13 @@ from scipy.ndimage import distance_transform_edt, minimum_filter1d
 from scipy.spatial import Delaunay, QhullError
 
 _LARGEST_RATIO = 1.25
-"""Of the depths of a triangle's corners: beyond it the corners are taken to be on different surfaces."""
+"""Maximum ratio of the depths of a triangle's corners on one surface."""
 
 _LONGEST_EDGE = 0.12
-"""Of a triangle that is believed, over the width of the picture."""
+"""Maximum edge of a valid triangle, as a fraction of the image width."""
 
 _FOOT = 0.12
-"""Part of the rows above the lowest depth that tell the plane which goes on below it."""
+"""Fraction of the rows above the lowest depth that determine the plane continued below it."""
 
 
 def completed_depth(
@@ -20,17 +20,17 @@ def completed_depth(
     sky: Bool[np.ndarray, "h w"] | None = None,
     road_m: Float32[np.ndarray, "h w"] | None = None,
 ) -> Float32[np.ndarray, "h w"]:
-    """Depth along the view axis at all pixels but the sky's, in the unit of `sparse_m`; 0 where nothing can be told.
+    """Depth along the view axis at all pixels but the sky's, in the unit of `sparse_m`; 0 if undetermined.
 
-    Between points inverse depth is linear over Delaunay triangles, which is exact on planes; over a triangle that
-    bridges two surfaces the nearest point counts. Below the lowest points the plane of the road goes on; above the
-    highest, what stands there is taken to be upright: it has the depth of the point under it.
+    Inverse depth is interpolated linearly over Delaunay triangles, which is exact on planes; triangles that bridge two
+    surfaces take the nearest point. Below the lowest points the road plane is continued; above the highest, surfaces
+    are assumed to be upright, with the depth of the point below.
 
     Args:
-        sparse_m: What was measured, 0 where nothing was.
+        sparse_m: Measured depth, 0 if unknown.
         sky: Pixels that have no depth.
-        road_m: Depth of the road in each pixel, where that is known better than from the measured pixels of this view
-            (see `road_depth`): then nothing that is guessed lies behind it.
+        road_m: Depth of the road in each pixel if known better than from this view's measurements (see
+            `road_depth`); it limits all extrapolated depths.
     """
     rows, columns = np.nonzero(sparse_m > 0)
     if len(rows) < 3:
@@ -49,7 +49,7 @@ def completed_depth(
 def _between(
     sparse: Float32[np.ndarray, "h w"], rows: np.ndarray, columns: np.ndarray
 ) -> tuple[Float32[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    """Depth inside the mesh of the measured pixels, 0 elsewhere; and where it is interpolated on one surface."""
+    """Depth inside the mesh of the measured pixels, 0 elsewhere; and a mask of pixels interpolated on one surface."""
     height, width = sparse.shape
     values = sparse[rows, columns].astype(np.float64)
     corners = np.stack([columns, rows], axis=1).astype(np.float64)
@@ -76,7 +76,7 @@ def _between(
 def _believed(
     mesh: Delaunay, values: Float64[np.ndarray, " p"], longest: float
 ) -> tuple[Bool[np.ndarray, " t"], Bool[np.ndarray, " t"]]:
-    """Which triangles lie on one surface, and which are small enough to say anything."""
+    """Masks of triangles on one surface, and of triangles small enough to be used."""
     corners, depths = mesh.points[mesh.simplices], values[mesh.simplices]
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     reaches = edges <= longest
@@ -90,7 +90,7 @@ def _barycentric(mesh: Delaunay, triangle: np.ndarray, at: Float64[np.ndarray, "
 
 
 def _below(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """Let the plane at each column's foot go on to the lower edge: fitted to what is lowest all across the picture."""
+    """Continue the plane of the lowest measured rows, fitted over the whole width, to the lower edge."""
     height, width = depth.shape
     known = depth > 0
     lowest = np.where(known.any(axis=0), height - 1 - known[::-1].argmax(axis=0), -1)
@@ -102,11 +102,11 @@ def _below(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
     system = np.stack([u / width, v / height, np.ones(len(u))], axis=1)
     inverse = 1.0 / depth[v, u]
     use, plane = np.ones(len(u), np.bool_), np.zeros(3)
-    for _ in range(4):  # what stands on the road drops out
+    for _ in range(4):  # rejects objects on the road
         plane = np.linalg.lstsq(system[use], inverse[use], rcond=None)[0]
         residual = np.abs(system @ plane - inverse)
         use = residual <= max(2.0 * float(np.median(residual[use])), 1e-6)
-    if plane[1] <= 0:  # not a ground: it would come no nearer downwards
+    if plane[1] <= 0:  # not a ground plane, whose depth decreases downward
         return depth
     whole = plane[0] * np.arange(width)[None, :] / width + plane[1] * row / height + plane[2]
     fill = ~known & (row > lowest[None, :]) & (whole > inverse.min())
@@ -114,7 +114,7 @@ def _below(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
 
 
 def _above(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """Let what is highest in each column stand upright to the upper edge; gaps take the nearest depth there is."""
+    """Extend the highest depth of each column upright to the upper edge; gaps take the nearest known depth."""
     height, width = depth.shape
     known = depth > 0
     if not known.any():

@@ -1,4 +1,4 @@
-"""What is known of each view before a training: where its surfaces are, and where its sky is."""
+"""Depth priors for training: measured depth, completed depth, sky masks, and the road plane."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -17,17 +17,17 @@ from .sky_masks import sky_masks
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DepthPriors:
-    """Pictures of the depth along the view axis, one a view, and of the sky."""
+    """Maps of the depth along the view axis and of the sky, one a view."""
 
     measured: tuple[Float32[np.ndarray, "_ _"], ...]
-    """0 where nothing was measured; without what moves."""
+    """0 without a measurement; without moving objects."""
     completed: tuple[Float32[np.ndarray, "_ _"], ...]
-    """0 in the sky, and where nothing can be told."""
+    """0 in the sky and where undetermined."""
     skies: tuple[Bool[np.ndarray, "_ _"], ...]
 
     @property
     def median_depth(self) -> float:
-        """Median of what was measured, 0 where nothing was."""
+        """Median of the measured depths; 0 without any."""
         known = np.concatenate([np.zeros(0, np.float32), *(depth[depth > 0] for depth in self.measured)])
         return float(np.median(known)) if len(known) else 0.0
 
@@ -37,23 +37,23 @@ class DepthPriors:
 
 
 def depth_priors(capture: Capture, views: Sequence[CaptureFrame]) -> DepthPriors:
-    """Find out what the capture tells of some of its views, without distortion."""
+    """Compute priors of some undistorted views of a capture."""
     measured = measured_depths(capture, views)
     skies = sky_masks(views, measured, capture.up)
     completed = completed_depths(capture, views, measured, skies)
     return DepthPriors(tuple(measured), tuple(completed), tuple(skies))
 
 
-# § What a capture knows of the distance to the static scene: depth pictures, lidar, or points on surfaces.
+# Measured depth
 
 _MAX_SWEEPS = 9
-"""So many sweeps, the nearest in time, tell a view's depth: more find more, until poses drift."""
+"""Maximum number of sweeps, nearest in time, for a view's depth: more sweeps fill more pixels until poses drift."""
 
 _MARGIN_M = 0.15
 
 
 def static_sweeps(capture: Capture, moving: Sequence[TrackedBox] | None = None) -> tuple[LidarSweep, ...]:
-    """Return the lidar sweeps without the points on what moves, which would lie elsewhere in every view."""
+    """Return the lidar sweeps without points on moving objects, whose positions differ between views."""
     moving = moving_boxes(capture) if moving is None else moving
     return tuple(_without(sweep, moving) for sweep in capture.sweeps)
 
@@ -70,10 +70,10 @@ def _without(sweep: LidarSweep, moving: Sequence[TrackedBox]) -> LidarSweep:
 def measured_depths(
     capture: Capture, views: Sequence[CaptureFrame], sweeps: Sequence[LidarSweep] | None = None
 ) -> list[Float32[np.ndarray, "_ _"]]:
-    """Depth along the view axis in each view, 0 where nothing was measured.
+    """Depth along the view axis in each view, 0 without a measurement.
 
-    The view's own depth where it has one, else lidar, else the capture's points; all 0 where there is none of them.
-    What moves is left out, see `static_sweeps`, which `sweeps` are.
+    Takes the view's own depth, otherwise lidar, otherwise the capture's points; all 0 without any of them. Excludes
+    moving objects; `sweeps` default to `static_sweeps`.
     """
     sweeps = static_sweeps(capture) if sweeps is None else sweeps
     if not sweeps and capture.points_m is not None and len(capture.points_m):
@@ -94,18 +94,17 @@ def completed_depths(
     measured: Sequence[Float32[np.ndarray, "_ _"]],
     skies: Sequence[Bool[np.ndarray, "_ _"]] | None = None,
 ) -> list[Float32[np.ndarray, "_ _"]]:
-    """Depth of all pixels but the sky's, from `measured_depths`; all 0 where there was nothing.
+    """Depth of all pixels but the sky's, from `measured_depths`; all 0 without measurements.
 
-    Depth pictures of a view's own are whole as they are.
-
-    A plane stands in for the road where only triangulated points are known, which roads have few of.
+    Keeps a view's own depth image unchanged. With triangulated points only, sparse on roads, a plane represents the
+    road.
     """
     drop = None
     if not capture.sweeps and capture.points_m is not None and len(capture.points_m):
         drop = camera_height_above_road(capture.points_m, views, capture.up)
     completed: list[Float32[np.ndarray, "_ _"]] = []
     for view, depth, sky in zip(views, measured, skies or [None] * len(views), strict=True):
-        if view.depth_source is not None:  # a depth camera, or a mesh: it tells all there is
+        if view.depth_source is not None:  # a depth camera or a mesh has no gaps to fill
             completed.append(depth if sky is None else np.where(sky, np.float32(0), depth))
         else:
             road = None if drop is None else road_depth(view.camera, drop, capture.up)
@@ -113,10 +112,10 @@ def completed_depths(
     return completed
 
 
-# § The road under the cameras of a drive, as a plane: what is left to assume where points are few.
+# Road plane
 
 _LOWEST = 0.03
-"""Part of the points near the cameras that lie under the road: errors of triangulation."""
+"""Fraction of the points near the cameras that lie below the road because of triangulation errors."""
 
 _MIN_POINTS = 50
 
@@ -124,9 +123,9 @@ _MIN_POINTS = 50
 def camera_height_above_road(
     points: Float64[np.ndarray, "p 3"], views: Sequence[CaptureFrame], up: tuple[float, float, float]
 ) -> float | None:
-    """How far the road lies under the cameras, in the world's unit: as deep as the lowest points near them.
+    """Height of the cameras above the road in the world's unit, from the lowest points near them.
 
-    None where there are too few points, or none under the cameras.
+    None if there are too few points, or none below the cameras.
     """
     eyes = np.array([view.camera.position for view in views])
     distance, nearest = KDTree(eyes).query(points)
@@ -139,6 +138,6 @@ def camera_height_above_road(
 
 
 def road_depth(camera: Camera, drop: float, up: tuple[float, float, float]) -> Float32[np.ndarray, "h w"]:
-    """Depth along the view axis at which pixels meet a plane so far under the camera; inf above the horizon."""
+    """Depth along the view axis of the plane at distance `drop` below the camera; inf above the horizon."""
     falling = -(pixel_rays(camera) @ (np.array(up) / np.linalg.norm(up)))
     return np.where(falling > 1e-3, drop / np.maximum(falling, 1e-3), np.inf).astype(np.float32)

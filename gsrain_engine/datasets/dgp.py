@@ -1,4 +1,4 @@
-"""Calibrations of DGP: where the sensors of a vehicle sit, and how its cameras see.
+"""TRI's Dataset Governance Policy (DGP): calibrations and scenes of cameras, lidar and boxes.
 
 Facts: CameraIntrinsics in dgp/proto/geometry.proto of github.com/TRI-ML/dgp, which copies OpenCV's coefficients.
 """
@@ -23,20 +23,20 @@ from .io.images import image_size, read_color
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DgpSensor:
-    """A row of a calibration: where a sensor sits, and how a camera sees."""
+    """A row of a calibration: pose of a sensor and intrinsics of a camera."""
 
     to_vehicle: Float64[np.ndarray, "4 4"]
     intrinsics: dict[str, Any]
 
     def camera(self, width: int, height: int, world_to_camera: Float64[np.ndarray, "4 4"]) -> Camera:
-        """Camera of a picture; ValueError for calibrations that are none, or skewed."""
+        """Camera of an image; ValueError for invalid or skewed calibrations."""
         fx, fy, cx, cy, skew = (float(self.intrinsics.get(name, 0.0)) for name in ("fx", "fy", "cx", "cy", "skew"))
         if abs(skew) > 0.5:
             raise ValueError(f"its calibration has a skew of {skew:g} px, and cameras here have none")
         return opencv_camera((fx, fy), (cx, cy), (width, height), world_to_camera)
 
     def lens_distortion(self) -> Lens | None:
-        """What the calibration says beyond a pinhole; ValueError for models that OpenCV does not have."""
+        """Distortion in the calibration; ValueError for models that OpenCV lacks."""
         value = {name: float(number) for name, number in self.intrinsics.items()}
         strange = [name for name in ("alpha", "beta", "w", "xi", "equirectangular", "taux", "tauy") if value.get(name)]
         if strange:
@@ -54,7 +54,7 @@ class DgpSensor:
 
 
 def read_dgp_calibration(file: Path) -> dict[str, DgpSensor]:
-    """Sensors by their names. Raises `CaptureError`."""
+    """Sensors by name. Raises `CaptureError`."""
     values = read_json_object(file)
     try:
         rows = zip(values["names"], values["extrinsics"], values["intrinsics"], strict=True)
@@ -63,25 +63,23 @@ def read_dgp_calibration(file: Path) -> dict[str, DgpSensor]:
         raise CaptureError(f"{file}: {what_is_wrong(error)}") from None
 
 
-# § DGP: scenes of several cameras and a lidar with a pose of every picture (TRI's Dataset Governance Policy).
-#
-# The world is that of the poses, z up. The vehicle's frame (x forward, y left, z up, on the ground) is the one that
-# the
-# calibration's extrinsics lead to. Facts: the messages of github.com/TRI-ML/dgp (dgp/proto).
+# DGP scenes
+# The world is that of the poses, z up. The vehicle's frame (x forward, y left, z up, on the ground) is the target of
+# the calibration's extrinsics. Facts: the messages of github.com/TRI-ML/dgp (dgp/proto).
 
 _BOXES_3D = "1"
 """Annotation type BOUNDING_BOX_3D."""
 
 
 def recognizes_dgp(path: Path) -> bool:
-    """Whether a path is a DGP data set (scene_dataset*.json), one scene of it, or one of these files."""
+    """Return whether a path is a DGP dataset (scene_dataset*.json), one scene of it, or one of these files."""
     if path.is_file():
         return path.suffix == ".json" and path.name.startswith(("scene_dataset", "scene_"))
     return bool(_dataset_files(path)) or (bool(_scene_files(path)) and (path / "calibration").is_dir())
 
 
 def read_dgp(path: Path) -> Capture:
-    """Read one scene; of a data set the first that is there, the others are named in the capture's problems."""
+    """Read one scene; for a dataset the first available one, with the others listed in the capture's problems."""
     problems: list[str] = []
     file = _scene_of(path, problems)
     try:
@@ -144,7 +142,7 @@ class _DgpScene:
     camera_stamps: list[tuple[float, Float64[np.ndarray, "4 4"], str]] = field(
         default_factory=list[tuple[float, Float64[np.ndarray, "4 4"], str]]
     )
-    """Vehicle to world at the time of each picture, and whose picture it is."""
+    """Vehicle to world at the time of each image, and the image's camera."""
 
     @classmethod
     def opened(cls, file: Path, problems: list[str]) -> "_DgpScene":
@@ -185,7 +183,7 @@ class _DgpScene:
         return self.record.capture()
 
     def _stamps_of_a_camera(self) -> list[tuple[float, Float64[np.ndarray, "4 4"]]]:
-        """Where the vehicle was, from its first camera, in scenes without a lidar."""
+        """Vehicle poses from the first camera, for scenes without a lidar."""
         return [(time, pose) for time, pose, name in self.camera_stamps if name == self.camera_stamps[0][2]]
 
     def _problem(self, what: str, why: str) -> None:
@@ -240,8 +238,6 @@ class _DgpScene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _DgpLidar:
-    """A point cloud of a sample."""
-
     name: str
     cloud: dict[str, Any]
     time_s: float
@@ -268,7 +264,7 @@ class _DgpLidar:
 def _named_files(
     values: dict[str, Any], data: dict[str, dict[str, Any]], samples: list[dict[str, Any]]
 ) -> Iterator[str]:
-    """Every name of a file that a scene holds; what is none is left to who reads it."""
+    """All file names in a scene; invalid ones are left to their readers."""
     for datum in data.values():
         for kind in _dicts(datum.get("datum")):
             named = [kind.get("filename"), *_values(kind.get("annotations"))]
@@ -291,6 +287,6 @@ def _pose(datum: dict[str, Any]) -> Float64[np.ndarray, "4 4"]:
 
 
 def _seconds(datum: dict[str, Any]) -> float:
-    """Time stamp, in seconds of the epoch; the years of public scenes are shifted."""
+    """Time stamp in seconds of the epoch; the years of public scenes are shifted."""
     stamp = datetime.fromisoformat(datum["id"]["timestamp"])
     return (stamp.replace(tzinfo=stamp.tzinfo or UTC) - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds()

@@ -1,4 +1,4 @@
-"""What readers of driving data gather in the data set's own frames, and how it becomes a capture."""
+"""Driving log in a dataset's own frames, and its conversion to a capture."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -15,7 +15,7 @@ from .capture import EGO_HEIGHT_M, Capture, CaptureError, CaptureFrame, LidarSwe
 from .geometry import BoxSample, road_height, tracked_boxes, transform_points, translation_pose
 
 MAX_POINTS = 24_000_000
-"""Lidar points that a capture holds (0.4 GB); of longer drives every k-th is kept."""
+"""Maximum number of lidar points of a capture (0.4 GB); longer drives keep every k-th point."""
 
 _FARTHEST_M = 1e5
 
@@ -24,7 +24,7 @@ _ROAD_SCANS, _PROBLEMS_LISTED, _FEWER = 8, 24, 0.9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LidarScan:
-    """One turn of a lidar, in the frame of the vehicle (x forward, y left, z up, metres)."""
+    """One sweep of a lidar, in the frame of the vehicle (x forward, y left, z up, meters)."""
 
     time_s: float
     vehicle_to_world: Float64[np.ndarray, "4 4"]
@@ -41,17 +41,17 @@ class LidarScan:
 
 @dataclass(slots=True, eq=False)
 class DrivingLog:
-    """A drive in the data set's own world (metres, z up) and clock (seconds)."""
+    """A drive in the dataset's own world (meters, z up) and clock (seconds)."""
 
     name: str
     road_m: float
-    """Height of the road in the vehicle's frame, as the data set says."""
+    """Height of the road in the vehicle's frame according to the dataset."""
     views: list[CaptureFrame] = field(default_factory=list[CaptureFrame])
-    """With times of the data set's clock and cameras of its world."""
+    """Views with times of the dataset's clock and cameras in its world."""
     stamps: list[tuple[float, Float64[np.ndarray, "4 4"]]] = field(
         default_factory=list[tuple[float, Float64[np.ndarray, "4 4"]]]
     )
-    """Where the vehicle was: time, vehicle to world."""
+    """Poses of the vehicle: time, vehicle to world."""
     scans: Iterable[LidarScan] = ()
     scan_count: int = 0
     boxes: list[BoxSample] = field(default_factory=list[BoxSample])
@@ -59,7 +59,7 @@ class DrivingLog:
     problems: list[str] = field(default_factory=list[str])
 
     def capture(self) -> Capture:
-        """Put the origin at the ego's first place and the clock at the first view; `CaptureError` without views."""
+        """Move the origin to the ego's first position and time 0 to the first view; `CaptureError` without views."""
         self._leave_out_timeless()
         if not self.views:
             raise CaptureError(f"{self.name}: no picture that can be used" + _because(self.problems))
@@ -126,17 +126,17 @@ def _later(track: PoseTrack, start_s: float) -> PoseTrack:
 
 
 def _since(start_s: float, time_s: float) -> float:
-    """Seconds since a time, without the last digits that a clock of years has lost."""
+    """Seconds since a time, rounded to remove the precision loss of large time stamps."""
     return round(time_s - start_s, 6)
 
 
 def _shortened_list(problems: Sequence[str]) -> tuple[str, ...]:
-    """Some of many: a download without its pictures has one problem for each."""
+    """First problems and the number of others: a download without images has one problem for each."""
     more = len(problems) - _PROBLEMS_LISTED
     return (*problems[:_PROBLEMS_LISTED], f"and {more} more problems like these") if more > 1 else tuple(problems)
 
 
 def _because(problems: Sequence[str]) -> str:
-    """The last reason: the first ones are often notes of another kind."""
+    """Last reason in parentheses; the first ones are often unrelated notes."""
     more = f", and {len(problems) - 1} more problems" if len(problems) > 1 else ""
     return f" ({problems[-1]}{more})" if problems else ""

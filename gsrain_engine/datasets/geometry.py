@@ -1,4 +1,4 @@
-"""Rigid poses as 4x4 matrices: built, inverted, and turned from vehicle axes to those of a camera."""
+"""Geometry of captures: rigid poses, projection, cameras, road height, up direction, lidar depth, tracked boxes."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,7 +18,7 @@ from .capture import CaptureError, CaptureFrame, Lens, LidarSweep, TrackedBox
 OPENCV_FROM_VEHICLE_AXES: Float64[np.ndarray, "4 4"] = np.array(
     [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
-"""Turns x forward, y left, z up into x right, y down, z forward."""
+"""Rotates x forward, y left, z up into x right, y down, z forward."""
 
 _NOT_RIGID, _FARTHEST_M = 1e-2, 1e9
 
@@ -30,12 +30,12 @@ def rigid_pose(rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray
 
 
 def translation_pose(translation: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
-    """Pose without a turn."""
+    """Pose without rotation."""
     return rigid_pose(np.eye(3), translation)
 
 
 def rigid_from_quaternion(quaternion_wxyz: Any, translation: Any) -> Float64[np.ndarray, "4 4"]:
-    """Pose of a quaternion (4 numbers, any length) and a translation (3); ValueError where they are none."""
+    """Pose of a quaternion (4 numbers, any length) and a translation (3); ValueError if invalid."""
     turn, place = np.asarray(quaternion_wxyz, np.float64), np.asarray(translation, np.float64)
     if turn.shape != (4,) or place.shape != (3,):
         raise ValueError("a pose has 4 numbers for its rotation (w x y z) and 3 for its translation")
@@ -47,9 +47,9 @@ def rigid_from_quaternion(quaternion_wxyz: Any, translation: Any) -> Float64[np.
 
 
 def rigid_from_numbers(values: Any) -> Float64[np.ndarray, "4 4"]:
-    """Pose of 12 or 16 numbers by rows (nested or flat); ValueError where they are no rigid pose.
+    """Pose of 12 or 16 numbers by rows (nested or flat); ValueError if it is not rigid.
 
-    Rounding of the file is taken out of the rotation, up to 1 %.
+    Removes rounding errors of up to 1 % from the rotation.
     """
     numbers = np.asarray(values, np.float64)
     if numbers.size not in (12, 16):
@@ -76,18 +76,18 @@ def invert_pose(pose: Float[np.ndarray, "*n 4 4"]) -> Float64[np.ndarray, "*n 4 
     return matrix
 
 
-@np.errstate(over="ignore", invalid="ignore")  # what is no number stays none, and is refused by who takes the points
+@np.errstate(over="ignore", invalid="ignore")  # NaN stays NaN and is rejected by the caller
 def transform_points(pose: Float[np.ndarray, "4 4"], points_m: Float[np.ndarray, "p 3"]) -> Float64[np.ndarray, "p 3"]:
     return points_m @ pose[:3, :3].T + pose[:3, 3]
 
 
 def named_pose(values: Mapping[str, Any]) -> Float64[np.ndarray, "4 4"]:
-    """Pose of {translation: {x y z}, rotation: {qw qx qy qz}}, as DGP writes it."""
+    """Pose of {translation: {x y z}, rotation: {qw qx qy qz}}, as in DGP."""
     turn, place = values["rotation"], values["translation"]
     return rigid_from_quaternion([turn[f"q{axis}"] for axis in "wxyz"], [place[axis] for axis in "xyz"])
 
 
-# § Where points of the world (z up or not, any unit) fall in a picture, through OpenCV's lenses too.
+# Projection
 
 _STEPS = 4096
 
@@ -97,9 +97,9 @@ _WIDEST_TANGENT = 100.0
 def project_points(
     points: Float[np.ndarray, "p 3"], camera: Camera, lens: Lens | None = None
 ) -> tuple[Float64[np.ndarray, "p 2"], Float64[np.ndarray, " p"]]:
-    """Pixel and depth along the view axis of each point; pixels are NaN behind the camera and where the lens can't see.
+    """Pixel and depth along the view axis of each point; pixels are NaN behind the camera and outside the lens's range.
 
-    A pixel's centre lies at a half: column and row are the whole parts.
+    Pixel centers are at half-integers: column and row are the integer parts.
     """
     local = np.asarray(points, np.float64) @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
     depths = np.ascontiguousarray(local[:, 2])
@@ -125,15 +125,15 @@ def _bent(local: Float64[np.ndarray, "p 3"], camera: Camera, lens: Lens | None) 
 
 
 def intrinsics(camera: Camera, first_center: float = 0.5) -> Float64[np.ndarray, "3 3"]:
-    """Return K for pixels whose first centre lies at `first_center`: 0.5 is ours, 0 is that of OpenCV's pictures."""
+    """Return K for pixels with the first center at `first_center`: 0.5 in GSRAIN, 0 in OpenCV."""
     shift = first_center - 0.5
     return np.array([[camera.fx, 0, camera.cx + shift], [0, camera.fy, camera.cy + shift], [0, 0, 1.0]])
 
 
 def largest_tangent(lens: Lens | None) -> float:
-    """Tangent of the angle from the axis up to which the lens's polynomial makes sense.
+    """Tangent of the largest angle from the axis for which the lens polynomial is valid.
 
-    Beyond, it folds back: points that lie far outside would show up in the picture a second time.
+    Beyond, the polynomial folds back, and points far outside would be projected into the image again.
     """
     if lens is None:
         return np.inf
@@ -151,12 +151,12 @@ def largest_tangent(lens: Lens | None) -> float:
 
 
 def _rising(values: Float64[np.ndarray, " n"]) -> int:
-    """Index of the last value before the first fall."""
+    """Index of the last value before the first decrease."""
     falls = np.flatnonzero(np.diff(values) <= 0)
     return int(falls[0]) if len(falls) else len(values) - 1
 
 
-# § Cameras of calibrations that were made with OpenCV, where the first pixel's centre is (0, 0), not (0.5, 0.5).
+# OpenCV calibrations: the first pixel's center is (0, 0), not (0.5, 0.5)
 
 _TO_OURS_PX = 0.5
 
@@ -167,7 +167,7 @@ def opencv_camera(
     size: tuple[int, int],
     world_to_camera: Float64[np.ndarray, "4 4"],
 ) -> Camera:
-    """Build a camera (`size` is width, height); ValueError where its calibration is none."""
+    """Build a camera (`size` is width, height); ValueError for an invalid calibration."""
     if not np.isfinite([*focal_px, *center_px]).all() or min(focal_px) <= 0:
         raise ValueError("its calibration has no focal length above 0 px")
     cx, cy = (value + _TO_OURS_PX for value in center_px)
@@ -177,18 +177,18 @@ def opencv_camera(
 def opencv_camera_of_matrix(
     matrix: Float64[np.ndarray, "..."], size: tuple[int, int], world_to_camera: Float64[np.ndarray, "4 4"]
 ) -> Camera:
-    """Build a camera of a 3x3, 3x4 or 4x4 camera matrix."""
+    """Build a camera from a 3x3, 3x4 or 4x4 camera matrix."""
     if matrix.shape not in ((3, 3), (3, 4), (4, 4)):
         raise ValueError("its calibration has no 3x3 matrix of a camera")
     fx, fy, cx, cy = (float(matrix[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
     return opencv_camera((fx, fy), (cx, cy), size, world_to_camera)
 
 
-# § Cameras whose picture was scaled after they were calibrated, and checks of calibrations.
+# Scaled images and checks of calibrations
 
 
 def scaled_camera(camera: Camera, width: int, height: int) -> Camera:
-    """The same picture stretched to another size in pixels; what is seen at its edges stays."""
+    """Camera of the image scaled to another size in pixels, with unchanged field of view."""
     sx, sy = width / camera.width, height / camera.height
     return replace(
         camera, width=width, height=height, fx=camera.fx * sx, fy=camera.fy * sy, cx=camera.cx * sx, cy=camera.cy * sy
@@ -196,7 +196,7 @@ def scaled_camera(camera: Camera, width: int, height: int) -> Camera:
 
 
 def camera_of_image(camera: Camera, size: tuple[int, int], picture: str) -> Camera:
-    """Fit a calibration to a picture that was scaled after it; `CaptureError` where the sides' ratio differs."""
+    """Adapt a calibration to an image that was scaled afterwards; `CaptureError` if the aspect ratio differs."""
     width, height = size
     if (width, height) == (camera.width, camera.height):
         return camera
@@ -209,14 +209,14 @@ def camera_of_image(camera: Camera, size: tuple[int, int], picture: str) -> Came
 
 
 def checked_camera(camera: Camera, what: str) -> Camera:
-    """Return the camera; `CaptureError` for numbers that no camera has (a size of 0, a pose that is no rotation)."""
+    """Return the camera; `CaptureError` for impossible values (a size of 0, a pose that is not a rotation)."""
     try:
         return Camera.from_json({**camera.to_json(), "exposure_s": camera.exposure_s}, what)
     except SceneFormatError as error:
         raise CaptureError(str(error)) from None
 
 
-# § How high the road lies in a vehicle's frame, from what its lidar saw close by.
+# Road height
 
 _NEAR_M, _LANE_M, _OWN_LENGTH_M, _OWN_WIDTH_M = 15.0, 4.0, 2.0, 1.2
 
@@ -226,9 +226,9 @@ _SLACK_M, _BIN_M, _MINIMUMS = 1.0, 0.05, 50
 def road_height(clouds: Iterable[Float[np.ndarray, "_ 3"]], expected_m: float) -> float:
     """Height (m) of the road under the vehicle's origin, in the vehicle's frame (x forward, y left, z up).
 
-    `clouds` are points of some sweeps in that frame, `expected_m` what the data set says. A plane is fitted to the
-    lowest well-filled layer within 15 m and the width of a lane (beside it are kerbs), and read off below the origin.
-    Where too few points lie within 1 m of the expected height, that is the answer.
+    `clouds` are points of some sweeps in that frame, `expected_m` is the dataset's value. Fits a plane to the lowest
+    well-filled layer within 15 m and the width of a lane (curbs lie outside it), and evaluates it below the origin.
+    Returns `expected_m` if too few points lie within 1 m of it.
     """
     near = [_near_road(cloud, expected_m) for cloud in clouds]
     points = np.concatenate(near) if near else np.zeros((0, 3))
@@ -254,24 +254,23 @@ def _near_road(cloud: Float[np.ndarray, "p 3"], expected_m: float) -> Float[np.n
     return np.asarray(cloud[near & ~own], np.float64)
 
 
-# § Which way is up in a world that nobody levelled, from the cameras that stood in it.
+# Up direction
 
 _TIE_BREAK = 0.02
-"""Weight of "the pictures' own up on average" beside "right is level": decides only what the latter leaves open."""
+"""Weight of the images' mean up direction relative to level right axes: it only resolves ambiguities."""
 
 _FLAT = 0.02
-"""Places lie in a plane or on a line where their smallest variance is below this part of the largest."""
+"""Positions are coplanar or collinear if their smallest variance is below this fraction of the largest."""
 
 _STEEPEST_DRIVE = 0.5
-"""Cosine between a way and the pictures' up from which on the way itself is up: a lift or a drone, not a road."""
+"""Maximum cosine between course and image up for a road; steeper courses are those of lifts or drones."""
 
 
 def estimate_up_direction(cameras: Sequence[Camera]) -> tuple[float, float, float]:
     """Estimate the unit upward direction in the world's axes.
 
-    People and cars hold cameras so that the picture's rows are level: up is what is most square to all right axes.
-    Cameras that all look one way leave their pitch open; where they stood on a flat course, up is square to it as well,
-    else it is the mean of the pictures' own up.
+    Image rows are usually level, so up is the direction most orthogonal to all right axes. Cameras that all look one
+    way leave the pitch undetermined; then up is also orthogonal to a flat course, otherwise the images' mean up.
     """
     rotations = np.stack([camera.world_to_camera[:3, :3] for camera in cameras])
     right, upright = rotations[:, 0], -rotations[:, 1].mean(axis=0)
@@ -287,7 +286,7 @@ def estimate_up_direction(cameras: Sequence[Camera]) -> tuple[float, float, floa
 
 
 def _course(cameras: Sequence[Camera], upright: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
-    """What directions the cameras went along, as a penalty; nothing where they went up, or everywhere."""
+    """Penalty on the course direction of the cameras; zero if they moved upward, or in all directions."""
     places = np.stack([camera.position for camera in cameras])
     scatter = np.cov(places.T, bias=True) if len(places) > 2 else np.zeros((3, 3))
     variances, directions = np.linalg.eigh(scatter)
@@ -297,10 +296,10 @@ def _course(cameras: Sequence[Camera], upright: Float64[np.ndarray, "3"]) -> Flo
     return np.zeros((3, 3)) if abs(went @ upright) > _STEEPEST_DRIVE else np.outer(went, went)
 
 
-# § Depth that lidar points have in a view: sparse, and without those that nearer surfaces hide from the camera.
+# Lidar depth
 
 BEAM_GAP_DEG = (0.6, 1.5)
-"""Largest gap between neighbouring beams that is bridged, across and up: that of a lidar with 32 beams."""
+"""Largest gap between adjacent beams to be bridged, horizontal and vertical, for a lidar with 32 beams."""
 
 _NEARER_PART, _NEARER_M = 0.05, 0.3
 
@@ -308,10 +307,10 @@ _NEAREST_M = 0.1
 
 
 def lidar_depth(view: CaptureFrame, sweeps: Sequence[LidarSweep]) -> Float32[np.ndarray, "h w"]:
-    """Metres along the view axis where points fall, the nearest of a pixel; 0 elsewhere. A lens is taken into account.
+    """Meters along the view axis at the nearest lidar point of each pixel; 0 elsewhere. Includes the lens distortion.
 
-    The lidar stands elsewhere than the camera and sees past things that hide what is behind: a point with nearer
-    points around it, in three of the four quadrants within the gaps between beams, is taken for hidden.
+    The lidar's position differs from the camera's, so it also measures surfaces occluded from the camera: a point
+    counts as occluded if nearer points lie in three of the four quadrants around it, within the gaps between beams.
     """
     nearest = _nearest(view, [sweep.points_m for sweep in sweeps], _NEAREST_M)
     nearest[_hidden(nearest, view)] = np.inf
@@ -319,7 +318,7 @@ def lidar_depth(view: CaptureFrame, sweeps: Sequence[LidarSweep]) -> Float32[np.
 
 
 def point_depth(view: CaptureFrame, points: Float[np.ndarray, "p 3"]) -> Float32[np.ndarray, "h w"]:
-    """Depth along the view axis, in the world's unit, of the nearest point in each pixel; 0 where there is none."""
+    """Depth along the view axis, in the world's unit, of the nearest point in each pixel; 0 without a point."""
     nearest = _nearest(view, [points], 0.0)
     return np.where(np.isfinite(nearest), nearest, 0).astype(np.float32)
 
@@ -340,7 +339,7 @@ def _nearest(
 def pixels_inside(
     pixels: Float64[np.ndarray, "p 2"], size: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray, Bool[np.ndarray, " p"]]:
-    """Rows and columns of pixels (0 where outside), and which lie inside a picture of (height, width)."""
+    """Rows and columns of pixels (0 if outside), and a mask of those inside an image of (height, width)."""
     with np.errstate(invalid="ignore"):
         inside = (pixels >= 0).all(axis=1) & (pixels[:, 0] < size[1]) & (pixels[:, 1] < size[0])
     whole = np.where(inside[:, None], pixels, 0).astype(np.int64)
@@ -352,7 +351,7 @@ def nearest_sweep(view: CaptureFrame, sweeps: Sequence[LidarSweep]) -> LidarSwee
 
 
 def _hidden(nearest: Float32[np.ndarray, "h w"], view: CaptureFrame) -> Bool[np.ndarray, "h w"]:
-    """Which points have nearer ones in three of the four quadrants; the own row, where a road's points mix, is none."""
+    """Mask of points with nearer ones in three of the four quadrants, which exclude the point's own row."""
     across, up = np.tan(np.radians(BEAM_GAP_DEG))
     columns = max(round(view.camera.fx * across), 1) + 1
     rows = max(round(view.camera.fy * up), 1)
@@ -368,7 +367,7 @@ def _hidden(nearest: Float32[np.ndarray, "h w"], view: CaptureFrame) -> Bool[np.
     return (around >= 3) & np.isfinite(nearest)
 
 
-# § Annotated boxes of single times put together into boxes over time.
+# Boxes over time
 
 _Pose = Float64[np.ndarray, "4 4"]
 
@@ -383,9 +382,9 @@ class BoxSample:
     class_name: str
     time_s: float
     size_lwh: tuple[float, float, float]
-    """Metres."""
+    """Length, width and height in meters."""
     center_to_world: Float64[np.ndarray, "4 4"]
-    """Box (x forward, y left, z up, origin at its centre) to world."""
+    """Box (x forward, y left, z up, origin at its center) to world."""
 
     def __post_init__(self) -> None:
         if not all(0 < side < _LONGEST_M for side in self.size_lwh):
@@ -395,18 +394,17 @@ class BoxSample:
 
     @property
     def bottom_to_world(self) -> _Pose:
-        """Same axes, origin at the bottom centre."""
+        """Same axes, origin at the bottom center."""
         matrix = self.center_to_world.copy()
         matrix[:3, 3] -= matrix[:3, 2] * (self.size_lwh[2] / 2)
         return matrix
 
 
 def tracked_boxes(samples: Iterable[BoxSample], times_s: Sequence[float]) -> tuple[TrackedBox, ...]:
-    """Join the annotations of each thing; `times_s` are all times that were annotated, with or without boxes.
+    """Join the annotations of each object; `times_s` are all annotated times, with or without boxes.
 
-    A thing is there from half-way after the last time without it to half-way before the next one; in these halves, and
-    as far outside the annotated times, it moves on as it did, for cameras fire between lidar sweeps. Its size is the
-    median.
+    An object exists from half-way after the last time without it to half-way before the next one. Its motion is
+    extrapolated there, and as far outside the annotated times, because cameras fire between sweeps. Sizes are medians.
     """
     stamps = np.unique([time for time in times_s if np.isfinite(time)])
     by_id: dict[str, dict[int, BoxSample]] = defaultdict(dict)
@@ -439,7 +437,7 @@ def _tracked(found: dict[int, BoxSample], stamps: Float64[np.ndarray, " t"]) -> 
 
 
 def _runs(indices: Sequence[int]) -> list[list[int]]:
-    """Split rising numbers where one is left out."""
+    """Split increasing numbers at gaps."""
     runs: list[list[int]] = []
     for index in indices:
         if runs and index == runs[-1][-1] + 1:
@@ -450,13 +448,13 @@ def _runs(indices: Sequence[int]) -> list[list[int]]:
 
 
 def _half_gap(stamps: Float64[np.ndarray, " t"], index: int, side: int) -> float:
-    """Half the time to the neighbour on one side; at an end of the drive, that on the other side."""
+    """Half the time to the neighbor on one side; at an end of the drive, to that on the other side."""
     other = index + side if 0 <= index + side < len(stamps) else index - side
     return float(abs(stamps[other] - stamps[index]) / 2) if 0 <= other < len(stamps) else 0.0
 
 
 def _moved_on(pose: _Pose, neighbours: Sequence[_Pose], times: Sequence[float], by_s: float) -> _Pose:
-    """Move a pose on in time, as fast as between it and its neighbour."""
+    """Extrapolate a pose in time by the velocity between it and its neighbor."""
     matrix = pose.copy()
     if neighbours:
         step = pose[:3, 3] - neighbours[0][:3, 3]

@@ -1,4 +1,4 @@
-"""Pictures of views that something else has made anew: which file belongs to which view, and a capture with them."""
+"""Replacement images for views, such as those of a transfer, matched by file name."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -15,34 +15,34 @@ from .io.images import SUFFIXES, image_size, read_color
 from .undistort import undistort_frame
 
 _MAX_NAME_BYTES = 200
-"""Of a view's file without the endings that its depth, normals and masks add."""
+"""Maximum bytes of a view's file name without the endings of depth, normals and masks."""
 
 _PROPORTIONS = 0.05
-"""By so much a picture's sides may differ in ratio from the view's: programs round sizes, but do not crop."""
+"""Tolerance of the aspect ratio between image and view: programs round sizes, but don't crop."""
 
 
 @dataclass(frozen=True, slots=True)
 class ImageOverride:
-    """Pictures in a folder, by their names in it: NAME, SENSOR/NAME."""
+    """Images in a folder, by their relative names: NAME, SENSOR/NAME."""
 
     folder: Path
     files: Mapping[str, Path]
     straight_sizes: Mapping[str, tuple[int, int]]
-    """Width and height of those that are known to be without lens distortion: a transfer writes such."""
+    """Width and height of images known to be without lens distortion, as from a transfer."""
 
     def file_of(self, name: str, sensor: str = "") -> Path | None:
-        """Find the picture of a view: NAME, SENSOR/NAME, the last part of NAME, or NAME with _ for each /."""
+        """Find the image of a view: NAME, SENSOR/NAME, the last part of NAME, or NAME with _ for each /."""
         found = self._key(name, sensor)
         return None if found is None else self.files[found]
 
     def straight_width(self, name: str, sensor: str = "") -> int | None:
-        """Width of the view's picture where it is known to be without lens distortion."""
+        """Width of the view's image if known to be without lens distortion."""
         found = self._key(name, sensor)
         size = None if found is None else self.straight_sizes.get(found)
         return None if size is None else size[0]
 
     def left_over(self, views: Iterable[tuple[str, str]]) -> list[str]:
-        """Pictures that belong to none of the views (name, sensor)."""
+        """Images that match none of the views (name, sensor)."""
         used = {self._key(*view) for view in views}
         return [name for name in self.files if name not in used]
 
@@ -53,7 +53,7 @@ class ImageOverride:
 
 
 def flat_name(name: str) -> str:
-    """Name of a view as that of a file without ending: _ for each /, no picture's ending; a long one is cut."""
+    """File name of a view without suffix: _ for each /, shortened if long."""
     return shortened(_plain(name).as_posix().replace("/", "_").replace("\\", "_"), _MAX_NAME_BYTES)
 
 
@@ -63,9 +63,9 @@ def _plain(name: str) -> PurePosixPath:
 
 
 def find_images(folder: Path) -> ImageOverride:
-    """Look for pictures in a folder and below; of one with cameras (a transfer's), the views' own alone.
+    """Find images in a folder and below; in a capture folder (a transfer's), only those of its views.
 
-    Raises `CaptureError` where there is no such folder.
+    Raises `CaptureError` if the folder does not exist.
     """
     if not folder.is_dir():
         raise CaptureError(f"--images {folder}: no such folder")
@@ -80,11 +80,11 @@ def find_images(folder: Path) -> ImageOverride:
 
 
 def with_images(capture: Capture, folder: Path) -> Capture:
-    """Take each view's picture from a folder: NAME, SENSOR/NAME or the last part of NAME, with any picture's ending.
+    """Take each view's image from a folder: NAME, SENSOR/NAME or the last part of NAME, with any image suffix.
 
-    Pictures of another size are resized to that of the view; those of a transfer have no lens distortion, and so have
-    the views then, which get their size. Views without a picture are left out, and named among the problems, as are
-    pictures without a view. Raises `CaptureError` where the folder has a picture of no view.
+    Images of another size are resized to the view's. A transfer's images have no lens distortion, so their views are
+    undistorted, too, at the images' size. Views without an image are omitted and listed as problems, like images
+    without a view. Raises `CaptureError` if no image matches a view.
     """
     pictures = find_images(folder)
     views = tuple(_with_file(view, file, pictures) for view in capture if (file := _file(pictures, view)) is not None)
@@ -112,14 +112,14 @@ def _with_file(view: CaptureFrame, file: Path, pictures: ImageOverride) -> Captu
 
 
 def check_proportions(file: Path, size: tuple[int, int]) -> None:
-    """Raise `CaptureError` for a picture that can't be one of a view so large (width, height), or is broken."""
+    """Raise `CaptureError` for an image that is broken or whose aspect ratio differs from `size` (width, height)."""
     width, height = image_size(file)
     if abs(width * size[1] / (height * size[0]) - 1) > _PROPORTIONS:
         raise CaptureError(f"{file}: is {width}x{height} px, its view is {size[0]}x{size[1]}: other proportions")
 
 
 def sized_image(file: Path, size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
-    """Read a picture as display colour and bring it to a size (width, height); `CaptureError` where it can't be."""
+    """Read an image as display color and resize it to (width, height); `CaptureError` on failure."""
     check_proportions(file, size)
     pixels = read_color(file)
     if pixels.shape[1::-1] == size:

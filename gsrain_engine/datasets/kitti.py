@@ -1,4 +1,4 @@
-"""KITTI's text files of calibrations and poses, and cameras of its projection matrices.
+"""KITTI: odometry sequences and raw drives, with their calibrations, poses, lidar and boxes.
 
 Facts: Geiger et al., "Vision meets Robotics: The KITTI Dataset" (2013), and the readme of its development kit.
 """
@@ -34,14 +34,14 @@ Calibration = dict[str, Float64[np.ndarray, " _"]]
 _MAX_TEXT_BYTES = 1 << 28
 
 _LARGEST = 1e12
-"""Larger numbers are those of damaged files."""
+"""Larger numbers indicate a damaged file."""
 
 IMU_HEIGHT_M, CAMERA_HEIGHT_M = 0.93, 1.65
-"""Of the recording car's sensors above the road (figure 3 of the paper)."""
+"""Height of the recording car's sensors above the road (figure 3 of the paper)."""
 
 
 def read_calibration(file: Path) -> Calibration:
-    """Read lines of `name: numbers`; lines of other things are left out. Raises `CaptureError`."""
+    """Read lines of `name: numbers`, skipping others. Raises `CaptureError`."""
     values: Calibration = {}
     for line in read_text(file).splitlines():
         name, _, rest = line.partition(":")
@@ -53,7 +53,7 @@ def read_calibration(file: Path) -> Calibration:
 
 
 def numbers_of(values: Calibration, name: str, count: int, file: Path) -> Float64[np.ndarray, " n"]:
-    """Numbers of one name; `CaptureError` where there are none or others than `count`."""
+    """Numbers of one name; `CaptureError` if missing or not `count` finite ones."""
     found = values.get(name)
     if found is None or len(found) != count or not np.abs(found).max(initial=0) < _LARGEST:
         has = "no such line" if found is None else f"{len(found)} numbers"
@@ -62,7 +62,6 @@ def numbers_of(values: Calibration, name: str, count: int, file: Path) -> Float6
 
 
 def read_text(file: Path) -> str:
-    """Read a text file; `CaptureError` where it can't be."""
     try:
         return read_file(file, _MAX_TEXT_BYTES).decode("utf-8")
     except FileNotFoundError:
@@ -75,7 +74,7 @@ def read_text(file: Path) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KittiCamera:
-    """A rectified camera: its 3x4 projection of points in the frame of the first camera, rectified."""
+    """A rectified camera: its 3x4 projection of points in the frame of the first rectified camera."""
 
     name: str
     projection: Float64[np.ndarray, "3 4"]
@@ -90,7 +89,7 @@ class KittiCamera:
         return translation_pose(np.linalg.solve(self.projection[:, :3], self.projection[:, 3]))
 
     def view(self, file: Path, name: str, time_s: float, world_to_first: Float64[np.ndarray, "4 4"]) -> CaptureFrame:
-        """One picture, with a lens that rectification has straightened; raises `CaptureError` or ValueError."""
+        """View of one rectified image, so without lens distortion; raises `CaptureError` or ValueError."""
         pose = self.from_first @ world_to_first
         camera = opencv_camera_of_matrix(self.projection, image_size(file), pose)
         return CaptureFrame(name, camera, partial(read_color, file), time_s, self.name)
@@ -108,11 +107,9 @@ def read_velodyne(file: Path) -> tuple[Float32[np.ndarray, "p 3"], Float32[np.nd
     return np.ascontiguousarray(rows[:, :3]), np.ascontiguousarray(rows[:, 3])
 
 
-# § KITTI odometry: a sequence of rectified pictures with the poses of its first camera.
-#
-# The world has the first pose's axes, turned so that x is forward, y left and z up; so is the vehicle's frame, the
-# first
-# camera's. It is as level as that camera stood on the road.
+# KITTI odometry
+# The world has the first pose's axes, rotated to x forward, y left and z up, like the vehicle's frame, which is the
+# first camera's. The world is as level as that camera was on the road.
 
 _COLOR, _GRAY = ("image_2", "image_3"), ("image_0", "image_1")
 
@@ -120,12 +117,12 @@ _TO_VEHICLE = invert_pose(OPENCV_FROM_VEHICLE_AXES)
 
 
 def recognizes_kitti_odometry(path: Path) -> bool:
-    """Whether a path is a sequence (calib.txt, times.txt), or a folder with sequences/NN."""
+    """Return whether a path is a sequence (calib.txt, times.txt), or a folder with sequences/NN."""
     return _is_sequence(path) or any(_is_sequence(each) for each in _sequences(path))
 
 
 def read_kitti_odometry(path: Path) -> Capture:
-    """Read a sequence; of the data set the first one with poses. Raises `CaptureError`."""
+    """Read a sequence; for the dataset the first one with poses. Raises `CaptureError`."""
     if _is_sequence(path):
         return _read(path, DrivingLog(path.name, road_m=-CAMERA_HEIGHT_M))
     found = [each for each in _sequences(path) if _is_sequence(each)]
@@ -180,7 +177,7 @@ def _times(file: Path) -> list[float]:
 
 
 def _poses(file: Path, problems: list[str]) -> dict[int, Float64[np.ndarray, "4 4"]]:
-    """First camera to world, by picture numbers."""
+    """First camera to world, by image number."""
     if not file.is_file():
         raise CaptureError(f"{file}: no poses of this sequence (KITTI keeps those of 11 to 21); COLMAP can find them")
     poses: dict[int, Float64[np.ndarray, "4 4"]] = {}
@@ -234,17 +231,15 @@ def _scans(
             record.problems.append(f"velodyne/{file.name} left out: {error}")
 
 
-# § KITTI's records of position and attitude (oxts) as poses in metres, by a Mercator projection.
-#
-# As devkit/matlab/convertOxtsToPose.m defines it: the scale of the first record's latitude, yaw 0 to the east. The
-# world
-# is x east, y north, z up; the frame is that of the inertial unit: x forward, y left, z up.
+# OXTS poses
+# A Mercator projection as in devkit/matlab/convertOxtsToPose.m: scale of the first record's latitude, yaw 0 to the
+# east. The world is x east, y north, z up; the frame is the inertial unit's: x forward, y left, z up.
 
 OxtsRecord = Float64[np.ndarray, "6"]
 """Latitude, longitude (degrees), altitude (m), roll, pitch, yaw (rad)."""
 
 _LARGEST_OXTS = 1e6
-"""Of angles and of metres above the sea: beyond, a record is damaged."""
+"""Maximum of angles and of meters above sea level; larger values indicate a damaged record."""
 
 _EARTH_RADIUS_M = 6378137.0
 
@@ -283,22 +278,22 @@ def _turn(roll_pitch_yaw: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"
     return about_z @ about_y @ about_x
 
 
-# § KITTI's annotations of a raw drive: tracklet_labels.xml, boxes in the lidar's frame for each picture's number.
+# Tracklets (tracklet_labels.xml)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracklet:
-    """One thing over consecutive pictures."""
+    """One object over consecutive images."""
 
     class_name: str
     size_lwh: tuple[float, float, float]
     first_frame: int
     centers_to_lidar: tuple[Float64[np.ndarray, "4 4"], ...]
-    """Box (x forward, y left, z up, origin at its centre) to lidar, for each picture from the first."""
+    """Box (x forward, y left, z up, origin at its center) to lidar, for each image from the first."""
 
 
 def read_tracklets(file: Path) -> list[Tracklet]:
-    """Read all; `CaptureError` where the file is damaged, or defines entities (which can grow without an end)."""
+    """Read all; `CaptureError` if the file is damaged, or defines XML entities, which can expand without bound."""
     text = read_text(file)
     if "<!ENTITY" in text:
         raise CaptureError(f"{file}: refused, for it defines entities, which no file of KITTI does")
@@ -319,7 +314,7 @@ def _tracklets(items: list[ElementTree.Element]) -> Iterator[Tracklet]:
 
 
 def _pose(item: ElementTree.Element, height: float) -> Float64[np.ndarray, "4 4"]:
-    """The file has the place of the bottom centre and, of angles, only rz in use."""
+    """Pose of a box center; the file has the position of the bottom center, and uses only the angle rz."""
     x, y, z, turn = (_number(item, name) for name in ("tx", "ty", "tz", "rz"))
     cosine, sine = np.cos(turn), np.sin(turn)
     rotation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
@@ -333,9 +328,8 @@ def _number(item: ElementTree.Element, name: str) -> float:
     return float(text)
 
 
-# § KITTI raw: a drive of the synchronized and rectified recordings, with the calibration of its day beside it.
-#
-# The vehicle's frame is that of the inertial unit (x forward, y left, z up); the world x east, y north, z up.
+# KITTI raw
+# The vehicle's frame is that of the inertial unit (x forward, y left, z up); the world is x east, y north, z up.
 
 _CAMERAS, _GRAY_CAMERAS = ("image_02", "image_03"), ("image_00", "image_01")
 
@@ -345,12 +339,12 @@ _Poses = dict[int, Float64[np.ndarray, "4 4"]]
 
 
 def recognizes_kitti_raw(path: Path) -> bool:
-    """Whether a path is a drive (oxts beside image_02), or the folder of a day (calib_cam_to_cam.txt) with drives."""
+    """Return whether a path is a drive (oxts and image_02), or the folder of a day (calib_cam_to_cam.txt)."""
     return _is_drive(path) or ((path / _CALIBRATIONS[0]).is_file() and bool(_drives(path)))
 
 
 def read_kitti_raw(path: Path) -> Capture:
-    """Read a drive; of a day the first. Raises `CaptureError`, also for recordings that are not rectified."""
+    """Read a drive, or the first of a day. Raises `CaptureError`, also for recordings that are not rectified."""
     problems: list[str] = []
     if not _is_drive(path):
         drives = _drives(path)
@@ -374,7 +368,7 @@ def _drives(day: Path) -> list[Path]:
 
 
 class _KittiDrive:
-    """What is read of one drive, by picture numbers."""
+    """Reader of one drive, by image number."""
 
     def __init__(self, folder: Path, problems: list[str]) -> None:
         self.folder = folder
@@ -474,7 +468,6 @@ class _KittiDrive:
 
 
 def _pose_of_lines(values: Calibration, file: Path) -> Float64[np.ndarray, "4 4"]:
-    """Pose of the lines R and T."""
     return _rigid(numbers_of(values, "R", 9, file), numbers_of(values, "T", 3, file), file)
 
 
@@ -492,7 +485,7 @@ def _frame_number(file: Path) -> int:
 
 
 def _seconds(line: str) -> float:
-    """Time stamp with nanoseconds, which datetime does not take; ValueError where it is none."""
+    """Time stamp with nanoseconds, which datetime does not support; ValueError if invalid."""
     whole, _, fraction = line.strip().partition(".")
     moment = datetime.strptime(whole, "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC)
     return (moment - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds() + float(f"0.{fraction or 0}")

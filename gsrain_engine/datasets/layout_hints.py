@@ -1,4 +1,4 @@
-"""Names the kind of capture that a folder is nearest to, and which parts of it are missing."""
+"""Hints on unrecognized folders: the most similar kind of capture and its missing parts."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,17 +10,17 @@ from .capture import abbreviated_names
 from .io.images import CONVERT, images_in, unread_images_in
 
 _LOOKED_AT = 200
-"""Entries of a folder that a pattern is held against: what is not among them is not looked for any longer."""
+"""Maximum number of entries of a folder that a pattern is matched with."""
 
 
 @dataclass(frozen=True, slots=True)
 class _CapturePart:
-    """Something that captures of a kind have: a name for people, and patterns of paths, of which one is enough."""
+    """Part of a kind of capture: a display name, and patterns of paths, one of which must match."""
 
     name: str
     patterns: tuple[str, ...]
     is_clue: bool = True
-    """Whether it tells the kind; pictures alone tell none."""
+    """True if the part identifies the kind; images alone don't."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,13 +139,13 @@ _KINDS = (
 )
 
 _OPTIONAL = frozenset({"points3D.bin", "sparse", "database.db", "other transforms", "label_2", "cfg_args", "context"})
-"""Parts that tell a kind and that nothing needs."""
+"""Parts that identify a kind, but are not required."""
 
 
 def nearest_layout(path: Path) -> str | None:
-    """Say which kind a folder is nearest to, and what it lacks ("KITTI raw without oxts"); None where nothing tells.
+    """Return the kind most similar to a folder, and its missing parts ("KITTI raw without oxts"); None without a clue.
 
-    For a file it is None: its name says what it should be.
+    Returns None for a file, whose name already identifies its kind.
     """
     if not path.is_dir():
         return None
@@ -181,7 +181,7 @@ def _is_there(folder: Path, pattern: str) -> bool:
 
 
 def _matches(folder: Path, pattern: str) -> Iterator[Path]:
-    """Paths below a folder that fit a pattern with wildcards; ".." leads to the folders around it."""
+    """Paths below a folder that match a pattern with wildcards; ".." leads to parent folders."""
     places = [folder.resolve()]
     for step in pattern.split("/"):
         if step == "..":

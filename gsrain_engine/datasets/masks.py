@@ -1,4 +1,4 @@
-"""Which pixels a static scene may be learned from: not those where something moves, nor where the ego's own body is."""
+"""Masks of the static scene for training, which exclude moving objects and the ego vehicle; pixel rays."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -15,10 +15,10 @@ from ..scene.geometry import before_camera, box_corners
 from .capture import Capture, CaptureError, CaptureFrame, TrackedBox
 
 MOVING_M_S = 0.5
-"""Mean speed from which a thing counts as moving."""
+"""Minimum mean speed of a moving object."""
 
 _MIN_TRAVEL_M = 0.4
-"""Annotations jitter: what has come less far than this over the capture has stood."""
+"""Minimum travel of a moving object over the capture, because annotations jitter."""
 
 _MOVERS = ("car", "truck", "van", "bus", "vehicle", "trailer", "tram", "train", "cycl", "bike", "motor", "rider")
 
@@ -26,13 +26,13 @@ _PEOPLE = ("person", "pedestrian", "human", "child", "adult", "animal", "sitting
 
 
 def can_move(box: TrackedBox) -> bool:
-    """Whether its class is that of a vehicle, a person or an animal, as the data sets call them."""
+    """Return whether a box's class is a vehicle, a person or an animal, in any dataset's words."""
     name = box.class_name.lower()
     return any(word in name for word in _MOVERS + _PEOPLE)
 
 
 def is_moving(box: TrackedBox) -> bool:
-    """Whether it has come far enough over the capture; what can move and was seen only once is taken to."""
+    """Return whether a box traveled far enough; an object seen only once counts as moving if it can move."""
     there = np.flatnonzero(box.track.valid) if len(box.track.times) > 1 else np.zeros(0, np.int64)
     if len(there) < 2:
         return can_move(box)
@@ -43,14 +43,14 @@ def is_moving(box: TrackedBox) -> bool:
 
 
 def moving_boxes(capture: Capture) -> tuple[TrackedBox, ...]:
-    """The boxes of a capture that move; the others are part of the static scene."""
+    """Boxes of moving objects; all others are part of the static scene."""
     return tuple(box for box in capture.boxes if is_moving(box))
 
 
 def points_in_box(
     points_m: Float64[np.ndarray, "p 3"], box: TrackedBox, time_s: float, margin_m: float = 0.0
 ) -> Bool[np.ndarray, " p"]:
-    """Which points in the capture's world lie in a box at a time; none while it is not there."""
+    """Mask of points in the capture's world inside a box at a time; all False while the object is absent."""
     pose = box.track.pose(time_s)
     if pose is None:
         return np.zeros(len(points_m), np.bool_)
@@ -62,10 +62,10 @@ def points_in_box(
 def static_mask(
     view: CaptureFrame, moving: Sequence[TrackedBox], margin_m: float = 0.3, dilation: float = 0.004
 ) -> Bool[np.ndarray, "h w"]:
-    """Which pixels show the static scene: the view's own mask without the moving boxes as they are at its time.
+    """Pixels of the static scene: the view's own mask without the moving boxes at its time.
 
-    Each box is enlarged by `margin_m` on all sides (shadows, mirrors, annotations that lag), projected as the convex
-    hull of its corners, and dilated by `dilation` of the picture's width.
+    Each box is enlarged by `margin_m` on all sides (shadows, mirrors, lagging annotations), projected as the convex
+    hull of its corners, and dilated by `dilation` of the image width.
     """
     camera = view.camera
     covered = np.zeros((camera.height, camera.width), np.uint8)
@@ -82,7 +82,7 @@ def static_mask(
 
 
 def box_outline(view: CaptureFrame, box: TrackedBox, margin_m: float = 0.0) -> Float64[np.ndarray, "c 2"]:
-    """Convex outline of a box in pixels, as a view without distortion sees it; no corners where it does not."""
+    """Convex outline of a box in pixels of a view without distortion; no corners if it is not visible."""
     pose = box.track.pose(view.time_s)
     if pose is None:
         return np.zeros((0, 2))
@@ -102,7 +102,7 @@ def box_outline(view: CaptureFrame, box: TrackedBox, margin_m: float = 0.0) -> F
 
 
 def read_camera_masks(folder: Path | str) -> dict[str, Bool[np.ndarray, "_ _"]]:
-    """Read a person's masks, a picture for each camera, named like the sensor: white may be learned from, black not."""
+    """Read user-drawn masks, an image for each camera, named like the sensor; training uses white pixels only."""
     files = sorted(each for each in Path(folder).iterdir() if each.suffix.lower() in (".png", ".jpg", ".jpeg", ".bmp"))
     if not files:
         raise CaptureError(f"{folder}: no masks; expected a picture for each camera, named like it (CAM_BACK.png)")
@@ -119,9 +119,9 @@ def read_camera_masks(folder: Path | str) -> dict[str, Bool[np.ndarray, "_ _"]]:
 def with_camera_masks(
     views: Iterable[CaptureFrame], masks: dict[str, Bool[np.ndarray, "_ _"]]
 ) -> tuple[CaptureFrame, ...]:
-    """Put each camera's mask into its views, scaled to their size, on top of the mask that they have.
+    """Combine each camera's mask, scaled to the image size, with the existing masks of its views.
 
-    In a capture of one camera without a name, the only mask is meant for it.
+    In a capture of one unnamed camera, a single mask applies to it.
     """
     views = tuple(views)
     only = next(iter(masks.values())) if len(masks) == 1 and {view.sensor for view in views} == {""} else None
@@ -137,11 +137,11 @@ def _both(view: CaptureFrame, mask: Bool[np.ndarray, "rows columns"]) -> Bool[np
     return scaled if view.mask is None else scaled & view.mask
 
 
-# § Where the pixels of a view look, and where their surfaces are.
+# Pixel rays
 
 
 def pixel_rays(camera: Camera) -> Float32[np.ndarray, "h w 3"]:
-    """Directions through pixel centres in the world, with length 1 along the view axis: place = eye + depth * ray."""
+    """Directions through pixel centers in the world, with length 1 along the view axis: point = eye + depth * ray."""
     u = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     v = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
     rotation = camera.world_to_camera[:3, :3]

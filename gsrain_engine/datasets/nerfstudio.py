@@ -1,4 +1,4 @@
-"""nerfstudio's transforms.json, and that of instant-ngp and Blender: poses with OpenGL axes, turned into OpenCV's."""
+"""transforms.json of nerfstudio, instant-ngp and Blender, with poses converted from OpenGL's axes to OpenCV's."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -48,16 +48,16 @@ _WRONG = (KeyError, TypeError, ValueError, AttributeError, ArithmeticError)
 
 
 def recognizes_nerfstudio(path: Path) -> bool:
-    """Whether a folder holds transforms.json, or a path is such a file."""
+    """Return whether a folder holds transforms.json, or a path is such a file."""
     return _file(path) is not None
 
 
 def read_nerfstudio(path: Path) -> Capture:
-    """Read the frames of transforms.json, whose intrinsics may stand in each frame or once for all.
+    """Read the frames of transforms.json, with intrinsics shared or in each frame.
 
-    Depth files hold thousandths of the world's unit, as nerfstudio takes them, unless depth_unit_scale_factor (or
-    integer_depth_scale) says otherwise; with depth the unit is taken for a metre. Masks leave out what is black. Frames
-    that can't be used are named. The world is that of the frames; applied_transform has led to it and isn't undone.
+    Depth files hold thousandths of the world's unit, as in nerfstudio, unless depth_unit_scale_factor (or
+    integer_depth_scale) differs; with depth, the unit is assumed to be the meter. Masks exclude black pixels. Unusable
+    frames are listed as problems. The world is that of the frames: applied_transform is not undone.
     """
     file = _file(path) or path
     shared = read_json_object(file)
@@ -95,7 +95,7 @@ def read_nerfstudio(path: Path) -> Capture:
 
 
 def _named_files(file: Path, frames: list[dict[str, Any]]) -> Iterator[str]:
-    """Every name of a file that the frames hold, pictures with the ending that Blender leaves out."""
+    """All file names in the frames, images with the suffix that Blender omits."""
     for frame in frames:
         yield _file_path(frame)
         yield str(_image(file, _file_path(frame)))
@@ -125,7 +125,7 @@ def _file_path(frame: dict[str, Any]) -> str:
 
 
 def _image(file: Path, name: str) -> Path:
-    """The picture that a frame names; Blender leaves its suffix out."""
+    """Path of a frame's image; Blender omits the suffix."""
     named = file.parent / name
     guesses = (named, *(named.with_name(named.name + suffix) for suffix in SUFFIXES))
     return next((guess for guess in guesses if guess.is_file()), named)

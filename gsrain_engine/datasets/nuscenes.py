@@ -1,6 +1,6 @@
-"""nuScenes as its own tables tell it: one scene of the annotated samples, six cameras, the lidar on the roof, boxes.
+"""nuScenes from its own tables: one scene of annotated samples, six cameras, the roof lidar, boxes.
 
-The world is the map's (z up); the vehicle's frame lies on the ground below the rear axle. Pictures are rectified.
+The world is the map's (z up); the vehicle's frame is on the ground below the rear axle. Images are rectified.
 """
 
 from collections import defaultdict
@@ -27,14 +27,14 @@ _US = 1e-6
 
 
 def recognizes_nuscenes(path: Path) -> bool:
-    """Whether a path is nuScenes (v1.0-*/sample_data.json), the folder of its tables, or NUSCENES/scene-NNNN."""
+    """Return whether a path is nuScenes (v1.0-*/sample_data.json), the folder of its tables, or NUSCENES/scene-NNNN."""
     return _tables_in(path) is not None or (path.name.startswith("scene-") and _tables_in(path.parent) is not None)
 
 
 def read_nuscenes(path: Path, key_frames_only: bool = True) -> Capture:
-    """Read one scene: NUSCENES/scene-0061 (a name, not a folder on the disk) or, of the data set, the first there.
+    """Read one scene: NUSCENES/scene-0061 (a name, not a folder on disk) or, for the dataset, the first available one.
 
-    The pictures between annotated samples (12 a second) come with `key_frames_only` False. Raises `CaptureError`.
+    `key_frames_only` False adds the images between annotated samples (12 a second). Raises `CaptureError`.
     """
     folder = _tables_in(path)
     wanted = None if folder else path.name
@@ -70,8 +70,7 @@ def _tables_in(path: Path) -> Path | None:
     return versions[0].parent if versions else None
 
 
-# § The tables of nuScenes that a capture needs, read row by row as the data set's schema has them.
-#
+# Tables
 # Facts: docs/schema_nuscenes.md of github.com/nutonomy/nuscenes-devkit. Rotations are w x y z, sizes width length
 # height.
 
@@ -98,7 +97,7 @@ class SampleData(msgspec.Struct, frozen=True, gc=False):
 def _first_there(
     folder: Path, scenes: dict[str, NuScenesScene], by_scene: dict[str, list[SampleData]]
 ) -> NuScenesScene:
-    """First scene, by name, of which pictures are there (a download may hold a part of the data set)."""
+    """First scene, by name, with images on disk (a download may be a part of the dataset)."""
     for name in sorted(scenes):
         if any((folder.parent / each.filename).is_file() for each in by_scene[scenes[name].token][:50]):
             return scenes[name]
@@ -109,7 +108,7 @@ Row = TypeVar("Row")
 
 
 class Sample(msgspec.Struct, frozen=True, gc=False):
-    """A time that was annotated."""
+    """An annotated time."""
 
     token: str
     timestamp: int
@@ -118,7 +117,7 @@ class Sample(msgspec.Struct, frozen=True, gc=False):
 
 
 class EgoPose(msgspec.Struct, frozen=True, gc=False):
-    """An ego pose: vehicle to world."""
+    """Ego pose: vehicle to world."""
 
     token: str
     translation: tuple[float, float, float]
@@ -126,7 +125,7 @@ class EgoPose(msgspec.Struct, frozen=True, gc=False):
 
 
 class CalibratedSensor(msgspec.Struct, frozen=True, gc=False):
-    """Where a sensor sits: sensor to vehicle."""
+    """Pose of a sensor: sensor to vehicle."""
 
     token: str
     sensor_token: str
@@ -156,7 +155,7 @@ class Annotation(msgspec.Struct, frozen=True, gc=False):
 
 @dataclass(frozen=True)
 class NuScenesTables:
-    """The tables of one version of the data set, read when they are asked for. Each raises `CaptureError`."""
+    """Tables of one version of the dataset, read on first use. Each raises `CaptureError`."""
 
     folder: Path
 
@@ -166,7 +165,6 @@ class NuScenesTables:
 
     @cached_property
     def samples(self) -> dict[str, Sample]:
-        """Times that were annotated."""
         return self._rows("sample", Sample)
 
     @cached_property
@@ -186,12 +184,12 @@ class NuScenesTables:
         return self._rows("sensor", Sensor)
 
     def read_poses(self) -> None:
-        """Read what every file of a sensor needs, so that a broken table is named once."""
+        """Read the tables that every sensor file needs, so that a broken table is reported once."""
         _ = self.ego_poses, self.calibrated_sensors, self.sensors
 
     @cached_property
     def annotations(self) -> dict[str, Annotation]:
-        """Boxes; none in the test split."""
+        """Boxes; missing in the test split."""
         return self._rows("sample_annotation", Annotation)
 
     @cached_property
@@ -243,7 +241,7 @@ class _SceneReader:
         return self.record.capture()
 
     def boxes(self, samples: dict[str, float]) -> None:
-        """Boxes of the scene's samples; none where the data set does not give them away."""
+        """Read the boxes of the scene's samples, if published."""
         self.record.box_times_s = sorted(samples.values())
         try:
             annotations, names = self.tables.annotations, self.tables.class_names
@@ -322,14 +320,14 @@ def read_nuscenes_points(
 
 
 class Instance(msgspec.Struct, frozen=True, gc=False):
-    """A thing that was annotated."""
+    """An annotated object."""
 
     token: str
     category_token: str
 
 
 class Category(msgspec.Struct, frozen=True, gc=False):
-    """A class of things."""
+    """A class of objects."""
 
     token: str
     name: str

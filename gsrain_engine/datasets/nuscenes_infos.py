@@ -1,7 +1,7 @@
-"""nuScenes as MMDetection3D's info files (.pkl) tell it: of versions 1.x ("data_list") and before ("infos").
+"""nuScenes from MMDetection3D's info files (.pkl), of versions 1.x ("data_list") and before ("infos").
 
-Facts: tools/dataset_converters/ of github.com/open-mmlab/mmdetection3d. The files know no identities: each box is there
-around its own sample. Boxes are in the lidar's frame (x right, y forward, z up), with their centres.
+Facts: tools/dataset_converters/ of github.com/open-mmlab/mmdetection3d. The files have no object identities: each box
+exists only around its own sample. Boxes are in the lidar's frame (x right, y forward, z up), given by their centers.
 """
 
 import re
@@ -36,7 +36,7 @@ _CAMERA = re.compile(r"(^|_)CAM_(FRONT|BACK)(_LEFT|_RIGHT)?_")
 
 
 def recognizes_nuscenes_infos(path: Path) -> bool:
-    """Whether a path is an info file, the N-th drive of one (FILE.pkl/N), or a folder of one with its pictures."""
+    """Return whether a path is an info file, its N-th drive (FILE.pkl/N), or a folder with an info file and images."""
     if path.suffix == ".pkl":
         return path.is_file()
     if path.is_dir():
@@ -47,7 +47,7 @@ def recognizes_nuscenes_infos(path: Path) -> bool:
 
 
 def read_nuscenes_infos(path: Path) -> Capture:
-    """Read one drive of an info file, the first of it unless the path says FILE.pkl/N. Raises `CaptureError`."""
+    """Read one drive of an info file, the first unless the path is FILE.pkl/N. Raises `CaptureError`."""
     file, number = (path.parent, int(path.name)) if path.parent.suffix == ".pkl" else (path, 0)
     problems: list[str] = []
     if file.is_dir():
@@ -68,12 +68,12 @@ def read_nuscenes_infos(path: Path) -> Capture:
     return _capture(file.parent, drives[number], DrivingLog(name, road_m=0.0, problems=problems))
 
 
-# § Rows of MMDetection3D's info files, of both layouts, as one kind of value.
+# Rows of both layouts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InfoCamera:
-    """A picture of a sample."""
+    """An image of a sample."""
 
     channel: str
     file: str
@@ -84,7 +84,7 @@ class InfoCamera:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Info:
-    """A sample: where the vehicle was at the lidar's time, its pictures, and boxes in the lidar's frame."""
+    """A sample: pose of the vehicle at the lidar's time, its images, and boxes in the lidar's frame."""
 
     time_s: float
     vehicle_to_world: Float64[np.ndarray, "4 4"]
@@ -94,9 +94,9 @@ class Info:
     cameras: tuple[InfoCamera, ...]
     class_names: tuple[str, ...]
     boxes: Float64[np.ndarray, "b 7"]
-    """Centre x y z, three sides, turn about z: as the file has them."""
+    """Center x y z, three sides, rotation about z, as in the file."""
     has_old_boxes: bool = False
-    """Whether the sides may be width, length, height and the turn clockwise from -y, as before version 1.0."""
+    """True if sides may be width, length, height and the rotation clockwise from -y, as before version 1.0."""
 
 
 def _drives(infos: list[Info]) -> list[list[Info]]:
@@ -133,14 +133,14 @@ def _capture(folder: Path, infos: list[Info], record: DrivingLog) -> Capture:
 
 
 def _has_old_boxes(folder: Path, infos: list[Info]) -> bool:
-    """Ask the first sweep that is there and has boxes around it."""
+    """Decide by the first available sweep with boxes."""
     for info in infos:
         if info.has_old_boxes and info.lidar_file and len(info.boxes):
             try:
                 points, _ = read_nuscenes_points(_find(folder, info.lidar_file, "LIDAR_TOP"), info.lidar_columns)
             except CaptureError:
                 continue
-            with np.errstate(invalid="ignore"):  # what is no number lies in no box
+            with np.errstate(invalid="ignore"):  # NaN lies in no box
                 return boxes_are_old(info.boxes, points.astype(np.float64))
     return False
 
@@ -166,7 +166,7 @@ def _scans(folder: Path, infos: list[Info], problems: list[str]) -> Iterator[Lid
 
 
 def _find(folder: Path, named: str, sensor: str) -> Path:
-    """Where a file lies: as the info file has it, in samples/SENSOR, or beside the info file. Raises `CaptureError`."""
+    """Path of a file: as in the info file, in samples/SENSOR, or next to the info file. Raises `CaptureError`."""
     found = _found(folder, named, sensor)
     if found is None:
         raise CaptureError(f"{named}: no such file in {folder}")
@@ -189,7 +189,7 @@ _BOX_NUMBERS = 7
 
 
 def infos_of(values: Any, file: Path) -> tuple[list[Info], list[str]]:
-    """Read all samples, and say which were left out; `CaptureError` where the file holds none."""
+    """Read all samples and list the omitted ones; `CaptureError` if the file holds none."""
     if isinstance(values, Mapping) and isinstance(values.get("data_list"), Sequence):
         classes = values.get("metainfo", {}).get("categories", {})
         names = {int(number): str(name) for name, number in dict(classes).items()}
@@ -223,7 +223,7 @@ def _info_of_1_x(row: Any, names: Mapping[int, str]) -> Info:
             str(each["img_path"]),
             float(each.get("timestamp", row["timestamp"])),
             np.asarray(each["cam2img"], np.float64),
-            # Of the lidar's time: this holds what the vehicle moved between the two, cam2ego doesn't.
+            # At the lidar's time: lidar2cam includes the vehicle's motion between the two times, cam2ego doesn't.
             to_world @ to_vehicle @ invert_pose(rigid_from_numbers(each["lidar2cam"])),
         )
         for channel, each in row.get("images", {}).items()
@@ -274,9 +274,9 @@ def boxes_in_lidar(
 
 
 def boxes_are_old(boxes: Float64[np.ndarray, "b 7"], points_m: Float64[np.ndarray, "p 3"]) -> bool:
-    """Whether the boxes hold more points of their lidar when they are read as files before version 1.0 wrote them.
+    """Return whether the boxes hold more lidar points if read in the convention before version 1.0.
 
-    The layout is the same, and nothing in the file tells which it is.
+    The layout is the same, and no field distinguishes the conventions.
     """
     held = [
         sum(_count_inside(points_m, size, pose) for size, pose in boxes_in_lidar(boxes, old)) for old in (False, True)

@@ -1,4 +1,4 @@
-"""Opens a capture, whatever data set it comes from: one table of formats, the first that knows the path reads it."""
+"""Opening of captures of any dataset by the first format that recognizes the path."""
 
 import difflib
 from collections.abc import Callable
@@ -24,7 +24,7 @@ from .waymo_v1 import read_waymo_records, recognizes_waymo_records
 from .waymo_v2 import read_waymo_tables, recognizes_waymo_tables
 
 _LOOKED_AT = 50
-"""Folders below one that is no capture, in which captures are looked for."""
+"""Maximum number of subfolders that are searched for captures."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,17 +32,17 @@ class CaptureFormat:
     """One kind of capture on disk."""
 
     name: str
-    """As a person calls it: COLMAP, KITTI raw."""
+    """Display name: COLMAP, KITTI raw."""
     recognizes: Callable[[Path], bool]
-    """Whether a path looks like this kind, by the names in it: quick, and without an exception."""
+    """Fast check of a path by the names in it, without exceptions."""
     read: Callable[[Path], Capture]
-    """Read it; raises `CaptureError`. Pictures are read later, one by one."""
+    """Reader; raises `CaptureError`. Images are read later, one by one."""
     names_inside: bool = False
-    """Whether one of several drives in tables is named as if it were a file there: NUSCENES/scene-0061."""
+    """True if one of several drives in tables is given like a file inside: NUSCENES/scene-0061."""
 
 
 FORMATS: tuple[CaptureFormat, ...] = (
-    # The first that recognizes a path reads it: what has a calibration stands before what is only pictures.
+    # The first match wins: formats with a calibration precede plain images.
     CaptureFormat("capture folder", recognizes_capture_folder, read_capture_folder),
     CaptureFormat("DGP", recognizes_dgp, read_dgp),
     CaptureFormat("nuScenes", recognizes_nuscenes, read_nuscenes, names_inside=True),
@@ -60,10 +60,10 @@ FORMATS: tuple[CaptureFormat, ...] = (
 
 
 def open_capture(path: Path | str, *, allow_outside: bool | None = None) -> Capture:
-    """Read the capture that a path holds. Raises `CaptureError`, which names the file at fault, where that fails.
+    """Read the capture at a path. Raises `CaptureError`, which names the faulty file.
 
-    Files that lie outside the capture's folder and are named in its files are only read with `allow_outside`; None
-    leaves that to the context (`datasets.files.inside`), in which they are not.
+    Files named in the capture, but outside its folder, are only read with `allow_outside`; None uses the context's
+    setting (`outside_allowed`), False by default.
     """
     path = Path(path)
     found = capture_format(path)
@@ -83,13 +83,13 @@ def open_capture(path: Path | str, *, allow_outside: bool | None = None) -> Capt
 
 
 def capture_format(path: Path | str) -> CaptureFormat | None:
-    """Which kind of capture a path holds; None where it is none that is known."""
+    """Format of the capture at a path; None if unknown."""
     path = Path(path)
     able = _formats() if path.exists() else tuple(each for each in _formats() if each.names_inside)
     try:
         return next((each for each in able if each.recognizes(path)), None)
     except OSError:
-        return None  # a folder that may not be looked into
+        return None  # a folder without read permission
 
 
 def _why_not(path: Path) -> str:
@@ -109,7 +109,7 @@ def _why_not(path: Path) -> str:
 
 
 def capture_hint(path: Path) -> str:
-    """End a refusal of a folder: captures below it, the kind that it is nearest to, or folders of pictures below it."""
+    """Hint on an unknown folder, for a message: captures below it, most similar kind, or image folders below it."""
     posed, pictures = captures_below(path)
     near = None if posed else nearest_layout(path)
     if near is not None:
@@ -119,9 +119,9 @@ def capture_hint(path: Path) -> str:
 
 
 def captures_below(path: Path) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
-    """Captures one or two folders below one that is none: their paths from there, and their kinds.
+    """Captures one or two levels below an unrecognized folder: their relative paths and kinds.
 
-    First those with more than pictures, of the first level that has any; then folders of pictures alone.
+    First those with more than images, of the first level that has any; then folders of images alone.
     """
     folders, pictures = [path], list[tuple[str, str]]()
     for _ in range(2):
@@ -142,20 +142,20 @@ def _folders_in(folder: Path) -> list[Path]:
 
 
 def _formats() -> tuple[CaptureFormat, ...]:
-    """Ours and those of installed packages, which come before folders that only hold pictures."""
+    """Built-in formats and those of installed packages, which precede plain image folders."""
     *ours, pictures = FORMATS
     return (*ours, *(_guarded(*each) for each in load_extensions(CAPTURE_FORMATS, CaptureFormat)), pictures)
 
 
 def _guarded(extension: Extension, row: CaptureFormat) -> CaptureFormat:
-    """Pass over a format of others that fails at looking: it is asked about every path."""
+    """Ignore an extension's format if its check fails, because every path is passed to it."""
 
     def recognizes(path: Path) -> bool:
         try:
             return row.recognizes(path)
         except OSError:
             raise
-        except Exception as error:  # whatever others raise
+        except Exception as error:  # extensions may raise anything
             warn_once(str(extension.unfit(error)))
             return False
 

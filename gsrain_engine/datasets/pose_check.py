@@ -1,7 +1,6 @@
-"""Whether a capture's poses are what they claim to be: against its lidar, and against what neighbouring views share.
+"""Check of a capture's poses against its lidar, and against matches between neighboring views.
 
-A wrong convention (inverted matrices, OpenGL's axes, cameras mixed up) makes a reconstruction that never gets sharp;
-here it is found within seconds, and named.
+A wrong convention (inverted matrices, OpenGL's axes, swapped cameras) prevents sharp reconstructions.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,32 +16,32 @@ from .capture import Capture, CaptureError, CaptureFrame
 from .geometry import invert_pose, nearest_sweep
 from .pose_fit import EdgeImage, EpipolarFit, FeatureMatches, ImageFeatures
 
-# § What a check of poses found, and how it is judged.
+# Results
 
 Verdict = Literal["fits", "wrong", "doubtful"]
 
 
 @dataclass(frozen=True, slots=True)
 class PoseCheck:
-    """What one check says about the poses of one camera."""
+    """Result of one check of one camera's poses."""
 
     sensor: str
     by: Literal["matches", "lidar"]
     verdict: Verdict
-    """`wrong`: a usual mistake explains it. `doubtful`: these poses don't fit, and no usual mistake does."""
+    """`wrong`: a common mistake explains the misfit. `doubtful`: the poses don't fit, and no common mistake does."""
     figure: float
-    """Share of matches explained; or standard deviations above turned poses."""
+    """Share of matches explained; or standard deviations above rotated poses."""
     expected: float
-    """The least that a right pose has."""
+    """Minimum figure of a correct pose."""
     told: str
     """The finding as one sentence with its figures."""
 
 
-# § Poses against the lidar: whether edges in depth lie on edges of the pictures.
+# Check by lidar: depth edges must coincide with image edges
 
 
 def check_by_lidar(capture: Capture, sensor: str) -> PoseCheck | None:
-    """Check one camera; None where no sweep is near its times."""
+    """Check one camera; None if no sweep is near its times."""
     seen = _sweep_pairs(capture, [view for view in capture if view.sensor == sensor])
     if not seen:
         return None
@@ -56,11 +55,11 @@ def check_by_lidar(capture: Capture, sensor: str) -> PoseCheck | None:
     return PoseCheck(sensor, "lidar", verdict, figure, STANDS_OUT, told)
 
 
-# § Poses against what neighbouring views of one camera share: epipolar distances, and points in front of both.
+# Check by matches
 
 
 def check_by_matches(capture: Capture, sensor: str) -> PoseCheck | None:
-    """Check one camera; None where too little can be matched, or it stood still."""
+    """Check one camera; None with too few matches, or if the camera did not move."""
     pairs = _matched_pairs([view for view in capture if view.sensor == sensor])
     if not pairs:
         return None
@@ -83,9 +82,9 @@ _CHECKS = (check_by_matches, check_by_lidar)
 
 
 def check_poses(capture: Capture, on_progress: Callable[[float], None] | None = None) -> tuple[PoseCheck, ...]:
-    """Check each camera by all that the capture offers; nothing where it has no poses, or nothing to compare.
+    """Check each camera by all available means; empty without poses or comparable data.
 
-    `on_progress` is called with the fraction that is done.
+    `on_progress` is called with the completed fraction.
     """
     if not capture.has_poses:
         return ()
@@ -99,7 +98,7 @@ def check_poses(capture: Capture, on_progress: Callable[[float], None] | None = 
 
 
 STANDS_OUT = 1.5
-"""Standard deviations that a right pose's fit is above that of turned ones. Seen: 1.9-7.8 a view, wrong -2.9-2.7."""
+"""Minimum fit of a correct pose, in standard deviations. Observed: 1.9 to 7.8 a view, wrong poses -2.9 to 2.7."""
 
 _VIEWS = 4
 
@@ -114,7 +113,7 @@ class _SweepPair:
 
 
 def _stands_out(seen: Sequence[_SweepPair], poses: Sequence[Float64[np.ndarray, "4 4"]]) -> float:
-    """Mean fit of world-to-camera poses; a view into which hardly any point falls counts as 0."""
+    """Mean fit of world-to-camera poses; views with too few points count as 0."""
     fits = [
         pose_fit.lidar_edge_fit(each.edges, each.depth_edges, replace(each.edges.view.camera, world_to_camera=pose))
         for each, pose in zip(seen, poses, strict=True)
@@ -123,7 +122,7 @@ def _stands_out(seen: Sequence[_SweepPair], poses: Sequence[Float64[np.ndarray, 
 
 
 def _sweep_pairs(capture: Capture, views: Sequence[CaptureFrame]) -> list[_SweepPair]:
-    """Some views over the drive with the sweep nearest in time; broken pictures are another check's finding."""
+    """Some views over the drive, each with the sweep nearest in time; broken images are skipped."""
     seen: list[_SweepPair] = []
     for view in evenly_spread(views, _VIEWS):
         sweep = nearest_sweep(view, capture.sweeps)
@@ -137,7 +136,7 @@ def _sweep_pairs(capture: Capture, views: Sequence[CaptureFrame]) -> list[_Sweep
 
 
 EXPLAINED = 0.6
-"""Share of matches from which poses are right. Right ones explain 83-100 % in real drives, wrong ones up to 52 %."""
+"""Minimum share of matches for correct poses, which explain 83 to 100 % in real drives, wrong ones up to 52 %."""
 
 _PAIRS = 3
 
@@ -151,7 +150,7 @@ class _ImagePair:
 
 
 def _fits(pairs: Sequence[_ImagePair], poses: Sequence[Float64[np.ndarray, "4 4"]]) -> list[EpipolarFit]:
-    """How poses explain the pairs; two poses a pair, in their order."""
+    """Fit of poses to the pairs; two poses a pair, in their order."""
     return [pose_fit.epipolar_fit(pair.found, (poses[2 * k], poses[2 * k + 1])) for k, pair in enumerate(pairs)]
 
 
@@ -160,7 +159,7 @@ def _explained(pairs: Sequence[_ImagePair], fits: Sequence[EpipolarFit]) -> floa
 
 
 def _matched_pairs(views: Sequence[CaptureFrame]) -> list[_ImagePair]:
-    """Match some views, spread over the row, with their neighbours; where the camera stood still, with later ones."""
+    """Match some evenly spread views with their neighbors or, if the camera did not move, with later views."""
     seen = lru_cache(maxsize=None)(_features)
     starts = evenly_spread(range(len(views) - 1), _PAIRS)
     found = (_matched_with_a_later_one(views, start, seen) for start in starts)
@@ -181,7 +180,7 @@ def _matched_with_a_later_one(
 
 
 def _at_one_place(first: CaptureFrame, second: CaptureFrame) -> bool:
-    """Whether a camera stood still: then there is no epipolar geometry, and what moves in the picture moves itself."""
+    """Return whether the camera did not move: then there is no epipolar geometry, only moving objects."""
     return bool(np.allclose(first.camera.position, second.camera.position, rtol=0, atol=1e-9))
 
 
@@ -189,10 +188,10 @@ def _features(view: CaptureFrame) -> ImageFeatures | None:
     try:
         return pose_fit.find_features(view)
     except CaptureError:
-        return None  # a broken picture is somebody else's finding
+        return None  # broken images are reported elsewhere
 
 
-# § What is usually wrong with poses, as poses that would then be right.
+# Common mistakes
 
 _FLIPPED = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -202,13 +201,13 @@ class Hypothesis:
     """One explanation of poses that don't fit."""
 
     told: str
-    """What is wrong, as the end of a sentence."""
+    """Description of the mistake, as the end of a sentence."""
     poses: tuple[Float64[np.ndarray, "4 4"], ...]
-    """World to camera of the views asked for, if that is so."""
+    """World to camera of the given views under this hypothesis."""
 
 
 def hypotheses(capture: Capture, views: Sequence[CaptureFrame]) -> list[Hypothesis]:
-    """Usual mistakes for some views of one camera: inverted, other axes, the poses of another camera of the rig."""
+    """Common mistakes for views of one camera: inverted poses, other axes, poses of another camera of the rig."""
     given = [view.camera.world_to_camera for view in views]
     usual = [
         Hypothesis("the matrices are camera to world, not world to camera", tuple(invert_pose(pose) for pose in given)),
@@ -223,7 +222,7 @@ def hypotheses(capture: Capture, views: Sequence[CaptureFrame]) -> list[Hypothes
 
 
 def _poses_of(capture: Capture, sensor: str, views: Sequence[CaptureFrame]) -> tuple[Float64[np.ndarray, "4 4"], ...]:
-    """Poses of another camera at the times of some views; where times don't tell, at their places in the row."""
+    """Poses of another camera at the times of some views; without distinct times, at the same index."""
     own, other = ([v for v in capture if v.sensor == each] for each in (views[0].sensor, sensor))
     places = {view.name: k for k, view in enumerate(own)}
     nearest = [
@@ -239,9 +238,9 @@ _Each = TypeVar("_Each")
 def pose_check_result(
     figure: float, expected: float, others: Mapping[str, float], convincing: float
 ) -> tuple[Verdict, str]:
-    """Whether poses fit, and the end of the sentence: which of the usual mistakes explains it if they don't.
+    """Verdict on the poses, and the end of the sentence: the common mistake that explains a misfit.
 
-    `others` are the figures under each mistake; one that reaches `convincing` is believed.
+    `others` are the figures under each mistake; one that reaches `convincing` is accepted.
     """
     if figure >= expected:
         return "fits", "."
@@ -252,7 +251,7 @@ def pose_check_result(
 
 
 def evenly_spread(row: Sequence[_Each], at_most: int) -> list[_Each]:
-    """Choose some of a row, evenly."""
+    """Choose up to `at_most` elements, evenly."""
     if not row:
         return []
     places = np.linspace(0, len(row) - 1, min(at_most, len(row))).round().astype(np.int64)

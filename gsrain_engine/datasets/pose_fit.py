@@ -1,4 +1,4 @@
-"""Whether two views' poses explain what both saw: matched features against epipolar lines, and in front of both."""
+"""Fit of poses to feature matches between two views, and to edges in lidar depth."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,10 +13,10 @@ from .geometry import intrinsics, pixels_inside, project_points
 from .undistort import undistort_frame
 
 MATCH_WIDTH_PX = 800
-"""Features are sought in pictures of this width; errors are told in pixels of it."""
+"""Image width for features; errors are in pixels of it."""
 
 WITHIN_PX = 2.0
-"""Matches this near to their epipolar lines are explained by the poses."""
+"""Maximum epipolar distance of matches explained by the poses."""
 
 _FEATURES = 3000
 
@@ -33,18 +33,18 @@ _PARALLAX_RAD = 2e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeatureMatches:
-    """Features that two pictures of a moving camera share, as far as they agree with any two-view geometry at all."""
+    """Features shared by two images of a moving camera and consistent with some two-view geometry."""
 
     first: Float64[np.ndarray, "m 2"]
-    """Pixels of the prepared pictures, first centre at (0.5, 0.5)."""
+    """Pixels of the prepared images, first center at (0.5, 0.5)."""
     second: Float64[np.ndarray, "m 2"]
     cameras: tuple[Camera, Camera]
-    """With straight lines, `WIDTH_PX` wide, and the poses as given."""
+    """Cameras without distortion, `MATCH_WIDTH_PX` wide, with the given poses."""
 
 
 @dataclass(frozen=True, slots=True)
 class EpipolarFit:
-    """How two poses explain matches."""
+    """Fit of two poses to matches."""
 
     median_px: float
     """Median distance to the epipolar lines."""
@@ -54,17 +54,17 @@ class EpipolarFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageFeatures:
-    """What is easily found again in a picture."""
+    """SIFT features of an image."""
 
     view: CaptureFrame
-    """Straight lines, `WIDTH_PX` wide."""
+    """View without distortion, `MATCH_WIDTH_PX` wide."""
     pixels: Float64[np.ndarray, "f 2"]
-    """First centre at (0.5, 0.5)."""
+    """First center at (0.5, 0.5)."""
     described: Float32[np.ndarray, "f 128"]
 
 
 def find_features(view: CaptureFrame) -> ImageFeatures:
-    """Prepare a view and find its SIFT features. Raises `CaptureError` where its picture can't be read."""
+    """Prepare a view and find its SIFT features. Raises `CaptureError` if its image can't be read."""
     straight = undistort_frame(view, min(MATCH_WIDTH_PX, view.camera.width))
     mask = straight.mask
     grey = cv2.cvtColor(straight.image, cv2.COLOR_RGB2GRAY)
@@ -76,9 +76,9 @@ def find_features(view: CaptureFrame) -> ImageFeatures:
 
 
 def match_features(first: ImageFeatures, second: ImageFeatures) -> FeatureMatches | None:
-    """Match two views' features; None where too few agree, or nothing moved between them.
+    """Match two views' features; None if too few agree, or none moved.
 
-    What stands still in the picture, such as the car's own bonnet, is left out.
+    Excludes features that are static in the image, such as the car's own hood.
     """
     pairs = _pairs(first.described, second.described)
     a, b = first.pixels[pairs[:, 0]], second.pixels[pairs[:, 1]]
@@ -96,7 +96,7 @@ def match_features(first: ImageFeatures, second: ImageFeatures) -> FeatureMatche
 def epipolar_fit(
     found: FeatureMatches, poses: tuple[Float64[np.ndarray, "4 4"], Float64[np.ndarray, "4 4"]]
 ) -> EpipolarFit:
-    """How world-to-camera poses explain the matches (symmetric epipolar distance; Hartley and Zisserman, 11.4)."""
+    """Fit of world-to-camera poses to the matches (symmetric epipolar distance; Hartley and Zisserman, 11.4)."""
     relative = poses[1] @ np.linalg.inv(poses[0])
     turn, shift = relative[:3, :3], relative[:3, 3]
     rays = [_rays(pixels, camera) for pixels, camera in zip((found.first, found.second), found.cameras, strict=True)]
@@ -120,7 +120,7 @@ def _in_front(
     turn: Float64[np.ndarray, "3 3"],
     shift: Float64[np.ndarray, "3"],
 ) -> Bool[np.ndarray, " m"]:
-    """Whether the nearest points of both rays lie before both cameras; True where the rays are nearly parallel."""
+    """Mask of rays whose nearest points are in front of both cameras; True if the rays are nearly parallel."""
     turned = first @ turn.T
     cosine = np.sum(turned * second, axis=1)
     along_first, along_second = turned @ shift, second @ shift
@@ -136,7 +136,7 @@ def _rays(pixels: Float64[np.ndarray, "m 2"], camera: Camera) -> Float64[np.ndar
 
 
 def _pairs(first: Float32[np.ndarray, "f 128"], second: Float32[np.ndarray, "g 128"]) -> Int64[np.ndarray, "m 2"]:
-    """Rows of features that are each other's nearest, clearly nearer than the next best (Lowe, 2004)."""
+    """Rows of mutual nearest features, clearly nearer than the second best (Lowe, 2004)."""
     if len(first) < 2 or len(second) < 2:
         return np.zeros((0, 2), np.int64)
     forth = cv2.BFMatcher(cv2.NORM_L2).knnMatch(first, second, k=2)
@@ -149,10 +149,10 @@ def _pairs(first: Float32[np.ndarray, "f 128"], second: Float32[np.ndarray, "g 1
     return np.array(kept, np.int64).reshape(-1, 2)
 
 
-# § How well a lidar's depth edges meet a picture's edges under a pose (after Levinson and Thrun 2013).
+# Lidar edges against image edges (after Levinson and Thrun 2013)
 
 EDGE_WIDTH_PX = 640
-"""Pictures are looked at in this width: far edges of a lidar with 32 beams are no finer."""
+"""Image width: far edges of a lidar with 32 beams are no finer."""
 
 _CELL_DEG = (0.4, 1.4)
 
@@ -169,16 +169,16 @@ _FEWEST_POINTS = 40
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeImage:
-    """A picture's edges, ready to be met."""
+    """Edges of an image."""
 
     view: CaptureFrame
-    """Straight lines, `WIDTH_PX` wide."""
+    """View without distortion, `EDGE_WIDTH_PX` wide."""
     clearness: Float32[np.ndarray, "h w"]
-    """How many times steeper the colour is here than around: leaves are steep all over and hide no edge for that."""
+    """Color gradient relative to its surroundings, so that steep textures such as leaves don't count as edges."""
 
 
 def edge_image(view: CaptureFrame) -> EdgeImage:
-    """Find a view's edges across. Raises `CaptureError` where its picture can't be read."""
+    """Find a view's vertical edges. Raises `CaptureError` if its image can't be read."""
     straight = undistort_frame(view, min(EDGE_WIDTH_PX, view.camera.width)).held()
     lab = cv2.cvtColor(straight.image, cv2.COLOR_RGB2LAB).astype(np.float32)
     steep = cv2.Sobel(cv2.GaussianBlur(lab, (0, 0), _BLUR_PX), cv2.CV_32F, 1, 0, ksize=3)
@@ -188,7 +188,7 @@ def edge_image(view: CaptureFrame) -> EdgeImage:
 
 
 def depth_edges(sweep: LidarSweep) -> Float64[np.ndarray, "e 3"]:
-    """Points of a sweep beside which, as the lidar saw it, lies something much farther away, or only sky (world)."""
+    """Points of a sweep (world) at depth edges: next to a much farther surface or the sky, seen from the lidar."""
     rays = sweep.points_m.astype(np.float64) - sweep.origin_m
     ranges = np.linalg.norm(rays, axis=1)
     kept = ranges > _OWN_CAR_M
@@ -198,7 +198,7 @@ def depth_edges(sweep: LidarSweep) -> Float64[np.ndarray, "e 3"]:
     columns, rows = round(360 / _CELL_DEG[0]), round(180 / _CELL_DEG[1])
     column = ((across + 180) / 360 * columns).astype(np.int64) % columns
     row = np.clip(((up + 90) / 180 * rows).astype(np.int64), 0, rows - 1)
-    order = np.argsort(-ranges)  # the nearest of a cell comes last and stays
+    order = np.argsort(-ranges)  # the nearest point of a cell is written last
     cells = np.full((rows, columns), -1, np.int64)
     cells[row[order], column[order]] = order
     image = np.full(cells.shape, np.nan)
@@ -207,13 +207,13 @@ def depth_edges(sweep: LidarSweep) -> Float64[np.ndarray, "e 3"]:
     for side in (-1, 1):
         beside = [np.roll(image, side * step, axis=1) for step in (1, 2, 3, 4)]
         farther = image * (1 + _JUMP_PART) + _JUMP_M
-        edge |= (beside[0] > farther) & ~(beside[1] < farther)  # a single far point is no edge
+        edge |= (beside[0] > farther) & ~(beside[1] < farther)  # a single far point is not an edge
         edge |= np.isnan(beside).all(axis=0)
     return points[cells[edge & (cells >= 0)]].astype(np.float64)
 
 
 def _met(edges: EdgeImage, points: Float64[np.ndarray, "e 3"], camera: Camera) -> tuple[float, int]:
-    """Mean clearness of the picture's edges at the points under a camera, and how many fall into the picture."""
+    """Mean edge strength of the image at the points projected by a camera, and the number of points inside."""
     pixels, _ = project_points(points, camera)
     rows, columns, inside = pixels_inside(pixels, edges.clearness.shape)
     count = int(np.count_nonzero(inside))
@@ -221,9 +221,9 @@ def _met(edges: EdgeImage, points: Float64[np.ndarray, "e 3"], camera: Camera) -
 
 
 def lidar_edge_fit(edges: EdgeImage, points: Float64[np.ndarray, "e 3"], camera: Camera) -> float:
-    """How far a pose stands out from itself turned by some degrees, in standard deviations; NaN where nothing falls in.
+    """Fit of a pose above those of rotated poses, in standard deviations; NaN with too few points in the image.
 
-    A true pose stands out by 2 to 8, a wrong one by 0 on average and hardly by more than 2.
+    A correct pose reaches 2 to 8, a wrong one 0 on average and rarely more than 2.
     """
     own, count = _met(edges, points, camera)
     if count < _FEWEST_POINTS:
@@ -234,7 +234,7 @@ def lidar_edge_fit(edges: EdgeImage, points: Float64[np.ndarray, "e 3"], camera:
 
 
 def _turned(camera: Camera) -> list[Camera]:
-    """The camera turned left, right, up and down, and both at once."""
+    """The camera rotated left and right, each also combined with up and down."""
     cameras: list[Camera] = []
     for yaw in _TURNS_DEG:
         for pitch in (0.0, -yaw / 2, yaw / 2):

@@ -1,7 +1,8 @@
-"""RainSense as a capture: one sequence with its lidar and its boxes, or the pictures of the whole data set.
+"""RainSense: one sequence with its lidar and boxes, or the images of the whole dataset.
 
-Beside what sequence.py reads: context/calib_lid_to_cam.txt (4x4, metres), lidar/frame_NNN.csv with X, Y, Z and
-Reflectivity, and label/label_NNN.txt, a line a thing in KITTI's form (camera axes, turn about y).
+Files of a sequence besides those of `read_rain_sequence`: context/calib_lid_to_cam.txt (4x4, meters),
+lidar/frame_NNN.csv with X, Y, Z and Reflectivity, and label/label_NNN.txt, one object a line in KITTI's format (camera
+axes, rotation about y).
 """
 
 import re
@@ -31,18 +32,18 @@ _FARTHEST_M = 1e6
 _NOTED_SKEW, _MAX_SKEWED = 0.005, 0.1
 
 RAIN = "rain_mm_h"
-"""The attribute of each view that says how hard it rained."""
+"""Attribute of each view with the rain intensity."""
 
 
 def recognizes_rainsense(path: Path) -> bool:
-    """Whether a folder is a RainSense sequence, or has some up to three levels below."""
+    """Return whether a folder is a RainSense sequence, or has some up to three levels below."""
     return any(next(path.glob(f"{depth}{_INTENSITY}"), None) is not None for depth in _DEPTHS)
 
 
 def read_rainsense(path: Path) -> Capture:
-    """Read a sequence: pictures, lidar and boxes in the world of its still camera; or all sequences' pictures.
+    """Read a sequence (images, lidar and boxes in the world of its fixed camera) or the images of all sequences.
 
-    Raises `CaptureError` that names the file at fault.
+    Raises `CaptureError` that names the faulty file.
     """
     try:
         if (path / _INTENSITY).is_file():
@@ -54,40 +55,39 @@ def read_rainsense(path: Path) -> Capture:
         raise CaptureError(str(error)) from None
 
 
-# § RainSense: pictures of a roadside camera that stands still in rain of known intensity.
-#
-# A sequence is a folder with image/image_NNN.jpg, context/camera_intrinsics.txt, context/rainfall_intensity.txt and
-# timestamps.txt (IVtest-Lab/RainSense, doi 10.5281/zenodo.17231190).
+# Sequences
+# Folders with image/image_NNN.jpg, context/camera_intrinsics.txt, context/rainfall_intensity.txt and timestamps.txt
+# (IVtest-Lab/RainSense, doi 10.5281/zenodo.17231190).
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RainSequence:
-    """One sequence. Its camera stands level in the world (metres, z up), 1.5 m above the ground, and looks along +x."""
+    """One sequence. Its camera is level in the world (meters, z up), 1.5 m above the ground, and looks along +x."""
 
     name: str
-    """The folder below the data set's own, such as light_rain/scene_2/case_000."""
+    """Folder below the dataset's own, such as light_rain/scene_2/case_000."""
     intensity_mm_h: float
     camera: Camera
-    """Its first pixel has its centre at (0.5, 0.5), as everywhere here; the file's own numbers are OpenCV's."""
+    """Camera with its first pixel's center at (0.5, 0.5); the file has OpenCV's convention."""
     distortion: Float64[np.ndarray, "5"]
-    """OpenCV's k1, k2, p1, p2, k3; the pictures are as the lens made them."""
+    """OpenCV's k1, k2, p1, p2, k3; the images are distorted."""
     images: tuple[Path, ...]
     times_s: tuple[float, ...]
-    """Of each picture, from the first time stamp."""
+    """Time of each image from the first time stamp."""
 
     def __len__(self) -> int:
         return len(self.images)
 
     def picture(self, number: int) -> UInt8[np.ndarray, "h w 3"]:
-        """Read one picture as display colour (RGB). Raises ValueError where it is broken or of another size."""
+        """Read one image as display color (RGB). Raises ValueError if it is broken or of another size."""
         return np.ascontiguousarray(self._read(number, cv2.IMREAD_COLOR)[..., ::-1])
 
     def gray_image(self, number: int) -> UInt8[np.ndarray, "h w"]:
-        """Read one picture's luma. Raises as `picture` does."""
+        """Read one image's luma. Raises as `picture` does."""
         return self._read(number, cv2.IMREAD_GRAYSCALE)
 
     def capture(self, numbers: Sequence[int] | None = None) -> Capture:
-        """Some pictures, or all, as a capture; they are read when they are asked for."""
+        """Some or all images as a capture, read on demand."""
         chosen = range(len(self)) if numbers is None else numbers
         lens = Lens("opencv", tuple(self.distortion.tolist()))
         views = (
@@ -128,7 +128,7 @@ def _data_set(path: Path, sequences: Sequence[RainSequence]) -> Capture:
 
 
 def _with_rain(capture: Capture, sequence: RainSequence) -> Capture:
-    """Say with each view how hard it rained."""
+    """Add the rain intensity to each view."""
     rain = {RAIN: f"{sequence.intensity_mm_h:g}"}
     return replace(capture, views=tuple(replace(view, attributes=rain) for view in capture))
 
@@ -136,7 +136,7 @@ def _with_rain(capture: Capture, sequence: RainSequence) -> Capture:
 def _sweeps(
     folder: Path, sequence: RainSequence, times: dict[int, float], problems: list[str]
 ) -> tuple[LidarSweep, ...]:
-    """Lidar frames of the pictures' numbers, in the world of the camera."""
+    """Lidar frames with the images' numbers, in the world of the camera."""
     files = sorted((folder / "lidar").glob("frame_*.csv"))
     if not files:
         return ()
@@ -162,7 +162,7 @@ def _sweeps(
 
 
 def _lidar_to_camera(file: Path, problems: list[str]) -> Float64[np.ndarray, "4 4"]:
-    """Return the rotation nearest to what the file holds (by singular values), for its matrix is a little skewed."""
+    """Return the rotation nearest to the file's slightly skewed matrix (by singular values), and its translation."""
     matrix = np.array(read_numbers(file, 16)).reshape(4, 4)
     if not np.abs(matrix).max() < _FARTHEST_M:
         raise CaptureError(f"{file}: must hold a rotation and a translation on this planet")
@@ -192,7 +192,7 @@ def _sweep(file: Path, time_s: float, to_world: Float64[np.ndarray, "4 4"]) -> L
 def _boxes(
     folder: Path, sequence: RainSequence, times: dict[int, float], problems: list[str]
 ) -> tuple[TrackedBox, ...]:
-    """Each thing of each labelled picture: RainSense doesn't say which is which from one picture to the next."""
+    """All objects of each labeled image as separate boxes: RainSense has no identities across images."""
     files = [file for file in sorted((folder / "label").glob("label_*.txt")) if _number(file) in times]
     samples: list[BoxSample] = []
     broken: list[str] = []
@@ -218,7 +218,7 @@ def _labeled(file: Path, sequence: RainSequence, time_s: float) -> list[BoxSampl
         if not max(abs(number) for number in (x, y, z, turn)) < _FARTHEST_M:
             raise ValueError(f"line {row + 1} has a place that is none")
         about_y = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
-        # KITTI: the thing's length lies along its own x, which the turn leads to the camera's axes; y is down.
+        # KITTI: the length is along the object's x axis, which the rotation maps to the camera's axes; y is down.
         object_axes = rigid_pose(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), np.zeros(3))
         bottom = rigid_pose(about_y, np.array([x, y, z])) @ object_axes
         bottom[:3, 3] += bottom[:3, 2] * (height / 2)
@@ -233,7 +233,7 @@ def _number(file: Path) -> int:
 
 
 CAMERA_HEIGHT_M = 1.5
-"""Assumed, for the files don't tell it: the height of a sensor on a car, as the paper has it."""
+"""Assumed height of a sensor on a car, as in the paper; the files don't contain it."""
 
 _SEQUENCE_INTENSITY, _INTRINSICS = Path("context/rainfall_intensity.txt"), Path("context/camera_intrinsics.txt")
 
@@ -245,7 +245,7 @@ _IMAGE_NUMBER = re.compile(r"image_(\d+)\.jpg")
 
 
 def find_rain_sequences(folder: Path) -> list[RainSequence]:
-    """Read every sequence at or below a folder, by rising intensity. Raises ValueError where there is none."""
+    """Read all sequences at or below a folder, by increasing intensity. Raises ValueError if there is none."""
     found = sorted(
         file.parent.parent for file in folder.rglob(_SEQUENCE_INTENSITY.name) if file.parent.name == "context"
     )
@@ -258,7 +258,7 @@ def find_rain_sequences(folder: Path) -> list[RainSequence]:
 
 
 def read_rain_sequence(folder: Path, name: str | None = None) -> RainSequence:
-    """Read what a sequence's text files say, and list its pictures. Raises ValueError that names the file at fault."""
+    """Read a sequence's text files and list its images. Raises ValueError that names the faulty file."""
     images = tuple(sorted(file for file in (folder / "image").glob("*.jpg") if _IMAGE_NUMBER.fullmatch(file.name)))
     if not images:
         raise ValueError(f"{folder / 'image'}: no image_NNN.jpg in it")
@@ -287,8 +287,8 @@ def read_numbers(file: Path, count: int) -> list[float]:
 
 
 def _decoded(file: Path, mode: int) -> UInt8[np.ndarray, "..."]:
-    """Decode a picture by OpenCV, as RainSense's own tools do; `CaptureError` where it is broken, or cut off."""
-    image_size(file)  # a bomb, or a file of another kind, is refused before
+    """Decode an image by OpenCV, as RainSense's own tools do; `CaptureError` if it is broken or truncated."""
+    image_size(file)  # rejects decompression bombs and other file types first
     try:
         picture = cv2.imdecode(np.frombuffer(read_file(file), np.uint8), mode)
     except cv2.error:
@@ -299,7 +299,7 @@ def _decoded(file: Path, mode: int) -> UInt8[np.ndarray, "..."]:
 
 
 def _times(file: Path, images: Sequence[Path]) -> tuple[float, ...]:
-    """Seconds of pictures by their numbers: row N belongs to image_N."""
+    """Seconds of images by their numbers: row N belongs to image_N."""
     rows = _text(file).split()[1:]
     numbers = [int(match[1]) for image in images if (match := _IMAGE_NUMBER.fullmatch(image.name))]
     if max(numbers) >= len(rows):

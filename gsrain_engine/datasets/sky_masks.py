@@ -1,6 +1,6 @@
-"""Finds the pixels of views that show the sky: from the data set where it tells, else by colour, place and lidar.
+"""Sky masks of views, from the dataset if available, otherwise from color, position and lidar.
 
-`certain_sky` needs nothing but one picture, and marks only what is surely sky.
+`certain_sky` needs a single image, and marks only certain sky.
 """
 
 from collections.abc import Sequence
@@ -15,87 +15,86 @@ from .capture import CaptureFrame
 from .masks import elevations
 
 _LOWEST = float(np.sin(np.radians(1.0)))
-"""Sine of the elevation above which there may be sky."""
+"""Sine of the minimum elevation of sky."""
 
 _SMOOTH = 0.03
-"""Standard deviation of brightness (0..1) in a small window up to which a surface is smooth."""
+"""Maximum standard deviation of brightness (0..1) in a small window of a smooth surface."""
 
 _BRIGHT, _DARKEST, _BLUE = 0.62, 0.2, 0.03
 
 _MIN_OF_BRIGHTEST = 0.5
-"""A sky is at least so bright, beside the brightest twentieth of what is above the horizon."""
+"""Minimum brightness of sky relative to the brightest twentieth above the horizon."""
 
 _MIN_PART = 0.004
-"""Of a picture that a patch of sky must fill unless it touches the upper edge."""
+"""Minimum share of the image for a patch of sky that doesn't touch the upper edge."""
 
 _LIKELY = 0.75
 
 _BINS = 12
 
 _WIDTH = 320
-"""Pixels across the small picture in which `certain_sky` looks; the numbers below are of it, colours in CIELAB."""
+"""Width in pixels of the small image for `certain_sky`; the constants below refer to it, with colors in CIELAB."""
 
 _EVEN, _SOFT = 1.5, 3.5
-"""Steps of colour a pixel up to which a place is even, and up to which it may belong to one sky: clouds have no hard
-edges, roofs and twigs have."""
+"""Maximum color step a pixel of an even region, and within one sky: unlike roofs and twigs, clouds have soft edges."""
 
 _BLUE_B, _PAINT_CHROMA, _PALE_CHROMA, _WARM_B, _WARM_LIGHT = -5.0, 62.0, 16.0, 20.0, 85.0
-"""b* below which something is blue, chroma from which that is paint, chroma below which something is white or gray;
-b* and lightness of a sky at sunset."""
+"""Maximum b* of blue, minimum chroma of paint, maximum chroma of white or gray; b* and lightness of a sunset sky."""
 
 _SMALLEST = 0.003
-"""Share of the picture from which a patch may be sky by itself."""
+"""Minimum share of the image for a patch of sky."""
 
 _TOP, _MIN_TOP = 0.02, 0.02
-"""Part of the picture's height that counts as its upper edge, and part of the edge that a sky fills."""
+"""Fraction of the image height that counts as upper edge, and minimum fraction of the edge that a sky fills."""
 
 _LOWEST_ROW = 0.75
-"""Part of the picture's height below which no sky ends: a patch that does has run over into a road."""
+"""Fraction of the image height above which a sky ends; a patch that extends lower includes road."""
 
 _EVEN_SHARE, _GRAIN = 0.4, 0.8
-"""Least share of even pixels in a sky, and largest median grain of its lightness."""
+"""Minimum share of even pixels in a sky, and its maximum median grain of lightness."""
 
 _BLUE_PER_SURE, _BRIGHT_PER_SURE, _WORST_LEAD, _WHITE, _FOR_WHITE = 10.0, 8.0, -2.0, 97.0, 0.6
-"""Blueness and lead in lightness over the brightest tenth of all else that each make a patch surely sky, the most that
-white things can speak against it, and what a patch gets that is as light as can be: sensors clip skies first."""
+"""Blueness and lead in lightness over the brightest tenth of the rest, each worth one point; minimum points of the lead
+(white objects); lightness that counts as white, and the points for it: sensors clip skies first.
+"""
 
 _DIM, _BRIGHT_SKY, _FINE_GRAIN, _DEEP_BLUE = 60.0, 80.0, 0.35, 15.0
-"""Lightness under which only a deep blue is a sky, lightness under which a sky that is not of a deep blue has no more
-than the finest grain, and blueness from which that blue is deep."""
+"""Lightness below which only deep blue is sky, and below which other skies must have fine grain; that grain; blueness
+of deep blue.
+"""
 
 _COOL, _SUNLIT_WALL = 3.0, 10.0
-"""b* of a sky below which it has no part over the other: that is a wall in the sun."""
+"""b* below which a sky excludes patches with b* above the second value: those are sunlit walls."""
 
 _SURE = (0.3, 0.9)
-"""Sum of these from which a patch may be sky, and from which it is."""
+"""Scores from which a patch may be sky, and from which it is certain."""
 
 _MIN_SURENESS = 0.5
 
 _WIRE, _WIRES = 8, 3
-"""Pixels across a wire with its blur, which may part a sky in two, and so many of them one under the other."""
+"""Width in pixels of a blurred wire, which may divide a sky, and maximum number of wires one below the other."""
 
 _BODY = 7
-"""Pixels across what hangs together: the edge of a gray truck is soft for a few, where a cloud of its gray is behind
-it, and bright ledges of a wall run out of a sky."""
+"""Minimum width in pixels of a connection: soft edges of gray trucks and bright ledges of walls are narrower."""
 
 _MIXED = (0.75, 0.45)
-"""Parts of the light and of the blue of the sky around twigs from which a mixture with them shows it; blue cars under a
-sky are darker."""
+"""Minimum fractions of the surrounding sky's lightness and blue for a mixture of twigs and sky, unlike blue cars."""
 
 _ALIKE = 12.0
-"""Difference of colour from a sure sky up to which another patch at the upper edge is one."""
+"""Maximum color difference from certain sky of another sky patch at the upper edge."""
 
 _AMIDST, _SPREAD_PX, _BLUE_ROUNDS, _PALE_ROUNDS, _GAP_DISTANCE, _RIM_DISTANCE = 0.3, 6.0, 8, 2, 9.0, 14.0
-"""Share of sky around a gap between wires or twigs from which it shows the sky too, over how many pixels that is
-counted, how often, and how near its colour must be; the same for the rim that the smoothing took."""
+"""For gaps between wires or twigs: minimum share of surrounding sky, radius in pixels, rounds for blue and for pale
+skies, maximum color difference; last, that difference for the rim lost by smoothing.
+"""
 
 
 class CertainSky(NamedTuple):
-    """The part of a picture that is surely sky."""
+    """Certain sky of an image."""
 
     pixels: Bool[np.ndarray, "h w"]
     sureness: float
-    """From 0.5 (just sure enough) to 1, the mean over its patches; 0 where no sky is marked."""
+    """From 0.5 (just certain enough) to 1, the mean over its patches; 0 without sky."""
 
 
 def sky_masks(
@@ -103,15 +102,15 @@ def sky_masks(
     depths_m: Sequence[Float32[np.ndarray, "_ _"]],
     up: tuple[float, float, float] = (0.0, 0.0, 1.0),
 ) -> list[Bool[np.ndarray, "_ _"]]:
-    """Which pixels of each view show the sky; `View.sky` where all views have it.
+    """Sky pixels of each view; `CaptureFrame.sky` if all views have it.
 
-    Else a first guess, smooth patches above the horizon that are bright or blue and where the lidar saw nothing, tells
-    the sky's colours by histogram against those of all else above the horizon; a pixel there whose colour is likelier
-    to be sky then counts, through gaps of leaves too. All views together, so that one without sky invents none.
+    Otherwise a first guess (smooth patches above the horizon that are bright or blue and without lidar points) gives
+    color histograms of the sky and of everything else above the horizon; pixels there count as sky if their color is
+    more likely sky, also in gaps between leaves. The histograms cover all views, so that views without sky get none.
 
     Args:
         views: Without distortion.
-        depths_m: What was measured in each view, 0 where nothing was: no sky is there.
+        depths_m: Measured depth in each view, 0 without a measurement; measured pixels are not sky.
         up: Upward direction in the capture's world.
     """
     told = [view.sky for view in views]
@@ -137,14 +136,14 @@ def sky_masks(
 
 
 def certain_sky(image: UInt8[np.ndarray, "h w 3"]) -> CertainSky:
-    """Mark the sky of a picture of which nothing else is known; where it is not sure, nothing is marked.
+    """Mark the sky of a single image; uncertain sky is not marked.
 
-    A sky hangs together with the upper edge over soft steps of colour, clouds with the blue around them, is even and
-    without grain, and is bluer or brighter than nearly all else: walls, trucks and lamps miss one of these. Gaps
-    between wires and twigs in its midst count if they have its colour.
+    A sky is connected with the upper edge by soft color steps (clouds with the blue around them), is even, has no
+    grain, and is bluer or brighter than nearly everything else; walls, trucks and lamps lack one of these properties.
+    Enclosed gaps between wires and twigs are included if they have the sky's color.
 
     Args:
-        image: Display colour (sRGB), upright.
+        image: Display color (sRGB), upright.
     """
     height, width = image.shape[:2]
     size = (_WIDTH, max(round(height * _WIDTH / width), 1))
@@ -153,7 +152,7 @@ def certain_sky(image: UInt8[np.ndarray, "h w 3"]) -> CertainSky:
     soft = np.asarray(cv2.GaussianBlur(lab, (0, 0), 1.0), np.float32)
     step = _color_step(np.asarray(cv2.GaussianBlur(lab, (0, 0), 0.6), np.float32))
     joined = (_sky_like(soft) & (step < _SOFT)).astype(np.uint8)
-    window = np.ones((_BODY, _BODY), np.uint8)  # what hangs together by less than that does not
+    window = np.ones((_BODY, _BODY), np.uint8)  # removes connections narrower than that
     parts = cv2.connectedComponents(cv2.morphologyEx(joined, cv2.MORPH_OPEN, window), connectivity=4)
     labels = np.asarray(parts[1], np.int64)
     likely = _from_the_upper_edge(labels, parts[0])
@@ -168,7 +167,7 @@ def certain_sky(image: UInt8[np.ndarray, "h w 3"]) -> CertainSky:
     if not sky.any():
         return CertainSky(np.zeros((height, width), np.bool_), 0.0)
     tone = np.median(lab[sky], axis=0)
-    for label in likely:  # what a pole parts from a sure sky
+    for label in likely:  # parts that a pole separates from a certain sky
         patch = labels == label
         if _is_even(patch, lab, soft, step) and np.linalg.norm(np.median(lab[patch], axis=0) - tone) < _ALIKE:
             sky |= patch
@@ -193,12 +192,12 @@ def certain_sky(image: UInt8[np.ndarray, "h w 3"]) -> CertainSky:
 
 
 class _NotSky(NamedTuple):
-    """All of a picture that can't be its sky."""
+    """Statistics of all pixels that can't be sky."""
 
     brightest: float
-    """Lightness that a tenth of it exceeds."""
+    """Lightness that a tenth of the pixels exceeds."""
     blue_cast: float
-    """Its median b* where that is blue, else 0: what stands in the shade is lit by the sky."""
+    """Median b* if blue, otherwise 0: shaded surfaces are lit by the sky."""
 
     @classmethod
     def of(cls, lab: Float32[np.ndarray, "n 3"]) -> "_NotSky":
@@ -208,13 +207,13 @@ class _NotSky(NamedTuple):
 
 
 def _color_step(lab: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
-    """Largest step of colour a pixel, over all directions."""
+    """Largest color step a pixel, over all directions."""
     across, down = (cv2.Sobel(lab, cv2.CV_32F, *which, scale=1 / 8) for which in ((1, 0), (0, 1)))
     return np.sqrt((np.asarray(across) ** 2 + np.asarray(down) ** 2).sum(axis=-1)).astype(np.float32)
 
 
 def _sky_like(lab: Float32[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
-    """Blue, or as pale as cloud, or as warm as a low sun, and not dark beside the brightest of the picture."""
+    """Mask of pixels that are blue, cloud-pale or sunset-warm, and not dark relative to the brightest."""
     light, green_red, yellow = (lab[..., i] for i in range(3))
     bright = float(np.quantile(light, 0.95))
     chroma = np.hypot(green_red, yellow)
@@ -225,7 +224,7 @@ def _sky_like(lab: Float32[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
 
 
 def _from_the_upper_edge(labels: Int64[np.ndarray, "h w"], count: int) -> list[int]:
-    """Labels of patches large enough to be judged that begin at the upper edge."""
+    """Labels of sufficiently large patches that begin at the upper edge."""
     rows = max(2, round(_TOP * labels.shape[0]))
     sizes = np.bincount(labels.ravel(), minlength=count)
     return [
@@ -236,7 +235,7 @@ def _from_the_upper_edge(labels: Int64[np.ndarray, "h w"], count: int) -> list[i
 
 
 def _under_wires(sky: Bool[np.ndarray, "h w"], labels: Int64[np.ndarray, "h w"], count: int) -> list[int]:
-    """Labels of large patches that most of their columns part from the sky above by no more than a wire."""
+    """Labels of large patches separated from the sky above by no more than a wire in most columns."""
     sizes = np.bincount(labels.ravel(), minlength=count)
     near = cv2.dilate(sky.astype(np.uint8), np.ones((2 * _WIRE + 1, 1), np.uint8)) > 0
     found: list[int] = []
@@ -256,7 +255,7 @@ def _sureness(
     step: Float32[np.ndarray, "h w"],
     rest: _NotSky,
 ) -> float:
-    """Rate a patch at the upper edge from 0 to 1: evenness and extent are conditions, blueness and light add up."""
+    """Rate a patch from 0 to 1: evenness and extent are required, blueness and lightness add up."""
     if not _is_even(patch, lab, soft, step):
         return 0.0
     light, _, yellow = (float(each) for each in np.median(lab[patch], axis=0))
@@ -276,7 +275,7 @@ def _is_even(
     soft: Float32[np.ndarray, "h w 3"],
     step: Float32[np.ndarray, "h w"],
 ) -> bool:
-    """Whether a patch has no grain, mostly soft steps, and ends above the road."""
+    """Return whether a patch has no grain, mostly soft steps, and ends above the road."""
     if np.flatnonzero(patch.any(axis=1))[-1] > _LOWEST_ROW * patch.shape[0]:
         return False
     return bool((step[patch] < _EVEN).mean() >= _EVEN_SHARE and _grain(patch, lab, soft) <= _GRAIN)
@@ -285,16 +284,16 @@ def _is_even(
 def _grain(
     patch: Bool[np.ndarray, "h w"], lab: Float32[np.ndarray, "h w 3"], soft: Float32[np.ndarray, "h w 3"]
 ) -> float:
-    """Median difference of lightness from what is around, inside a patch; that of stone is larger than of cloud."""
+    """Median lightness difference from the surroundings inside a patch; larger for stone than for cloud."""
     inner = cv2.erode(patch.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     return float(np.median(np.abs(lab[..., 0] - soft[..., 0])[inner])) if inner.any() else np.inf
 
 
 def _with_gaps_and_rim(sky: Bool[np.ndarray, "h w"], lab: Float32[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
-    """Add what shows the sky between wires and twigs by its colour, and its border.
+    """Add the sky's border, and gaps between wires and twigs by their color.
 
-    White may go on as a wall. A deep blue is told from all else far into a tree, mixed with its twigs too; blue paint
-    is even.
+    White has few rounds because it may continue as a wall. Deep blue is distinguishable far into a tree, also mixed
+    with its twigs; blue paint is excluded because it is even.
     """
     is_blue = np.median(lab[sky][:, 2]) < -_DEEP_BLUE
     twigs = cv2.blur(_color_step(lab), (7, 7)) > _SOFT
@@ -310,7 +309,7 @@ def _with_gaps_and_rim(sky: Bool[np.ndarray, "h w"], lab: Float32[np.ndarray, "h
 def _around(
     lab: Float32[np.ndarray, "h w 3"], sky: Bool[np.ndarray, "h w"]
 ) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"]]:
-    """Mean colour of the sky around each pixel, and its share there."""
+    """Mean color of the sky around each pixel, and its share there."""
     weight = sky.astype(np.float32)
     share = np.asarray(cv2.GaussianBlur(weight, (0, 0), _SPREAD_PX), np.float32)
     color = np.asarray(cv2.GaussianBlur(lab * weight[..., None], (0, 0), _SPREAD_PX))
@@ -318,7 +317,7 @@ def _around(
 
 
 def _measured(depth: Float32[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Pixels near a measured one: beams are several pixels apart."""
+    """Pixels near a measured one, because beams are several pixels apart."""
     reach = max(depth.shape[1] // 160, 1)
     return binary_dilation(depth > 0, iterations=reach)
 
@@ -349,7 +348,7 @@ def _color_bins(image: UInt8[np.ndarray, "h w 3"]) -> np.ndarray:
 def _likely_colors(
     bins: Sequence[np.ndarray], guesses: Sequence[Bool[np.ndarray, "_ _"]], above: Sequence[Bool[np.ndarray, "_ _"]]
 ) -> Bool[np.ndarray, " b"] | None:
-    """Which colours are the sky's rather than those of what else is above the horizon; None where no sky was found."""
+    """Mask of colors that are sky rather than anything else above the horizon; None if no sky was found."""
     count = _BINS**3
     other = [high & ~guess for high, guess in zip(above, guesses, strict=True)]
     sky = sum((np.bincount(b[g], minlength=count) for b, g in zip(bins, guesses, strict=True)), np.zeros(count))
@@ -360,5 +359,5 @@ def _likely_colors(
 
 
 def _tidied(sky: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Without specks in either."""
+    """Remove specks from the sky and its complement."""
     return cv2.medianBlur(sky.astype(np.uint8), 3) > 0

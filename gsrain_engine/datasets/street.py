@@ -1,4 +1,4 @@
-"""Draws coloured quads with pyrender on EGL: unlit, either smooth or exact to the pixel's centre."""
+"""Ground-truth views of the built-in street, rasterized from its mesh by pyrender on EGL."""
 
 import os
 import sys
@@ -25,7 +25,7 @@ _WINDOW = "pyrender.viewer"
 
 
 class MeshRasterizer:
-    """A stage of meshes that stay on the GPU between pictures. Not for a thread that holds a window's context."""
+    """Meshes that stay on the GPU between images. Not for a thread that owns a window's context."""
 
     def __init__(self) -> None:
         self._pyrender = _load_pyrender()
@@ -39,9 +39,9 @@ class MeshRasterizer:
         *,
         blended: bool = False,
     ) -> Any:
-        """Put quads on the stage, seen from both sides; returns a handle for `draw` and `remove`.
+        """Add two-sided quads; returns a handle for `draw` and `remove`.
 
-        `colors` are display values with alpha; alpha counts only where `blended`.
+        `colors` are display values with alpha, which is used only if `blended`.
         """
         n = len(corners)
         halves = np.array([0, 1, 2, 0, 2, 3], np.uint32)
@@ -55,15 +55,14 @@ class MeshRasterizer:
         return self._stage.add(self._pyrender.Mesh([primitive]), pose=to_world)
 
     def remove(self, node: Any) -> None:
-        """Take quads off the stage."""
         self._stage.remove_node(node)
 
     def draw(
         self, camera: Camera, shown: Sequence[Any], *, exact: bool
     ) -> tuple[UInt8[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"]]:
-        """Draw some of the stage in order: colour over white, and depth in metres along the view axis (0: nothing).
+        """Draw some meshes in order: color over white, and depth in meters along the view axis (0: nothing).
 
-        With `exact`, one sample at each pixel's centre; otherwise colour is the mean of four.
+        With `exact`, one sample at each pixel's center; otherwise color is the mean of four.
         """
         lens = self._pyrender.IntrinsicsCamera(camera.fx, camera.fy, camera.cx, camera.cy, znear=NEAR_M, zfar=FAR_M)
         opencv_to_opengl = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -76,9 +75,9 @@ class MeshRasterizer:
 
 @cache
 def _load_pyrender() -> ModuleType:
-    """Import pyrender for EGL. Its release 0.1.45 asks NumPy for `infty`, which NumPy 2 no longer has.
+    """Import pyrender for EGL. Its release 0.1.45 uses `numpy.infty`, which NumPy 2 removed.
 
-    Its window, which nothing here opens, is left out: that needs pyglet, and pyglet libraries of X.
+    Its viewer is replaced by an empty module, because it needs pyglet, which needs X libraries.
     """
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
     np.__dict__.setdefault("infty", np.inf)
@@ -93,7 +92,7 @@ def _load_pyrender() -> ModuleType:
 
 @cache
 def _renderer() -> Any:
-    """Return the process's one renderer: pyrender's contexts can't be made twice, so it is kept to the end."""
+    """Return the process's single renderer: pyrender can't create its context twice."""
     _load_pyrender()
     from OpenGL import EGL, GL
     from pyrender.constants import RenderFlags
@@ -105,10 +104,10 @@ def _renderer() -> Any:
         order: Sequence[Any] = ()
 
         def _sorted_mesh_nodes(self, scene: Any) -> Any:
-            return self.order  # pyrender's own order is that of a set, and where surfaces meet the first one wins
+            return self.order  # pyrender orders by a set, and the first surface wins at intersections
 
         def _get_camera_matrices(self, scene: Any) -> Any:
-            if self.exact:  # the drawing pass has just switched multisampling on
+            if self.exact:  # the drawing pass has just enabled multisampling
                 GL.glDisable(GL.GL_MULTISAMPLE)
             return super()._get_camera_matrices(scene)
 
@@ -125,7 +124,7 @@ def _renderer() -> Any:
 
 @contextmanager
 def _current(egl: Any, platform: Any, *, create: bool = False) -> Generator[None]:
-    """Make pyrender's context current, and afterwards the one that was current before, if any."""
+    """Make pyrender's context current, and afterwards the previous one, if any."""
     before = egl.eglGetCurrentContext()
     surfaces = egl.eglGetCurrentSurface(egl.EGL_DRAW), egl.eglGetCurrentSurface(egl.EGL_READ)
     display = egl.eglGetCurrentDisplay()
@@ -141,23 +140,22 @@ def _current(egl: Any, platform: Any, *, create: bool = False) -> Generator[None
             egl.eglMakeCurrent(egl.eglGetCurrentDisplay(), egl.EGL_NO_SURFACE, egl.EGL_NO_SURFACE, egl.EGL_NO_CONTEXT)
 
 
-# § Ground-truth views of the built-in street: its mesh, drawn by pyrender on EGL.
-#
-# The mesh has the same quads and the same baked light as the street's Gaussians. Colour is drawn unlit, with four
-# samples a pixel; surface, depth, normal and label are those at the pixel's centre, without any blending.
+# Ground-truth views
+# The mesh has the same quads and baked light as the street's Gaussians. Color is unlit, with four samples a pixel;
+# surface, depth, normal and label are those at the pixel's center, without blending.
 
 _OPAQUE = 0.9
-"""Quads of less opacity are shadows: they darken the picture, and are no surface."""
+"""Minimum opacity of surfaces; other quads are shadows that darken the image."""
 
 _NO_SURFACE = 0xFFFFFF
 
 _SUPERSAMPLED_PX = 1_500_000
-"""Pictures up to this many pixels are drawn at twice the size (with four samples a pixel) and averaged."""
+"""Maximum number of pixels for drawing at twice the size (with four samples a pixel) and averaging."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StreetMesh:
-    """Quads with the matte display colour of each corner: what a rasterizer draws."""
+    """Quads with the matte display color of each corner."""
 
     quads: Quads
     matte: Float32[np.ndarray, "n 4 3"]
@@ -165,13 +163,13 @@ class StreetMesh:
 
     @property
     def solid(self) -> Bool[np.ndarray, " n"]:
-        """Which quads are surfaces; the others are shadows."""
+        """Mask of quads that are surfaces; the others are shadows."""
         return self.quads.opacity >= _OPAQUE
 
     def colors_from(
         self, eye: Float64[np.ndarray, "3"], chosen: Bool[np.ndarray, " n"]
     ) -> Float32[np.ndarray, "m 4 4"]:
-        """Display colour and alpha of the corners of chosen quads, seen from a place in the quads' own frame."""
+        """Display color and alpha of the corners of chosen quads, seen from `eye` in the quads' own frame."""
         quads, matte = self.quads.take(chosen), self.matte[chosen]
         colors = np.ones((len(quads), 4, 4), np.float32)
         for corner in range(4):
@@ -199,12 +197,12 @@ def capture_street(
     names: Sequence[str] | None = None,
     with_lead: bool = True,
 ) -> Capture:
-    """Photograph the street's mesh: one view for each camera (in the world) and its time.
+    """Render the street's mesh: one view for each camera (in the world) and its time.
 
-    The street is built from its parameters (the default ones without any) unless its surfaces are at hand.
+    The street is built from its parameters (by default the standard ones) unless its surfaces are given.
 
-    Every view has depth, normals, labels (`gsrain_engine.scene.street.layout.Label`) and a mask that leaves the lead
-    car out. Raises ValueError where cameras, times and names are not equally many.
+    Every view has depth, normals, labels (`gsrain_engine.scene.street.layout.Label`) and a mask that excludes the lead
+    car. Raises ValueError if the numbers of cameras, times and names differ.
     """
     if len(cameras) != len(times_s) or (names is not None and len(names) != len(cameras)):
         raise ValueError(f"{len(cameras)} cameras need as many times and names")
@@ -217,7 +215,7 @@ def capture_street(
 
 
 class StreetViews:
-    """Takes pictures of one street; keeps its mesh on the GPU between pictures."""
+    """Renderer of one street's views, which keeps its mesh on the GPU."""
 
     def __init__(self, surfaces: StreetSurfaces, *, with_lead: bool = True) -> None:
         street, lead = street_meshes(surfaces)
@@ -230,7 +228,7 @@ class StreetViews:
         self._labels = np.concatenate([street.quads.labels, lead.quads.labels, np.zeros(1, np.uint8)])
 
     def view(self, camera: Camera, time_s: float, name: str) -> CaptureFrame:
-        """Photograph the street at a time, with everything that is known about each pixel."""
+        """Render the street at a time, with all per-pixel data."""
         pose = self._track.pose(time_s) if self._track is not None else None
         image = self._image(camera, pose)
         surface, depth = self._surfaces(camera, pose)
@@ -238,7 +236,7 @@ class StreetViews:
         solid = (label != Label.SKY) & (label != Label.NOTHING)
         normal = self._normals[surface]
         mask = (surface < self._lead.first) | (surface == len(self._labels) - 1)
-        if pose is not None:  # of what is not the street, the lead car is all that has a normal
+        if pose is not None:  # besides the street, only the lead car has normals
             normal = np.where(mask[..., None], normal, normal @ pose[:3, :3].T.astype(np.float32))
         away = np.sum(normal * _rays(camera), axis=2, keepdims=True) > 0
         return CaptureFrame(
@@ -267,13 +265,13 @@ class StreetViews:
     def _surfaces(
         self, camera: Camera, pose: Float64[np.ndarray, "4 4"] | None
     ) -> tuple[Int64[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
-        """Return which quad is at each pixel's centre (counted through street and lead car), and its depth."""
+        """Return the quad at each pixel's center (numbered through street and lead car), and its depth."""
         shown = [self._street.numbered(np.eye(4))]
         if pose is not None:
             shown.append(self._lead.numbered(pose))
         coded, depth = self._rasterizer.draw(camera, shown, exact=True)
         numbers = coded.astype(np.int64) @ np.array([1, 1 << 8, 1 << 16])
-        # Grids of different pitch meet without sharing corners: a pixel in 100 000 falls between them.
+        # Grids of different pitch meet without shared corners, so about one pixel in 100,000 falls between them.
         rows, columns = np.nonzero(numbers == _NO_SURFACE)
         beside = np.where(columns > 0, columns - 1, columns + 1)
         depth[rows, columns] = depth[rows, beside]
@@ -282,7 +280,7 @@ class StreetViews:
 
 
 class _Staged:
-    """A mesh on the stage: matte quads and quad numbers stay there, glossy ones are coloured anew for each view."""
+    """A mesh on the GPU: matte quads and quad numbers are kept, glossy quads are recolored for each view."""
 
     def __init__(self, rasterizer: MeshRasterizer, mesh: StreetMesh, first: int) -> None:
         self.mesh, self.first = mesh, first
@@ -303,7 +301,7 @@ class _Staged:
         self._numbers = rasterizer.add(quads.corners[solid], each, np.eye(4))
 
     def colored(self, rasterizer: MeshRasterizer, camera: Camera, to_world: Float64[np.ndarray, "4 4"]) -> list[Any]:
-        """Handles that show the mesh in the colours that this camera sees."""
+        """Handles of the mesh in the colors visible from this camera."""
         if "glossy" in self._nodes:
             rasterizer.remove(self._nodes.pop("glossy"))
         if self._glossy.any():
@@ -315,7 +313,7 @@ class _Staged:
         return [self._nodes[kind] for kind in ("matte", "glossy", "shadow") if kind in self._nodes]
 
     def numbered(self, to_world: Float64[np.ndarray, "4 4"]) -> Any:
-        """Handle that shows each surface in the colour of its number."""
+        """Handle of the mesh with each surface in the color of its number."""
         self._numbers.matrix = to_world
         return self._numbers
 

@@ -1,4 +1,4 @@
-"""What is in a capture, in numbers: for a page about it, without reading its pictures."""
+"""Statistics of a capture, computed without reading its images, and overlays of points and boxes."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from .undistort import undistort_frame
 
 @dataclass(frozen=True, slots=True)
 class SensorSummary:
-    """One camera of a capture, as its first view has it."""
+    """One camera of a capture, from its first view."""
 
     name: str
     views: int
@@ -24,41 +24,41 @@ class SensorSummary:
     height: int
     focal_px: tuple[float, float]
     horizontal_fov_deg: float
-    """From the left edge to the right one, without what the lens bends."""
+    """Angle from the left edge to the right one, without distortion."""
     lens: str
-    """OpenCV's model and its coefficients; empty where lines are straight."""
+    """OpenCV's model and its coefficients; empty without distortion."""
     exposure_ms: float
     largest_px: tuple[int, int]
-    """Width and height of its largest picture; `width` and `height` are those of its first."""
+    """Width and height of its largest image; `width` and `height` are those of its first."""
     smallest_px: tuple[int, int]
-    """Width and height of its smallest picture."""
+    """Width and height of its smallest image."""
     sizes: int
-    """How many different sizes its pictures have."""
+    """Number of different image sizes."""
 
 
 @dataclass(frozen=True, slots=True)
 class CaptureSummary:
-    """What is in a capture."""
+    """Contents of a capture."""
 
     name: str
     sensors: tuple[SensorSummary, ...]
     views: int
     seconds: float
-    """From the first view to the last."""
+    """Time from the first view to the last."""
     minimum: tuple[float, float, float]
-    """Corner of the box around all places of cameras, in the world (metres where it is metric)."""
+    """Corner of the box around all camera positions, in the world (meters if metric)."""
     maximum: tuple[float, float, float]
     course: float
-    """Length of the way of the ego, else of the camera with the longest one, in metres where metric."""
+    """Path length of the ego, otherwise of the camera with the longest path, in meters if metric."""
     points: int
     sweeps: int
     lidar_points: int
     boxes: dict[str, int]
-    """How many things of each class are annotated."""
+    """Number of annotated objects of each class."""
     has: tuple[str, ...]
-    """What every view has beside its picture."""
+    """Optional arrays of every view."""
     attributes: dict[str, dict[str, int]]
-    """How many views have each value of what the data set says about them, such as the weather."""
+    """Number of views with each value of each attribute, such as the weather."""
     is_metric: bool
     has_poses: bool
     up: tuple[float, float, float]
@@ -66,7 +66,7 @@ class CaptureSummary:
 
 
 def summarized(capture: Capture) -> CaptureSummary:
-    """Count and measure what a capture holds."""
+    """Compute the statistics of a capture."""
     places = np.stack([view.camera.position for view in capture]) if len(capture) else np.zeros((1, 3))
     low, high = places.min(axis=0).tolist(), places.max(axis=0).tolist()
     times = [view.time_s for view in capture]
@@ -124,12 +124,12 @@ def _length(places: Float64[np.ndarray, "n 3"]) -> float:
     return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
 
 
-# § Pictures of a capture with its points (coloured by depth) and boxes drawn in, to see at a glance if they fit.
+# Overlays
 
 _NEAREST_PART, _FARTHEST_PART = 0.02, 0.98
 
 _BLUE = 28
-"""Where on the colour scale the farthest lie: below it the scale is nearly black."""
+"""Start of the color scale, for the farthest points: lower values are nearly black."""
 
 _NEAR_PLANE = 0.05
 
@@ -141,9 +141,9 @@ _GAP_PX = 4
 
 
 def overlay(capture: Capture, view: CaptureFrame, width: int = 960) -> UInt8[np.ndarray, "h w 3"]:
-    """One view with straight lines, the points that it should see (near red, far blue) and the boxes of its time.
+    """One undistorted view with the points visible in it (near red, far blue) and the boxes of its time.
 
-    Points are those of the lidar sweep nearest in time, else the capture's own.
+    Points are those of the lidar sweep nearest in time, otherwise the capture's own.
     """
     straight = undistort_frame(view, width)
     picture = np.ascontiguousarray(straight.image)
@@ -154,7 +154,7 @@ def overlay(capture: Capture, view: CaptureFrame, width: int = 960) -> UInt8[np.
 
 
 def contact_sheet(capture: Capture, at_most: int = 12, tile_width: int = 640) -> UInt8[np.ndarray, "h w 3"]:
-    """Overlays of views side by side, each with its name: one moment of all cameras where there are several."""
+    """Grid of overlays with their names: with several cameras, one moment of each."""
     views = chosen_views(capture, at_most)
     columns = min(3, len(views)) if len(views) != 4 else 2
     tiles = [_captioned(overlay(capture, view, tile_width), view.name) for view in views]
@@ -170,7 +170,7 @@ def contact_sheet(capture: Capture, at_most: int = 12, tile_width: int = 640) ->
 
 
 def chosen_views(capture: Capture, at_most: int) -> list[CaptureFrame]:
-    """Views that stand for a capture: of each camera as many as fit, spread evenly over the drive."""
+    """Representative views: equally many of each camera, spread evenly over the drive."""
     each = max(at_most // len(capture.sensors), 1)
     chosen: list[CaptureFrame] = []
     for sensor in capture.sensors:
@@ -224,7 +224,7 @@ def _draw_line(
     end: Float64[np.ndarray, "3"],
     color: tuple[int, int, int],
 ) -> None:
-    """Draw the part of a line of the camera's frame that lies before the camera."""
+    """Draw the part of a line, in the camera's frame, that is in front of the camera."""
     if start[2] > end[2]:
         start, end = end, start
     if end[2] <= _NEAR_PLANE:

@@ -1,4 +1,4 @@
-"""Views made ready for learning: straight lines, a chosen size, and a mask of what the lens really saw."""
+"""Views prepared for training: without distortion, of a given size, with a mask of pixels covered by the lens."""
 
 from dataclasses import replace
 from functools import lru_cache, partial
@@ -12,16 +12,16 @@ from .capture import CaptureFrame, Lens
 from .geometry import intrinsics, largest_tangent, scaled_camera
 
 _CACHED_LENSES = 8
-"""Maps of so many lenses stay in memory, 8 bytes a pixel each: a rig's cameras."""
+"""Number of cached lens maps of 8 bytes a pixel each, enough for a rig's cameras."""
 
 _AT_CENTERS = ("depth", "normals", "labels", "sky")
 
 
 def undistort_frame(view: CaptureFrame, width: int | None = None) -> CaptureFrame:
-    """Undistort a view (OpenCV) and bring it to a width, keeping its proportions; nothing is read before it is asked.
+    """Undistort a view (OpenCV) and scale it to a width, keeping its proportions; arrays are read on demand.
 
-    Colour is averaged over area; depth, normals, labels and sky are those at the pixel's centre. The mask is True where
-    all that a pixel averages over was seen by the lens and may be learned from.
+    Color is averaged over area; depth, normals, labels and sky are those at the pixel's center. The mask is True if all
+    source pixels of a pixel are inside the lens's range and usable for training.
     """
     camera = view.camera
     if width is not None:
@@ -74,7 +74,7 @@ def _resized(pixels: Shaped[np.ndarray, "h w ..."], camera: Camera) -> Shaped[np
 
 
 def _nearest(view: CaptureFrame, camera: Camera, name: str) -> Shaped[np.ndarray, "h w ..."]:
-    """Take each pixel's value from where its centre lies in the original; 0 where the lens never looked."""
+    """Take each pixel's value at its center's position in the original; 0 outside the lens's range."""
     pixels = getattr(view, name)
     columns, rows = _source_pixels(view, camera)
     inside = (columns >= 0) & (columns < view.camera.width) & (rows >= 0) & (rows < view.camera.height)
@@ -84,7 +84,7 @@ def _nearest(view: CaptureFrame, camera: Camera, name: str) -> Shaped[np.ndarray
 
 
 def _source_pixels(view: CaptureFrame, camera: Camera) -> tuple[Shaped[np.ndarray, "h w"], Shaped[np.ndarray, "h w"]]:
-    """Column and row in the original picture of each pixel of a camera that stands where the view's does."""
+    """Column and row in the original image of each pixel of a camera at the same pose."""
     if view.lens is not None:
         columns, rows = _bending_map(_key(view.camera), view.lens, _key(camera))
         return np.floor(columns + 0.5).astype(np.int64), np.floor(rows + 0.5).astype(np.int64)
@@ -98,7 +98,7 @@ _Key = tuple[int, int, float, float, float, float]
 
 
 def _key(camera: Camera) -> _Key:
-    """What of a camera decides the map of a lens: its pose does not."""
+    """Camera properties that determine a lens map; the pose does not."""
     return camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
 
 
@@ -110,7 +110,7 @@ def _lens_map(key: _Key, lens: Lens) -> tuple[Float32[np.ndarray, "h w"], Float3
 def _bending_map(
     source: _Key, lens: Lens, straight: _Key
 ) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
-    """Column and row (first centre at 0) in the bent picture of each pixel of the straight one; far outside if none."""
+    """Column and row (first center at 0) in the distorted image of each undistorted pixel; far outside if none."""
     bent_k, straight_k = intrinsics(Camera(*source), 0.0), intrinsics(Camera(*straight), 0.0)
     size, coefficients = straight[:2], np.array(lens.coefficients)
     undistort = cv2.fisheye.initUndistortRectifyMap if lens.model == "fisheye" else cv2.initUndistortRectifyMap

@@ -1,4 +1,4 @@
-"""Waymo's cameras and boxes, which both releases of the data set describe alike."""
+"""Waymo Perception: cameras, boxes, range images, and protocol buffers, shared by both releases."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -25,21 +25,19 @@ CAMERAS = {
     7: "REAR",
     8: "REAR_RIGHT",
 }
-"""Names of cameras by their numbers."""
 
 CLASSES = {1: "vehicle", 2: "pedestrian", 3: "sign", 4: "cyclist"}
-"""Names of classes by their numbers."""
 
 _LONGEST_EXPOSURE_S = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WaymoCamera:
-    """Calibration of one camera. Its own axes are x forward, y left, z up; ours here are OpenCV's."""
+    """Calibration of one camera. Its own axes are x forward, y left, z up; converted here to OpenCV's."""
 
     name: str
     intrinsics: tuple[float, ...]
-    """f_u f_v c_u c_v k1 k2 p1 p2 k3; pixels as here, with the first one's centre at (0.5, 0.5)."""
+    """f_u f_v c_u c_v k1 k2 p1 p2 k3; the first pixel's center is (0.5, 0.5)."""
     to_vehicle: Float64[np.ndarray, "4 4"]
     width: int
     height: int
@@ -58,7 +56,7 @@ class WaymoCamera:
         shutter_s: float,
         jpeg: Callable[[], bytes],
     ) -> CaptureFrame:
-        """One picture: taken from where the vehicle was then. A shutter time that can't be is the default one."""
+        """View of one image at the vehicle's pose. An impossible shutter time is replaced by the default."""
         to_world = vehicle_to_world @ self.to_vehicle @ invert_pose(OPENCV_FROM_VEHICLE_AXES)
         fx, fy, cx, cy = self.intrinsics[:4]
         exposure = shutter_s if 0 < shutter_s <= _LONGEST_EXPOSURE_S else DEFAULT_EXPOSURE_S
@@ -68,7 +66,7 @@ class WaymoCamera:
 
 
 def check_jpeg(content: bytes, size: tuple[int, int]) -> None:
-    """Raise ValueError unless bytes look like a whole JPEG of a width and height."""
+    """Raise ValueError unless bytes are a complete JPEG of a width and height."""
     with opened_image(content, "its picture") as picture:
         found = picture.size
     if found != size:
@@ -78,7 +76,7 @@ def check_jpeg(content: bytes, size: tuple[int, int]) -> None:
 
 
 def decoded(content: bytes, name: str) -> UInt8[np.ndarray, "h w 3"]:
-    """Decode a JPEG. Raises `CaptureError` where it is damaged."""
+    """Decode a JPEG. Raises `CaptureError` if it is damaged."""
     with opened_image(content, name) as picture:
         return np.array(picture.convert("RGB"), np.uint8)
 
@@ -90,19 +88,19 @@ def heading_pose(center_m: Sequence[float], heading_rad: float) -> Float64[np.nd
     return rigid_pose(turn, np.asarray(center_m, np.float64))
 
 
-# § Waymo's range images turned into points. Facts: RangeImage in dataset.proto and v2/perception/lidar.py there.
+# Range images
+# Facts: RangeImage in dataset.proto and v2/perception/lidar.py of github.com/waymo-research/waymo-open-dataset.
 
 LASERS = {1: "TOP", 2: "FRONT", 3: "SIDE_LEFT", 4: "SIDE_RIGHT", 5: "REAR"}
-"""Names of lidars by their numbers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WaymoLaser:
-    """Where a lidar sits and how its rows look: row 0 of a range image is the highest beam."""
+    """Pose and beams of a lidar: row 0 of a range image is the highest beam."""
 
     to_vehicle: Float64[np.ndarray, "4 4"]
     inclinations_rad: Float64[np.ndarray, " k"]
-    """Of each row from the lowest up, or the lowest and the highest edge (2) of evenly spaced rows."""
+    """Inclination of each row from the lowest up, or the lowest and highest edge (2) of evenly spaced rows."""
     is_even: bool
 
     def points(
@@ -111,10 +109,10 @@ class WaymoLaser:
         pixel_poses: Float32[np.ndarray, "u v d"] | None,
         vehicle_to_world: Float64[np.ndarray, "4 4"],
     ) -> tuple[Float64[np.ndarray, "p 3"], Float32[np.ndarray, " p"]]:
-        """Points (m) in the vehicle's frame at the frame's pose, and intensities; ValueError where shapes disagree.
+        """Points (m) in the vehicle's frame at the frame's pose, and intensities; ValueError if shapes disagree.
 
-        Column 0 looks backwards, and columns turn clockwise as seen from above, in the vehicle's directions.
-        `pixel_poses` (height, width; roll pitch yaw x y z) is where the vehicle was at each pixel's own time, if known.
+        Column 0 is the backward direction, and columns rotate clockwise seen from above, in the vehicle's frame.
+        `pixel_poses` (height, width; roll pitch yaw x y z) are the vehicle's poses at each pixel's own time, if known.
         """
         height, width = ranges.shape[:2]
         if pixel_poses is not None and pixel_poses.shape != (height, width, 6):
@@ -141,7 +139,7 @@ class WaymoLaser:
 @njit(cache=True)
 @no_type_check
 def _points(ranges, pitch, yaw, to_vehicle, poses, back):
-    """Points of all pixels with a range, row by row; `poses` is empty where the vehicle stood still."""
+    """Points of all pixels with a range, row by row; `poses` is empty if the vehicle did not move."""
     count = 0
     for row in range(ranges.shape[0]):
         for column in range(ranges.shape[1]):
@@ -157,7 +155,7 @@ def _points(ranges, pitch, yaw, to_vehicle, poses, back):
             x, y, z = distance * flat * np.cos(yaw[column]), distance * flat * np.sin(yaw[column]), distance * rise
             x, y, z = _moved(to_vehicle, x, y, z)
             if poses.shape[0] > 0:
-                # To the world from where the vehicle was then: roll about x, pitch about y, yaw about z, in this order.
+                # To the world from the pixel's own pose: roll about x, pitch about y, yaw about z, in this order.
                 roll, nod, heading = poses[row, column, 0], poses[row, column, 1], poses[row, column, 2]
                 y, z = np.cos(roll) * y - np.sin(roll) * z, np.sin(roll) * y + np.cos(roll) * z
                 x, z = np.cos(nod) * x + np.sin(nod) * z, np.cos(nod) * z - np.sin(nod) * x
@@ -179,10 +177,8 @@ def _moved(pose, x, y, z):
     )
 
 
-# § Protocol buffers of Waymo's frames, as far as a capture needs them, made here so that no TensorFlow is.
-#
-# Names and numbers of fields are facts of dataset.proto and label.proto of github.com/waymo-research/waymo-open-
-# dataset.
+# Protocol buffers, so that TensorFlow is not required
+# Names and numbers are facts of dataset.proto and label.proto of github.com/waymo-research/waymo-open-dataset.
 
 _SCALARS = {"double": 1, "float": 2, "int64": 3, "int32": 5, "string": 9, "bytes": 12}
 """Numbers of FieldDescriptorProto.Type; enumerations are read as int32."""
@@ -239,16 +235,16 @@ _FIELDS: dict[str, dict[str, tuple[int, str]]] = {
     },
     "FramePictures": {"images": (4, "CameraImage*")},
 }
-"""Message -> field -> number and type; a star means repeated. FramePictures is a Frame without all but its pictures.
+"""Message -> field -> number and type; a star means repeated. FramePictures is a Frame with only its images.
 
-The numbers of a MatrixFloat are packed: read as bytes they are an array without a detour through Python.
+The numbers of a MatrixFloat are packed: read as bytes they become an array directly.
 """
 
 _PACKAGE = "gsrain.waymo"
 
 
 def parsed(message: str, content: bytes) -> Any:
-    """Parse a message by its name. Raises `CaptureError` where it is damaged or protobuf is not installed."""
+    """Parse a message by its name. Raises `CaptureError` if it is damaged or protobuf is not installed."""
     kind = _kinds()[message]
     found = kind()
     try:
@@ -259,7 +255,7 @@ def parsed(message: str, content: bytes) -> Any:
 
 
 def new_message(message: str) -> Any:
-    """Make an empty message, which can be filled and serialized."""
+    """Create an empty message to be filled and serialized."""
     return _kinds()[message]()
 
 

@@ -28,7 +28,7 @@ def recognizes_waymo_records(path: Path) -> bool:
 
 
 def read_waymo_records(path: Path) -> Capture:
-    """Read one segment; of a folder the first file. Raises `CaptureError` where no frame of it can be read."""
+    """Read one segment, or the first file of a folder. Raises `CaptureError` if no frame is readable."""
     files = [path] if path.is_file() else _files_in(path)
     if not files:
         raise CaptureError(f"{path}: no .tfrecord in it")
@@ -158,7 +158,7 @@ class _RecordSegment:
 
 
 def _text(words: str | bytes) -> str:
-    """Text of a message; protobuf gives what is no UTF-8 as bytes."""
+    """Text of a message; protobuf returns invalid UTF-8 as bytes."""
     return words if isinstance(words, str) else words.decode(errors="replace")
 
 
@@ -175,7 +175,7 @@ def _laser(calibration: Any) -> WaymoLaser:
 
 
 def _matrix(compressed: bytes) -> Float32[np.ndarray, "h w c"]:
-    """A serialized MatrixFloat under zlib; ValueError where sizes disagree."""
+    """Parse a serialized MatrixFloat compressed by zlib; ValueError if sizes disagree."""
     unpacker = zlib.decompressobj()
     content = unpacker.decompress(compressed, _MAX_NUMBERS * 4 + 64)
     if not unpacker.eof:

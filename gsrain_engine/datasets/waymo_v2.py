@@ -29,9 +29,9 @@ Value = TypeVar("Value")
 
 
 def recognizes_waymo_tables(path: Path) -> bool:
-    """Whether a path holds the folder camera_image (itself or one below, such as training), or is a file of one.
+    """Return whether a path holds the folder camera_image (itself or one level below), or is a file in one.
 
-    WAYMO/SEGMENT, where no folder of that name is, means one segment.
+    WAYMO/SEGMENT, without a folder of that name, denotes one segment.
     """
     if path.is_file():
         return path.suffix == ".parquet" and (path.parent.parent / "camera_image").is_dir()
@@ -104,7 +104,7 @@ class _TableSegment:
             return None
 
     def _left_out(self, what: dict[str, list[str]]) -> None:
-        """Say each reason once, with the things that it hit."""
+        """Report each reason once, with the affected items."""
         self.record.problems.extend(f"{abbreviated_names(names)} left out: {why}" for why, names in what.items())
 
     def _pictures(self) -> None:
@@ -171,7 +171,7 @@ class _TableSegment:
 
 
 def vehicle_poses(file: Path) -> tuple[dict[int, Float64[np.ndarray, "4 4"]], list[str]]:
-    """Vehicle to world of each frame by its time stamp (microseconds), and what was wrong; of a vehicle_pose file."""
+    """Vehicle to world of each frame by its time stamp (microseconds), and problems, from a vehicle_pose file."""
     column = "[VehiclePoseComponent].world_from_vehicle.transform"
     poses: dict[int, Float64[np.ndarray, "4 4"]] = {}
     problems: list[str] = []
@@ -183,7 +183,7 @@ def vehicle_poses(file: Path) -> tuple[dict[int, Float64[np.ndarray, "4 4"]], li
     return poses, problems
 
 
-# § Lidar of Waymo's second release: rows of range images and of the poses of their pixels, as points.
+# Lidar
 
 _LIDAR_TIME, _LASER = "key.frame_timestamp_micros", "key.laser_name"
 
@@ -194,7 +194,7 @@ _PIXEL_POSE = "[LiDARPoseComponent].range_image_return1"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WaymoTableLidar:
-    """The lidars of one segment; `problems` takes what is wrong with their rows."""
+    """The lidars of one segment; problems with their rows are added to `problems`."""
 
     root: Path
     segment: str
@@ -204,11 +204,11 @@ class WaymoTableLidar:
 
     @property
     def is_there(self) -> bool:
-        """Whether the segment's range images were downloaded."""
+        """True if the segment's range images were downloaded."""
         return self._file("lidar").path.is_file()
 
     def lasers(self) -> dict[int, WaymoLaser]:
-        """Calibrations by the numbers of lidars. Raises `CaptureError`."""
+        """Calibrations by lidar number. Raises `CaptureError`."""
         column = "[LiDARCalibrationComponent]."
         names = [f"{column}{name}" for name in ("extrinsic.transform", "beam_inclination.min", "beam_inclination.max")]
         values = f"{column}beam_inclination.values"
@@ -224,7 +224,7 @@ class WaymoTableLidar:
         return lasers
 
     def scans(self, lasers: dict[int, WaymoLaser]) -> Iterator[LidarScan]:
-        """One scan of all lidars for each frame, in the order of the file."""
+        """One scan of all lidars for each frame, in file order."""
         pixel_poses = _PixelPoses(self._file("lidar_pose"))
         top = lasers.get(1) or next(iter(lasers.values()))
         columns = [f"{name}.{part}" for name in _RETURNS for part in ("values", "shape")]
@@ -260,7 +260,7 @@ class WaymoTableLidar:
 
 
 class _PixelPoses:
-    """Rows of lidar_pose, read along with those of lidar."""
+    """Rows of lidar_pose, read in parallel with those of lidar."""
 
     def __init__(self, file: ParquetFile) -> None:
         columns = [_LIDAR_TIME, _LASER, f"{_PIXEL_POSE}.values", f"{_PIXEL_POSE}.shape"]
@@ -269,7 +269,7 @@ class _PixelPoses:
         self._lasers: set[int] = set()
 
     def of(self, time: int, laser: int) -> Float32[np.ndarray, "h w c"] | None:
-        """Poses of a lidar's pixels; None for a lidar that has none, as all but the one on the roof."""
+        """Poses of a lidar's pixels; None for lidars without any, which are all but the one on the roof."""
         if (time, laser) not in self._waiting and (laser == 1 or laser in self._lasers):
             for row in self._rows:
                 key = (row[_LIDAR_TIME], row[_LASER])
@@ -281,7 +281,7 @@ class _PixelPoses:
 
 
 def _image(row: dict[str, Any], name: str) -> Float32[np.ndarray, "h w c"] | None:
-    """A range image of a row; ValueError where its numbers and its shape disagree."""
+    """A range image of a row; ValueError if its numbers and its shape disagree."""
     values, shape = row[f"{name}.values"], row[f"{name}.shape"]
     if values is None or not len(values):
         return None

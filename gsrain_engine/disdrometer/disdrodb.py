@@ -1,4 +1,4 @@
-"""Products of DISDRODB in NetCDF (L0 to L2E): spectra whose classes and sensor stand in the file."""
+"""DISDRODB products in NetCDF (L0 to L2E): spectra with their classes and sensor."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +16,7 @@ from .spectra import MAX_COUNTS, DisdrometerFileError, DisdrometerReading, DropS
 _PRODUCT, _ROLLED, _SENSOR = "disdrodb_product", "disdrodb_rolled_product", "sensor_name"
 
 _COUNTS = ("raw_drop_number", "drop_number", "raw_drop_counts", "drop_counts")
-"""As measured before as filtered: what can be trusted is judged here."""
+"""Raw counts come first: GSRAIN applies its own quality control."""
 
 _DIAMETER, _VELOCITY = "diameter_bin", "velocity_bin"
 
@@ -32,11 +32,11 @@ _OTHERS = {
     "ODM470": ("Eigenbrodt ODM470", 0.00264),
     "SWS250": ("Biral SWS250", 0.006504),
 }
-"""Name and area in m^2, the latter as in DISDRODB's `get_sampling_area`."""
+"""Name and area in m^2; areas as in DISDRODB's `get_sampling_area`."""
 
 
 def is_disdrodb(dataset: xr.Dataset) -> bool:
-    """Recognize DISDRODB's products by their attributes and bins."""
+    """Return whether attributes and bins are those of a DISDRODB product."""
     return (
         {_PRODUCT, _SENSOR} <= set(dataset.attrs)
         and {f"{_DIAMETER}_lower", f"{_DIAMETER}_upper"} <= set(dataset.variables)
@@ -45,11 +45,11 @@ def is_disdrodb(dataset: xr.Dataset) -> bool:
 
 
 def read_disdrodb(path: Path, dataset: xr.Dataset) -> DisdrometerReading:
-    """Read a product; of sums that roll on, only those without a common moment.
+    """Read a product; of rolling sums, only records that don't overlap.
 
-    What a product leaves out at the ends of a Parsivel's or a Thies's classes is put back, without drops. The rates of
-    L2E follow from the drops: they are no rate of the instrument's own. Raises `DisdrometerFileError` where the bins
-    don't rise, the sensor is of no kind that is known, or no record can be used.
+    Classes that a product omits at the ends of a Parsivel's or a Thies's range are restored, without drops. The rates
+    of L2E are derived from the drops, so they are not used as the instrument's own rate. Raises `DisdrometerFileError`
+    if the bins don't rise, the sensor is unknown, or no record is usable.
     """
     name = next(each for each in _COUNTS if each in dataset)
     measures_speed = f"{_VELOCITY}_center" in dataset[name].dims
@@ -137,7 +137,7 @@ def _edges(
         name = f"{axis}_{side}"
         if name not in dataset.variables or dataset[name].dims != (f"{axis}_center",):
             raise DisdrometerFileError(path, f"{name} is missing: the bounds of the classes")
-        # DISDRODB leaves the unit out at some of them; it is always mm or m/s.
+        # DISDRODB omits the unit of some variables; it is always mm or m/s.
         values = (
             convert(dataset[name]) if dataset[name].attrs.get("units") else dataset[name].to_numpy().astype(np.float64)
         )
@@ -162,7 +162,7 @@ def _places(
     first = int(np.argmin(np.abs(known - edges[0])))
     run = known[first : first + len(edges)]
     if len(run) != len(edges) or not np.allclose(run[:-1], edges[:-1], atol=close, rtol=0):
-        # The last bound aside: an open class ends anywhere.
+        # The last bound is not compared: an open class may end anywhere.
         raise DisdrometerFileError(path, f"{axis}_bin_lower: its classes are not those of the sensor that it names")
     return np.arange(first, first + len(edges) - 1)
 
@@ -170,7 +170,7 @@ def _places(
 def _overlapping(
     times: Shaped[np.ndarray, " records"], seconds: Float64[np.ndarray, " records"]
 ) -> Bool[np.ndarray, " records"]:
-    """Records that begin before the last one before them that doesn't overlap has ended; times are ends."""
+    """Mask of records that begin before the last accepted record has ended; times are ends."""
     overlapping = np.zeros(len(times), bool)
     ends = times.astype("datetime64[ms]")
     last_end = None

@@ -1,4 +1,4 @@
-"""A disdrometer file as people and programs are shown it: what it holds, what is rejected, whether its rates agree."""
+"""Summary of a disdrometer file: contents, rejected records, and agreement of its rain rates."""
 
 import re
 from collections import Counter
@@ -17,36 +17,36 @@ from .spectra import DisdrometerReading, DropSpectra
 from .tables import TableColumns
 
 LOWEST_CHECKED_MM_H = 0.5
-"""Rates below are too coarse to compare: a Parsivel's telegram rounds them."""
+"""Lower rates are too coarse to compare: a Parsivel's telegram rounds them."""
 
 FEWEST_CHECKED = 30
-"""Records above `LOWEST_CHECKED_MM_H`; of fewer, a ratio says little."""
+"""Minimum number of records above `LOWEST_CHECKED_MM_H` for a meaningful ratio."""
 
 FEWEST_FAR_OFF, FAR_OFF = 5, 3.0
-"""So few records are enough where the ratio is beyond 3 or 1/3."""
+"""Number of records that suffices if the ratio is beyond 3 or 1/3."""
 
 LOWEST_RATIO, HIGHEST_RATIO, LOWEST_CORRELATION = 0.7, 1.4, 0.9
-"""Real Parsivels' drops give 0.98 to 1.14 times their own rate, with r of 0.99; snow and insects 2 to 80 times."""
+"""Real Parsivels' drops give 0.98 to 1.14 times the instrument's rate (r = 0.99); snow and insects 2 to 80 times."""
 
 _REASONS = 5
-"""Shown of each file, the most frequent first."""
+"""Maximum number of reasons printed for a file, most frequent first."""
 
 _LONGEST_NAME = 80
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class RateCheck:
-    """The rate from the drops against the instrument's own, over records that report more than 0.5 mm/h."""
+    """Rate from the drops compared with the instrument's own, over records that report more than 0.5 mm/h."""
 
     records: int
     ratio: float
-    """Sum over sum."""
+    """Ratio of the sums."""
     correlation: float | None
-    """None where all records have the same rate."""
+    """None if all records have the same rate."""
 
     @property
     def problem(self) -> str | None:
-        """Why such drops are no base for a calibration, in one sentence; None where rates agree, or are too few."""
+        """One sentence on the disagreement that rules out a calibration; None if rates agree or records are too few."""
         far_off = self.records >= FEWEST_FAR_OFF and not 1 / FAR_OFF <= self.ratio <= FAR_OFF
         if self.records < FEWEST_CHECKED and not far_off:
             return None
@@ -65,14 +65,13 @@ class RateCheck:
 
     @property
     def agrees(self) -> bool | None:
-        """None where the records are too few to say."""
+        """None if there are too few records."""
         if self.problem is not None:
             return False
         return None if self.records < FEWEST_CHECKED else True
 
     @property
     def line(self) -> str:
-        """The figures, and what they mean, as one line."""
         agrees = self.agrees
         verdict = "agrees" if agrees else "DISAGREES"
         if agrees is None:
@@ -82,10 +81,10 @@ class RateCheck:
 
 
 def check_rates(measured: Sequence[DropSpectra]) -> RateCheck | None:
-    """Compare rates over all records together; None where fewer than two report more than 0.5 mm/h."""
+    """Compare rates over all records together; None if fewer than two report more than 0.5 mm/h."""
     rate = np.concatenate([each.rate_mm_h for each in measured])
     reported = np.concatenate([each.reported_mm_h for each in measured])
-    checked = reported > LOWEST_CHECKED_MM_H  # NaN isn't
+    checked = reported > LOWEST_CHECKED_MM_H  # NaN compares false
     if np.count_nonzero(checked) < 2:
         return None
     rate, reported = rate[checked], reported[checked]
@@ -99,37 +98,37 @@ def check_rates(measured: Sequence[DropSpectra]) -> RateCheck | None:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MeasurementSummary:
-    """A disdrometer file in numbers: small, unlike its spectra."""
+    """Statistics of a disdrometer file, without its spectra."""
 
     file: str
-    """Its name, without folders."""
+    """File name without folders."""
     instrument: str
     records: int
     seconds: float
-    """Usual length of a record."""
+    """Median length of a record."""
     first: str | None
-    """End of the first record, UTC, in seconds; None where the file has no times."""
+    """End of the first record, UTC, to the second; None if the file has no times."""
     last: str | None
     drops: float
-    """As counted; not whole where they come from densities."""
+    """Counted drops; fractional if derived from densities."""
     rain_mm: float
-    """From all drops."""
+    """Rain depth from all drops."""
     reported_rain_mm: float | None
-    """By the instrument's own rate, over records that have one; None where none has."""
+    """Rain depth by the instrument's own rate, over records that have one; None if none has."""
     skipped: tuple[tuple[str, int], ...]
-    """Reasons why records could not be read, an example of each, and how many; the most frequent first."""
+    """Reasons for unreadable records with an example and a count each, most frequent first."""
     records_without_drops: int
     records_with_few_drops: int
-    """That hold drops, but fewer than 10 that can be trusted."""
+    """Records with drops, but fewer than 10 that pass quality control."""
     quality: QualityControlReport
     rate_check: RateCheck | None
-    """Of all drops: it decides whether the rates agree."""
+    """Check of all drops; it decides whether the rates agree."""
     used_rate_check: RateCheck | None
-    """Of the drops that can be trusted: one phantom drop of 18 mm, removed by the masks, spoils the former's r."""
+    """Check of the drops that pass quality control: one phantom drop of 18 mm spoils r over all drops."""
 
     @property
     def lines(self) -> list[str]:
-        """All of it as text; the first line is without the others' indent."""
+        """The summary as text lines; all but the first are indented."""
         span = f", {self.first} to {self.last} UTC" if self.first is not None else ""
         own = (
             "it reports no rate of its own"
@@ -177,7 +176,7 @@ class MeasurementSummary:
         return f"rate from the drops over the instrument's own: not checked, {missing}"
 
     def numbers(self) -> dict[str, Any]:
-        """All of it for `--json`, with units in the names."""
+        """The summary as a dictionary for `--json`, with units in the names."""
         check, used = self.rate_check, self.used_rate_check
         return {
             "file": self.file,
@@ -208,7 +207,7 @@ class MeasurementSummary:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MeasuredFile:
-    """A disdrometer file: as it is, and what can be trusted in it."""
+    """Contents of a disdrometer file before and after quality control."""
 
     path: Path
     reading: DisdrometerReading
@@ -221,7 +220,7 @@ class MeasuredFile:
         reports = np.isfinite(spectra.reported_mm_h)
         drops = spectra.counts.sum(axis=(1, 2))
         rejected = self.quality.records - self.quality.records_kept
-        dry = min(int((drops == 0).sum()), rejected)  # of simulated drops none is rejected, dry records neither
+        dry = min(int((drops == 0).sum()), rejected)  # no simulated drop is rejected, but dry records are counted too
         rain_mm = spectra.rate_mm_h * spectra.seconds / 3600
         reported_mm = spectra.reported_mm_h * spectra.seconds / 3600
         return MeasurementSummary(
@@ -244,9 +243,9 @@ class MeasuredFile:
 
 
 def open_disdrometer_file(path: Path, columns: TableColumns | None = None) -> MeasuredFile:
-    """Read a file and mask what can't be trusted; of simulated drops, all can. Raises `DisdrometerFileError`.
+    """Read a file and apply quality control, which keeps all simulated drops. Raises `DisdrometerFileError`.
 
-    `columns` describe a table of text whose header doesn't tell them.
+    `columns` describes a text table whose header doesn't.
     """
     reading = read_disdrometer(path, columns)
     if reading.spectra.instrument == VIRTUAL_INSTRUMENT:
@@ -257,7 +256,7 @@ def open_disdrometer_file(path: Path, columns: TableColumns | None = None) -> Me
 
 
 def _reasons(skipped: Sequence[str]) -> tuple[tuple[str, int], ...]:
-    """Sentences that differ in numbers and places only, counted together under the first of them."""
+    """Count sentences that differ only in numbers and quoted names together, under the first of each kind."""
     examples: dict[str, str] = {}
     counts: Counter[str] = Counter()
     for sentence in skipped:

@@ -1,4 +1,4 @@
-"""Which drops of a measured spectrum can be trusted, and a report of what each mask took away."""
+"""Quality control of drop spectra, class masks, and the bytes of disdrometer files."""
 
 import zlib
 from collections.abc import Iterator
@@ -14,31 +14,31 @@ from .instruments import CLASSES
 from .spectra import DisdrometerFileError, DropSpectra
 
 LARGEST_MARGIN_FALLER_MM = 8.0
-"""Larger drops break up in the air: what looks like one and is too fast wasn't cut by the margin."""
+"""Larger drops break up in the air, so a larger and too fast one was not cut by the margin."""
 
 LARGEST_SPLASH_MM = 2.0
-"""What rebounds from the housing is small; larger and slow is melting snow or, in strong wind, a drop seen aslant."""
+"""Splashes from the housing are small; larger slow particles are melting snow or drops tilted by strong wind."""
 
 _NO_SPEED = "no fall speed is measured"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MaskReport:
-    """What one mask took away of what those before it had left."""
+    """Drops and records that one mask removed after the masks before it."""
 
     name: str
     rule: str
-    """What it removes, with its threshold."""
+    """Removal criterion with its threshold."""
     drops: float
-    """Not whole where the counts come from densities."""
+    """Fractional if the counts come from densities."""
     records: int
     not_applied: str = ""
-    """Why it was left out; empty where it was applied."""
+    """Reason why the mask was skipped; empty if it was applied."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QualityControlReport:
-    """What quality control kept and removed; drops and records add up."""
+    """Drops and records that quality control kept and removed; they add up."""
 
     drops: float
     drops_kept: float
@@ -64,7 +64,7 @@ class _Mask:
     name: str
     rule: str
     distrusted: Bool[np.ndarray, "diameters velocities"] | None
-    """None where the mask needs fall speeds and there are none."""
+    """None if the mask needs fall speeds and none are measured."""
 
 
 def apply_quality_control(
@@ -75,13 +75,13 @@ def apply_quality_control(
     fewest_drops: float = 10,
     classes: Bool[np.ndarray, "diameters velocities"] | None = None,
 ) -> tuple[DropSpectra, QualityControlReport]:
-    """Remove the drops that can't be rain seen whole, then the records with too few drops left.
+    """Remove drops that can't be completely measured rain, then records with too few drops left.
 
-    In this order: drops below `smallest_mm`; margin fallers, cut by the rim of the light sheet so that they look too
-    small for their speed; splashes from the housing, small and slow; everything else whose speed differs from Atlas et
-    al. (1973) by more than `speed_tolerance` of it (0.6 as in Jaffrain and Berne 2011); drops outside `classes`, if
-    given; records of fewer than `fewest_drops`. A class is judged by its middle. Masks of speed are left out where no
-    speed is measured, and the report says so. Raises `ValueError` where `classes` has another shape than the spectra.
+    In this order: drops below `smallest_mm`; margin fallers, cut by the rim of the light sheet so that they appear too
+    small for their speed; splashes from the housing, small and slow; all other drops whose speed differs from Atlas et
+    al. (1973) by more than the fraction `speed_tolerance` (0.6 as in Jaffrain and Berne 2011); drops outside `classes`,
+    if given; records of fewer than `fewest_drops`. A class is judged by its center. Without measured speeds the speed
+    masks are skipped and reported as such. Raises `ValueError` if `classes` and the spectra differ in shape.
     """
     counts = spectra.counts.sum(axis=0)
     trusted = np.ones(counts.shape, bool)
@@ -141,7 +141,7 @@ def _masks(
 
 
 def _speed_off(spectra: DropSpectra) -> Float64[np.ndarray, "diameters velocities"] | None:
-    """How far each class's speed is off the expected one, as a fraction of it; none where no speed is measured."""
+    """Relative deviation of each class's speed from the expected one; None if no speed is measured."""
     speeds = spectra.velocities_m_s
     if speeds is None:
         return None
@@ -149,11 +149,11 @@ def _speed_off(spectra: DropSpectra) -> Float64[np.ndarray, "diameters velocitie
     return speeds / expected - 1
 
 
-# § Which classes of a Parsivel spectrum hold rain: a table of 32 x 32 zeros and ones, as PyDSD's conditional matrix.
+# Class masks: 32 x 32 zeros and ones for Parsivel spectra, like PyDSD's conditional matrix
 
 
 def is_class_mask(lines: list[str]) -> bool:
-    """Whether every row has 32 numbers that are 0 or 1."""
+    """Return whether there are 32 rows of 32 numbers that are 0 or 1."""
     rows = _rows(lines)
     return len(rows) == CLASSES and all(len(row) == CLASSES and set(row) <= {"0", "1"} for row in rows)
 
@@ -166,13 +166,13 @@ def _rows(lines: list[str]) -> list[list[str]]:
     ]
 
 
-# § The bytes of a disdrometer file: inflated where gzip holds them, and never more than memory allows.
+# File contents
 
 LARGEST_FILE = 256 * 2**20
-"""Bytes, after inflation: about two months of a Parsivel's minutes as text."""
+"""Bytes after inflation: about two months of one-minute Parsivel records as text."""
 
 MAX_LINES = 8_000_000
-"""Of text: a telegram has a line a field, and some hundred bytes in each three or four."""
+"""Maximum number of text lines: a telegram has one line a field, with some hundred bytes in three or four."""
 
 _GZIP_MAGIC = b"\x1f\x8b"
 
@@ -185,22 +185,22 @@ _TEXT_CONTROLS = b"\t\n\v\f\r\x02\x03\x04\x1a"  # telegrams begin with STX and e
 
 @dataclass(frozen=True, slots=True)
 class FileContents:
-    """A file in memory."""
+    """Bytes of a file after inflation."""
 
     path: Path
     data: bytes
     cut_off: bool
-    """A gzip stream that ended too early: the rest of the file is missing."""
+    """True for a gzip stream that ended too early; the rest of the file is missing."""
 
     @property
     def is_text(self) -> bool:
-        """Whether the first 4 KiB are text in any encoding that keeps ASCII."""
+        """True if the first 4 KiB are text in any encoding that extends ASCII."""
         start = self.data[:4096]
         return bool(start) and not any(byte < 32 and byte not in _TEXT_CONTROLS for byte in start)
 
     @property
     def lines(self) -> list[str]:
-        """Lines of text without their ends; Latin-1, which every byte is valid in."""
+        """Lines without their ends, decoded as Latin-1, in which every byte is valid."""
         if self.data.count(b"\n") > MAX_LINES:
             raise DisdrometerFileError(self.path, f"the file holds more than {MAX_LINES:,} lines: split it by days")
         text = self.data.decode("latin-1").removeprefix("\u00ef\u00bb\u00bf")
@@ -210,8 +210,8 @@ class FileContents:
 def read_contents(path: Path) -> FileContents:
     """Read a whole file, inflating gzip.
 
-    Raises `DisdrometerFileError` where the file is absent, empty, larger than `LARGEST_FILE`, or its gzip stream
-    damaged. A gzip stream that is only cut off gives what came before the cut.
+    Raises `DisdrometerFileError` if the file is absent, empty or larger than `LARGEST_FILE`, or its gzip stream is
+    damaged. A truncated gzip stream gives the data before the cut.
     """
     try:
         data = read_file(path, LARGEST_FILE)
@@ -234,7 +234,7 @@ def _too_large(path: Path) -> DisdrometerFileError:
 
 
 def _inflate(path: Path, data: bytes) -> tuple[bytes, bool]:
-    """Inflate one gzip member after the other, up to one byte more than `LARGEST_FILE`; whether the last is cut off."""
+    """Inflate gzip members up to one byte more than `LARGEST_FILE`; also return whether the last is truncated."""
     parts: list[bytes] = []
     size = 0
     while data.startswith(_GZIP_MAGIC):

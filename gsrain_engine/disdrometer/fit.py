@@ -1,4 +1,4 @@
-"""Fit a calibration to drop spectra: rows by intensity, fall speed, axis ratio, and how well the rates agree."""
+"""Calibrations fitted to drop spectra and to disdrometer files, with provenance."""
 
 import hashlib
 from collections.abc import Sequence
@@ -54,10 +54,10 @@ def fit_calibration(
 ) -> FittedCalibration:
     """Fit to the spectra of one or more files of one instrument.
 
-    `trusted` are spectra without splashes and the like; `measured` the same as they came, by which the instrument's own
-    rate is judged (default: the trusted ones). The size law is fitted to drops in a cubic metre, counts / (area x class
-    velocity x time), by maximum likelihood (gamma_fit.py); rows stand at the mean rate of their minutes. Raises
-    `ValueError` where the files' classes differ, or where there isn't enough rain for a fall speed and two rows.
+    `trusted` are spectra after quality control; `measured` the same before it, for the check against the instrument's
+    own rate (default: `trusted`). The size law is fitted to drops per cubic meter, counts / (area x class velocity x
+    time), by maximum likelihood (`fit_by_likelihood`); each row lies at the mean rate of its minutes. Raises
+    `ValueError` if the files' classes differ, or if there isn't enough rain for a fall speed and two rows.
     """
     options = options or FitOptions()
     measured = measured or trusted
@@ -126,7 +126,7 @@ def _class_speeds(minutes: Minutes, diameters_mm: Float64[np.ndarray, " diameter
 def _velocity_confidence(
     minutes: Minutes, diameters_mm: Float64[np.ndarray, " diameters"], options: FitOptions
 ) -> tuple[Interval, Interval, Interval] | None:
-    """Intervals of the coefficients, through the classes of the fit itself."""
+    """95 % intervals of the coefficients, fitted to the same classes as the velocity itself."""
     if not options.resamples or len(minutes) < FEWEST_MINUTES:
         return None
     counted = minutes.drops.sum(axis=0)
@@ -144,14 +144,14 @@ def _rounded(velocity: VelocityFit) -> VelocityFit:
     return VelocityFit(coefficients=(a, b, c), r2=None if velocity.r2 is None else round_significant(velocity.r2))
 
 
-# § From disdrometer files to a calibration with its provenance.
+# Calibration from files
 
 WET_MINUTE_MM_H = 0.1
-"""Below this a minute counts as dry: the resolution of most rain gauges."""
+"""Minutes with less count as dry: the resolution of most rain gauges."""
 
 
 class RatesDisagreeError(ValueError):
-    """Drops that don't give the instrument's own rain rate: in one sentence, which file's and by how much."""
+    """Drops contradict the instrument's own rain rate; the message names the file and the ratio."""
 
 
 def calibrate(
@@ -170,11 +170,10 @@ def calibrate(
 def calibrate_files(
     files: Sequence[MeasuredFile], *, name: str, options: FitOptions | None = None, force: bool = False
 ) -> FittedCalibration:
-    """Fit to all files together, and note where the numbers come from.
+    """Fit to all files together and record the provenance.
 
-    Raises `RatesDisagreeError` where the drops don't give the instrument's own rate, in a file or in all together
-    (`RateCheck.problem`), unless it is to be done by `force`; `ValueError` where the files are of different
-    instruments, or where there isn't enough rain in them.
+    Raises `RatesDisagreeError` if the drops contradict the instrument's own rate, in one file or in all together
+    (`RateCheck.problem`), unless `force` is set; `ValueError` for different instruments, or without enough rain.
     """
     options = options or FitOptions()
     instruments = list(dict.fromkeys(each.trusted.instrument for each in files))
@@ -202,15 +201,15 @@ def calibrate_files(
 def rain_as_measured(
     paths: Sequence[Path | str], intensity_mm_h: float | None = None, *, save_to: Path | str | None = None
 ) -> RainSettings:
-    """Fit a calibration to files of one instrument, save it, and return rain that falls by it.
+    """Fit a calibration to files of one instrument, save it, and return rain settings that use it.
 
     Args:
         paths: Disdrometer files.
         intensity_mm_h: Intensity of the rain; None takes the mean of the minutes with at least `WET_MINUTE_MM_H`.
-        save_to: YAML file of the calibration; None keeps it in the user's cache folder, under the files' hash.
+        save_to: YAML file of the calibration; None saves it in the user's cache folder, named by the files' hash.
 
     Raises:
-        ValueError: As `calibrate` does, and where no minute has rain that could give the intensity.
+        ValueError: As `calibrate` does, and if no minute has rain from which to take the intensity.
     """
     files = [Path(each) for each in paths]
     fitted = calibrate(files, name=files[0].stem if files else "")
@@ -229,7 +228,7 @@ def rain_as_measured(
 
 
 def rates_problem(files: Sequence[MeasuredFile]) -> str | None:
-    """Name the first file whose drops don't give its own rate, and by how much; None where all do."""
+    """Return a sentence on the first file whose drops contradict its own rate; None if all agree."""
     for each in files:
         check = check_rates([each.reading.spectra])
         if check is not None and check.problem is not None:

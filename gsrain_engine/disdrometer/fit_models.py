@@ -1,4 +1,4 @@
-"""The gamma law of drop diameters (paper, eq. 8) fitted to histograms: maximum likelihood, and moments beside it."""
+"""Models fitted to drop spectra: gamma size law, fall speed, axis ratio, bootstrap, and calibration rows."""
 
 from dataclasses import dataclass, fields
 from typing import Annotated, NamedTuple
@@ -25,7 +25,7 @@ from .spectra import DropSpectra, SingleDrops
 SHAPES = (0.2, 200.0)
 
 SCALES_MM = (1e-3, 10.0)
-"""Fits stay within these: beyond, a histogram doesn't look like rain."""
+"""Limits of the fitted gamma laws: beyond them a histogram is not rain."""
 
 _LOW, _HIGH = np.log(np.array([SHAPES, SCALES_MM]).T)
 
@@ -41,7 +41,7 @@ _TINY = 1e-300
 
 
 class GammaLaws(NamedTuple):
-    """One law each histogram."""
+    """Gamma law (paper, eq. 8) of each histogram."""
 
     shape: Float64[np.ndarray, " fits"]
     scale_mm: Float64[np.ndarray, " fits"]
@@ -50,7 +50,7 @@ class GammaLaws(NamedTuple):
 def class_shares(
     laws: GammaLaws, edges_mm: Float64[np.ndarray, " classes_and_one"]
 ) -> Float64[np.ndarray, "fits classes"]:
-    """Share of the uncut law's drops in each class; from the upper tail above the mean, where the lower one is 1."""
+    """Share of the untruncated law's drops in each class, from the upper tail above the mean for precision."""
     shape, scale = laws.shape[:, None], laws.scale_mm[:, None]
     x = edges_mm / scale
     below, above = np.diff(special.gammainc(shape, x)), -np.diff(special.gammaincc(shape, x))
@@ -60,11 +60,11 @@ def class_shares(
 def fit_by_likelihood(
     density: Float64[np.ndarray, "fits classes"], edges_mm: Float64[np.ndarray, " classes_and_one"]
 ) -> GammaLaws:
-    """Maximize sum_i n_i ln p_i, where p_i is class i's share among these classes: binned and truncated likelihood.
+    """Maximize sum_i n_i ln p_i, with p_i the share of class i among these classes: binned, truncated likelihood.
 
-    `density` is the number of drops in the air by diameter class, in any unit. Fisher scoring in ln shape and ln scale,
-    all fits at once, with steps halved until the likelihood rises. Raises `ValueError` for a histogram with fewer than
-    three occupied classes: two numbers can't be fitted to it.
+    `density` is the number of drops in the air by diameter class, in any unit. Uses Fisher scoring in ln shape and ln
+    scale, all fits at once, with steps halved until the likelihood rises. Raises `ValueError` for a histogram with
+    fewer than three occupied classes, which can't determine two parameters.
     """
     if np.any((density > 0).sum(axis=1) < 3):
         raise ValueError("a gamma law needs drops in at least three diameter classes")
@@ -87,9 +87,9 @@ def fit_by_likelihood(
 def fit_by_moments(
     density: Float64[np.ndarray, "fits classes"], edges_mm: Float64[np.ndarray, " classes_and_one"]
 ) -> GammaLaws:
-    """Shape and scale from mean and variance of the diameters, blind to what lies outside the classes.
+    """Shape and scale from mean and variance of the diameters, without a correction for truncation.
 
-    The variance is Sheppard's: less w^2/12 of the class width w, which sorting into classes has added.
+    Sheppard's correction subtracts w^2/12 for the class width w, the variance that binning adds.
     """
     share = density / density.sum(axis=1, keepdims=True)
     middle, width = 0.5 * (edges_mm[:-1] + edges_mm[1:]), np.diff(edges_mm)
@@ -104,11 +104,9 @@ def _climb(
     observed: Float64[np.ndarray, "fits classes"],
     edges_mm: Float64[np.ndarray, " classes_and_one"],
 ) -> Float64[np.ndarray, "fits 2"]:
-    """One step up for each fit; where even a small one leads down, the fit stays."""
+    """Advance each fit by one step uphill; a fit stays if even a small step leads down."""
     step = _scoring_step(at, observed, edges_mm)
-    step /= np.maximum(
-        np.abs(step).max(axis=1, keepdims=True) / _LONGEST, 1
-    )  # each by itself would turn it off its way
+    step /= np.maximum(np.abs(step).max(axis=1, keepdims=True) / _LONGEST, 1)  # one factor for both keeps the direction
     likelihood = (observed * _log_shares(at, edges_mm)).sum(axis=1)
     reached, searching = at.copy(), np.arange(len(at))
     for _ in range(_HALVINGS):
@@ -125,7 +123,6 @@ def _climb(
 def _log_shares(
     at: Float64[np.ndarray, "fits 2"], edges_mm: Float64[np.ndarray, " classes_and_one"]
 ) -> Float64[np.ndarray, "fits classes"]:
-    """Log of each class's share among these classes."""
     shares = np.maximum(class_shares(GammaLaws(*np.exp(at).T), edges_mm), _TINY)
     return np.log(shares) - np.log(shares.sum(axis=1, keepdims=True))
 
@@ -142,7 +139,7 @@ def _scoring_step(
     score = np.einsum("fc,fcp->fp", observed, slopes)
     information = np.einsum("fc,fcp,fcq->fpq", np.exp(_log_shares(at, edges_mm)), slopes, slopes)
     step = np.linalg.solve(information + 1e-9 * np.eye(2), score[:, :, None])[:, :, 0]
-    for bound, free in ((0, 1), (1, 0)):  # one that stands at its limit and wants out lets the other go its own way
+    for bound, free in ((0, 1), (1, 0)):  # a parameter at its limit is fixed and the other one optimized alone
         stuck = ((at[:, bound] <= _LOW[bound]) & (step[:, bound] < 0)) | (
             (at[:, bound] >= _HIGH[bound]) & (step[:, bound] > 0)
         )
@@ -152,27 +149,27 @@ def _scoring_step(
     return step
 
 
-# § Fall speed over diameter (paper, eq. 9): a quadratic through the mean speed of each diameter class.
+# Fall speed over diameter (paper, eq. 9)
 
 MIN_SPEED_DROPS = 10
-"""A class with fewer drops doesn't tell a mean speed."""
+"""Minimum number of drops for a class's mean speed."""
 
 _DROPS_M_S = 0.8
-"""By this much single drops of a class differ, as measured by a Parsivel and a 2DVD."""
+"""Standard deviation of single drops within a class, as measured by a Parsivel and a 2DVD."""
 
 _QUADRATIC_M_S = 0.2
-"""By this much a quadratic misses real fall speeds: more drops in a class don't make it count more without end."""
+"""Misfit of a quadratic to real fall speeds; it bounds the weight of classes with many drops."""
 
 
 def fitted_speeds(
     diameters_mm: Float64[np.ndarray, " classes"], drops: Float64[np.ndarray, " classes"]
 ) -> Bool[np.ndarray, " classes"]:
-    """Classes that the quadratic goes through: at least `FEWEST_DROPS` drops, none larger than rain has."""
+    """Classes used by the quadratic: at least `MIN_SPEED_DROPS` drops and diameters that occur in rain."""
     return (drops >= MIN_SPEED_DROPS) & (diameters_mm < LARGEST_MM)
 
 
 def speed_weights(drops: Float64[np.ndarray, " classes"]) -> Float64[np.ndarray, " classes"]:
-    """One over the standard error of each class's mean, in s/m: what `numpy.polyfit` takes."""
+    """Inverse standard error of each class's mean, in s/m, for `numpy.polyfit`."""
     return 1 / np.sqrt(_DROPS_M_S**2 / drops + _QUADRATIC_M_S**2)
 
 
@@ -183,7 +180,7 @@ def fit_velocity(
 ) -> VelocityFit:
     """Weighted least squares through the classes' means; R^2 with the same weights.
 
-    Weighted by drops alone it would follow the small ones. Raises `ValueError` with fewer than four classes to fit.
+    Weights by the number of drops alone would favor small drops. Raises `ValueError` with fewer than four classes.
     """
     used = fitted_speeds(diameters_mm, drops)
     if used.sum() < 4:
@@ -199,28 +196,28 @@ def fit_velocity(
 
 
 def assumed_velocity() -> VelocityFit:
-    """A quadratic through Atlas et al. (1973) from 0.3 to 5 mm, for instruments that measure no speed."""
+    """Quadratic through Atlas et al. (1973) from 0.3 to 5 mm, for instruments that measure no speed."""
     d = np.linspace(0.3, 5.0, 48)
     a, b, c = (float(value) for value in np.polyfit(d, atlas_velocity(d), 2))
     return VelocityFit(coefficients=(a, b, c))
 
 
-# § Height over width of drops over their diameter (paper, eq. 4), where an instrument sees the shape of single ones.
+# Axis ratio (height over width) over diameter (paper, eq. 4)
 
 _WIDTH_MM = 0.25
 
 _SMALLEST_MM = 1.0
-"""Eq. 4 holds from here; smaller drops are spheres."""
+"""Lower limit of eq. 4; smaller drops are spheres."""
 
 _FEWEST_DROPS = 20
 
 _SPEED_BAND = 0.6
-"""Drops this share off the speed of Atlas et al. (1973) are splashes and mismatched pairs of shadows."""
+"""Drops beyond this relative deviation from Atlas et al. (1973) are splashes or mismatched shadow pairs."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class AxisRatios:
-    """Median axis ratio by diameter, and the line through it from 1 mm on: ratio = offset + slope D."""
+    """Median axis ratio by diameter, and a line through it from 1 mm on: ratio = offset + slope D."""
 
     diameters_mm: Float64[np.ndarray, " classes"]
     medians: Float64[np.ndarray, " classes"]
@@ -232,7 +229,10 @@ class AxisRatios:
 
 
 def fit_axis_ratio(drops: SingleDrops) -> AxisRatios | None:
-    """Fit a line through the medians of classes of 20 drops or more, weighted by these; None with fewer than three."""
+    """Fit a line through the class medians, weighted by drops.
+
+    Uses classes of at least 20 drops; returns None with fewer than three of them.
+    """
     speed = atlas_velocity(drops.diameters_mm)
     fair = np.isfinite(drops.axis_ratios) & (np.abs(drops.speeds_m_s - speed) <= _SPEED_BAND * speed)
     diameter, ratio = drops.diameters_mm[fair], drops.axis_ratios[fair]
@@ -259,31 +259,31 @@ def fit_axis_ratio(drops: SingleDrops) -> AxisRatios | None:
     )
 
 
-# § Resampled minutes: how far a fit would have come out otherwise.
+# Bootstrap over minutes
 
 FEWEST_MINUTES = 5
-"""Fewer say nothing about how minutes differ."""
+"""Fewer minutes give no estimate of their variation."""
 
 _TAILS = (0.025, 0.975)
 
 
 def resampling_weights(minutes: int, resamples: int, generator: np.random.Generator) -> Float64[np.ndarray, "r m"]:
-    """How often each minute is drawn in each resample: as many as there are, with replacement (Efron, 1979)."""
+    """Number of draws of each minute in each resample of the same size, with replacement (Efron, 1979)."""
     return generator.multinomial(minutes, np.full(minutes, 1 / minutes), size=resamples).astype(np.float64)
 
 
 def percentile_interval(values: Float64[np.ndarray, " resamples"]) -> Interval:
-    """The middle 95 %, to four digits."""
+    """Central 95 % interval, rounded to four digits."""
     low, high = np.quantile(values, _TAILS)
     return round_significant(low), round_significant(high)
 
 
 def round_significant(value: float) -> float:
-    """Four digits: more than any of these numbers is worth."""
+    """Round to four digits, more than the accuracy of any fitted number."""
     return float(f"{value:.4g}")
 
 
-# § Drop spectra summed over minutes: the unit that intensities are judged by, and that the bootstrap draws.
+# Minutes
 
 MINUTE_MS = 60_000
 
@@ -295,14 +295,14 @@ class Minutes:
     seconds: Float64[np.ndarray, " minutes"]
     records: Float64[np.ndarray, " minutes"]
     rate_mm_h: Float64[np.ndarray, " minutes"]
-    """From the drops."""
+    """Rain rate from the drops."""
     reported_mm_h: Float64[np.ndarray, " minutes"]
-    """The instrument's own; NaN where it gives none."""
+    """The instrument's own rain rate; NaN if it reports none."""
     drops: Float64[np.ndarray, "minutes diameters"]
     density_seconds: Float64[np.ndarray, "minutes diameters"]
-    """Drops in a cubic metre of air, times seconds: a drop counts 1 / (area x its speed)."""
+    """Drops per cubic meter of air, times seconds: a drop counts 1 / (area x its speed)."""
     speed_sum: Float64[np.ndarray, "minutes diameters"]
-    """Of the counted drops, m/s."""
+    """Sum of the counted drops' speeds, m/s."""
     squared_speed_sum: Float64[np.ndarray, "minutes diameters"]
 
     def __len__(self) -> int:
@@ -315,9 +315,9 @@ class Minutes:
 
 
 def sum_minutes(spectra: DropSpectra) -> Minutes:
-    """Sum records by the UTC minute in which their middle lies.
+    """Sum records by the UTC minute of their midpoint.
 
-    Speeds are the middles of their classes; where none is measured, Atlas et al. (1973) at the middle of the diameter.
+    Speeds are class centers; without measured speeds, Atlas et al. (1973) at the center of the diameter class.
     """
     minute, count = _minute_of_record(spectra)
 
@@ -347,7 +347,7 @@ def sum_minutes(spectra: DropSpectra) -> Minutes:
 
 
 def _minute_of_record(spectra: DropSpectra) -> tuple[Int64[np.ndarray, " records"], int]:
-    """Index of each record's minute, and how many there are."""
+    """Index of each record's minute, and the number of minutes."""
     ends = spectra.times.astype("datetime64[ms]")
     middles = ends.astype(np.int64) - np.rint(500 * spectra.seconds).astype(np.int64)
     known = ~np.isnat(ends)
@@ -357,12 +357,12 @@ def _minute_of_record(spectra: DropSpectra) -> tuple[Int64[np.ndarray, " records
     return minute.astype(np.int64), len(distinct)
 
 
-# § Rows of a calibration: minutes of like intensity, and the drops in a cubic metre of them.
+# Calibration rows
 
 MIN_BIN_DROPS = 500
 
 ENOUGH_DROPS = 5000
-"""A bin takes five minutes and 500 drops, or 5000 drops: then even one minute has a spectrum of its own."""
+"""A bin needs five minutes and 500 drops, or 5000 drops, which suffice even within one minute."""
 
 NO_RAIN = "no rain"
 
@@ -371,7 +371,7 @@ _MIN_OF_A_CLASS = 50
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class IntensityBinFit:
-    """A row before the fall speed is known."""
+    """Fit of one intensity bin, before the fall speed is known."""
 
     middle_mm_h: float
     row: CalibrationRow
@@ -383,9 +383,9 @@ class IntensityBinFit:
 
 
 def fitted_classes(minutes: Minutes, edges_mm: Float64[np.ndarray, " d_and_one"], smallest_mm: float) -> slice:
-    """Diameter classes that a law is fitted to: from the first with 50 drops, below which nothing is seen, to 8 mm.
+    """Diameter classes for the size law: from the first with 50 drops, the instrument's detection limit, to 8 mm.
 
-    Raises `ValueError` when fewer than three are left.
+    Raises `ValueError` if fewer than three are left.
     """
     counted = minutes.drops.sum(axis=0) >= _MIN_OF_A_CLASS
     open_to_fit = (edges_mm[:-1] >= max(smallest_mm, SMALLEST_MM) - 1e-9) & (edges_mm[1:] <= LARGEST_MM + 1e-9)
@@ -399,11 +399,8 @@ def fitted_classes(minutes: Minutes, edges_mm: Float64[np.ndarray, " d_and_one"]
     return slice(int(first[0]), int(last[-1]) + 1)
 
 
-# § What a person can choose about a fit.
-
-
 class FitOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How minutes become rows of a calibration."""
+    """Settings of a fit from minutes to calibration rows."""
 
     intensities_mm_h: Annotated[
         tuple[Positive, ...],
@@ -431,7 +428,7 @@ class FitOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 def fit_rows(
     minutes: Minutes, edges_mm: Float64[np.ndarray, " d_and_one"], classes: slice, options: FitOptions
 ) -> tuple[list[IntensityBinFit], list[str]]:
-    """Fit a row for each bin with enough drops; for each other bin, a sentence that says why not."""
+    """Fit a row for each bin with enough drops; return a sentence with the reason for each other bin."""
     generator = np.random.default_rng(options.seed)
     fits: list[IntensityBinFit] = []
     passed_over: list[str] = []
@@ -503,12 +500,12 @@ def _fit_bin(
 def _whole_density(
     density: Float64[np.ndarray, "fits classes"], laws: GammaLaws, edges_mm: Float64[np.ndarray, " classes_and_one"]
 ) -> Float64[np.ndarray, " fits"]:
-    """Drops a cubic metre from 0.1 to 8 mm: those in the fitted classes over the law's share there."""
+    """Drops per cubic meter from 0.1 to 8 mm: those in the fitted classes over the law's share there."""
     ends = class_shares(laws, np.array([SMALLEST_MM, LARGEST_MM]))[:, 0]
     return density.sum(axis=1) * ends / class_shares(laws, edges_mm).sum(axis=1)
 
 
-# § What a fit gives: the calibration, and everything that a plot or a panel shows beside it.
+# Results
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -516,21 +513,21 @@ class FittedRow:
     """One intensity bin: its spectrum, and the row fitted to it."""
 
     middle_mm_h: float
-    """Of the bin, as asked for; the row's own intensity is the mean of its minutes."""
+    """Center of the bin; the row's own intensity is the mean of its minutes."""
     row: CalibrationRow
     minutes: int
     records: int
     drops: int
-    """Counted, in the classes that were fitted."""
+    """Counted drops in the fitted classes."""
     spectrum_m3_mm: Float64[np.ndarray, " diameters"]
     """Measured N(D) in 1/(m^3 mm), all classes."""
     moments_shape: float
     moments_scale_mm: float
-    """The method of moments, as a cross-check."""
+    """Shape and scale by the method of moments, as a cross-check."""
     implied_mm_h: float
-    """Rate that density, size law and fitted fall speed carry together: 6e-4 pi N E[V D^3]."""
+    """Rain rate from density, size law and fitted fall speed: 6e-4 pi N E[V D^3]."""
     moments_implied_mm_h: float
-    """The same with the law by moments."""
+    """Rain rate with the law by moments."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -543,29 +540,29 @@ class ClassSpeeds:
     deviation_m_s: Float64[np.ndarray, " diameters"]
     """Standard deviation of single drops."""
     fitted: Bool[np.ndarray, " diameters"]
-    """Which classes the quadratic goes through."""
+    """True for classes used by the quadratic."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FittedCalibration:
-    """A calibration with what it was fitted to."""
+    """Fitted calibration with its data and diagnostics."""
 
     calibration: Calibration
     rows: tuple[FittedRow, ...]
     passed_over: tuple[str, ...]
-    """One sentence for each bin that gave no row."""
+    """One sentence for each bin without a row."""
     diameter_edges_mm: Float64[np.ndarray, " diameters_and_one"]
     fitted_range_mm: Interval
-    """Diameters that the size law was fitted to."""
+    """Diameter range of the size-law fit."""
     speeds: ClassSpeeds | None
-    """None where the instrument measures no speed."""
+    """None if the instrument measures no speed."""
     velocity_confidence: tuple[Interval, Interval, Interval] | None
-    """Of the coefficients, 95 %."""
+    """95 % intervals of the coefficients."""
     axis_ratios: AxisRatios | None
     rate_check: RateCheck | None
-    """None where the instrument gives no rate of its own."""
+    """None if the instrument reports no rate."""
     records: int
     records_used: int
-    """Those in the minutes of any row."""
+    """Records in the minutes of any row."""
     minute_rate_mm_h: Float64[np.ndarray, " minutes"]
     minute_reported_mm_h: Float64[np.ndarray, " minutes"]

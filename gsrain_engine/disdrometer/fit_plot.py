@@ -1,4 +1,4 @@
-"""The figure of a fitted calibration: spectra with fits, fall speed, number, sizes, flux closure, axis ratio."""
+"""Figure of a fitted calibration: spectra with fits, fall speed, number, sizes, flux closure, axis ratio."""
 
 from pathlib import Path
 from typing import Any
@@ -26,13 +26,13 @@ _MAX_SPECTRA = 6
 _INK, _FIT, _OTHER, _FAINT = "#222222", "#c4442b", "#2b6cb0", "#9aa3ad"
 
 _WITHOUT_DATE: dict[str, dict[str, None]] = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
-"""Kinds of figures, and what to leave out of each so that the same fit gives the same bytes."""
+"""Figure formats, each with the metadata to omit so that equal fits give byte-identical files."""
 
 _STYLE: dict[str, Any] = {"fontsize": 8, "frameon": False}
 
 
 def write_plot(fitted: FittedCalibration, path: Path | str) -> None:
-    """Draw and write a figure, whole or not at all. Raises `ValueError` for a name that `check_plot_name` refuses."""
+    """Draw a figure and write it atomically. Raises `ValueError` for a file name that `check_plot_name` rejects."""
     path = Path(path)
     kind = check_plot_name(path)
     with whole_file(path) as beside, rc_context({"svg.hashsalt": "gsrain"}):
@@ -40,7 +40,7 @@ def write_plot(fitted: FittedCalibration, path: Path | str) -> None:
 
 
 def check_plot_name(path: Path) -> str:
-    """Kind of figure by the name's ending: png, pdf or svg. Raises `ValueError` for others."""
+    """Return the figure format of a file name: png, pdf or svg. Raises `ValueError` for others."""
     kind = path.suffix.removeprefix(".").lower()
     if kind not in _WITHOUT_DATE:
         raise ValueError(f"{path}: expected a name that ends with .{', .'.join(_WITHOUT_DATE)}")
@@ -100,12 +100,12 @@ def _draw_spectra(axes: Axes, fitted: FittedCalibration) -> None:
 
 
 def _law(each: FittedRow, d: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-    """N p(D) of the gamma law cut to [0.1, 8] mm, in 1/(m^3 mm)."""
+    """N p(D) of the gamma law truncated to [0.1, 8] mm, in 1/(m^3 mm)."""
     return each.row.density_m3 * DropSizes(each.row.shape, each.row.scale_mm).probability_per_mm(d)
 
 
 def _spread(rows: tuple[FittedRow, ...]) -> list[FittedRow]:
-    """A few rows, from the first to the last: more spectra than that can't be told apart."""
+    """Pick a few rows from the first to the last; more spectra would be indistinguishable."""
     picked = np.unique(np.rint(np.linspace(0, len(rows) - 1, min(len(rows), _MAX_SPECTRA))).astype(int))
     return [rows[i] for i in picked]
 
@@ -262,7 +262,7 @@ def _log_intensity(axes: Axes, x: Float64[np.ndarray, " rows"]) -> None:
 
 
 def _plain_decades(axis: Axis) -> None:
-    """Ticks at 1, 2, 5 and so on, written as plain numbers."""
+    """Set ticks at 1, 2, 5, 10, ..., labeled as plain numbers."""
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.set_minor_formatter(NullFormatter())

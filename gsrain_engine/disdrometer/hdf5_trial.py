@@ -1,6 +1,6 @@
-"""Tries HDF5 files in a process of their own first: a damaged one can keep HDF5's library busy forever, or crash it.
+"""Trial of HDF5 files in a separate process, since a damaged file can hang or crash the HDF5 library.
 
-Run as a program it reads a file from its input, opens it as `netcdf` will, and looks at everything in it.
+Run as a program, this module reads a file from standard input, opens it as `netcdf` does, and reads all its variables.
 """
 
 import io
@@ -9,14 +9,14 @@ import subprocess
 import sys
 
 LARGEST_DATASET = 2 * 2**30
-"""Bytes of all variables once unpacked."""
+"""Maximum bytes of all variables after decompression."""
 
 _MIN_S, _PER_BYTE_S = 30.0, 1e-7
-"""How long the trial may take: to load the libraries, and for a file's bytes."""
+"""Time limit of the trial: seconds to load the libraries, and per byte of the file."""
 
 
 def passes_trial(data: bytes) -> bool:
-    """Whether the library comes to an end with a file, by an error or not. A frozen program has no trial."""
+    """Return whether the library terminates on a file, with or without an error. A frozen program skips the trial."""
     if getattr(sys, "frozen", False):
         return True
     try:
@@ -35,7 +35,7 @@ def _try(data: bytes) -> None:
     with h5netcdf.File(io.BytesIO(data), "r") as file:
         variables = list(file.variables.values())
         if sum(math.prod(each.shape) * getattr(each.dtype, "itemsize", 8) for each in variables) > LARGEST_DATASET:
-            return  # refused by its reader before anything is unpacked
+            return  # rejected by the reader before decompression
         for variable in variables:
             dict(variable.attrs)
             variable[...]

@@ -13,15 +13,14 @@ from .spectra import DisdrometerReading, DropSpectra, SpectrumRecord
 
 logger = logging.getLogger("gsrain")
 
-# § Which way a spectrum's numbers run: class by class of diameter, or of fall speed.
 
 Order = Literal["diameters first", "velocities first"]
-"""Which index is the slower one: `velocities first` writes all diameters of the lowest speed, then of the next."""
+"""Slower index: `velocities first` stores all diameters of the lowest speed, then those of the next."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Instrument:
-    """A disdrometer as its maker describes it."""
+    """Classes and measuring area of a disdrometer by its maker's specification."""
 
     name: str
     diameter_edges_mm: Float64[np.ndarray, " diameters_and_one"]
@@ -30,13 +29,13 @@ class Instrument:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Number of diameter and of fall-speed classes."""
+        """Number of diameter classes and of fall-speed classes."""
         return len(self.diameter_edges_mm) - 1, len(self.velocity_edges_m_s) - 1
 
     def reading_of(
         self, path: Path, records: list[SpectrumRecord], written: Order, skipped: list[str]
     ) -> DisdrometerReading:
-        """Spectra of records whose counts run in the maker's order, unless the rain rate says otherwise."""
+        """Spectra of records whose counts are in the maker's order, unless the rain rate indicates the other one."""
         return self.reading(
             path,
             np.stack([record.counts for record in records]),
@@ -81,11 +80,11 @@ class Instrument:
         return DisdrometerReading(spectra=spectra, skipped=tuple(skipped))
 
 
-# § Classes and measuring area of the OTT Parsivel (Parsivel2 manual, appendix C: 32 diameters, 32 fall speeds).
+# OTT Parsivel (Parsivel2 manual, appendix C)
 
 
 def _edges(*runs: tuple[int, float]) -> Float64[np.ndarray, " edges"]:
-    """Bounds from 0 on, in runs of so many classes of one width."""
+    """Bounds from 0 on, from runs of (number of classes, width)."""
     widths = np.repeat([width for _, width in runs], [classes for classes, _ in runs])
     return np.concatenate([[0.0], np.round(np.cumsum(widths), 6)])
 
@@ -96,7 +95,7 @@ PARSIVEL_VELOCITY_EDGES_M_S = _edges((10, 0.1), (5, 0.2), (5, 0.4), (5, 0.8), (5
 
 
 def effective_area_m2(diameters_mm: Float64[np.ndarray, " diameters"]) -> Float64[np.ndarray, " diameters"]:
-    """Area in which a drop is seen whole: the laser sheet of 180 x 30 mm less a margin of half a diameter.
+    """Area that measures a drop completely: the laser sheet of 180 x 30 mm less a margin of half a diameter.
 
     Source: Battaglia et al. (2010), as 180 (30 - D/2) mm^2.
     """
@@ -105,11 +104,9 @@ def effective_area_m2(diameters_mm: Float64[np.ndarray, " diameters"]) -> Float6
 
 PARSIVEL_AREA_M2 = effective_area_m2(0.5 * (PARSIVEL_DIAMETER_EDGES_MM[:-1] + PARSIVEL_DIAMETER_EDGES_MM[1:]))
 
-# § Classes and measuring area of the Thies laser precipitation monitor (instruction for use: 22 diameters, 20
-# speeds).
-#
-# The last diameter class is open, from 8 mm: it is given the width of the one before. The last speed class ends at
-# 20 m/s, beyond which the instrument counts no particle.
+# Thies laser precipitation monitor (instruction for use)
+# The last diameter class is open, from 8 mm; it gets the width of the one before. The last speed class ends at 20 m/s,
+# beyond which the instrument counts no particle.
 
 THIES_DIAMETER_EDGES_MM = np.concatenate([[0.125, 0.25, 0.375, 0.5], np.arange(0.75, 2, 0.25), np.arange(2, 8.6, 0.5)])
 
@@ -138,12 +135,12 @@ def arrange_spectrum(
     seconds: Float64[np.ndarray, " records"],
     reported_mm_h: Float64[np.ndarray, " records"],
 ) -> tuple[Float64[np.ndarray, "records diameters velocities"], Order]:
-    """Turn numbers in the order of their file into spectra, and say which order that was.
+    """Arrange counts in file order as spectra, and return the order found.
 
-    The rate that follows from the spectra must agree with the reported one: the order with the nearer rate wins (the
-    wrong one is a hundred times off). Where no record reports rain of 0.1 mm/h, or where both orders are off by more
-    than three times (snow, insects, other classes: the check of the rates says so), the drops' speeds decide: the other
-    order wins where its drops are twice as near to Atlas et al. (1973). Below 50 drops `written` (the maker's) stands.
+    The order whose rate is nearer to the reported one is chosen (the wrong one is off by a factor of a hundred). If no
+    record reports 0.1 mm/h, or both orders are off by more than a factor of three (snow, insects, other classes:
+    reported by `RateCheck`), the drops' speeds decide: the other order is chosen if its drops are twice as near to
+    Atlas et al. (1973). With fewer than 50 drops `written` (the maker's order) is kept.
     """
     diameters = 0.5 * (diameter_edges_mm[:-1] + diameter_edges_mm[1:])
     velocities = 0.5 * (velocity_edges_m_s[:-1] + velocity_edges_m_s[1:])

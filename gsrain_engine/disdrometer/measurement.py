@@ -1,4 +1,4 @@
-"""What the virtual disdrometer counted: rain rate with its error, diameters, spectra."""
+"""Measurement of the virtual disdrometer: rain rate with its error, diameters, spectra."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,12 +22,12 @@ _MM_PER_M, _SECONDS_PER_HOUR = 1e3, 3600
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DisdrometerMeasurement:
-    """Drops of each class of the field, record by record. All drops of a class are alike in size and speed."""
+    """Drops of each class of the rain field by record. All drops of a class have the same size and speed."""
 
     state: RainProperties
-    """The rain that was asked for."""
+    """Properties of the simulated rain."""
     times_s: Float64[np.ndarray, " records_and_one"]
-    """Simulated time; a record goes from each to the next."""
+    """Simulated times of the records' bounds."""
     area_m2: float
     diameters_mm: Float64[np.ndarray, " classes"]
     fall_speed_m_s: Float64[np.ndarray, " classes"]
@@ -48,9 +48,10 @@ class DisdrometerMeasurement:
 
     @property
     def standard_error_mm_h(self) -> float:
-        """Of the rate: sqrt(sum w^2), w what one drop adds to it; drops come one by one (Poisson).
+        """Standard error of the rate: sqrt(sum w^2), w the contribution of one drop; arrivals are Poisson.
 
-        An area that is a share p of the lattice's period sees sqrt(1 - p) of it, for what falls beside it is missing.
+        For an area that is a share p of the lattice's period, the true error is sqrt(1 - p) times this: the total is
+        fixed.
         """
         return float(np.sqrt(np.sum(self._totals * self._rate_of_one_mm_h**2)))
 
@@ -60,7 +61,7 @@ class DisdrometerMeasurement:
 
     @property
     def in_air_m3(self) -> Float64[np.ndarray, " classes"]:
-        """Drops of each class in a cubic metre: each that was counted stands for 1 / (V A t)."""
+        """Drops of each class per cubic meter: each counted drop represents 1 / (V A t)."""
         falling = self._totals > 0
         speed = np.where(falling, self.fall_speed_m_s, 1.0)
         return self._totals / (speed * self.area_m2 * float(self.seconds.sum()))
@@ -71,17 +72,17 @@ class DisdrometerMeasurement:
 
     @property
     def mean_diameter_mm(self) -> float | None:
-        """Mean diameter of the drops in the air, of which slow ones are counted less often; None without drops."""
+        """Mean diameter of drops in the air, corrected for slow drops being counted less often; None without drops."""
         return float(self.in_air_m3 @ self.diameters_mm / self.density_m3) if self.drops else None
 
     @property
     def mean_counted_diameter_mm(self) -> float | None:
-        """Mean diameter of the drops that were counted; None without drops."""
+        """Mean diameter of the counted drops; None without drops."""
         return float(self._totals @ self.diameters_mm / self.drops) if self.drops else None
 
     @cached_property
     def spectra(self) -> DropSpectra:
-        """The same as an instrument would hand it over: classes of 0.1 mm and 0.1 m/s; time counts from 1970."""
+        """Spectra in classes of 0.1 mm and 0.1 m/s, like an instrument's; time counts from 1970."""
         fastest = max(_FASTEST_M_S, int(np.ceil(np.max(self.fall_speed_m_s))))
         velocity_edges = np.arange(10 * fastest + 1) / 10
         row, column = _bins(self.diameters_mm, _DIAMETER_EDGES_MM), _bins(self.fall_speed_m_s, velocity_edges)
@@ -110,5 +111,5 @@ class DisdrometerMeasurement:
 
 
 def _bins(values: Float64[np.ndarray, " n"], edges: Float64[np.ndarray, " e"]) -> Int64[np.ndarray, " n"]:
-    """Class of each value; the last one holds its upper bound too."""
+    """Class of each value; the last one includes its upper bound."""
     return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)

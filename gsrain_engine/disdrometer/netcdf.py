@@ -1,4 +1,4 @@
-"""What every disdrometer's NetCDF file has: times, rates in some unit, and records that can't be used."""
+"""NetCDF files of drop spectra: shared variables, GSRAIN's own format, and instruments' spectra."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -33,24 +33,24 @@ _INTERVALS = ("interval", "sample_interval", "measurement_interval", "sampling_i
 
 
 def in_unit(variable: xr.DataArray, factors: dict[str, float]) -> Float64[np.ndarray, "..."] | None:
-    """Values in the unit whose spellings have these factors; none where the variable's unit is another."""
+    """Values converted by the factor of the variable's unit; None for other units."""
     factor = factors.get(_plain_unit(str(variable.attrs.get("units", ""))))
     with np.errstate(over="ignore"):
         return None if factor is None else variable.to_numpy().astype(np.float64) * factor
 
 
 def in_mm(variable: xr.DataArray) -> Float64[np.ndarray, "..."] | None:
-    """Values in mm; none where they are no lengths."""
+    """Values in mm; None if the unit is not a length."""
     return in_unit(variable, _MM)
 
 
 def in_m_s(variable: xr.DataArray) -> Float64[np.ndarray, "..."] | None:
-    """Values in m/s; none where they are no speeds."""
+    """Values in m/s; None if the unit is not a speed."""
     return in_unit(variable, _M_S)
 
 
 def _plain_unit(unit: str) -> str:
-    """`mm hr-1`, `mm h^-1`, `mm/hr` and `mm hour**-1` are all mm/h."""
+    """Normalize a unit's spelling: `mm hr-1`, `mm h^-1`, `mm/hr` and `mm hour**-1` are all mm/h."""
     text = unit.strip().replace("**", "").replace("^", "").replace("hour", "h").replace("hr", "h").replace("sec", "s")
     parts = text.replace(" / ", "/").split()
     top = [part for part in parts if not part.endswith("-1")]
@@ -60,7 +60,7 @@ def _plain_unit(unit: str) -> str:
 
 
 def record_times(dataset: xr.Dataset, dimension: str) -> Shaped[np.ndarray, " records"]:
-    """Times of the records, datetime64[ms]; NaT where the file has none."""
+    """Times of the records, datetime64[ms]; NaT if the file has none."""
     size = dataset.sizes[dimension]
     for name in (dimension, "time"):
         if name in dataset.variables and dataset[name].shape == (size,):
@@ -71,7 +71,7 @@ def record_times(dataset: xr.Dataset, dimension: str) -> Shaped[np.ndarray, " re
 
 
 def reported_rates(dataset: xr.Dataset, dimension: str) -> Float64[np.ndarray, " records"]:
-    """The instrument's own rate in mm/h; NaN where it gives none, or a negative one."""
+    """The instrument's own rate in mm/h; NaN if missing or negative."""
     found = [name for name in _RATES if name in dataset]
     found += [str(name) for name in dataset.data_vars if "rain" in str(name) or "precip" in str(name)]
     for name in found:
@@ -85,7 +85,7 @@ def reported_rates(dataset: xr.Dataset, dimension: str) -> Float64[np.ndarray, "
 def record_seconds(
     dataset: xr.Dataset, dimension: str, times: Shaped[np.ndarray, " records"]
 ) -> Float64[np.ndarray, " records"]:
-    """Length of each record in s: what the file says, else the usual step from one to the next."""
+    """Length of each record in s: as stated in the file, otherwise the median step between records."""
     step = median_step_s(list(np.sort(times)))
     for name in _INTERVALS:
         if name in dataset and dataset[name].dims in ((), (dimension,)):
@@ -98,7 +98,7 @@ def record_seconds(
 def usable_records(
     counts: Float64[np.ndarray, "records classes"], times: Shaped[np.ndarray, " records"]
 ) -> tuple[Bool[np.ndarray, " records"], list[str]]:
-    """Which records have counts that are all numbers from 0 on, and a sentence for each of the others."""
+    """Mask of records with only nonnegative counts, and a sentence for each of the others."""
     good = (counts >= 0) & (counts <= MAX_DROPS)
     usable = np.asarray(good.all(axis=1))
     wrong = "drop counts are missing, negative or beyond any rain"
@@ -109,10 +109,10 @@ def usable_records(
     return usable, skipped
 
 
-# § Our own file of drop spectra: NetCDF-4 (CF-1.10), every array of `DropSpectra` by its own name and unit.
+# GSRAIN's drop-spectra format: NetCDF-4 (CF-1.10)
 
 FORMAT_ATTRIBUTE = "gsrain_drop_spectra"
-"""Attribute of the file that tells it from others; its value is the version of the layout."""
+"""File attribute that identifies the format; its value is the layout version."""
 
 _VERSION = 1
 
@@ -124,7 +124,7 @@ _TIME_UNITS = "milliseconds since 1970-01-01T00:00:00Z"
 
 
 def write_spectra(path: Path | str, spectra: DropSpectra) -> None:
-    """Write spectra to a file, whole or not at all."""
+    """Write spectra to a file atomically."""
     speeds = spectra.velocities_m_s
     counts = spectra.counts if speeds is not None else spectra.counts[:, :, 0]
     axes = ("time", "diameter", "velocity")[: counts.ndim]
@@ -162,12 +162,12 @@ def write_spectra(path: Path | str, spectra: DropSpectra) -> None:
 
 
 def is_gsrain_spectra(dataset: xr.Dataset) -> bool:
-    """Whether `write_spectra` wrote this."""
+    """Return whether `write_spectra` wrote the dataset."""
     return FORMAT_ATTRIBUTE in dataset.attrs
 
 
 def read_gsrain_spectra(path: Path, dataset: xr.Dataset) -> DisdrometerReading:
-    """Read what `write_spectra` wrote. Raises `DisdrometerFileError` where an array is missing or can't be right."""
+    """Read a file of `write_spectra`. Raises `DisdrometerFileError` if an array is missing or invalid."""
     version = dataset.attrs[FORMAT_ATTRIBUTE]
     if version != _VERSION:
         raise DisdrometerFileError(path, f"{FORMAT_ATTRIBUTE} is {version}; this GSRAIN reads {_VERSION}")
@@ -218,7 +218,7 @@ def _edges(dataset: xr.Dataset, name: str) -> Float64[np.ndarray, " n_and_one"]:
     return edges
 
 
-# § NetCDF files with a spectrum of diameter and fall speed a record: ARM, Cloudnet, disdrodb, and others alike.
+# Instruments' spectra: ARM, Cloudnet, disdrodb and similar
 
 _SPEED_WORDS = ("vel", "speed")
 
@@ -237,11 +237,10 @@ class _Axes(NamedTuple):
 
 
 def read_instrument_spectra(path: Path, dataset: xr.Dataset) -> DisdrometerReading:
-    """Read the variable with time, diameter and fall speed as its dimensions, in whichever order.
+    """Read the variable with the dimensions time, diameter and fall speed, in any order.
 
-    The instrument is told by its classes, Parsivel's or Thies's: with them comes its measuring area. Raises
-    `DisdrometerFileError` where there is no such variable, where its classes are of no instrument that is known, or
-    where no record can be used.
+    The instrument (Parsivel or Thies) and so its measuring area follow from the classes. Raises `DisdrometerFileError`
+    if there is no such variable, if its classes belong to no known instrument, or if no record is usable.
     """
     axes = _axes(path, dataset)
     spectrum = dataset[axes.variable].transpose(axes.time, axes.diameter, axes.velocity)
@@ -273,7 +272,7 @@ def _axes(path: Path, dataset: xr.Dataset) -> _Axes:
 
 
 def _kind(dataset: xr.Dataset, dimension: str) -> str:
-    """`time`, `diameter` or `velocity`, by the dimension's name, else by the units of what runs along it."""
+    """`time`, `diameter` or `velocity`, by the dimension's name, otherwise by the units of its variables."""
     name = dimension.lower()
     if "time" in name:
         return "time"
@@ -312,7 +311,7 @@ def _instrument(path: Path, dataset: xr.Dataset, axes: _Axes) -> Instrument:
 def _along(
     dataset: xr.Dataset, dimension: str, convert: Callable[[xr.DataArray], Float64[np.ndarray, "..."] | None]
 ) -> Float64[np.ndarray, " classes"] | None:
-    """What the file says about the classes of a dimension; none where it says nothing in a unit that is known."""
+    """Values of a dimension's classes in the file; None without values in a known unit."""
     names = [dimension, *(str(name) for name in dataset.variables)]
     for name in names:
         if name in dataset.variables and dataset[name].dims == (dimension,):
@@ -323,7 +322,7 @@ def _along(
 
 
 def _agree(values: Float64[np.ndarray, " classes"] | None, edges: Float64[np.ndarray, " edges"]) -> bool:
-    """Whether values are middles, lower or upper bounds of these classes (the last one aside), or are absent."""
+    """Return whether values are centers, lower or upper bounds of these classes (ignoring the last), or are absent."""
     if values is None:
         return True
     lower, upper = edges[:-1], edges[1:]

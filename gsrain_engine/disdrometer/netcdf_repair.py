@@ -1,4 +1,4 @@
-"""Classic NetCDF files that end too early: how many of their records are whole, and a header that says so."""
+"""Recovery of truncated classic NetCDF files: counts complete records and corrects the header."""
 
 import struct
 from dataclasses import dataclass
@@ -12,29 +12,29 @@ _STREAMING = 0xFFFFFFFF
 
 @dataclass(frozen=True, slots=True)
 class RecordLayout:
-    """Where the records of a classic NetCDF file lie: those of all variables one after the other, record by record."""
+    """Layout of a classic NetCDF file's records, which interleave all record variables."""
 
     written: int
-    """Records that the header speaks of."""
+    """Number of records in the header."""
     start: int
     """First byte of the first record."""
     size: int
     """Bytes of a record."""
     fixed_end: int
-    """First byte after what is no record."""
+    """First byte after the non-record data."""
 
     def whole(self, length: int) -> int:
-        """Records that are all there in a file of this length; -1 where not even what is no record is."""
+        """Number of complete records in a file of this length; -1 if even the non-record data is incomplete."""
         if length < self.fixed_end or length < self.start:
             return -1
         return min(self.written, (length - self.start) // self.size) if self.size else self.written
 
 
 def with_whole_records(data: bytes) -> tuple[bytes, int, int]:
-    """The file with a header that counts only whole records; how many those are, and how many there should be.
+    """Return the file with a header that counts only complete records, their number, and the expected number.
 
-    Nothing changes in a file that is all there, nor where it is cut before its first record. Raises `ValueError` where
-    the header can't be read. Source: the NetCDF classic format specification (Unidata).
+    Complete files, and files truncated before their first record, are returned unchanged. Raises `ValueError` if the
+    header can't be read. Source: the NetCDF classic format specification (Unidata).
     """
     layout = record_layout(data)
     whole = layout.whole(len(data))
@@ -44,7 +44,7 @@ def with_whole_records(data: bytes) -> tuple[bytes, int, int]:
 
 
 def record_layout(data: bytes) -> RecordLayout:
-    """Read the header; raises `ValueError` where it is cut off or damaged."""
+    """Read the header; raises `ValueError` if it is truncated or damaged."""
     try:
         return _NetcdfHeader(data).layout()
     except (struct.error, KeyError, IndexError, OverflowError):
@@ -52,8 +52,6 @@ def record_layout(data: bytes) -> RecordLayout:
 
 
 class _NetcdfHeader:
-    """A cursor over the header."""
-
     def __init__(self, data: bytes):
         self.data = data
         self.at = 4
@@ -70,7 +68,7 @@ class _NetcdfHeader:
             dimensions = [self.number() for _ in range(self.number())]
             self.skip_attributes()
             item = _TYPE_SIZES[self.number()]
-            self.number()  # vsize: wrong for large variables, so it is reckoned from the dimensions
+            self.number()  # vsize is wrong for large variables, so it is computed from the dimensions
             begin = self.number(self.offset_format)
             per_record = bool(dimensions) and lengths[dimensions[0]] == 0
             for dimension in dimensions[1:] if per_record else dimensions:
@@ -92,7 +90,7 @@ class _NetcdfHeader:
         return value
 
     def entries(self, tag: int) -> int:
-        """Length of a list with this tag; an absent list has two zeros."""
+        """Length of a list with this tag; an absent list is stored as two zeros."""
         found, length = self.number(), self.number()
         if found not in (0, tag) or length > len(self.data):
             raise KeyError(tag)

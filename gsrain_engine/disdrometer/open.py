@@ -1,4 +1,4 @@
-"""Any disdrometer file in, one reading out: the format is told by what the file holds, not by its name."""
+"""Reader of disdrometer files of any format, detected from the content rather than the name."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -56,9 +56,8 @@ _TEXTS = (
 def read_disdrometer(path: Path, columns: TableColumns | None = None) -> DisdrometerReading:
     """Read a disdrometer file: OTT Parsivel, Thies LNM, Joss-Waldvogel, 2DVD, APU, RainSense's intensity; gzip or not.
 
-    A table of text is read by its `columns` where they are given. Records that can't be used are left out and named in
-    `Reading.skipped`. Raises `DisdrometerFileError` where none is left, `UnknownKindError` where the file is of no
-    known kind.
+    A text table is read by `columns` if given. Unusable records are skipped and listed in `DisdrometerReading.skipped`.
+    Raises `DisdrometerFileError` if none is left, `UnknownKindError` if the format is unknown.
     """
     contents = read_contents(path)
     if columns is not None:
@@ -102,13 +101,13 @@ def _read_text(path: Path, contents: FileContents) -> DisdrometerReading:
 
 
 def _unknown_kind(contents: FileContents, where: str) -> UnknownKindError:
-    """Name the kind that the file is of, where its first bytes say it; else the kinds that can be read."""
+    """Error with the file's actual kind if its first bytes identify one, otherwise with the readable kinds."""
     path = contents.path
     kind = kind_of_bytes(contents.data, path.suffix.lower())
     return UnknownKindError(path, f"{where}: not a disdrometer file of a kind that is known", kind)
 
 
-# § NetCDF files of disdrometers, classic or HDF5: opened from memory, and handed to the instrument's own reader.
+# NetCDF
 
 _CLASSIC = (b"CDF\x01", b"CDF\x02")
 
@@ -116,15 +115,15 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def is_netcdf(data: bytes) -> bool:
-    """Whether a file begins as NetCDF, classic or HDF5."""
+    """Return whether the data begins like NetCDF, classic or HDF5."""
     return data.startswith((*_CLASSIC, _HDF5))
 
 
 def read_netcdf(path: Path, data: bytes) -> DisdrometerReading:
     """Read single drops (2DVD), drops by diameter (Joss-Waldvogel), or spectra of diameter and fall speed.
 
-    A classic file that ends too early gives its whole records. Raises `DisdrometerFileError` where the file is damaged,
-    larger than memory allows, or holds none of these.
+    A truncated classic file gives its complete records. Raises `DisdrometerFileError` if the file is damaged, larger
+    than memory allows, or holds none of these.
     """
     lost = ""
     if data.startswith(_CLASSIC):
@@ -167,12 +166,12 @@ def _opened(path: Path, data: bytes) -> xr.Dataset:
             return dataset.load()
     except DisdrometerFileError:
         raise
-    except Exception as error:  # the libraries raise nearly anything on a damaged file
+    except Exception as error:  # the libraries raise nearly any exception on a damaged file
         raise _damaged(path, error) from None
 
 
 def _unpacked_bytes(data: bytes) -> int:
-    """Bytes of all variables of an HDF5 file, before one of them is unpacked."""
+    """Decompressed bytes of all variables of an HDF5 file, without decompressing any."""
     sizes: list[int] = []
 
     def note(_: str, item: object) -> None:
@@ -194,23 +193,23 @@ def _damaged(path: Path, error: Exception) -> DisdrometerFileError:
     return DisdrometerFileError(path, f"the NetCDF file is damaged or cut off ({reason})")
 
 
-# § Disdrometer texts that other installed packages read: asked when no format of ours knows the lines.
+# Text formats from installed packages
 
 
 @dataclass(frozen=True, slots=True)
 class LogFormat:
-    """One kind of text that disdrometers write."""
+    """Text format of disdrometer files."""
 
     recognizes: Callable[[list[str]], bool]
-    """Whether lines look like this kind: quick, and without an exception."""
+    """Fast check, without exceptions, that lines look like this format."""
     read: Callable[[Path, list[str]], DisdrometerReading]
-    """Read them; raises `DisdrometerFileError` where no record can be used."""
+    """Parser; raises `DisdrometerFileError` if no record is usable."""
 
 
 def read_by_packages(path: Path, lines: list[str]) -> DisdrometerReading | None:
-    """Read lines by the first installed package that knows them; None where none does.
+    """Read lines by the first installed package that recognizes them; None if none does.
 
-    Raises `DisdrometerFileError` where that fails.
+    Raises `DisdrometerFileError` if that package fails.
     """
     for extension, kind in load_extensions(DISDROMETERS, LogFormat):
         reading = _read_installed(path, lines, extension, kind)
@@ -226,5 +225,5 @@ def _read_installed(path: Path, lines: list[str], extension: Extension, kind: Lo
         raise
     except ExtensionError as error:
         raise DisdrometerFileError(path, str(error)) from error
-    except Exception as error:  # it is code of others: its words are the reason
+    except Exception as error:  # third-party code: its message becomes the reason
         raise DisdrometerFileError(path, str(extension.unfit(error))) from error

@@ -1,4 +1,4 @@
-"""Text files of ASDO, OTT's own program for the Parsivel: columns that a person chose, then the spectrum."""
+"""OTT Parsivel text files: ASDO exports, station logs, and telegrams."""
 
 import csv
 import re
@@ -41,27 +41,27 @@ _SNOW = re.compile("snow|schnee|neige|nieve|neve", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """Where the date, the time and the rain rate stand."""
+    """Columns of the date, the time and the rain rate in an ASDO export, whose user chooses the columns."""
 
     separator: str
     dates: tuple[str, ...]
-    """Forms that dates may have."""
+    """Possible date formats."""
     names: tuple[str, ...] = ()
-    """As the header has them; empty where there is none."""
+    """Names in the header; empty without a header."""
     date: int = 0
     time: int = 1
     rate: int = 2
 
 
 def is_parsivel_asdo(lines: list[str]) -> bool:
-    """Whether a text is ASDO's, by its first lines."""
+    """Return whether the first lines are from ASDO, OTT's own program for the Parsivel."""
     return any(_OPEN in line for line in lines[:_LOOK_AHEAD])
 
 
 def read_parsivel_asdo(path: Path, lines: list[str]) -> DisdrometerReading:
-    """Read an ASDO file; where it has no header, date, time and rain rate come first.
+    """Read an ASDO file; without a header, date, time and rain rate are the first columns.
 
-    Raises `DisdrometerFileError` where no record can be used, or where its header has no rain rate or changes.
+    Raises `DisdrometerFileError` if no record is usable, or if the header lacks a rain rate or changes.
     """
     columns = _columns_of(path, lines)
     records, skipped = parse_records(path, _records(path, lines, columns), lambda line: _record(line, columns))
@@ -93,7 +93,7 @@ def _names(header: str, separator: str) -> tuple[str, ...]:
 
 
 def _months_first(lines: list[str]) -> bool:
-    """Whether 4/13/2024 stands somewhere; otherwise 4/3/2024 is the fourth of March."""
+    """Return whether a date like 4/13/2024 occurs; otherwise 4/3/2024 means 4 March."""
     found = (_SLASHED.match(line) for line in lines)
     return any(int(each[2]) > 12 for each in found if each is not None)
 
@@ -102,7 +102,7 @@ def _records(path: Path, lines: list[str], columns: _Columns) -> Iterator[tuple[
     for i, line in enumerate(lines):
         if not line.strip():
             continue
-        if columns.names and _is_header(line, columns.separator):  # one stands wherever recording began again
+        if columns.names and _is_header(line, columns.separator):  # each restart of the recording repeats it
             if _names(line, columns.separator) != columns.names:
                 raise DisdrometerFileError(path, f"line {i + 1}: its columns are not those before it: split the file")
             continue
@@ -110,13 +110,13 @@ def _records(path: Path, lines: list[str], columns: _Columns) -> Iterator[tuple[
 
 
 def _record(line: str, columns: _Columns) -> SpectrumRecord:
-    """Chosen columns;<SPECTRUM>counts, none for 0</SPECTRUM>, or ZERO for all."""
+    """Parse user-chosen columns;<SPECTRUM>counts, empty for 0</SPECTRUM>, or ZERO for an empty spectrum."""
     head, opened, rest = line.partition(_OPEN)
     spectrum, closed, _ = rest.partition(_CLOSE)
     if not opened or not closed:
         raise RecordError("the spectrum is not whole: the record is cut off")
     values = [value.strip(' "') for value in head.split(columns.separator)]
-    least = max(len(columns.names), columns.rate + 2)  # the last is empty, before the spectrum
+    least = max(len(columns.names), columns.rate + 2)  # the last value is empty, before the spectrum
     if len(values) < least:
         raise RecordError(f"{len(values) - 1} fields before the spectrum instead of {least - 1}")
     rate = values[columns.rate]
@@ -132,30 +132,30 @@ def _record(line: str, columns: _Columns) -> SpectrumRecord:
     )
 
 
-# § OTT Parsivel logs, one record a line: the dialects that stations write.
+# Station logs
 
 _LOG_LOOK_AHEAD = 20
 
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """How one kind of log writes its records."""
+    """Record format of one kind of log."""
 
     marks: re.Pattern[str]
-    """Found in a line that only this kind of log has."""
+    """Pattern that occurs only in lines of this dialect."""
     parse: Callable[[str], SpectrumRecord]
-    """Raises `RecordError` where the line can't be used."""
+    """Line parser; raises `RecordError` if the line is unusable."""
 
 
 def parsivel_log_dialect(lines: list[str]) -> Dialect | None:
-    """The dialect of a log by its first lines; none where it is not one."""
+    """The dialect of a log by its first lines; None if it is not a known log."""
     start = [line for line in lines[: 2 * _LOG_LOOK_AHEAD] if line.strip()][:_LOG_LOOK_AHEAD]
     found = (dialect for dialect in _DIALECTS if any(dialect.marks.search(line) for line in start))
     return next(found, None)
 
 
 def read_parsivel_log(path: Path, lines: list[str], dialect: Dialect) -> DisdrometerReading:
-    """Read a log of this dialect; raises `DisdrometerFileError` where no record can be used."""
+    """Read a log of this dialect; raises `DisdrometerFileError` if no record is usable."""
     records, skipped = parse_records(path, _log_records(lines), dialect.parse)
     return PARSIVEL.reading_of(path, records, "velocities first", skipped)
 
@@ -167,7 +167,7 @@ def _log_records(lines: list[str]) -> Iterator[tuple[str, str]]:
 
 
 def parsivel_counts(text: str, separator: str) -> Float64[np.ndarray, " 1024"]:
-    """Counts of one spectrum, with or without a separator at the end."""
+    """Counts of one spectrum, with or without a trailing separator."""
     return parse_drop_counts(text.strip().removesuffix(separator).split(separator), _COUNTS)
 
 
@@ -182,7 +182,7 @@ def _fields(line: str, at_least: int) -> list[str]:
 
 
 def _locarno(line: str) -> SpectrumRecord:
-    """id, lat, lon, time, logger T, logger V, rate, ..., "32 N(D)", "32 v(D)", "1024 counts"."""
+    """Parse id, lat, lon, time, logger T, logger V, rate, ..., "32 N(D)", "32 v(D)", "1024 counts"."""
     values = _fields(line, 23)
     return SpectrumRecord(
         time=parse_utc(values[3], "%d-%m-%Y %H:%M:%S"),
@@ -193,7 +193,7 @@ def _locarno(line: str) -> SpectrumRecord:
 
 
 def _station(line: str) -> SpectrumRecord:
-    """time; rate; ...; interval (6); ...; 32 N(D); 32 v(D); 1024 counts, joined by ; or by /."""
+    """Parse time; rate; ...; interval (6); ...; 32 N(D); 32 v(D); 1024 counts, joined by ; or by /."""
     values = line.strip().split(";")
     if not re.match(r"\d{14}", values[0]):
         raise RecordError("the line doesn't begin with a time: the record is cut off")
@@ -214,7 +214,7 @@ _DIALECTS = (
     Dialect(re.compile(r"^\d{14}(\.\d+)?;[^;]*;[^;]*;[^;]*;[^;]*;[^;]*;\d+;"), _station),
 )
 
-# § OTT Parsivel telegrams, one field a line, each with its number (Parsivel2 manual, section 11.2).
+# Telegrams (Parsivel2 manual, section 11.2)
 
 _FIELD = re.compile(r"^(\d\d):(.*)")
 
@@ -224,12 +224,12 @@ _NEEDED = {"01": "rain rate", "09": "sample interval", "20": "time", "21": "date
 
 
 def is_parsivel_telegrams(lines: list[str]) -> bool:
-    """Whether a telegram with a rain rate begins within the first lines."""
+    """Return whether a telegram with a rain rate begins within the first 200 lines."""
     return any(re.match(r"^01:\d+\.\d+\s*$", line) for line in lines[:200])
 
 
 def read_parsivel_telegrams(path: Path, lines: list[str]) -> DisdrometerReading:
-    """Read telegrams that begin with field 01; raises `DisdrometerFileError` where none is whole."""
+    """Read telegrams that begin with field 01; raises `DisdrometerFileError` if none is complete."""
     records, skipped = parse_records(path, _telegrams(lines), _telegram_record)
     return PARSIVEL.reading_of(path, records, "velocities first", skipped)
 

@@ -1,4 +1,4 @@
-"""The weather of a disdrometer's own time series: how hard it rained, record by record."""
+"""Rain keyframes from a disdrometer's time series of rain rates."""
 
 from dataclasses import dataclass
 
@@ -11,17 +11,17 @@ from .spectra import DisdrometerReading
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MeasuredKeyframes:
-    """A weather from a file, and what had to be done to its series."""
+    """Rain keyframes from a file, with statistics of the conversion."""
 
     weather: RainKeyframes
     records: int
-    """That were taken."""
+    """Number of records used."""
     left_out: int
-    """Records without a time or a rate."""
+    """Number of records without a time or a rate."""
     cut_off: int
-    """Records above 100 mm/h, which are taken as 100."""
+    """Number of records above 100 mm/h, clipped to 100."""
     duration_s: float
-    """From the first key to the last."""
+    """Time from the first keyframe to the last."""
 
     @property
     def summary(self) -> str:
@@ -36,12 +36,12 @@ class MeasuredKeyframes:
 def keyframes_from_spectra(
     reading: DisdrometerReading, *, speed_up: float = 1.0, start_s: float = 0.0
 ) -> MeasuredKeyframes:
-    """Return the rates of a disdrometer's records as keys of the intensity, each in the middle of its record.
+    """Return the rates of a disdrometer's records as intensity keyframes, each in the middle of its record.
 
-    The rate is the instrument's own, else that of the drops it counted. The first key stands at `start_s`; time goes
-    by `speed_up` times as fast as it did. A file with one rate and no time, as RainSense's, is one key. Rates above
-    100 mm/h are cut off there. Raises `ValueError` where no record has a time and a rate, for a speed-up that is not
-    above 0, or where they last longer than a weather may.
+    The rate is the instrument's own, otherwise that of the counted drops. The first keyframe is at `start_s`; time runs
+    `speed_up` times as fast as measured. A file with one rate and no time, as RainSense's, gives one keyframe. Rates
+    above 100 mm/h are clipped. Raises `ValueError` if no record has a time and a rate, if the speed-up is not above 0,
+    or if the series exceeds the maximum duration of keyframes.
     """
     if not (np.isfinite(speed_up) and speed_up > 0):
         raise ValueError(f"speed-up {speed_up:g}: must be above 0")
@@ -73,6 +73,6 @@ def keyframes_from_spectra(
 
 
 def _rising(times: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Which times are later than all before them: a clock that was set back gives some twice."""
+    """Mask of times later than all before them: a clock that was set back repeats some."""
     latest = np.concatenate([[-np.inf], np.maximum.accumulate(times)[:-1]])
     return times > latest

@@ -1,4 +1,4 @@
-"""Counts of drops by diameter and fall speed: what every disdrometer measures, real or virtual."""
+"""Drop spectra by diameter and fall speed from real or virtual disdrometers, and parsing of their records."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -17,21 +17,20 @@ class DropSpectra:
     """One spectrum a record, in order of time."""
 
     instrument: str
-    """As a person would call it: OTT Parsivel."""
+    """Display name such as OTT Parsivel."""
     times: Shaped[np.ndarray, " records"]
-    """When each record ended, in UTC, datetime64[ms]; NaT where the file doesn't say."""
+    """End of each record in UTC, datetime64[ms]; NaT if the file has no times."""
     seconds: Float64[np.ndarray, " records"]
-    """How long each record was measured."""
     diameter_edges_mm: Float64[np.ndarray, " diameters_and_one"]
-    """Bounds of the diameter classes, rising; of the sphere that holds the drop's water."""
+    """Increasing bounds of the diameter classes, as volume-equivalent sphere diameters."""
     velocity_edges_m_s: Float64[np.ndarray, " velocities_and_one"] | None
-    """Bounds of the fall-speed classes, rising; none where the instrument measures no speed."""
+    """Increasing bounds of the fall-speed classes; None if the instrument measures no speed."""
     counts: Float64[np.ndarray, "records diameters velocities"]
-    """Drops; one velocity class where the instrument measures no speed."""
+    """Number of drops; one velocity class if the instrument measures no speed."""
     area_m2: Float64[np.ndarray, " diameters"]
-    """Horizontal area in which a drop of each class is counted."""
+    """Horizontal area in which drops of each class are counted."""
     reported_mm_h: Float64[np.ndarray, " records"]
-    """The instrument's own rain rate; NaN where it gives none."""
+    """The instrument's own rain rate; NaN if it reports none."""
 
     def __post_init__(self) -> None:
         if self.velocity_edges_m_s is None and self.counts.shape[2] != 1:
@@ -41,7 +40,6 @@ class DropSpectra:
         return len(self.counts)
 
     def __getitem__(self, records: slice | Bool[np.ndarray, " picked"]) -> "DropSpectra":
-        """Some of the records."""
         return replace(
             self,
             times=self.times[records],
@@ -52,12 +50,12 @@ class DropSpectra:
 
     @property
     def diameters_mm(self) -> Float64[np.ndarray, " diameters"]:
-        """Middle of each diameter class."""
+        """Center of each diameter class."""
         return 0.5 * (self.diameter_edges_mm[:-1] + self.diameter_edges_mm[1:])
 
     @property
     def velocities_m_s(self) -> Float64[np.ndarray, " velocities"] | None:
-        """Middle of each fall-speed class, where speed is measured."""
+        """Center of each fall-speed class; None if no speed is measured."""
         edges = self.velocity_edges_m_s
         return None if edges is None else 0.5 * (edges[:-1] + edges[1:])
 
@@ -70,7 +68,7 @@ class DropSpectra:
 
     @staticmethod
     def concatenate(parts: "list[DropSpectra]") -> "DropSpectra":
-        """Join records of one instrument: same classes, same area. Raises `ValueError` when they differ."""
+        """Join records of one instrument. Raises `ValueError` if classes or areas differ."""
         first = parts[0]
         for other in parts[1:]:
             for name in ("diameter_edges_mm", "velocity_edges_m_s", "area_m2"):
@@ -84,11 +82,11 @@ class DropSpectra:
         return replace(first, **joined)
 
 
-# § What a disdrometer file gives: spectra, single drops where the instrument sees them, and what was left out.
+# Readings of disdrometer files
 
 
 class DisdrometerFileError(ValueError):
-    """A file from which no record can be taken, in one sentence: which file, which record, and why."""
+    """No record can be read from a file; the message names the file, the record and the reason."""
 
     def __init__(self, path: Path, reason: str):
         super().__init__(f"{path}: {printable_line(reason)}")
@@ -99,13 +97,13 @@ KNOWN_KINDS = (
     "Cloudnet, ARM and DISDRODB), Thies LNM (telegrams, NetCDF), Joss-Waldvogel RD-80 (text, ARM's NetCDF), "
     "2DVD (ARM's NetCDF, NASA's tables), APU (NASA's tables), RainSense, what gsrain disdrometer -o writes"
 )
-"""Files that are told apart by what they hold, for people."""
+"""Recognized file kinds, for messages."""
 
 
 class UnknownKindError(DisdrometerFileError):
-    """A file of no kind that is known; `problem` says so without its name.
+    """A file of an unknown kind; `problem` is the message without the file's name.
 
-    `kind` says what else it is, where that is plain ("an archive: unpack it").
+    `kind` describes the actual kind if it is evident ("an archive: unpack it").
     """
 
     def __init__(self, path: Path, what: str, kind: str | None = None):
@@ -118,14 +116,14 @@ class UnknownKindError(DisdrometerFileError):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SingleDrops:
-    """Drops seen one by one, in order of time."""
+    """Individually measured drops, in order of time."""
 
     diameters_mm: Float64[np.ndarray, " drops"]
-    """Diameter of the sphere that holds the drop's water."""
+    """Volume-equivalent sphere diameter."""
     speeds_m_s: Float64[np.ndarray, " drops"]
-    """Fall speed, downwards positive."""
+    """Fall speed, positive downward."""
     axis_ratios: Float64[np.ndarray, " drops"]
-    """Height over width; NaN where it wasn't measured."""
+    """Height over width; NaN if not measured."""
     times: Shaped[np.ndarray, " drops"]
     """UTC, datetime64[ms]."""
 
@@ -135,58 +133,58 @@ class SingleDrops:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class DisdrometerReading:
-    """One file, read."""
+    """Contents of one disdrometer file."""
 
     spectra: DropSpectra
     drops: SingleDrops | None = None
-    """Where the instrument sees single drops (2DVD)."""
+    """Single drops of a 2DVD, otherwise None."""
     skipped: tuple[str, ...] = ()
-    """One sentence for each record left out: which, and why."""
+    """One sentence with the reason for each skipped record."""
 
 
-# § Records of a disdrometer's log, one by one: numbers and times from text, and what makes spectra of them.
+# Parsing of records
 
 MAX_COUNTS = 2**27
-"""Numbers in all spectra of one file: 1 GiB, or three months of a Parsivel's minutes."""
+"""Maximum number of counts in all spectra of one file: 1 GiB, or three months of one-minute Parsivel records."""
 
 FACTORY_SECONDS = 60.0
-"""Length of a record where the file neither states nor shows it: what the makers set."""
+"""The makers' default length of a record, for files that neither state nor imply it."""
 
 MAX_DROPS = 1e9
-"""In one class of one record: more is damage, not rain."""
+"""Maximum per class and record; larger numbers mean damage, not rain."""
 
 LONGEST_RECORD_S = 3600.0
-"""Also the longest step from record to record that shows their length."""
+"""Maximum length of a record, also as implied by the step between records."""
 
 _NO_RATES = (-9.999, -99.9, -99.99, -999.0, -9999.0)
-"""Loggers' numbers for none."""
+"""Loggers' codes for a missing rate."""
 
 
 class RecordError(ValueError):
-    """Why a record can't be used."""
+    """A record is unusable; the message gives the reason."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SpectrumRecord:
-    """One spectrum as its file writes it."""
+    """One spectrum as stored in its file."""
 
     time: np.datetime64
     """End of the record, UTC, in milliseconds."""
     seconds: float
-    """NaN where the file doesn't say."""
+    """NaN if not in the file."""
     reported_mm_h: float
-    """NaN where the instrument gives none."""
+    """NaN if the instrument reports none."""
     counts: Float64[np.ndarray, " classes"]
-    """In the order of the file."""
+    """Counts in file order."""
 
 
 def parse_records(
     path: Path, numbered: Iterable[tuple[str, str]], parse: Callable[[str], SpectrumRecord]
 ) -> tuple[list[SpectrumRecord], list[str]]:
-    """Parse each record; those that can't be used become sentences.
+    """Parse each record; unusable ones become sentences.
 
-    `numbered` says where a record stands ("line 7") and its text. Returns the records in order of time, each with
-    its length. Raises `DisdrometerFileError` where none is left or where they are more than memory allows.
+    `numbered` gives each record's position ("line 7") and text. Returns the records in order of time, each with its
+    length. Raises `DisdrometerFileError` if none is left, or if they exceed `MAX_COUNTS`.
     """
     records: list[SpectrumRecord] = []
     skipped: list[str] = []
@@ -211,7 +209,7 @@ def parse_records(
 
 
 def no_record_left(skipped: Sequence[str]) -> str:
-    """Say why a file gives no record at all: the first reason, and how many more there are."""
+    """Message for a file without usable records: the first reason and the number of further ones."""
     if not skipped:
         return "it holds no record"
     more = f" (and {len(skipped) - 1} more such records)" if len(skipped) > 1 else ""
@@ -219,7 +217,7 @@ def no_record_left(skipped: Sequence[str]) -> str:
 
 
 def median_step_s(times: Sequence[np.datetime64]) -> float:
-    """Usual time from one record to the next in s; `FACTORY_SECONDS` where none shows."""
+    """Median time between records in s; `FACTORY_SECONDS` if no step is usable."""
     steps = [float((later - earlier) / np.timedelta64(1, "s")) for earlier, later in pairwise(times)]
     near = [step for step in steps if 0 < step <= LONGEST_RECORD_S]
     return float(np.median(near)) if near else FACTORY_SECONDS
@@ -233,7 +231,7 @@ def _with_seconds(records: list[SpectrumRecord]) -> list[SpectrumRecord]:
 
 
 def parse_drop_counts(values: Sequence[str], expected: int) -> Float64[np.ndarray, " classes"]:
-    """Counts of drops as numbers; raises `RecordError` where one is missing, negative or not a number."""
+    """Drop counts as numbers; raises `RecordError` if one is missing, negative or not a number."""
     if len(values) != expected:
         raise RecordError(f"{len(values)} drop counts instead of {expected}: the record is cut off or damaged")
     try:
@@ -248,7 +246,7 @@ def parse_drop_counts(values: Sequence[str], expected: int) -> Float64[np.ndarra
 
 
 def parse_rain_rate(text: str) -> float:
-    """Rate in mm/h; NaN where a logger wrote NAN or nothing. Raises `RecordError` where it is no rate."""
+    """Rate in mm/h; NaN for NAN or an empty field. Raises `RecordError` if it is not a rate."""
     if text.strip(' "').upper() in ("", "NAN", "NA"):
         return float("nan")
     rate = parse_number(text, "rain rate")
@@ -260,7 +258,7 @@ def parse_rain_rate(text: str) -> float:
 
 
 def parse_interval_s(text: str) -> float:
-    """Length of a record in s; raises `RecordError` where it is not 1 s to an hour."""
+    """Length of a record in s; raises `RecordError` unless it is 1 s to an hour."""
     seconds = parse_number(text, "sample interval")
     if not 1 <= seconds <= LONGEST_RECORD_S:
         raise RecordError(f"sample interval is {text.strip()[:40]} s, not 1 to {LONGEST_RECORD_S:g}")
@@ -268,7 +266,7 @@ def parse_interval_s(text: str) -> float:
 
 
 def parse_number(text: str, what: str) -> float:
-    """Number from text; raises `RecordError` that says what isn't one."""
+    """Number from text; raises `RecordError` that names the quantity."""
     try:
         return float(text)
     except ValueError:
@@ -276,7 +274,7 @@ def parse_number(text: str, what: str) -> float:
 
 
 def parse_utc(text: str, *formats: str) -> np.datetime64:
-    """Time in UTC from text in the first of these formats that fits; raises `RecordError`."""
+    """UTC time from text in the first matching format; raises `RecordError`."""
     for pattern in formats:
         try:
             return np.datetime64(datetime.strptime(text.strip(), pattern), "ms")

@@ -1,4 +1,4 @@
-"""NASA's ground-validation tables: a minute a row, as year, day of the year, hour, minute and a number a diameter."""
+"""Text tables of disdrometer records: NASA's minute tables, rain rates without drops, and YAML-described tables."""
 
 import csv
 import re
@@ -37,7 +37,7 @@ MINUTE_S = 60.0
 TWO_DVD_EDGES_MM = 0.2 * np.arange(51)
 
 TWO_DVD_AREA_M2 = 0.01
-"""Nominal: 10 x 10 cm (Kruger and Krajewski 2002)."""
+"""Nominal area, 10 x 10 cm (Kruger and Krajewski 2002)."""
 
 _STAMP = 4
 
@@ -47,16 +47,17 @@ _ROW = re.compile(r"^\s*(19|20)\d\d\s+\d{1,3}\s+\d{1,2}\s+\d{1,2}\s")
 
 
 def is_minute_table(lines: list[str]) -> bool:
-    """Recognize a minute with the 32 diameters of an APU or the 50 of a 2DVD in the first full row."""
+    """Return whether the first row is a minute with the 32 diameters of an APU or the 50 of a 2DVD."""
     first = next((line for line in lines if line.strip()), "")
     return _ROW.match(first) is not None and len(first.split()) - _STAMP in (_APU, _COUNTS)
 
 
 def read_minute_table(path: Path, lines: list[str]) -> DisdrometerReading:
-    """Read either table; raises `DisdrometerFileError` where no row can be used.
+    """Read NASA's ground-validation tables; raises `DisdrometerFileError` if no row is usable.
 
-    Both come as drops counted (`dropcounts`, whole numbers) and as number densities in 1/(m^3 mm) (`rainDSD`, with
-    decimals), of which one file has one: densities become the counts that the instrument would have made of them.
+    A row holds year, day of the year, hour, minute and a number a diameter: counted drops (`dropcounts`, integers) or
+    number densities in 1/(m^3 mm) (`rainDSD`, with decimals), one kind a file. Densities are converted to the counts
+    that the instrument would have made.
     """
     first = next(line for line in lines if line.strip())
     classes = len(first.split()) - _STAMP
@@ -108,25 +109,25 @@ def drops_of_densities(
     area_m2: float | Float64[np.ndarray, " diameters"],
     seconds: float | Float64[np.ndarray, " records"],
 ) -> Float64[np.ndarray, "records diameters"]:
-    """Drops that would have been counted, not whole numbers: N(D) dD, at the fall speed of Atlas et al. (1973)."""
+    """Expected drop counts, fractional: N(D) dD swept at the fall speed of Atlas et al. (1973)."""
     swept_m3_s = atlas_velocity(0.5 * (edges_mm[:-1] + edges_mm[1:])) * area_m2
     return density_m3_mm * np.diff(edges_mm) * swept_m3_s * np.reshape(seconds, (-1, 1))
 
 
-# § Files that give a rain rate and no drops: RainSense's intensity files, and short telegrams.
+# Rain rates without drops
 
 _INTENSITY = re.compile(r"^\s*current intensity\s*:\s*(\S*)\s*$", re.IGNORECASE)
 
 
 def is_rainsense_intensity(lines: list[str]) -> bool:
-    """Whether the file begins with RainSense's words."""
+    """Return whether the first line is a RainSense intensity."""
     return bool(lines) and _INTENSITY.match(lines[0]) is not None
 
 
 def read_rainsense_intensity(path: Path, lines: list[str]) -> DisdrometerReading:
-    """Read the one rate in mm/h of a RainSense case; it has neither a time nor a length.
+    """Read the one rate in mm/h of a RainSense case, which has neither a time nor a length.
 
-    Raises `DisdrometerFileError` where it is no rate.
+    Raises `DisdrometerFileError` if it is not a rate.
     """
     match = _INTENSITY.match(lines[0])
     try:
@@ -141,7 +142,7 @@ def read_rainsense_intensity(path: Path, lines: list[str]) -> DisdrometerReading
 
 
 def rates_reading(instrument: str, records: list[SpectrumRecord], skipped: list[str]) -> DisdrometerReading:
-    """Records without a single diameter class: only their times and reported rates mean something."""
+    """Reading without diameter classes; only times and reported rates are meaningful."""
     spectra = DropSpectra(
         instrument=instrument,
         times=np.array([record.time for record in records]),
@@ -155,7 +156,7 @@ def rates_reading(instrument: str, records: list[SpectrumRecord], skipped: list[
     return DisdrometerReading(spectra=spectra, skipped=tuple(skipped))
 
 
-# § Tables of text, a record a line: dialects that their header tells, and any other that a YAML file describes.
+# Text tables
 
 _RATE_UNITS = {"mm/h": 1.0, "mm/min": 60.0, "mm/s": 3600.0, "m/s": 3.6e6}
 
@@ -168,7 +169,7 @@ _ISO = ("%Y-%m-%d %H:%M:%S", "%Y-%m-%d %H:%M:%S.%f", "%Y-%m-%dT%H:%M:%S", "%Y-%m
 _TIMES = (*_ISO, "%Y/%m/%d %H:%M:%S", "%Y/%m/%d %H:%M", "%d.%m.%Y %H:%M:%S", "%Y%m%d%H%M%S", "%Y%m%d %H%M%S")
 
 _CAMPBELL_WORDS = ('"TOA5"', '"TIMESTAMP"', '"TS"', '"",', "TOA5,", "TIMESTAMP,", "TS,")
-"""Lines of a Campbell logger's header begin so: its kind, the columns, their units, how they were sampled."""
+"""First words of the lines of a Campbell logger's header: type, columns, units, sampling."""
 
 _WITHOUT_SPEED = {
     two_dvd.NAME: (two_dvd.RD80_EDGES_MM, two_dvd.AREA_M2),
@@ -184,51 +185,51 @@ _Edges = Annotated[tuple[Annotated[float, Meta(ge=0)], ...], Meta(min_length=4, 
 
 
 class ColumnRange(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Columns side by side, both ends included."""
+    """Adjacent columns, both ends included."""
 
     first: Column
     last: Column
 
 
 class TableColumns(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A table of disdrometer records: which column is what. A YAML file."""
+    """Columns of a table of disdrometer records, as described in a YAML file."""
 
     instrument: Annotated[str, Meta(min_length=1, max_length=60)]
-    """OTT Parsivel, Thies LNM, Joss-Waldvogel, 2DVD, whose classes and area are known; else a name of your own."""
+    """OTT Parsivel, Thies LNM, Joss-Waldvogel or 2DVD, whose classes and area are known; otherwise any name."""
     drops: Column | ColumnRange
-    """One number a class: in columns side by side, or in one column that holds all of them."""
+    """One number a class: in adjacent columns, or in one column that holds all of them."""
     time: Column | Annotated[tuple[Column, ...], Meta(min_length=1, max_length=6)]
     """UTC, in one column or several (date and time of day), which are joined by a space."""
     time_format: Annotated[str, Meta(min_length=2, max_length=60)] | None = None
-    """As Python's `strptime` takes it, `%d/%m/%Y %H:%M`; without one, ISO's forms and some more are tried."""
+    """Format for Python's `strptime`, as `%d/%m/%Y %H:%M`; by default ISO formats and some others are tried."""
     time_is: Literal["end", "start"] = "end"
-    """Of the record."""
+    """End or start of the record."""
     utc_offset_h: Annotated[float, Meta(ge=-14, le=14)] = 0.0
     """Hours by which the table's clock is ahead of UTC."""
     seconds: Annotated[float, Meta(ge=1, le=LONGEST_RECORD_S)] | None = None
-    """Length of each record; without it and its column, the step from record to record."""
+    """Length of each record; by default from `seconds_column`, otherwise the step between records."""
     seconds_column: Column | None = None
-    """Column of each row's length in s."""
+    """Column of each record's length in s."""
     rate: Column | None = None
-    """The instrument's own rain rate, by which the drops are checked."""
+    """The instrument's own rain rate, for a check of the drops."""
     rate_unit: Literal["mm/h", "mm/min", "mm/s", "m/s"] = "mm/h"
     quantity: Literal["drops", "drops_m3_mm"] = "drops"
-    """Drops counted, or number density in 1/(m^3 mm)."""
+    """Counted drops, or number density in 1/(m^3 mm)."""
     order: Literal["diameters first", "velocities first"] | None = None
-    """The slower index, where both are measured; without one, the maker's."""
+    """Slower index if both diameter and speed are measured; by default the maker's."""
     separator: Annotated[str, Meta(min_length=1, max_length=1)] | None = None
-    """Between columns; a space stands for any white space; without one, the header's most frequent of , ; and tab."""
+    """Column separator; a space matches any white space; by default the header's most frequent of , ; and tab."""
     drops_separator: Annotated[str, Meta(min_length=1, max_length=1)] | None = None
-    """Inside of the one column of all drops; without one, the most frequent of , ; / and space in it."""
+    """Separator within the single column of all drops; by default the most frequent of , ; / and space in it."""
     decimal: Literal[".", ","] = "."
     header_line: Annotated[int, Meta(ge=0, le=1000)] = 1
-    """The line with the names of the columns, from 1 on; 0: there is none, and columns go by number."""
+    """Line with the column names, from 1 on; 0 for none, with columns given by number."""
     comments: Annotated[tuple[Annotated[str, Meta(min_length=1, max_length=60)], ...], Meta(max_length=20)] = ()
-    """Lines that begin so are no records."""
+    """Prefixes of lines that are not records."""
     diameter_edges_mm: _Edges | None = None
-    """Bounds of the diameter classes, one more than there are classes: for other instruments, or other classes."""
+    """Bounds of the diameter classes, one more than there are classes: for other instruments or classes."""
     velocity_edges_m_s: _Edges | None = None
-    """Bounds of the fall-speed classes; without them, an instrument of your own measures no speed."""
+    """Bounds of the fall-speed classes; without them, another instrument measures no speed."""
     area_m2: Annotated[float, Meta(gt=0, le=_LARGEST_AREA_M2)] | None = None
     """Measuring area."""
 
@@ -264,7 +265,7 @@ class TableColumns(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             )
 
     def instrument_classes(self) -> Instrument | None:
-        """Classes and area of an instrument that measures fall speed; None for one that measures none."""
+        """Classes and area of an instrument that measures fall speed; None for others."""
         if self.diameter_edges_mm is None:
             return _WITH_SPEED.get(self.instrument)
         if self.velocity_edges_m_s is None:
@@ -278,14 +279,14 @@ class TableColumns(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         )
 
     def diameter_classes(self) -> tuple[Float64[np.ndarray, " edges"], float]:
-        """Bounds of the diameters in mm and the area in m^2, of an instrument that measures no speed."""
+        """Bounds of the diameters in mm and the area in m^2, for an instrument that measures no speed."""
         if self.diameter_edges_mm is None or self.area_m2 is None:
             return _WITHOUT_SPEED[self.instrument]
         return np.array(self.diameter_edges_mm), self.area_m2
 
 
 def load_columns(path: Path | str) -> TableColumns:
-    """Read a description of a table. Raises `ValueError` with the file, the field and what is allowed, `OSError`."""
+    """Read a table description. Raises `ValueError` with the file, field and valid values, or `OSError`."""
     try:
         return convert_checked(yaml_values(read_whole(Path(path))), TableColumns)
     except ValueError as error:
@@ -293,9 +294,10 @@ def load_columns(path: Path | str) -> TableColumns:
 
 
 def table_columns(lines: Sequence[str]) -> TableColumns | None:
-    """The description of a table whose header names a time and all drops; None where there is no such header.
+    """Description of a table whose header names a time and all drops; None without such a header.
 
-    Campbell's TOA5 logs of a Parsivel, pyAtmosLogger's CSV, DISDRODB's names (NOAA's SCAMP), and an RD-80's table.
+    Recognizes Campbell's TOA5 logs of a Parsivel, pyAtmosLogger's CSV, DISDRODB's names (NOAA's SCAMP) and RD-80
+    tables.
     """
     for i, line in enumerate(lines[:_HEADER_WITHIN]):
         for separator in sorted(";\t,", key=line.count, reverse=True):
@@ -307,7 +309,7 @@ def table_columns(lines: Sequence[str]) -> TableColumns | None:
 
 
 def read_table(path: Path, lines: Sequence[str], columns: TableColumns) -> DisdrometerReading:
-    """Read a table as it is described; raises `DisdrometerFileError` where columns are missing or no row is usable."""
+    """Read a described table; raises `DisdrometerFileError` if columns are missing or no row is usable."""
     layout = _layout(path, lines, columns)
     records, skipped = parse_records(
         path, _table_rows(lines, columns), lambda line: _table_record(line, columns, layout)
@@ -333,7 +335,7 @@ def read_table(path: Path, lines: Sequence[str], columns: TableColumns) -> Disdr
     return DisdrometerReading(spectra=spectra, skipped=tuple(skipped))
 
 
-# ---- a header that tells what its columns are
+# Headers
 
 
 _TIME_NAMES = ("timestamp", "datetime_utc", "datetime [utc]", "datetime", "time_utc", "time")
@@ -347,7 +349,7 @@ _SECONDS_NAMES = ("sample_interval", "sample interval [s]", "interval [s]", "sam
 _ALL_DROPS_NAMES = ("raw_drop_number", "rowdata", "rawdata", "raw_data", "data_raw", "spectrum", "rawspectrum")
 
 _MEMBER = re.compile(r"^(.*?)[\[(_]?\d+(?:[,_]\d+)?[\])]?$")
-"""The stem of spectrum(17), RowData_17, M_0_16, n17."""
+"""Pattern for the stem of spectrum(17), RowData_17, M_0_16, n17."""
 
 
 def _described(names: Sequence[str], separator: str, header_line: int) -> TableColumns | None:
@@ -370,7 +372,7 @@ def _described(names: Sequence[str], separator: str, header_line: int) -> TableC
         seconds_column=None if seconds is None else names.index(seconds) + 1,
         rate=None if rate is None else names.index(rate) + 1,
         separator=separator,
-        # An RD-80's program writes numbers as the country's settings have them: commas where tabs separate are decimal.
+        # An RD-80's program follows the country's settings: with tab separators, commas are decimal.
         decimal="," if separator == "\t" and instrument == two_dvd.NAME else ".",
         header_line=header_line,
         comments=_CAMPBELL_WORDS if names[0] == "timestamp" else (),
@@ -388,7 +390,7 @@ def _is_rate(name: str) -> bool:
 
 
 def _drops_of(names: Sequence[str]) -> tuple[str, Column | ColumnRange] | None:
-    """The instrument with as many classes as columns of one stem stand side by side, and those columns."""
+    """The instrument whose number of classes matches a run of columns of one stem, and those columns."""
     stems, start = [_stem(name) for name in names], 0
     for i in range(1, len(names) + 1):
         if i < len(names) and stems[i] is not None and stems[i] == stems[start]:
@@ -411,12 +413,12 @@ def _stem(name: str) -> str | None:
     return match[1].rstrip("_") if match else None
 
 
-# ---- rows
+# Rows
 
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """Places in a row, from 0 on."""
+    """Column indices in a row, from 0 on."""
 
     separator: str
     time: tuple[int, ...]
@@ -424,15 +426,15 @@ class _Layout:
     rate: int | None
     drops: slice | int
     columns: int
-    """So many a row must have at least."""
+    """Minimum number of columns in a row."""
     classes: int
-    """So many numbers of drops."""
+    """Number of drop counts."""
 
 
 def _layout(path: Path, lines: Sequence[str], columns: TableColumns) -> _Layout:
     if columns.header_line > len(lines):
         raise DisdrometerFileError(path, f"header_line is {columns.header_line}, and it has {len(lines)} lines")
-    # Without a header the first line that is a record shows the separator.
+    # Without a header, the first record determines the separator.
     header = (
         lines[columns.header_line - 1]
         if columns.header_line
@@ -479,7 +481,7 @@ def _layout(path: Path, lines: Sequence[str], columns: TableColumns) -> _Layout:
 def _table_rows(lines: Sequence[str], columns: TableColumns) -> Iterator[tuple[str, str]]:
     header = lines[columns.header_line - 1] if columns.header_line else None
     for i, line in enumerate(lines[columns.header_line :], start=columns.header_line + 1):
-        # A logger that starts anew writes its header once more.
+        # A restarted logger repeats its header.
         if line.strip() and line != header and not line.startswith(columns.comments):
             yield f"line {i}", line
 
@@ -546,12 +548,12 @@ def _classes(columns: TableColumns) -> int:
 
 
 def _order(columns: TableColumns) -> Order:
-    """The maker's order: a Parsivel writes all diameters of one speed, a Thies all speeds of one diameter."""
+    """The given or the maker's order: Parsivel all diameters of one speed first, Thies all speeds of one diameter."""
     return columns.order or ("velocities first" if columns.instrument == PARSIVEL.name else "diameters first")
 
 
 def _check_time_format(time_format: str) -> None:
-    """Raise ValueError where a format can't be a record's time: no year, month, day, hour."""
+    """Raise ValueError for a time format without year, month, day and hour."""
     moment = datetime(2019, 11, 28, 13, 47, 59)
     try:
         same = datetime.strptime(moment.strftime(time_format), time_format)

@@ -29,15 +29,14 @@ _LOOK_AHEAD = 20
 
 
 def is_thies(lines: list[str]) -> bool:
-    """Whether one of the first lines carries a Thies telegram."""
+    """Return whether one of the first lines contains a Thies telegram."""
     return any(_TELEGRAM.search(line) for line in lines[:_LOOK_AHEAD])
 
 
 def read_thies(path: Path, lines: list[str]) -> DisdrometerReading:
-    """Read telegrams, one a line, bare or after a logger's time.
+    """Read telegrams, one a line, bare or after a logger's time; without spectra, the reading has rates and no drops.
 
-    Where no telegram of the file is long enough for a spectrum the reading has rates and no drops. Raises
-    `DisdrometerFileError` where no record can be used.
+    Raises `DisdrometerFileError` if no record is usable.
     """
     numbered = list(_telegrams(lines))
     if all(len(_values(text)) <= _SHORT for _, text in numbered):
@@ -47,7 +46,7 @@ def read_thies(path: Path, lines: list[str]) -> DisdrometerReading:
 
 
 def _telegrams(lines: list[str]) -> Iterator[tuple[str, str]]:
-    """Every line but a header's."""
+    """Nonempty lines from the first telegram on."""
     first = next(i for i, line in enumerate(lines) if _TELEGRAM.search(line))
     for i, line in enumerate(lines[first:], start=first + 1):
         if line.strip():

@@ -1,4 +1,4 @@
-"""Two-dimensional video disdrometer (2DVD) in ARM's NetCDF: single drops (size, speed, shape), or minutes."""
+"""Two-dimensional video (2DVD) and Joss-Waldvogel disdrometers in ARM's NetCDF."""
 
 from pathlib import Path
 
@@ -29,15 +29,15 @@ _SMALLEST_AREA_M2 = 0.001
 
 
 def is_two_dvd(dataset: xr.Dataset) -> bool:
-    """Whether the dataset has ARM's names for single drops."""
+    """Return whether the dataset has ARM's names for single drops."""
     return {_DIAMETER, _SPEED} <= set(dataset.variables) and dataset[_DIAMETER].ndim == 1
 
 
 def read_two_dvd(path: Path, dataset: xr.Dataset) -> DisdrometerReading:
-    """Read single drops, and count them into minutes from the first drop's to the last's, dry ones too.
+    """Read single drops and count them by minute from the first drop to the last, dry minutes included.
 
-    The area of a diameter class is the mean over its drops of the area in which the instrument could see each. Raises
-    `DisdrometerFileError` where no drop can be used.
+    The area of a diameter class is the mean over its drops of each drop's measuring area. Raises `DisdrometerFileError`
+    if no drop is usable.
     """
     time = str(dataset[_DIAMETER].dims[0])
     diameters, speeds, ratios, areas = (_values(dataset, name, time) for name in (_DIAMETER, _SPEED, _RATIO, _AREA))
@@ -60,12 +60,12 @@ def read_two_dvd(path: Path, dataset: xr.Dataset) -> DisdrometerReading:
 
 
 def is_two_dvd_minutes(dataset: xr.Dataset) -> bool:
-    """Recognize ARM's names for drops by diameter and minute (vdis)."""
+    """Return whether the dataset has ARM's names for drops by diameter and minute (vdis)."""
     return {_NUMBER, _CLASS} <= set(dataset.variables) and dataset[_NUMBER].dims[1:] == (_CLASS,)
 
 
 def read_two_dvd_minutes(path: Path, dataset: xr.Dataset) -> DisdrometerReading:
-    """Read drops by diameter; the rain rate in the file is the instrument's own. Raises `DisdrometerFileError`."""
+    """Read drops by diameter, with the instrument's own rain rate. Raises `DisdrometerFileError`."""
     time, middles = str(dataset[_NUMBER].dims[0]), in_mm(dataset[_CLASS])
     known = 0.5 * (DIAMETER_EDGES_MM[:-1] + DIAMETER_EDGES_MM[1:])
     if middles is None or middles.shape != known.shape or not np.allclose(middles, known, atol=0.01):
@@ -90,7 +90,7 @@ def read_two_dvd_minutes(path: Path, dataset: xr.Dataset) -> DisdrometerReading:
 
 
 def drops_by_minute(drops: SingleDrops, areas_m2: Float64[np.ndarray, " drops"]) -> DropSpectra:
-    """Count drops by minute, diameter and fall speed; where no area is known (NaN) the nominal one stands in."""
+    """Count drops by minute, diameter and fall speed; the nominal area replaces unknown ones (NaN)."""
     minutes = (drops.times.astype("datetime64[m]") - drops.times[0].astype("datetime64[m]")).astype(np.int64)
     rows = np.digitize(drops.diameters_mm, DIAMETER_EDGES_MM[1:-1])
     columns = np.digitize(drops.speeds_m_s, VELOCITY_EDGES_M_S[1:-1])
@@ -125,7 +125,7 @@ def _values(dataset: xr.Dataset, name: str, time: str) -> Float64[np.ndarray, " 
 def _usable(
     diameters: Float64[np.ndarray, " drops"], speeds: Float64[np.ndarray, " drops"], times: Shaped[np.ndarray, " drops"]
 ) -> tuple[Bool[np.ndarray, " drops"], list[str]]:
-    """Which drops lie inside the classes and have a time; a sentence for each of the others."""
+    """Mask of drops within the classes that have a time, and a sentence for each of the others."""
     checks = (
         (~np.isnat(times), "has no time", times),
         ((diameters > 0) & (diameters <= DIAMETER_EDGES_MM[-1]), "is no drop: its diameter in mm is", diameters),
@@ -140,31 +140,31 @@ def _usable(
     return usable, skipped
 
 
-# § Joss-Waldvogel impact disdrometer (JWD, RD-80): its 20 diameters, without fall speeds; and ARM's NetCDF of it.
+# Joss-Waldvogel impact disdrometer (JWD, RD-80)
 
 NAME = "Joss-Waldvogel"
 
 AREA_M2 = 0.005
-"""The cone's 50 cm^2 (Joss and Waldvogel 1967)."""
+"""Area of the cone, 50 cm^2 (Joss and Waldvogel 1967)."""
 
 RD80_EDGES_MM = np.array(
     [0.313, 0.405, 0.505, 0.596, 0.715, 0.827, 0.999, 1.232, 1.429, 1.582, 1.748]
     + [2.077, 2.441, 2.727, 3.011, 3.385, 3.704, 4.127, 4.573, 5.145, 5.6]
 )
-"""Bounds of an RD-80's classes (Distromet's instructions); the last one is open, and ends here."""
+"""Bounds of an RD-80's classes (Distromet's instructions); the last class is open and is closed here."""
 
 _LARGEST_MM = 20
 
 
 def is_joss_waldvogel(dataset: xr.Dataset) -> bool:
-    """Whether the dataset has ARM's names for drops by class."""
+    """Return whether the dataset has ARM's names for drops by class."""
     return {"num_drop", "mean_diam_drop_class", "delta_diam"} <= set(dataset.variables) and dataset[
         "num_drop"
     ].ndim == 2
 
 
 def read_joss_waldvogel(path: Path, dataset: xr.Dataset) -> DisdrometerReading:
-    """Read the drops of each minute; raises `DisdrometerFileError` where no record can be used."""
+    """Read the drops of each minute; raises `DisdrometerFileError` if no record is usable."""
     time, _ = (str(dimension) for dimension in dataset["num_drop"].dims)
     middles = dataset["mean_diam_drop_class"].to_numpy().astype(np.float64)
     widths = dataset["delta_diam"].to_numpy().astype(np.float64)

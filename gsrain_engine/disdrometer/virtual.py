@@ -1,4 +1,4 @@
-"""The virtual disdrometer: counts the drops of the simulated field that fall through a horizontal area."""
+"""Virtual disdrometer that counts the drops of the simulated field falling through a horizontal area."""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -17,24 +17,24 @@ from ..scene.camera import Camera
 from .measurement import DisdrometerMeasurement
 
 SMALLEST_AREA_M2 = 1e-4
-"""A thumbnail: smaller ones catch nothing."""
+"""A thumbnail's area; smaller ones catch no drops."""
 
 _GUST_STEP_S = 0.02
-"""A cubic through place and speed every 20 ms follows the strongest gusts to 3 nm, about one step of the lattice."""
+"""Step of cubic interpolation: 20 ms follows the strongest gusts to 3 nm, about one lattice step."""
 
 _MIDDLE, _WHOLE = 2**31, 2**32
 
 _HERE = RainCamera(Camera.from_fov(1, 1, 45.0, np.eye(4)), np.eye(4), np.zeros(3))
-"""The field doesn't depend on who looks; this camera stands in the anchor and stays there."""
+"""Fixed camera at the anchor; the field doesn't depend on the camera."""
 
 
 @dataclass(frozen=True, eq=False)
 class VirtualDisdrometer:
-    """A horizontal square that stands still in the middle of the streak region.
+    """A horizontal square, fixed in the middle of the streak region.
 
-    Nothing is sampled: from a drop's whole-number place in the lattice follow all moments at which it passes the
-    square's height, and at each of them its x and y, so the counts are those of the very drops that are drawn. Raises
-    `ValueError` where the square is larger than one period of the lattice: it would count the same drop twice.
+    Counts are exact, not sampled: a drop's integer position in the lattice gives all times at which it crosses the
+    square's height, and its x and y at each, so exactly the drawn drops are counted. Raises `ValueError` if the square
+    is larger than one period of the lattice, as it would count the same drop twice.
     """
 
     rainfall: RainSimulation
@@ -49,13 +49,13 @@ class VirtualDisdrometer:
             )
 
     def measure(self, times_s: Float64[np.ndarray, " records_and_one"]) -> DisdrometerMeasurement:
-        """Count in records from each time to the next, of a rain that does not change."""
+        """Count one record for each pair of successive times, in constant rain."""
         return self.collect(times_s, [self.count(start, end) for start, end in pairwise(times_s)])
 
     def records(self, times_s: Float64[np.ndarray, " records_and_one"]) -> list[DisdrometerMeasurement]:
-        """Count one record after the other, each with the sizes and speeds of its middle: under a weather they change.
+        """Count records in turn, each with the drop sizes and speeds of its midpoint, which vary under rain keyframes.
 
-        Records should be short against the weather: the drops that exist, too, are those of the middle.
+        Records should be short compared with the changes, because the drop population is also that of the midpoint.
         """
         moments = [0.5 * (start + end) for start, end in pairwise(times_s)]
         return [
@@ -64,7 +64,7 @@ class VirtualDisdrometer:
         ]
 
     def count(self, start_s: float, end_s: float) -> Int64[np.ndarray, " classes"]:
-        """Drops of each class that pass from a time, included, to another, which the next record begins with."""
+        """Number of drops of each class in [start, end)."""
         field, middle, later = (self._field(time_s) for time_s in (start_s, 0.5 * (start_s + end_s), end_s))
         before, after = _places(field.where), _places(later.where)
         size = np.round(np.minimum(np.sqrt(self.area_m2) / field.period_m[:2], 1) * _WHOLE).astype(np.int64)
@@ -76,7 +76,7 @@ class VirtualDisdrometer:
     def collect(
         self, times_s: Float64[np.ndarray, " records_and_one"], counts: list[Int64[np.ndarray, " classes"]]
     ) -> DisdrometerMeasurement:
-        """Put together what was counted between each time and the next."""
+        """Combine the counts of successive records."""
         return DisdrometerMeasurement(
             state=self.rainfall.state,
             times_s=times_s,
@@ -91,12 +91,12 @@ class VirtualDisdrometer:
 
 
 def _places(where: DropPhases) -> Int64[np.ndarray, "classes 3"]:
-    """Offsets as one number: 2^32 to a period."""
+    """Offsets as integers, 2^32 to a period."""
     return where.wraps.astype(np.int64) * _WHOLE + where.fractions
 
 
 def _path(rainfall: RainSimulation, start_s: float, end_s: float) -> Float64[np.ndarray, "4 steps 2"]:
-    """Where the wind has carried drops since a start, in metres: cubics of the time in each of equal steps."""
+    """Horizontal wind drift since the start, in meters: a cubic of time for each of equal steps."""
     steps = 1 if rainfall.rain.gust_m_s == 0 else int(np.ceil((end_s - start_s) / _GUST_STEP_S))
     times = np.linspace(start_s, end_s, steps + 1)
     motions = [rainfall.frozen_at(time).motion for time in times]
@@ -108,7 +108,7 @@ def _path(rainfall: RainSimulation, start_s: float, end_s: float) -> Float64[np.
 @numba.njit(parallel=True, cache=True)
 @no_type_check
 def _count(seed, count, before, after, size, path, seconds, counts):
-    """Count class by class, in an order that gives every thread slow and fast ones."""
+    """Count class by class, in an order that balances slow and fast classes over threads."""
     for j in numba.prange(CLASSES):
         c = (j * CLASS_STRIDE) % CLASSES
         first = (c * FIRST_OF_CLASS) % CLASSES
@@ -126,7 +126,7 @@ def _count_class(first, count, seed, before, after_z, size, path, seconds):
         _, _, start_z, _ = pcg4d_scalar(number, zero, zero, seed)
         above = np.int64(start_z) + before[2] - _MIDDLE
         below = np.int64(start_z) + after_z - _MIDDLE
-        for k in range((below >> 32) + 1, (above >> 32) + 1):  # the middle of the cell after k wraps
+        for k in range((below >> 32) + 1, (above >> 32) + 1):  # crossings of the cell's middle after k wraps
             at = (above - (k << 32)) / (above - below) * steps
             step = min(int(at), steps - 1)
             t = (at - step) * seconds / steps

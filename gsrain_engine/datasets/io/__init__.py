@@ -1,1 +1,1 @@
-"""Files of data sets, read within limits."""
+"""File readers of datasets, with limits on size."""

@@ -1,4 +1,4 @@
-"""Reads NumPy files of pixels; a file that is cut, or lies about its size, allocates nothing."""
+"""NumPy and JSON files of datasets, checked before memory is allocated, so truncated or forged files cause no harm."""
 
 import json
 import os
@@ -15,7 +15,7 @@ from ..capture import CaptureError
 
 
 def read_floats(file: Path) -> Float32[np.ndarray, "..."]:
-    """Read a .npy file of real numbers; `CaptureError` that names it where it can't be read."""
+    """Read a .npy file of real numbers; raises `CaptureError` that names the file."""
     try:
         with open_file(file) as stream:
             shape, is_fortran, dtype = read_array_header(stream)
@@ -27,11 +27,11 @@ def read_floats(file: Path) -> Float32[np.ndarray, "..."]:
         raise CaptureError(str(error)) from None
     except (OSError, ValueError) as error:
         raise CaptureError(f"{file}: not a readable .npy file ({error})") from None
-    with np.errstate(over="ignore", invalid="ignore"):  # what is too large for 32 bits becomes infinite
+    with np.errstate(over="ignore", invalid="ignore"):  # values too large for 32 bits become infinite
         return np.array(numbers.reshape(shape, order="F" if is_fortran else "C"), np.float32, order="C")
 
 
-# § Reads one array of a NumPy archive (.npz); what is wrong with it is said with its name.
+# NumPy archives
 
 _MAX_ARCHIVE_BYTES = 1 << 29
 
@@ -39,7 +39,7 @@ _MAX_ARCHIVE_BYTES = 1 << 29
 def read_npz(file: Path, key: str) -> np.ndarray[Any, np.dtype[Any]]:
     """Read an array of real numbers by its name.
 
-    Raises `CaptureError` where it is missing, damaged, larger than 0.5 GB, or out of all proportion to its file.
+    Raises `CaptureError` if it is missing, damaged, larger than 0.5 GB, or implausibly large for its file.
     """
     try:
         with open_file(file) as stream, zipfile.ZipFile(stream) as archive:
@@ -64,30 +64,30 @@ def _array(file: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.
     return read_member(archive, member)
 
 
-# § How much a small file may become in memory: bombs are known by it before they are unpacked.
+# Decompression limits
 
 _ALWAYS_ALLOWED_BYTES = 64 << 20
-"""What a file of any size may become: pictures of one colour compress without a bound."""
+"""Size that any file may reach in memory: single-color images compress without bound."""
 
 _LARGEST_EXPANSION = 2000
-"""Deflate (PNG, .npz) can't reach 1033; a JPEG of one colour reaches 1024."""
+"""Deflate (PNG, .npz) can't reach 1033; a JPEG of one color reaches 1024."""
 
 
 def check_expansion(file: Path | str, wanted_bytes: int, file_bytes: int) -> None:
-    """Raise `CaptureError` where a file says that it holds more than its size can be."""
+    """Raise `CaptureError` if the decompressed size is impossible for the file's size."""
     if wanted_bytes > max(_ALWAYS_ALLOWED_BYTES, _LARGEST_EXPANSION * file_bytes):
         raise CaptureError(
             f"{file}: says that it holds {wanted_bytes / 1e6:.0f} MB, which can't be in {file_bytes} bytes"
         )
 
 
-# § Reads JSON files of data sets; what is wrong with them is said with their names.
+# JSON
 
 _MAX_BYTES = 1 << 30
 
 
 def read_json(file: Path) -> Any:
-    """Read a JSON file; `CaptureError` that names it where it is missing, broken or larger than 1 GB."""
+    """Read a JSON file; raises `CaptureError` if it is missing, broken or larger than 1 GB."""
     try:
         return json.loads(read_file(file, _MAX_BYTES).decode("utf-8"))
     except FileNotFoundError:
@@ -112,14 +112,14 @@ def read_json_rows(file: Path) -> list[dict[str, Any]]:
     return rows
 
 
-# § What goes wrong with tables of data sets that are not as their data set has them, put into words.
+# Wrong values
 
 WRONG_VALUES = (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError)
-"""What values of other kinds than expected raise, `CaptureError` among them."""
+"""Exceptions that values of unexpected kinds raise, `CaptureError` among them."""
 
 
 def what_is_wrong(error: Exception) -> str:
-    """Say what a field was wrong about."""
+    """Description of a wrong field or value."""
     if isinstance(error, KeyError):
         return f"has no field {error.args[0]!r}"
     return str(error) or type(error).__name__

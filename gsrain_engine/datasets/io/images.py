@@ -1,4 +1,4 @@
-"""Reads pictures of a data set, and tells cheaply whether one is there, whole, and of which size."""
+"""Image files of datasets: listing, size, completeness, and decoding as color, labels or masks."""
 
 import io
 import os
@@ -15,7 +15,7 @@ from ..capture import CaptureError
 from .arrays import check_expansion
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
-"""Names of pictures end with one of these, in small or capital letters."""
+"""Suffixes of readable images, in lowercase."""
 
 UNREAD_SUFFIXES = (
     ".heic",
@@ -32,26 +32,26 @@ UNREAD_SUFFIXES = (
     ".orf",
     ".rw2",
 )
-"""Names of pictures that have to be converted first."""
+"""Suffixes of images that must be converted first."""
 
 CONVERT = "of formats that can't be read (convert them to JPEG or PNG)"
-"""Said of pictures whose names end so."""
+"""Description of such images in messages."""
 
 _MAX_BYTES, _TAIL_BYTES = 1 << 31, 1 << 16
 
 _JPEG_END, _PNG_END = b"\xff\xd9", b"IEND"
 
 _BYTES_OF_A_PIXEL = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2, "I;16L": 2}
-"""Of Pillow's modes; four of all others."""
+"""Bytes a pixel of Pillow's modes; all others have four."""
 
 _LONGEST_PX = 16384
-"""A side of a camera's picture, as of all cameras here."""
+"""Maximum side of a camera image, as for all cameras."""
 
 _WITH_EXIF = ("JPEG", "MPO", "WEBP", "TIFF")
-"""Formats whose turn stands before the pixels: a PNG would have to be read to its end."""
+"""Formats that store the orientation before the pixels; a PNG would have to be read to its end."""
 
 _BEHIND = "white"
-"""Behind transparent pictures, as viewers and nerfstudio's reader of NeRF's synthetic scenes have it."""
+"""Background of transparent images, as in viewers and in nerfstudio's reader of NeRF's synthetic scenes."""
 
 _EXIF_ORIENTATION, _SIDEWAYS = 0x0112, (5, 6, 7, 8)
 
@@ -61,7 +61,7 @@ def is_image(path: Path) -> bool:
 
 
 def unread_images_in(folder: Path) -> list[Path]:
-    """Pictures directly in a folder, by name, of formats that can't be read: HEIC of phones, raw files of cameras."""
+    """Images directly in a folder, by name, of unreadable formats: HEIC of phones, raw files of cameras."""
     if not folder.is_dir():
         return []
     return sorted(
@@ -70,14 +70,14 @@ def unread_images_in(folder: Path) -> list[Path]:
 
 
 def images_in(folder: Path) -> list[Path]:
-    """Pictures directly in a folder, by name; none where there is no such folder."""
+    """Images directly in a folder, by name; empty if the folder does not exist."""
     return sorted(file for file in folder.iterdir() if is_image(file) and file.is_file()) if folder.is_dir() else []
 
 
 def image_size(file: Path, upright: bool = False) -> tuple[int, int]:
-    """Width and height in pixels, from the file's head; its end is looked at, too, so that a cut file is found.
+    """Width and height in pixels from the file's header; also checks the file's end to detect truncation.
 
-    `upright` gives the size as a person looks at it (EXIF). Raises `CaptureError` for what is no whole picture.
+    `upright` applies the EXIF orientation. Raises `CaptureError` for an incomplete image.
     """
     with opened_image(file, str(file)) as picture:
         width, height = picture.size
@@ -89,22 +89,22 @@ def image_size(file: Path, upright: bool = False) -> tuple[int, int]:
 
 
 def read_color(file: Path, upright: bool = False) -> UInt8[np.ndarray, "h w 3"]:
-    """Read a picture as display colour, as the sensor lay unless `upright`; what is transparent lies over white.
+    """Read an image as display color, in sensor orientation unless `upright`, with transparent pixels over white.
 
-    Raises `CaptureError` where it can't be read.
+    Raises `CaptureError` if it can't be read.
     """
     with opened_image(file, str(file)) as opened:
         picture = ImageOps.exif_transpose(opened) if upright and opened.format in _WITH_EXIF else opened
         if picture.mode.startswith(("I", "F")):
             return np.repeat(_eight_bits(np.asarray(picture))[..., None], 3, axis=2)
-        if picture.has_transparency_data:  # the colours under what can't be looked at are of no account
+        if picture.has_transparency_data:  # fully transparent pixels may have any color
             clear = picture.convert("RGBA")
             picture = Image.alpha_composite(Image.new("RGBA", clear.size, _BEHIND), clear)
         return np.array(picture.convert("RGB"), np.uint8)
 
 
 def read_labels(file: Path) -> UInt8[np.ndarray, "h w"]:
-    """Read a picture of one channel (of several, the first) as it is stored, palettes as their indices."""
+    """Read an image of one channel (or the first of several) as stored, palettes as their indices."""
     stored = read_stored(file)
     first = stored if stored.ndim == 2 else stored[..., 0]
     if first.dtype != np.bool_ and (first.min(initial=0) < 0 or first.max(initial=0) > 255):
@@ -113,21 +113,21 @@ def read_labels(file: Path) -> UInt8[np.ndarray, "h w"]:
 
 
 def read_stored(file: Path) -> Shaped[np.ndarray, "h w ..."]:
-    """Read the numbers of a picture as they are stored: 16-bit depth, palette indices, all channels."""
+    """Read an image's stored numbers: 16-bit depth, palette indices, all channels."""
     with opened_image(file, str(file)) as picture:
         return np.array(picture)
 
 
 def read_mask(file: Path) -> Bool[np.ndarray, "h w"]:
-    """Read a black and white picture: True where it is not black."""
+    """Read a black and white image: True if not black."""
     return read_labels(file) > 0
 
 
 @contextmanager
 def opened_image(source: Path | bytes, name: str) -> Generator[Image.Image]:
-    """Open a picture, a file or its bytes, whose pixels are decoded in the block; `name` is told in errors.
+    """Open an image file or its bytes; pixels are decoded in the block, and `name` is used in errors.
 
-    Raises `CaptureError` where it can't be read, or says that it is larger than its bytes can be.
+    Raises `CaptureError` if it can't be read, or claims an impossible size for its bytes.
     """
     try:
         with (
@@ -150,7 +150,7 @@ def opened_image(source: Path | bytes, name: str) -> Generator[Image.Image]:
         raise CaptureError(f"{name}: {error.strerror}") from None
     except UnidentifiedImageError:
         raise CaptureError(f"{name}: not a readable picture: it is {_what_it_is(source)}") from None
-    except Exception:  # a damaged picture fails in as many ways as there are formats
+    except Exception:  # damaged images raise different exceptions for each format
         raise CaptureError(f"{name}: not a readable picture: it is damaged, or cut off") from None
 
 
@@ -161,7 +161,7 @@ def _what_it_is(source: Path | bytes) -> str:
 
 
 def _eight_bits(values: np.ndarray) -> UInt8[np.ndarray, "h w"]:
-    """The upper byte of 16-bit grey."""
+    """Scale 16-bit gray to 8 bits."""
     return (np.clip(np.nan_to_num(values.astype(np.float64)), 0, 65535) / 257 + 0.5).astype(np.uint8)
 
 
@@ -175,4 +175,4 @@ def _ends(file: Path, kind: str | None) -> bool:
         if end in stream.read():
             return True
         stream.seek(0)
-        return kind == "JPEG" and end in stream.read()  # phones put a film behind the picture
+        return kind == "JPEG" and end in stream.read()  # phones append a video to the image

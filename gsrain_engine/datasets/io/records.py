@@ -1,4 +1,4 @@
-"""Parquet files, read by the row: pyarrow is imported when one is opened, and said to be missing where it is."""
+"""Records and tables of datasets: Parquet (pyarrow is imported on first use), TFRecord, and point clouds in PLY."""
 
 import os
 import struct
@@ -22,17 +22,17 @@ from ..capture import CaptureError
 _BATCH_ROWS = 8
 
 _DAMAGES = (OSError, ValueError, KeyError, TypeError, IndexError, NotImplementedError, MemoryError)
-"""What Arrow's errors are kinds of."""
+"""Base classes of Arrow's errors."""
 
 
 @dataclass(frozen=True, slots=True)
 class ParquetFile:
-    """A table on the disk. Every method raises `CaptureError`, which names the file."""
+    """A table on disk. Every method raises `CaptureError`, which names the file."""
 
     path: Path
 
     def rows(self, columns: Sequence[str], optional: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
-        """Yield rows in their order, lists as NumPy arrays, other values as Python's; absent optional ones are None."""
+        """Yield rows in order, lists as NumPy arrays, other values as Python's; missing optional columns are None."""
         opened = self._opened()
         there = set(self._column_names(opened))
         missing = [name for name in columns if name not in there]
@@ -49,7 +49,7 @@ class ParquetFile:
             raise CaptureError(f"{self.path}: can't be read ({error})") from None
 
     def row_groups(self, columns: Sequence[str]) -> list[tuple[int, int, dict[str, Any]]]:
-        """Each row's group, its place there, and some columns: what `cell` needs to find it again."""
+        """Group, index in the group, and some columns of each row, for `cell`."""
         opened = self._opened()
         try:
             return [
@@ -61,7 +61,7 @@ class ParquetFile:
             raise CaptureError(f"{self.path}: can't be read ({error})") from None
 
     def cell(self, column: str, group: int, place: int) -> Any:
-        """One value, such as a picture; neighbours are kept for a while, for they are asked for next."""
+        """One value, such as an image; its row group is cached because neighbors are usually read next."""
         return _group(self.path, column, group)[place].as_py()
 
     def _opened(self) -> Any:
@@ -86,7 +86,7 @@ def _group(path: Path, column: str, group: int) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """Python's value of a scalar of pyarrow; lists of numbers become arrays without a detour."""
+    """Python value of a pyarrow scalar; lists of numbers become arrays directly."""
     values = getattr(value, "values", None)
     if values is not None and value.is_valid:
         return np.asarray(values.to_numpy(zero_copy_only=False))
@@ -101,11 +101,9 @@ def _parquet() -> Any:
         raise CaptureError("Waymo's Parquet files need the package pyarrow: pip install 'gsrain[waymo]'") from None
 
 
-# § Reads TFRecord files without TensorFlow: where their records lie, each checked by its CRC-32C.
-#
-# A record is its length (u64), a checksum of these 8 bytes (u32), the content, and a checksum of that (u32), all
-# little
-# endian; a checksum is masked: turned by 15 bits, plus a constant. Facts: tensorflow/core/lib/io/record_writer.h.
+# TFRecord, without TensorFlow
+# A record is its length (u64), a checksum of these 8 bytes (u32), the content, and a checksum of it (u32), all little
+# endian; a checksum is a CRC-32C rotated by 15 bits plus a constant. Facts: tensorflow/core/lib/io/record_writer.h.
 
 _HEAD, _TAIL = struct.Struct("<QI"), struct.Struct("<I")
 
@@ -114,14 +112,14 @@ _POLYNOMIAL, _MASK = 0x82F63B78, 0xA282EAD8
 
 @dataclass(frozen=True, slots=True)
 class TFRecord:
-    """Where the content of one record lies in a file."""
+    """Position of one record's content in a file."""
 
     file: Path
     start: int
     length: int
 
     def read(self) -> bytes:
-        """Content. Raises `CaptureError` where the file became shorter or can't be read."""
+        """Read the content. Raises `CaptureError` if the file became shorter or can't be read."""
         try:
             with open_file(self.file) as stream:
                 stream.seek(self.start)
@@ -134,7 +132,7 @@ class TFRecord:
 
 
 def records_in(file: Path) -> Iterator[tuple[TFRecord, bytes]]:
-    """Yield each record with its content. Raises `CaptureError` at the first that is damaged."""
+    """Yield each record with its content. Raises `CaptureError` at the first damaged one."""
     with open_file(file) as stream:
         size, place = os.fstat(stream.fileno()).st_size, 0
         while place < size:
@@ -154,7 +152,7 @@ def records_in(file: Path) -> Iterator[tuple[TFRecord, bytes]]:
 
 
 def masked_crc32c(content: bytes) -> int:
-    """CRC-32C (Castagnoli) as TFRecord masks it."""
+    """CRC-32C (Castagnoli) as masked in TFRecord."""
     crc = int(_crc32c(np.frombuffer(content, np.uint8), _TABLE))
     return (((crc >> 15) | (crc << 17)) + _MASK) & 0xFFFFFFFF
 
@@ -178,7 +176,7 @@ def _crc32c(content, table):
     return crc ^ np.uint32(0xFFFFFFFF)
 
 
-# § Point clouds in PLY files, as text or binary: places, and colours where there are some.
+# Point clouds in PLY
 
 _LARGEST_HEADER = 1 << 20
 
@@ -188,7 +186,7 @@ _COLORS = ("red", "green", "blue")
 
 
 def read_point_ply(file: Path) -> tuple[Float64[np.ndarray, "p 3"], UInt8[np.ndarray, "p 3"] | None]:
-    """Read points that are finite, and their colours (0..255); `CaptureError` that names the file where that fails."""
+    """Read finite points and their colors (0..255); raises `CaptureError` that names the file."""
     try:
         with open_file(file) as stream:
             text = b"\nformat ascii" in stream.read(_LARGEST_HEADER).partition(b"end_header")[0]
@@ -221,7 +219,7 @@ def _binary_columns(file: Path) -> dict[str, np.ndarray]:
 
 
 def _text_columns(file: Path) -> dict[str, np.ndarray]:
-    """Columns of the element vertex, which must come first; its properties must be single numbers."""
+    """Columns of the element vertex, which must come first and have only scalar properties."""
     names: list[str] = []
     count, element = 0, ""
     with TextIOWrapper(open_file(file, _MAX_TEXT_BYTES), encoding="utf-8") as stream:

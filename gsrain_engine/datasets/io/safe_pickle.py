@@ -1,4 +1,7 @@
-"""Walks through the instructions of a pickle without doing them: Python makes room for whatever they say."""
+"""Safe reader for pickles of plain values and NumPy arrays.
+
+A check of all instructions precedes unpickling, because Python allocates memory for any claimed length.
+"""
 
 import io
 import pickle
@@ -17,7 +20,7 @@ from ...safe_io.text_files import printable_line
 from ..capture import CaptureError
 
 _LINE, _TWO_LINES, _LENGTH_1, _LENGTH_4, _LENGTH_8, _UNKNOWN = -1, -2, -3, -4, -5, -6
-"""How long an instruction is, where it is no number of bytes: to the end of a line, or as long as it says itself."""
+"""Special lengths of an instruction's argument: one or two lines, or given by a length of 1, 4 or 8 bytes."""
 
 _LINES = {b"c", b"i"}
 """Instructions with two lines."""
@@ -26,10 +29,10 @@ _STOP, _PUT, _BINPUT, _LONG_BINPUT = (code[0] for code in (pickle.STOP, pickle.P
 
 
 def lying_instruction(content: bytes) -> int | None:
-    """Byte of the first instruction that is none, or asks for more than there is; None where there is no such one.
+    """Byte of the first instruction that is invalid or claims too much memory; None if there is none.
 
-    Lengths are compared with what is left of the file, and places in the memo, which Python makes room for up to, with
-    how many instructions there were.
+    Compares lengths with the rest of the file, and memo indices, up to which Python allocates, with the instruction
+    count.
     """
     place = int(_walk(np.frombuffer(content, np.uint8), _LENGTHS))
     return None if place < 0 else place
@@ -54,7 +57,7 @@ _LENGTHS = _lengths()
 @njit(cache=True)
 @no_type_check
 def _walk(content, lengths):
-    """Place of the first instruction that can't be; -1 where all are fine up to the one that stops."""
+    """Position of the first invalid instruction; -1 if all are valid up to STOP."""
     at, count, size = 0, 0, content.size
     while at < size:
         start, code = at, content[at]
@@ -95,7 +98,7 @@ def _walk(content, lengths):
 @njit(cache=True)
 @no_type_check
 def _number(content, at, width):
-    """Little-endian number; below 0 where it has 64 bits and is none that a file can be long."""
+    """Little-endian number; negative if it exceeds any possible file size."""
     number = 0
     for k in range(width):
         if k == 7 and content[at + k] > 127:
@@ -104,7 +107,7 @@ def _number(content, at, width):
     return number
 
 
-# § Reads pickles of plain values and NumPy arrays; one that asks for anything else is refused, and nothing runs.
+# Reading
 
 _MAX_BYTES = 8 << 30
 
@@ -124,12 +127,12 @@ def read_pickle(file: Path) -> Any:
         raise CaptureError(f"{file}: {error}") from None
     except RecursionError:
         raise CaptureError(f"{file}: not a readable pickle (too deep)") from None
-    except Exception as error:  # a damaged pickle fails in as many ways as it has instructions
+    except Exception as error:  # damaged pickles raise different exceptions for each instruction
         raise CaptureError(f"{file}: not a readable pickle ({type(error).__name__}: {error})") from None
 
 
 class _PlainValues(pickle.Unpickler):
-    """Knows the few names that arrays and containers need, each by a function that checks what it is given."""
+    """Unpickler limited to the names that arrays and containers need, with checks of their arguments."""
 
     def find_class(self, module: str, name: str, /) -> Any:
         found = _ALLOWED.get((_OLD_MODULES.get(module, module).replace("numpy._core", "numpy.core"), name))
@@ -145,7 +148,7 @@ class _PlainValues(pickle.Unpickler):
 
 
 class _PlainArray(np.ndarray):
-    """An array that takes in numbers only where its type is one of NumPy's own: pickles build types field by field."""
+    """Array that accepts numbers only of NumPy's own types, because pickles can build types field by field."""
 
     def __new__(cls, *_: Any) -> "_PlainArray":
         """Refuse: NumPy's pickles begin with an empty array and fill it."""
@@ -158,18 +161,18 @@ class _PlainArray(np.ndarray):
 
 
 def _check_plain(kind: Any) -> None:
-    """Refuse types with fields, whose offsets may lie, and those that lie about whether they hold objects."""
+    """Refuse types with fields, whose offsets may be forged, and types with a forged object flag."""
     if not isinstance(kind, np.dtype) or kind.kind == "V" or kind.hasobject != (kind.kind == "O"):
         raise pickle.UnpicklingError("refused, for an array in it is of another kind than plain numbers, text, objects")
 
 
 def _dtype(*arguments: Any) -> np.dtype[Any]:
-    """Make a type; a function in place of NumPy's class, of which pickles could otherwise make others."""
+    """Create a type; a function instead of NumPy's class, from which pickles could create others."""
     return np.dtype(*arguments)
 
 
 def _empty_array(kind: Any, shape: Any, _code: Any) -> np.ndarray:
-    """Stand in for NumPy's own, which would make room for whatever shape it is told."""
+    """Replace NumPy's own function, which would allocate an array of any shape."""
     if kind is not _PlainArray or tuple(shape) != (0,):
         raise pickle.UnpicklingError("refused, for an array in it is not built as NumPy does")
     return np.ndarray.__new__(_PlainArray, (0,), np.int8)
@@ -188,14 +191,14 @@ def _scalar(kind: Any, content: Any = b"") -> Any:
 
 
 def _latin1(text: Any, encoding: Any = "latin1") -> bytes:
-    """Bytes, as Python 2's protocols write them."""
+    """Bytes as encoded by Python 2's protocols."""
     if encoding not in ("latin1", "latin-1"):
         raise pickle.UnpicklingError(f"refused, for it asks for the encoding {encoding!r}")
     return str(text).encode("latin1")
 
 
 def _bytes(*content: Any) -> bytes:
-    """Bytes of bytes; a number would mean that many zeros."""
+    """Bytes from bytes; a number would allocate that many zeros."""
     if content and not isinstance(content[0], bytes):
         raise pickle.UnpicklingError("refused, for bytes in it are not stored as Python does")
     return bytes(content[0]) if content else b""
