@@ -34,7 +34,7 @@ _LONGEST_NAME = 200
 
 
 class FileFingerprint(msgspec.Struct, frozen=True, kw_only=True):
-    """State of a folder's `scene.json`."""
+    """State of a folder's `scene.json`, to detect changes by other programs."""
 
     modified_ns: int
     size: int
@@ -54,7 +54,6 @@ class AutosaveEntry(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def folder(self) -> Path | None:
-        """Scene folder that the document came from."""
         home = self.home_bytes or self.home
         return None if home is None else Path(os.fsdecode(home))
 
@@ -308,7 +307,7 @@ class SavedView(msgspec.Struct, frozen=True, kw_only=True):
     heading: float
     """Radians from +x to +y."""
     pitch: float
-    """Radians, upwards."""
+    """Radians, upward."""
     distance_m: Annotated[float, Meta(gt=0)]
     vertical_fov_deg: Annotated[float, Meta(gt=0, lt=180)]
     speed_m_s: Annotated[float, Meta(ge=SLOWEST_M_S, le=FASTEST_M_S)]

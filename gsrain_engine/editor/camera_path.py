@@ -117,7 +117,6 @@ def retime_keyframe(session: ViewportState, key: int, time_s: float) -> None:
 
 
 def copy_keyframe(session: ViewportState, key: int, time_s: float) -> None:
-    """Copy a keyframe to another time."""
     path = session.scene.path
     if path is not None:
         _take(session, "Copy camera key", copy_keyframe_to(path, key, nearest_frame_time(session, time_s)))
@@ -198,7 +197,6 @@ def circle_target(session: ViewportState, duration_s: float = 12.0) -> None:
 
 
 def reverse_path(session: ViewportState) -> None:
-    """Reverse the path in time."""
     path = session.scene.path
     if path is not None:
         set_path(session, "Reverse camera path", reverse_path_time(path))

@@ -32,12 +32,12 @@ _SAME_PLACE = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointSample:
-    """Points of a capture in its own world, with 8-bit sRGB colors."""
+    """Points of a capture in its own world, with 8-bit colors."""
 
     positions: Float32[np.ndarray, "n 3"]
     colors: UInt8[np.ndarray, "n 3"]
     total: int
-    """Number of points in the capture."""
+    """Number of points in the capture, including those not sampled."""
 
 
 class CaptureController:
@@ -48,7 +48,6 @@ class CaptureController:
         self.path: Path | None = None
         """Path that the capture was read from."""
         self.chosen = 0
-        """Index of the selected view."""
         self.sensor = ""
         """Camera whose views are listed and shown; "" for all."""
         self.show_frustums = True
@@ -62,7 +61,6 @@ class CaptureController:
         self.points: PointSample | None = None
         self.pictures: CaptureImageLoader | None = None
         self.textures: dict[ImageRequest, Texture] = {}
-        """Images on the GPU."""
         self.points_texture: Texture | None = None
         """Points as rendered for the current viewport."""
         self.viewport_px = (960, 640)
@@ -299,7 +297,6 @@ class CaptureImageLoader:
 
     def __init__(self, capture: Capture, thread: ThreadPoolExecutor) -> None:
         self.faults: dict[int, str] = {}
-        """Load errors by view."""
         self._capture, self._thread = capture, thread
         self._kept: OrderedDict[ImageRequest, Pixels] = OrderedDict()
         self._wishes: dict[ImageRequest, None] = {}

@@ -19,7 +19,6 @@ class Document:
     scene: Scene
     rain: RainSettings
     weather: RainKeyframes = NO_KEYFRAMES
-    """Changes of the rain over time."""
 
 
 # Undo
@@ -47,7 +46,7 @@ class History:
 
     @property
     def labels(self) -> list[str]:
-        """Labels of all steps, oldest first."""
+        """Oldest first."""
         return [step.label for step in self._steps]
 
     @property
@@ -189,7 +188,6 @@ class EditedDocument:
         self.set_scene(f"{verb} {self.scene.member(key).name}", self.scene.with_member(key, visible=visible))
 
     def end_gesture(self) -> None:
-        """End a drag."""
         self._key_moment = None, 0.0
         self.history.end_gesture()
 

@@ -187,7 +187,6 @@ class RolloutPlayer:
                 self.play(session, self.opened[-1])
 
     def close_all(self, session: EditorServices) -> None:
-        """Close all roll-outs; the scene returns."""
         self.opened, self._placing = [], None
         if self.playing is not None:
             self._stop(session)

@@ -51,7 +51,6 @@ class Editor(EditorServices):
         self.is_compiling = False
         """True if the viewport can't be drawn before kernels are compiled or loaded."""
         self.backend = ""
-        """Name of the viewport's renderer."""
         self.detail: QualityLevel = FULL_QUALITY
         """Quality of the present viewport image."""
         self.screenshot: Path | None = None
@@ -89,11 +88,9 @@ class Editor(EditorServices):
 
     @property
     def has_changes(self) -> bool:
-        """True if there are unsaved changes."""
         return self.files.has_changes
 
     def enter(self, opened: LoadedDocument) -> None:
-        """Switch to another document."""
         self._cancel_jobs(of_the_scene=True)
         self.drives.close_all(self)
         scene = opened.scene

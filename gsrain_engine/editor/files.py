@@ -81,7 +81,7 @@ class SceneFiles:
         self.home: Path | None = None
         """Scene folder that the document came from or was saved to, used by Save."""
         self.recent: list[Path] = recent_files()
-        """Recently used scenes, latest first."""
+        """Latest first."""
         self.place_wanted: Callable[[Path], None] | None = None
         """Set while the user has to choose where to save; called with the answer."""
         self.recovery = Recovery(session, self.recover, self.close_scene, thread)
@@ -130,7 +130,6 @@ class SceneFiles:
 
     @property
     def pending(self) -> list[Future[Any]]:
-        """All tasks in the thread."""
         opening = [self._opening[1]] if self._opening is not None else []
         saving = [self._saving.future] if self._saving is not None else []
         recent = [self._recent] if self._recent is not None else []
@@ -174,7 +173,6 @@ class SceneFiles:
             self._reread(source)
 
     def close_scene(self) -> None:
-        """Switch to an empty scene."""
         empty = LoadedDocument(Scene("no scene"), "", None, None, FileCache())
         self.confirm_unsaved_then("close the scene", lambda: self._enter(empty))
 
@@ -283,7 +281,7 @@ class SceneFiles:
         self._session.questions.ask(Question("Replace a scene", text, (replacing, _CANCEL)))
 
     def export_to(self, path: Path) -> None:
-        """Write a single file of everything visible, a copy: the document stays unsaved, and so does its path.
+        """Write a single file of everything visible, a copy: the document keeps its path and its unsaved changes.
 
         Asks first about losses in the format and about replacing a file.
         """
@@ -334,7 +332,6 @@ class SceneFiles:
         return Question("Open a capture", text, (show, _CANCEL))
 
     def give_up(self) -> None:
-        """Discard unsaved changes."""
         self._saved = self._session.history.present
 
     # Updates
@@ -533,7 +530,7 @@ class _Recent(msgspec.Struct):
 
 
 def recent_files() -> list[Path]:
-    """Recently used scenes, latest first."""
+    """Latest first."""
     try:
         return [
             Path(each)
@@ -624,7 +621,6 @@ class Recovery:
 
     @property
     def pending(self) -> list[Future[Any]]:
-        """Tasks in the thread."""
         return [each for each in (self._keeping, self._entering, self._looking) if each is not None]
 
     def enter(self, home: Path | None, document: Document, recovered: Path | None = None) -> None:

@@ -46,7 +46,6 @@ class FinetuneController:
         """Start with the shipped trial settings; `files` is the thread that reads losses."""
         self.choice = FinetuneChoice()
         self.job: FinetuneJob | None = None
-        """The last training, running or ended."""
         self._files = files
 
     @property

@@ -46,7 +46,6 @@ class WetLookController:
         self.preview_width_px = PREVIEW_WIDTH_PX
         self.previewed: PreviewedView | None = None
         self.texture: Texture | None = None
-        """Preview on the GPU."""
         self.viewport_px: tuple[int, int] = (960, 640)
         """Size of the viewport at the last frame."""
         self._scene_files, self._files = scene_files, files
@@ -59,7 +58,6 @@ class WetLookController:
 
     @property
     def recipe(self) -> PreviewSettings:
-        """The present method and settings."""
         return PreviewSettings(self.method, self.settings)
 
     def change(self, **fields: object) -> None:

@@ -90,7 +90,6 @@ def _difference(one: Float32[np.ndarray, "h w 3"], other: Float32[np.ndarray, "h
 
 
 WIDTH_PX = 480
-"""Width of the matched images."""
 
 
 class MatchableViews:

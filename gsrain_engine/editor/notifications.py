@@ -78,7 +78,7 @@ class Question:
 
 
 def do_nothing() -> None:
-    """Do nothing; the action of Cancel."""
+    """Action of Cancel."""
 
 
 class Questions:
@@ -89,7 +89,6 @@ class Questions:
 
     @property
     def present(self) -> Question | None:
-        """Question to show now."""
         return self._waiting[0] if self._waiting else None
 
     def ask(self, question: Question) -> None:

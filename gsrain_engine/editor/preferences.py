@@ -47,7 +47,6 @@ class PreferencesStore:
             self._saving = self._thread.submit(save_preferences, **changed)
 
     def close(self) -> None:
-        """Write pending changes."""
         if self._changed:
             self._thread.submit(save_preferences, **self._changed)
 

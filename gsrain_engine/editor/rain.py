@@ -55,7 +55,6 @@ class CalibrationTools:
         self.counted: DisdrometerMeasurement | None = None
         """Last measurement of the virtual disdrometer."""
         self.fitted: FittedCalibration | None = None
-        """The last fit."""
         self.measured: tuple[MeasurementSummary, ...] = ()
         """Summaries of the files of the last fit, even if it failed."""
         self.disagreeing: tuple[Path, ...] = ()
@@ -77,7 +76,6 @@ class CalibrationTools:
 
     @property
     def calibrations(self) -> list[str]:
-        """Names and files to choose from."""
         return [*calibration_names(), *self.files]
 
     @property
@@ -276,7 +274,6 @@ class KeyframePanelState:
     speed_up: float = 1.0
     """Speed factor of the series to be imported."""
     start_s: float = 0.0
-    """Start time of that series."""
 
     def follow(self, weather: RainKeyframes, heaviest_mm_h: float) -> None:
         """Fit the axis to the heaviest rain, unless a keyframe is being dragged."""

@@ -29,7 +29,7 @@ class OutputEstimate(NamedTuple):
     """Size and rough duration of an export."""
 
     frames: int
-    """Frames of each camera."""
+    """Per camera."""
     cameras: int
     length_s: float
     """Playing time."""

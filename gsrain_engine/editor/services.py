@@ -34,7 +34,6 @@ class EditorServices(ViewportState):
         self.jobs: list[BackgroundJob] = []
         """Running and ended jobs in the order of their start, until the user clears them."""
         self.previews: dict[BackgroundJob, Texture] = {}
-        """Previews of running jobs."""
         self.statistics: dict[str, float] = {}
         """Figures of the last frame by name, in the order of the Statistics panel."""
         self.captures = CaptureController()

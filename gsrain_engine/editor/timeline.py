@@ -51,7 +51,7 @@ class PlaybackClock:
             self.time_s, self.playing = end, False
 
     def seek(self, time_s: float) -> None:
-        """Set the time, at least 0."""
+        """Set the time; negative values become 0."""
         self.time_s = max(0.0, float(time_s))
 
     def step(self, frames: int, fps: float) -> None:
@@ -107,7 +107,7 @@ class Ruler:
 
     first_s: float = 0.0
     visible_span_s: float = 10.0
-    """Seconds over the whole width."""
+    """Duration of the whole width."""
     width_px: float = 1.0
 
     def x(self, time_s: float) -> float:
@@ -129,11 +129,9 @@ class Ruler:
         self._begin_at(held - self.seconds(x_px))
 
     def pan(self, pixels: float) -> None:
-        """Scroll by pixels."""
         self._begin_at(self.first_s - self.seconds(pixels))
 
     def fit(self, first_s: float, last_s: float) -> None:
-        """Show a whole time span."""
         length = max(last_s - first_s, _SHORTEST_S)
         self.visible_span_s = length * (1 + 2 * _MARGIN)
         self.first_s = first_s - length * _MARGIN
@@ -150,7 +148,6 @@ class Ruler:
         return (np.arange(first, last + 1) * step).tolist()
 
     def mark_step(self, apart_px: float) -> float:
-        """Seconds between tick marks."""
         least = max(self.seconds(apart_px), 1e-9)
         ten = 10.0 ** np.floor(np.log10(least))
         return float(next(nice * ten for nice in (*_NICE, 10.0) if nice * ten >= least * (1 - 1e-9)))

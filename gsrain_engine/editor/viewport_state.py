@@ -78,7 +78,6 @@ class ViewportState(EditedDocument):
 
     @property
     def shown_rainfall(self) -> RainSimulation:
-        """Rain of the viewport."""
         return self.rainfall
 
     @property
@@ -157,7 +156,6 @@ class ViewportState(EditedDocument):
         return self._core[1]
 
     def go_home(self) -> None:
-        """Move to the scene's home camera."""
         self.navigation = home_viewport_camera(self.scene, *_VIEW_SIZE, self.navigation.speed_m_s)
 
     def enter_scene(self) -> None:

@@ -388,7 +388,7 @@ def _fingerprint(session: Editor, side: SplitPane, shot: RenderView) -> _PaneInp
 
 
 class MosaicImages:
-    """Images of the rig's cameras; updates one per frame, oldest first. Lives in the OpenGL context's thread."""
+    """Images of the rig's cameras; updates one per frame, oldest first. Lives in the window's OpenGL context."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context

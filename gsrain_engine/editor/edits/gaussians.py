@@ -171,7 +171,6 @@ def _inside(
 
 
 def deleted_count(scene: Scene) -> int:
-    """Number of Gaussians marked as deleted."""
     masks = [each.marks.deleted for each in scene.members]
     return sum(mask.size for mask in masks if mask is not None)
 

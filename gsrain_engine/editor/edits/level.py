@@ -41,7 +41,6 @@ class GroundPlaneFit(NamedTuple):
     up: Float64[np.ndarray, "3"]
     """Unit normal, upward."""
     point_m: Float64[np.ndarray, "3"]
-    """A point on the plane."""
     share: float
     """Share of the scene's samples that lie on the plane."""
 
@@ -92,7 +91,6 @@ def level_from_ground(scene: Scene) -> Scene:
 
 
 def set_ground_height(scene: Scene, height_m: float) -> Scene:
-    """Set the height of the ground in the world."""
     return replace(scene, ground_m=float(height_m))
 
 

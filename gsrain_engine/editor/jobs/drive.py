@@ -51,17 +51,14 @@ class LoadedRollout:
 
     @property
     def title(self) -> str:
-        """Scenario, intensity and agent."""
         return f"{self.metrics.scenario or 'drive'}, {self.intensity_mm_h:g} mm/h, {self.rollout.agent}"
 
     @property
     def collision_s(self) -> float | None:
-        """Time of the collision, or None."""
         return self.metrics.collision_time_s
 
     @property
     def duration_s(self) -> float:
-        """Duration of the drive."""
         return self.rollout.steps[-1].time_s
 
     def saved_at(self, path: Path) -> "LoadedRollout":

@@ -90,7 +90,7 @@ class PreviewSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreviewedView:
-    """A transferred image and its view."""
+    """A transferred image, its view, and its settings."""
 
     pixels: UInt8[np.ndarray, "h w 3"]
     """Display color."""

@@ -278,7 +278,7 @@ class WorkerWatchdog:
         self._is_stopped = False
 
     def heard(self) -> None:
-        """Record a message."""
+        """Note a message from the worker, which ends its silence."""
         self._heard_s, self._is_stopped = self._now(), False
 
     @property

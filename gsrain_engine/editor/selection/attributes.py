@@ -18,7 +18,7 @@ from .screen import camera_depths
 
 
 class AttributeInputs(NamedTuple):
-    """Inputs of attribute functions."""
+    """Inputs of the attribute functions."""
 
     part: DrawItem
     number: int
@@ -156,7 +156,6 @@ ATTRIBUTES: Mapping[str, Attribute] = {
     "layer": Attribute("", "Number of the layer or actor, in the order of the scene, from 1.",
                        lambda read: np.full(len(read.part.gaussians), read.number, np.float32)),
 }  # fmt: skip
-"""All attributes by name."""
 
 # Histograms, recomputed only on changes
 

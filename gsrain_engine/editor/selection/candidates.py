@@ -89,7 +89,6 @@ def selected_count(scene: Scene) -> int:
 
 
 def selectable_count(scene: Scene) -> int:
-    """Number of selectable Gaussians."""
     return sum(visible_gaussians(member).size for member in editable(scene))
 
 

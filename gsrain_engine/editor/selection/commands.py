@@ -46,7 +46,6 @@ def select_none(session: EditedDocument) -> None:
 
 
 def invert(session: EditedDocument) -> None:
-    """Select the complement of the selection."""
     scene = inverted(session.scene)
     _go_to(session, f"Invert selection to {selected_count(scene):,}", scene)
 
@@ -138,7 +137,7 @@ def rename_selection_set(scene: Scene, name: str, other: str) -> Scene:
 
 
 def remove_selection_set(scene: Scene, name: str) -> Scene:
-    """Delete a set; the selection stays."""
+    """Delete a set; the selection is unchanged."""
     return replace(scene, selections={each: own for each, own in scene.selections.items() if each != name})
 
 
@@ -182,7 +181,6 @@ class SelectionOptions:
     renamed_set: str = ""
     """Set being renamed; empty for none."""
     new_name: str = ""
-    """Its new name."""
     ball: Sphere | None = None
     """Sphere that is placed but not yet applied."""
     box: CropBox | None = None

@@ -30,7 +30,7 @@ class OrbitCamera:
     pitch: float = 0.0
     """Radians, upward."""
     distance_m: float = 5.0
-    """Distance of the orbit target."""
+    """Distance of the orbit target ahead."""
     vertical_fov_deg: float = 50.0
     speed_m_s: float = 5.0
     velocity_m_s: Float64[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
@@ -49,7 +49,6 @@ class OrbitCamera:
 
     @property
     def target(self) -> Float64[np.ndarray, "3"]:
-        """Point that `orbit` turns around."""
         return self.position + self.distance_m * self.forward
 
     def camera(self, width: int, height: int) -> Camera:
@@ -180,7 +179,6 @@ ORBIT_S = 8.0
 """Duration of the orbit for scenes without a drive."""
 
 ORBIT_DEG = 40.0
-"""Angle of that orbit."""
 
 
 def home_camera(scene: Scene, width: int, height: int) -> Camera:

@@ -40,9 +40,8 @@ class ViewOptions:
     divider: float = 0.5
     """Boundary between them, as a share of the width."""
     harmonics: Harmonics = "half"
-    """Precision of colors on the GPU."""
+    """Precision of the spherical harmonics on the GPU."""
     show_selection: bool = True
-    """Tint the selection."""
     dialog: str = ""
     """Open page of the window: commands, keys or about."""
     member: str = ""
@@ -78,7 +77,7 @@ class Texture(NamedTuple):
 
 
 class QualityLevel(NamedTuple):
-    """Share of the full quality."""
+    """Quality as shares of a full render."""
 
     gaussians: float
     """Share of each part's Gaussians, the most important ones."""

@@ -24,7 +24,7 @@ class PickResult(NamedTuple):
     """Result of picking a pixel."""
 
     key: str
-    """Key of the member."""
+    """Key of the member that was hit."""
     gaussian: int
     """Index of the Gaussian in the member."""
     point_m: Float64[np.ndarray, "3"]
@@ -141,7 +141,7 @@ NEAR_M = 0.05
 
 
 class ProjectedPoint(NamedTuple):
-    """A point in the image."""
+    """A point in image pixels, with its depth."""
 
     x: float
     y: float
@@ -192,7 +192,6 @@ def opengl_projection(camera: Camera) -> list[float]:
 
 
 def column_major(matrix: Float64[np.ndarray, "4 4"]) -> list[float]:
-    """Flatten a matrix column by column."""
     return matrix.T.ravel().tolist()
 
 
