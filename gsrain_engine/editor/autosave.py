@@ -137,8 +137,8 @@ class Autosave:
         """Write an autosave next to the scene folder, or in the state folder if that is not possible.
 
         Raises:
-        SceneFormatError: If the document could not be read again.
-        OSError: If it can't be written anywhere.
+            SceneFormatError: If the document could not be read again.
+            OSError: If it can't be written anywhere.
         """
         about = _about(scene.name, self._home, stamp)
         place = self._place or self._folder_next_to_scene() or self._new_place()

@@ -544,10 +544,10 @@ def recent_files() -> list[Path]:
 
 
 def add_recent_file(path: Path) -> list[Path]:
-    """Put a scene at the head of the list, including entries of other windows; return the list.
+    """Put a scene at the head of the list, keeping entries of other windows; return the list.
 
     Raises:
-    OSError: If the list can't be written.
+        OSError: If the list can't be written.
     """
     return _rewritten(path.absolute(), at_head=True)
 
@@ -556,7 +556,7 @@ def forget_recent_file(path: Path) -> list[Path]:
     """Remove a scene from the list; return the list.
 
     Raises:
-    OSError: If the list can't be written.
+        OSError: If the list can't be written.
     """
     return _rewritten(path.absolute(), at_head=False)
 
@@ -674,7 +674,7 @@ class Recovery:
         """Return the autosave of the previous window and never ask about it; for the thread.
 
         Raises:
-        OSError: If it is gone or belongs to another process.
+            OSError: If it is gone or belongs to another process.
         """
         self._put_off.add(place)
         found = self._autosave.found(place)

@@ -31,7 +31,7 @@ class PreferencesStore:
         """Change preferences.
 
         Raises:
-        msgspec.ValidationError: If a value is out of bounds; the message names it.
+            msgspec.ValidationError: If a value is out of bounds; the message names it.
         """
         self.value = checked(msgspec.structs.replace(self.value, **fields))
         self._changed.update(fields)
@@ -120,8 +120,8 @@ def save_preferences(**fields: Any) -> Preferences:
     """Change some preferences, keeping concurrent changes of other windows; return all of them.
 
     Raises:
-    msgspec.ValidationError: If a value is out of bounds; the message names it.
-    OSError: If the file can't be written.
+        msgspec.ValidationError: If a value is out of bounds; the message names it.
+        OSError: If the file can't be written.
     """
     path = preferences_file()
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -136,7 +136,7 @@ def checked(preferences: Preferences) -> Preferences:
     """Validate and return the preferences.
 
     Raises:
-    msgspec.ValidationError: If a value is out of bounds; the message names it.
+        msgspec.ValidationError: If a value is out of bounds; the message names it.
     """
     return msgspec.convert(msgspec.to_builtins(preferences), Preferences)
 

@@ -45,10 +45,8 @@ class LiveView:
     """Draws the viewport's panes. Lives in the window's OpenGL context and on its thread.
 
     OpenGL draws on a GPU. If OpenGL is a software rasterizer, the CPU renderer draws the same image several times
-    faster.
-    OpenGL substitutes until the CPU kernels are compiled; if they are cached, the viewport waits for them instead,
-    because
-    compiling shaders takes longer. `backend` overrides the choice.
+    faster. OpenGL substitutes until the CPU kernels are compiled; if they are cached, the viewport waits for them
+    instead, because compiling shaders takes longer. `backend` overrides the choice.
     """
 
     def __init__(self, context: moderngl.Context, session: Editor, backend: WindowBackend = "auto") -> None:
@@ -80,8 +78,7 @@ class LiveView:
         """Draw the present frame for a viewport size in pixels and return a texture for each of the editor's panes.
 
         Each shows the whole image, first row on top. Returns the last textures if nothing has changed. If the scene
-        exceeds
-        GPU memory, the CPU renderer takes over.
+        exceeds GPU memory, the CPU renderer takes over.
         """
         try:
             return self._draw(width, height)

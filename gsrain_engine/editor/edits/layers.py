@@ -38,7 +38,7 @@ def duplicate(scene: Scene, key: str) -> Scene:
 
 
 def separate(scene: Scene) -> Scene:
-    """Move the selection to a layer of its own, behind the first one that it comes from.
+    """Move the selection to a layer of its own, after the first one that it comes from.
 
     The source Gaussians stay and are marked as deleted, so that selection sets stay valid. A piece of one layer keeps
     its similarity, opacity and grading; pieces of several are joined as by `merge`. The selection of an actor becomes

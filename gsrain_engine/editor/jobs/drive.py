@@ -261,8 +261,8 @@ def render_video_in_worker(scene_folder: Path, rollout: Path, film: Path, fps: f
     """Worker: render a video; on SIGTERM, closes the file first.
 
     Raises:
-    ValueError: If the scene has no rig, or not the actors of the roll-out.
-    OSError: If the video can't be written.
+        ValueError: If the scene has no rig, or not the actors of the roll-out.
+        OSError: If the video can't be written.
     """
     # Matplotlib loads slowly: not before the first video.
     from ...simulation.video import RolloutVideo, render_rollout_video
@@ -285,8 +285,8 @@ def load_rollout(path: Path, *, is_own: bool = True) -> LoadedRollout:
     """Read a roll-out; `is_own` is false for a temporary file of a job.
 
     Raises:
-    ValueError: For an invalid roll-out, with the file and the line.
-    OSError: If the file can't be read.
+        ValueError: For an invalid roll-out, with the file and the line.
+        OSError: If the file can't be read.
     """
     rollout = read_any_rollout(path)
     beside = path.with_suffix(METRICS_SUFFIX)

@@ -31,8 +31,8 @@ def record_project(folder: Path, recording: ExportSettings) -> Iterator[Progress
     """Record a scene folder.
 
     Raises:
-    ValueError: For inconsistent settings, such as a camera that the scene lacks.
-    OSError: If it can't be written; the part written so far is playable.
+        ValueError: For inconsistent settings, such as a camera that the scene lacks.
+        OSError: If it can't be written; the part written so far is playable.
     """
     yield Progress(0.0, "Reading the scene")
     scene = load_sorted_scene(str(folder))
