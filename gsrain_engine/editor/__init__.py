@@ -1,1 +1,1 @@
-"""The editor without a window: document, history, selection, viewport, jobs, files."""
+"""Editor without a window: document, history, selection, viewport, jobs, files."""

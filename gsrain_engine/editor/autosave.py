@@ -1,4 +1,4 @@
-"""Autosaves: a copy of the unsaved document beside its scene folder, that outlives the process when it is killed."""
+"""Autosave and crash recovery: copies of unsaved documents, change detection of scene folders, and the saved view."""
 
 import hashlib
 import logging
@@ -28,13 +28,13 @@ logger = logging.getLogger("gsrain")
 _SCENE, _ABOUT = "scene", "autosave.json"
 
 _LONGEST_NAME = 200
-"""Bytes of a scene folder's name that go into that of its autosave; disks take 255."""
+"""Maximum length in bytes of a scene folder's name within its autosave's name; file systems allow 255."""
 
-# § What a scene folder looked like when it was read or written: to notice that somebody else has changed it since.
+# Change detection of scene folders
 
 
 class FileFingerprint(msgspec.Struct, frozen=True, kw_only=True):
-    """State of a folder's `scene.json`."""
+    """State of a folder's `scene.json`, to detect changes by other programs."""
 
     modified_ns: int
     size: int
@@ -42,25 +42,24 @@ class FileFingerprint(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class AutosaveEntry(msgspec.Struct, frozen=True, kw_only=True):
-    """What an autosave belongs to."""
+    """Scene folder and state that an autosave belongs to."""
 
     name: str
     home: str | None = None
-    """The scene folder that the document came from."""
+    """Scene folder that the document came from."""
     home_bytes: bytes | None = None
-    """The same where its name is no Unicode."""
+    """The same path as bytes, for names that are not valid Unicode."""
     stamp: FileFingerprint | None = None
     """State of that folder when the document came from it."""
 
     @property
     def folder(self) -> Path | None:
-        """The scene folder that the document came from."""
         home = self.home_bytes or self.home
         return None if home is None else Path(os.fsdecode(home))
 
 
 class RecoveryCandidate(msgspec.Struct, frozen=True):
-    """An autosave that was found."""
+    """An autosave found on disk."""
 
     place: Path
     about: AutosaveEntry
@@ -73,18 +72,18 @@ class RecoveryCandidate(msgspec.Struct, frozen=True):
 
 
 class FolderClaim(NamedTuple):
-    """What was found out about a scene folder when a process went to it."""
+    """Result of claiming a scene folder for this process."""
 
     is_alone: bool
-    """Whether no other process has it open."""
+    """True if no other process has the folder open."""
     found: RecoveryCandidate | None = None
-    """What a process that died has kept of it."""
+    """Autosave that a process left there when it died."""
 
 
 class Autosave:
-    """The autosave of one process: where it goes, and the locks that tell others that this process lives.
+    """The autosave of one process, and the locks that mark this process as alive.
 
-    For one thread at a time: the one that reads and writes files.
+    Not thread-safe: only the thread that reads and writes files may use it.
     """
 
     def __init__(self) -> None:
@@ -95,13 +94,13 @@ class Autosave:
 
     @property
     def place(self) -> Path | None:
-        """Where the document is kept; None while nothing is."""
+        """Folder of the current autosave; None if there is no autosave."""
         return self._place
 
     def enter(self, home: Path | None, recovered: Path | None = None) -> FolderClaim:
-        """Go to another document: what was kept of the one before is removed.
+        """Switch to another document and remove the autosave of the previous one.
 
-        `home` is the scene folder that it came from, `recovered` the autosave to go on with.
+        `home` is the scene folder of the document, `recovered` the autosave to continue with.
         """
         if self._place != recovered:
             self.remove()
@@ -116,7 +115,7 @@ class Autosave:
         return FolderClaim(self._hold(place), None if self._place == place else self.found(place))
 
     def found(self, place: Path) -> RecoveryCandidate | None:
-        """What lies at a place that belongs to no other living process."""
+        """Return the autosave at a place, or None if another living process owns it."""
         if place not in self._locks and not _is_free(place):
             return None
         try:
@@ -126,20 +125,20 @@ class Autosave:
             return None
 
     def abandoned(self, homes: Iterable[Path]) -> list[RecoveryCandidate]:
-        """Autosaves of processes that died: those of these scenes, and those that never had a home. Latest first."""
+        """Autosaves of dead processes for these scenes and for never-saved documents, latest first."""
         unsaved = [each for each in _unsaved().glob("*") if each.is_dir()] if _unsaved().is_dir() else []
         found = [self.found(place) for place in (*map(autosave_folder, homes), *unsaved)]
         for place in unsaved:
             if place not in self._locks and not (place / _SCENE / SCENE_FILE).exists() and _is_free(place):
-                shutil.rmtree(place, ignore_errors=True)  # its process died before there was anything in it
+                shutil.rmtree(place, ignore_errors=True)  # its process died before it wrote anything
         return sorted((each for each in found if each is not None), key=lambda each: -each.saved_at)
 
     def write(self, scene: Scene, stamp: FileFingerprint | None, known: FileCache) -> None:
-        """Keep a document: beside its home where that can be, else among those that have none.
+        """Write an autosave next to the scene folder, or in the state folder if that is not possible.
 
         Raises:
-            SceneFormatError: When the document could not be read again.
-            OSError: When it can be written nowhere.
+            SceneFormatError: If the document could not be read again.
+            OSError: If it can't be written anywhere.
         """
         about = _about(scene.name, self._home, stamp)
         place = self._place or self._folder_next_to_scene() or self._new_place()
@@ -148,18 +147,18 @@ class Autosave:
         except OSError as error:
             if place.parent == _unsaved():
                 raise
-            # Its disk is full, or takes no file any more; another one may.
+            # The disk is full or refuses writes; another disk may work.
             logger.warning("The autosave can't be in %s: %s", place.parent, sentence_of(error))
             self._write_elsewhere(place, about, scene, known)
 
     def _folder_next_to_scene(self) -> Path | None:
-        """Where it may go beside its home; None where another process does, or where something is to be recovered."""
+        """Autosave folder next to the scene; None if another process owns it or it holds something to recover."""
         if self._home is None or autosave_folder(self._home) not in self._locks:
             return None
         here = autosave_folder(self._home)
         if self.found(here) is not None or not os.access(here.parent, os.W_OK):
             return None
-        if here.exists():  # a process was killed before there was anything in it
+        if here.exists():  # a process was killed before it wrote anything
             _remove(here)
         return here
 
@@ -169,7 +168,7 @@ class Autosave:
         return place
 
     def _write_elsewhere(self, before: Path, about: AutosaveEntry, scene: Scene, known: FileCache) -> None:
-        """Write among those that have no home; what was kept before stays until then, and for good where that fails."""
+        """Write to the state folder, and remove the earlier autosave only after that succeeded."""
         place, self._about = self._new_place(), None
         try:
             self._write_at(place, about, scene, known)
@@ -191,18 +190,18 @@ class Autosave:
         write_scene_folder(scene, place / _SCENE, known, linking=True, in_drawing_order=True)
 
     def remove(self) -> None:
-        """Remove what was kept: the document is saved, or given up."""
+        """Remove the autosave, after the document was saved or discarded."""
         place, self._place, self._about = self._place, None, None
         if place is not None:
             _remove(place)
 
     def discard(self, place: Path) -> None:
-        """Remove what was kept at a place, unless another living process goes on with it."""
+        """Remove an autosave, unless another living process uses it."""
         if place in self._locks or _is_free(place):
             _remove(place)
 
     def close(self) -> None:
-        """Let others have what this process held; what is kept stays, unless it was removed before."""
+        """Release all locks; an autosave that was not removed remains."""
         while self._locks:
             self._locks.popitem()[1].release()
 
@@ -220,7 +219,7 @@ class Autosave:
 
 
 def autosave_folder(home: Path) -> Path:
-    """Where the autosave of a scene folder goes."""
+    """Path of the autosave of a scene folder."""
     name = os.fsencode(home.name)
     if len(name) > _LONGEST_NAME:
         name = name[:_LONGEST_NAME] + b"." + hashlib.blake2b(name, digest_size=6).hexdigest().encode()
@@ -238,7 +237,7 @@ def _about(name: str, home: Path | None, stamp: FileFingerprint | None) -> Autos
 
 
 def _remove(place: Path) -> None:
-    """Remove an autosave; first what makes it one."""
+    """Remove an autosave, its description first so that a partial removal is not offered for recovery."""
     (place / _ABOUT).unlink(missing_ok=True)
     shutil.rmtree(place, ignore_errors=True)
 
@@ -263,7 +262,7 @@ def _unsaved() -> Path:
 
 
 def fingerprint_of(folder: Path) -> FileFingerprint | None:
-    """State of a scene folder now; None where there is no scene."""
+    """State of a scene folder now; None if it holds no scene."""
     file = folder / SCENE_FILE
     try:
         status, data = file.stat(), read_file(file)
@@ -274,41 +273,41 @@ def fingerprint_of(folder: Path) -> FileFingerprint | None:
 
 
 def has_changed(folder: Path, since: FileFingerprint | None) -> bool:
-    """Whether a scene stands there that is not the one of before; to be touched alone is no change."""
+    """Return whether the folder holds a scene with other content; a new modification time alone does not count."""
     try:
         status = (folder / SCENE_FILE).stat()
     except OSError:
-        return False  # gone: nothing that could be lost
+        return False  # gone: nothing can be overwritten
     if since is not None and (status.st_mtime_ns, status.st_size) == (since.modified_ns, since.size):
         return False
     now = fingerprint_of(folder)
     return now is not None and (since is None or now.digest != since.digest)
 
 
-# § A session's document as one value, as it goes into files.
+# The document as one scene
 
 
 def saved_scene(session: ViewportState) -> Scene:
-    """The scene with its rain, its weather, and from where it is looked at."""
+    """The scene with its rain, weather, and current view."""
     weather = msgspec.to_builtins(session.weather) if session.weather.keys else None
     return replace(
         session.scene, rain=msgspec.to_builtins(session.rain), weather=weather, view=capture_view_state(session)
     )
 
 
-# § The view that goes with a saved scene: from where, and how, it was looked at.
+# Saved view
 
 _Triple = tuple[float, float, float]
 
 
 class SavedView(msgspec.Struct, frozen=True, kw_only=True):
-    """World frame (metres, z up). What a newer program has written besides is passed over."""
+    """View saved with a scene, in the world frame (meters, z up). Unknown fields of newer versions are ignored."""
 
     position: _Triple
     heading: float
     """Radians from +x to +y."""
     pitch: float
-    """Radians, upwards."""
+    """Radians, upward."""
     distance_m: Annotated[float, Meta(gt=0)]
     vertical_fov_deg: Annotated[float, Meta(gt=0, lt=180)]
     speed_m_s: Annotated[float, Meta(ge=SLOWEST_M_S, le=FASTEST_M_S)]
@@ -319,7 +318,7 @@ class SavedView(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def capture_view_state(session: ViewportState) -> dict[str, Any]:
-    """Plain values of what a session looks at now."""
+    """Return the current view as plain values."""
     eye, view = session.navigation, session.view
     x, y, z = eye.position.tolist()
     kept = SavedView(
@@ -338,7 +337,7 @@ def capture_view_state(session: ViewportState) -> dict[str, Any]:
 
 
 def restore_view(session: ViewportState, values: Mapping[str, Any]) -> None:
-    """Look from where a scene was looked at when it was saved; values that can't be used are told of and left."""
+    """Restore the view saved with a scene; invalid values are logged and ignored."""
     try:
         kept = msgspec.convert(values, SavedView)
     except msgspec.ValidationError as error:

@@ -1,4 +1,7 @@
-"""What a person does to the camera path: each is one step of undo. Keys are given by their numbers."""
+"""Edits of the camera path, each one undo step; import, export, and timeline positions.
+
+Keyframes are given by index.
+"""
 
 import logging
 from collections.abc import Callable
@@ -42,28 +45,28 @@ from .viewport_state import ViewportState
 _VIEW_SIZE = (960, 640)
 
 _DEFAULT_GAP_S = 2.0
-"""From the last key to an appended one, where no other gap tells what is usual."""
+"""Gap between the last keyframe and an appended one, if the path has no gap to derive it from."""
 
 
 def active_keyframe(session: ViewportState) -> int | None:
-    """Number of the chosen key of the person's path; None where none is."""
+    """Index of the selected keyframe of the user's path, or None."""
     path, key = session.scene.path, session.timeline.key
     return key if path is not None and key is not None and key < len(path.times_s) else None
 
 
 def active_keyframe_time(session: ViewportState) -> float:
-    """Moment of the chosen key in seconds; the clock's where none is chosen."""
+    """Time of the selected keyframe in seconds; the clock's time if none is selected."""
     path, key = session.scene.path, active_keyframe(session)
     return session.clock.time_s if path is None or key is None else float(path.times_s[key])
 
 
 def set_path(session: ViewportState, label: str, path: CameraPath | None, gesture: str | None = None) -> None:
-    """Go to another path, in scene units and axes; changes of one gesture make one step."""
+    """Set the path, in scene units and axes; changes of one gesture make one undo step."""
     session.set_scene(label, replace(session.scene, path=path), gesture)
 
 
 def add_keyframe(session: ViewportState, time_s: float | None = None) -> None:
-    """Keep what the view shows as a key at the clock's moment, or another; a key that is there gives way."""
+    """Add the current view as a keyframe at a time (default: the clock's), replacing a keyframe at the same time."""
     time_s = nearest_frame_time(session, session.clock.time_s if time_s is None else time_s)
     path = session.scene.path
     is_new = path is None or keyframe_at(path, time_s) is None
@@ -73,7 +76,7 @@ def add_keyframe(session: ViewportState, time_s: float | None = None) -> None:
 
 
 def append_keyframe(session: ViewportState) -> None:
-    """Keep what the view shows as a key after the last one, as far from it as keys are on average, and go there."""
+    """Add the current view as a keyframe after the last one, at the average keyframe distance, and seek there."""
     path = session.scene.path
     if path is None:
         add_keyframe(session)
@@ -101,21 +104,19 @@ def delete_keyframe(session: ViewportState, key: int) -> None:
 
 
 def delete_path(session: ViewportState) -> None:
-    """Take all keys away: riding along takes the scene's own way again."""
+    """Delete all keyframes; riding along then follows the scene's own path again."""
     if session.scene.path is not None:
         set_path(session, "Delete camera path", None)
         session.timeline.key = None
 
 
 def retime_keyframe(session: ViewportState, key: int, time_s: float) -> None:
-    """Move a key to another moment."""
     path = session.scene.path
     if path is not None:
         _take(session, "Move camera key", move_keyframe(path, key, nearest_frame_time(session, time_s)))
 
 
 def copy_keyframe(session: ViewportState, key: int, time_s: float) -> None:
-    """Put a copy of a key at a moment."""
     path = session.scene.path
     if path is not None:
         _take(session, "Copy camera key", copy_keyframe_to(path, key, nearest_frame_time(session, time_s)))
@@ -131,7 +132,7 @@ def place_keyframe(
     vertical_fov_deg: float | None = None,
     gesture: str | None = None,
 ) -> None:
-    """Give a key another place (world, metres), look or field of view; what is None stays."""
+    """Change a keyframe's position (world, meters), orientation or field of view; None leaves a value unchanged."""
     path = session.scene.path
     if path is None:
         return
@@ -145,7 +146,7 @@ def place_keyframe(
 
 
 def key_angles(session: ViewportState, key: int) -> ViewAngles:
-    """Heading, pitch and roll of a key in the world."""
+    """Heading, pitch and roll of a keyframe in the world."""
     return view_angles(matrices_from_quaternions(session.path.quaternions_wxyz[key]))
 
 
@@ -153,7 +154,7 @@ def key_angles(session: ViewportState, key: int) -> ViewAngles:
 
 
 def begin_drag(session: ViewportState, key: int, *, copies: bool = False, in_view: bool = False) -> None:
-    """Take hold of a key, or of a copy of it."""
+    """Start to drag a keyframe, or a copy of it."""
     if session.scene.path is not None:
         session.end_gesture()
         session.timeline.drag = KeyframeDrag(session.scene.path, key, copies, in_view)
@@ -161,7 +162,7 @@ def begin_drag(session: ViewportState, key: int, *, copies: bool = False, in_vie
 
 
 def drag_in_time(session: ViewportState, seconds: float) -> None:
-    """Move the key in the hand so much later than it was when it was taken."""
+    """Move the dragged keyframe by an offset in seconds from its time at the start of the drag."""
     drag = session.timeline.drag
     if drag is None:
         return
@@ -173,7 +174,6 @@ def drag_in_time(session: ViewportState, seconds: float) -> None:
 
 
 def end_drag(session: ViewportState) -> None:
-    """Let go of the key."""
     session.timeline.drag = None
     session.end_gesture()
 
@@ -189,7 +189,7 @@ def change_path(session: ViewportState, label: str, **fields: object) -> None:
 
 
 def circle_target(session: ViewportState, duration_s: float = 12.0) -> None:
-    """Make the path a full circle, from the view on, around the point that the left button orbits."""
+    """Replace the path by a full circle around the orbit target that starts at the current view."""
     session.stop_riding()
     circle = circle_path(session.navigation.target, session.shot(*_VIEW_SIZE).camera, duration_s)
     set_path(session, "Circle around the target", circle.moved(np.linalg.inv(session.scene.scene_to_world)))
@@ -197,7 +197,6 @@ def circle_target(session: ViewportState, duration_s: float = 12.0) -> None:
 
 
 def reverse_path(session: ViewportState) -> None:
-    """Fly the same way backwards."""
     path = session.scene.path
     if path is not None:
         set_path(session, "Reverse camera path", reverse_path_time(path))
@@ -205,7 +204,7 @@ def reverse_path(session: ViewportState) -> None:
 
 
 def stretch_path(session: ViewportState, duration_s: float) -> None:
-    """Fly the same way in another time; what is wrong with it is kept in `problem`."""
+    """Stretch the path to another duration; an error is set as `problem`."""
     path = session.scene.path
     if path is None or path.duration_s <= 0:
         return
@@ -225,23 +224,23 @@ def _take(session: ViewportState, label: str, keyed: EditedKeyframe, gesture: st
     session.timeline.key = keyed.key
 
 
-# § Camera paths from files and recorded drives into the document, and out into files.
+# Import, export, and paths from recorded drives
 
 logger = logging.getLogger("gsrain")
 
 _TOLERANCE_M = 0.05
-"""How far a path with few keys may be from the drive it was taken from: less than a lens is wide."""
+"""Maximum deviation of a simplified path from its drive: less than the width of a lens."""
 
 
 def import_path(session: ViewportState, file: Path) -> None:
-    """Take the camera path of a file; what is wrong with it is kept in `problem`, and the present path stays."""
+    """Import a camera path; an error is set as `problem`, and the present path stays."""
     try:
         path = read_camera_path(file)
     except SceneFormatError as error:
         session.problem = str(error)
         logger.error("%s", error)
     else:
-        path = path if path.start_s >= 0 else shift_path_time(path, -path.start_s)  # a scene's time begins at 0
+        path = path if path.start_s >= 0 else shift_path_time(path, -path.start_s)  # scene time starts at 0
         if not path.is_timed:
             path = with_constant_speed(path, WALKING_M_S / session.scene.metres_per_unit)
             logger.info("%s has no times: it is flown at walking pace, %g m/s", file.name, WALKING_M_S)
@@ -251,7 +250,7 @@ def import_path(session: ViewportState, file: Path) -> None:
 
 
 def export_path(session: ViewportState, file: Path) -> None:
-    """Write the path that is ridden along as our own JSON: keys and what lies between them."""
+    """Write the current path as GSRAIN JSON: keyframes and interpolation."""
     _export(session, file, write_camera_path)
 
 
@@ -261,12 +260,12 @@ def export_nerfstudio(session: ViewportState, file: Path) -> None:
 
 
 def export_training_cameras(session: ViewportState, file: Path) -> None:
-    """Write every frame of the path as cameras of 3DGS."""
+    """Write every frame of the path as 3DGS training cameras."""
     _export(session, file, lambda target, path: write_training_cameras(target, path, session.timeline.fps))
 
 
 def rig_cameras(session: ViewportState) -> list[RigCamera]:
-    """Cameras that a drive can be taken from: those of all rigs, where there is an ego track."""
+    """Cameras of all rigs if the scene has an ego track, else none."""
     scene = session.scene
     if scene.ego is None or not len(scene.ego.times):
         return []
@@ -274,9 +273,9 @@ def rig_cameras(session: ViewportState) -> list[RigCamera]:
 
 
 def path_from_drive(session: ViewportState, camera: RigCamera | None = None, every_s: float = 0.0) -> None:
-    """Make the drive of a rig camera the person's path, with a key every so many seconds.
+    """Set the path of a rig camera during the drive as the user's path, with a keyframe every `every_s` seconds.
 
-    Without a camera it is the one that looks ahead. 0 s takes as few keys as stay within 5 cm and half a degree.
+    The default is the front camera. With 0 s, uses the fewest keyframes that stay within 5 cm and half a degree.
     """
     drive = _drive(session, camera)
     if drive is None:
@@ -289,7 +288,7 @@ def path_from_drive(session: ViewportState, camera: RigCamera | None = None, eve
 
 
 def snap_keyframe(session: ViewportState, key: int) -> None:
-    """Lay a key onto the nearest place of the drive, looking as its camera does there."""
+    """Move a keyframe to the nearest pose of the drive's front camera."""
     path, drive = session.scene.path, _drive(session, None)
     if drive is None:
         session.problem = "This scene has no ego vehicle with a camera, so there is no drive to snap to."
@@ -304,7 +303,7 @@ def _drive(session: ViewportState, camera: RigCamera | None) -> CameraPath | Non
 
 
 def _export(session: ViewportState, file: Path, write: Callable[[Path, CameraPath], None]) -> None:
-    """Write the path in scene units and axes; what goes wrong is kept in `problem`."""
+    """Write the path in scene units and axes; an error is set as `problem`."""
     file = file if file.suffix else file.with_suffix(".json")
     path = session.scene.path or session.path.moved(np.linalg.inv(session.scene.scene_to_world))
     try:
@@ -316,11 +315,11 @@ def _export(session: ViewportState, file: Path, write: Callable[[Path, CameraPat
         logger.info("Exported %s", file)
 
 
-# § Moments of the timeline: frames of the film, keys to go to, and what is played.
+# Timeline positions
 
 
 def set_span(session: ViewportState, is_start: bool, time_s: float) -> None:
-    """Set where playing starts or ends, at least a frame apart."""
+    """Set the start or end of playback; they stay at least a frame apart."""
     start, end = session.span_s
     moment, frame = max(0.0, nearest_frame_time(session, time_s)), 1 / session.timeline.fps
     session.clock.span_s = (min(moment, end - frame), end) if is_start else (start, max(moment, start + frame))
@@ -331,7 +330,7 @@ def nearest_frame_time(session: ViewportState, time_s: float) -> float:
 
 
 def go_to_keyframe(session: ViewportState, key: int) -> None:
-    """Choose a key and look through it: stop the clock at its moment and ride along."""
+    """Select a keyframe and look through it: pause at its time and follow the path."""
     path = session.scene.path
     if path is not None:
         session.timeline.key = key
@@ -341,7 +340,7 @@ def go_to_keyframe(session: ViewportState, key: int) -> None:
 
 
 def go_to_next_keyframe(session: ViewportState, steps: int) -> None:
-    """Go to the key before (-1) or after (1) the clock's moment; at the ends stay."""
+    """Go to the keyframe before (-1) or after (1) the clock's time; do nothing at the ends."""
     path, now = session.scene.path, session.clock.time_s
     if path is None:
         return

@@ -1,4 +1,4 @@
-"""An open capture beside the scene: which view is chosen, what of it is shown, and looking from its cameras."""
+"""An open capture in the viewport: its points, its images, the selected view, and moving the camera to it."""
 
 import logging
 from collections import OrderedDict
@@ -22,69 +22,67 @@ from .viewport_state import ViewportState
 logger = logging.getLogger("gsrain")
 
 _ALIKE = float(np.cos(np.radians(20.0)))
-"""A person levels a scene by a few degrees; other data sets have another axis up."""
+"""Tolerance of the up directions: users level a scene by a few degrees, other data sets have another up axis."""
 
 _SAME_PLACE = 1e-6
-"""Of a pose's numbers: the eye stands where a picture was taken."""
+"""Relative tolerance of pose entries within which the viewport camera equals that of the image."""
 
-# § The measured points of a capture that the viewport shows: a fair choice of them, with colours.
+# Point sample
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointSample:
-    """In the capture's world."""
+    """Points of a capture in its own world, with 8-bit colors."""
 
     positions: Float32[np.ndarray, "n 3"]
     colors: UInt8[np.ndarray, "n 3"]
     total: int
-    """How many the capture has."""
+    """Number of points in the capture, including those not sampled."""
 
 
 class CaptureController:
-    """One capture at a time. Call everything on the main thread, and `poll` once a frame."""
+    """The open capture. Main thread only; call `poll` once a frame."""
 
     def __init__(self) -> None:
         self.capture: Capture | None = None
         self.path: Path | None = None
-        """Where it was read."""
+        """Path that the capture was read from."""
         self.chosen = 0
-        """Index of the view that is looked at."""
         self.sensor = ""
-        """Only views of this camera are listed and shown; "" is all."""
+        """Camera whose views are listed and shown; "" for all."""
         self.show_frustums = True
         self.show_points = True
         self.show_picture = True
-        """Whether the recorded picture lies over the render while the eye is where it was taken."""
+        """True if the recorded image overlays the render while the viewport camera is at its pose."""
         self.opacity = 0.5
-        """Of that picture: 0 is the render alone."""
+        """Opacity of that image; 0 shows only the render."""
         self.frustum_m = 1.0
-        """Length of the cameras' pyramids, in the capture's units."""
+        """Length of the camera frustums, in the capture's units."""
         self.points: PointSample | None = None
         self.pictures: CaptureImageLoader | None = None
         self.textures: dict[ImageRequest, Texture] = {}
-        """Pictures that are on the GPU."""
         self.points_texture: Texture | None = None
-        """The points as the viewport sees them now."""
+        """Points as rendered for the current viewport."""
         self.viewport_px = (960, 640)
         """Size of the viewport at the last frame."""
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="capture")
         self.allows_outside = False
-        """Whether files that lie outside of the capture's folder and are named in its files are read."""
+        """True if files outside of the capture's folder that its files refer to may be read."""
         self.refused: tuple[Path, str] | None = None
-        """A capture that was not opened because its files name others outside of its folder, and the sentence."""
+        """Capture that was not opened because its files refer to others outside of its folder, and the message."""
         self._opening: tuple[Path, Future[tuple[Capture, PointSample | None]]] | None = None
         self._allowing = False
         self.in_scene_axes: bool | None = None
-        """Whether the capture lies in the scene's units and axes, where a person has said so."""
+        """The user's choice if the capture has the scene's units and axes; None if not set."""
         self._cameras: tuple[Float64[np.ndarray, "4 4"], RecordedCameras] | None = None
         self._snapped: tuple[int, Float64[np.ndarray, "4 4"]] | None = None
 
     # Opening and closing
 
     def open(self, path: Path, *, allow_outside: bool = False) -> None:
-        """Read a capture in the background; of several, the last one. Trouble is told in `problem`.
+        """Read a capture in the background; a later call supersedes an earlier one. Errors are set as `problem`.
 
-        One whose files name others outside of its folder is left in `refused`, unless that is allowed.
+        A capture that refers to files outside of its folder is put in `refused`, unless `allow_outside` is set.
         """
         self.refused = None
         self._allowing = allow_outside
@@ -92,19 +90,18 @@ class CaptureController:
         self._opening = path, self._thread.submit(read, path)
 
     def close_capture(self) -> None:
-        """Show none any more."""
         self.capture = self.path = self.points = self.pictures = self._snapped = None
         self.in_scene_axes = self._cameras = None
         self.chosen, self.sensor = 0, ""
 
     @property
     def busy(self) -> str | None:
-        """What is being read; None when nothing is."""
+        """Description of the read in progress, or None."""
         return None if self._opening is None else f"Reading {self._opening[0].name}"
 
     @property
     def is_working(self) -> bool:
-        """Whether a frame should look after what is being read."""
+        """True while something is being read, so that frames must be drawn."""
         return self.busy is not None or (self.pictures is not None and self.pictures.is_reading)
 
     def poll(self, session: ViewportState) -> None:
@@ -144,7 +141,7 @@ class CaptureController:
 
     @property
     def listed(self) -> list[int]:
-        """Indices of the views of the chosen camera, in their order."""
+        """Indices of the views of the selected camera, in order."""
         if self.capture is None:
             return []
         return [i for i, view in enumerate(self.capture) if self.sensor in ("", view.sensor)]
@@ -155,23 +152,22 @@ class CaptureController:
 
     @property
     def problems(self) -> list[str]:
-        """What is wrong with the capture: told when it was opened, and pictures that could not be read since."""
+        """Problems found when the capture was opened, and errors of images read since."""
         if self.capture is None or self.pictures is None:
             return []
         return [*self.capture.problems, *self.pictures.faults.values()]
 
     def lies_in(self, scene: Scene) -> bool:
-        """Whether the capture has the units and axes of the scene: as a person says, else where both agree on up."""
+        """Return whether the capture has the scene's units and axes: the user's choice, else if up directions agree."""
         if self.in_scene_axes is not None or self.capture is None:
             return self.in_scene_axes is not False
         alike = float(np.dot(_unit(scene.up), _unit(self.capture.up)))
         return bool(scene.members) and alike > _ALIKE
 
     def to_world(self, scene: Scene) -> Float64[np.ndarray, "4 4"]:
-        """Similarity from the capture to the world (metres, z up).
+        """Similarity from the capture to the world (meters, z up).
 
-        A scene that was made from it has its units and axes, and knows how they lie in the world; beside another scene
-        its own upward direction is turned up.
+        Uses the scene's own transform if both share units and axes; otherwise rotates the capture's up direction to z.
         """
         if self.capture is None or self.lies_in(scene):
             return scene.scene_to_world
@@ -187,18 +183,18 @@ class CaptureController:
         return self._cameras[1]
 
     def length_m(self, scene: Scene) -> float:
-        """Length of the pyramids in the world."""
+        """Length of the frustums in the world."""
         return self.frustum_m * float(np.cbrt(np.linalg.det(self.to_world(scene)[:3, :3])))
 
     def step(self, session: ViewportState, steps: int) -> None:
-        """Look from the view that many further on in the list, and from the first after the last."""
+        """Select the view a number of steps further in the list, wrapping around."""
         listed = self.listed
         if listed:
             at = listed.index(self.chosen) if self.chosen in listed else -1 if steps > 0 else 0
             self.look_from(session, listed[(at + steps) % len(listed)])
 
     def look_from(self, session: ViewportState, index: int) -> None:
-        """Choose a view and look from where it was taken, at its moment; a rolled camera is looked from level."""
+        """Select a view and move the viewport camera to its pose (without roll) and time."""
         if self.capture is None:
             return
         self.chosen = index
@@ -214,7 +210,7 @@ class CaptureController:
         self._snapped = index, session.navigation.camera(1, 1).world_to_camera
 
     def stands_at(self, session: ViewportState) -> int | None:
-        """Return the view that the eye looks from; None where a person has moved on."""
+        """Return the view whose pose the viewport camera has, or None after the user moved on."""
         if self._snapped is None or session.view.follow_path:
             return None
         index, pose = self._snapped
@@ -234,15 +230,15 @@ def _read(path: Path, allow_outside: bool = False) -> tuple[Capture, PointSample
 
 
 MAX_POINTS = 120_000
-"""As many as software OpenGL draws in a few milliseconds."""
+"""Number of points that software OpenGL draws in a few milliseconds."""
 
 _PLAIN = (205, 210, 215)
 
 
 def sample_points(capture: Capture) -> PointSample | None:
-    """Choose points of a capture, at random where there are too many; None where it has none.
+    """Sample points of a capture at random, at most `MAX_POINTS`; None if it has none.
 
-    Points with colours keep them; lidar is coloured by height, from blue to red.
+    Points with colors keep them; lidar points are colored by height, from blue to red.
     """
     rng = np.random.default_rng(0)
     given = 0 if capture.points_m is None else len(capture.points_m)
@@ -276,39 +272,38 @@ def _height_colors(heights: Float64[np.ndarray, " n"]) -> UInt8[np.ndarray, "n 3
     return np.asarray(turbo[np.rint(shares * 255).astype(int)], np.uint8)
 
 
-# § Recorded pictures of an open capture, read in a thread as they are asked for; the latest wish comes first.
+# Images of the capture
 
 THUMBNAIL_PX = 192
 
 LARGE_PX = 1280
-"""Widths that pictures are read in; lines are straight in them, whatever the lens was."""
+"""Widths in pixels of loaded images; all are undistorted."""
 
 _CACHE_LIMITS = {THUMBNAIL_PX: 400, LARGE_PX: 6}
-"""So many of a width are kept: 25 MB of thumbnails, 25 MB of large ones."""
+"""Number of images cached per width: 25 MB of thumbnails, 25 MB of large ones."""
 
 Pixels = UInt8[np.ndarray, "h w 3"]
 
 
 class ImageRequest(NamedTuple):
-    """A picture in a size."""
+    """An image in a size."""
 
     view: int
     width_px: int
 
 
 class CaptureImageLoader:
-    """Call everything on the main thread, and `poll` once a frame."""
+    """Loads images in a background thread and caches them. Main thread only; call `poll` once a frame."""
 
     def __init__(self, capture: Capture, thread: ThreadPoolExecutor) -> None:
         self.faults: dict[int, str] = {}
-        """Why pictures can't be shown, by view."""
         self._capture, self._thread = capture, thread
         self._kept: OrderedDict[ImageRequest, Pixels] = OrderedDict()
         self._wishes: dict[ImageRequest, None] = {}
         self._reading: tuple[ImageRequest, Future[Pixels]] | None = None
 
     def want(self, view: int, width_px: int) -> Pixels | None:
-        """Return a picture at most so wide, or None while it is being read; to be said again each frame."""
+        """Return an image of at most this width, or None while it is being read; call again each frame."""
         wish = ImageRequest(view, width_px)
         if wish in self._kept:
             self._kept.move_to_end(wish)
@@ -322,11 +317,11 @@ class CaptureImageLoader:
 
     @property
     def is_reading(self) -> bool:
-        """Whether something that was asked for is not there yet."""
+        """True while a requested image is not loaded yet."""
         return self._reading is not None or bool(self._wishes)
 
     def poll(self) -> None:
-        """Take in what has been read, and read what the last frame asked for."""
+        """Store the image that was read, and start to read one that the last frame requested."""
         if self._reading is not None and self._reading[1].done():
             (wish, reading), self._reading = self._reading, None
             try:
@@ -336,7 +331,7 @@ class CaptureImageLoader:
         wishes = [each for each in self._wishes if each not in self._kept and each.view not in self.faults]
         self._wishes.clear()
         if self._reading is None and wishes:
-            wish = max(wishes, key=lambda each: each.width_px)  # what is looked at before what is listed
+            wish = max(wishes, key=lambda each: each.width_px)  # the selected image before the thumbnails
             self._reading = wish, self._thread.submit(_read_image, self._capture, wish)
 
     def _keep(self, wish: ImageRequest, pixels: Pixels) -> None:

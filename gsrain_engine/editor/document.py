@@ -1,4 +1,4 @@
-"""What a person edits: a scene, its rain, and how the rain changes over time."""
+"""The edited document (scene, rain, weather) and its undo history."""
 
 import logging
 from collections.abc import Callable
@@ -14,15 +14,15 @@ from .timeline import PlaybackClock
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Document:
-    """What a person edits and what undo steps over."""
+    """State that the user edits and that undo restores."""
 
     scene: Scene
     rain: RainSettings
     weather: RainKeyframes = NO_KEYFRAMES
-    """How the rain changes over time."""
 
 
-# § Undo and redo: a list of documents and a cursor. Documents are values, so a step costs a reference.
+# Undo
+# Documents are immutable values, so a step costs a reference.
 
 
 @dataclass(slots=True)
@@ -30,24 +30,23 @@ class _Step:
     label: str
     document: Document
     gesture: str | None = None
-    """What is being dragged; further changes by the same gesture belong to the same step."""
+    """Name of the running drag; further changes by the same gesture belong to the same step."""
 
 
 @dataclass(slots=True)
 class History:
-    """Steps that led here; the cursor stands on the present one."""
+    """Undo steps and a cursor at the present one."""
 
     _steps: list[_Step] = field(default_factory=list[_Step])
     _cursor: int = 0
 
     @classmethod
     def starting_with(cls, document: Document) -> "History":
-        """Start with a document that was opened."""
         return cls([_Step("Open", document)])
 
     @property
     def labels(self) -> list[str]:
-        """What each step did, the oldest first."""
+        """Oldest first."""
         return [step.label for step in self._steps]
 
     @property
@@ -60,26 +59,26 @@ class History:
 
     @property
     def previous(self) -> Document:
-        """The document before the last step; at the beginning the present one."""
+        """Document before the last step; at the beginning the present one."""
         return self._steps[max(0, self._cursor - 1)].document
 
     @property
     def gesture(self) -> str | None:
-        """The gesture that the present step belongs to, while it goes on."""
+        """Gesture that the present step belongs to, while it continues."""
         return self._steps[self._cursor].gesture
 
     @property
     def undo_label(self) -> str | None:
-        """What undo would take back; None at the beginning."""
+        """Label of the step that undo reverts; None at the beginning."""
         return self._steps[self._cursor].label if self._cursor > 0 else None
 
     @property
     def redo_label(self) -> str | None:
-        """What redo would bring back; None at the end."""
+        """Label of the step that redo restores; None at the end."""
         return self._steps[self._cursor + 1].label if self._cursor + 1 < len(self._steps) else None
 
     def record(self, label: str, document: Document, gesture: str | None = None) -> None:
-        """Go to a new document; what could be redone is gone. A gesture that goes on replaces its own last step."""
+        """Append a document and drop the redo steps. A continuing gesture replaces its own last step."""
         step = self._steps[self._cursor]
         if gesture is not None and step.gesture == gesture:
             step.document = document
@@ -89,11 +88,11 @@ class History:
             self._cursor += 1
 
     def end_gesture(self) -> None:
-        """Let go: the next change is a step of its own."""
+        """End the gesture, so that the next change is a step of its own."""
         self._steps[self._cursor].gesture = None
 
     def undo(self) -> Document:
-        """Step back; at the beginning nothing happens."""
+        """Step back; does nothing at the beginning."""
         self._cursor = max(0, self._cursor - 1)
         return self.present
 
@@ -102,26 +101,26 @@ class History:
         return self.present
 
     def redo(self) -> Document:
-        """Step forward; at the end nothing happens."""
+        """Step forward; does nothing at the end."""
         self._cursor = min(len(self._steps) - 1, self._cursor + 1)
         return self.present
 
 
-# § A document that is edited: every change is a step of its history, and scene, rain and weather are read from it.
+# Edited document
 
 logger = logging.getLogger("gsrain")
 
 
 class EditedDocument:
-    """The present document and the ways to change it. What depends on it follows in `_follow_document`."""
+    """The present document and the methods that change it. Subclasses update derived state in `_follow_document`."""
 
     def __init__(self, document: Document, clock: PlaybackClock) -> None:
         self.clock = clock
         self.history = History.starting_with(document)
         self.problem: str | None = None
-        """What went wrong last, in one sentence: the viewport shows it until it is closed or a scene is opened."""
+        """Last error, in one sentence; the viewport shows it until it is closed or a scene is opened."""
         self._key_moment: tuple[str | None, float] = None, 0.0
-        """A gesture that goes on, and the time at which it sets its keys."""
+        """Running gesture and the time at which it sets its keyframes."""
 
     def _follow_document(self) -> None:
         raise NotImplementedError
@@ -137,7 +136,7 @@ class EditedDocument:
     def change_rain(self, label: str, gesture: str | None = None, **fields: object) -> None:
         """Change fields of the rain. Changes of one gesture (a drag) make one step; call `end_gesture` when it ends.
 
-        A field that has keys gets its key of the present time, that of the gesture's beginning while one goes on.
+        A field with keyframes gets a keyframe at the present time, or at the start of the running gesture.
         """
         if gesture is None or gesture != self._key_moment[0]:
             self._key_moment = gesture, self.clock.time_s
@@ -149,20 +148,19 @@ class EditedDocument:
 
     @property
     def weather(self) -> RainKeyframes:
-        """How the rain changes over time."""
         return self.history.present.weather
 
     @property
     def rain_now(self) -> RainSettings:
-        """The rain at the present time: what has keys as it is between them, the rest as it is set."""
+        """Rain at the present time: interpolated where a field has keyframes, constant elsewhere."""
         return self.weather.rain_at(self.rain, self.clock.time_s)
 
     def set_weather(self, label: str, weather: RainKeyframes, gesture: str | None = None) -> None:
-        """Let the rain change over time in another way; drops in the air go on from where they are."""
+        """Set the rain keyframes; drops in the air continue from their positions."""
         self._go_to_rain(label, self.rain, weather, gesture)
 
     def set_rain(self, label: str, rain: RainSettings, gesture: str | None = None) -> None:
-        """Go to another rain; drops in the air go on from where they are. Fields with keys go on from those."""
+        """Set the rain; drops in the air continue from their positions. Fields with keyframes keep those."""
         self._go_to_rain(label, rain, self.weather, gesture)
 
     def _go_to_rain(self, label: str, rain: RainSettings, weather: RainKeyframes, gesture: str | None) -> None:
@@ -172,12 +170,11 @@ class EditedDocument:
             self._follow_document()
 
     def set_scene(self, label: str, scene: Scene, gesture: str | None = None) -> None:
-        """Go to a changed version of the scene."""
         self.history.record(label, replace(self.history.present, scene=scene), gesture)
         self._follow_document()
 
     def edit(self, label: str, change: Callable[..., Scene], *arguments: object, gesture: str | None = None) -> None:
-        """Let a function of the scene make the next one; what it refuses (`ValueError`) is kept in `problem`."""
+        """Set the scene that `change` returns; a `ValueError` is logged and set as `problem`."""
         try:
             changed = change(self.scene, *arguments)
         except ValueError as error:
@@ -187,12 +184,10 @@ class EditedDocument:
             self.set_scene(label, changed, gesture)
 
     def show_member(self, key: str, visible: bool) -> None:
-        """Show or hide a layer or an actor."""
         verb = "Show" if visible else "Hide"
         self.set_scene(f"{verb} {self.scene.member(key).name}", self.scene.with_member(key, visible=visible))
 
     def end_gesture(self) -> None:
-        """Say that a drag is over."""
         self._key_moment = None, 0.0
         self.history.end_gesture()
 

@@ -1,4 +1,4 @@
-"""Driving in a session: what is wished for, the roll-outs that are open, and the one that plays."""
+"""Driving in the editor: setup of the next drive, open roll-outs, and playback."""
 
 import logging
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -29,42 +29,42 @@ logger = logging.getLogger("gsrain")
 _VIDEO_FPS = (1.0, 60.0)
 
 _MAX_ROLLOUTS = 12
-"""So many roll-outs stay open; the oldest makes room."""
+"""Maximum number of open roll-outs; the oldest is closed first."""
 
 
 class RolloutPlayer:
-    """All about driving of one session. Only the main thread touches it; `poll` once a frame."""
+    """The drives of one session: start, read, write and play roll-outs. Main thread only; call `poll` once a frame."""
 
     def __init__(self, scene_files: SceneFiles, chase: ChaseCamera, files: ThreadPoolExecutor) -> None:
-        """Read and write files in a thread; `chase` is the camera that may go along."""
+        """Use `files` as the thread for reading and writing; `chase` is the camera that may follow the vehicle."""
         self._scene_files, self._files = scene_files, files
         self.settings = DriveSetup()
         self.opened: list[LoadedRollout] = []
         self.playing: LoadedRollout | None = None
-        """The one that the viewport shows."""
+        """Roll-out that the viewport shows."""
         self.trouble: str | None = None
-        """Why the viewport can't show it."""
+        """Reason why the viewport can't show it."""
         self.chase, self.mosaic = chase, CameraMosaic()
         self.show_ego_car, self.show_boxes, self.show_plan = True, True, True
         self.rain_as_driven = True
-        """Whether the viewport has the rain of the drive, else that of the scene."""
+        """True for the rain of the drive in the viewport, False for that of the scene."""
         self._shown: RolloutInScene | None = None
         self._rainfall: RainSimulation | None = None
         self._kept_span: tuple[float, float] | None = None
         self._reading: list[tuple[str, Reading]] = []
         self._writing: list[tuple[LoadedRollout, Path, Future[None]]] = []
         self._placing: tuple[LoadedRollout, Future[RolloutInScene]] | None = None
-        """What will play as soon as everybody is in place."""
+        """Roll-out that plays as soon as all actors are placed."""
 
     # Driving
 
     def newest_job(self, session: EditorServices) -> tuple[int, SimulationJob] | None:
-        """The last drive that was started, with its number among the jobs."""
+        """Job of the last drive that was started, with its index among the jobs."""
         jobs = [(number, job) for number, job in enumerate(session.jobs) if isinstance(job, SimulationJob)]
         return jobs[-1] if jobs else None
 
     def why_not(self, session: EditorServices) -> str | None:
-        """Why no drive can start now; None where it can."""
+        """Reason why no drive can start now, or None."""
         if any(isinstance(job, SimulationJob) for job in session.running_jobs):
             return "A drive goes on."
         if session.scene.ego is None:
@@ -94,7 +94,7 @@ class RolloutPlayer:
         self._reading.append((path.name, self._files.submit(lambda: [load_rollout(path)])))
 
     def save_as(self, session: EditorServices, path: Path) -> None:
-        """Write the one that plays, in the background; what is there already is only replaced when a person says so."""
+        """Write the playing roll-out in the background; replacing an existing file needs confirmation."""
         if self.playing is None:
             return
         path, playing = path if path.suffix else path.with_suffix(".jsonl"), self.playing
@@ -105,7 +105,7 @@ class RolloutPlayer:
         session.questions.before_replacing([path], write)
 
     def why_no_video(self, session: EditorServices) -> str | None:
-        """Why the one that plays can't be filmed now; None where it can."""
+        """Reason why no video of the playing roll-out can be made now, or None."""
         if self.playing is None or self._placed_in(session.scene) is None:
             return "No roll-out plays: drive, or open one, in the Drive panel."
         if not session.scene.rigs:
@@ -115,7 +115,7 @@ class RolloutPlayer:
         return None
 
     def video_to(self, session: EditorServices, path: Path) -> None:
-        """Film the one that plays, in the background; what is there already is only replaced when a person says so."""
+        """Record a video of the playing roll-out in the background; replacing an existing file needs confirmation."""
         if self.playing is None:
             return
         path, rollout = path if path.suffix else path.with_suffix(".mp4"), self.playing.rollout
@@ -129,17 +129,17 @@ class RolloutPlayer:
 
     @property
     def is_working(self) -> bool:
-        """Whether a roll-out is being read or written."""
+        """True while a roll-out is being read, written or placed."""
         return bool(self._reading or self._writing or self._placing)
 
     @property
     def pending(self) -> list[Future[Any]]:
-        """What is being read and written, to wait for where there are no frames to wait with."""
+        """Reads and writes in progress, to wait for where there are no frames."""
         placing = [] if self._placing is None else [self._placing[1]]
         return [*[each[1] for each in self._reading], *[each[2] for each in self._writing], *placing]
 
     def poll(self, session: EditorServices) -> None:
-        """Take in what was read, say what was written, go along with the drive; never waits."""
+        """Process finished reads and writes, and move the chase camera; never blocks."""
         for name, reading in [each for each in self._reading if each[1].done()]:
             self._reading.remove((name, reading))
             self._take(session, name, reading)
@@ -153,33 +153,33 @@ class RolloutPlayer:
         if shown is not None:
             self.chase.ride(shown.vehicle(session.clock.time_s), session.navigation)
 
-    # What plays
+    # Playback
 
     def play(self, session: EditorServices, opened: LoadedRollout) -> None:
-        """Show a roll-out from its beginning, in place of the scene's own traffic; the document stays as it is.
+        """Play a roll-out from its beginning in place of the scene's own traffic; the document stays unchanged.
 
-        It comes in a later frame: looking for the ground of a scene takes a moment.
+        It appears in a later frame, because finding the ground of a scene takes a moment.
         """
         self._placing = opened, self._files.submit(RolloutInScene, opened.rollout, session.scene)
 
     def follow(self, session: EditorServices, mode: ChaseMode) -> None:
-        """Let the camera go along in a way."""
+        """Let the camera follow the vehicle in a chase mode."""
         session.view.follow_path = False
         session.following.follow("")
         self.chase.begin(mode)
 
     def seek(self, session: EditorServices, time_s: float) -> None:
-        """Go to a moment of the roll-out that plays, in seconds since its scenario began."""
+        """Seek to a time of the playing roll-out, in seconds since its scenario began."""
         shown = self._placed_in(session.scene)
         session.clock.seek(time_s + (shown.start_s if shown is not None else 0.0))
 
     def jump(self, session: EditorServices, time_s: float) -> None:
-        """Stop at a moment of the roll-out that plays."""
+        """Pause at a time of the playing roll-out."""
         session.clock.playing = False
         self.seek(session, time_s)
 
     def close(self, session: EditorServices, opened: LoadedRollout) -> None:
-        """Close a roll-out; the scene comes back with the last one that plays."""
+        """Close a roll-out; the scene returns after the last playing one."""
         self.opened = [each for each in self.opened if each is not opened]
         if opened is self.playing:
             self._stop(session)
@@ -187,31 +187,30 @@ class RolloutPlayer:
                 self.play(session, self.opened[-1])
 
     def close_all(self, session: EditorServices) -> None:
-        """Close all of them; the scene comes back."""
         self.opened, self._placing = [], None
         if self.playing is not None:
             self._stop(session)
 
-    # What the viewport asks
+    # Viewport
 
     def placed_in(self, session: EditorServices) -> RolloutInScene | None:
-        """The roll-out that plays, in the scene as it is; None where none plays or where it does not belong there."""
+        """The playing roll-out in the present scene; None if none plays or it does not belong to the scene."""
         return self._placed_in(session.scene)
 
     def scene_in_place_of(self, scene: Scene) -> Scene:
-        """The scene with the road users of the roll-out that plays; the same where none does."""
+        """The scene with the road users of the playing roll-out; unchanged if none plays."""
         shown = self._placed_in(scene)
         if shown is None:
             return scene
         return shown.scene(scene, with_ego=self.show_ego_car and self.chase.mode != "front camera")
 
     def rig_scene(self, session: EditorServices) -> Scene:
-        """What the cameras of the rig see: not the body of their own vehicle."""
+        """Scene for the rig's cameras: without the body of the ego vehicle."""
         shown = self._placed_in(session.scene)
         return session.scene if shown is None else shown.scene(session.scene, with_ego=False)
 
     def rainfall(self, *, roofs: bool) -> RainSimulation | None:
-        """Rain of the roll-out that plays, under roofs where they are known; None for that of the document."""
+        """Rain of the playing roll-out, under roofs if they are known; None to use the document's rain."""
         if self._shown is None or not self.rain_as_driven:
             return None
         rain = self._shown.scenario.rain
@@ -222,16 +221,16 @@ class RolloutPlayer:
         return self._rainfall
 
     def span_s(self) -> tuple[float, float] | None:
-        """From when to when the roll-out plays, in the scene's time."""
+        """Start and end of the playing roll-out, in the scene's time."""
         return None if self._shown is None else self._shown.span_s
 
     def step_now(self, session: EditorServices) -> RolloutStep | None:
-        """The step of the roll-out that plays at the present time."""
+        """Step of the playing roll-out at the present time."""
         shown = self._placed_in(session.scene)
         return None if shown is None else shown.played.step(shown.own_time_s(session.clock.time_s))
 
     def _placed_in(self, scene: Scene) -> RolloutInScene | None:
-        """The one that plays; put into place anew where a person has changed the scene's actors or its units."""
+        """The playing roll-out; placed again after the user changed the scene's actors or units."""
         if self.playing is not None and self._shown is not None and not self._shown.fits(scene):
             try:
                 self._shown = self._shown.placed_in(scene)
@@ -268,7 +267,7 @@ class RolloutPlayer:
     def _take(self, session: EditorServices, name: str, reading: Reading) -> None:
         try:
             found = reading.result()
-        except Exception as error:  # whatever a disk or a file can do
+        except Exception as error:  # any disk or file error
             session.problem = describe_error(f"{name} can't be opened", error)
             return
         self.opened = [*self.opened, *found][-_MAX_ROLLOUTS:]
@@ -279,7 +278,7 @@ class RolloutPlayer:
     def _written(self, session: EditorServices, opened: LoadedRollout, path: Path, writing: "Future[None]") -> None:
         try:
             writing.result()
-        except Exception as error:  # whatever a disk can do
+        except Exception as error:  # any disk error
             session.problem = describe_error(f"{path} can't be written", error)
             return
         logger.info("Saved the roll-out %s", path)
@@ -293,24 +292,24 @@ def _not_here(error: ValueError) -> str:
     return f"The view can't show the roll-out: {error}"
 
 
-# § The drive that a person prepares: a scenario that can be changed, who drives it, in which rain.
+# Drive setup
 
 _FIRST = "stationary-lead"
 
 _DRIVERS = ("oracle-idm", "constant-velocity")
-"""Who is taken first, of those that there are."""
+"""Default drivers by preference."""
 
 
 class DriveSetup:
-    """What the next drive will be."""
+    """Setup of the next drive: an editable scenario, its driver, and its rain."""
 
     def __init__(self) -> None:
         self.problem: str | None = None
-        """What went wrong with a scenario's file last."""
+        """Last error of a scenario file."""
         self.source = _FIRST
         """Name of the shipped scenario, or path of the file, that it was read from."""
         self.is_changed = False
-        """Whether the scenario differs from what was read."""
+        """True if the scenario differs from its source."""
 
     @cached_property
     def scenario_names(self) -> list[str]:
@@ -318,7 +317,7 @@ class DriveSetup:
 
     @cached_property
     def agent_names(self) -> list[str]:
-        """Everybody who can drive; looking for installed ones takes too long for each frame."""
+        """All available agents; cached, because looking for installed ones is too slow for each frame."""
         return agent_names()
 
     @property
@@ -344,7 +343,7 @@ class DriveSetup:
 
     @property
     def why_not(self) -> str | None:
-        """What stands in the way of it; None when nothing does."""
+        """Reason why the setup can't be driven, or None."""
         if self.wishes.agent not in self.agent_names:
             return f"There is no agent {self.wishes.agent}."
         if self.wishes.detector is not None and not self.wishes.detector.is_file():
@@ -352,7 +351,7 @@ class DriveSetup:
         return None
 
     def load(self, source: str | Path) -> None:
-        """Take a shipped scenario by its name, or one from a file; what is wrong with it is told in `problem`."""
+        """Load a shipped scenario by name, or one from a file; an error is set as `problem`."""
         try:
             scenario = load_scenario(source)
         except (ValueError, OSError) as error:
@@ -361,7 +360,7 @@ class DriveSetup:
         self._scenario, self.source, self.is_changed, self.problem = scenario, str(source), False, None
 
     def save(self, path: Path) -> None:
-        """Write the scenario as it is now; it is this file's from then on."""
+        """Write the scenario; the file becomes its source."""
         path = path if path.suffix else path.with_suffix(".yaml")
         try:
             save_scenario(self.scenario, path)
@@ -371,7 +370,7 @@ class DriveSetup:
         self.source, self.is_changed, self.problem = str(path), False, None
 
     def change(self, scenario: Scenario) -> None:
-        """Go on with a changed scenario; one that contradicts itself is not taken, and said in `problem`."""
+        """Set a changed scenario; an inconsistent one is rejected and the error set as `problem`."""
         if scenario == self.scenario:
             return
         try:
@@ -382,6 +381,5 @@ class DriveSetup:
         self.is_changed, self.problem = True, None
 
     def change_user(self, number: int, user: ScenarioUser) -> None:
-        """Change one of the scenario's road users."""
         users = (*self.scenario.road_users[:number], user, *self.scenario.road_users[number + 1 :])
         self.change(msgspec.structs.replace(self.scenario, road_users=users))

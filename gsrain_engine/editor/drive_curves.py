@@ -1,4 +1,4 @@
-"""What a roll-out's plots show: numbers over time."""
+"""Time series of a roll-out for plots."""
 
 from dataclasses import dataclass
 
@@ -11,29 +11,29 @@ from ..simulation.rollout import Rollout
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RolloutCurves:
-    """One number a moment of a roll-out. Times are seconds since the scenario began."""
+    """Values per step of a roll-out. Times are seconds since the scenario began."""
 
     times_s: Float64[np.ndarray, " n"]
     speed_m_s: Float64[np.ndarray, " n"]
     acceleration_m_s2: Float64[np.ndarray, " n"]
-    """Over the step before."""
+    """Mean over the previous step."""
     ttc_s: Float64[np.ndarray, " n"]
-    """Time to collision, 0..10 (paper's TTC, from bumper to bumper)."""
+    """Time to collision, 0..10 (paper's TTC, bumper to bumper)."""
     gap_m: Float64[np.ndarray, " n"]
-    """To the nearest who is ahead in the lane; not a number where nobody is."""
+    """Gap to the nearest vehicle ahead in the lane; NaN if there is none."""
 
     @property
     def min_ttc_time_s(self) -> float:
-        """When the time to collision was smallest."""
+        """Time at which the time to collision was smallest."""
         return float(self.times_s[int(self.ttc_s.argmin())])
 
     def ttc_at(self, time_s: float) -> float:
-        """Time to collision between two moments."""
+        """Time to collision at a time, interpolated between steps."""
         return float(np.interp(time_s, self.times_s, self.ttc_s))
 
 
 def rollout_curves(rollout: Rollout) -> RolloutCurves:
-    """Work out the curves of a roll-out; raises ValueError for one whose vehicle can't be read."""
+    """Compute the curves of a roll-out; raises ValueError if its vehicle can't be read."""
     gaps = gaps_m(rollout)
     return RolloutCurves(
         np.array([each.time_s for each in rollout.steps]),

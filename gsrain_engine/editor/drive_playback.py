@@ -1,4 +1,4 @@
-"""A roll-out in the scene of the window: everybody on a track of their own, so that it plays without copies."""
+"""Playback of a roll-out in the editor's scene: each road user gets a track, so that no copies are needed."""
 
 import operator
 from dataclasses import replace
@@ -19,7 +19,7 @@ from ..simulation.traffic.appearance import scale_gaussians, vehicle_model
 from .viewport.camera_follow import VehicleMoment
 
 EGO_CAR = "ego car"
-"""Id of the actor that is the ego vehicle's body; no road user is called so."""
+"""Id of the actor that is the ego vehicle's body; no road user has this id."""
 
 _BODY = "saloon"
 
@@ -27,12 +27,12 @@ Poses = Float64[np.ndarray, "t 4 4"]
 
 
 class RolloutInScene:
-    """One roll-out in one scene; scenes that only differ in what stands beside the road share it."""
+    """One roll-out in one scene; scenes that differ only away from the roll-out's actors share it."""
 
     def __init__(self, rollout: Rollout, scene: Scene) -> None:
-        """Put everybody on their tracks.
+        """Give each road user its track.
 
-        Raises ValueError where the scene has not what the roll-out shows: it was driven in another one.
+        Raises ValueError if the scene lacks an actor of the roll-out, because it was driven in another scene.
         """
         try:
             self.played = RolloutPlayback(rollout, scene)
@@ -49,16 +49,16 @@ class RolloutInScene:
         self._shown: dict[bool, tuple[Scene, Scene]] = {}
 
     def placed_in(self, scene: Scene) -> "RolloutInScene":
-        """Return the same in a changed scene; raises what making it raises."""
+        """Return the roll-out placed in a changed scene; raises as the constructor does."""
         return RolloutInScene(self.played.rollout, scene)
 
     def fits(self, scene: Scene) -> bool:
-        """Whether it lies in a scene as it was made for: same units and axes, same actors of those that it shows."""
+        """Return whether the roll-out is still valid in a scene: same units, axes, and actors that it uses."""
         same = all(map(operator.is_, self._actors_of(self._of), self._actors_of(scene)))
         return same and np.array_equal(scene.scene_to_world, self._of.scene_to_world)
 
     def _actors_of(self, scene: Scene) -> list[Actor | None]:
-        """Those of a scene's own actors that the roll-out shows."""
+        """The scene's own actors that the roll-out uses."""
         there = {each.id: each for each in scene.actors}
         models = {user.model.removeprefix("actor:") for user in self.scenario.road_users}
         return [there.get(id) for id in sorted({*self.played.rollout.users, *models})]
@@ -69,27 +69,27 @@ class RolloutInScene:
 
     @property
     def start_s(self) -> float:
-        """The scene's time when the scenario began."""
+        """Scene time at the start of the scenario."""
         return self.played.scene_time_s(0.0)
 
     @property
     def span_s(self) -> tuple[float, float]:
-        """From when to when it plays, in the scene's time."""
+        """Start and end in the scene's time."""
         return self.start_s, self.played.scene_time_s(self.played.end_s)
 
     def own_time_s(self, clock_s: float) -> float:
-        """Seconds since the scenario began, kept within the drive."""
+        """Seconds since the scenario began, clipped to the drive."""
         return float(np.clip(clock_s - self.start_s, 0.0, self.played.end_s))
 
     def scene(self, scene: Scene, *, with_ego: bool) -> Scene:
-        """Return a scene with everybody on the road; `with_ego` shows a body for the ego vehicle too."""
+        """Return a scene with all road users; `with_ego` includes a body for the ego vehicle."""
         if with_ego not in self._shown or self._shown[with_ego][0] is not scene:
             actors = (*self._users, self._body) if with_ego else self._users
             self._shown[with_ego] = scene, replace(scene, actors=actors, ego=self._rig)
         return self._shown[with_ego][1]
 
     def vehicle(self, clock_s: float) -> VehicleMoment:
-        """The ego vehicle at a time of the scene, for a camera that goes along."""
+        """Ego vehicle at a scene time, for a chase camera."""
         time_s = self.own_time_s(clock_s)
         pose, state = self.played.rig_to_world(time_s), self.played.state(time_s)
         return VehicleMoment(pose, state.speed_m_s, self.played.rig.height_m, self.front_camera)
@@ -101,7 +101,7 @@ class RolloutInScene:
         return needed_cameras(cameras, SensorRequirements(cameras=("front",)))[0] if cameras else None
 
     def _user(self, id: str, scene: Scene) -> Actor:
-        """A road user with its Gaussians, on its way through the whole drive."""
+        """A road user with its Gaussians and its track through the whole drive."""
         played, poses, there = self.played, [np.eye(4)] * len(self._times), np.zeros(len(self._times), bool)
         for k, time_s in enumerate(self._times):
             for user in played.users(float(time_s)):
@@ -125,7 +125,7 @@ class RolloutInScene:
         return Actor(EGO_CAR, "car", (length, width, height), in_lod_order(gaussians), track)
 
     def _track(self, poses: Poses, there: np.ndarray) -> PoseTrack:
-        """Poses in the world (metres) at the roll-out's moments as a track of the scene."""
+        """Scene track from poses in the world (meters) at the roll-out's times."""
         own = self._to_scene @ poses
         turns = own[:, :3, :3] / np.cbrt(np.linalg.det(own[:, :3, :3]))[:, None, None]
         quaternions = np.asarray(quaternions_from_matrices(turns), np.float64)

@@ -1,4 +1,4 @@
-"""The editor without a window: panels read it and call its methods, the live view draws what it says."""
+"""The editor without a window: panels read its state and call its methods, the live view draws it."""
 
 import logging
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -38,10 +38,10 @@ WindowBackend = Literal["auto", "opengl", "cpu"]
 
 
 class Editor(EditorServices):
-    """One open scene and everything around it. Only the main thread touches it."""
+    """One open scene and all its services. Main thread only."""
 
     def __init__(self, scene: Scene | None = None, rain: RainSettings | None = None) -> None:
-        """Begin with a scene, or with an empty one."""
+        """Start with a scene, or with an empty one."""
         self._files = ThreadPoolExecutor(max_workers=1, thread_name_prefix="files")
         super().__init__(scene or Scene("no scene"), rain, self._files)
         self.log = LogLines()
@@ -49,22 +49,21 @@ class Editor(EditorServices):
         logger.addHandler(self.log)
         self.budget = AdaptiveQuality()
         self.is_compiling = False
-        """Whether the viewport can't be drawn before kernels are compiled or loaded."""
+        """True if the viewport can't be drawn before kernels are compiled or loaded."""
         self.backend = ""
-        """What draws the viewport."""
         self.detail: QualityLevel = FULL_QUALITY
-        """How much of the exact picture the viewport shows now."""
+        """Quality of the present viewport image."""
         self.screenshot: Path | None = None
-        """Where the live view saves its next picture."""
+        """Path at which the live view saves its next image."""
         self.sky_pick: SkyColorPick | None = None
-        """The part of the next picture whose colour drops are to take."""
+        """Region of the next image whose color is to become the drop color."""
         self.shower = KeyframePanelState()
         self.lab = CalibrationTools()
         self.selecting = SelectionOptions()
         self.matching = MatchingController()
         self._is_closed = False
         self.is_leaving = False
-        """Whether the program shall end now: a person wants it, and has said what becomes of unsaved changes."""
+        """True if the program is to end now: the user has quit and decided about unsaved changes."""
         self._roofs = ShelterMapBuilder(self._files)
         self._freed_memory = MemoryTrimmer(self._files)
         self._other_rainfall = self.rainfall
@@ -77,10 +76,9 @@ class Editor(EditorServices):
     # Files
 
     def open(self, path: str) -> None:
-        """Read a scene in the background and go to it; of several, the one that was asked for last.
+        """Read a scene in the background and switch to it; a later call supersedes an earlier one.
 
-        With unsaved changes, a person is asked first. What goes wrong is logged and kept in `problem`, and the present
-        scene stays.
+        Asks first if there are unsaved changes. Errors are logged and set as `problem`, and the present scene stays.
         """
         self.files.open(path)
 
@@ -90,11 +88,9 @@ class Editor(EditorServices):
 
     @property
     def has_changes(self) -> bool:
-        """Whether there is anything that was not saved."""
         return self.files.has_changes
 
     def enter(self, opened: LoadedDocument) -> None:
-        """Go to another document."""
         self._cancel_jobs(of_the_scene=True)
         self.drives.close_all(self)
         scene = opened.scene
@@ -109,23 +105,23 @@ class Editor(EditorServices):
             restore_view(self, scene.view)
 
     def enter_scene(self) -> None:
-        """Begin anew with the view and the timeline: this is another place."""
+        """Reset the view and the timeline for another scene."""
         super().enter_scene()
         self.rainy.previewed = None
 
     def request_quit(self) -> None:
-        """End the program; with work that goes on or unsaved changes, a person is asked first."""
+        """End the program; asks first if jobs run or changes are unsaved."""
         self.files.confirm_unsaved_then("quit", self._leave, ends_program=True)
 
     def _leave(self) -> None:
         self.files.give_up()
         self.is_leaving = True
 
-    # What goes on
+    # Background work
 
     @property
     def busy(self) -> str | None:
-        """What is being read or written, None when nothing is."""
+        """Description of the read or write in progress, or None."""
         if self.files.busy is not None:
             return self.files.busy
         if self.staged is not None and self.staged.is_opened:
@@ -136,23 +132,23 @@ class Editor(EditorServices):
 
     @property
     def pending_files(self) -> list[Future[Any]]:
-        """Reading, writing and finding roofs, to wait for where there are no frames to wait with."""
+        """Reading, writing and finding roofs in progress, to wait for where there are no frames."""
         return [*self.files.pending, *self._roofs.pending]
 
     @property
     def is_working(self) -> bool:
-        """Whether anything goes on in the background that a frame should look after."""
+        """True if background work needs frames to be processed."""
         return bool(self.running_jobs) or self.is_bringing_in
 
     @property
     def is_bringing_in(self) -> bool:
-        """Whether something is on its way into the picture, which each frame goes on with."""
+        """True if something is being prepared for the viewport, which each frame continues."""
         beside = self.captures.is_working or self.matching.is_working or self.drives.is_working or self.is_awaiting
         return self.busy is not None or self.staged is not None or self.lab.busy is not None or beside
 
     @property
     def is_opening(self) -> bool:
-        """Whether another scene is about to take the place of this one."""
+        """True if another scene is about to replace this one."""
         return self.files.is_opening or super().is_opening
 
     def start_task(self, task: JobKind) -> None:
@@ -161,16 +157,16 @@ class Editor(EditorServices):
 
     @property
     def holds_document(self) -> bool:
-        """Whether a person is asked about the document that is open: no other takes its place before the answer.
+        """True if a question about the open document blocks other documents from replacing it.
 
-        Nothing holds an empty document, nor one that is left as soon as work has ended.
+        Never blocks an empty document, nor one that closes as soon as jobs have ended.
         """
         return bool(self.scene.members) and self.questions.present is not None and not self.is_awaiting
 
     def swap_in(self) -> None:
-        """Show the staged scene: its Gaussians are where the next frame needs them.
+        """Show the staged scene, whose Gaussians are ready for the next frame.
 
-        One that takes the document's place stays staged while a question about the document has no answer.
+        A scene that replaces the document stays staged while a question about the document is open.
         """
         if self.staged is not None and self.staged.is_opened and self.holds_document:
             return
@@ -184,7 +180,7 @@ class Editor(EditorServices):
             insert_pending_scene(self, staged)
 
     def update(self, real_s: float) -> None:
-        """Let time go by and take in what background work has finished. Once a frame."""
+        """Advance time and process finished background work. Once a frame."""
         self.clock.advance(real_s, self.span_s)
         self._shown_preview, self.preview = self.preview, None
         self.following.ride(self.displayed_scene, self.clock.time_s, self.navigation)
@@ -203,33 +199,33 @@ class Editor(EditorServices):
                 self.problem = f"{job.title} failed: {job.error}"
                 logger.error("%s", self.problem)
         self.rainy.poll(self)
-        if self.staged is None and not self.drives.is_working:  # else a result is still on its way in
+        if self.staged is None and not self.drives.is_working:  # otherwise a result is still being swapped in
             self._go_on_when_idle()
         if self.is_working:
             self._freed_memory.note_work()
         self._freed_memory.poll()
 
-    # What is shown
+    # Viewport
 
     @property
     def loose_results(self) -> list[str]:
-        """Roll-outs of this session's drives that were not saved."""
+        """Titles of roll-outs of this session's drives that were not saved."""
         return [each.title for each in self.drives.opened if each.path is None]
 
     @property
     def displayed_scene(self) -> Scene:
-        """What the viewport shows: what a tool drags, with the road users of a roll-out that plays."""
-        return self.drives.scene_in_place_of(super().displayed_scene)
+        """Scene of the viewport, including a drag preview and the road users of the playing roll-out."""
+        return self.drives.scene_in_place_of(super().shown_scene)
 
     @property
-    def displayed_rain(self) -> RainSimulation:
-        """The rain that the viewport shows: the document's, or that of a roll-out that plays."""
+    def shown_rainfall(self) -> RainSimulation:
+        """Rain of the viewport: the document's, or that of the playing roll-out."""
         return self.drives.rainfall(roofs=self._roofs.knows(self.scene)) or self._drawn_rainfall
 
     @property
     def split_panes(self) -> list[SplitPane]:
         """What the viewport shows: one side, or two from left to right."""
-        shown, rainfall = self.displayed_scene, self.displayed_rain
+        shown, rainfall = self.shown_scene, self.shown_rainfall
         here = SplitPane("", shown, rainfall)
         if self.view.split == "clear | rainy":
             clear = rainfall.rain.without_rain
@@ -243,15 +239,15 @@ class Editor(EditorServices):
 
     @property
     def span_s(self) -> tuple[float, float]:
-        """First and last moment that play: as a person has set them, else those of the flight or the traffic."""
+        """Start and end of playback: as set by the user, else those of the camera path or the traffic."""
         return self.clock.span_s or self.drives.span_s() or super().span_s
 
     def take_screenshot(self, folder: Path | None = None) -> None:
-        """Save the next picture under the present date and time, by default in the person's pictures folder."""
+        """Save the next image under the present date and time, by default in the user's pictures folder."""
         self.screenshot = new_screenshot(folder or Path(platformdirs.user_pictures_dir()))
 
     def close(self) -> None:
-        """Stop everything that runs. To be called once more does nothing."""
+        """Stop everything that runs; further calls do nothing."""
         if self._is_closed:
             return
         self._is_closed = True
@@ -266,7 +262,7 @@ class Editor(EditorServices):
 
     @property
     def _drawn_rainfall(self) -> RainSimulation:
-        """The rain without roofs until they are found: a frame that looked for them would take seconds."""
+        """The rain without roofs until they are found, because finding them takes seconds."""
         if not self.rain.roofs or (self._roofs.knows(self.scene) and self._shown_preview is None):
             return self.rainfall
         return replace(self.rainfall, rain=msgspec.structs.replace(self.rain, roofs=False))
@@ -279,7 +275,7 @@ class Editor(EditorServices):
         return self._other_rainfall
 
     def _ask_about_outside(self) -> None:
-        """Ask before files are read that lie outside of a capture's folder."""
+        """Ask before files outside of a capture's folder are read."""
         if self.captures.refused is None:
             return
         (path, why), self.captures.refused = self.captures.refused, None

@@ -1,4 +1,4 @@
-"""Opening, saving and keeping the document of a session, and what has to be asked on the way."""
+"""Files of the editor: open, import, save, export, revert, recent files, autosave, and crash recovery."""
 
 import logging
 from collections.abc import Callable, Sequence
@@ -43,12 +43,12 @@ from .viewport_state import PendingScene
 
 logger = logging.getLogger("gsrain")
 
-# § Reading the scene that becomes a session's document.
+# Loading documents
 
 
 @dataclass(frozen=True, eq=False)
 class LoadedDocument:
-    """A scene that was read, and what is known about where it came from."""
+    """A scene that was read, and the origin and state of its files."""
 
     scene: Scene
     source: str
@@ -59,31 +59,31 @@ class LoadedDocument:
 
 
 class NotASceneError(SceneFormatError):
-    """A capture where a scene should be."""
+    """Raised for a capture where a scene is expected."""
 
     def __init__(self, path: Path, kind: str) -> None:
-        """`kind` is the name of its row in the table of captures."""
+        """`kind` is the name of the capture's format."""
         super().__init__(path, f"this is a capture ({kind}), not a scene; File > Open a capture shows it")
         self.path, self.kind = path, kind
 
 
 class SceneFiles:
-    """The files of one session. Reading and writing happens in `thread`, everything else on the main thread."""
+    """The files of one session. Reading and writing runs in `thread`, everything else on the main thread."""
 
     def __init__(
         self, session: EditorServices, enter: Callable[[LoadedDocument], None], thread: ThreadPoolExecutor
     ) -> None:
-        """`enter` goes to another document."""
+        """`enter` switches to another document."""
         self._session, self._enter = session, enter
         self._thread = thread
         self.source: str | None = None
-        """What was opened last, as it was named."""
+        """Path or name that was opened last."""
         self.home: Path | None = None
-        """The scene folder that the document came from or was saved to: where Save writes."""
+        """Scene folder that the document came from or was saved to, used by Save."""
         self.recent: list[Path] = recent_files()
-        """Scenes that were used last, the latest first."""
+        """Latest first."""
         self.place_wanted: Callable[[Path], None] | None = None
-        """Set while somebody has to be asked where to save; called with the answer."""
+        """Set while the user has to choose where to save; called with the answer."""
         self.recovery = Recovery(session, self.recover, self.close_scene, thread)
         self._known = FileCache()
         self._stamp: FileFingerprint | None = None
@@ -96,16 +96,16 @@ class SceneFiles:
         self._exporting: list[_ExportJob] = []
         self._recent: Future[list[Path]] | None = None
 
-    # What is known
+    # State
 
     @property
     def has_changes(self) -> bool:
-        """Whether the document is another than the one that was opened or saved."""
+        """True if the document differs from the one that was opened or saved."""
         return self._session.history.present is not self._saved
 
     @property
     def known(self) -> FileCache:
-        """Which files hold which Gaussians; for the thread that reads and writes."""
+        """Map of files to the Gaussians they hold; for the thread that reads and writes."""
         return self._known
 
     @property
@@ -114,7 +114,7 @@ class SceneFiles:
 
     @property
     def busy(self) -> str | None:
-        """What is being read or written for a person who waits for it; None when nothing is."""
+        """Description of the read or write that the user waits for, or None."""
         if self._opening is not None:
             return f"Opening {self._opening[0]}"
         if self._importing:
@@ -125,12 +125,11 @@ class SceneFiles:
 
     @property
     def work(self) -> list[BackgroundWork]:
-        """Reading and writing that would be lost if the document went, or the program ended, now."""
+        """Reading and writing that would be lost if the document were closed, or the program ended, now."""
         return [*self._importing, *([self._saving] if self._saving is not None else []), *self._exporting]
 
     @property
     def pending(self) -> list[Future[Any]]:
-        """Everything that goes on in the thread."""
         opening = [self._opening[1]] if self._opening is not None else []
         saving = [self._saving.future] if self._saving is not None else []
         recent = [self._recent] if self._recent is not None else []
@@ -140,19 +139,19 @@ class SceneFiles:
     # Opening
 
     def open(self, path: str) -> None:
-        """Go to another scene, once a person has said what becomes of unsaved changes."""
+        """Open another scene, after asking about unsaved changes."""
         self.confirm_unsaved_then(f"open {Path(path).name or path}", lambda: self.open_now(path))
 
     def open_now(self, path: str) -> None:
-        """Read a scene in the background and go to it; of several, the one that was asked for last."""
+        """Read a scene in the background and switch to it; a later call supersedes an earlier one."""
         self._begin_opening(path, lambda: load_document(path))
 
     def recover(self, autosaved: RecoveryCandidate) -> None:
-        """Go on with what a process that died has kept; its changes are still to be saved."""
+        """Open an autosave of a process that died; its changes count as unsaved."""
         self._begin_opening(autosaved.about.name, lambda: load_autosave(autosaved))
 
     def go_on_at(self, place: Path) -> None:
-        """Go on with what the window before this one has kept; nobody is asked, its changes are still to be saved."""
+        """Open the autosave of the previous window without asking; its changes count as unsaved."""
         self._begin_opening("what was not saved", lambda: load_autosave(self.recovery.left_at(place)))
 
     def import_from(self, path: str) -> None:
@@ -162,7 +161,7 @@ class SceneFiles:
         self._importing.append(_ImportJob(f"Import {Path(path).name}", self._thread.submit(load_document, path), path))
 
     def revert(self) -> None:
-        """Go back to what is on the disk."""
+        """Return to the version on disk."""
         source = str(self.home) if self.home is not None else self.source
         if source is None:
             return
@@ -174,14 +173,13 @@ class SceneFiles:
             self._reread(source)
 
     def close_scene(self) -> None:
-        """Go to an empty scene."""
         empty = LoadedDocument(Scene("no scene"), "", None, None, FileCache())
         self.confirm_unsaved_then("close the scene", lambda: self._enter(empty))
 
     def confirm_unsaved_then(self, what: str, act: Callable[[], None], *, ends_program: bool = False) -> None:
-        """Do what takes the place of the document or ends the program; with work or unsaved changes, ask first.
+        """Call `act`, which replaces the document or ends the program; ask first if jobs run or changes are unsaved.
 
-        Of jobs, those count that end with it: all where it ends the program.
+        Counts only jobs that end with the document, or all jobs if `ends_program`.
         """
         self._session.when_idle(
             self._ended_work(ends_program),
@@ -211,7 +209,7 @@ class SceneFiles:
         )
 
     def _without_results(self, what: str, act: Callable[[], None]) -> None:
-        """Do it, once a person agrees to lose the roll-outs that were not saved."""
+        """Call `act`, after the user agrees to lose unsaved roll-outs."""
         results = self._session.loose_results
         if not results:
             act()
@@ -227,12 +225,12 @@ class SceneFiles:
         self._session.questions.ask(question)
 
     def enter(self, opened: LoadedDocument, document: Document) -> None:
-        """Take note that the session went to a document that was opened."""
+        """Record that the session switched to an opened document."""
         self.source, self.home, self._known = opened.source or None, opened.home, opened.known
         self._stamp, self._saved = opened.stamp, document
         recovered = opened.recovered.place if opened.recovered is not None else None
         if recovered is not None:
-            self._saved = replace(document)  # another value: there are changes
+            self._saved = replace(document)  # a new object, so that the document counts as changed
         self.recovery.enter(opened.home, document, recovered)
         if opened.source and not is_built_in_street(opened.source) and recovered is None:
             self._recent = self._thread.submit(add_recent_file, Path(opened.source))
@@ -240,18 +238,18 @@ class SceneFiles:
     # Saving
 
     def save(self) -> None:
-        """Save where the document came from; where that is no scene folder, ask for a place."""
+        """Save to the document's scene folder; ask for a folder if there is none."""
         self.save_then(do_nothing)
 
     def save_then(self, act: Callable[[], None]) -> None:
-        """Save as `save` does, and do something once that has succeeded."""
+        """Save as `save` does, and call `act` after success."""
         if self.home is not None:
             self.save_to(self.home, act)
         else:
             self.place_wanted = lambda path: self.save_as(path, act)
 
     def save_to(self, path: Path, act: Callable[[], None] = do_nothing) -> None:
-        """Save to a scene folder, unless somebody else has changed what is there: then ask first."""
+        """Save to a scene folder; ask first if another program has changed it."""
         home, path = self.home, path.parent if path.name == SCENE_FILE else path
         if not names_scene_folder(path):
             self._session.questions.ask(self._folder_question(path, act))
@@ -273,7 +271,7 @@ class SceneFiles:
         self._session.questions.ask(Question("Changed on disk", text, answers))
 
     def save_as(self, path: Path, act: Callable[[], None] = do_nothing) -> None:
-        """Save to another place; where another scene folder stands there, ask first."""
+        """Save to another place; ask first if it holds another scene folder."""
         other = scene_folder_of(path)
         if other is None or other == self.home:
             self.save_to(path, act)
@@ -283,13 +281,13 @@ class SceneFiles:
         self._session.questions.ask(Question("Replace a scene", text, (replacing, _CANCEL)))
 
     def export_to(self, path: Path) -> None:
-        """Write one file of what can be seen, a copy: the document stays as unsaved, and where, as it is.
+        """Write a single file of everything visible, a copy: the document keeps its path and its unsaved changes.
 
-        Before, a person hears what the file leaves out, and which one it replaces.
+        Asks first about losses in the format and about replacing a file.
         """
         try:
             row = format_of(path)
-        except SceneFormatError as error:  # of an installed package
+        except SceneFormatError as error:  # raised by an installed package
             self._session.problem = str(error)
             return
         if row is None or row.write is None or path.is_dir():
@@ -334,17 +332,16 @@ class SceneFiles:
         return Question("Open a capture", text, (show, _CANCEL))
 
     def give_up(self) -> None:
-        """Take it that a person does not want the changes: nothing is kept of them."""
         self._saved = self._session.history.present
 
-    # Over time
+    # Updates
 
     def offer_recovery(self) -> None:
-        """Look for what processes that died have kept, and ask what becomes of it."""
+        """Look for autosaves of dead processes and offer to recover them."""
         self.recovery.look(self.recent)
 
     def poll(self) -> None:
-        """Take in what the thread has finished. Once a frame."""
+        """Process finished reads and writes. Once a frame."""
         if self._opening is not None and self._opening[1].done():
             (path, opening), self._opening = self._opening, None
             try:
@@ -352,7 +349,7 @@ class SceneFiles:
                 self._session.stage(PendingScene(path, self._arriving.scene, is_opened=True))
             except NotASceneError as error:
                 self._session.questions.ask(self._capture_question(error))
-            except Exception as error:  # whatever a file can do to its reader: the window lives on
+            except Exception as error:  # any file error: the window must survive
                 self._session.problem = describe_error(f"{path} can't be opened", error)
                 if Path(path) in self.recent and not Path(path).exists():
                     self._recent = self._thread.submit(forget_recent_file, Path(path))
@@ -370,11 +367,11 @@ class SceneFiles:
         self.recovery.poll(self._saved, self._stamp, self._known)
 
     def keep(self) -> None:
-        """Keep unsaved changes at once: the program is about to end, and nobody was asked."""
+        """Write unsaved changes to the autosave at once, when the program ends without asking."""
         self.recovery.keep(self._saved, self._stamp, self._known)
 
     def arrive(self, scene: Scene) -> LoadedDocument:
-        """What is known about a staged scene that was opened here."""
+        """Return the origin of a staged scene that was opened here."""
         opened, self._arriving = self._arriving, None
         return (
             opened
@@ -383,7 +380,7 @@ class SceneFiles:
         )
 
     def close(self) -> None:
-        """End: wait for what is being written. What is kept of unsaved changes goes, unless nobody was asked."""
+        """Finish pending writes. Removes the autosave, unless there are unsaved changes."""
         if self._opening is not None:
             self._opening[1].cancel()
         self.recovery.close(is_saved=not self.has_changes)
@@ -396,7 +393,7 @@ class SceneFiles:
         self._opening = label, self._thread.submit(read)
 
     def _begin_saving(self, path: Path, act: Callable[[], None]) -> None:
-        if self._saving is not None:  # the newest is what counts
+        if self._saving is not None:  # only the latest save counts
             self._next_saving = lambda: self._begin_saving(path, act)
             return
         self._session.problem = None
@@ -434,7 +431,7 @@ class SceneFiles:
             return
         try:
             other = importing.future.result().scene
-        except Exception as error:  # whatever a file can do to its reader: the window lives on
+        except Exception as error:  # any file error: the window must survive
             importing.state = "failed"
             self._session.problem = describe_error(f"{importing.path} can't be imported", error)
         else:
@@ -445,7 +442,7 @@ class SceneFiles:
     def _take_exported(self, exporting: "_ExportJob") -> None:
         try:
             exporting.future.result()
-        except Exception as error:  # whatever a disk can do
+        except Exception as error:  # any disk error
             exporting.state = "failed"
             self._session.problem = describe_error(f"{exporting.target} can't be exported", error)
         else:
@@ -455,7 +452,7 @@ class SceneFiles:
 
 @dataclass(eq=False)
 class _FileJob:
-    """Reading or writing in the thread, as work to wait for; it has ended when its result is taken in."""
+    """Reading or writing in the thread, as background work; it ends when its result is processed."""
 
     title: str
     future: "Future[Any]"
@@ -463,7 +460,7 @@ class _FileJob:
     progress: Progress = field(default=Progress(0.0, ""), init=False)
 
     def cancel(self) -> None:
-        """Leave the result; a file that is being written becomes whole all the same."""
+        """Discard the result; a file in writing is completed nevertheless."""
         self.state = "cancelled"
 
 
@@ -488,15 +485,15 @@ _CANCEL = Answer("Cancel", do_nothing, "Change nothing.")
 
 
 def _write(scene: Scene, path: Path, known: FileCache) -> FileFingerprint | None:
-    """Save; returns the state of the scene folder afterwards."""
+    """Save, and return the state of the scene folder afterwards."""
     write_scene(scene, path, known, in_drawing_order=True)
     return fingerprint_of(path)
 
 
 def load_document(path: str) -> LoadedDocument:
-    """Read what a person names, as `load_sorted_scene` does, and raise what that raises.
+    """Read a scene as `load_sorted_scene` does, and raise what that raises.
 
-    Raises `NotASceneError` where it is a capture instead.
+    Raises `NotASceneError` if the path is a capture.
     """
     try:
         return _read(path)
@@ -510,20 +507,20 @@ def load_document(path: str) -> LoadedDocument:
 def _read(path: str) -> LoadedDocument:
     known = FileCache()
     home = folder_to_read(Path(path)) if not is_built_in_street(path) else None
-    stamp = fingerprint_of(home) if home is not None else None  # before reading: a change meanwhile is noticed
+    stamp = fingerprint_of(home) if home is not None else None  # before reading, to detect a change meanwhile
     source = path if is_built_in_street(path) else str(home or Path(path).absolute())
     return LoadedDocument(load_sorted_scene(path, known), source, home, stamp, known)
 
 
 def load_autosave(autosaved: RecoveryCandidate) -> LoadedDocument:
-    """Read what an autosave has kept; raises what `load_sorted_scene` raises."""
+    """Read an autosave; raises what `load_sorted_scene` raises."""
     known, about = FileCache(), autosaved.about
     scene = load_sorted_scene(str(autosaved.scene), known)
     home = about.folder
     return LoadedDocument(scene, str(home or ""), home, about.stamp, known, autosaved)
 
 
-# § The scenes that were opened or saved last, in a file that several windows share.
+# Recent files, shared by all windows
 
 MAX_RECENT_FILES = 12
 
@@ -533,7 +530,7 @@ class _Recent(msgspec.Struct):
 
 
 def recent_files() -> list[Path]:
-    """The scenes that were used last, the latest first."""
+    """Latest first."""
     try:
         return [
             Path(each)
@@ -547,19 +544,19 @@ def recent_files() -> list[Path]:
 
 
 def add_recent_file(path: Path) -> list[Path]:
-    """Put a scene to the head of the list, whatever other windows have put there meanwhile; returns the list.
+    """Put a scene at the head of the list, keeping entries of other windows; return the list.
 
     Raises:
-        OSError: When the list can't be written.
+        OSError: If the list can't be written.
     """
     return _rewritten(path.absolute(), at_head=True)
 
 
 def forget_recent_file(path: Path) -> list[Path]:
-    """Take a scene off the list; returns the list.
+    """Remove a scene from the list; return the list.
 
     Raises:
-        OSError: When the list can't be written.
+        OSError: If the list can't be written.
     """
     return _rewritten(path.absolute(), at_head=False)
 
@@ -580,11 +577,11 @@ def _file() -> Path:
     return state_folder() / "recent.json"
 
 
-# § What screenshots are called.
+# Screenshots
 
 
 def new_screenshot(folder: Path) -> Path:
-    """Choose a name in a folder by the present date and time; one that is not taken yet."""
+    """Choose an unused file name in a folder by the present date and time."""
     name = f"gsrain_{datetime.now():%Y-%m-%d_%H-%M-%S}"
     taken = {each.name for each in folder.glob(f"{name}*.png")}
     chosen, number = f"{name}.png", 1
@@ -594,7 +591,7 @@ def new_screenshot(folder: Path) -> Path:
     return folder / chosen
 
 
-# § When a session keeps its unsaved document, and what it asks about documents that others have left behind.
+# Crash recovery
 
 
 class Recovery:
@@ -607,11 +604,11 @@ class Recovery:
         close_scene: Callable[[], None],
         thread: ThreadPoolExecutor,
     ) -> None:
-        """`recover` goes on with what was kept, `close_scene` goes to an empty window."""
+        """`recover` opens an autosave, `close_scene` switches to an empty window."""
         self._session, self._recover, self._close_scene = session, recover, close_scene
         self._thread = thread
         self.now: Callable[[], float] = monotonic
-        """Seconds."""
+        """Clock in seconds."""
         self._autosave = Autosave()
         self._home: Path | None = None
         self._kept: Document = session.history.present
@@ -624,27 +621,26 @@ class Recovery:
 
     @property
     def pending(self) -> list[Future[Any]]:
-        """What goes on in the thread."""
         return [each for each in (self._keeping, self._entering, self._looking) if each is not None]
 
     def enter(self, home: Path | None, document: Document, recovered: Path | None = None) -> None:
-        """Go to a document that came from a scene folder or is now saved in it; `recovered` is where it was kept."""
+        """Switch to a document from a scene folder, or just saved to it; `recovered` is the path of its autosave."""
         self._home, self._kept, self._changed_at = home, document, None
         self._entering = self._thread.submit(self._autosave.enter, home, recovered)
 
     def forget(self) -> None:
-        """Remove what was kept: the document is saved."""
+        """Remove the autosave after the document was saved."""
         self._changed_at = None
         self._thread.submit(self._autosave.remove)
 
     def look(self, homes: Sequence[Path]) -> None:
-        """Look for what processes that died have kept, of these scene folders and of none, and ask about it."""
+        """Look for autosaves of dead processes, for these scene folders and for unsaved scenes, and ask about them."""
         self._looking = self._thread.submit(self._autosave.abandoned, tuple(homes))
 
     def poll(self, saved: Document, stamp: FileFingerprint | None, known: FileCache) -> None:
-        """Take in what the thread has finished, and keep a document that was changed a while ago. Once a frame.
+        """Process finished tasks, and write an autosave some time after a change. Once a frame.
 
-        `saved` is the document as it is on the disk, in the state `stamp`, in the files that `known` knows.
+        `saved` is the document as on disk, `stamp` the folder's state, `known` the cache of its files.
         """
         if self._entering is not None and self._entering.done():
             entering, self._entering = self._entering, None
@@ -659,26 +655,26 @@ class Recovery:
         self._keep(saved, stamp, known)
 
     def keep(self, saved: Document, stamp: FileFingerprint | None, known: FileCache) -> None:
-        """Keep a document that was changed at once: the program is about to end, and nobody was asked."""
+        """Write an autosave of a changed document at once, when the program ends without asking."""
         present = self._session.history.present
         if present not in (saved, self._kept):
             self._begin_keeping(present, stamp, known)
 
     @property
     def autosaved_path(self) -> Path | None:
-        """Where the document is kept, to be asked after the end; None where it is not."""
+        """Path of the autosave, for use after closing; None if there is none."""
         try:
             if self._keeping is not None:
                 self._keeping.result()
-        except Exception as error:  # whatever a disk can do
+        except Exception as error:  # any disk error
             describe_error("The autosave can't be written", error)
         return self._autosave.place
 
     def left_at(self, place: Path) -> RecoveryCandidate:
-        """What the window before this one has kept, to go on with unasked; for the thread.
+        """Return the autosave of the previous window and never ask about it; for the thread.
 
         Raises:
-            OSError: When it is gone, or somebody else's.
+            OSError: If it is gone or belongs to another process.
         """
         self._put_off.add(place)
         found = self._autosave.found(place)
@@ -687,7 +683,7 @@ class Recovery:
         return found
 
     def close(self, *, is_saved: bool) -> None:
-        """End; what is kept of a document that is not saved stays for the next start."""
+        """Close; the autosave of an unsaved document stays for the next start."""
         if is_saved:
             self._thread.submit(self._autosave.remove)
         self._thread.submit(self._autosave.close)
@@ -710,7 +706,7 @@ class Recovery:
     def _take_autosave(self, keeping: "Future[None]", saved: Document) -> None:
         try:
             keeping.result()
-        except Exception as error:  # whatever a disk can do: it is tried again, and told of once
+        except Exception as error:  # any disk error: tried again, reported once
             self._kept = saved
             if not self._has_failed:
                 self._session.problem = describe_error("The autosave can't be written", error)
@@ -737,7 +733,7 @@ class Recovery:
             self._offer([entered.found])
 
     def _offer(self, found: list[RecoveryCandidate]) -> None:
-        """Ask about the first; about the next once that is answered, unless a person goes on with it."""
+        """Ask about the first candidate, then about the next, until the user recovers one."""
         found = [each for each in found if each.place not in self._put_off]
         if not found:
             return

@@ -1,4 +1,4 @@
-"""The training of the transfer as it is set up in the window: settings, pictures, folder, and the job."""
+"""Setup of the transfer's fine-tuning in the window: settings, images, output folder, and job."""
 
 import logging
 from concurrent.futures import ThreadPoolExecutor
@@ -19,7 +19,7 @@ logger = logging.getLogger("gsrain")
 
 
 class FinetuneChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a person chooses; the rest is in the settings."""
+    """The user's choices; everything else comes from the settings file."""
 
     config: Annotated[str, Meta(title="Settings", description="Shipped settings, or a YAML file of the same form.")] = (
         "tiny"
@@ -40,22 +40,21 @@ class FinetuneChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class FinetuneController:
-    """One training at a time. Call everything on the main thread."""
+    """One training at a time. Main thread only."""
 
     def __init__(self, files: ThreadPoolExecutor) -> None:
-        """Begin with the shipped settings for a trial; `files` is where losses are read."""
+        """Start with the shipped trial settings; `files` is the thread that reads losses."""
         self.choice = FinetuneChoice()
         self.job: FinetuneJob | None = None
-        """The last training, whether it still runs or not."""
         self._files = files
 
     @property
     def can_resume(self) -> bool:
-        """Whether the folder holds a training that was stopped."""
+        """True if the folder holds a checkpoint of a stopped training."""
         return self.choice.output is not None and (self.choice.output / "checkpoint.safetensors").is_file()
 
     def why_not(self, session: EditorServices) -> str | None:
-        """Why no training can be started now, in one sentence; None where one can."""
+        """Reason why no training can start now, in one sentence, or None."""
         if not has_torch():
             return f"Training needs torch, which is not installed: {HOW_TO_GET_DIFFUSION}"
         if self.choice.output is None:
@@ -68,7 +67,7 @@ class FinetuneController:
         return None
 
     def start(self, session: EditorServices, *, resume: bool = False) -> None:
-        """Begin, or go on from the folder's checkpoint; what is wrong with the settings is told in `problem`."""
+        """Start, or resume from the folder's checkpoint; errors in the settings are set as `problem`."""
         if self.why_not(session) is not None:
             return
         try:
@@ -84,7 +83,7 @@ class FinetuneController:
         session.start(self.job)
 
     def _ask(self, session: EditorServices, error: UntrustedCodeError, resume: bool) -> None:
-        """Ask whether the Python that the settings name may run; yes is remembered for its content, and begins."""
+        """Ask before running Python code that the settings name; on yes, trust its content permanently and start."""
 
         def run() -> None:
             trust_permanently(error.codes)

@@ -1,4 +1,4 @@
-"""How the scene is to be made rainy: method, views, the preview of one view, and the job. Not part of the document."""
+"""Setup of "Make it rainy": method, views, preview and job. Not part of the document."""
 
 from concurrent.futures import ThreadPoolExecutor
 from typing import get_args
@@ -25,28 +25,27 @@ from .services import EditorServices
 from .viewport.options import Texture
 
 QUICK_VIEWS = 8
-"""Enough for a first look, and made in seconds."""
+"""Number of views for a first result within seconds."""
 
 QUICK_WIDTH_PX = 480
 
 PREVIEW_WIDTH_PX = 640
 
 COMPARED_MM_H = 8.5
-"""Rain that a comparison is shown in where there is none: scenes are dry without."""
+"""Rain of a comparison if no rain is set, because scenes are dry without."""
 
 
 class WetLookController:
-    """What a person has chosen, and what came of it so far. Call everything on the main thread."""
+    """The user's choices and the results so far. Main thread only."""
 
     def __init__(self, scene_files: SceneFiles, files: ThreadPoolExecutor) -> None:
-        """Begin with the method that needs nothing; `files` is the thread where scenes are written for workers."""
+        """Start with the method that has no requirements; `files` is the thread that writes scenes for workers."""
         self.method = METHODS[0].name
         self.settings = TransferSettings()
         self.choice = ViewChoice(count=QUICK_VIEWS, width_px=QUICK_WIDTH_PX)
         self.preview_width_px = PREVIEW_WIDTH_PX
         self.previewed: PreviewedView | None = None
         self.texture: Texture | None = None
-        """The preview on the GPU."""
         self.viewport_px: tuple[int, int] = (960, 640)
         """Size of the viewport at the last frame."""
         self._scene_files, self._files = scene_files, files
@@ -59,20 +58,19 @@ class WetLookController:
 
     @property
     def recipe(self) -> PreviewSettings:
-        """The method and its settings, as they are now."""
         return PreviewSettings(self.method, self.settings)
 
     def change(self, **fields: object) -> None:
         self.settings = msgspec.structs.replace(self.settings, **fields)
 
-    # Whether
+    # Preconditions
 
     def why_not(self, session: EditorServices) -> str | None:
-        """Why the scene can't be made rainy now, in one sentence; None where it can."""
+        """Reason why the scene can't be made rainy now, in one sentence, or None."""
         return self.why_no_transfer or why_no_views(session, self.choice.source) or self._why_wait(session)
 
     def why_no_preview(self, session: EditorServices) -> str | None:
-        """Why there can't be a preview now; None where there can."""
+        """Reason why there can't be a preview now, or None."""
         if self.method == "images":
             return "Pictures of another program are of the chosen views alone: there is none from here."
         if not session.scene.gaussian_count:
@@ -81,7 +79,7 @@ class WetLookController:
 
     @property
     def why_no_transfer(self) -> str | None:
-        """What the method lacks; None where it has all it needs."""
+        """Missing requirements of the method, or None."""
         return missing_requirements(self.row, self.settings)
 
     def _why_wait(self, session: EditorServices) -> str | None:
@@ -96,7 +94,7 @@ class WetLookController:
         return self._preview is not None and self._preview.state == "running"
 
     def preview(self, session: EditorServices) -> None:
-        """Begin to transfer what the viewport shows; the picture comes later, and is laid beside the live one."""
+        """Start to transfer the viewport's view; the result appears next to the live image."""
         if self.why_no_preview(session) is not None:
             return
         shot = session.shot(*self.viewport_px)
@@ -106,12 +104,12 @@ class WetLookController:
         session.start(self._preview)
 
     def fits(self, session: EditorServices) -> bool:
-        """Whether the preview is of what the viewport shows now."""
+        """Return whether the preview matches the viewport's view."""
         shot = session.shot(*self.viewport_px)
         return self.previewed is not None and self.previewed.is_of(shot.camera, shot.time_s, session.scene)
 
     def what_is_stale(self, session: EditorServices) -> str | None:
-        """Say what is different from when the preview was made; None where nothing is, or there is none."""
+        """Describe changes since the preview was made; None if there are none, or no preview."""
         if self.previewed is None:
             return None
         if not self.previewed.is_made_by(self.recipe):
@@ -119,7 +117,7 @@ class WetLookController:
         return None if self.fits(session) else "The view has changed since."
 
     def look_from_preview(self, session: EditorServices) -> None:
-        """Go back to where the preview was made."""
+        """Return to the view of the preview."""
         if self.previewed is not None:
             session.stop_riding()
             session.following.follow("")
@@ -127,7 +125,7 @@ class WetLookController:
             session.clock.seek(self.previewed.time_s)
 
     def poll(self, session: EditorServices) -> None:
-        """Take in a preview that has come, and start a job that was waiting for the scene. Once a frame."""
+        """Process a finished preview, and start a job that waits for a scene. Once a frame."""
         if self._is_wanted and session.scene.gaussian_count and self._why_wait(session) is None:
             self._is_wanted = False
             session.problem = self.why_not(session) or session.problem
@@ -138,12 +136,12 @@ class WetLookController:
         if done.result is not None:
             self.previewed = done.result
             session.view.split = "now | preview"
-            session.jobs = [each for each in session.jobs if each is not done]  # the picture says it all
+            session.jobs = [each for each in session.jobs if each is not done]  # the image replaces the entry
 
-    # The job
+    # Job
 
     def make(self, session: EditorServices) -> None:
-        """Start the job for the session's scene, if nothing is in its way."""
+        """Start the job for the session's scene, if all preconditions hold."""
         if self.why_not(session) is not None:
             return
         capture = session.captures.path if uses_capture(session, self.choice.source) else None
@@ -151,16 +149,16 @@ class WetLookController:
         session.start(SceneJob(MakeRainyJobKind(session.scene, self._scene_files.known, order), self._files))
 
     def make_soon(self) -> None:
-        """Start the job as soon as a scene is there."""
+        """Start the job as soon as a scene is open."""
         self._is_wanted = True
 
     def newest(self, session: EditorServices) -> tuple[int, BackgroundJob] | None:
-        """Return the last job of this kind, with its place among all jobs."""
+        """Return the last job of this kind, with its index among all jobs."""
         own = [(i, job) for i, job in enumerate(session.jobs) if _is_own(job)]
         return own[-1] if own else None
 
     def compare(self, session: EditorServices) -> None:
-        """Lay the clear scene beside the rainy one; where no rain falls, let it rain, as a step."""
+        """Show the clear scene next to the rainy one; if there is no rain, add some as an undo step."""
         session.view.split = "clear | rainy"
         if session.wetness_now == 0:
             session.change_rain("Rain to compare", intensity_mm_h=COMPARED_MM_H, wetness=None)
@@ -170,7 +168,7 @@ def _is_own(job: BackgroundJob) -> bool:
     return isinstance(job, TransferPreviewJob) or (isinstance(job, SceneJob) and job.title == MAKE_RAINY_TITLE)
 
 
-# § Which sources of views the open scene has, and which camera the viewport has.
+# View sources
 
 SOURCES: tuple[Source, ...] = get_args(Source)
 
@@ -181,11 +179,11 @@ TITLES: dict[Source, str] = {
     "path": "along the camera path",
     "around": "around the middle",
 }
-"""For a person to read."""
+"""Display names."""
 
 
 def why_no_views(session: EditorServices, source: Source) -> str | None:
-    """Why views of a source can't be taken, in one sentence; None where they can."""
+    """Reason why views of a source are not available, in one sentence, or None."""
     scene, captures = session.scene, session.captures
     if not scene.gaussian_count:
         return "There is no scene yet to be made rainy."
@@ -204,16 +202,16 @@ def why_no_views(session: EditorServices, source: Source) -> str | None:
 
 
 def uses_capture(session: EditorServices, source: Source) -> bool:
-    """Whether views of a source are those of the open capture; by itself only where a person has said that it fits."""
+    """Return whether a source uses the open capture; `auto` does only if the user confirmed that it fits."""
     is_sure = session.captures.in_scene_axes is True and why_no_views(session, "recorded") is None
     return source == "recorded" or (source == "auto" and is_sure)
 
 
-# § What a transfer lacks to be opened: told beside its settings, before a worker is started for nothing.
+# Requirements of transfers, checked before a worker starts
 
 
 def missing_requirements(method: TransferMethod, settings: TransferSettings) -> str | None:
-    """Say in one sentence what is missing, and how to get it; None where all is there."""
+    """Describe in one sentence a missing requirement and its remedy; None if all are met."""
     if method.needs_torch and not has_torch():
         return f"{method.title} needs torch, which is not installed: {HOW_TO_GET_DIFFUSION}"
     if method.needs == "images" and settings.images is None:

@@ -1,4 +1,4 @@
-"""Matching in the viewport: whether it is shown, with which view, and what came of it. Not part of the document."""
+"""Matching in the viewport: its settings, its results, and the choice of the other view. Not part of the document."""
 
 import logging
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -22,44 +22,44 @@ logger = logging.getLogger("gsrain")
 
 
 class _MatchRequest(NamedTuple):
-    """What is to be matched; equal wishes have equal results."""
+    """Input of a match; equal requests have equal results."""
 
     capture: Capture
     scene: Scene | None
     of: int | None
-    """A recorded view, or None for the live one."""
+    """Index of a captured view, or None for the live one."""
     to: int
     pose: bytes = b""
-    """Of the live camera."""
+    """Pose of the live camera."""
     time_s: float = 0.0
 
 
 class MatchResult(NamedTuple):
-    """What came of a wish."""
+    """Result of a request."""
 
     request: _MatchRequest
     camera: Camera
-    """Where the first view was seen from, in the world of the window."""
+    """Camera of the first view, in the world."""
     matched: "MatchedViews"
     lines: Float32[np.ndarray, "n 2 2"]
     shares: dict[MatchOutcome, float]
 
 
 class MatchingController:
-    """Matches what the viewport looks at with another view of the capture. Call everything on the main thread."""
+    """Matches the current view with another view of the capture. Main thread only."""
 
     def __init__(self) -> None:
         self.is_on = False
         self.against: Against = "next"
-        """Which view a recorded one is matched with; the live view always with the chosen one."""
+        """Partner of a captured view; the live view is always matched with the selected one."""
         self.mode: Mode = "picture"
         self.lines = False
-        """Whether lines show where pixels are in the other view."""
+        """True if lines show the displacement to the other view."""
         self.shown: MatchResult | None = None
         self.problem: str | None = None
-        """Why nothing is shown, in a sentence."""
+        """Reason why nothing is shown, in a sentence."""
         self.texture: Texture | None = None
-        """What lies over the view on the GPU, with its own alpha."""
+        """Overlay on the GPU, with its own alpha."""
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="matching")
         self._working: tuple[_MatchRequest, Camera, Future[MatchResult]] | None = None
         self._last: _MatchRequest | None = None
@@ -73,7 +73,7 @@ class MatchingController:
 
     @property
     def picture(self) -> UInt8[np.ndarray, "h w 4"] | None:
-        """What lies over the view; the same array as long as it is the same."""
+        """Overlay image; the same array until it changes."""
         if self.shown is None:
             return None
         if self._image is None or self._image[0] is not self.shown or self._image[1] != self.mode:
@@ -83,7 +83,7 @@ class MatchingController:
         return self._image[2]
 
     def poll(self, session: EditorServices) -> None:
-        """Take in what has been matched, and match what is looked at now. Once a frame."""
+        """Process finished matches, and start one for the current view. Once a frame."""
         if self._working is not None and self._working[2].done():
             self._take(*self._working)
         wish = self._request(session) if self.is_on else ""
@@ -103,7 +103,7 @@ class MatchingController:
         self._thread.shutdown(cancel_futures=True)
 
     def _request(self, session: EditorServices) -> _MatchRequest | str:
-        """What is looked at now, or why it can't be matched."""
+        """Request for the current view, or the reason why it can't be matched."""
         captures = session.captures
         capture = captures.capture
         if capture is None or not capture.has_poses:
@@ -129,7 +129,7 @@ class MatchingController:
         self._working = wish, camera, self._thread.submit(self._match, wish, camera, of)
 
     def _match(self, wish: _MatchRequest, camera: Camera, of: "int | PlacedCamera") -> MatchResult:
-        """In the thread, one after the other."""
+        """Compute a match; in the thread, one after another."""
         from .matching_image import MatchableViews, flow_lines, outcome_shares
 
         views = self._views
@@ -147,7 +147,7 @@ class MatchingController:
             logger.warning("Matching: %s", error)
 
 
-# § Which view of a capture a recorded one is matched with.
+# Choice of the other view
 
 Against = Literal["next", "previous", "beside", "chosen"]
 
@@ -159,13 +159,13 @@ WHY_NONE: dict[Against, str] = {
     "beside": "There is no other camera.",
     "chosen": "Choose another view in the list.",
 }
-"""What is told where there is no such view."""
+"""Messages if there is no such view."""
 
 
 def neighbor_view(capture: Capture, of: int, against: Against, chosen: int) -> int | None:
-    """Which view a recorded one is matched with; None where there is none.
+    """View that a captured one is matched with, or None.
 
-    `beside` is that view of another camera that looks most nearly the same way, among those nearest in time.
+    `beside` is the view of another camera with the most similar direction, among those nearest in time.
     """
     view = capture[of]
     if against == "chosen":

@@ -1,4 +1,4 @@
-"""Correspondences as pictures to lay over the view: the other view warped, the difference, or what became of pixels."""
+"""Overlay images of correspondences (other view warped, difference, or outcome per pixel), and their computation."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,12 +28,12 @@ _SHADES = 256
 
 _LINE_STEP_PX = 24
 
-# § Two views and their correspondence, worked out in a thread: recorded ones, or the live one and a recorded one.
+# Matched views
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchedViews:
-    """A view, another one, and where each pixel of the first lies in the second."""
+    """Two views, and the position of each pixel of the first in the second."""
 
     of: ClearView
     to: ClearView
@@ -41,10 +41,11 @@ class MatchedViews:
 
 
 def matching_image(matched: MatchedViews, mode: Mode) -> UInt8[np.ndarray, "h w 4"]:
-    """Draw a correspondence for one mode: display colour, and how much it covers.
+    """Draw a correspondence in display color, with alpha.
 
-    picture: the other view as it is seen from here; unmatched pixels are dimmed, in the colour of their reason.
-    difference: from none (black) to a quarter of full scale (white). pixels: only the colours of what became of them.
+    Mode `picture` shows the other view warped to this one; unmatched pixels are dimmed, in the color of their outcome.
+    Mode `difference` ranges from none (black) to a quarter of full scale (white). Mode `pixels` shows only outcome
+    colors.
     """
     found = matched.found
     veils = np.array([_VEIL.get(each, _OTHER_VEIL) for each in MatchOutcome], np.float32)
@@ -61,7 +62,7 @@ def matching_image(matched: MatchedViews, mode: Mode) -> UInt8[np.ndarray, "h w 
 
 
 def flow_lines(matched: MatchedViews) -> Float32[np.ndarray, "n 2 2"]:
-    """Lines on a grid, from where a matched pixel is to where the other view has it, in shares of each picture."""
+    """Lines on a grid from each matched pixel to its position in the other view, in shares of each image's size."""
     places, valid = matched.found.places, matched.found.valid
     height, width = valid.shape
     rows, columns = (each.ravel() for each in np.mgrid[_middle(height), _middle(width)])
@@ -73,7 +74,7 @@ def flow_lines(matched: MatchedViews) -> Float32[np.ndarray, "n 2 2"]:
 
 
 def outcome_shares(matched: MatchedViews) -> dict[MatchOutcome, float]:
-    """Share of the picture of each outcome that there is."""
+    """Share of the image of each outcome that occurs."""
     counts: Int64[np.ndarray, " k"] = np.bincount(matched.found.outcome.ravel(), minlength=len(MatchOutcome))
     return {each: float(counts[each] / counts.sum()) for each in COLORS if counts[each]}
 
@@ -89,18 +90,16 @@ def _difference(one: Float32[np.ndarray, "h w 3"], other: Float32[np.ndarray, "h
 
 
 WIDTH_PX = 480
-"""Of the pictures that are matched."""
 
 
 class MatchableViews:
-    """Views of a capture with what is known about their pixels; used from one thread.
+    """Views of a capture with depth; use from one thread.
 
-    Depth is that of the capture, or of its lidar; where it has neither, or where the live view takes part, of the scene
-    that was made from it.
+    Depth comes from the capture or its lidar; if it has neither, or for the live view, from the scene made from it.
     """
 
     def __init__(self, capture: Capture, scene: Scene | None) -> None:
-        """Take a capture, and the scene in whose units and axes it lies, if it does."""
+        """`scene` is the scene that shares the capture's units and axes, if there is one."""
         self.capture, self.scene = capture, scene
         self._recorded = capture_views(capture, WIDTH_PX)
         self._straight = [undistort_frame(view, min(WIDTH_PX, view.camera.width)) for view in capture]
@@ -110,7 +109,7 @@ class MatchableViews:
             self._camera_panel = scene_views(scene, placed)
 
     def matched(self, of: int | PlacedCamera, to: int) -> MatchedViews:
-        """Match a recorded view, or the live one, with a recorded one; raises ValueError where that can't be done."""
+        """Match a captured view, or the live one, with a captured one; raises ValueError if that is impossible."""
         is_live = isinstance(of, PlacedCamera)
         uses_scene = self._camera_panel is not None and (is_live or not self._has_depth)
         if is_live and self.scene is None:
@@ -127,7 +126,7 @@ class MatchableViews:
         return bool(self.capture.sweeps) or any(view.depth_source is not None for view in self.capture)
 
     def _of_scene(self, index: int) -> ClearView:
-        """A recorded picture, with the scene's depth."""
+        """A captured image, with the scene's depth."""
         assert self._camera_panel is not None, "there is a scene"
         recorded = self._straight[index].image.astype(np.float32) / np.float32(255)
         return replace(self._camera_panel[index], image=recorded)

@@ -1,4 +1,4 @@
-"""The last log records, for the window to show: the same that the command line prints."""
+"""Log lines, error messages, and questions for the window."""
 
 import logging
 import traceback
@@ -17,7 +17,7 @@ _logger = logging.getLogger("gsrain")
 
 
 class LogLine(NamedTuple):
-    """One record as a person reads it."""
+    """A log record for display."""
 
     level: int
     """As in `logging`: 20 information, 30 warning, 40 error."""
@@ -25,11 +25,11 @@ class LogLine(NamedTuple):
     at: datetime
     """Local time."""
     details: str = ""
-    """Traceback, where there is one."""
+    """Traceback, if any."""
 
 
 class LogLines(logging.Handler):
-    """Keeps the newest records of the program's loggers."""
+    """Log handler that keeps the newest records of the program."""
 
     def __init__(self, most: int = 500) -> None:
         super().__init__(logging.INFO)
@@ -42,7 +42,7 @@ class LogLines(logging.Handler):
 
 
 def describe_error(what: str, error: Exception) -> str:
-    """Log what went wrong, with a traceback where it is our own fault; returns it in one sentence."""
+    """Log an error, with a traceback if it is unexpected; return it as one sentence."""
     foreseen = isinstance(error, SceneFormatError | OSError | MemoryError | ValueError)
     reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
     sentence = reason if isinstance(error, SceneFormatError) else f"{what}: {reason}"
@@ -50,55 +50,54 @@ def describe_error(what: str, error: Exception) -> str:
     return sentence
 
 
-# § What the session asks a person, one question after the other, and what happens on each answer.
+# Questions
 
 
 @dataclass(frozen=True)
 class Answer:
-    """One button."""
+    """A button of a question."""
 
     label: str
     run: Callable[[], None]
     help: str = ""
-    """One sentence: what happens then."""
+    """One sentence about the consequence."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """A question that has to be answered before anything else."""
+    """A question that blocks everything else until it is answered."""
 
     title: str
     text: str
     answers: tuple[Answer, ...]
-    """The first is what Enter means, the last, which changes nothing, what Escape means."""
+    """Enter chooses the first, Escape the last, which changes nothing."""
     progress: Callable[[], Progress] | None = None
-    """Progress of the work that it is about, asked for in each frame."""
+    """Progress of the work in question, called in each frame."""
     enter_answers: bool = True
-    """Whether Enter gives the first answer; not where that would end work."""
+    """True if Enter gives the first answer; False if that would end work."""
 
 
 def do_nothing() -> None:
-    """Do nothing: what Cancel means."""
+    """Action of Cancel."""
 
 
 class Questions:
-    """A queue. Whoever draws the window shows the first one and hands back what was answered."""
+    """Queue of questions. The window draws the first one and returns its answer."""
 
     def __init__(self) -> None:
         self._waiting: tuple[Question, ...] = ()
 
     @property
     def present(self) -> Question | None:
-        """What a person is asked now."""
         return self._waiting[0] if self._waiting else None
 
     def ask(self, question: Question) -> None:
-        """Ask a person, after what was asked before; the same is not asked twice at once."""
+        """Append a question, unless an equal one is waiting."""
         if all((each.title, each.text) != (question.title, question.text) for each in self._waiting):
             self._waiting = (*self._waiting, question)
 
     def before_replacing(self, paths: Sequence[Path], write: Callable[[], None]) -> None:
-        """Write at once where none of the files is there yet, else when a person says so."""
+        """Write at once if none of the files exists, otherwise after confirmation."""
         there = [path for path in paths if path.exists()]
         if there:
             self.ask(_replace_question(there, write))
@@ -106,7 +105,7 @@ class Questions:
             write()
 
     def withdraw(self, question: Question) -> None:
-        """Ask no more: what the question is about has settled itself."""
+        """Remove a question that no longer applies."""
         self._waiting = tuple(each for each in self._waiting if each is not question)
 
     def answer(self, answer: Answer) -> None:
@@ -115,7 +114,7 @@ class Questions:
 
 
 def _replace_question(there: Sequence[Path], write: Callable[[], None]) -> Question:
-    """Ask whether files that are there already may be written over; `write` does it."""
+    """Ask whether to replace existing files; `write` does it."""
     are = "are" if len(there) > 1 else "is"
     listed = ", ".join(path.name for path in there[:3]) + (f" and {len(there) - 3} more" if len(there) > 3 else "")
     yes = Answer("Replace", write, "Write over what is there.")

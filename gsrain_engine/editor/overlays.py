@@ -1,4 +1,4 @@
-"""The person's camera path as lines in the picture: the way, its seconds, its keys, and where the camera is now."""
+"""Viewport overlays: the camera path with its keyframes, and the frustums of captured cameras."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -21,11 +21,11 @@ _SAMPLES_A_SECOND, _MAX_SAMPLES = 12, 700
 _FRUSTUM_PX = 26.0
 
 _MAX_KEYS = 200
-"""A path imported frame by frame has thousands: handles for all of them would hide the picture."""
+"""Maximum number of drawn keyframes: a path imported frame by frame has thousands."""
 
 
 class KeyHandle(NamedTuple):
-    """A key in the picture."""
+    """A keyframe in the image."""
 
     key: int
     handle_px: tuple[float, float]
@@ -34,18 +34,18 @@ class KeyHandle(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathOverlay:
-    """Lines as start and end, x and y in pixels of the picture; only what is in front of the camera."""
+    """Lines as start and end, x and y in image pixels; only the parts in front of the camera."""
 
     path_px: Float64[np.ndarray, "m 2 2"]
     ticks_px: Float64[np.ndarray, "n 2"]
-    """Where the camera is at each full second."""
+    """Positions of the camera at full seconds."""
     keys: list[KeyHandle]
     now_px: Float64[np.ndarray, "k 2 2"]
-    """A small camera where the flight is at the clock's time."""
+    """Frustum of the path's camera at the clock's time."""
 
 
 def path_overlay_of(session: ViewportState, camera: Camera) -> PathOverlay | None:
-    """Project the person's path into a picture; None where they have made none."""
+    """Project the user's path into an image; None if there is none."""
     if session.scene.path is None:
         return None
     path = session.path
@@ -62,7 +62,7 @@ def path_overlay_of(session: ViewportState, camera: Camera) -> PathOverlay | Non
 
 
 def drag_in_view(session: ViewportState, shot: RenderView, moved_px: tuple[float, float], *, upright: bool) -> None:
-    """Move the key in the hand in the plane that faces the view, or along the world's height only."""
+    """Move the dragged keyframe in the plane that faces the view, or if `upright` only vertically."""
     drag = session.timeline.drag
     if drag is None:
         return
@@ -71,7 +71,7 @@ def drag_in_view(session: ViewportState, shot: RenderView, moved_px: tuple[float
     metres_a_pixel = max(depth, NEAR_M) / camera.fy
     right, down = camera.world_to_camera[0, :3], camera.world_to_camera[1, :3]
     if upright:
-        steepness = max(-float(down[2]), 0.2)  # seen from straight above the height has no length in the picture
+        steepness = max(-float(down[2]), 0.2)  # from straight above, the height has no length in the image
         change = np.array([0.0, 0.0, -moved_px[1] * metres_a_pixel / steepness])
     else:
         change = metres_a_pixel * (moved_px[0] * right + moved_px[1] * down)
@@ -80,7 +80,7 @@ def drag_in_view(session: ViewportState, shot: RenderView, moved_px: tuple[float
 
 @lru_cache(maxsize=4)
 def _sampled(path: CameraPath) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "s 3"]]:
-    """Places along the way, and those of full seconds."""
+    """Positions along the path, and those at full seconds."""
     count = int(np.clip(_SAMPLES_A_SECOND * path.duration_s, 8 * len(path.times_s), _MAX_SAMPLES))
     end = np.nextafter(path.end_s, -np.inf) if path.loop else path.end_s
     inner = path.times_s if len(path.times_s) <= _MAX_SAMPLES else path.times_s[:0]
@@ -98,7 +98,7 @@ def _key_mark(path: CameraPath, key: int, camera: Camera) -> KeyHandle | None:
 
 
 def _frustum(shown: Camera, camera: Camera) -> Float64[np.ndarray, "k 2 2"]:
-    """A small pyramid that opens where a camera looks, with a flag at the top; equally large at every distance."""
+    """A small frustum with a flag at the top, of the same size in pixels at every distance."""
     pose = shown.camera_to_world
     depth = float(camera.world_to_camera[2, :3] @ pose[:3, 3] + camera.world_to_camera[2, 3])
     if depth < NEAR_M:
@@ -126,35 +126,35 @@ def _place(session: ViewportState, position: Float64[np.ndarray, "3"]) -> Float6
     return to_world[:3, :3] @ position + to_world[:3, 3]
 
 
-# § Recorded cameras as pyramids in the picture, and their pictures on the pyramids' far sides.
+# Frustums of captured cameras and the corners of their images
 
 MAX_FRUSTUMS = 100
-"""Those nearest to the eye are drawn: more of them hide what they stand in."""
+"""Maximum number of drawn frustums, nearest first: more would hide the scene."""
 
 _NEAR = 1e-6
 
 _TIP = 0.5
-"""Of a pyramid's length: from nearer, its picture covers two thirds of the view or more."""
+"""Minimum distance as a share of a frustum's length: from nearer, its image covers two thirds of the view or more."""
 
 
 class Frustum(NamedTuple):
-    """One recorded camera in the picture."""
+    """A captured camera in the image."""
 
     view: int
     eye_px: tuple[float, float] | None
-    """Where its centre of projection is seen; None where it is not."""
+    """Projected camera center; None if it is not visible."""
     lines_px: Float64[np.ndarray, "m 2 2"]
 
 
 class RecordedCameras:
-    """Cameras of views in the world, with where they are and what they see as arrays: made once, drawn each frame."""
+    """World positions and corner rays of the cameras of all views, computed once for all frames."""
 
     def __init__(self, cameras: Iterable[Camera]) -> None:
         self._cameras = tuple(cameras)
         self.eyes: Float64[np.ndarray, "n 3"] = np.array([each.position for each in self._cameras]).reshape(-1, 3)
         corners = [image_corners(each, 1.0) - each.position for each in self._cameras]
         self.rays: Float64[np.ndarray, "n 4 3"] = np.array(corners).reshape(-1, 4, 3)
-        """From the eye to the picture's corners on a plane 1 m in front of it."""
+        """From the camera center to the image corners on a plane 1 m in front of it."""
 
     def __len__(self) -> int:
         return len(self._cameras)
@@ -164,9 +164,9 @@ class RecordedCameras:
 
 
 def frustums(cameras: RecordedCameras, views: Sequence[int], length_m: float, camera: Camera) -> list[Frustum]:
-    """Project the chosen views that are nearest to the eye into a picture, the farthest of them first.
+    """Project the frustums nearest to the camera, the farthest of them first.
 
-    Those at whose tip the eye is are left out: their pictures would hide the scene.
+    Omits frustums around the camera itself: their images would hide the scene.
     """
     chosen = np.asarray(views, np.int64)
     distances = np.linalg.norm(cameras.eyes[chosen] - camera.position, axis=1)
@@ -191,7 +191,7 @@ def frustums(cameras: RecordedCameras, views: Sequence[int], length_m: float, ca
 
 
 def image_corners(camera: Camera, length_m: float) -> Float64[np.ndarray, "4 3"]:
-    """World positions of a picture's corners on a plane so far in front of its camera: from top left, clockwise."""
+    """World positions of the image corners on a plane at a distance from the camera, clockwise from top left."""
     w, h = camera.width, camera.height
     return _on_plane(camera, length_m, np.array([[0, 0], [w, 0], [w, h], [0, h]], np.float64))
 
@@ -199,9 +199,9 @@ def image_corners(camera: Camera, length_m: float) -> Float64[np.ndarray, "4 3"]
 def image_grid(
     shown: Camera, length_m: float, camera: Camera, cells: tuple[int, int]
 ) -> Float64[np.ndarray, "rows columns 2"] | None:
-    """Pixels at which a grid over a recorded picture (cells across and down) is seen; None where it is behind the eye.
+    """Project a grid over a captured image (cells across and down) into the view, in pixels; None if behind the camera.
 
-    Seen from the recorded camera itself, the picture is where it was taken, whatever `length_m` is.
+    From the captured camera itself, the result does not depend on `length_m`.
     """
     columns, rows = np.meshgrid(np.linspace(0, shown.width, cells[0] + 1), np.linspace(0, shown.height, cells[1] + 1))
     points = _on_plane(shown, length_m, np.stack([columns.ravel(), rows.ravel()], axis=1))
@@ -213,14 +213,14 @@ def image_grid(
 
 
 def fov_to_fit_deg(shown: Camera, aspect: float) -> float:
-    """Vertical angle of a viewport (width over height) with this line of sight that sees a whole recorded picture."""
+    """Vertical field of view of a viewport (aspect: width over height) in which a whole captured image fits."""
     upward = max(shown.cy, shown.height - shown.cy) / shown.fy
     sideways = max(shown.cx, shown.width - shown.cx) / shown.fx
     return float(np.degrees(2 * np.arctan(max(upward, sideways / aspect))))
 
 
 def frustum_length(capture: Capture) -> float:
-    """A length for the pyramids, in the capture's units: they show which way views look and seldom overlap."""
+    """Choose a frustum length, in the capture's units, that shows directions and seldom overlaps."""
     places = np.array([view.camera.position for view in capture])
     steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
     steps = steps[steps > 1e-9]

@@ -1,4 +1,4 @@
-"""A roll-out as lines in the picture: everybody's box, the plan on the road, the way that was driven."""
+"""Viewport overlays of drives: boxes, plan, driven path, and detections; and the layout of the camera mosaic."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -25,24 +25,24 @@ _DOT_M = 0.16
 _MIN_PX, _MAX_PX = 2.0, 10.0
 
 _PIECE_M = 0.5
-"""Lines are cut into pieces, so that each is cut off where it leaves the picture behind the eye."""
+"""Lines are split into pieces of this length, so that each is clipped at the near plane."""
 
 
 class BoxMark(NamedTuple):
-    """Somebody's box."""
+    """Box of a road user."""
 
     name: str
     lines_px: Float64[np.ndarray, "m 2 2"]
     top_px: tuple[float, float] | None
-    """Where its name stands; None where that is not seen."""
+    """Position of its label; None if not visible."""
     speed_m_s: float
     is_hit: bool
-    """Whether the ego vehicle touches it now, or it is the ego vehicle that touches something."""
+    """True if the ego vehicle touches it now, or if it is the ego vehicle and touches something."""
     is_ego: bool
 
 
 class PlanDot(NamedTuple):
-    """A planned point; nearer ones are larger."""
+    """A point of the plan; nearer ones are larger."""
 
     x: float
     y: float
@@ -51,7 +51,7 @@ class PlanDot(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RolloutOverlay:
-    """Pixels of the picture; only what is in front of the camera."""
+    """Overlay in image pixels; only the parts in front of the camera."""
 
     boxes: list[BoxMark]
     plan_px: Float64[np.ndarray, "m 2 2"]
@@ -60,7 +60,7 @@ class RolloutOverlay:
 
 
 def rollout_overlay(shown: RolloutInScene, clock_s: float, camera: Camera, *, from_inside: bool) -> RolloutOverlay:
-    """Project a moment of a roll-out; `from_inside` leaves out the ego vehicle's own box and way."""
+    """Project a roll-out at a time; `from_inside` omits the ego vehicle's own box and path."""
     time_s = shown.own_time_s(clock_s)
     played, step = shown.played, shown.played.step(time_s)
     hit = step.collision if time_s >= step.time_s else None
@@ -74,9 +74,9 @@ def rollout_overlay(shown: RolloutInScene, clock_s: float, camera: Camera, *, fr
 
 
 def planned_points_m(shown: RolloutInScene, step: RolloutStep, time_s: float) -> Float64[np.ndarray, "n 3"]:
-    """Where the plan that is followed now leads: the ego vehicle's rear axle first, then what is still ahead of it.
+    """Points of the current plan: the ego vehicle's rear axle first, then the points still ahead of it.
 
-    World, metres, a little above the road, which is taken as high as where the vehicle is.
+    World, meters, slightly above the road, whose height is taken at the vehicle.
     """
     state = shown.played.state(time_s)
     height = step.ego.z_m + _ABOVE_ROAD_M
@@ -110,7 +110,7 @@ def _box(user: RoadUser, camera: Camera, *, is_hit: bool, is_ego: bool = False) 
 
 
 def _projected(places: Float64[np.ndarray, "n 3"], camera: Camera) -> Float64[np.ndarray, "m 2 2"]:
-    """A line through places of the world."""
+    """A line through positions of the world."""
     if len(places) < 2:
         return np.zeros((0, 2, 2))
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))])
@@ -126,7 +126,7 @@ def _dot(place: Float64[np.ndarray, "3"], camera: Camera) -> PlanDot | None:
     return PlanDot(seen.x, seen.y, float(np.clip(_DOT_M * camera.fx / seen.depth_m, _MIN_PX, _MAX_PX)))
 
 
-# § What a camera agent has seen in a step, as boxes in the picture: from the notes of its roll-out.
+# Detections of a camera agent, from the notes of its roll-out
 
 _MIN_CONFIDENCE = 0.25
 
@@ -134,13 +134,13 @@ _Box = tuple[float, float, float, float]
 
 
 class DetectionBox(NamedTuple):
-    """A detection; pixels of the viewport's picture."""
+    """A detection in pixels of the viewport."""
 
     low_px: tuple[float, float]
     high_px: tuple[float, float]
     words: str
     is_lead: bool
-    """Whether the agent follows it."""
+    """True if the agent follows it."""
 
 
 class _DetectionNote(msgspec.Struct, frozen=True):
@@ -160,9 +160,9 @@ class _AgentNotes(msgspec.Struct, frozen=True):
 
 
 def detection_boxes(step: RolloutStep, front: RigCamera, camera: Camera) -> list[DetectionBox]:
-    """Return the detections of a step for a camera that stands where the rig's front camera is.
+    """Return the detections of a step for a camera at the position of the rig's front camera.
 
-    Empty where the agent has noted none, or notes something else by that name.
+    Empty if the agent noted none, or if its notes have another format.
     """
     notes = _read(step.notes)
     found: list[DetectionBox] = []
@@ -186,33 +186,33 @@ def _read(notes: dict[str, Any]) -> _AgentNotes:
 
 
 def _moved(x: float, y: float, front: RigCamera, camera: Camera) -> tuple[float, float]:
-    """A pixel of the rig's camera as a pixel of another one at the same place."""
+    """Convert a pixel of the rig's camera to one of another camera at the same position."""
     right, down = (x - front.cx) / front.fx, (y - front.cy) / front.fy
     return camera.fx * right + camera.cx, camera.fy * down + camera.cy
 
 
-# § The rig's cameras side by side: which there are, where they stand in the mosaic, and what of it is drawn.
+# Camera mosaic
 
 _WIDTH_STEP_PX = 16
 
 
 @dataclass(slots=True)
 class CameraMosaic:
-    """What the panel wants and what has been drawn for it."""
+    """Requests of the mosaic panel, and its images."""
 
     rig: str = ""
-    """Name of the rig; one that the scene has not is its first."""
+    """Name of the rig; an unknown name selects the first."""
     width_px: int = 240
-    """Of each picture."""
+    """Width of each image."""
     is_requested: bool = False
-    """Whether the panel is to be seen; said anew in each frame."""
+    """True if the panel is visible; set again in each frame."""
     is_behind: bool = False
-    """Whether pictures are older than what the scene shows now."""
+    """True if images are outdated."""
     pictures: dict[str, Texture] = field(default_factory=dict[str, Texture])
     """By camera."""
 
     def want(self, width_px: float) -> None:
-        """Have the pictures drawn in about this width."""
+        """Request the images at about this width."""
         self.is_requested = True
         self.width_px = max(64, _WIDTH_STEP_PX * round(width_px / _WIDTH_STEP_PX))
 
@@ -223,7 +223,7 @@ class CameraMosaic:
 
 
 def mosaic_rows(cameras: Sequence[RigCamera]) -> list[list[RigCamera]]:
-    """Put cameras where one would look for them: those that look ahead above, from left to right; the others below."""
+    """Arrange cameras: those that look ahead in the upper row, the others below, each from left to right."""
     ahead = [each for each in cameras if each.camera_to_ego[0, 2] > 0]
     behind = [each for each in cameras if each.camera_to_ego[0, 2] <= 0]
     rows = [sorted(ahead, key=_leftness, reverse=True), sorted(behind, key=_leftness, reverse=True)]
@@ -231,5 +231,5 @@ def mosaic_rows(cameras: Sequence[RigCamera]) -> list[list[RigCamera]]:
 
 
 def _leftness(camera: RigCamera) -> float:
-    """How far to the left of straight ahead, or of straight back, a camera looks."""
+    """Component to the left of a camera's viewing direction."""
     return float(np.round(camera.camera_to_ego[1, 2], 6))

@@ -1,4 +1,4 @@
-"""The preferences of a session: at hand at once, and in their file soon after."""
+"""Preferences and the folders of per-user files."""
 
 import logging
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -16,11 +16,11 @@ from .notifications import describe_error
 
 
 class PreferencesStore:
-    """A value that follows every change; the file follows it in `thread`, one write at a time."""
+    """Preferences in memory; each change is saved in `thread`, one write at a time."""
 
     def __init__(self, thread: ThreadPoolExecutor) -> None:
         self.value, self.trouble = load_preferences()
-        """What is preferred, and one sentence when the file could not be used, which is told once."""
+        """Present preferences, and one sentence if the file could not be used, shown once."""
         if self.trouble is not None and (aside := set_aside()) is not None:
             self.trouble += f" (kept as {aside.name}; the usual settings are used)"
         self._thread = thread
@@ -28,16 +28,16 @@ class PreferencesStore:
         self._saving: Future[Preferences] | None = None
 
     def change(self, **fields: Any) -> None:
-        """Prefer something else.
+        """Change preferences.
 
         Raises:
-            msgspec.ValidationError: When a value is out of its bounds; the message names it.
+            msgspec.ValidationError: If a value is out of bounds; the message names it.
         """
         self.value = checked(msgspec.structs.replace(self.value, **fields))
         self._changed.update(fields)
 
     def poll(self) -> None:
-        """Write what has changed, unless a write is under way. Once a frame."""
+        """Write changes, unless a write is in progress. Once a frame."""
         if self._saving is not None and self._saving.done():
             saving, self._saving = self._saving, None
             if (error := saving.exception()) is not None:
@@ -47,31 +47,30 @@ class PreferencesStore:
             self._saving = self._thread.submit(save_preferences, **changed)
 
     def close(self) -> None:
-        """Write what has not been written yet."""
         if self._changed:
             self._thread.submit(save_preferences, **self._changed)
 
 
-# § Where the program keeps what belongs to a person and to no scene.
+# Folders
 
 
 def state_folder() -> Path:
-    """Recent files, autosaves of scenes that have no folder yet, and locks."""
+    """Folder for recent files, autosaves of never-saved scenes, and locks."""
     return Path(platformdirs.user_state_dir("gsrain", appauthor=False))
 
 
 def config_folder() -> Path:
-    """Preferences and the window's layout."""
+    """Folder for preferences and the window's layout."""
     return Path(platformdirs.user_config_dir("gsrain", appauthor=False))
 
 
-# § What a person prefers, whatever the scene: one small file that several windows share.
+# Preferences file, shared by all windows
 
 logger = logging.getLogger("gsrain")
 
 
 class Preferences(msgspec.Struct, frozen=True, kw_only=True):
-    """Settings of the program. What an older or newer program has written besides is passed over."""
+    """Settings of the program. Unknown fields of other versions are ignored."""
 
     theme: Annotated[
         Literal["dark", "light"], Meta(title="Theme", description="Colours of panels and menus; the picture stays.")
@@ -96,7 +95,7 @@ class Preferences(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def load_preferences() -> tuple[Preferences, str | None]:
-    """Read the preferences, or defaults where there are none; and one sentence when the file can't be used."""
+    """Read the preferences, or defaults if there are none; and one sentence if the file can't be used."""
     path = preferences_file()
     try:
         return convert_checked(yaml_values(read_whole(path)), Preferences), None
@@ -109,7 +108,7 @@ def load_preferences() -> tuple[Preferences, str | None]:
 
 
 def set_aside() -> Path | None:
-    """Move preferences that can't be used out of the way, so that what is in them is not lost; returns where to."""
+    """Rename an unusable preferences file so that its content is kept; return the new path."""
     aside = preferences_file().with_name("preferences.bad.yaml")
     try:
         return preferences_file().replace(aside)
@@ -118,11 +117,11 @@ def set_aside() -> Path | None:
 
 
 def save_preferences(**fields: Any) -> Preferences:
-    """Change some preferences, whatever other windows have changed meanwhile; returns them all.
+    """Change some preferences, keeping concurrent changes of other windows; return all of them.
 
     Raises:
-        msgspec.ValidationError: When a value is out of its bounds; the message names it.
-        OSError: When the file can't be written.
+        msgspec.ValidationError: If a value is out of bounds; the message names it.
+        OSError: If the file can't be written.
     """
     path = preferences_file()
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -134,10 +133,10 @@ def save_preferences(**fields: Any) -> Preferences:
 
 
 def checked(preferences: Preferences) -> Preferences:
-    """Return the same preferences.
+    """Validate and return the preferences.
 
     Raises:
-        msgspec.ValidationError: When a value is out of its bounds; the message names it.
+        msgspec.ValidationError: If a value is out of bounds; the message names it.
     """
     return msgspec.convert(msgspec.to_builtins(preferences), Preferences)
 

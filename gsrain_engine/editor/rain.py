@@ -1,4 +1,4 @@
-"""What the rain panels measure, in a thread: the virtual disdrometer, and calibrations fitted to disdrometer files."""
+"""Tools of the rain panels: virtual disdrometer, calibration fits, shelter maps, and keyframe panel state."""
 
 import logging
 from collections.abc import Callable, Sequence
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger("gsrain")
 
 RECORD_S = 60.0
-"""The virtual disdrometer hands over a spectrum a minute, as real ones do."""
+"""Interval of virtual spectra: one minute, as real disdrometers report."""
 
 
 @dataclass(slots=True)
@@ -44,53 +44,51 @@ class _FitInput:
     measured: "tuple[MeasurementSummary, ...]"
     fitted: "FittedCalibration | None"
     problem: str | None
-    """Why there is no fit."""
+    """Reason why there is no fit."""
     disagreeing: tuple[Path, ...]
 
 
 class CalibrationTools:
-    """One measurement at a time. Call everything on the main thread, and `poll` once a frame."""
+    """One measurement at a time. Main thread only; call `poll` once a frame."""
 
     def __init__(self) -> None:
         self.counted: DisdrometerMeasurement | None = None
-        """What the virtual disdrometer counted last."""
+        """Last measurement of the virtual disdrometer."""
         self.fitted: FittedCalibration | None = None
-        """The last fit."""
         self.measured: tuple[MeasurementSummary, ...] = ()
-        """Summaries of the files of the last fit, also where it failed."""
+        """Summaries of the files of the last fit, even if it failed."""
         self.disagreeing: tuple[Path, ...] = ()
-        """Files whose drops don't give the instrument's own rate, and that were not fitted for that."""
+        """Files that were not fitted because their drops disagree with the instrument's own rate."""
         self.area_m2, self.seconds = 0.5, 60.0
-        """Of the next virtual measurement; seconds are simulated ones."""
+        """Area and duration of the next virtual measurement; seconds are simulated time."""
         self.compared = "published"
-        """Name or file of the calibration that is shown beside the rain's own."""
+        """Name or file of the calibration shown next to the rain's own."""
         self.pass_file = load_calibration(self.compared)
         """That calibration."""
         self.files: list[str] = []
-        """Calibration files that were opened or written here."""
+        """Calibration files opened or written in this session."""
         self.series: tuple[str, DisdrometerReading] | None = None
-        """A disdrometer file that is about to become the weather: its name and what is in it."""
+        """Name and content of a disdrometer file about to be imported as weather."""
         self.problem: str | None = None
-        """Why the last measurement failed, in one sentence."""
+        """Reason why the last measurement failed, in one sentence."""
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="rain lab")
         self._task: _MeasurementTask | None = None
 
     @property
     def calibrations(self) -> list[str]:
-        """Names and files to choose from."""
         return [*calibration_names(), *self.files]
 
     @property
     def busy(self) -> str | None:
-        """What is being measured; None when nothing is."""
+        """Description of the measurement in progress, or None."""
         return None if self._task is None else self._task.label
 
     def compare_with(self, name: str) -> None:
-        """Show another calibration beside the rain's own. Raises `ValueError`, `OSError`."""
+        """Show another calibration next to the rain's own. Raises `ValueError`, `OSError`."""
         self.pass_file, self.compared = load_calibration(name), name
 
     def measure(self, rain: RainSettings) -> None:
-        """Hold a virtual disdrometer into the rain, from time 0 on."""
+        """Measure the rain with a virtual disdrometer, from time 0 on."""
         area_m2, seconds = self.area_m2, self.seconds
 
         def count() -> "DisdrometerMeasurement":
@@ -102,9 +100,9 @@ class CalibrationTools:
         self._begin(f"Counting drops for {seconds:g} s", count, lambda counted: setattr(self, "counted", counted))
 
     def fit(self, files: Sequence[Path], force: bool = False) -> None:
-        """Fit a calibration to disdrometer files of one instrument; by `force` even where rates disagree.
+        """Fit a calibration to disdrometer files of one instrument; `force` accepts disagreeing rates.
 
-        A YAML file among them says which column of their tables is what.
+        A YAML file among them describes the columns of their tables.
         """
         described = [path for path in files if path.suffix in (".yaml", ".yml")]
         tables = tuple(path for path in files if path not in described)
@@ -148,7 +146,7 @@ class CalibrationTools:
         self._begin(f"Reading {path.name}", read, lambda reading: setattr(self, "series", (path.name, reading)))
 
     def keep_fitted(self) -> str:
-        """Write the last fit among the person's own calibrations; returns the file's path. Raises `OSError`."""
+        """Save the last fit among the user's calibrations; return the file's path. Raises `OSError`."""
         assert self.fitted is not None, "fit before keeping"
         folder = platformdirs.user_data_path("gsrain", appauthor=False) / "calibrations"
         folder.mkdir(parents=True, exist_ok=True)
@@ -158,7 +156,7 @@ class CalibrationTools:
         return str(path)
 
     def add_file(self, path: str) -> None:
-        """List a calibration file among those to choose from."""
+        """Add a calibration file to the choices."""
         if path not in self.calibrations:
             self.files.append(path)
 
@@ -183,11 +181,11 @@ class CalibrationTools:
             self._task = _MeasurementTask(label, self._thread.submit(work), take)
 
 
-# § Which calibration a document's rain follows; what is wrong with one is kept in `document.problem`.
+# Calibrations; errors are set as `document.problem`
 
 
 def use_calibration(document: EditedDocument, lab: CalibrationTools, name: str) -> None:
-    """Let the rain follow another calibration, by name or file."""
+    """Use another calibration for the rain, by name or file."""
     try:
         load_calibration(name)
     except (ValueError, OSError) as error:
@@ -199,7 +197,7 @@ def use_calibration(document: EditedDocument, lab: CalibrationTools, name: str) 
 
 
 def compare_calibration(document: EditedDocument, lab: CalibrationTools, name: str) -> None:
-    """Show another calibration beside the rain's own."""
+    """Show another calibration next to the rain's own."""
     try:
         lab.compare_with(name)
     except (ValueError, OSError) as error:
@@ -208,7 +206,7 @@ def compare_calibration(document: EditedDocument, lab: CalibrationTools, name: s
 
 
 def use_fitted_calibration(document: EditedDocument, lab: CalibrationTools) -> None:
-    """Keep the lab's last fit in a file, and let the rain follow it."""
+    """Save the last fit to a file and use it for the rain."""
     try:
         path = lab.keep_fitted()
     except OSError as error:
@@ -217,29 +215,28 @@ def use_fitted_calibration(document: EditedDocument, lab: CalibrationTools) -> N
         use_calibration(document, lab, path)
 
 
-# § Roofs found before a frame needs them: the search takes seconds, so it goes on beside the window.
+# Shelter maps, computed in the background because a search takes seconds
 
 
 class ShelterMapBuilder:
-    """Searches one scene after the other; what it finds is kept where `shelter_map_of` keeps it."""
+    """Computes shelter maps of one scene after another; results are in the cache of `shelter_map_of`."""
 
     def __init__(self, thread: ThreadPoolExecutor) -> None:
-        """Search in a thread."""
         self._thread = thread
         self._scene: Scene | None = None
         self._search: Future[ShelterMap | None] | None = None
 
     def knows(self, scene: Scene) -> bool:
-        """Say whether asking for the roofs of a scene takes no time."""
+        """Return whether the roofs of a scene are already known."""
         return self._search is not None and self._search.done() and self._is_of(scene)
 
     @property
     def pending(self) -> list[Future[ShelterMap | None]]:
-        """The search, to wait for where there are no frames to wait with."""
+        """The search in progress, to wait for where there are no frames."""
         return [] if self._search is None else [self._search]
 
     def look_at(self, scene: Scene) -> None:
-        """Search a scene once the search before is through; a scene that is known already isn't searched again."""
+        """Start to search a scene, unless it is known or another search is running."""
         waits = self._search is not None and not self._search.done()
         if not waits and not self._is_of(scene):
             self._scene, self._search = scene, self._thread.submit(shelter_map_of, scene)
@@ -248,16 +245,16 @@ class ShelterMapBuilder:
         return self._scene is not None and self._scene.geometry_key == scene.geometry_key
 
 
-# § What the Shower panel remembers from frame to frame; not part of the document.
+# State of the Shower panel; not part of the document
 
 _MIN_SPAN_S = 10.0
 
 _TOPS_MM_H = (15.0, 30.0, 60.0, 105.0)
-"""Upper ends of the axis: it does not run away from a point that is being dragged."""
+"""Upper ends of the axis in steps, so that it does not move while a point is dragged."""
 
 
 class PendingInput(NamedTuple):
-    """A number that is being typed; it counts when its field is left."""
+    """A number being typed; it is applied when its field loses the focus."""
 
     time_s: float
     field: str
@@ -266,27 +263,26 @@ class PendingInput(NamedTuple):
 
 @dataclass(slots=True)
 class KeyframePanelState:
-    """The part of the curve that is seen, and what is held."""
+    """Visible part of the curve, and the running interaction."""
 
     refit: bool = True
-    """Show all keys in the next frame."""
+    """Show all keyframes in the next frame."""
     top_mm_h: float = _TOPS_MM_H[0]
     is_held: bool = False
-    """Whether a key is being dragged; the axis waits until it is let go."""
+    """True while a keyframe is dragged; the axis changes only afterwards."""
     typed: PendingInput | None = None
     speed_up: float = 1.0
-    """Of the series that is about to be taken."""
+    """Speed factor of the series to be imported."""
     start_s: float = 0.0
-    """Where that series begins."""
 
     def follow(self, weather: RainKeyframes, heaviest_mm_h: float) -> None:
-        """Let the axis fit the heaviest rain, unless a key is held."""
+        """Fit the axis to the heaviest rain, unless a keyframe is being dragged."""
         if not self.is_held:
             self.top_mm_h = next(top for top in _TOPS_MM_H if 1.05 * heaviest_mm_h <= top)
 
     @staticmethod
     def span_s(weather: RainKeyframes, now_s: float) -> tuple[float, float]:
-        """From when to when to show: all keys with a margin, or a minute from now without any."""
+        """Time span to show: all keyframes with a margin, or one minute from now if there are none."""
         times = [key.time_s for key in (*weather.keys[:1], *weather.keys[-1:])] or [now_s, now_s + 60.0]
         first, last = min(times), max(times)
         span = max(last - first, _MIN_SPAN_S)

@@ -1,4 +1,4 @@
-"""Faces of a rain region as they are dragged in the view: where they can be gripped, and how far they are pulled."""
+"""Rain regions in the viewport: face handles and drags, outlines, and a view of a region from outside."""
 
 import math
 from dataclasses import dataclass
@@ -19,35 +19,35 @@ from .viewport_state import ViewportState
 RegionName = Literal["streak_region", "haze_region"]
 
 _END_ON_PX = 8.0
-"""A face that moves less than this for a tenth of its distance is seen end-on: the mouse's height moves it."""
+"""A face that moves less than this for a tenth of its distance is end-on: vertical mouse motion drags it."""
 
 _FARTHEST_M, _THINNEST_M = 200.0, 0.1
 
 _LARGEST_M3 = {"streak_region": 5_000.0, "haze_region": 1e7}
-"""Streaks are simulated drop by drop: a larger region by hand would be a slip that stops the window."""
+"""Maximum volumes: streaks are simulated drop by drop, so a huge region would stall the window."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FaceHandle:
-    """One face of a region that can be seen."""
+    """A visible face of a region."""
 
     axis: int
     upper: bool
     point_m: Float64[np.ndarray, "3"]
-    """Middle of what is seen of the face, in the world."""
+    """Centroid of the visible part of the face, in the world."""
     normal: Float64[np.ndarray, "3"]
     """Outward, in the world."""
 
     @property
     def face(self) -> tuple[int, bool]:
-        """Axis, and whether it is its upper side."""
+        """Axis, and True for its upper side."""
         return self.axis, self.upper
 
 
 def face_handles(
     box: RegionBox, anchor_to_world: Float64[np.ndarray, "4 4"], camera: Camera, *, inset: float = 0.08
 ) -> list[FaceHandle]:
-    """Handles of the faces that the camera sees a part of; they keep a share of the picture off its edges."""
+    """Handles of the faces at least partly visible; they keep a margin (`inset`, share of the image) from its edges."""
     low, high = np.array(box.minimum_m), np.array(box.maximum_m)
     handles: list[FaceHandle] = []
     for axis, upper in product(range(3), (False, True)):
@@ -60,7 +60,7 @@ def face_handles(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoxFaceDrag:
-    """A face that is being pulled: what it was when it was gripped, and how the mouse moves it."""
+    """Drag of a face: its initial state and the mapping of the mouse."""
 
     handle: FaceHandle
     box: RegionBox
@@ -69,7 +69,7 @@ class BoxFaceDrag:
     start_px: tuple[float, float]
 
     def pulled(self, x: float, y: float) -> RegionBox:
-        """Return the region with the face where the mouse pulls it; it stops where the region would be no good."""
+        """Return the region with its face at the mouse, within the limits of its size."""
         axis, upper = self.handle.face
         way = self._along(x, y) - self._along(*self.start_px)
         low, high = list(self.box.minimum_m), list(self.box.maximum_m)
@@ -86,7 +86,7 @@ class BoxFaceDrag:
 
     @property
     def is_end_on(self) -> bool:
-        """Whether the face moves along the line of sight, so that the mouse's height has to stand for it."""
+        """True if the face moves along the line of sight, so that vertical mouse motion drags it."""
         here, there = (
             project_point(self.handle.point_m + step * self.handle.normal, self.camera)
             for step in (0.0, self._distance / 10)
@@ -94,7 +94,7 @@ class BoxFaceDrag:
         return there is None or here is None or math.hypot(there.x - here.x, there.y - here.y) < _END_ON_PX
 
     def _along(self, x: float, y: float) -> float:
-        """How far along the normal, from the handle, a pixel is."""
+        """Distance of a pixel along the normal, from the handle."""
         point, normal, camera = self.handle.point_m, self.handle.normal, self.camera
         if self.is_end_on:
             farther = 1.0 if float(normal @ camera.world_to_camera[2, :3]) > 0 else -1.0
@@ -125,7 +125,7 @@ def _corners(
 def _visible_centroid(
     corners_m: Float64[np.ndarray, "4 3"], anchor_to_world: Float64[np.ndarray, "4 4"], camera: Camera, inset: float
 ) -> Float64[np.ndarray, "3"] | None:
-    """Centroid of what the camera sees of a face, in the world; None where it sees nothing."""
+    """Centroid of the visible part of a face, in the world; None if nothing is visible."""
     to_camera = camera.world_to_camera @ anchor_to_world
     seen = corners_m @ to_camera[:3, :3].T + to_camera[:3, 3]
     x, y, wide, high = camera.cx, camera.cy, camera.width, camera.height
@@ -141,7 +141,7 @@ def _visible_centroid(
 
 
 def _cut(polygon: Float64[np.ndarray, "n 3"], plane: Float64[np.ndarray, "4"]) -> Float64[np.ndarray, "m 3"]:
-    """Keep what lies on the positive side of a plane (Sutherland and Hodgman, 1974)."""
+    """Clip a polygon to the positive side of a plane (Sutherland and Hodgman, 1974)."""
     side = polygon @ plane[:3] + plane[3]
     kept: list[Float64[np.ndarray, 3]] = []
     for k in range(len(polygon)):
@@ -160,7 +160,8 @@ def _centroid(polygon: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "3"]:
     return (triangles.mean(axis=1) * areas[:, None]).sum(axis=0) / max(float(areas.sum()), 1e-12)
 
 
-# § A look at a rain region from outside: cameras carry it along, so that most of its faces are out of their sight.
+# View of a region from outside
+# Cameras are inside of their regions, so that most faces are out of sight.
 
 _FROM = np.array([-0.75, 0.8, 0.62])
 """From behind, left and above: x runs to the upper right, y to the upper left."""
@@ -168,11 +169,11 @@ _FROM = np.array([-0.75, 0.8, 0.62])
 _FOV_DEG = 24.0
 
 _FILLED = 0.74
-"""Share of the picture that the region fills."""
+"""Share of the image height that the region fills."""
 
 
 def inset_view(box: RegionBox, anchor_to_world: Float64[np.ndarray, "4 4"], width: int, height: int) -> RenderView:
-    """Look at a whole region, whose frame stands in the world, from outside."""
+    """View of a whole region from outside."""
     turn = anchor_to_world[:3, :3]
     middle = turn @ np.array(box.center_m) + anchor_to_world[:3, 3]
     direction = turn @ (_FROM / np.linalg.norm(_FROM))
@@ -186,7 +187,7 @@ def inset_view(box: RegionBox, anchor_to_world: Float64[np.ndarray, "4 4"], widt
 
 
 def frustum_lines(camera: Camera, length_m: float) -> Float64[np.ndarray, "8 2 3"]:
-    """Edges of what a camera sees up to a depth, as lines in the world."""
+    """Edges of a camera's frustum up to a depth, as lines in the world."""
     x0, x1 = -camera.cx / camera.fx, (camera.width - camera.cx) / camera.fx
     y0, y1 = -camera.cy / camera.fy, (camera.height - camera.cy) / camera.fy
     corners = length_m * np.array([[x0, y0, 1.0], [x1, y0, 1.0], [x1, y1, 1.0], [x0, y1, 1.0]])
@@ -195,19 +196,19 @@ def frustum_lines(camera: Camera, length_m: float) -> Float64[np.ndarray, "8 2 3
     return np.concatenate([np.stack([eye, corners], axis=1), np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)])
 
 
-# § The rain regions as lines in the picture.
+# Outlines
 
 
 class RegionOutline(NamedTuple):
-    """The edges of one region."""
+    """Edges of a region."""
 
     name: str
     lines_px: Float64[np.ndarray, "m 2 2"]
-    """Start and end of each edge that is in front of the camera, as x, y in pixels of the picture."""
+    """Start and end of each edge in front of the camera, as x, y in image pixels."""
 
 
 def region_outlines(session: ViewportState, width: int, height: int) -> list[RegionOutline]:
-    """Project the regions that the view options ask for."""
+    """Project the regions that the view options show."""
     shown = []
     if session.view.show_streak_region:
         shown.append(("streak region", session.rain.streak_region))
@@ -221,7 +222,7 @@ def region_outlines(session: ViewportState, width: int, height: int) -> list[Reg
 def project_edges(
     box: RegionBox, anchor_to_world: Float64[np.ndarray, "4 4"], camera: Camera
 ) -> Float64[np.ndarray, "m 2 2"]:
-    """Project the twelve edges of a box, each cut off at the near plane."""
+    """Project the twelve edges of a box, clipped at the near plane."""
     corners = np.array(list(product(*zip(box.minimum_m, box.maximum_m, strict=True))))
     in_world = corners @ anchor_to_world[:3, :3].T + anchor_to_world[:3, 3]
     return project_lines(in_world[EDGES], camera)

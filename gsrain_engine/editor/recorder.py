@@ -1,4 +1,4 @@
-"""What a person wants to record, how long that is, and the way from a click to the job."""
+"""Export of the timeline or a still: settings, estimate, and start of the job."""
 
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -22,23 +22,23 @@ from .notifications import describe_error
 from .services import EditorServices
 
 _LABEL_DRAWINGS = 1 / 3
-"""Pictures a layer or actor that labels take: three fit into the colours of one."""
+"""Images per layer or actor for a labels pass: the three color channels of one image hold three of them."""
 
 
 class OutputEstimate(NamedTuple):
-    """How much a recording is."""
+    """Size and rough duration of an export."""
 
     frames: int
-    """Of each camera."""
+    """Per camera."""
     cameras: int
     length_s: float
-    """How long it plays."""
+    """Playing time."""
     rough_s: float | None
-    """How long it may take, going by the viewport's last picture; None while there is none."""
+    """Rough rendering time from the viewport's last image; None without one."""
 
 
 class RenderQueue:
-    """The recording of one session. Only the main thread touches it."""
+    """The recording of one session. Main thread only."""
 
     def __init__(self, session: EditorServices, scene_files: SceneFiles, files: ThreadPoolExecutor) -> None:
         self._session, self._scene_files, self._files = session, scene_files, files
@@ -46,12 +46,12 @@ class RenderQueue:
 
     @property
     def settings(self) -> ExportSettings:
-        """All but where it goes. The frame rate is the timeline's."""
+        """Settings except for the output path. The frame rate is the timeline's."""
         return msgspec.structs.replace(self._wanted, fps=self._session.timeline.fps)
 
     @property
     def end_s(self) -> float:
-        """Moment at which the clip ends; with nothing to record, that at which it begins."""
+        """End of the clip in seconds; its start if there is nothing to record."""
         extent = self.extent()
         return self._wanted.first_s + (0.0 if isinstance(extent, str) else extent.length_s)
 
@@ -60,7 +60,7 @@ class RenderQueue:
         return any(isinstance(job, ExportJob) for job in self._session.running_jobs)
 
     def change(self, **fields: object) -> None:
-        """Change what is wanted; what contradicts itself is not taken, and said in `problem`."""
+        """Change settings; inconsistent ones are rejected and the error set as `problem`."""
         try:
             values = {name: getattr(self.settings, name) for name in self.settings.__struct_fields__} | fields
             self._wanted = msgspec.convert(values, ExportSettings)
@@ -69,7 +69,7 @@ class RenderQueue:
             self._session.problem = str(error)
 
     def extent(self) -> OutputEstimate | str:
-        """How much it is; where it can't be recorded, why."""
+        """Estimate of the export, or the reason why it is impossible."""
         try:
             sequences = self._sequences(self.settings)
         except ValueError as error:
@@ -78,13 +78,13 @@ class RenderQueue:
         return OutputEstimate(frames, len(sequences), frames / self.settings.fps, self._rough_s(frames, sequences))
 
     def record_to(self, path: Path) -> None:
-        """Record the timeline; what is there already is only replaced when a person says so."""
+        """Record the timeline; replacing existing files needs confirmation."""
         if self.settings.is_video and not path.suffix:
             path = path.with_name(path.name + self.settings.default_suffix)
         self._begin(msgspec.structs.replace(self.settings, output=str(path)), saved_scene(self._session))
 
     def record_still_to(self, path: Path) -> None:
-        """Record the moment that the viewport shows, from its place, in the size and with the samples wanted."""
+        """Record the viewport's present time and view, in the size and with the samples of the settings."""
         session = self._session
         still = msgspec.structs.replace(
             self.settings,
@@ -132,7 +132,7 @@ class RenderQueue:
         return export_sequences(probe, session.scene, session.rainfall, session.path, in_scene_time=is_own)
 
     def _standing(self) -> CameraPath:
-        """A path of one key where the viewport's camera is, in scene units and axes."""
+        """A path of one keyframe at the viewport's camera, in scene units and axes."""
         session = self._session
         camera = session.shot(*(self.settings.size_px or (960, 640))).camera
         pose = camera.camera_to_world
@@ -145,7 +145,7 @@ class RenderQueue:
         ).moved(np.linalg.inv(session.scene.scene_to_world))
 
     def _rough_s(self, frames: int, sequences: Mapping[str, FrameSequence]) -> float | None:
-        """Time a picture takes by its pixels, times all pictures; encoding and reading come on top."""
+        """Time per pixel times all images, without encoding and reading."""
         statistics, wanted = self._session.statistics, self.settings
         if not statistics.get("megapixels"):
             return None

@@ -1,4 +1,4 @@
-"""A document with the work around it: jobs, what a person is asked and prefers, a capture beside it."""
+"""Services shared by the editor's parts: jobs, questions, preferences, and the open capture."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -18,7 +18,7 @@ from .viewport_state import ViewportState
 
 
 class _PendingAction(NamedTuple):
-    """Work that has to end before something is done."""
+    """Action to run after some work has ended."""
 
     work: tuple[BackgroundWork, ...]
     act: Callable[[], None]
@@ -26,17 +26,16 @@ class _PendingAction(NamedTuple):
 
 
 class EditorServices(ViewportState):
-    """What the parts of a session know of it: they are given the desk that they lie on."""
+    """A viewport with the services shared by the editor's components."""
 
     def __init__(self, scene: Scene, rain: RainSettings | None, files: ThreadPoolExecutor) -> None:
-        """Begin with a scene; `files` is the thread where reading and writing happens."""
+        """Start with a scene; `files` is the thread for reading and writing."""
         super().__init__(scene, rain)
         self.jobs: list[BackgroundJob] = []
-        """Those that run and those that have ended, in the order of their start, until a person clears them."""
+        """Running and ended jobs in the order of their start, until the user clears them."""
         self.previews: dict[BackgroundJob, Texture] = {}
-        """What running jobs show of their work."""
         self.statistics: dict[str, float] = {}
-        """Figures of the last frame, by name: the Statistics panel shows them in this order."""
+        """Figures of the last frame by name, in the order of the Statistics panel."""
         self.captures = CaptureController()
         self.questions = Questions()
         self._awaited: _PendingAction | None = None
@@ -46,22 +45,21 @@ class EditorServices(ViewportState):
 
     @property
     def running_jobs(self) -> list[BackgroundJob]:
-        """Jobs that have not ended."""
         return [job for job in self.jobs if job.state == "running"]
 
     @property
     def loose_results(self) -> list[str]:
-        """Names of results that are in no file and no document, and go with this one."""
+        """Names of unsaved results that are lost with this document."""
         return []
 
     def start(self, job: BackgroundJob) -> None:
         self.jobs.append(job)
 
     def when_idle(self, work: Sequence[BackgroundWork], what: str, act: Callable[[], None]) -> None:
-        """Do what ends the work that still runs; a person says first whether to wait for jobs or to stop them.
+        """Call `act` after work has ended; if jobs run, the user first chooses to wait or to stop them.
 
-        `what` ends the sentence "Wait for it before you ...". Reading and writing of files, which takes seconds, is
-        waited for unasked.
+        `what` ends the sentence "Wait for it before you ...". Always waits for reading and writing of files, which take
+        seconds.
         """
         self._wait_no_more()
         running = tuple(each for each in work if each.state == "running")
@@ -104,11 +102,11 @@ class EditorServices(ViewportState):
 
     @property
     def is_awaiting(self) -> bool:
-        """Whether something is done as soon as work has ended."""
+        """True if an action waits for work to end."""
         return self._awaited is not None
 
     def _go_on_when_idle(self) -> None:
-        """Do what was waiting for work that has ended by now; where that has failed, leave it, and the reason shown."""
+        """Run the waiting action after its work has ended; drop it if work failed."""
         awaited = self._awaited
         if awaited is None or any(each.state == "running" for each in awaited.work):
             return
@@ -126,11 +124,11 @@ class EditorServices(ViewportState):
 
     @property
     def preferences(self) -> Preferences:
-        """Settings of the program, whatever the scene."""
+        """Settings of the program, independent of the scene."""
         return self._preferences.value
 
     def set_preference(self, **fields: object) -> None:
-        """Change preferences and keep them; what is out of bounds is told in `problem`."""
+        """Change and save preferences; a value out of bounds is reported in `problem`."""
         try:
             self._preferences.change(**fields)
         except msgspec.ValidationError as error:

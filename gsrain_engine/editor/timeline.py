@@ -1,4 +1,4 @@
-"""Time in the scene: goes on in real seconds while it plays, so rain falls at its own speed at any frame rate."""
+"""Playback clock, and the timeline panel: ruler, selected keyframe, drags, and rows."""
 
 import math
 from dataclasses import dataclass, field
@@ -16,26 +16,26 @@ from .viewport.camera import ORBIT_S
 _LONGEST_STALL_S = 0.25
 
 _LITTLE = 1e-6
-"""Of a frame: a moment as near as this to a frame is that frame's."""
+"""Tolerance in frames within which a time counts as that of a frame."""
 
 
 @dataclass(slots=True)
 class PlaybackClock:
-    """A clock that can be stopped, set and run at another speed, within a span or on and on."""
+    """Clock with pause, seek, speed and an optional span. Runs in real time at any frame rate."""
 
     time_s: float = 0.0
     playing: bool = True
     speed: float = 1.0
     loop: bool = True
-    """At the end of the span begin again; else stop there."""
+    """Restart at the end of the span, otherwise stop there."""
     span_s: tuple[float, float] | None = None
-    """First and last moment, where a person has set them."""
+    """Start and end of playback if set by the user."""
 
     def toggle(self) -> None:
         self.playing = not self.playing
 
     def advance(self, real_s: float, span_s: tuple[float, float] | None = None) -> None:
-        """Let real seconds go by; at the end of the span it begins again or stops. Without a span it goes on and on."""
+        """Advance by real seconds; loop or stop at the end of the span. Without a span it runs on."""
         if not self.playing:
             return
         before, self.time_s = self.time_s, self.time_s + self.speed * real_s
@@ -51,11 +51,11 @@ class PlaybackClock:
             self.time_s, self.playing = end, False
 
     def seek(self, time_s: float) -> None:
-        """Set the time, not before 0."""
+        """Set the time; negative values become 0."""
         self.time_s = max(0.0, float(time_s))
 
     def step(self, frames: int, fps: float) -> None:
-        """Stop, and go to a neighbouring frame of a film; between two frames, to the one on that side."""
+        """Pause and go to a neighboring video frame; between two frames, to the one on that side."""
         self.playing = False
         number = self.time_s * fps
         whole = math.floor(number + _LITTLE) + frames if frames > 0 else math.ceil(number - _LITTLE) + frames
@@ -64,99 +64,96 @@ class PlaybackClock:
 
 @dataclass(slots=True)
 class FrameClock:
-    """The seconds from one frame to the next, without stalls."""
+    """Durations between frames, without stalls."""
 
     _last_s: float = 0.0
 
     def step(self, real_s: float) -> float:
-        """Seconds to go on by after a frame that took so long.
+        """Return the time step for a frame that took `real_s`.
 
-        A stall counts as a quarter of a second, so that nothing leaps. Where one frame after the other takes longer
-        than that it is no stall: time goes on at its own speed.
+        A stall counts as a quarter of a second, to avoid jumps. If successive frames all take longer, time keeps its
+        real speed.
         """
         step_s, self._last_s = min(real_s, max(_LONGEST_STALL_S, self._last_s)), real_s
         return step_s
 
 
-# § What the timeline shows and what is chosen there; not part of the document.
+# Timeline state; not part of the document
 
 
 class KeyframeDrag(NamedTuple):
-    """A key in the hand: every place of the hand gives the same path, whichever way led there."""
+    """A dragged keyframe: the result depends only on the present mouse position."""
 
     path: CameraPath
-    """As it was when the key was taken hold of; scene units and axes."""
+    """Path at the start of the drag; scene units and axes."""
     key: int
     copies: bool = False
-    """Leave the key where it is and drag a copy."""
+    """Drag a copy and leave the keyframe."""
     in_view: bool = False
-    """Taken in the picture, not on the timeline."""
+    """Dragged in the viewport, not on the timeline."""
     has_moved: bool = False
-    """Whether the hand has moved since: else it was a click."""
+    """True if the mouse has moved; otherwise it was a click."""
 
     def begun(self) -> "KeyframeDrag":
         return self._replace(has_moved=True)
 
 
-# § Where moments stand on a timeline, and which of them get a mark: between pixels and seconds.
+# Ruler: conversion between pixels and seconds, and tick marks
 
 
 @dataclass(slots=True)
 class Ruler:
-    """The stretch of time that a timeline shows."""
+    """Visible time span of a timeline."""
 
     first_s: float = 0.0
     visible_span_s: float = 10.0
-    """Seconds over the whole width."""
+    """Duration of the whole width."""
     width_px: float = 1.0
 
     def x(self, time_s: float) -> float:
-        """Pixels from the left end to a moment."""
+        """Pixels from the left end to a time."""
         return (time_s - self.first_s) / self.visible_span_s * self.width_px
 
     def time(self, x_px: float) -> float:
-        """Moment at so many pixels from the left end."""
+        """Time at a number of pixels from the left end."""
         return self.first_s + x_px / self.width_px * self.visible_span_s
 
     def seconds(self, pixels: float) -> float:
-        """How long so many pixels are."""
+        """Duration of a number of pixels."""
         return pixels / self.width_px * self.visible_span_s
 
     def zoom(self, steps: float, x_px: float) -> None:
-        """Show less (positive) or more time, by a fifth a step; what is at a pixel stays there."""
+        """Zoom in (positive) or out, by a fifth a step; the time at `x_px` stays there."""
         held = self.time(x_px)
         self.visible_span_s = float(np.clip(self.visible_span_s * 0.8**steps, _SHORTEST_S, _LONGEST_S))
         self._begin_at(held - self.seconds(x_px))
 
     def pan(self, pixels: float) -> None:
-        """Move what is shown along with the hand."""
         self._begin_at(self.first_s - self.seconds(pixels))
 
     def fit(self, first_s: float, last_s: float) -> None:
-        """Show a stretch of time whole."""
         length = max(last_s - first_s, _SHORTEST_S)
         self.visible_span_s = length * (1 + 2 * _MARGIN)
         self.first_s = first_s - length * _MARGIN
 
     def show(self, time_s: float) -> None:
-        """Go on by a page where a moment has left what is shown."""
+        """Scroll by a page if a time is not visible."""
         if not self.first_s <= time_s <= self.first_s + self.visible_span_s:
             self._begin_at(time_s - _MARGIN * self.visible_span_s)
 
     def marks(self, apart_px: float) -> list[float]:
-        """Moments of the marks, at 1, 2 or 5 times a power of ten seconds, at least so many pixels apart."""
+        """Times of tick marks, at 1, 2 or 5 times a power of ten seconds, at least a number of pixels apart."""
         step = self.mark_step(apart_px)
         first, last = np.ceil(self.first_s / step - 1e-9), np.floor((self.first_s + self.visible_span_s) / step + 1e-9)
         return (np.arange(first, last + 1) * step).tolist()
 
     def mark_step(self, apart_px: float) -> float:
-        """Seconds from mark to mark."""
         least = max(self.seconds(apart_px), 1e-9)
         ten = 10.0 ** np.floor(np.log10(least))
         return float(next(nice * ten for nice in (*_NICE, 10.0) if nice * ten >= least * (1 - 1e-9)))
 
     def _begin_at(self, time_s: float) -> None:
-        # A little before 0 stays to be seen, so that what stands at 0 can be taken hold of.
+        # A margin before 0 stays visible, so that items at 0 can be dragged.
         self.first_s = max(time_s, -_MARGIN * self.visible_span_s)
 
 
@@ -165,42 +162,42 @@ class Timeline:
     """State of the Timeline panel."""
 
     key: int | None = None
-    """Number of the chosen key, which an undo may have taken away: `camera_path.edits.chosen_key` looks."""
+    """Index of the selected keyframe, which undo may have removed: use `active_keyframe` of `camera_path`."""
     drag: KeyframeDrag | None = None
     fps: float = 30.0
-    """Of the film: keys and steps keep to its frames."""
+    """Video frame rate: keyframes and steps snap to its frames."""
     show_path: bool = True
-    """Draw the path and its keys into the picture."""
+    """Draw the path and its keyframes in the viewport."""
     ruler: Ruler = field(default_factory=Ruler)
     is_fitted: bool = False
-    """Whether the ruler has been set to show the scene's whole time."""
+    """True if the ruler was fitted to the scene's whole time."""
     takes_keys: bool = False
-    """Whether the panel has the keyboard."""
+    """True if the panel has the keyboard focus."""
     asks_for_time: bool = False
-    """Whether the panel should let a moment be typed next."""
+    """True if the panel is to open the input of a time."""
 
 
 @lru_cache(maxsize=4)
 def speed_of(path: CameraPath) -> PathSpeed:
-    """Speed of a path in the world; of the same path only worked out once."""
+    """Speed of a path in the world; cached."""
     return PathSpeed.of(path)
 
 
-# § What stands on the timeline below the camera's keys: who is there from when to when, and how fast the ego drives.
+# Rows of the timeline
 
 
 class TimelineRow(NamedTuple):
-    """One line of the timeline."""
+    """One row of the timeline."""
 
     title: str
     help: str
     spans_s: list[tuple[float, float]]
-    """From when to when something is there."""
+    """Time spans with content."""
     keys_s: tuple[float, ...] = ()
 
 
 def content_span(scene: Scene, weather: RainKeyframes = NO_KEYFRAMES) -> tuple[float, float]:
-    """From when to when something happens: the person's flight; else drive, traffic and weather; else one swing."""
+    """Time span of the content: the user's path; else drive, traffic and weather; else one orbit."""
     if scene.path is not None and scene.path.duration_s > 0:
         return scene.path.start_s, scene.path.end_s
     tracks = [actor.track for actor in scene.actors] + ([scene.ego] if scene.ego is not None else [])
@@ -213,7 +210,7 @@ def content_span(scene: Scene, weather: RainKeyframes = NO_KEYFRAMES) -> tuple[f
 
 
 def track_rows(scene: Scene) -> list[TimelineRow]:
-    """The ego vehicle and the actors."""
+    """Rows of the ego vehicle and the actors."""
     rows: list[TimelineRow] = []
     if scene.ego is not None:
         rows.append(TimelineRow("ego vehicle", "The vehicle that carries the cameras.", presence(scene.ego)))
@@ -224,7 +221,7 @@ def track_rows(scene: Scene) -> list[TimelineRow]:
 
 
 def weather_row(weather: RainKeyframes, first_s: float, last_s: float, most: int) -> TimelineRow:
-    """Keys of the rain within a stretch of time, at most so many of them: more would stand on top of one another."""
+    """Row of the rain's keyframes within a time span, at most `most` of them, to avoid overlaps."""
     times = weather.times_s
     seen = times[(times >= first_s) & (times <= last_s)]
     thinned = seen[:: max(1, -(-len(seen) // most))]
@@ -235,7 +232,7 @@ def weather_row(weather: RainKeyframes, first_s: float, last_s: float, most: int
 
 
 def presence(track: PoseTrack) -> list[tuple[float, float]]:
-    """From when to when a track's thing is in the scene, between its first sample and its last."""
+    """Time spans in which a track is valid, between its first and last sample."""
     there = track.valid[:-1].astype(np.int8)
     edges = np.diff(np.concatenate([[0], there, [0]]))
     starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
@@ -243,7 +240,7 @@ def presence(track: PoseTrack) -> list[tuple[float, float]]:
 
 
 def ego_speed_km_h(scene: Scene, time_s: float) -> float | None:
-    """How fast the ego vehicle drives; None where there is none at that time."""
+    """Speed of the ego vehicle; None if there is none at that time."""
     track = scene.ego
     if track is None or len(track.times) < 2 or not track.times[0] <= time_s <= track.times[-1]:
         return None
@@ -259,4 +256,4 @@ _NICE = (1.0, 2.0, 5.0)
 _SHORTEST_S, _LONGEST_S = 0.1, 86400.0
 
 _MARGIN = 0.04
-"""Share of the width that stays free beside what is fitted."""
+"""Share of the width that stays free on each side of a fitted span."""

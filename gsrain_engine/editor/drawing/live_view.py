@@ -1,4 +1,4 @@
-"""Draws a session into textures, frame by frame: looks at the sky, uploads staged scenes in slices, saves stills."""
+"""Live view: draws panes and the camera mosaic frame by frame, uploads staged scenes, and saves screenshots."""
 
 import logging
 import time
@@ -26,27 +26,27 @@ from .uploads import SceneUpload, SkyColorSampler
 logger = logging.getLogger("gsrain")
 
 _STAND_IN_GAUSSIANS = 1_000_000
-"""Larger scenes wait for the processor's kernels: software OpenGL would need minutes and twice the memory."""
+"""Larger scenes wait for the CPU kernels: software OpenGL would take minutes and twice the memory."""
 
 _LOADING_S = 2.0
-"""Kernels from the cache are there by then, on a busy machine too; if not, some of them had to be compiled."""
+"""Time to load cached kernels, also on a busy machine; after it, kernels are assumed to need compiling."""
 
 _UPLOAD_S = 0.01
-"""Of each frame, for bringing slices of a scene to the GPU."""
+"""Time per frame for uploading slices of a scene."""
 
 _ASIDE = 1 / 4
-"""Share of the Gaussians in small pictures beside the viewport, while time goes on."""
+"""Share of the Gaussians in small images next to the viewport, during playback."""
 
 _CHUNK_SIZE = 1 << 16
-"""So many new Gaussians a frame uploads by the way; for more of them the last scene stays in the picture meanwhile."""
+"""Number of new Gaussians that a frame uploads directly; for more, the last scene stays visible during the upload."""
 
 
 class LiveView:
-    """What the viewport shows. Lives in the window's OpenGL context and on its thread.
+    """Draws the viewport's panes. Lives in the window's OpenGL context and on its thread.
 
-    On a GPU, OpenGL draws. Where OpenGL is a software rasterizer, the processor draws the same picture by itself
-    several times faster. Until its kernels are compiled OpenGL stands in; where they only have to be loaded, the
-    picture waits for them: compiling shaders takes longer. `backend` overrules the choice.
+    OpenGL draws on a GPU. If OpenGL is a software rasterizer, the CPU renderer draws the same image several times
+    faster. OpenGL substitutes until the CPU kernels are compiled; if they are cached, the viewport waits for them
+    instead, because compiling shaders takes longer. `backend` overrides the choice.
     """
 
     def __init__(self, context: moderngl.Context, session: Editor, backend: WindowBackend = "auto") -> None:
@@ -69,16 +69,16 @@ class LiveView:
         self._preparing: Iterator[None] = iter(())
         self._upload = SceneUpload(self._opengl)
         self._is_uploading = False
-        """Whether a side still shows an older scene."""
+        """True if a pane still shows an older scene."""
         self._upload_until = 0.0
         self._thinnings: dict[float, LodSubset] = {}
         self._thinned = session.scene
 
     def draw(self, width: int, height: int) -> list[moderngl.Texture]:
-        """Draw the present moment for a viewport of a size in pixels: a texture for each of the session's sides.
+        """Draw the present frame for a viewport size in pixels and return a texture for each of the editor's panes.
 
-        Each shows the whole picture, its first row on top. When nothing has changed since the last call, the last
-        textures come back. Where the scene is too much for the graphics card, the processor goes on.
+        Each shows the whole image, first row on top. Returns the last textures if nothing has changed. If the scene
+        exceeds GPU memory, the CPU renderer takes over.
         """
         try:
             return self._draw(width, height)
@@ -92,11 +92,11 @@ class LiveView:
         session = self.session
         if self._cpu is not None and self._cpu.has_failed:
             self._cpu, self._gpu_is_full = None, False
-        self._on_cpu = self._cpu is not None and self._cpu.is_ready  # once a frame: it may become so at any moment
+        self._on_cpu = self._cpu is not None and self._cpu.is_ready  # once a frame: it may change at any moment
         if session.view.harmonics != self._opengl.arrays.harmonics:
             self._opengl.arrays.keep_harmonics_as(session.view.harmonics)
             self._upload.give_up()
-            self._staged = None  # its upload begins anew
+            self._staged = None  # its upload starts again
         self._is_uploading, self._upload_until = False, time.perf_counter() + _UPLOAD_S
         self._prepare_staged()
         sides = session.split_panes
@@ -112,12 +112,12 @@ class LiveView:
             self._look_at_sky(shot)
         if session.sky_pick is not None and self._can_draw:
             self._pick_sky(shot, session.sky_pick)
-        # The last side, on the right, is the document itself: statistics are those of its picture.
+        # The last pane, on the right, is the document itself: statistics are those of its image.
         started, has_drawn = time.perf_counter(), False
         for side, shown in zip(sides, self._sides[-len(sides) :], strict=True):
             has_drawn = self._show(side, shown, shot, detail)
         if self._cpu is not None and (has_drawn or not self._can_draw) and session.scene.gaussian_count:
-            self._cpu.compile()  # after the first picture, which compiling would hold up
+            self._cpu.compile()  # after the first image, which compiling would delay
         session.is_compiling = not self._can_draw
         if has_drawn:
             self._tell(1000 * (time.perf_counter() - started), detail)
@@ -127,25 +127,25 @@ class LiveView:
 
     @property
     def is_settled(self) -> bool:
-        """Whether the back end that draws is the one that will go on drawing."""
+        """True if the active back end is the final one."""
         return self._cpu is None or self._cpu.is_ready
 
     @property
     def is_catching_up(self) -> bool:
-        """Whether the next frames go on with what this one has begun, though nothing moves."""
+        """True if the next frames continue unfinished work although nothing moves."""
         session = self.session
         looks = session.sky_is_stale and session.displayed_rain.can_rain and self._can_draw and not self._sky.is_through
         return self._is_uploading or looks
 
     @property
     def last_textures(self) -> list[moderngl.Texture]:
-        """The last pictures, of as many sides as there are."""
+        """Last textures, one per pane."""
         return [shown.texture for shown in self._sides[-len(self.session.split_panes) :]]
 
     def draw_aside(self, scene: Scene, shot: RenderView, screen: Screen) -> moderngl.Texture | None:
-        """Draw a small picture beside the viewport's, in its rain, after `draw`; None while nothing can be drawn.
+        """Draw a small image next to the viewport, in its rain, after `draw`; None while nothing can be drawn.
 
-        While time goes on it is drawn from a quarter of the Gaussians, or from fewer where the viewport has fewer.
+        During playback it uses a quarter of the Gaussians, or fewer if the viewport uses fewer.
         """
         session = self.session
         if not self._can_draw or (not self._on_cpu and self._upload.missing(scene) > _CHUNK_SIZE):
@@ -164,7 +164,7 @@ class LiveView:
 
     @property
     def _waits(self) -> bool:
-        """Whether the processor will draw as soon as it has loaded its kernels."""
+        """True if the CPU renderer will draw as soon as its kernels are loaded."""
         return self._cpu is not None and time.perf_counter() < self._waits_until
 
     @property
@@ -172,7 +172,7 @@ class LiveView:
         return self._cpu.renderer if self._cpu is not None and self._on_cpu else self._opengl
 
     def _let_go_of_closed_scene(self) -> None:
-        """Free what an empty scene has left here of the one before, once."""
+        """Free the resources of the previous scene, once, after it was closed."""
         session = self.session
         is_empty = not session.scene.members and session.staged is None
         if is_empty and not self._is_empty:
@@ -184,7 +184,7 @@ class LiveView:
         self._is_empty = is_empty
 
     def _leave_gpu(self, error: MemoryError) -> None:
-        """Let the processor draw from now on, and free what the scene has on the graphics card."""
+        """Switch to the CPU renderer and free the scene's GPU memory."""
         self._gpu_is_full = True
         self._cpu = self._cpu or CpuTexture(self._context)
         self._cpu.compile()
@@ -194,7 +194,7 @@ class LiveView:
         logger.warning("%s", self.session.problem)
 
     def _choose_detail(self, now: RenderView) -> QualityLevel:
-        """Ask the budget, which wants to know whether the camera has moved."""
+        """Quality level from the budget, which depends on camera motion."""
         session, before, at = self.session, self._moment, time.perf_counter()
         self._is_moving = before is not None and (
             now.camera.world_to_camera.tobytes() != before.camera.world_to_camera.tobytes()
@@ -226,7 +226,7 @@ class LiveView:
         session.change_rain("Pick drop colour", drop_color=color)
 
     def _show(self, side: SplitPane, shown: "_PaneImage", shot: RenderView, detail: QualityLevel) -> bool:
-        """Draw a side unless it shows just that already."""
+        """Draw a pane unless it is up to date; return whether it was drawn."""
         session = self.session
         side = side._replace(scene=self._drawable(side.scene, shown))
         state = (_fingerprint(session, side, shot), detail.gaussians, self._on_cpu)
@@ -236,7 +236,7 @@ class LiveView:
         draw_view(
             renderer,
             side.scene,
-            side.rainfall if side.scene.members else None,  # nothing is there yet for it to fall on
+            side.rainfall if side.scene.members else None,  # the rain has nothing to fall on yet
             session.sky,
             shot,
             look=view.look,
@@ -249,7 +249,7 @@ class LiveView:
         return True
 
     def _drawable(self, scene: Scene, shown: "_PaneImage") -> Scene:
-        """The scene; or the one shown last, while much of the new one has yet to come to the GPU."""
+        """The scene; or the one shown last, while much of the new one has yet to be uploaded."""
         if self._on_cpu or not self._can_draw or shown.scene is None or self.session.screenshot is not None:
             return scene
         if self._upload.missing(scene) <= _CHUNK_SIZE or self._upload.missing(shown.scene):
@@ -288,7 +288,7 @@ class LiveView:
         return 0.0 if self._moment is None else 1e-6 * self._moment.camera.width * self._moment.camera.height
 
     def _prepare_staged(self) -> None:
-        """Go on with what a staged scene needs before its first frame; when all is done, swap it in."""
+        """Continue to prepare a staged scene for its first frame; swap it in when done."""
         session = self.session
         if session.staged is not self._staged:
             self._upload.give_up()
@@ -297,7 +297,7 @@ class LiveView:
         while self._staged is not None:
             if next(self._preparing, self) is self:
                 session.swap_in()
-                if session.staged is self._staged:  # held back by a question
+                if session.staged is self._staged:  # a question to the user is open
                     break
                 is_opened, self._staged = self._staged.is_opened, None
                 if is_opened:
@@ -339,7 +339,7 @@ class LiveView:
 
 
 class _PaneImage:
-    """What stands on one side, and what it was drawn from."""
+    """Texture of one pane, and the state it was drawn from."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self.screen = Screen(context)
@@ -348,12 +348,12 @@ class _PaneImage:
         self.scene: Scene | None = None
 
     def forget(self) -> None:
-        """Hold no scene: nobody looks at it."""
+        """Release the scene of a hidden pane."""
         self.state = self.scene = None
 
 
 class _PaneInputs(NamedTuple):
-    """Everything that a picture depends on; scenes and rains are values and compare by identity."""
+    """Everything that an image depends on; scenes and rains are values and compare by identity."""
 
     scene: Hashable
     rainfall: Hashable
@@ -381,21 +381,21 @@ def _fingerprint(session: Editor, side: SplitPane, shot: RenderView) -> _PaneInp
     )
 
 
-# § Draws the rig's cameras small, one a frame in turn. Lives in the window's OpenGL context and on its thread.
+# Camera mosaic
 
 
 class MosaicImages:
-    """Keeps a picture of each camera, and goes on with the one that has waited longest."""
+    """Images of the rig's cameras; updates one per frame, oldest first. Lives in the window's OpenGL context."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
         self._screens: dict[str, Screen] = {}
         self._states: dict[str, Hashable] = {}
         self._turn: list[str] = []
-        """Names of the cameras, the one that was drawn last at the end."""
+        """Names of the cameras, the one drawn last at the end."""
 
     def update(self, session: Editor, view: LiveView) -> None:
-        """Draw one camera that is out of date, if the mosaic is to be seen. Once a frame, after the viewport."""
+        """Draw one outdated camera if the mosaic is visible. Once a frame, after the viewport."""
         mosaic = session.drives.mosaic
         wanted, mosaic.is_requested, mosaic.is_behind = mosaic.is_requested, False, False
         scene = session.drives.rig_scene(session)
@@ -437,7 +437,7 @@ _STEP_S = 0.05
 
 
 def _velocity(scene: Scene, time_s: float) -> np.ndarray | None:
-    """Of the ego vehicle in the world, m/s, over the tenth of a second around a moment."""
+    """Velocity of the ego vehicle in the world, m/s, over the tenth of a second around a time."""
     before, after = scene.ego_to_world(time_s - _STEP_S), scene.ego_to_world(time_s + _STEP_S)
     return None if before is None or after is None else (after[:3, 3] - before[:3, 3]) / (2 * _STEP_S)
 

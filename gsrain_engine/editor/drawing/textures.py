@@ -1,4 +1,7 @@
-"""A capture's pictures and points on the GPU. Lives in the window's OpenGL context and on its thread."""
+"""Textures of captures, jobs and CPU renders, and the capture points on the GPU.
+
+All live in the window's OpenGL context and on its thread.
+"""
 
 import logging
 import threading
@@ -30,11 +33,11 @@ _NEAR_M = 0.05
 _POINT_PX = 3.0
 
 _A_FRAME = 4
-"""Pictures that are brought to the GPU in one frame."""
+"""Maximum number of images uploaded per frame."""
 
 
 class CaptureTextures:
-    """Follows the session's open capture."""
+    """Textures of the open capture."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
@@ -46,7 +49,7 @@ class CaptureTextures:
         self._matching = CachedTexture(context)
 
     def update(self, session: Editor) -> None:
-        """Bring new pictures to the GPU, release old ones, and tell the session. Once a frame."""
+        """Upload new images, release old ones, and update the editor's textures. Once a frame."""
         there = {} if session.captures.pictures is None else dict(session.captures.pictures)
         for wish in [each for each, (pixels, _) in self._pictures.items() if there.get(each) is not pixels]:
             self._pictures.pop(wish)[1].release()
@@ -61,7 +64,7 @@ class CaptureTextures:
         session.matching.texture = self._matching.show(session.matching.picture)
 
     def draw_points(self, session: Editor, camera: Camera) -> None:
-        """Draw the points as a camera of the viewport's size sees them, over nothing, and tell the session."""
+        """Draw the points for a camera of the viewport's size, on a transparent background."""
         captures = session.captures
         captures.points_texture = None
         if captures.points is None or not captures.show_points:
@@ -77,7 +80,7 @@ class CaptureTextures:
 
     def _draw(self, points: PointSample, matrix: np.ndarray, camera: Camera, target: moderngl.Framebuffer) -> None:
         vertices, program = self._vertices_of(points)
-        program["capture_to_camera"] = tuple(matrix.T.ravel().tolist())  # columns first
+        program["capture_to_camera"] = tuple(matrix.T.ravel().tolist())  # column-major
         program["focal_px"], program["center_px"] = (camera.fx, camera.fy), (camera.cx, camera.cy)
         program["image_size"] = (camera.width, camera.height)
         program["near_m"], program["size_px"] = _NEAR_M, _POINT_PX
@@ -112,18 +115,18 @@ class CaptureTextures:
         return self._target
 
 
-# § The jobs' newest preview pictures as textures. Lives in the window's OpenGL context and on its thread.
+# Job previews
 
 
 class JobPreviews:
-    """Keeps one texture for each job that shows something, as long as it runs."""
+    """One texture for each running job that has a preview."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
         self._kept: dict[BackgroundJob, CachedTexture] = {}
 
     def update(self, session: EditorServices) -> None:
-        """Bring what is new to the GPU and tell the session. Once a frame."""
+        """Upload new previews and update `session.previews`. Once a frame."""
         for job in [each for each in self._kept if each.state != "running"]:
             self._kept.pop(job).show(None)
         for job in session.running_jobs:
@@ -132,14 +135,14 @@ class JobPreviews:
         session.previews = {job: texture for job, kept in self._kept.items() if (texture := kept.texture) is not None}
 
 
-# § A picture that stays on the GPU until another one takes its place. Lives in the window's OpenGL context.
+# Cached texture
 
 Pixels = UInt8[np.ndarray, "h w c"]
-"""Display colour, with or without alpha; first row on top."""
+"""Display color, with or without alpha; first row on top."""
 
 
 class CachedTexture:
-    """One texture, written only when the picture is another one."""
+    """A texture that is written only when the image changes."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
@@ -147,7 +150,7 @@ class CachedTexture:
         self._texture: moderngl.Texture | None = None
 
     def show(self, pixels: Pixels | None) -> Texture | None:
-        """Bring a picture to the GPU; None frees what is there."""
+        """Upload an image; None frees the texture."""
         if pixels is not self._pixels:
             self._pixels = pixels
             self._bring(pixels)
@@ -171,13 +174,13 @@ class CachedTexture:
         self._texture.write(np.ascontiguousarray(pixels), alignment=1)
 
 
-# § The processor's pictures as textures, once its kernels are compiled; compiling happens in the background.
+# Images of the CPU renderer
 
 logger = logging.getLogger("gsrain")
 
 
 class CpuTexture:
-    """A CPU renderer and the texture its pictures go to."""
+    """A CPU renderer, whose kernels compile in the background, and the texture of its images."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self.renderer = CpuRenderer()
@@ -186,21 +189,21 @@ class CpuTexture:
         self._compiled = threading.Event()
         self._is_compiling = False
         self.has_failed = False
-        """Whether the kernels can't be compiled, so that it will never be ready."""
+        """True if the kernels can't be compiled."""
 
     def compile(self) -> None:
-        """Begin to compile the kernels, or to load them, in the background; once."""
+        """Start to compile or load the kernels in the background, once."""
         if not self._is_compiling:
             self._is_compiling = True
             threading.Thread(target=self._compile, name="compile kernels", daemon=True).start()
 
     @property
     def is_ready(self) -> bool:
-        """Whether drawing will not have to wait for a compiler."""
+        """True if drawing will not wait for the compiler."""
         return self._compiled.is_set()
 
     def upload(self) -> moderngl.Texture:
-        """Bring the renderer's last picture into a texture."""
+        """Copy the renderer's last image into a texture."""
         rgba = self.renderer.read().rgba
         size = (rgba.shape[1], rgba.shape[0])
         if self._texture is None or self._texture.size != size:
@@ -214,7 +217,7 @@ class CpuTexture:
     def _compile(self) -> None:
         try:
             compile_kernels()
-        except Exception:  # OpenGL goes on drawing, slower: the window must not end over this
+        except Exception:  # OpenGL draws instead, slower; the window must not end
             self.has_failed = True
             logger.exception("The processor's kernels can't be compiled; OpenGL draws instead")
         else:
@@ -222,7 +225,7 @@ class CpuTexture:
 
 
 def compile_kernels() -> None:
-    """Draw one Gaussian, and many, in every way there is, so that each kernel is compiled (or read from the cache)."""
+    """Draw one Gaussian and many, in all modes, so that each kernel is compiled or read from the cache."""
     one = _balls(1)
     camera = Camera(32, 32, 32.0, 32.0, 16.0, 16.0)
     renderer, parts = CpuRenderer(), [DrawItem(one, np.eye(4))]
@@ -240,7 +243,7 @@ def compile_kernels() -> None:
 
 
 def _balls(count: int) -> Gaussians:
-    """Gaussians in front of a camera at the origin, all in one place."""
+    """Gaussians in front of a camera at the origin, all at one place."""
     means, quaternions = np.zeros((count, 3), np.float32), np.zeros((count, 4), np.float32)
     means[:, 2], quaternions[:, 0] = 2, 1
     scales, opacities = np.full((count, 3), 0.1, np.float32), np.ones(count, np.float32)

@@ -1,4 +1,4 @@
-"""Brings a scene's Gaussians to the GPU, some slices each frame."""
+"""Uploads of Gaussians to the GPU in slices, and sampling of the sky color over several frames."""
 
 import logging
 import time
@@ -14,7 +14,7 @@ from ...scene.scene import Scene
 
 
 class SceneUpload:
-    """Uploads one scene at a time; what an earlier one had brought stays as long as there is room."""
+    """Uploads one scene at a time; earlier scenes stay on the GPU as long as there is room."""
 
     def __init__(self, renderer: SplatRenderer) -> None:
         self._renderer = renderer
@@ -22,12 +22,12 @@ class SceneUpload:
         self._slices: Iterator[float] = iter(())
 
     def missing(self, scene: Scene) -> int:
-        """How many Gaussians a frame would have to upload to draw a scene."""
+        """Number of Gaussians a frame would have to upload to draw a scene."""
         arrays = self._renderer.arrays
         return sum(arrays.missing(each.gaussians, each.wet_sh) for each in scene.members if each.visible)
 
     def go_on(self, scene: Scene, until_s: float) -> bool:
-        """Upload what is missing of a scene until a moment of `time.perf_counter`; returns whether all is there."""
+        """Upload missing slices of a scene until a time of `time.perf_counter`; return whether all are uploaded."""
         if scene is not self._scene:
             self._scene, self._slices = scene, self._missing_slices(scene)
         while next(self._slices, None) is not None:
@@ -37,7 +37,7 @@ class SceneUpload:
         return True
 
     def give_up(self) -> None:
-        """Let go of what has been uploaded for a scene that will not be shown."""
+        """Release the slices uploaded for a scene that will not be shown."""
         self._scene, self._slices = None, iter(())
         self._renderer.arrays.release_awaited()
 
@@ -47,41 +47,42 @@ class SceneUpload:
                 yield from self._renderer.upload(member.gaussians, wet_sh=member.wet_sh)
 
 
-# § Looks at the sky again when the scene has changed, a picture a frame, so that no frame stalls over it.
+# Sky color
+# Sampled again when the scene has changed, one image a frame, so that no frame stalls.
 
 logger = logging.getLogger("gsrain")
 
 _QUICK = 60_000
-"""So many Gaussians a first look draws; in larger scenes a second one draws all as soon as nothing moves."""
+"""Number of Gaussians that a first sample draws; larger scenes get a second, full one as soon as nothing moves."""
 
 
 class SkyColorSampler:
-    """What a scene's sky was when it was looked at last, and the look that is under way.
+    """Sky color of the last sample, and the sample in progress.
 
-    The first look is done at once. Afterwards the last colour stands until the next look is through.
+    The first sample finishes at once. Later ones keep the last color until they are done.
     """
 
     def __init__(self) -> None:
         self._camera_panel: Hashable = None
-        """What the last look was at; none before the first."""
+        """Scene state of the last sample; None before the first."""
         self.is_exact = False
-        """Whether the last look was at every Gaussian of the present scene."""
+        """True if the last sample included every Gaussian of the present scene."""
         self._sought: Hashable = None
         self._renderer: Renderer | None = None
         self._looking: Generator[None, None, SkyColor] | None = None
         self._at_all = False
-        """Whether the look that is under way draws all Gaussians."""
+        """True if the sample in progress draws all Gaussians."""
         self.is_through = True
-        """Whether no look is to come, but for an exact one while things move."""
+        """True if no sample is pending, except for an exact one while things move."""
 
     def forget(self) -> None:
-        """Look at once next time: it is another scene's sky."""
+        """Forget the last sample, so that the next one finishes at once, e.g. for another scene."""
         self._camera_panel = self._sought = self._looking = None
 
     def look(
         self, renderer: Renderer, scene: Scene, place: Camera, *, resting: bool, at_once: bool = False
     ) -> SkyColor | None:
-        """Go on by one picture, or to the end `at_once`; returns the sky when a look is through."""
+        """Continue by one image, or to the end if `at_once`; return the sky color when a sample is complete."""
         sought = _what_shows_in(scene)
         is_new, stays = sought != self._camera_panel, sought == self._sought and renderer is self._renderer
         self._sought, self._renderer = sought, renderer
@@ -97,7 +98,7 @@ class SkyColorSampler:
             self._looking, self._at_all = sample_sky(renderer, scene, place, thinning=thinning), at_all
         to_the_end = at_once or self._camera_panel is None
         if not (stays or to_the_end):
-            return None  # while something is dragged, each frame has another scene
+            return None  # during a drag each frame has another scene
         while True:
             try:
                 next(self._looking)
@@ -107,14 +108,14 @@ class SkyColorSampler:
                 return None
 
     def _accept(self, sky: SkyColor, seen: Hashable) -> SkyColor:
-        if seen and not sky.found:  # a scene that is still to be opened shows nothing at all
+        if seen and not sky.found:  # a scene that is still loading shows nothing
             logger.info("The scene shows no sky: drops take the colour of an overcast one")
         self._camera_panel, self.is_exact, self._looking = seen, self._at_all, None
         return sky
 
 
 def _what_shows_in(scene: Scene) -> Hashable:
-    """Everything of a scene that its sky depends on; selecting changes none of it."""
+    """Everything in a scene that its sky color depends on; the selection does not."""
     return tuple(
         (
             part.gaussians,

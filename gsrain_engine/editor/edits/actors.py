@@ -1,4 +1,4 @@
-"""Actors as things that drive: moved with their whole track, turned, driving at other times."""
+"""Edits of actors and the ego vehicle: track, orientation, timing, start pose, and the scene's origin."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from .members import find_unlocked_member
 
 
 def moved_actor(actor: Actor, similarity: Float64[np.ndarray, "4 4"]) -> Actor:
-    """Move an actor with its whole track by a similarity of the scene; its Gaussians take the scale."""
+    """Transform an actor with its whole track by a similarity of the scene; its Gaussians scale along."""
     scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
     scaling = np.diag([scale, scale, scale, 1.0])
     is_rigid = abs(scale - 1) < 1e-12
@@ -28,9 +28,9 @@ def moved_actor(actor: Actor, similarity: Float64[np.ndarray, "4 4"]) -> Actor:
 
 
 def turn_actor(scene: Scene, key: str, left_deg: float) -> Scene:
-    """Turn an actor in place, to the left about its own z axis, at every moment; it drives where it drove.
+    """Rotate an actor to the left about its own z axis, at every time; its positions stay.
 
-    Raises `ValueError` where there is no such actor or it is locked.
+    Raises `ValueError` if there is no such actor or it is locked.
     """
     actor = _unlocked_actor(scene, key)
     half = np.radians(left_deg) / 2
@@ -40,9 +40,9 @@ def turn_actor(scene: Scene, key: str, left_deg: float) -> Scene:
 
 
 def retime_actor(scene: Scene, key: str, start_s: float, duration_s: float) -> Scene:
-    """Let an actor drive its track from one time on, in so many seconds; a track of one sample only shifts.
+    """Change the start and duration of an actor's track; a track of one sample only shifts.
 
-    Raises `ValueError` where there is no such actor, it is locked, or the duration is not above 0.
+    Raises `ValueError` if there is no such actor, it is locked, or the duration is not above 0.
     """
     actor = _unlocked_actor(scene, key)
     if not (duration_s > 0 and np.isfinite([start_s, duration_s]).all()):
@@ -54,12 +54,12 @@ def retime_actor(scene: Scene, key: str, start_s: float, duration_s: float) -> S
 
 
 def start_of(actor: Actor) -> float:
-    """Seconds at which its track begins."""
+    """Time of the first sample of the actor's track, in seconds."""
     return float(actor.track.times[0]) if len(actor.track.times) else 0.0
 
 
 def duration_of(actor: Actor) -> float:
-    """Seconds from the first sample of its track to the last."""
+    """Duration of the actor's track in seconds."""
     times = actor.track.times
     return float(times[-1] - times[0]) if len(times) else 0.0
 
@@ -71,31 +71,31 @@ def _unlocked_actor(scene: Scene, key: str) -> Actor:
     return actor
 
 
-# § A drive for scenes that came without one: the ego vehicle goes where a camera went.
+# Ego drive along a camera path
 
 RIG = "drive"
-"""What the rig is called that comes with such a drive."""
+"""Name of the rig that `drive_along` creates."""
 
 _STEP_M = 0.5
-"""Closer samples say more of the camera's shaking than of the way."""
+"""Minimum distance of samples: closer ones show the camera's shaking rather than the route."""
 
 _SAMPLES_PER_S, _MAX_SAMPLES = 10.0, 20_000
 
 _AHEAD_COS = 0.5
-"""A camera that looks within 60 degrees of the way shows what a driver sees."""
+"""Minimum cosine to the direction of travel (60 degrees) at which the camera's orientation is used for the rig."""
 
 _LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Camera axes (x right, y down, z forward) to ego axes (x forward, y left, z up), looking straight ahead."""
 
 
 def drive_along(scene: Scene, path: CameraPath, width: int = 1600, height: int = 900) -> Scene:
-    """Let the ego vehicle drive where a camera flew; `path` is in the scene's units and axes.
+    """Let the ego vehicle drive along a camera path, in the scene's units and axes.
 
-    The rig frame's origin is the camera's place; the vehicle stands upright and heads where it goes. A scene without
-    rigs gets one of a single camera: the flown one as it was turned on average, or, where that looked backwards or
-    aside, one that looks ahead. `width` and `height` are those of its pictures, px.
+    The rig frame's origin is the camera position; the vehicle is upright and faces its direction of travel. A scene
+    without rigs gets one with a single camera: the path's camera in its mean orientation or, if that points backward or
+    sideways, a camera that points ahead. `width` and `height` are its image size in px.
 
-    Raises ValueError where the camera moves less than a step of 0.5 m.
+    Raises ValueError if the camera moves less than a step of 0.5 m.
     """
     times = _times(path)
     to_world = scene.scene_to_world
@@ -126,20 +126,20 @@ def drive_along(scene: Scene, path: CameraPath, width: int = 1600, height: int =
 
 
 def drive_along_own_path(scene: Scene) -> Scene:
-    """Let the ego vehicle drive along the scene's own camera path; raises ValueError where there is none."""
+    """Let the ego vehicle drive along the scene's own camera path; raises ValueError if there is none."""
     if scene.path is None:
         raise ValueError("The scene has no camera path to drive along: key one on the timeline, or import one.")
     return drive_along(scene, scene.path)
 
 
 def _times(path: CameraPath) -> Float64[np.ndarray, " n"]:
-    """Return the moments of all keys, and more between them."""
+    """Return the times of all keyframes, and samples between them."""
     count = int(np.clip(path.duration_s * _SAMPLES_PER_S, 2, _MAX_SAMPLES))
     return np.union1d(np.linspace(path.start_s, path.end_s, count), path.times_s)
 
 
 def _apart(places: Float64[np.ndarray, "n 3"]) -> list[int]:
-    """Indices of places that are at least a step apart on the ground, the first and the last among them."""
+    """Indices of positions at least a step apart on the ground, including the first and the last."""
     kept: list[int] = []
     for i, place in enumerate(places):
         if not kept or np.linalg.norm(place[:2] - places[kept[-1]][:2]) >= _STEP_M:
@@ -160,17 +160,17 @@ def _pose(rotation: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "4 4"]:
     return matrix
 
 
-# § Where the ego vehicle starts, and where the scene's own origin lies.
+# Ego start and scene origin
 
 SENSOR_HEIGHT_M = 1.5
-"""Of the ego frame's origin above the ground, where nothing else is known."""
+"""Default height of the ego frame's origin above the ground."""
 
 
 def set_ego_start(scene: Scene, ground_point_m: Float64[np.ndarray, "3"], heading_rad: float) -> Scene:
-    """Let the ego vehicle start over a point of the ground, in the world (metres, z up).
+    """Set the start of the ego vehicle to a point above the ground, in the world (meters, z up).
 
-    A drive is moved as a whole and keeps its direction and its height over its own start's ground. Where there is
-    none, an ego that stands there is made, at sensor height, with a heading from +x to +y.
+    An existing drive moves as a whole and keeps its direction and its height above its own start. Otherwise creates a
+    standing ego at sensor height; the heading is counted from +x to +y.
     """
     world_to_scene = np.linalg.inv(scene.scene_to_world)
     place = ground_point_m + np.array([0.0, 0.0, SENSOR_HEIGHT_M])
@@ -187,7 +187,7 @@ def set_ego_start(scene: Scene, ground_point_m: Float64[np.ndarray, "3"], headin
 def set_origin(scene: Scene, point_m: Float64[np.ndarray, "3"]) -> Scene:
     """Move everything so that a point of the world becomes its origin: layers, actors, ego, camera path, ground.
 
-    Layers that are locked move too: they all keep their places beside one another.
+    Locked layers move too, so that relative positions stay.
     """
     shift = np.eye(4)
     shift[:3, 3] = -np.linalg.inv(scene.scene_to_world)[:3, :3] @ point_m

@@ -1,4 +1,4 @@
-"""Floaters: Gaussians that hang in the air of a capture. Finds them by opacity, size and isolation."""
+"""Floaters: finds Gaussians that hang in the air of a capture, by opacity, size and isolation."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -17,11 +17,11 @@ from ...scene.scene import Actor, Layer, Scene, core_bounds
 from .members import edit_members, is_editable
 
 _BATCH_SIZE = 20_000
-"""Gaussians whose neighbours are looked for between two chances to cancel."""
+"""Number of Gaussians in a neighbor query between two chances to cancel."""
 
 
 class FloaterRules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What makes a Gaussian a floater; any one of the rules that are on is enough."""
+    """Criteria for floaters; a Gaussian that meets any enabled one is a floater."""
 
     opacity_below: Annotated[
         float, Meta(ge=0, le=1, title="Opacity below", description="Fainter ones are floaters; 0 turns the rule off.")
@@ -53,17 +53,17 @@ class FloaterRules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 @dataclass(slots=True)
 class FloaterSearch:
-    """A search through the background layers of a scene that may be edited; a generator, so it can be left."""
+    """A search through the editable background layers of a scene, as a generator that can be stopped."""
 
     scene: Scene
     rules: FloaterRules
     found: dict[str, tuple[Gaussians, BitMask]] = field(default_factory=dict[str, "tuple[Gaussians, BitMask]"])
-    """Floaters of each layer by its key, with the very Gaussians that they are among."""
+    """Floaters of each layer by its key, with the Gaussians that were searched."""
 
     def run(self) -> Iterator[Progress]:
         """Search; `found` is complete at the end. A million Gaussians take seconds.
 
-        What belongs to a far shell, such as the sky dome of a scene in a single file, is no floater.
+        Gaussians of a far shell, such as the sky dome of a single-file scene, are never floaters.
         """
         layers = [each for each in self.scene.layers if is_editable(each) and each.kind == "background"]
         parts = [self.scene.part(each) for each in self.scene.layers if each.visible and each.kind == "background"]
@@ -104,7 +104,7 @@ class FloaterSearch:
 
 
 def select_floaters(scene: Scene, found: dict[str, tuple[Gaussians, BitMask]]) -> Scene:
-    """Select what a search has found, and nothing else; layers whose Gaussians have changed since are passed by."""
+    """Select exactly the found floaters; layers whose Gaussians have changed since are skipped."""
 
     def selecting(member: Layer | Actor) -> Layer | Actor:
         gaussians, mask = found.get(member.key, (None, None))
@@ -119,7 +119,7 @@ def select_floaters(scene: Scene, found: dict[str, tuple[Gaussians, BitMask]]) -
 def _isolated(
     means: Float32[np.ndarray, "n 3"], rules: FloaterRules
 ) -> Iterator[tuple[float, Bool[np.ndarray, " n"] | None]]:
-    """Share that is done, and with the last one who is isolated. What is not finite is isolated."""
+    """Yield the progress, and in the last item the isolated Gaussians. Non-finite means are isolated."""
     finite = np.isfinite(means).all(axis=1)
     places = means[finite]
     distances: list[Float64[np.ndarray, " m"]] = [np.zeros(0)]

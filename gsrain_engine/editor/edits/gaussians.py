@@ -1,4 +1,4 @@
-"""Edits that only mark Gaussians: delete, hide, show, isolate. No array is copied."""
+"""Edits of the selected Gaussians: delete, hide, isolate, crop, and compaction. Only compaction copies arrays."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -12,13 +12,13 @@ from .members import edit_members, is_editable, with_members, with_selections
 
 
 def selected_count(scene: Scene) -> int:
-    """How many Gaussians an edit of the selection would change."""
+    """Number of Gaussians that an edit of the selection would change."""
     masks = [_meant(each) for each in scene.members if is_editable(each)]
     return sum(mask.size for mask in masks if mask is not None)
 
 
 def delete_selected(scene: Scene) -> Scene:
-    """Mark what is selected as deleted; nothing is selected afterwards."""
+    """Mark the selection as deleted, and clear it."""
     return edit_members(
         scene, lambda each: _with(each, selected=None, deleted=_either(each.marks.deleted, _meant(each)))
     )
@@ -29,12 +29,12 @@ def hide_selected(scene: Scene) -> Scene:
 
 
 def show_all(scene: Scene) -> Scene:
-    """Show what is hidden of every member that may be edited."""
+    """Show all hidden Gaussians of editable members."""
     return edit_members(scene, lambda each: each if each.marks.hidden is None else _with(each, hidden=None))
 
 
 def isolate_selected(scene: Scene) -> Scene:
-    """Hide everything that may be edited but what is selected. Raises `ValueError` where nothing is."""
+    """Hide all editable Gaussians except the selected ones. Raises `ValueError` if nothing is selected."""
     if not selected_count(scene):
         raise ValueError("Nothing is selected.")
 
@@ -46,7 +46,7 @@ def isolate_selected(scene: Scene) -> Scene:
 
 
 def _meant(member: Layer | Actor) -> BitMask | None:
-    """What is selected and can be seen; None where nothing is."""
+    """Selected and visible Gaussians, or None."""
     selected, left_out = member.marks.selected, member.marks.left_out
     meant = selected if selected is None or left_out is None else selected - left_out
     return meant if meant else None
@@ -58,7 +58,7 @@ def _either(first: BitMask | None, second: BitMask | None) -> BitMask | None:
     return first | second
 
 
-_NO_FLAGS = BitMask.none(0)  # stands for a mark that stays as it is
+_NO_FLAGS = BitMask.none(0)  # default for a mark that stays unchanged
 
 
 def _with(
@@ -78,21 +78,21 @@ def _with(
     return member if same else replace(member, marks=marks)
 
 
-# § Cutting a scene down to a box.
+# Crop box
 
 
 @dataclass(frozen=True)
 class CropBox:
-    """A box in the world, metres, that stands upright and is turned about z."""
+    """An upright box in the world, meters, rotated about z."""
 
     center_m: tuple[float, float, float]
     size_m: tuple[float, float, float]
     yaw_deg: float = 0.0
-    """To the left."""
+    """Counterclockwise seen from above."""
 
     @property
     def to_world(self) -> Float64[np.ndarray, "4 4"]:
-        """Takes (-1..1)^3 to the box."""
+        """Transform from (-1..1)^3 to the box."""
         c, s = np.cos(np.radians(self.yaw_deg)), np.sin(np.radians(self.yaw_deg))
         matrix = np.eye(4)
         matrix[:3, :3] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]) * (np.array(self.size_m) / 2)
@@ -101,7 +101,7 @@ class CropBox:
 
     @property
     def corners_m(self) -> Float64[np.ndarray, "8 3"]:
-        """Corner i is on the upper side of x, y, z where bits 4, 2, 1 of i are set."""
+        """Corners; corner i is on the upper side of x, y, z if bits 4, 2, 1 of i are set."""
         signs = np.array([[x, y, z] for x in (-1.0, 1) for y in (-1.0, 1) for z in (-1.0, 1)])
         return signs @ self.to_world[:3, :3].T + self.to_world[:3, 3]
 
@@ -111,13 +111,13 @@ class CropBox:
     def pulled(
         self, axis: int, upper: bool, eye_m: Float64[np.ndarray, "3"], sight: Float64[np.ndarray, "3"]
     ) -> "CropBox":
-        """Pull one face to where its axis passes a line of sight closest; the opposite face stays, none passes it."""
+        """Move one face to where its axis passes a line of sight closest; it stays beyond the opposite, fixed face."""
         direction = self.to_world[:3, axis] / (self.size_m[axis] / 2) * (1.0 if upper else -1.0)
         face = self.face_m(axis, upper)
         across = sight - (sight @ direction) * direction
         if across @ across < 1e-6:  # seen end-on
             return self
-        # The point of the axis that is nearest to the sight, counted from the face along `direction`.
+        # Signed distance along `direction` from the face to the axis point nearest to the line of sight.
         by_m = float((eye_m - face) @ (direction - (sight @ direction) / (across @ across) * across))
         by_m = max(by_m, _THINNEST_M - self.size_m[axis])
         size = list(self.size_m)
@@ -130,7 +130,7 @@ _THINNEST_M = 0.01
 
 
 def box_around(scene: Scene) -> CropBox:
-    """Box around the core of what stands still and can be seen, sky apart; of an empty scene 10 m at the origin."""
+    """Box around the core of the visible background layers, without sky; 10 m at the origin for an empty scene."""
     layers = [each for each in scene.layers if each.visible and each.kind == "background" and len(each.gaussians)]
     if not layers:
         return CropBox((0.0, 0.0, 0.0), (10.0, 10.0, 10.0))
@@ -141,7 +141,7 @@ def box_around(scene: Scene) -> CropBox:
 
 
 def crop(scene: Scene, box: CropBox) -> Scene:
-    """Mark as deleted what lies outside of a box with its centre; of background layers that may be edited."""
+    """Mark Gaussians with centers outside of a box as deleted, in editable background layers."""
 
     def cropped(member: Layer | Actor) -> Layer | Actor:
         if isinstance(member, Actor) or member.kind != "background":
@@ -167,17 +167,16 @@ def _inside(
     return inside
 
 
-# § What is deleted, taken out of the arrays for good; undo still has it.
+# Compaction
 
 
 def deleted_count(scene: Scene) -> int:
-    """How many Gaussians are only marked as deleted."""
     masks = [each.marks.deleted for each in scene.members]
     return sum(mask.size for mask in masks if mask is not None)
 
 
 def compact(scene: Scene) -> Scene:
-    """Make new arrays without what is deleted, of locked and hidden members too; marks and selection sets follow."""
+    """Remove deleted Gaussians from the arrays, also of locked and hidden members; marks and selection sets follow."""
     kept = {each.key: ~each.marks.deleted for each in scene.members if each.marks.deleted}
 
     def change(masks: Mapping[str, BitMask]) -> Mapping[str, BitMask]:

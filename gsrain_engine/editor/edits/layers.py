@@ -1,4 +1,4 @@
-"""Layers and actors as wholes: copied, parted, joined, named, ordered. Each function makes a new scene."""
+"""Edits of whole layers and actors: duplicate, separate, merge, rename, reorder, import. Each returns a new scene."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -28,9 +28,9 @@ __all__ = ["duplicate", "import_scene", "merge", "move_down", "move_up", "remove
 
 
 def duplicate(scene: Scene, key: str) -> Scene:
-    """Return the scene with a copy of a member behind it, under a name of its own; its arrays are shared.
+    """Insert a copy of a member after it, under a unique name; its arrays are shared.
 
-    Raises `ValueError` where there is no such member.
+    Raises `ValueError` if there is no such member.
     """
     member = find_member(scene, key)
     copy = replace(with_name(member, unique_name(member.name, member_names(scene, member))), locked=False)
@@ -38,11 +38,11 @@ def duplicate(scene: Scene, key: str) -> Scene:
 
 
 def separate(scene: Scene) -> Scene:
-    """Take what is selected out into a layer of its own, behind the first one that it comes from.
+    """Move the selection to a layer of its own, after the first one that it comes from.
 
-    The Gaussians stay where they were, marked as deleted, so that selection sets stay true. What comes from one layer
-    keeps its similarity, opacity and grading; what comes from several is joined as `merge` does. What is selected of
-    an actor becomes an actor on the same track. Raises `ValueError` where nothing is selected.
+    The source Gaussians stay and are marked as deleted, so that selection sets stay valid. A piece of one layer keeps
+    its similarity, opacity and grading; pieces of several are joined as by `merge`. The selection of an actor becomes
+    an actor on the same track. Raises `ValueError` if nothing is selected.
     """
     sources = [each for each in scene.members if is_editable(each) and each.marks.selected]
     if not sources:
@@ -63,7 +63,7 @@ def separate(scene: Scene) -> Scene:
 
 
 def remove(scene: Scene, key: str) -> Scene:
-    """Return the scene without a member. Raises `ValueError` where there is none or it is locked."""
+    """Remove a member. Raises `ValueError` if there is none or it is locked."""
     find_unlocked_member(scene, key)
     members = tuple(each for each in scene.members if each.key != key)
     return with_selections(
@@ -72,9 +72,9 @@ def remove(scene: Scene, key: str) -> Scene:
 
 
 def rename(scene: Scene, key: str, name: str) -> Scene:
-    """Give a member another name, with a number behind it where that is taken; selection sets follow.
+    """Rename a member, with a number appended if the name is in use; selection sets follow.
 
-    Raises `ValueError` where there is no such member, and for an empty name.
+    Raises `ValueError` if there is no such member, and for an empty name.
     """
     member, name = find_member(scene, key), name.strip()
     if not name:
@@ -88,12 +88,12 @@ def rename(scene: Scene, key: str, name: str) -> Scene:
 
 
 def move_up(scene: Scene, key: str) -> Scene:
-    """Let a member stand one place earlier among its kind. Raises `ValueError` where there is none or it is first."""
+    """Move a member one place forward among its kind. Raises `ValueError` if there is none or it is first."""
     return _shifted(scene, key, -1, "is the first already")
 
 
 def move_down(scene: Scene, key: str) -> Scene:
-    """Let a member stand one place later among its kind. Raises `ValueError` where there is none or it is last."""
+    """Move a member one place back among its kind. Raises `ValueError` if there is none or it is last."""
     return _shifted(scene, key, +1, "is the last already")
 
 
@@ -107,16 +107,15 @@ def _shifted(scene: Scene, key: str, by: int, trouble: str) -> Scene:
     return with_members(scene, (*(each for each in scene.members if type(each) is not type(member)), *kind))
 
 
-# § Several layers as one.
+# Merging
 
 
 def merge(scene: Scene, keys: Sequence[str]) -> Scene:
-    """Join layers into the first of them; what is deleted falls out for good.
+    """Join layers into the first of them, in its frame; deleted Gaussians are removed.
 
-    All come into the frame of the first. Opacity and grading stay as they are where all agree, else they are put into
-    the Gaussians. Wet colours of one go along with the clear colours of another that has none. Marks and selection sets
-    stay true. Raises `ValueError` for fewer than two, for actors, for locked
-    ones, and for a sky with anything else.
+    Opacity and grading stay if all layers agree, otherwise they are applied to the Gaussians. If only some layers have
+    wet colors, the others contribute their clear colors. Marks and selection sets stay valid. Raises `ValueError` for
+    fewer than two layers, for actors, for locked layers, and for a sky with anything else.
     """
     layers = [find_unlocked_member(scene, key) for key in dict.fromkeys(keys)]
     if len(layers) < 2:
@@ -178,7 +177,7 @@ def _brought_to(first: Layer, layer: Layer, *, bake: bool) -> Gaussians:
 
 
 def _joined(masks: Sequence[BitMask | None], kept: Sequence[BitMask]) -> BitMask:
-    """One mask of several, in their order, without what is not kept."""
+    """Concatenate masks, restricted to the kept Gaussians."""
     flags = [
         np.zeros(keep.size, np.bool_) if mask is None else mask.flags[keep.flags]
         for mask, keep in zip(masks, kept, strict=True)
@@ -186,13 +185,13 @@ def _joined(masks: Sequence[BitMask | None], kept: Sequence[BitMask]) -> BitMask
     return BitMask.of(np.concatenate(flags))
 
 
-# § One scene brought into another.
+# Import
 
 
 def import_scene(scene: Scene, other: Scene) -> Scene:
-    """Return the scene with all members of another one, placed so that world frames agree: metres, z up, one origin.
+    """Add all members of another scene so that the world frames agree: meters, z up, one origin.
 
-    Names are made unique, selection sets come along. A scene without members becomes the other.
+    Names are made unique, selection sets are added. A scene without members becomes the other.
     """
     if not scene.members:
         return other

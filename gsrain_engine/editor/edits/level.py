@@ -1,4 +1,4 @@
-"""Which way is up, and how high the ground is: from points that a person picks, or from the ground itself."""
+"""Orientation and scale of a scene: up direction and ground from points or RANSAC, and the unit length."""
 
 from dataclasses import replace
 from typing import Literal, NamedTuple, get_args
@@ -14,43 +14,42 @@ Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 """A direction along an axis of a scene."""
 
 UNIT_M = (1e-6, 1e6)
-"""Lengths of a scene unit that are taken, in metres."""
+"""Range of valid lengths of a scene unit, in meters."""
 
 _SAMPLES = 100_000
 
 _TRIES = 400
 
 _STEEPEST_COS = 0.5
-"""The ground lies within 60 degrees of level, else `up` would have been said wrongly altogether."""
+"""Minimum cosine of the ground's slope (60 degrees); steeper ground means that `up` is entirely wrong."""
 
 _FLAT = 0.6
-"""A Gaussian is flat where its thinnest axis is so much shorter than the middle one."""
+"""Maximum ratio of the thinnest axis of a flat Gaussian to its middle one."""
 
 _TOLERANCE = 0.008
-"""Of the scene's extent: how far from the plane a point of the ground may lie."""
+"""Maximum distance of ground points from the plane, as a share of the scene's extent."""
 
 _BELOW = 2.0
-"""Votes that a plane loses for each sample below it: a roof has more of the scene below than itself is large."""
+"""Votes that a plane loses per sample below it: a roof has more of the scene below it than lies on it."""
 
 _FEWEST_SHARE = 0.05
 
 
 class GroundPlaneFit(NamedTuple):
-    """A plane of the world, metres."""
+    """A plane of the world, meters."""
 
     up: Float64[np.ndarray, "3"]
-    """Unit normal, upwards."""
+    """Unit normal, upward."""
     point_m: Float64[np.ndarray, "3"]
-    """One point of it."""
     share: float
-    """Of the samples of the scene that lie on it."""
+    """Share of the scene's samples that lie on the plane."""
 
 
 def oriented(scene: Scene, up: str | None = None, metres_per_unit: float | None = None) -> Scene:
-    """Return the scene with another axis up and another length of its unit; None leaves either as it is.
+    """Return the scene with another up axis and unit length; None leaves either unchanged.
 
-    Files of Gaussians hold neither. A scene that is turned has no known height of its ground any more. Raises
-    `ValueError` for an axis or a length that is not allowed.
+    Files of Gaussians contain neither. A new up axis resets the ground height. Raises `ValueError` for an invalid axis
+    or length.
     """
     if up is not None:
         if up not in get_args(Axis):
@@ -68,16 +67,16 @@ def oriented(scene: Scene, up: str | None = None, metres_per_unit: float | None 
 
 
 def level_to(scene: Scene, up: Float64[np.ndarray, "3"], point_m: Float64[np.ndarray, "3"]) -> Scene:
-    """Turn the world so that a direction of it points up; the ground is as high as a point of it then is."""
+    """Rotate the world so that a direction points up, and set the ground to the height of a point."""
     rotation = scene.scene_to_world[:3, :3] / scene.metres_per_unit
-    x, y, z = np.round(rotation.T @ (up / np.linalg.norm(up)), 12).tolist()  # an axis shall stay one
+    x, y, z = np.round(rotation.T @ (up / np.linalg.norm(up)), 12).tolist()  # exact axes stay exact
     turned = replace(scene, up=(x, y, z))
     to_new = turned.scene_to_world @ np.linalg.inv(scene.scene_to_world)
     return replace(turned, ground_m=float(to_new[2, :3] @ point_m + to_new[2, 3]))
 
 
 def level_from_points(scene: Scene, points_m: Float64[np.ndarray, "3 3"]) -> Scene:
-    """Level a scene by three points of the ground, in the world; raises `ValueError` where they lie on one line."""
+    """Level a scene by three points of the ground, in the world; raises `ValueError` if they are collinear."""
     across, along = points_m[1] - points_m[0], points_m[2] - points_m[0]
     normal = np.cross(across, along)
     if np.linalg.norm(normal) < 1e-3 * np.linalg.norm(across) * np.linalg.norm(along) or not normal.any():
@@ -86,23 +85,22 @@ def level_from_points(scene: Scene, points_m: Float64[np.ndarray, "3 3"]) -> Sce
 
 
 def level_from_ground(scene: Scene) -> Scene:
-    """Level a scene by its ground; raises `ValueError` where none is found."""
+    """Level a scene by its detected ground; raises `ValueError` if none is found."""
     ground = find_ground(scene)
     return level_to(scene, ground.up, ground.point_m)
 
 
 def set_ground_height(scene: Scene, height_m: float) -> Scene:
-    """Say how high the ground is in the world."""
     return replace(scene, ground_m=float(height_m))
 
 
 def find_ground(scene: Scene, seed: int = 0) -> GroundPlaneFit:
-    """Find the lowest large plane of what stands still and can be seen, by RANSAC (Fischler and Bolles 1981).
+    """Find the lowest large plane of the visible background by RANSAC (Fischler and Bolles 1981).
 
-    Gaussians that are flat and face upwards within 60 degrees vote; a plane loses two votes for each sample
-    below it. The winner is fitted to its voters by least squares.
+    Flat Gaussians whose normals are within 60 degrees of vertical vote; a plane loses two votes for each sample below
+    it. A least-squares fit to its voters refines the best plane.
 
-    Raises `ValueError` where fewer than a twentieth of the samples lie on it.
+    Raises `ValueError` if fewer than a twentieth of the samples lie on it.
     """
     points, normals = _samples(scene, np.random.default_rng(seed))
     facing = np.abs(normals[:, 2]) > _STEEPEST_COS
@@ -112,7 +110,7 @@ def find_ground(scene: Scene, seed: int = 0) -> GroundPlaneFit:
     low, high = np.quantile(points, [0.02, 0.98], axis=0)
     tolerance = _TOLERANCE * float(np.linalg.norm(high - low))
     up, point = _winner(points, voters, tolerance, np.random.default_rng(seed))
-    for width in (1.0, 0.5, 0.25):  # of a thick ground the middle counts
+    for width in (1.0, 0.5, 0.25):  # converge to the middle of a thick ground
         near = voters[np.abs((voters - point) @ up) < width * tolerance]
         if len(near) < 3:
             break
@@ -131,7 +129,7 @@ def _winner(
     tolerance: float,
     random: np.random.Generator,
 ) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
-    """Unit normal and a point of the plane with the most votes, tried on a few thousand of them."""
+    """Unit normal and a point of the plane with the most votes, from a few thousand samples."""
     few = points[random.permutation(len(points))[:4000]]
     few_voters = voters[random.permutation(len(voters))[:4000]]
     weight = len(voters) / len(few_voters), len(points) / len(few)
@@ -154,7 +152,7 @@ def _winner(
 def _samples(
     scene: Scene, random: np.random.Generator
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
-    """Centres of half-opaque Gaussians in the world, and their normals; of what is not flat the normal is zero."""
+    """Centers of Gaussians of at least half opacity in the world, and their normals, which are zero if not flat."""
     points, normals = [np.zeros((0, 3))], [np.zeros((0, 3))]
     for layer in scene.layers:
         part = scene.part(layer)
@@ -175,20 +173,19 @@ def _samples(
     return np.concatenate(points), np.concatenate(normals)
 
 
-# § How long a metre is: the scene's unit from a length that is known.
+# Scale
 
 
 def distance_m(first: Float64[np.ndarray, "3"], second: Float64[np.ndarray, "3"]) -> float:
-    """Distance between two points of the world."""
     return float(np.linalg.norm(second - first))
 
 
 def set_length(scene: Scene, measured_m: float, true_m: float) -> Scene:
-    """Scale the world so that what measured so many metres is as long as it truly is.
+    """Scale the world so that a measured length becomes its true length.
 
-    Everything that stands in scene units grows along: layers, tracks, the ego's drive, camera paths. What is in metres
-    stays as it is: rig mounts and rain regions; the ground's height follows, and so do the times of a camera path that
-    has none of its own. Raises `ValueError` where a length is not above 0.
+    Everything in scene units scales along: layers, tracks, the ego's drive, camera paths, and the ground height. Values
+    in meters stay: rig mounts and rain regions. An untimed camera path gets new times. Raises `ValueError` if a length
+    is not above 0.
     """
     if not (measured_m > 0 and true_m > 0 and np.isfinite(measured_m * true_m)):
         raise ValueError(f"Lengths must be above 0 m, not {measured_m:g} m and {true_m:g} m.")
@@ -202,10 +199,10 @@ def set_length(scene: Scene, measured_m: float, true_m: float) -> Scene:
 
 
 def set_camera_height(scene: Scene, height_m: float) -> Scene:
-    """Scale the world so that the scene's camera path is so high above its ground, at the median.
+    """Scale the world so that the median height of the camera path above the ground is `height_m`.
 
-    A camera on a car is where one knows how high: photogrammetry of a drive gets its metre from that. Raises
-    `ValueError` where path or ground aren't known, or the path is not above the ground.
+    Photogrammetry of a drive has no scale, but the mounting height of a camera on a car is known. Raises `ValueError`
+    if path or ground are missing, or if the path is not above the ground.
     """
     if scene.path is None or scene.ground_m is None:
         lacking = "camera path" if scene.path is None else "known height of the ground: level it first"

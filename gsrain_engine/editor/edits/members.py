@@ -1,4 +1,4 @@
-"""What edits of members have in common: who may be edited, and what follows a member that gets another key."""
+"""Helpers for edits of members: access to editable ones, unique names, selection sets, new Gaussians."""
 
 import re
 from collections.abc import Callable, Collection, Mapping
@@ -11,12 +11,12 @@ Members = tuple[Layer | Actor, ...]
 
 
 def is_editable(member: Layer | Actor) -> bool:
-    """Whether selection and edits take it: it can be seen and is not locked."""
+    """Return whether selection and edits apply to a member: visible and not locked."""
     return member.visible and not member.locked
 
 
 def find_member(scene: Scene, key: str) -> Layer | Actor:
-    """Find a member; raises `ValueError` where there is none."""
+    """Find a member; raises `ValueError` if there is none."""
     try:
         return scene.member(key)
     except KeyError:
@@ -24,7 +24,7 @@ def find_member(scene: Scene, key: str) -> Layer | Actor:
 
 
 def find_unlocked_member(scene: Scene, key: str) -> Layer | Actor:
-    """Find a member that may be edited, visible or not; raises `ValueError` where there is none or it is locked."""
+    """Find an unlocked member, visible or not; raises `ValueError` if there is none or it is locked."""
     member = find_member(scene, key)
     if member.locked:
         raise ValueError(f"{member.name} is locked.")
@@ -32,7 +32,7 @@ def find_unlocked_member(scene: Scene, key: str) -> Layer | Actor:
 
 
 def with_members(scene: Scene, members: Members) -> Scene:
-    """Return the scene with other members; layers and actors each stay in the order given."""
+    """Return the scene with other members; layers and actors each keep the given order."""
     return replace(
         scene,
         layers=tuple(each for each in members if isinstance(each, Layer)),
@@ -41,14 +41,14 @@ def with_members(scene: Scene, members: Members) -> Scene:
 
 
 def edit_members(scene: Scene, edit: Callable[[Layer | Actor], Layer | Actor]) -> Scene:
-    """Let every member that may be edited go through a function; the very same scene where nothing changed."""
+    """Apply a function to every editable member; returns the same scene object if nothing changed."""
     members = tuple(edit(each) if is_editable(each) else each for each in scene.members)
     unchanged = all(new is old for new, old in zip(members, scene.members, strict=True))
     return scene if unchanged else with_members(scene, members)
 
 
 def with_selections(scene: Scene, change: Callable[[Mapping[str, BitMask]], Mapping[str, BitMask]]) -> Scene:
-    """Let each selection set of a scene go through a function."""
+    """Apply a function to each selection set of a scene."""
     return replace(scene, selections={name: change(masks) for name, masks in scene.selections.items()})
 
 
@@ -65,11 +65,11 @@ def insert_after(scene: Scene, key: str, added: Members) -> Members:
     return (*scene.members[: at + 1], *added, *scene.members[at + 1 :])
 
 
-# § Names of members: no two layers share one, nor do two actors.
+# Unique names
 
 
 def unique_name(name: str, taken: Collection[str]) -> str:
-    """Return `name`, or with the first number that makes it unique: "road", "road 2", "road 3"."""
+    """Return `name`, with a number appended if it is in use: "road", "road 2", "road 3"."""
     if name not in taken:
         return name
     stem = re.sub(r" \d+$", "", name) or name
@@ -79,11 +79,11 @@ def unique_name(name: str, taken: Collection[str]) -> str:
     return f"{stem} {number}"
 
 
-# § New Gaussians for the members of a scene, from another version of it.
+# New Gaussians
 
 
 def with_gaussians_of(scene: Scene, other: Scene) -> Scene:
-    """Return the scene with the Gaussians of another version of it; what only one of them has stays as it is."""
+    """Return the scene with the Gaussians of another version of it; unmatched members stay unchanged."""
     given = {each.key: each.gaussians for each in other.members}
     wet = {each.key: each.wet_sh for each in other.members}
     for each in scene.members:

@@ -1,4 +1,4 @@
-"""Moves by a similarity of the world: a whole member, or what is selected. `moving` shows one while it is dragged."""
+"""Transforms of a member or the selection by a similarity of the world, drag previews, and numeric poses."""
 
 from dataclasses import dataclass, replace
 
@@ -17,9 +17,9 @@ Similarity = Float64[np.ndarray, "4 4"]
 
 
 def move_member(scene: Scene, key: str, delta: Similarity) -> Scene:
-    """Move a layer, or an actor with its whole track, by a similarity of the world (metres, z up).
+    """Move a layer, or an actor with its whole track, by a similarity of the world (meters, z up).
 
-    Raises `ValueError` where there is no such member or it is locked.
+    Raises `ValueError` if there is no such member or it is locked.
     """
     member, way = find_unlocked_member(scene, key), _in_scene(scene, delta)
     if isinstance(member, Layer):
@@ -29,9 +29,9 @@ def move_member(scene: Scene, key: str, delta: Similarity) -> Scene:
 
 
 def move_selected(scene: Scene, delta: Similarity, time_s: float = 0.0) -> Scene:
-    """Move the selected Gaussians by a similarity of the world; those of actors as they stand at a time.
+    """Move the selected Gaussians by a similarity of the world; those of actors at their pose at a time.
 
-    Only arrays that change are made anew: a shift leaves scales, quaternions and harmonics the very same.
+    Only arrays that change are copied: a translation leaves scales, quaternions and harmonics untouched.
     """
     way = _in_scene(scene, delta)
 
@@ -47,10 +47,10 @@ def move_selected(scene: Scene, delta: Similarity, time_s: float = 0.0) -> Scene
 
 
 def preview_move(scene: Scene, key: str | None, delta: Similarity, time_s: float = 0.0) -> Scene:
-    """What a scene looks like while a member, or with None what is selected, is dragged by a similarity of the world.
+    """Scene while a member, or with None the selection, is dragged by a similarity of the world.
 
-    It shares all arrays with the scene, so it is made at once for any number of Gaussians: it is for the picture, and
-    what is dragged stands in a layer of its own.
+    It shares all arrays with the scene, so it is created at once for any number of Gaussians. It is for display only:
+    the dragged Gaussians are in a layer of their own.
     """
     if key is not None:
         return move_member(scene, key, delta)
@@ -64,9 +64,9 @@ def preview_move(scene: Scene, key: str | None, delta: Similarity, time_s: float
 
 
 def pivot(scene: Scene, key: str | None, time_s: float = 0.0) -> Float64[np.ndarray, "3"] | None:
-    """Where a member, or with None what is selected, is taken hold of: the middle of its centres, in the world.
+    """Pivot of a member, or with None of the selection: the middle of its centers, in the world. None if empty.
 
-    None where there is nothing to take hold of. The middle is the median along each axis, which strays can't pull.
+    The middle is the median along each axis, which is robust to outliers.
     """
     places: list[Float64[np.ndarray, "n 3"]] = []
     for member in scene.members:
@@ -92,7 +92,7 @@ def _middle(gaussians: Gaussians, selected: BitMask | None) -> Float64[np.ndarra
 
 
 def _in_scene(scene: Scene, delta: Similarity) -> Similarity:
-    """A similarity of the world as one of the scene's units and axes."""
+    """Convert a similarity of the world to the scene's units and axes."""
     return np.linalg.inv(scene.scene_to_world) @ delta @ scene.scene_to_world
 
 
@@ -116,7 +116,7 @@ def _partly_moved(gaussians: Gaussians, selected: BitMask, similarity: Similarit
 def _partly_turned(
     sh: Float32[np.ndarray, "n k 3"], selected: BitMask, similarity: Similarity
 ) -> Float32[np.ndarray, "n k 3"]:
-    """Harmonics with those of some Gaussians turned; the very same where nothing turns."""
+    """Rotate the harmonics of some Gaussians; returns the same array if nothing rotates."""
     rotation = _turn_of(similarity)
     if rotation is None or sh.shape[1] == 1:
         return sh
@@ -126,7 +126,7 @@ def _partly_turned(
 
 
 def _turn_of(similarity: Similarity) -> Float64[np.ndarray, "3 3"] | None:
-    """The rotation of a similarity; None where it is none to speak of."""
+    """Rotation of a similarity; None if it is the identity within 1e-9."""
     scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
     is_straight = np.allclose(similarity[:3, :3], scale * np.eye(3), rtol=0, atol=1e-9 * scale)
     return None if is_straight else similarity[:3, :3] / scale
@@ -160,22 +160,21 @@ def _dragged(member: Layer | Actor, to_scene: Similarity) -> Layer:
 
 @scene_cache(maxsize=64)
 def _complement(mask: BitMask) -> BitMask:
-    return ~mask  # the very same value each time: renderers know arrays by their identity
+    return ~mask  # the same object each time: renderers cache arrays by identity
 
 
-# § Where a layer lies as numbers a person edits: position, turn, scale in the world.
+# Numeric poses
 
 
 @dataclass(frozen=True)
 class Pose:
-    """A similarity of the world, taken apart."""
+    """Position, rotation and scale of a similarity of the world."""
 
     position_m: tuple[float, float, float]
-    """Where the origin of the layer's own axes lies."""
+    """Position of the origin of the layer's own axes."""
     turn_deg: tuple[float, float, float]
-    """About the world's x, y and z, one after the other."""
+    """About the world's x, y and z, in this order."""
     scale: float
-    """Factor of size."""
 
     @property
     def matrix(self) -> Float64[np.ndarray, "4 4"]:
@@ -188,11 +187,11 @@ class Pose:
 
 
 def pose_of(matrix: Float64[np.ndarray, "4 4"]) -> Pose:
-    """Take a similarity apart; where the turn about y is a right angle, the one about z is 0."""
+    """Decompose a similarity; if the rotation about y is a right angle, the one about z is 0."""
     scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
     rotation = scipy.spatial.transform.Rotation.from_matrix(matrix[:3, :3] / scale)
     sine = (rotation.as_matrix())[2, 0]
-    if abs(sine) > 1 - 1e-12:  # SciPy would warn: two of the angles turn about the same axis
+    if abs(sine) > 1 - 1e-12:  # SciPy would warn about gimbal lock
         m = rotation.as_matrix()
         turn = (float(np.degrees(np.arctan2(-sine * m[0, 1], m[1, 1]))), float(-90.0 * np.sign(sine)), 0.0)
     else:
@@ -203,10 +202,9 @@ def pose_of(matrix: Float64[np.ndarray, "4 4"]) -> Pose:
 
 
 def layer_pose(scene: Scene, key: str, time_s: float = 0.0) -> Pose | None:
-    """How far a member was moved from where its file, or its track, has it in a world of the scene's axes.
+    """Displacement of a layer from its file's pose, or world pose of an actor at a time.
 
-    For a layer that was never moved: position 0, turn 0, scale 1. An actor's is its pose at a time in the world, with
-    scale 1; None while it is not there.
+    A layer that was never moved has position 0, rotation 0, scale 1. An actor has scale 1; None while it is absent.
     """
     member, to_world = scene.member(key), scene.scene_to_world
     if key.startswith("layers/"):
@@ -222,9 +220,9 @@ def layer_pose(scene: Scene, key: str, time_s: float = 0.0) -> Pose | None:
 
 
 def set_layer_pose(scene: Scene, key: str, pose: Pose, time_s: float = 0.0) -> Scene:
-    """Move a member to where `layer_pose` gives these numbers; an actor with its whole track.
+    """Move a member to a pose as `layer_pose` returns it; an actor with its whole track.
 
-    Raises `ValueError` where there is none, it is locked, it is not there at the time, or the scale is not above 0.
+    Raises `ValueError` if there is none, it is locked, it is absent at the time, or the scale is not above 0.
     """
     member = find_unlocked_member(scene, key)
     if not pose.scale > 0:

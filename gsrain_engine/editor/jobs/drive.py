@@ -1,4 +1,4 @@
-"""The job that drives: save the document aside, drive through the copy in another process, open what came of it."""
+"""Driving jobs: simulate drives through a copy of the document in another process, and record videos of roll-outs."""
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
@@ -35,49 +35,46 @@ from ..notifications import describe_error
 from .job import CopiedSceneJob
 from .process import WorkerProcess, install_sigterm_handler
 
-# § A roll-out that is open in the window, with its curves and metrics.
+# Loaded roll-outs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadedRollout:
-    """A finished drive and what panels say about it."""
+    """A finished drive with its curves and metrics."""
 
     rollout: Rollout
     curves: RolloutCurves
     metrics: DriveMetrics
     path: Path | None
-    """File that a person knows; none for the result of a job that was not saved."""
+    """File of the roll-out; None for an unsaved result of a job."""
     intensity_mm_h: float
 
     @property
     def title(self) -> str:
-        """Scenario, intensity and agent in a few words."""
         return f"{self.metrics.scenario or 'drive'}, {self.intensity_mm_h:g} mm/h, {self.rollout.agent}"
 
     @property
     def collision_s(self) -> float | None:
-        """When something was hit; None where nothing was."""
         return self.metrics.collision_time_s
 
     @property
     def duration_s(self) -> float:
-        """From the first moment to the last."""
         return self.rollout.steps[-1].time_s
 
     def saved_at(self, path: Path) -> "LoadedRollout":
-        """Return the same with a file of its own."""
+        """Return the roll-out with the path it was saved to."""
         return LoadedRollout(self.rollout, self.curves, self.metrics, path, self.intensity_mm_h)
 
 
 Reading = Future[list[LoadedRollout]]
 
-# § What a person wants to drive: who, in which rain, from which seed. The scenario stands beside it.
+# Drive settings
 
 RainSource = Literal["as the scene", "one intensity", "paper's four"]
 
 
 class DriveSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """All but the scenario. A scenario's own rain is not used: the window drives in the rain that it shows."""
+    """Settings of a drive except for the scenario, whose rain is not used: the drive uses the document's rain."""
 
     agent: Annotated[str, Meta(title="Agent", description="Who drives.")]
     detector: Annotated[
@@ -131,14 +128,14 @@ class SimulationJob(CopiedSceneJob):
         known: FileCache,
         take: Callable[[Reading], None],
     ) -> None:
-        """Start; `take` gets the roll-outs while they are being read."""
+        """Start; `take` receives the roll-outs while they are being read."""
         title = f"Drive {scenario.name} with {wishes.agent}"
         work = partial(_started, title, scenario, wishes, tuple(rains))
         super().__init__(title, scene, known, files, work)
         self._count, self._hand_over = len(rains), take
 
     def _take(self, last: Progress) -> None:
-        # The folder is removed by the same thread, behind this.
+        # The same thread removes the folder after this.
         self._hand_over(self._folder.do(lambda folder: _read(folder, self._count)))
 
 
@@ -152,25 +149,25 @@ def _read(folder: Path, count: int) -> list[LoadedRollout]:
     return [load_rollout(path, is_own=False) for path in rollout_files(folder, count)]
 
 
-# § Drives through a saved scene, as work of another process; writes one roll-out a rain.
+# Worker: one roll-out per rain
 
 _PREVIEW_PX = 320
 
 _OPENED = 0.1
-"""Share of the bar when the scene is read and everybody is in place."""
+"""Progress at which the scene is read and all actors are placed."""
 
 
 def rollout_files(folder: Path, count: int) -> list[Path]:
-    """Where the roll-outs of a job stand, in the order of its rains."""
+    """Paths of a job's roll-outs, in the order of its rains."""
     return [folder / f"rollout{number}.jsonl" for number in range(count)]
 
 
 def drive_in_worker(
     scene_folder: Path, scenario: Scenario, wishes: DriveSettings, rains: Sequence[RainSettings]
 ) -> Iterator[Progress]:
-    """Drive once in each rain; the roll-outs and their metrics stand beside the scene's folder.
+    """Drive once in each rain; writes the roll-outs and their metrics next to the scene's folder.
 
-    Raises ValueError where the scene lacks what the scenario needs, and where the agent lacks what it needs.
+    Raises ValueError if the scene lacks what the scenario needs, or the agent what it needs.
     """
     yield Progress(0.0, "Reading the scene")
     scene = load_sorted_scene(str(scene_folder))
@@ -199,7 +196,7 @@ def drive_in_worker(
 
 
 class _FrontCamera:
-    """What the front camera sees; drawn only where the agent has not had it drawn."""
+    """Image of the front camera; rendered only if the agent does not request it."""
 
     def __init__(self, simulation: Simulation, renderer: Renderer) -> None:
         self._simulation = simulation
@@ -232,13 +229,13 @@ def _notes_of(observation: Observation) -> str:
     return f"{observation.state.speed_m_s:.1f} m/s"
 
 
-# § The job that films a finished drive: save the document aside, draw the drive in another process, say where it is.
+# Roll-out videos
 
 logger = logging.getLogger("gsrain")
 
 
 class RolloutVideoJob(CopiedSceneJob):
-    """One film, as `gsrain drive` makes it."""
+    """One video, as `gsrain drive` makes it."""
 
     def __init__(
         self, scene: Scene, rollout: Rollout, film: Path, fps: float, files: ThreadPoolExecutor, known: FileCache
@@ -261,13 +258,13 @@ def _start_video(title: str, rollout: Rollout, film: Path, fps: float, copy: Pat
 
 
 def render_video_in_worker(scene_folder: Path, rollout: Path, film: Path, fps: float) -> Iterator[Progress]:
-    """Film as work of another process; told to end, it ends the film first.
+    """Worker: render a video; on SIGTERM, closes the file first.
 
     Raises:
-        ValueError: Where the scene has no rig, or not what the roll-out shows.
-        OSError: When the film can't be written.
+        ValueError: If the scene has no rig, or not the actors of the roll-out.
+        OSError: If the video can't be written.
     """
-    # Matplotlib loads slowly: not before the first film.
+    # Matplotlib loads slowly: not before the first video.
     from ...simulation.video import RolloutVideo, render_rollout_video
 
     install_sigterm_handler()
@@ -281,15 +278,15 @@ PAPER_MM_H = (0.0, 1.2, 8.5, 12.0)
 """Intensities of the paper's closed-loop tables."""
 
 METRICS_SUFFIX = ".metrics.json"
-"""Metrics stand beside a roll-out of a job: they were measured against its scene's background too."""
+"""Suffix of the metrics next to a job's roll-out: they include the occupancy of its scene's background."""
 
 
 def load_rollout(path: Path, *, is_own: bool = True) -> LoadedRollout:
-    """Read a roll-out; `is_own` says whether the file stays where it is.
+    """Read a roll-out; `is_own` is false for a temporary file of a job.
 
     Raises:
-        ValueError: For what is no roll-out, naming the file and the line.
-        OSError: When the file can't be read.
+        ValueError: For an invalid roll-out, with the file and the line.
+        OSError: If the file can't be read.
     """
     rollout = read_any_rollout(path)
     beside = path.with_suffix(METRICS_SUFFIX)

@@ -1,4 +1,4 @@
-"""The job "Find floaters": searches in a thread, and selects what it finds as one step."""
+"""Job "Find floaters": searches in a thread, and selects the result as one undo step."""
 
 import threading
 import traceback
@@ -26,7 +26,7 @@ class FloaterJob:
         self.error: str | None = None
         self.details: str | None = None
         self.found_count: int | None = None
-        """How many floaters there are; None until the search is through."""
+        """Number of floaters; None until the search is finished."""
         self._search = FloaterSearch(scene, rules)
         self._stop = threading.Event()
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="floaters")
@@ -34,12 +34,12 @@ class FloaterJob:
         self._thread.shutdown(wait=False)
 
     def poll(self, session: ViewportState) -> None:
-        """Select what was found once the search is through; never waits."""
+        """Select the floaters after the search; never blocks."""
         if self.state != "running" or not self._running.done():
             return
         try:
             self._running.result()
-        except Exception as error:  # whatever odd numbers can do to it: the window lives on
+        except Exception as error:  # any failure on odd values: the window must survive
             self.error, self.details = f"{type(error).__name__}: {error}", traceback.format_exc()
             self.state = "failed"
             return

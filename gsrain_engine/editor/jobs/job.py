@@ -1,4 +1,4 @@
-"""What the Jobs panel shows of any work that goes on behind the window."""
+"""Base of background jobs: protocols, jobs on a copy of the document, jobs that return a scene, and their folders."""
 
 import logging
 import os
@@ -27,37 +27,37 @@ from .process import JobState, Work, WorkerProcess
 
 @runtime_checkable
 class BackgroundWork(Protocol):
-    """Something that goes on in the background and can be waited for or stopped."""
+    """Background work that can be waited for or stopped."""
 
     title: str
     state: JobState
     progress: Progress
 
     def cancel(self) -> None:
-        """Stop, wherever it is, without waiting; the document stays as it was."""
+        """Stop without waiting; the document stays unchanged."""
         ...
 
 
 @runtime_checkable
 class BackgroundJob(BackgroundWork, Protocol):
-    """One run of something. Its own threads and processes never touch the session: `poll` does."""
+    """One run of a job. Its threads and processes never touch the session; only `poll` does."""
 
     ends_with_scene: bool
-    """Whether it ends when the session goes to another scene: its result belongs to this one."""
+    """True if the job ends when the session switches to another scene, because its result belongs to this one."""
     error: str | None
-    """What went wrong, as one line; `details` has the rest."""
+    """Error in one line; `details` has the traceback."""
     details: str | None
 
     def poll(self, session: ViewportState) -> None:
-        """Go on, without waiting; once a frame while it runs. Whoever finishes brings the result into the session."""
+        """Continue without blocking; once a frame while it runs. Brings the final result into the session."""
         ...
 
 
-# § A job whose worker gets a copy of the document: save it aside, work in another process, take what came of it.
+# Jobs on a copy of the document
 
 
 class CopiedSceneJob:
-    """One run, a `BackgroundJob`. A kind of job says what comes of it in `_take`."""
+    """One run, a `BackgroundJob`: save a copy, work in another process, process the result in `_take`."""
 
     ends_with_scene = True
 
@@ -69,9 +69,9 @@ class CopiedSceneJob:
         files: ThreadPoolExecutor,
         start: Callable[[Path], WorkerProcess],
     ) -> None:
-        """Start on a document as it goes into files; `files` is the thread where reading and writing happens.
+        """Start on a document as saved in files; `files` is the thread for reading and writing.
 
-        What `known` says to be in a file already is taken from there. `start` begins the work on the copy's folder.
+        Links files that `known` already holds. `start` starts the worker on the copy's folder.
         """
         self.title = title
         self.state: JobState = "running"
@@ -84,7 +84,7 @@ class CopiedSceneJob:
         self._worker: WorkerProcess | None = None
 
     def poll(self, session: ViewportState) -> None:
-        """Go on to the next stage when the present one is through; never waits."""
+        """Start the next stage after the present one has finished; never blocks."""
         if self.state != "running":
             return
         try:
@@ -94,7 +94,7 @@ class CopiedSceneJob:
             if self._worker is not None:
                 self._follow(self._worker)
         except Exception as error:  # whatever a disk or a worker can do: the window lives on
-            self.error = self._describe(error)
+            self.error = self._said(error)
             self._end("failed")
 
     def cancel(self) -> None:
@@ -102,7 +102,7 @@ class CopiedSceneJob:
             self._end("cancelled")
 
     def _take(self, last: Progress) -> None:
-        """Take what the worker has ended with; raises what stands in the way of that."""
+        """Process the worker's result; raises if that fails."""
         raise NotImplementedError
 
     def _describe(self, error: Exception) -> str:
@@ -128,17 +128,16 @@ class CopiedSceneJob:
         self._worker = self._copying = None
 
 
-# § A job whose result is a scene, from click to swap: prepare, work in another process, load, hand over.
-#
-# Preparing and loading happen in the session's thread, the work in a process of its own, and only `poll`, on the main
-# thread, touches the session.
+# Jobs that return a scene: prepare, work in another process, load, stage
+# Preparing and loading run in the session's thread, the work in its own process, and only `poll`, on the main thread,
+# touches the session.
 
 logger = logging.getLogger("gsrain")
 
 
 @dataclass(frozen=True, slots=True)
 class WorkerCall:
-    """What a worker is to do."""
+    """Function and arguments for a worker."""
 
     work: Work
     arguments: tuple[Any, ...]
@@ -146,11 +145,11 @@ class WorkerCall:
 
 @runtime_checkable
 class JobKind(Protocol):
-    """What one kind of job does at each stage; `folder` is an empty one of its own, removed in the end."""
+    """Stages of one kind of job; `folder` is an empty folder of its own, removed in the end."""
 
     title: str
     preparing: str
-    """Said while `prepare` runs."""
+    """Message while `prepare` runs."""
 
     @property
     def report(self) -> Path | None:
@@ -158,50 +157,48 @@ class JobKind(Protocol):
         ...
 
     def prepare(self, folder: Path) -> WorkerCall:
-        """Write what the worker needs."""
+        """Write the worker's input."""
         ...
 
     def snapshot(self, folder: Path) -> Scene | None:
-        """Read how far the work has come, where that is worth a look; None for nothing new."""
+        """Read an intermediate result to show; None if there is nothing new."""
         ...
 
-    def load(self, folder: Path) -> Scene:
-        """Read the result."""
-        ...
+    def load(self, folder: Path) -> Scene: ...
 
     def staged(self, scene: Scene) -> PendingScene:
-        """Say how the result comes into the document."""
+        """Return the scene with the way it enters the document."""
         ...
 
 
 class SceneJob:
-    """One run of a task, a `BackgroundJob`."""
+    """One run of a `JobKind`, a `BackgroundJob`."""
 
     ends_with_scene = True
 
     def __init__(self, task: JobKind, files: ThreadPoolExecutor) -> None:
-        """Start; `files` is where reading and writing happens."""
+        """Start; `files` is the thread for reading and writing."""
         self.title = task.title
         self.state: JobState = "running"
         self.progress = Progress(0.0, task.preparing)
         self.error: str | None = None
         self.details: str | None = None
         self.report: Path | None = None
-        """The report, once it is there."""
+        """Path of the report, after the job has finished."""
         self.task = task
         self._folder = JobTempDir(files)
         self._preparing: Future[WorkerCall] | None = self._folder.do(task.prepare)
         self._worker: WorkerProcess | None = None
         self._snapshot: Future[Scene | None] | None = None
         self._looked_at = ""
-        """What the worker had said when its last snapshot was asked for."""
+        """Worker's message at the last snapshot request."""
         self._loading: Future[Scene] | None = None
         self._gesture = f"job {secrets.token_hex(8)}"
         self._has_shown = False
-        """Whether a snapshot has been on its way into the document."""
+        """True if a snapshot was staged."""
 
     def poll(self, session: ViewportState) -> None:
-        """Go on to the next stage when the present one is through; never waits. The result is staged at the end."""
+        """Start the next stage after the present one has finished; never blocks. Stages the result at the end."""
         if self.state != "running":
             return
         try:
@@ -215,7 +212,7 @@ class SceneJob:
                 self.report = self.task.report
                 logger.info("%s: done%s", self.title, "" if self.report is None else f"; report: {_short(self.report)}")
                 self._end("finished")
-        except Exception as error:  # whatever a disk or a worker can do: the window lives on
+        except Exception as error:  # any disk or worker error: the window must survive
             self.error = sentence_of(error)
             self._end("failed")
 
@@ -246,7 +243,7 @@ class SceneJob:
             self._snapshot = self._folder.do(self.task.snapshot)
 
     def _stage(self, scene: Scene, session: ViewportState, *, is_finished: bool) -> None:
-        if not session.is_opening:  # else it would take the place of the scene that comes
+        if not session.is_opening:  # otherwise it would replace the scene that is being opened
             goes_on = self._has_shown and not is_finished
             self._has_shown = True
             session.stage(replace(self.task.staged(scene), gesture=self._gesture, goes_on=goes_on))
@@ -268,12 +265,12 @@ class SceneJob:
 
 
 def _short(file: Path) -> str:
-    """The path of a file, with ~ for the user's home."""
+    """Path of a file, with ~ for the user's home."""
     home = Path.home()
     return str(Path("~") / file.relative_to(home)) if file.is_relative_to(home) else str(file)
 
 
-# § The temporary folder of one job: made, used and removed in the thread where a session reads and writes files.
+# Temporary folders
 
 _Result = TypeVar("_Result")
 
@@ -281,9 +278,9 @@ _PREFIX = "gsrain-job-"
 
 
 class JobTempDir:
-    """Not there before something is done with it; `files` has one thread, so that all happens in turn.
+    """The temporary folder of one job, created on first use; `files` has one thread, so that all access is in order.
 
-    A lock says that its process lives: where that was killed, the next one removes the folder.
+    A lock marks the process as alive; after it was killed, a later process removes the folder.
     """
 
     def __init__(self, files: ThreadPoolExecutor) -> None:
@@ -292,13 +289,13 @@ class JobTempDir:
         self._open = ExitStack()
 
     def do(self, work: Callable[[Path], _Result]) -> Future[_Result]:
-        """Do something with the folder in the thread."""
+        """Call `work` with the folder in the thread."""
         return self._files.submit(self._done, work)
 
     def remove(self, worker: WorkerProcess | None) -> None:
-        """End the process that works with the folder, then remove it: behind what was asked for before, not waited for.
+        """End the worker, then remove the folder, after all earlier tasks and without waiting.
 
-        Ending a process and emptying a folder take their time, in which the window goes on.
+        Both take time, during which the window continues.
         """
         self._files.submit(self._removed, worker)
 
@@ -315,7 +312,7 @@ class JobTempDir:
 
 @contextmanager
 def temporary_folder() -> Generator[Path]:
-    """Make a folder that is there for as long as the block runs; see `remove_abandoned_job_folders`."""
+    """Create a folder for the duration of the block; see `remove_abandoned_job_folders`."""
     with ExitStack() as lock:
         path = _locked_folder(lock)
         try:
@@ -331,11 +328,11 @@ def _locked_folder(lock: ExitStack) -> Path:
             lock.enter_context(lock_path(path))
         if path.is_dir():
             return path
-        lock.close()  # another process took it for an abandoned one before it was locked
+        lock.close()  # another process removed it as abandoned before it was locked
 
 
 def remove_abandoned_job_folders() -> None:
-    """Remove the folders of this user's processes that were killed. Without effect where the system knows no locks."""
+    """Remove folders of this user's killed processes. Does nothing on systems other than POSIX."""
     if os.name != "posix":
         return
     for path in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
@@ -347,27 +344,27 @@ def remove_abandoned_job_folders() -> None:
                     shutil.rmtree(path, ignore_errors=True)
 
 
-# § The document on the disk for another process: a scene folder in a job's temporary one.
+# Copy of the document
 
 _SCENE = "scene"
 
 
 def write_copy(scene: Scene, folder: Path, known: FileCache) -> Path:
-    """Write a scene into a temporary folder; returns the scene folder. Files that are known are linked, not written."""
+    """Write a scene into a temporary folder and return the scene folder. Links known files instead of writing them."""
     copy = folder / _SCENE
     write_scene_folder(scene, copy, known, linking=True, in_drawing_order=True)
-    known.forget(copy)  # it will be gone soon
+    known.forget(copy)  # it will be removed soon
     return copy
 
 
-# § Where the reports of the window's jobs stay.
+# Reports
 
 _LONGEST = 120
-"""Bytes of what a report is about that go into its file's name."""
+"""Maximum number of bytes of the report's subject in its file name."""
 
 
 def new_report(name: str) -> Path:
-    """Choose a file for one about `name`, by the present date and time; its folder need not be there yet."""
+    """Choose a report file for `name`, by the present date and time; its folder may not exist yet."""
     folder = platformdirs.user_data_path("gsrain", appauthor=False) / "reports"
     about = re.sub(r"[/\x00-\x1f\x7f]", "_", name).encode(errors="replace")[:_LONGEST].decode(errors="ignore")
     when = f"{datetime.now():%Y-%m-%d_%H-%M-%S}"

@@ -1,4 +1,4 @@
-"""The job "Make it rainy": views are transferred, and wet colours solved for that look like them."""
+"""Jobs "Make it rainy" (transfer views, then solve for wet colors) and "Preview" (transfer the current view)."""
 
 import time
 from collections.abc import Generator, Iterator, Sequence
@@ -33,24 +33,24 @@ MAKE_RAINY_TITLE = "Make it rainy"
 
 _COLORS = "colors.npz"
 
-# § Transfers as work for another process: a saved scene and plain values in, pictures and wet colours out.
+# Transfer job
 
 
 @dataclass(frozen=True, slots=True)
 class TransferRequest:
-    """What is to be done to a scene."""
+    """Method, settings and views of a transfer."""
 
     method: str
     settings: TransferSettings
     choice: ViewChoice
     capture: Path | None = None
-    """The scene's recording, where views are its."""
+    """The scene's capture, for views from it."""
     allow_outside: bool = False
-    """Whether files outside of the recording's folder are read that its files name."""
+    """True if files outside of the capture's folder that its files refer to may be read."""
 
 
 class MakeRainyJobKind:
-    """One scene to be made rainy, a `JobKind`."""
+    """One run on a scene, a `JobKind`."""
 
     title = MAKE_RAINY_TITLE
     preparing = "Saving the scene for the worker"
@@ -64,22 +64,20 @@ class MakeRainyJobKind:
         return WorkerCall(make_rainy, (copy, self._order, folder / _COLORS, self.report))
 
     def snapshot(self, folder: Path) -> Scene | None:
-        """Show nothing in the view before the end: the panel shows each picture."""
+        """Return None: the panel shows each image instead."""
         return None
 
     def load(self, folder: Path) -> Scene:
         return with_colors(self._scene, read_recolored(folder / _COLORS))
 
     def staged(self, scene: Scene) -> PendingScene:
-        """Bring the wet colours, and nothing else."""
+        """Stage only the wet colors."""
         return PendingScene(MAKE_RAINY_TITLE, scene, only_wet_colors=True)
 
 
-# § The job "Preview": one view as a transfer makes it, from where a person looks now.
+# Preview job
 
 PREVIEW_TITLE = "Preview"
-
-# § One view as a transfer makes it, and what it is of: it is shown only where it fits.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,12 +90,12 @@ class PreviewSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreviewedView:
-    """A picture, soaked, and the view that it is of."""
+    """A transferred image, its view, and its settings."""
 
     pixels: UInt8[np.ndarray, "h w 3"]
-    """Display colour."""
+    """Display color."""
     camera: Camera
-    """In the world, of the viewport's size when it was asked for."""
+    """In the world, of the viewport's size at the time of the request."""
     time_s: float
     scene: Scene
     recipe: PreviewSettings
@@ -113,15 +111,15 @@ class PreviewedView:
         )
 
     def is_made_by(self, recipe: PreviewSettings) -> bool:
-        """Whether the method and its settings are those that it was made with."""
+        """Return whether the method and settings equal those of this image."""
         return (self.recipe.method, self.recipe.settings) == (recipe.method, recipe.settings)
 
 
 class TransferPreviewJob(CopiedSceneJob):
-    """One view on its way. Whoever has started it takes `result` when it is finished."""
+    """Transfers one view. The caller takes `result` after it has finished."""
 
     def __init__(self, wanted: PreviewedView, width_px: int, known: FileCache, files: ThreadPoolExecutor) -> None:
-        """Start. `wanted` says what of; its pixels are those that stand in until there are others."""
+        """Start. `wanted` defines the view; its pixels are placeholders."""
         placed = PlacedCamera(PREVIEW_TITLE, wanted.camera, wanted.time_s).at_width(min(width_px, wanted.camera.width))
         recipe = wanted.recipe
         super().__init__(
@@ -138,11 +136,11 @@ class TransferPreviewJob(CopiedSceneJob):
 
 
 _READ, _RENDERED = 0.2, 0.6
-"""Shares of a preview's time."""
+"""Progress after reading and after rendering."""
 
 
 def make_rainy(copy: Path, order: TransferRequest, output: Path, report: Path | None) -> Iterator[Progress]:
-    """Work of the job "Make it rainy": transfer views of a saved scene, solve for its wet colours and write them."""
+    """Worker of "Make it rainy": transfer views of a saved scene, solve for its wet colors and write them."""
     yield Progress(0.0, "Reading the scene")
     scene = read_scene(copy)
     kept = ComparisonReport(_opened(order.method, order.settings, scene))
@@ -153,20 +151,20 @@ def make_rainy(copy: Path, order: TransferRequest, output: Path, report: Path | 
 
 
 def rainy_by(scene: Scene, order: TransferRequest) -> Generator[Progress, None, Scene]:
-    """Give a scene the wet colors that an order asks for, in this process; yields and raises as `rainy_scene` does."""
+    """Give a scene the wet colors of a request, in this process; yields and raises as `rainy_scene` does."""
     return (yield from _with_colors_by(_opened(order.method, order.settings, scene), scene, order))
 
 
 def _with_colors_by(transfer: Transfer, scene: Scene, order: TransferRequest) -> Generator[Progress, None, Scene]:
     capture = None if order.capture is None else open_capture(order.capture, allow_outside=order.allow_outside)
     views = scene_views(scene, chosen_cameras(scene, order.choice, capture))
-    # Pictures that don't agree with each other need the robust steps and an exposure each.
+    # Images that are not consistent with each other need the robust steps and an exposure each.
     settings = QUICK if order.method == "wet" else RecolorSettings()
     return (yield from rainy_scene(scene, views, transfer, settings))
 
 
 def preview_view(copy: Path, method: str, settings: TransferSettings, placed: PlacedCamera) -> Iterator[Progress]:
-    """Work of a preview: transfer one view of a saved scene; the picture comes with the last step."""
+    """Worker of a preview: transfer one view of a saved scene; the image comes with the last step."""
     yield Progress(0.0, "Reading the scene")
     scene = read_scene(copy)
     transfer = _opened(method, settings, scene)
@@ -178,7 +176,7 @@ def preview_view(copy: Path, method: str, settings: TransferSettings, placed: Pl
 
 
 def to_display_bytes(image: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
-    """Turn a picture in display colours 0..1 into one that a window shows."""
+    """Convert an image in display colors 0..1 to 8 bits."""
     return np.rint(np.clip(image, 0, 1) * np.float32(255)).astype(np.uint8)
 
 
@@ -192,14 +190,14 @@ def _opened(method: str, settings: TransferSettings, scene: Scene) -> Transfer:
 
 
 _SAME = 1e-4
-"""Of a pose's numbers and of a field of view."""
+"""Tolerance of pose entries and of the field of view."""
 
 _SAME_SHAPE = 0.01
-"""Of a picture's proportions: a viewport has whole pixels."""
+"""Tolerance of the aspect ratio: a viewport has whole pixels."""
 
 
 def _looks_alike(one: Scene, other: Scene) -> bool:
-    """Whether two scenes look the same while they are dry."""
+    """Return whether two scenes look the same when dry."""
     return one is other or _dry(one).geometry_key == _dry(other).geometry_key
 
 
@@ -210,17 +208,17 @@ def _dry(scene: Scene) -> Scene:
     return scene
 
 
-# § The report of "Make it rainy": views as the transfer made them beside what the scene shows of them now.
+# Report: transferred views compared with renders of the result
 
 _COMPARED = 6
-"""Views that the report shows, at most."""
+"""Maximum number of views in the report."""
 
 _SOLID = 0.3
-"""Alpha from which a pixel counts."""
+"""Minimum alpha of compared pixels."""
 
 
 class ComparisonReport:
-    """A transfer that keeps a few of the views that another one makes, evenly over all."""
+    """Transfer that forwards another one and keeps some of its views, evenly spaced."""
 
     def __init__(self, transfer: Transfer) -> None:
         self._transfer = transfer

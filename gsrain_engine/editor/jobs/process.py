@@ -1,7 +1,7 @@
-"""Background jobs: a generator of `Progress` in a process of its own, watched from the main thread without waiting.
+"""Worker processes: run a generator of `Progress` in another process and poll it without blocking.
 
-Small messages travel through a pipe, the newest picture through shared memory; results travel as files. A worker that
-dies is a failed job, nothing more. Workers yield the processor to the window.
+Small messages travel through a pipe, the latest preview through shared memory, results as files. A worker that dies is
+a failed job. Workers have low CPU priority.
 """
 
 import multiprocessing
@@ -29,27 +29,27 @@ from ...scene.progress import Progress
 JobState = Literal["running", "finished", "failed", "cancelled"]
 
 Work = Callable[..., Iterator[Progress]]
-"""A function at the top level of a module: it is found again by its name in the new process."""
+"""Function at the top level of a module, so that the new process can import it by name."""
 
 _MAX_MESSAGE_BYTES = 1 << 24
 
 _NICENESS = 10
-"""On POSIX systems: the window's frames come first, and a worker has all that they leave."""
+"""On POSIX systems; keeps the window responsive."""
 
 _OUT_OF_MEMORY = "the machine ran out of memory: close other programs, or work with smaller images or fewer Gaussians"
 
 
 class WorkerProcess:
-    """One piece of work in another process. Call `poll` once a frame."""
+    """A function running in another process. Call `poll` once a frame."""
 
     def __init__(self, title: str, work: Work, *arguments: Any) -> None:
-        """Start at once. The arguments must survive pickling; large ones go by file. Raises what starting raises."""
+        """Start at once. Arguments must be picklable; pass large ones by file. Raises any error of process creation."""
         context = multiprocessing.get_context("spawn")
         self.title = title
         self.state: JobState = "running"
         self.progress = Progress(0.0, "Starting")
         self.error: str | None = None
-        """What went wrong, as one line; `details` has the rest."""
+        """Error in one line; `details` has the traceback."""
         self.details: str | None = None
         self._messages, theirs = context.Pipe(duplex=False)
         self._image = SharedImage()
@@ -68,11 +68,11 @@ class WorkerProcess:
 
     @property
     def waitable(self) -> Connection:
-        """What `multiprocessing.connection.wait` can wait for: something was said, or the worker is gone."""
+        """Connection for `multiprocessing.connection.wait`: ready on a message or when the worker has ended."""
         return self._messages
 
     def poll(self) -> None:
-        """Take in what the worker has said since the last call; never waits."""
+        """Process the worker's messages since the last call; never blocks."""
         if self.state != "running":
             return
         try:
@@ -88,16 +88,16 @@ class WorkerProcess:
             self._tell_silence()
 
     def cancel(self) -> None:
-        """Tell the worker to stop, without waiting for it; whatever it had not finished is dropped."""
+        """Terminate the worker without waiting for it; unfinished work is lost."""
         if self.state == "running":
             self._process.terminate()
             if psutil.POSIX and self._process.pid is not None:
-                with suppress(ProcessLookupError):  # one that somebody has stopped hears of its end only so
+                with suppress(ProcessLookupError):  # a stopped process receives SIGTERM only after SIGCONT
                     os.kill(self._process.pid, signal.SIGCONT)
             self.state = "cancelled"
 
     def close(self) -> None:
-        """Wait for the process to be gone and free what it held; any thread may do this, once."""
+        """Wait for the process to end and free its resources; any thread may call this, once."""
         self._process.join(timeout=5.0)
         if self._process.is_alive():
             self._process.kill()
@@ -127,7 +127,7 @@ class WorkerProcess:
 
 
 def _death(exit_code: int | None) -> str:
-    """Say what ended a process that had nothing to say itself."""
+    """Describe the end of a process that sent no error."""
     if exit_code is not None and exit_code == -getattr(signal, "SIGKILL", 9):
         return f"the worker was killed: by hand, or because {_OUT_OF_MEMORY}"
     if exit_code is not None and exit_code < 0:
@@ -143,7 +143,7 @@ def _signal_name(number: int) -> str:
 
 
 def _run(messages: Connection, picture_name: str, work: Work, arguments: tuple[Any, ...]) -> None:
-    """Do the work in the new process: Progress for each step, None at the end, (line, traceback) when it fails."""
+    """Run the work in the new process; send Progress for each step, None at the end, (line, traceback) on failure."""
     if psutil.POSIX:
         psutil.Process().nice(_NICENESS)
     threading.Thread(target=_end_with_parent, daemon=True).start()
@@ -155,7 +155,7 @@ def _run(messages: Connection, picture_name: str, work: Work, arguments: tuple[A
             messages.send(progress._replace(preview=None))
         messages.send(None)
     except BrokenPipeError:
-        pass  # nobody is interested any more
+        pass  # the window closed the pipe
     except Exception as error:
         messages.send((_sentence(error), traceback.format_exc()))
     finally:
@@ -164,7 +164,7 @@ def _run(messages: Connection, picture_name: str, work: Work, arguments: tuple[A
 
 
 def _end_with_parent() -> None:
-    """End when the window is gone, killed perhaps, as if it had asked for that: nobody would take what comes out."""
+    """Send SIGTERM to this process when the window is gone, killed perhaps."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])
@@ -172,27 +172,27 @@ def _end_with_parent() -> None:
 
 
 def _sentence(error: Exception) -> str:
-    """What went wrong, for a person: torch tells of missing memory as a RuntimeError."""
+    """Describe an error for users; torch raises RuntimeError when out of memory."""
     said = str(error) or type(error).__name__
     if isinstance(error, MemoryError) or "out of memory" in said or "can't allocate memory" in said:
         return f"{_OUT_OF_MEMORY} ({said})"
     return sentence_of(error) if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {error}"
 
 
-# § A worker's newest picture, in memory that two processes share: the window looks when it likes, nobody waits.
+# Latest preview in shared memory, read without blocking
 
 _MAX_PIXELS = 1024 * 768
 
 _SLOT_BYTES = 3 * _MAX_PIXELS
 
 _NUMBERS = 7
-"""Number of the newest picture; then for each of two slots the number of its picture, its height and its width."""
+"""Number of the latest image; then for each of two slots the number of its image, its height and its width."""
 
 
 class SharedImage:
-    """Two slots that a writer fills in turn; a reader takes the one that was filled last.
+    """Two slots that a writer fills in turn; a reader copies the latest.
 
-    The process that makes it frees it; another one attaches by `name`.
+    The process that creates it frees it; another one attaches by `name`.
     """
 
     def __init__(self, name: str | None = None) -> None:
@@ -206,7 +206,7 @@ class SharedImage:
         return self._memory.name
 
     def write(self, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
-        """Show a picture; one that is too large is shown smaller."""
+        """Publish an image; larger ones are scaled down."""
         shrink = np.sqrt(pixels.shape[0] * pixels.shape[1] / _MAX_PIXELS)
         if shrink > 1:
             size = max(1, int(pixels.shape[1] / shrink)), max(1, int(pixels.shape[0] / shrink))
@@ -214,13 +214,13 @@ class SharedImage:
         numbers = self._numbers()
         number = int(numbers[0]) + 1
         slot = number % 2
-        numbers[1 + 3 * slot] = 0  # whoever reads this slot now sees that it has changed
+        numbers[1 + 3 * slot] = 0  # invalidates the slot for a reader that is copying it
         self._pixels(slot, pixels.shape[0], pixels.shape[1])[:] = pixels
         numbers[1 + 3 * slot : 4 + 3 * slot] = number, pixels.shape[0], pixels.shape[1]
         numbers[0] = number
 
     def take(self) -> UInt8[np.ndarray, "h w 3"] | None:
-        """Copy the newest picture; None where there is none that was not taken yet."""
+        """Copy the latest image; None if it was read before."""
         if self._is_closed:
             return None
         numbers = self._numbers()
@@ -230,7 +230,7 @@ class SharedImage:
         if number == self._accept:
             return None
         if found != number or not 0 < height * width <= _MAX_PIXELS:
-            return None  # it is being written over: the next look finds a newer one
+            return None  # it is being overwritten: the next call finds a newer one
         pixels = self._pixels(slot, height, width).copy()
         if int(numbers[1 + 3 * slot]) != number:
             return None
@@ -238,7 +238,7 @@ class SharedImage:
         return pixels
 
     def close(self) -> None:
-        """Let go of the memory; who has made it frees it. To be called once more does nothing."""
+        """Close the memory; its creator frees it. Further calls do nothing."""
         if not self._is_closed:
             self._is_closed = True
             self._memory.close()
@@ -251,7 +251,7 @@ class SharedImage:
         return self._memory.buf
 
     def _numbers(self) -> Int64[np.ndarray, " numbers"]:
-        # Made anew each time: memory that an array looks at can't be closed.
+        # Created anew each time: memory referenced by an array can't be closed.
         return np.frombuffer(self._bytes, np.int64, _NUMBERS)
 
     def _pixels(self, slot: int, height: int, width: int) -> UInt8[np.ndarray, "h w 3"]:
@@ -260,30 +260,30 @@ class SharedImage:
         return flat.reshape(height, width, 3)
 
 
-# § How long a worker has said nothing, in words: it may think long, or somebody has stopped its process.
+# Watchdog
 
 _LONG_S = 60.0
-"""Few steps of any job take longer."""
+"""Minimum silence to report; few steps of any job take longer."""
 
 _LOOKED_AT_EVERY_S = 2.0
 
 
 class WorkerWatchdog:
-    """The silence of one process."""
+    """Describes the silence of a worker process, which may be busy or stopped."""
 
     def __init__(self, pid: int, now: Callable[[], float] = monotonic) -> None:
-        """`now` is a clock in seconds that never goes back."""
+        """`now` is a monotonic clock in seconds."""
         self._pid, self._now = pid, now
         self._heard_s = self._looked_s = now()
         self._is_stopped = False
 
     def heard(self) -> None:
-        """Something was said."""
+        """Note a message from the worker, which ends its silence."""
         self._heard_s, self._is_stopped = self._now(), False
 
     @property
     def words(self) -> str:
-        """What is worth telling; nothing where it is not silent for long. Changes once a minute at most."""
+        """Description of a long silence, or "". Changes once a minute at most."""
         now = self._now()
         if now - max(self._heard_s, self._looked_s) > _LOOKED_AT_EVERY_S:
             self._looked_s, self._is_stopped = now, _is_stopped(self._pid)
@@ -297,14 +297,14 @@ def _is_stopped(pid: int) -> bool:
     try:
         return psutil.Process(pid).status() == psutil.STATUS_STOPPED
     except psutil.Error:
-        return False  # it is gone, which its pipe tells
+        return False  # the process is gone; its pipe reports that
 
 
-# § How a worker ends when it is told to: whatever it writes is closed first.
+# Termination
 
 
 def install_sigterm_handler() -> None:
-    """In a worker: unwind when the process is told to end, so that its videos are closed properly."""
+    """In a worker: unwind on SIGTERM, so that files such as videos are closed properly."""
     signal.signal(signal.SIGTERM, _leave)
 
 

@@ -1,4 +1,4 @@
-"""Records a saved scene with its own rain, weather and path, as `gsrain render PROJECT` does."""
+"""Export job and worker: record a saved scene with its rain, weather and path, as `gsrain render PROJECT` does."""
 
 import logging
 from collections.abc import Iterator, Sequence
@@ -23,7 +23,7 @@ from .process import WorkerProcess, install_sigterm_handler
 
 
 def own_path(scene: Scene, width: int, height: int) -> CameraPath:
-    """The path that a person made for a scene, else the ego's drive, else a swing around it. World frame, metres."""
+    """The scene's camera path, else the ego's drive, else an orbit. World frame, meters."""
     return default_path(scene, width, height) if scene.path is None else scene.path.moved(scene.scene_to_world)
 
 
@@ -31,8 +31,8 @@ def record_project(folder: Path, recording: ExportSettings) -> Iterator[Progress
     """Record a scene folder.
 
     Raises:
-        ValueError: For what contradicts itself, such as a camera that the scene does not have.
-        OSError: When it can't be written; what had been written can be played.
+        ValueError: For inconsistent settings, such as a camera that the scene lacks.
+        OSError: If it can't be written; the part written so far is playable.
     """
     yield Progress(0.0, "Reading the scene")
     scene = load_sorted_scene(str(folder))
@@ -44,20 +44,20 @@ def record_project(folder: Path, recording: ExportSettings) -> Iterator[Progress
 
 
 def record_in_worker(folder: Path, recording: ExportSettings) -> Iterator[Progress]:
-    """Record as work of another process: told to end, it ends its videos first."""
+    """Worker: record a scene folder; on SIGTERM, closes its videos first."""
     install_sigterm_handler()
     yield from record_project(folder, recording)
 
 
-# § The job that records: save the document aside, record it in another process, say what came of it.
+# Export job
 
 logger = logging.getLogger("gsrain")
 
 
 class ExportJob(CopiedSceneJob):
-    """One recording. Its worker sees the numbers that the command line sees."""
+    """One recording, with the same settings as the command line."""
 
-    ends_with_scene = False  # it has a copy of the document that it began with
+    ends_with_scene = False  # it has its own copy of the document
 
     def __init__(
         self,
@@ -67,7 +67,7 @@ class ExportJob(CopiedSceneJob):
         known: FileCache,
         notes: Sequence[str] = (),
     ) -> None:
-        """Start; `notes` go into the log at the end."""
+        """Start; `notes` are logged at the end."""
         title = f"Record {recording.path.name}"
         super().__init__(
             title, scene, known, files, lambda copy: WorkerProcess(title, record_in_worker, copy, recording)

@@ -1,4 +1,4 @@
-"""The job "Train the transfer": a worker fine-tunes; its losses, samples and warnings can be watched meanwhile."""
+"""Jobs of the `jobs` extra: fine-tune the transfer, recolor, reconstruct; and the check for torch."""
 
 from collections.abc import Generator, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -35,19 +35,19 @@ if TYPE_CHECKING:
 TRANSFER_TRAINING_TITLE = "Train the transfer"
 
 Losses = Mapping[str, Float64[np.ndarray, " n"]]
-"""By name, with their steps as `step`; smoothed where there are many."""
+"""Arrays by name, with iterations as `step`; smoothed if there are many."""
 
 _DRAWN = 400
-"""Points of a curve: each is the mean of as many iterations as it takes."""
+"""Maximum number of points of a curve; each is the mean of several iterations."""
 
 
 class FinetuneJob:
-    """One training, a `BackgroundJob`. Stopped anywhere, it leaves its folder's last checkpoint to go on from."""
+    """One training, a `BackgroundJob`. After cancelling, it can resume from the last checkpoint in its folder."""
 
     ends_with_scene = False
 
     def __init__(self, task: FinetuneTask, files: ThreadPoolExecutor) -> None:
-        """Start; `files` is where losses are read."""
+        """Start; `files` is the thread that reads losses."""
         self.title = TRANSFER_TRAINING_TITLE
         self.state: JobState = "running"
         self.progress = Progress(0.0, "Starting")
@@ -56,27 +56,27 @@ class FinetuneJob:
         self.task = task
         self.losses: Losses = {}
         self.warning: str | None = None
-        """What is wrong with how it goes, as the worker says; stays when it ends."""
+        """The worker's warning about the training; stays after the end."""
         self._files = files
         self._worker: WorkerProcess | None = WorkerProcess(TRANSFER_TRAINING_TITLE, train_transfer, task)
         self._reading: Future[Losses] | None = None
         self._read_at = ""
 
     def poll(self, session: object) -> None:
-        """Take in what the worker has said, and its losses; never waits."""
+        """Process the worker's messages and losses; never blocks."""
         if self.state != "running":
             return
         self._follow_losses()
-        if self._worker is None:  # it is done, and its last losses have been read
+        if self._worker is None:  # the worker is done; wait for its last losses
             if self._reading is None:
                 self._end("finished")
             return
         worker = self._worker
         worker.poll()
         said = worker.progress
-        if (warning := warning_in(said.message)) is not None:  # it is shown by itself, not with each iteration
+        if (warning := warning_in(said.message)) is not None:  # shown separately, not with each iteration
             self.warning, said = warning, said._replace(message=said.message.removesuffix(with_warning("", warning)))
-        elif said.message[:1].isdigit():  # an iteration after which all is well
+        elif said.message[:1].isdigit():  # an iteration without a warning
             self.warning = None
         self.progress = said
         if worker.state == "failed":
@@ -88,7 +88,7 @@ class FinetuneJob:
             self._worker = None
 
     def cancel(self) -> None:
-        """Stop, without waiting; what was saved last can be gone on from."""
+        """Stop without waiting; the last checkpoint stays usable."""
         if self.state == "running":
             self._end("cancelled")
 
@@ -110,7 +110,7 @@ class FinetuneJob:
 
 
 def _losses_of(task: FinetuneTask) -> Losses:
-    """Read the losses so far; where the file can't be read there are none."""
+    """Read the losses so far; empty if the file can't be read."""
     try:
         rows = read_losses(task.losses)
     except OSError:
@@ -122,11 +122,11 @@ def _losses_of(task: FinetuneTask) -> Losses:
     return {name: np.array([row[name] for row in rows[:whole]]).reshape(-1, each).mean(axis=1) for name in rows[0]}
 
 
-# § Fine-tuning as work, for a worker process and the command line alike: the recipe with LPIPS, where it has weights.
+# Fine-tuning worker and command, with LPIPS if weights are available
 
 
 def train_transfer(task: "FinetuneTask") -> "Generator[Progress, None, FinetuneResult]":
-    """Fine-tune as a task says. Yields and raises as `finetune` does, and ValueError where torch is missing."""
+    """Fine-tune. Yields and raises as `finetune` does, and ValueError if torch is missing."""
     require_torch("training the transfer", HOW_TO_GET_DIFFUSION)
     expect_trusted(task.code)
     from ...appearance.finetune.run import chosen_device, finetune
@@ -139,13 +139,13 @@ def train_transfer(task: "FinetuneTask") -> "Generator[Progress, None, FinetuneR
     return (yield from finetune(task, perceptual))
 
 
-# § The job "Recolour": wet colours are solved for so that the scene looks like given pictures.
+# Job "Recolor": solve for wet colors so that the scene matches given images
 
 _COLORS = "colors.npz"
 
 
 class RecolorJobKind:
-    """One scene to be recoloured to pictures, a `JobKind`."""
+    """One recoloring of a scene to images, a `JobKind`."""
 
     preparing = "Saving the scene for the worker"
 
@@ -159,7 +159,7 @@ class RecolorJobKind:
         *,
         allow_outside: bool = False,
     ) -> None:
-        """Cameras come from a capture; so do the pictures, unless a folder has them anew, under the same names."""
+        """`capture` provides the cameras, and the images unless the folder `images` has others under the same names."""
         pictures = images or capture
         self.title = f"Recolour to {pictures.name}"
         self.report: Path | None = new_report(f"{scene.name} to {pictures.name}")
@@ -179,7 +179,7 @@ class RecolorJobKind:
         return with_colors(self._scene, read_recolored(folder / _COLORS))
 
     def staged(self, scene: Scene) -> PendingScene:
-        """Bring the wet colours, and nothing else."""
+        """Stage only the wet colors."""
         return PendingScene(self.title, scene, only_wet_colors=True)
 
 
@@ -192,7 +192,7 @@ def recolor_scene_copy(
     report: Path | None,
     allow_outside: bool = False,
 ) -> Iterator[Progress]:
-    """Work of the job, for another process: solve for a saved scene's wet colours and write them."""
+    """Worker: solve for a saved scene's wet colors and write them."""
     yield Progress(0.0, "Reading the scene")
     scene, pictures = read_scene(copy), open_capture(capture, allow_outside=allow_outside)
     if images is not None:
@@ -203,13 +203,13 @@ def recolor_scene_copy(
     write_recolored(output, {each.key: each.wet_sh for each in run.scene.members if each.wet_sh is not None})
 
 
-# § The job "Reconstruct": a capture becomes Gaussians in another process, and can be watched in the view meanwhile.
+# Job "Reconstruct": Gaussians from a capture, with snapshots in the viewport
 
 _SCENE, _SNAPSHOT = "scene", "snapshot"
 
 
 class ReconstructionJobKind:
-    """One capture to be reconstructed, a `JobKind`."""
+    """One reconstruction of a capture, a `JobKind`."""
 
     preparing = "Starting"
 
@@ -233,7 +233,7 @@ class ReconstructionJobKind:
                 return None
             scene = read_scene(folder / _SNAPSHOT)
         except (OSError, SceneFormatError):
-            return None  # not there yet, or just being replaced: there will be another
+            return None  # not there yet, or being replaced: a later one follows
         self._seen_ns = written_ns
         return scene
 
@@ -241,24 +241,24 @@ class ReconstructionJobKind:
         return read_scene(folder / _SCENE)
 
     def staged(self, scene: Scene) -> PendingScene:
-        """Take the place of the present scene, as a step that can be undone."""
+        """Replace the present scene, as an undo step."""
         return PendingScene(self.title, scene, is_whole=True)
 
 
 def reconstruct_capture(task: ReconstructionTask) -> Iterator[Progress]:
-    """Work of the job, for a process that has torch."""
+    """Worker: reconstruct a capture, with torch."""
     require_torch("reconstructing")
     from ...training.train import reconstruct
 
     yield from reconstruct(task)
 
 
-# § Whether torch is there, which heavy jobs need and which is an extra: asked without loading it.
+# Check for torch without importing it
 
 HOW_TO_GET_TORCH = "pip install 'gsrain[jobs]'"
 
 HOW_TO_GET_DIFFUSION = "pip install 'gsrain[diffusion]'"
-"""Torch, and what a diffusion model takes besides."""
+"""Command that installs torch and the dependencies of diffusion models."""
 
 
 @cache
@@ -267,6 +267,6 @@ def has_torch() -> bool:
 
 
 def require_torch(what: str, how: str = HOW_TO_GET_TORCH) -> None:
-    """Raise ValueError, which says that `what` needs torch and how to get it, where it is missing."""
+    """Raise ValueError with the install command if torch is missing; `what` is the feature that needs it."""
     if not has_torch():
         raise ValueError(f"{what} needs torch, which is not installed: {how}")

@@ -1,4 +1,4 @@
-"""What Gaussians can be told apart by: numbers of each, with their units."""
+"""Attributes of Gaussians for selection, with units, and their histograms."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -18,11 +18,11 @@ from .screen import camera_depths
 
 
 class AttributeInputs(NamedTuple):
-    """What attributes are read from."""
+    """Inputs of the attribute functions."""
 
     part: DrawItem
     number: int
-    """Place of the member among all of the scene, from 1."""
+    """Index of the member among all of the scene, from 1."""
     ground_m: float
     camera: Camera
 
@@ -36,9 +36,9 @@ class Attribute:
     values: Callable[[AttributeInputs], Float32[np.ndarray, " n"]]
     logarithmic: bool = False
     by_camera: bool = False
-    """Whether it changes as the camera moves."""
+    """True if it depends on the camera."""
     bounds: tuple[float, float] = (-math.inf, math.inf)
-    """What it can't go beyond."""
+    """Limits of possible values."""
 
 
 def read_attribute(name: str, read: AttributeInputs) -> Float32[np.ndarray, " n"]:
@@ -46,7 +46,7 @@ def read_attribute(name: str, read: AttributeInputs) -> Float32[np.ndarray, " n"
 
 
 def attribute_inputs(scene: Scene, time_s: float, camera: Camera) -> dict[str, AttributeInputs]:
-    """Return what attributes of the candidates are read from, by their keys."""
+    """Return the attribute inputs of the candidates, by their keys."""
     numbers = {member.key: number for number, member in enumerate(scene.members, 1)}
     ground = scene.ground_m or 0.0
     return {
@@ -57,7 +57,7 @@ def attribute_inputs(scene: Scene, time_s: float, camera: Camera) -> dict[str, A
 def select_attribute_range(
     scene: Scene, time_s: float, camera: Camera, name: str, low: float, high: float
 ) -> dict[str, BitMask]:
-    """Find Gaussians of which an attribute lies within [low, high]."""
+    """Find Gaussians with an attribute within [low, high]."""
     found: dict[str, BitMask] = {}
     for key, read in attribute_inputs(scene, time_s, camera).items():
         values = read_attribute(name, read)
@@ -66,7 +66,7 @@ def select_attribute_range(
 
 
 def layer_names(scene: Scene) -> dict[int, str]:
-    """Names of the members that can be selected from, by their numbers."""
+    """Names of the selectable members, by their numbers."""
     keys = {member.key for member in editable(scene)}
     return {number: each.name for number, each in enumerate(scene.members, 1) if each.key in keys}
 
@@ -105,7 +105,7 @@ def _hue(read: AttributeInputs) -> np.ndarray:
 @numba.njit(cache=True)
 @no_type_check
 def _hues(colors):
-    """Angle of each colour on the wheel in degrees, 0 <= hue < 360; 0 for greys."""
+    """Hue of each color in degrees, 0 <= hue < 360; 0 for grays."""
     hues = np.zeros(len(colors), np.float32)
     for i in range(len(colors)):
         red, green, blue = colors[i, 0], colors[i, 1], colors[i, 2]
@@ -156,32 +156,31 @@ ATTRIBUTES: Mapping[str, Attribute] = {
     "layer": Attribute("", "Number of the layer or actor, in the order of the scene, from 1.",
                        lambda read: np.full(len(read.part.gaussians), read.number, np.float32)),
 }  # fmt: skip
-"""The one table of attributes, by name."""
 
-# § How an attribute is spread over what is shown and over what is selected; worked out again only when it changes.
+# Histograms, recomputed only on changes
 
 BINS = 128
 
 _SAMPLE = 50_000
-"""Gaussians from which the range is taken: all but the outermost in a thousand."""
+"""Number of Gaussians from which the range is taken, without the outermost in a thousand."""
 
 
 class Histogram(NamedTuple):
-    """Counts by bins of equal width; of a logarithmic attribute the bins are of its decimal logarithm."""
+    """Counts in bins of equal width; for a logarithmic attribute, of its decimal logarithm."""
 
     edges: Float64[np.ndarray, " bins_and_one"]
     """In the attribute's own unit."""
     shown: Int64[np.ndarray, " bins"]
     selected: Int64[np.ndarray, " bins"]
-    """What is beyond the edges counts in the outermost bins."""
+    """Values beyond the edges count in the outermost bins."""
 
     def opened(self, low: float, high: float) -> tuple[float, float]:
-        """Return a range that reaches on without end where it reaches an outer edge."""
+        """Return the range, extended to infinity where it touches an outer edge."""
         slack = 1e-6 * abs(float(self.edges[-1] - self.edges[0]))
         return (low if low > self.edges[0] + slack else -np.inf, high if high < self.edges[-1] - slack else np.inf)
 
     def count_within(self, low: float, high: float) -> int:
-        """How many are shown within a range, by whole bins whose middle lies in it."""
+        """Number of shown Gaussians within a range, by whole bins whose middle lies in it."""
         middles = (self.edges[1:] + self.edges[:-1]) / 2
         return int(self.shown[(middles >= low) & (middles <= high)].sum())
 
@@ -197,7 +196,7 @@ class AttributeHistogram:
     _made: Histogram | None = None
 
     def of(self, scene: Scene, shot: RenderView, name: str) -> Histogram:
-        """Return the histogram of an attribute over what can be selected, as `shot` sees it."""
+        """Return the histogram of an attribute over selectable Gaussians, for the camera of `shot`."""
         key = (scene, name, shot.time_s if scene.actors else 0.0, *_view(shot, name))
         if self._made is None or key != self._made_of:
             self._made, self._made_of = self._make(scene, shot, name), key
@@ -221,7 +220,7 @@ class AttributeHistogram:
     def _read(
         self, key: str, name: str, read: AttributeInputs, shot: RenderView
     ) -> tuple[object, Float32[np.ndarray, " n"]]:
-        """Read an attribute, or its logarithm, unless nothing that it depends on has changed."""
+        """Compute an attribute, or its logarithm, unless none of its inputs have changed."""
         part = read.part
         colors = None if part.colors is None else part.colors.tobytes()
         depends_on = (part.gaussians, part.to_world.tobytes(), colors, read.ground_m, name, read.number)

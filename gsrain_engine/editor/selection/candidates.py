@@ -1,4 +1,4 @@
-"""What can be selected: Gaussians that are shown, of members that are neither hidden nor locked."""
+"""Selectable Gaussians (visible, of unlocked members), and selections combined or by color."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -12,15 +12,15 @@ from ...scene.gaussians import SH_C0
 from ...scene.scene import Actor, DrawItem, Layer, Scene
 
 Found = Mapping[str, BitMask]
-"""Gaussians that a tool has found, by the keys of their members; members without any may be absent."""
+"""Gaussians found by a tool, by the keys of their members; members without any may be absent."""
 
 
 class Candidate(NamedTuple):
-    """A member as it is at a moment."""
+    """A member at a time."""
 
     key: str
     part: DrawItem
-    """Its Gaussians, and their similarity to the world (metres)."""
+    """Its Gaussians, and their similarity to the world (meters)."""
 
 
 def is_selectable(member: Layer | Actor) -> bool:
@@ -38,20 +38,20 @@ def visible_gaussians(member: Layer | Actor) -> BitMask:
 
 
 def candidates(scene: Scene, time_s: float) -> list[Candidate]:
-    """Members that can be selected from at a time; actors that are not there then are not among them."""
+    """Selectable members at a time, without actors that are absent then."""
     parts = [(member.key, scene.part(member, time_s)) for member in editable(scene)]
     return [Candidate(key, part) for key, part in parts if part is not None]
 
 
-# § Selections put together: what is found sets, joins, leaves or narrows what is selected.
+# Combination of selections
 
 Mode = Literal["set", "add", "remove", "intersect"]
 
 
 def combine_selection(scene: Scene, found: Found, mode: Mode) -> Scene:
-    """Select what a tool has found; the very same scene where that changes nothing.
+    """Combine found Gaussians with the selection; returns the same scene object if nothing changes.
 
-    Hidden and deleted Gaussians never become selected; members that are hidden or locked keep what they have.
+    Hidden and deleted Gaussians never become selected; hidden or locked members keep their selection.
     """
     for member in editable(scene):
         own = found.get(member.key) or BitMask.none(len(member.gaussians))
@@ -68,7 +68,7 @@ def none_selected(scene: Scene) -> Scene:
 
 
 def inverted(scene: Scene) -> Scene:
-    """Select what is shown and was not selected."""
+    """Select the shown Gaussians that were not selected."""
     return combine_selection(
         scene, {member.key: visible_gaussians(member) - selected(member) for member in editable(scene)}, "set"
     )
@@ -79,17 +79,16 @@ def selected(member: Layer | Actor) -> BitMask:
 
 
 def selections(scene: Scene) -> dict[str, BitMask]:
-    """What is selected of the members that edits take in; only those with anything selected."""
+    """Selected Gaussians of editable members; only members with a selection."""
     return {member.key: selected(member) for member in editable(scene) if member.marks.selected}
 
 
 def selected_count(scene: Scene) -> int:
-    """How many Gaussians are selected of the members that edits take in."""
+    """Number of selected Gaussians of editable members."""
     return sum(mask.size for mask in selections(scene).values())
 
 
 def selectable_count(scene: Scene) -> int:
-    """How many Gaussians can be selected."""
     return sum(visible_gaussians(member).size for member in editable(scene))
 
 
@@ -107,11 +106,11 @@ def _with_selected(scene: Scene, member: Layer | Actor, mask: BitMask) -> Scene:
     return scene.with_member(member.key, marks=replace(member.marks, selected=mask if mask else None))
 
 
-# § Base colours of Gaussians, and those that are alike.
+# Base colors
 
 
 def base_colors(part: DrawItem) -> Float32[np.ndarray, "n 3"]:
-    """Display colour of each Gaussian without what changes with direction, graded as it is drawn, within 0..1."""
+    """Display color of each Gaussian from its degree-0 harmonics, graded as drawn, within 0..1."""
     colors = part.gaussians.sh[:, 0].copy()
     colors *= np.float32(SH_C0)
     colors += np.float32(0.5)
@@ -122,14 +121,14 @@ def base_colors(part: DrawItem) -> Float32[np.ndarray, "n 3"]:
 
 
 def base_color(part: DrawItem, index: int) -> Float32[np.ndarray, "3"]:
-    """Display colour of one Gaussian, see `base_colors`."""
+    """Display color of one Gaussian, see `base_colors`."""
     return base_colors(part._replace(gaussians=part.gaussians.take(np.array([index]))))[0]
 
 
 def select_similar_colors(
     scene: Scene, time_s: float, color: Float32[np.ndarray, "3"], tolerance: float
 ) -> dict[str, BitMask]:
-    """Find Gaussians whose base colour differs by no more than `tolerance` (0..1) in red, green and blue each."""
+    """Find Gaussians whose base color differs by at most `tolerance` (0..1) in each channel."""
     found: dict[str, BitMask] = {}
     for each in candidates(scene, time_s):
         difference = base_colors(each.part)

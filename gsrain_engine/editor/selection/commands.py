@@ -1,4 +1,4 @@
-"""What a person does with the selection, each as one step of the history with a name that tells what happened."""
+"""Selection commands, each one labeled undo step; selection sets; and the options of the tools."""
 
 from dataclasses import dataclass, field, replace
 
@@ -22,7 +22,7 @@ from .volume import Sphere, expand, selection_boundary
 
 
 def select(session: EditedDocument, found: Found, mode: Mode, by: str) -> None:
-    """Take in what a tool has found; no step where that changes nothing. `by` ends the step's name."""
+    """Combine found Gaussians with the selection; no undo step if nothing changes. `by` ends the step's label."""
     before, after = session.scene, combine_selection(session.scene, found, mode)
     if after is before:
         return
@@ -46,29 +46,28 @@ def select_none(session: EditedDocument) -> None:
 
 
 def invert(session: EditedDocument) -> None:
-    """Select what was not selected."""
     scene = inverted(session.scene)
     _go_to(session, f"Invert selection to {selected_count(scene):,}", scene)
 
 
 def grow(session: EditedDocument, distance_m: float) -> None:
-    """Take in what is at most so far from what is selected."""
+    """Add Gaussians within a distance of the selection."""
     found = expand(session.scene, session.clock.time_s, distance_m)
     scene = combine_selection(session.scene, found, "add")
     _go_to(session, f"Grow selection by {distance_m:.3g} m to {selected_count(scene):,}", scene)
 
 
 def shrink(session: EditedDocument, distance_m: float) -> None:
-    """Let go of what is at most so far from what is not selected."""
+    """Deselect Gaussians within a distance of unselected ones."""
     found = selection_boundary(session.scene, session.clock.time_s, distance_m)
     scene = combine_selection(session.scene, found, "remove")
     _go_to(session, f"Shrink selection by {distance_m:.3g} m to {selected_count(scene):,}", scene)
 
 
 def save_set(session: EditedDocument, name: str | None = None) -> bool:
-    """Keep what is selected under a name (None: one that is free).
+    """Save the selection as a set (name None: an unused one).
 
-    What is wrong with that is told as `problem`, and False returned.
+    On error, sets `problem` and returns False.
     """
     name = unused_set_name(session.scene) if name is None else name
     try:
@@ -85,7 +84,7 @@ def recall_set(session: EditedDocument, name: str, mode: Mode) -> None:
 
 
 def rename_set(session: EditedDocument, name: str, other: str) -> bool:
-    """Call a set otherwise; what is wrong with that is told as `problem`, and False returned."""
+    """Rename a set; on error, sets `problem` and returns False."""
     try:
         scene = rename_selection_set(session.scene, name, other)
     except ValueError as error:
@@ -109,13 +108,13 @@ def _go_to(session: EditedDocument, label: str, scene: Scene) -> None:
         session.set_scene(label, scene)
 
 
-# § Selection sets: selections that the scene keeps under a name.
+# Selection sets
 
 
 def save_selection_set(scene: Scene, name: str) -> Scene:
-    """Keep what is selected under a name; a set of that name is replaced.
+    """Save the selection as a set; replaces a set of that name.
 
-    Raises `ValueError` where the name is empty or nothing is selected.
+    Raises `ValueError` if the name is empty or nothing is selected.
     """
     now = selections(scene)
     if not now:
@@ -124,13 +123,13 @@ def save_selection_set(scene: Scene, name: str) -> Scene:
 
 
 def selection_set_contents(scene: Scene, name: str) -> dict[str, BitMask]:
-    """Find the Gaussians of a set; members that are gone, or have other Gaussians now, are passed by."""
+    """Return the Gaussians of a set; skips members that are gone or whose number of Gaussians changed."""
     counts = {member.key: len(member.gaussians) for member in scene.members}
     return {key: mask for key, mask in scene.selections[name].items() if counts.get(key) == mask.count}
 
 
 def rename_selection_set(scene: Scene, name: str, other: str) -> Scene:
-    """Call a set otherwise; it keeps its place. Raises `ValueError` where the name is empty or taken."""
+    """Rename a set in its place. Raises `ValueError` if the name is empty or in use."""
     other = _checked(other)
     if other != name and other in scene.selections:
         raise ValueError(f"there is a selection set named {other!r} already")
@@ -138,12 +137,11 @@ def rename_selection_set(scene: Scene, name: str, other: str) -> Scene:
 
 
 def remove_selection_set(scene: Scene, name: str) -> Scene:
-    """Forget a set; what is selected stays."""
+    """Delete a set; the selection is unchanged."""
     return replace(scene, selections={each: own for each, own in scene.selections.items() if each != name})
 
 
 def unused_set_name(scene: Scene) -> str:
-    """Return a name that no set has."""
     number = 1
     while f"selection {number}" in scene.selections:
         number += 1
@@ -156,7 +154,7 @@ def _checked(name: str) -> str:
     return name.strip()
 
 
-# § How a person selects now: what the tools and the panel share.
+# Tool options
 
 
 @dataclass(slots=True)
@@ -164,33 +162,32 @@ class SelectionOptions:
     """Settings of the selection tools; not part of the document."""
 
     mode: Mode = "set"
-    """What a tool does without a key held."""
+    """Mode without a modifier key."""
     depths: Depths = "all through"
     depth_m: float = 20.0
     touching: bool = False
     brush_radius_px: float = 24.0
     tolerance: float = 0.1
-    """Of flood and colour pick, 0..1."""
+    """Color tolerance of the flood and color tools, 0..1."""
     flood_reach: float = 2.0
     """In spacings of the Gaussians."""
     distance_m: float = 0.1
-    """By which to grow and shrink."""
+    """Distance to grow and shrink by."""
     attribute: str = "opacity"
     range: tuple[float, float] | None = None
-    """Of the attribute, in its unit; None until a person has chosen one."""
+    """Range of the attribute, in its unit; None until the user has chosen one."""
     set_name: str = ""
-    """What the next selection set is to be called; empty: by a number."""
+    """Name of the next selection set; empty for a numbered one."""
     renamed_set: str = ""
-    """Which set is being called otherwise; empty: none."""
+    """Set being renamed; empty for none."""
     new_name: str = ""
-    """What it is to be called."""
     ball: Sphere | None = None
-    """What the sphere tool has placed and not yet applied."""
+    """Sphere that is placed but not yet applied."""
     box: CropBox | None = None
-    """What the box tool has placed and not yet applied."""
+    """Box that is placed but not yet applied."""
     histogram: AttributeHistogram = field(default_factory=AttributeHistogram)
 
     @property
     def reach(self) -> DepthMode:
-        """How far shapes of the picture reach."""
+        """Depth reach of shapes drawn in the image."""
         return DepthMode(self.depths, self.depth_m, self.touching)

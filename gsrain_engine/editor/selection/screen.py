@@ -1,4 +1,4 @@
-"""Gaussians that a shape drawn over the picture takes in: all through, those in front, or down to a depth."""
+"""Selection by a shape drawn over the image: all through, the front-most Gaussians, or down to a depth."""
 
 import math
 from collections.abc import Sequence
@@ -21,23 +21,23 @@ from .candidates import candidates
 
 Depths = Literal["all through", "front-most", "to a depth"]
 
-# § How much of each Gaussian is seen, through what is before it: what "front-most" goes by.
+# Reach of a shape
 
 MIN_SHARE = 0.05
-"""Behind one opaque surface a share of 0.05 is left at most; neighbours that overlap on a surface keep more."""
+"""Behind one opaque surface the visible share is 0.05 at most; overlapping neighbors on a surface keep more."""
 
 
 @dataclass(frozen=True)
 class DepthMode:
-    """How far into the picture a shape reaches, and what it has to meet."""
+    """Depth reach of a shape, and the test for a hit."""
 
     depths: Depths = "all through"
     depth_m: float = 20.0
-    """Along the view axis from the camera; counts where `depths` says so."""
+    """Along the view axis from the camera; only used for "to a depth"."""
     touching: bool = False
-    """Whether a Gaussian is taken in that the shape touches within one standard deviation, not its centre only."""
+    """True if a shape also selects Gaussians that it touches within one standard deviation, not only by center."""
     min_share: float = MIN_SHARE
-    """Share of a Gaussian that has to be seen for it to be in front."""
+    """Minimum visible share of a Gaussian to count as front-most."""
 
 
 ALL_THROUGH = DepthMode()
@@ -46,7 +46,7 @@ ALL_THROUGH = DepthMode()
 def select_in_screen_shape(
     scene: Scene, shot: RenderView, pixels: Bool[np.ndarray, "h w"], reach: DepthMode = ALL_THROUGH
 ) -> dict[str, BitMask]:
-    """Find what lies within a shape of the picture that `shot` takes; `pixels` are all of its pixels."""
+    """Find the Gaussians within a shape of the image of `shot`; `pixels` is its mask."""
     camera, depth = shot.camera, reach.depth_m if reach.depths == "to a depth" else np.inf
     found: dict[str, BitMask] = {}
     if not pixels.any():
@@ -63,7 +63,7 @@ def select_in_screen_shape(
 
 
 def _box_around(pixels: Bool[np.ndarray, "h w"]) -> tuple[int, int, int, int]:
-    """Left, top, right, bottom of what is covered; the last two are past the end."""
+    """Left, top, right, bottom of the covered pixels; the last two are exclusive."""
     columns, rows = np.flatnonzero(pixels.any(axis=0)), np.flatnonzero(pixels.any(axis=1))
     return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
 
@@ -91,7 +91,7 @@ def _intrinsics(camera: Camera) -> Sequence[float]:
 
 
 def camera_depths(part: DrawItem, camera: Camera) -> Float64[np.ndarray, " n"]:
-    """Depth of each Gaussian along the view axis in metres; below 0 behind the eye."""
+    """Depth of each Gaussian along the view axis in meters; negative behind the camera."""
     row = (camera.world_to_camera @ part.to_world)[2]
     return part.gaussians.means @ row[:3] + row[3]
 
@@ -99,7 +99,7 @@ def camera_depths(part: DrawItem, camera: Camera) -> Float64[np.ndarray, " n"]:
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check
 def _find_centers(means, m, intrinsics, pixels, depth, flags):
-    """Flag what is projected onto a flagged pixel, at least as far as a renderer draws and at most so deep."""
+    """Flag Gaussian centers that project onto flagged pixels, between the near plane and a maximum depth."""
     fx, fy, cx, cy = intrinsics
     height, width = pixels.shape
     for i in range(len(means)):
@@ -117,7 +117,7 @@ def _find_centers(means, m, intrinsics, pixels, depth, flags):
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check
 def _find_ellipses(shapes, colors, pixels, depth, flags):
-    """Flag splats whose centre, or one of eight places on their ellipse of one standard deviation, is flagged."""
+    """Flag splats whose center, or one of eight points on their ellipse of one standard deviation, is flagged."""
     height, width = pixels.shape
     for i in range(len(shapes)):
         flags[i] = False
@@ -134,28 +134,28 @@ def _find_ellipses(shapes, colors, pixels, depth, flags):
                 break
 
 
-# § What a hand draws over the picture, as flags of its pixels.
+# Drawn shapes as pixel masks
 
 Point = tuple[float, float]
-"""A place in the picture: pixels to the right and downwards from its upper left corner."""
+"""A position in the image: pixels right and down from its upper left corner."""
 
 _SHIFT = 4
-"""Bits behind the point in which OpenCV takes coordinates."""
+"""Fractional bits of OpenCV's fixed-point coordinates."""
 
 _FARTHEST = 30_000.0
-"""Pixels; what lies farther outside is drawn from here: OpenCV's numbers end at 2^31 / 2^4."""
+"""Clipping distance in pixels: OpenCV's coordinates end at 2^31 / 2^4."""
 
 
 def rectangle(first: Point, second: Point, width: int, height: int) -> Bool[np.ndarray, "h w"]:
-    """Pixels whose centres lie between two opposite corners, in any order."""
+    """Pixels with centers between two opposite corners, in any order."""
     (left, right), (top, bottom) = (sorted(pair) for pair in zip(first, second, strict=True))
     x, y = np.arange(width) + 0.5, np.arange(height) + 0.5
     return np.logical_and.outer((top <= y) & (y <= bottom), (left <= x) & (x <= right))
 
 
 def polygon(corners: Sequence[Point], width: int, height: int) -> Bool[np.ndarray, "h w"]:
-    """Pixels whose centres lie inside a closed line, by the even-odd rule."""
-    # Each edge turns over everything to its right, in the rows that it crosses.
+    """Pixels with centers inside a closed line, by the even-odd rule."""
+    # Each edge toggles everything to its right, in the rows that it crosses.
     turns = np.zeros((height, width + 1), np.uint8)
     for (x0, y0), (x1, y1) in zip(corners, [*corners[1:], *corners[:1]], strict=True):
         low, high = sorted((y0, y1))
@@ -167,7 +167,7 @@ def polygon(corners: Sequence[Point], width: int, height: int) -> Bool[np.ndarra
 
 
 def stroke(points: Sequence[Point], radius_px: float, width: int, height: int) -> Bool[np.ndarray, "h w"]:
-    """Pixels that a disc passes over as it is moved through the points."""
+    """Pixels covered by a disc moved through the points."""
     picture = np.zeros((height, width), np.uint8)
     fixed = _fixed(points)
     radius = max(1, round(radius_px * (1 << _SHIFT)))
@@ -181,19 +181,19 @@ def stroke(points: Sequence[Point], radius_px: float, width: int, height: int) -
 
 
 def outlines(pixels: Bool[np.ndarray, "h w"]) -> list[Float64[np.ndarray, "_ 2"]]:
-    """Closed lines around what is covered, and around holes in it, to half a pixel."""
+    """Closed lines around the covered pixels and around holes, to half a pixel."""
     found, _ = cv2.findContours(pixels.view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_TC89_L1)
     return [line.reshape(-1, 2) + 0.5 for line in found]
 
 
 def _fixed(points: Sequence[Point]) -> Int32[np.ndarray, "k 2"]:
-    """Places in OpenCV's numbers, where a pixel's centre has whole ones."""
+    """Points in OpenCV's fixed-point numbers, where pixel centers are integers."""
     near = np.clip(np.array(points, np.float64).reshape(-1, 2), -_FARTHEST, _FARTHEST)
     return np.round((near - 0.5) * (1 << _SHIFT)).astype(np.int32)
 
 
 def _across(start: Int32[np.ndarray, "2"], end: Int32[np.ndarray, "2"], radius: int) -> Int32[np.ndarray, "4 2"] | None:
-    """Corners of the band between two discs; None where they are the same."""
+    """Corners of the band between two discs; None if they are the same."""
     way = (end - start).astype(np.float64)
     length = float(np.hypot(*way))
     if length == 0:
@@ -203,17 +203,17 @@ def _across(start: Int32[np.ndarray, "2"], end: Int32[np.ndarray, "2"], radius: 
 
 
 _MAX_PIXELS = 120_000
-"""Of the picture in which it is found out: coarser than the screen's, and several times faster."""
+"""Maximum size of the image for visible shares: coarser than the screen's, and several times faster."""
 
 
 def visible_shares(
     scene: Scene, shot: RenderView, box: tuple[int, int, int, int]
 ) -> dict[str, Float32[np.ndarray, " n"]]:
-    """Find the share of each Gaussian that is seen in a part of the picture, 0..1, by keys of visible members.
+    """Find the visible share of each Gaussian in a part of the image, 0..1, by keys of visible members.
 
-    With its weights w of blending (3DGS, Kerbl et al. 2023) over the pixels, the share is 2 sum w^2 / (opacity sum w):
-    with w = T alpha and a T that is the same all over a Gaussian, that is T, what all that is nearer lets through.
-    `box`: left, top, right, bottom in pixels, the last two past the end.
+    With its blending weights w (3DGS, Kerbl et al. 2023) over the pixels, the share is 2 sum w^2 / (opacity sum w). For
+    w = T alpha with a T constant over the Gaussian, this equals T, the transmittance of everything nearer. `box`: left,
+    top, right, bottom in pixels, the last two exclusive.
     """
     members = [member for member in scene.members if member.visible]
     shown = [(member.key, part) for member in members if (part := scene.part(member, shot.time_s)) is not None]
@@ -229,7 +229,7 @@ def visible_shares(
 
 
 def _cut_out(camera: Camera, box: tuple[int, int, int, int]) -> Camera:
-    """Camera of a part of the picture, in at most so many pixels."""
+    """Camera of a part of the image, with a limited number of pixels."""
     left, top, right, bottom = box
     scale = min(1.0, (_MAX_PIXELS / ((right - left) * (bottom - top))) ** 0.5)
     width, height = max(1, round((right - left) * scale)), max(1, round((bottom - top) * scale))
@@ -247,16 +247,16 @@ def _cut_out(camera: Camera, box: tuple[int, int, int, int]) -> Camera:
 
 
 def _weight_sums(weights: ColorOperator) -> tuple[Float32[np.ndarray, " m"], Float32[np.ndarray, " m"]]:
-    """Sum of each splat's weights, and of their squares, in one walk through the picture."""
+    """Sum of each splat's weights, and of their squares, in one pass over the image."""
     ones = np.ones((weights.tiles.height, weights.tiles.width, 3), np.float32)
     gathered = color_operator_transpose(weights.splats.shapes, ones, weights.tiles)
     return gathered[:, 0], gathered[:, 3]
 
 
-# § Parts without their colours, for what only asks where Gaussians are: harmonics are most of what a scene weighs.
+# Items without colors, for tests of position only: harmonics are most of a scene's memory
 
 
 def strip_sh(part: DrawItem) -> DrawItem:
-    """Return a part all in grey; it takes no memory until somebody reads it."""
+    """Return a gray item; it uses no memory until it is read."""
     count = len(part.gaussians)
     return part._replace(gaussians=part.gaussians.with_sh(np.zeros((count, 1, 3), np.float32)), colors=None)

@@ -1,4 +1,4 @@
-"""Gaussians within a ball or a box of the world, wherever the camera looks."""
+"""Selection in 3D: within a sphere or a box, grow and shrink, and flood fill of connected, similar Gaussians."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,13 +19,13 @@ _MIN_RADIUS_M = 0.01
 
 @dataclass(frozen=True)
 class Sphere:
-    """A ball in the world."""
+    """A sphere in the world."""
 
     center_m: tuple[float, float, float]
     radius_m: float
 
     def reaching(self, eye_m: Float64[np.ndarray, "3"], sight: Float64[np.ndarray, "3"]) -> "Sphere":
-        """Return the ball around the same centre that a line of sight touches; `sight` is a unit vector."""
+        """Return the sphere around the same center that a line of sight touches; `sight` is a unit vector."""
         to_center = self.middle - eye_m
         beside = to_center - (to_center @ sight) * sight
         return replace(self, radius_m=max(float(np.linalg.norm(beside)), _MIN_RADIUS_M))
@@ -35,14 +35,14 @@ class Sphere:
         return np.array(self.center_m)
 
     def circles_m(self, points: int) -> Float64[np.ndarray, "3 points 3"]:
-        """Points on its three great circles that lie along two axes of the world each."""
+        """Points on the three great circles in the planes of the world's axes."""
         angle = np.linspace(0, 2 * np.pi, points, endpoint=False)
         flat = np.stack([np.cos(angle), np.sin(angle), np.zeros(points)], axis=1)
         return self.middle + self.radius_m * np.stack([np.roll(flat, axis, axis=1) for axis in range(3)])
 
     @property
     def to_unit(self) -> Float64[np.ndarray, "4 4"]:
-        """Matrix that takes the world to where the ball is the unit ball."""
+        """Matrix that maps the sphere to the unit sphere."""
         matrix = np.eye(4)
         matrix[:3, :3] /= self.radius_m
         matrix[:3, 3] = -self.middle / self.radius_m
@@ -53,13 +53,13 @@ Volume = Sphere | CropBox
 
 
 def placed_on(box: CropBox, point_m: Float64[np.ndarray, "3"]) -> CropBox:
-    """Return the box with the middle of its bottom moved to a point."""
+    """Return the box with the center of its bottom moved to a point."""
     x, y, z = point_m.tolist()
     return replace(box, center_m=(x, y, z + box.size_m[2] / 2))
 
 
 def in_volume(scene: Scene, time_s: float, volume: Volume) -> dict[str, BitMask]:
-    """Find the Gaussians whose centres lie in a volume at a time, also those outside the picture."""
+    """Find the Gaussians with centers in a volume at a time, also those outside the image."""
     return {each.key: BitMask.of(_inside(each.part, volume)) for each in candidates(scene, time_s)}
 
 
@@ -74,7 +74,7 @@ def _inside(part: DrawItem, volume: Volume) -> Bool[np.ndarray, " n"]:
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check
 def _find_inside(means, m, is_round, flags):
-    """Flag what a matrix takes into the unit ball, or into the cube from -1 to 1."""
+    """Flag Gaussian centers that a matrix maps into the unit sphere, or into the cube from -1 to 1."""
     for i in range(len(means)):
         x, y, z = means[i, 0], means[i, 1], means[i, 2]
         a = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
@@ -86,15 +86,15 @@ def _find_inside(means, m, is_round, flags):
             flags[i] = abs(a) <= 1 and abs(b) <= 1 and abs(c) <= 1
 
 
-# § Centres of Gaussians of several members in one array, and the way back to masks.
+# Centers of several members in one array, and back to masks
 
 
 def world_points(
     members: Sequence[Candidate], among: Found
 ) -> tuple[Float64[np.ndarray, "m 3"], Int64[np.ndarray, "m 2"]]:
-    """Centres in the world (metres) of Gaussians, and whose they are: place of the member in the list, own index.
+    """Centers in the world (meters) of Gaussians, and their owners: index of the member, index of the Gaussian.
 
-    In the order of members, then of indices.
+    In the order of members, then of Gaussians.
     """
     points, owners = [np.zeros((0, 3))], [np.zeros((0, 2), np.int64)]
     for number, each in enumerate(members):
@@ -108,7 +108,7 @@ def world_points(
 
 
 def masks_by_member(members: Sequence[Candidate], owners: Int64[np.ndarray, "m 2"]) -> dict[str, BitMask]:
-    """Masks of Gaussians that are told by their owners, see `world_points`."""
+    """Masks of Gaussians given by their owners, see `world_points`."""
     found: dict[str, BitMask] = {}
     for number, each in enumerate(members):
         flags = np.zeros(len(each.part.gaussians), np.bool_)
@@ -117,16 +117,16 @@ def masks_by_member(members: Sequence[Candidate], owners: Int64[np.ndarray, "m 2
     return found
 
 
-# § Selections that grow into what is near them, or shrink away from it.
+# Grow and shrink
 
 
 def expand(scene: Scene, time_s: float, distance_m: float) -> dict[str, BitMask]:
-    """Find what is not selected and whose centre is at most so far from a selected one's."""
+    """Find unselected Gaussians with centers within a distance of a selected one's."""
     return _near(scene, time_s, distance_m, of_selected=True)
 
 
 def selection_boundary(scene: Scene, time_s: float, distance_m: float) -> dict[str, BitMask]:
-    """Find what is selected and at most so far from what is shown and not: without it a selection has shrunk."""
+    """Find selected Gaussians within a distance of shown, unselected ones: those that shrinking removes."""
     return _near(scene, time_s, distance_m, of_selected=False)
 
 
@@ -153,33 +153,33 @@ def _reached(
     low, high = points[rows].min(axis=0) - distance_m, points[rows].max(axis=0) + distance_m
     near = sources[((sources >= low) & (sources <= high)).all(axis=1)]
     if len(near):
-        # Where a distance is beyond the bound it comes back as infinite.
+        # Distances beyond the bound are infinite.
         tree = scipy.spatial.KDTree(near, balanced_tree=False, compact_nodes=False)
         found, _ = tree.query(points[rows], distance_upper_bound=np.nextafter(distance_m, np.inf), workers=-1)
         flags[rows] = found <= distance_m
     return flags
 
 
-# § Gaussians that hang together with the one under the mouse and look like it.
+# Flood fill
 
 NEIGHBORS = 8
-"""The distance to so many neighbours is what spacing means here."""
+"""Number of neighbors that defines the spacing."""
 
 _ROOM = 1 << 40
-"""More than any member has Gaussians: place of the member and own index are one number."""
+"""Factor to combine member and Gaussian index into one number; no member has more Gaussians."""
 
 _EDGE = 1 << 20
-"""Cells from the seed to where nobody looks any more: three numbers of 21 bits are one key."""
+"""Maximum number of cells from the seed: three numbers of 21 bits form a key."""
 
 
 def flood_select(
     scene: Scene, time_s: float, key: str, index: int, tolerance: float, reach: float
 ) -> dict[str, BitMask]:
-    """Find what a flood reaches that starts at a Gaussian.
+    """Find the Gaussians that a flood fill from a seed Gaussian reaches.
 
-    It runs over Gaussians whose base colour differs from that one's by at most `tolerance` (0..1, each channel), and
-    from each cell of a grid to the 26 around it. A cell is `reach` times as wide as the alike are apart where it
-    starts: the distance to the eighth nearest of them.
+    It covers Gaussians whose base color differs from the seed's by at most `tolerance` (0..1, each channel), and
+    spreads from each cell of a grid to the 26 around it. Cells are `reach` times as wide as the spacing of similar
+    Gaussians at the seed: the distance to the eighth nearest.
     """
     own = candidates(scene, time_s)
     seed = next(each for each in own if each.key == key)
@@ -195,7 +195,7 @@ def flood_select(
 
 
 def _spacing(points: Float64[np.ndarray, "m 3"], at: int) -> float:
-    """Distance in metres from one point to its eighth nearest; never 0."""
+    """Distance in meters from one point to its eighth nearest; never 0."""
     squares = ((points - points[at]) ** 2).sum(axis=1)
     nearest = min(NEIGHBORS, len(points) - 1)
     return max(float(np.sqrt(np.partition(squares, nearest)[nearest])), 1e-6)
@@ -204,9 +204,9 @@ def _spacing(points: Float64[np.ndarray, "m 3"], at: int) -> float:
 @numba.njit(cache=True)
 @no_type_check
 def _connected(cells: Int64[np.ndarray, "m 3"], seed: int) -> Bool[np.ndarray, " m"]:
-    """Flag the points whose cells are reached from the seed's, from cell to neighbouring cell.
+    """Flag the points whose cells connect to the seed's through neighboring cells.
 
-    Cells lie in a hash table with open addressing, at most half full.
+    Cells are stored in a hash table with open addressing, at most half full.
     """
     size = 16
     while size < 2 * len(cells):

@@ -1,4 +1,4 @@
-"""The viewer's camera: orbit around a point, fly, dolly, pan, frame the scene. World frame (metres, z up)."""
+"""Viewport camera: orbit, fly, dolly, pan, frame; home camera and default path. World frame (meters, z up)."""
 
 from dataclasses import dataclass, field
 
@@ -15,26 +15,26 @@ _STEEPEST = np.radians(89.0)
 _UP = np.array([0.0, 0.0, 1.0])
 
 _NEAREST_M = 0.05
-"""Distance at which the wheel moves the target on."""
+"""Distance at which the wheel moves the target ahead."""
 
 SLOWEST_M_S, FASTEST_M_S = 0.05, 500.0
 
 
 @dataclass(slots=True)
 class OrbitCamera:
-    """An eye with a heading and a pitch, and the distance of the point that it orbits."""
+    """Position, heading and pitch, and the distance of the orbit target."""
 
     position: Float64[np.ndarray, "3"] = field(default_factory=lambda: np.array([0.0, 0.0, 1.5]))
     heading: float = 0.0
     """Radians from +x to +y."""
     pitch: float = 0.0
-    """Radians, upwards."""
+    """Radians, upward."""
     distance_m: float = 5.0
-    """Of the point that orbit turns around."""
+    """Distance of the orbit target ahead."""
     vertical_fov_deg: float = 50.0
     speed_m_s: float = 5.0
     velocity_m_s: Float64[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
-    """Of the last `fly`; rain slants for an eye that moves."""
+    """Velocity of the last `fly`; rain slants for a moving camera."""
 
     @property
     def forward(self) -> Float64[np.ndarray, "3"]:
@@ -44,21 +44,20 @@ class OrbitCamera:
 
     @property
     def right(self) -> Float64[np.ndarray, "3"]:
-        """Unit vector to the right, level."""
+        """Horizontal unit vector to the right."""
         return np.array([np.sin(self.heading), -np.cos(self.heading), 0.0])
 
     @property
     def target(self) -> Float64[np.ndarray, "3"]:
-        """The point that orbit turns around."""
         return self.position + self.distance_m * self.forward
 
     def camera(self, width: int, height: int) -> Camera:
-        """Camera of this eye for an image of a size."""
+        """Camera for an image of a size."""
         pose = look_at(self.position, self.position + self.forward, _UP)
         return Camera.from_fov(width, height, self.vertical_fov_deg, pose)
 
     def look_like(self, camera: Camera) -> None:
-        """Take the place, line of sight and field of view of a camera; roll is lost."""
+        """Take the position, line of sight and field of view of a camera; roll is lost."""
         forward = camera.world_to_camera[2, :3]
         self.position = camera.position.copy()
         self.heading = float(np.arctan2(forward[1], forward[0]))
@@ -66,7 +65,7 @@ class OrbitCamera:
         self.vertical_fov_deg = camera.vertical_fov_deg
 
     def carry(self, similarity: Float64[np.ndarray, "4 4"]) -> None:
-        """Go along with a world that is moved, turned and scaled; roll is lost."""
+        """Apply a similarity of the world to the camera; roll is lost."""
         scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
         x, y, z = similarity[:3, :3] @ self.forward / scale
         self.position = similarity[:3, :3] @ self.position + similarity[:3, 3]
@@ -75,7 +74,7 @@ class OrbitCamera:
         self.pitch = float(np.clip(np.arcsin(np.clip(z, -1, 1)), -_STEEPEST, _STEEPEST))
 
     def orbit(self, right_rad: float, up_rad: float) -> None:
-        """Turn around the target: the scene seems to turn with the hand."""
+        """Turn around the target, so that the scene follows the mouse."""
         target = self.target
         self.turn(-right_rad, -up_rad)
         self.position = target - self.distance_m * self.forward
@@ -85,16 +84,16 @@ class OrbitCamera:
         self.pitch = float(np.clip(self.pitch + up_rad, -_STEEPEST, _STEEPEST))
 
     def pan(self, right_share: float, up_share: float) -> None:
-        """Move across the line of sight by shares of the picture's height at the target's distance."""
+        """Move across the line of sight by shares of the image height at the target's distance."""
         metres = 2 * self.distance_m * np.tan(np.radians(self.vertical_fov_deg) / 2)
         up = np.cross(self.right, self.forward)
         self.position = self.position + metres * (right_share * self.right + up_share * up)
 
     def dolly(self, steps: float, core: SceneCore) -> None:
-        """Come nearer to the target (positive) or go away, by a tenth of the distance a step.
+        """Move toward the target (positive) or away, by a tenth of the distance per step.
 
-        From outside of a scene's core the way leads to it: where it is out of sight the eye turns to it first. A target
-        that is reached moves on ahead; going away ends inside of a shell.
+        From outside of a scene's core, moves toward the core, and turns to it first if it is out of view. A target that
+        is reached moves ahead; moving away ends inside of a shell.
         """
         radius = max(core.radius_m, 1e-3)
         self._mend(core)
@@ -113,25 +112,25 @@ class OrbitCamera:
         self.position, self.distance_m = moved, max(distance, min(0.01 * radius, _NEAREST_M))
 
     def fly(self, forward: float, right: float, up: float, real_s: float) -> None:
-        """Fly for a while; each direction is -1, 0 or 1."""
+        """Fly for a time; each direction is -1, 0 or 1."""
         velocity = self.speed_m_s * (forward * self.forward + right * self.right + up * _UP)
         self.velocity_m_s = velocity
         self.position = self.position + velocity * real_s
 
     @property
     def is_flying(self) -> bool:
-        """Whether it has flown since it last stood still."""
+        """True if it has flown since it last stood still."""
         return bool(np.any(self.velocity_m_s))
 
     def stop(self) -> None:
         self.velocity_m_s = np.zeros(3)
 
     def change_speed(self, steps: float) -> None:
-        """Fly faster or slower, by a quarter a step."""
+        """Change the flying speed, by a quarter per step."""
         self.speed_m_s = float(np.clip(self.speed_m_s * 1.25**steps, SLOWEST_M_S, FASTEST_M_S))
 
     def frame(self, core: SceneCore) -> None:
-        """Back off along the line of sight until a scene's core fills the picture, but not out of the shell around."""
+        """Move back along the line of sight until the scene's core fills the image, but stay inside of the shell."""
         self._mend(core)
         wanted = max(core.radius_m, 1e-3) / float(np.sin(np.radians(self.vertical_fov_deg) / 2))
         self.distance_m = min(wanted, max(core.farthest_m, 1e-3))
@@ -143,7 +142,7 @@ class OrbitCamera:
         self.pitch = float(np.clip(np.arctan2(z, np.hypot(x, y)), -_STEEPEST, _STEEPEST))
 
     def _mend(self, core: SceneCore) -> None:
-        """Come back from a place that is no place: one that no arithmetic leads out of."""
+        """Reset an unusable pose: non-finite or extremely far."""
         if not np.isfinite([self.heading, self.pitch]).all():
             self.heading = self.pitch = 0.0
         far = 1e6 * (core.radius_m + 1.0)
@@ -155,7 +154,7 @@ class OrbitCamera:
 def is_in_view(
     core: SceneCore, eye: Float64[np.ndarray, "3"], forward: Float64[np.ndarray, "3"], vertical_fov_deg: float
 ) -> bool:
-    """Whether a scene's core reaches into the circle within the picture's height; from inside of it always."""
+    """Return whether a scene's core reaches into the circle within the image height; always true inside the core."""
     away, radius = core.middle - eye, max(core.radius_m, 1e-3)
     distance = float(np.linalg.norm(away))
     if distance <= radius:
@@ -164,33 +163,32 @@ def is_in_view(
     return bool(between - np.arcsin(radius / distance) < np.radians(vertical_fov_deg) / 2)
 
 
-# § Where a scene is first looked at from. World frame (metres, z up).
+# Home camera and default path
 
 _FOV_DEG = 50.0
 
 _LOOKING_DOWN_DEG = 8.0
 
 _LOOKING_DOWN_ON_FLAT_DEG = 25.0
-"""On what is wide and low, such as a street, which hides itself behind its first houses otherwise."""
+"""Pitch for wide and low scenes such as streets, where the first houses would hide the rest."""
 
 _MARGIN = 1.12
-"""Around the box, which leaves out 2 % along each axis."""
+"""Margin around the box, which excludes 2 % along each axis."""
 
 ORBIT_S = 8.0
-"""How long the swing around a scene takes that has no drive."""
+"""Duration of the orbit for scenes without a drive."""
 
 ORBIT_DEG = 40.0
-"""Angle of that swing."""
 
 
 def home_camera(scene: Scene, width: int, height: int) -> Camera:
-    """Through the windscreen where the scene has an ego vehicle with a rig; else in front of the scene's middle."""
+    """Front camera of the ego vehicle's rig if there is one, else a view of the scene's middle."""
     core, front = find_scene_core(scene), front_camera(scene)
     if front is not None:
         camera = rig_camera_path(scene, front, width, height).camera(0.0, width, height)
         if is_in_view(core, camera.position, camera.world_to_camera[2, :3], camera.vertical_fov_deg):
             return camera
-    # Captures look along their +z when up is -y (COLMAP's axes), along +x when up is +z.
+    # Captures look along their +z if up is -y (COLMAP's axes), along +x if up is +z.
     ahead = scene.scene_to_world[:3, 0 if scene.up == (0.0, 0.0, 1.0) else 2]
     ahead = ahead - [0, 0, ahead[2]]
     ahead = ahead / np.linalg.norm(ahead) if np.linalg.norm(ahead) > 1e-6 else np.array([1.0, 0, 0])
@@ -204,7 +202,7 @@ def home_camera(scene: Scene, width: int, height: int) -> Camera:
 
 
 def _fitting_distance(core: SceneCore, world_to_camera: Float64[np.ndarray, "3 3"], aspect: float) -> float:
-    """Distance from the middle at which a core fills the picture: its box with a margin, or the sphere around it."""
+    """Distance from the middle at which a core fills the image: its box with a margin, or its bounding sphere."""
     upright = np.tan(np.radians(_FOV_DEG) / 2)
     sphere = max(core.radius_m, 1e-3) / np.sin(np.arctan(upright * min(aspect, 1.0)))
     corners = np.stack(np.meshgrid(*zip(core.low, core.high, strict=True)), axis=-1).reshape(-1, 3) - core.middle
@@ -214,7 +212,7 @@ def _fitting_distance(core: SceneCore, world_to_camera: Float64[np.ndarray, "3 3
 
 
 def default_path(scene: Scene, width: int, height: int) -> CameraPath:
-    """Drive with the ego vehicle where there is one; else swing around the middle. World frame."""
+    """Path of the ego vehicle's front camera, else an orbit around the middle. World frame."""
     front = front_camera(scene)
     if front is not None:
         return rig_camera_path(scene, front, width, height)
@@ -224,9 +222,9 @@ def default_path(scene: Scene, width: int, height: int) -> CameraPath:
 def orbit_around(
     scene: Scene, width: int, height: int, duration_s: float = ORBIT_S, sweep_deg: float = ORBIT_DEG
 ) -> CameraPath:
-    """Swing around a scene's middle, from one side of its home camera to the other, in so many seconds. World frame.
+    """Orbit around a scene's middle, from one side of its home camera to the other. World frame.
 
-    Raises `ValueError` where the time is not above 0.
+    Raises `ValueError` if the duration is not above 0.
     """
     if not duration_s > 0:
         raise ValueError(f"an orbit of {duration_s:g} s: its time must be above 0 s")
@@ -234,7 +232,7 @@ def orbit_around(
 
 
 def front_camera(scene: Scene) -> RigCamera | None:
-    """The rig camera that looks straight ahead; None where no vehicle drives or it has no cameras."""
+    """Rig camera that looks most straight ahead; None without an ego vehicle or cameras."""
     if scene.ego is None or not len(scene.ego.times):
         return None
     mounted = [camera for rig in scene.rigs.values() for camera in rig]
@@ -242,7 +240,7 @@ def front_camera(scene: Scene) -> RigCamera | None:
 
 
 def find_scene_core(scene: Scene) -> SceneCore:
-    """Find the dense core of what can be seen, and the sky around it; where no layer is shown, of the actors."""
+    """Find the dense core of the visible layers, and the sky around it; of the actors if no layer is visible."""
     layers = [each for each in scene.layers if each.visible]
     shown = [each for each in layers if each.kind != "sky"] or [each for each in scene.actors if each.visible]
     parts, sky = (
@@ -253,7 +251,7 @@ def find_scene_core(scene: Scene) -> SceneCore:
 
 
 def home_viewport_camera(scene: Scene, width: int, height: int, speed_m_s: float) -> OrbitCamera:
-    """Stand at the home camera; turning goes around the middle, inside of the scene around what is 1 to 20 m ahead."""
+    """Camera at the home pose; its orbit target is the scene's middle, or 1 to 20 m ahead if inside of the scene."""
     camera, core = home_camera(scene, width, height), find_scene_core(scene)
     navigation = OrbitCamera(speed_m_s=speed_m_s)
     navigation.look_like(camera)

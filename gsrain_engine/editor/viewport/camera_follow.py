@@ -1,4 +1,4 @@
-"""A camera that goes along with a drive: behind the ego vehicle, or its own front camera. World frame, metres."""
+"""Cameras that follow: the ego vehicle of a roll-out, an actor, or a path. World frame, meters."""
 
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -21,30 +21,30 @@ _FOV_DEG = 50.0
 
 
 class VehicleMoment(NamedTuple):
-    """The ego vehicle at one moment."""
+    """Ego vehicle at one time."""
 
     rig_to_world: Float64[np.ndarray, "4 4"]
     speed_m_s: float
     rig_height_m: float
-    """Of the rig's origin above the road."""
+    """Height of the rig's origin above the road."""
     front_camera: RigCamera | None
 
 
 @dataclass(slots=True)
 class ChaseCamera:
-    """Carries the viewport's camera. A person may look around meanwhile; from the front camera that ends the ride."""
+    """Moves the viewport camera with the vehicle. The user may look around; in front-camera mode that ends the ride."""
 
     mode: ChaseMode = "free"
     velocity_m_s: Float64[np.ndarray, "3"] | None = None
-    """Of the camera, by which rain slants; None where it goes its own way."""
+    """Velocity of the camera, which slants the rain; None if it moves freely."""
     _pose: Float64[np.ndarray, "4 4"] | None = None
 
     def begin(self, mode: ChaseMode) -> None:
-        """Go along in a way from the next frame on, from its usual place."""
+        """Start a mode in the next frame, from its default position."""
         self.mode, self._pose, self.velocity_m_s = mode, None, None
 
     def let_go(self) -> None:
-        """Leave a place that is fixed to the vehicle: a person looks elsewhere."""
+        """Leave the front camera, because the user looks elsewhere."""
         if self.mode == "front camera":
             self.begin("free")
 
@@ -84,28 +84,28 @@ def _look_from_front(vehicle: VehicleMoment, navigation: OrbitCamera) -> None:
     )
 
 
-# § A camera that goes with an actor and keeps its offset to it, while a person still looks around.
+# Camera that follows an actor at its offset, while the user may look around
 
 
 @dataclass(slots=True)
 class ActorFollower:
-    """Which actor is followed, and where it was when it was last looked at. World frame, metres."""
+    """Followed actor and its last pose. World frame, meters."""
 
     key: str = ""
-    """Of the actor; "" follows none."""
+    """Key of the actor; "" for none."""
     velocity_m_s: Float64[np.ndarray, "3"] | None = None
-    """Of the ride; None while nothing is followed or time stands."""
+    """Velocity of the ride; None while nothing is followed or time is paused."""
     _pose: Float64[np.ndarray, "4 4"] | None = None
     _time_s: float = 0.0
 
     def follow(self, key: str) -> None:
-        """Go with an actor from where the camera is now; "" lets go."""
+        """Follow an actor from the camera's present position; "" stops."""
         self.key, self._pose, self.velocity_m_s = key, None, None
 
     def ride(self, scene: Scene, time_s: float, navigation: OrbitCamera) -> None:
-        """Carry the camera to where the actor has gone since the last call, and turn it as the actor has turned.
+        """Move and turn the camera with the actor since the last call.
 
-        While the actor is not in the scene the camera stays; a leap in time is a leap of the camera.
+        While the actor is absent the camera stays; a jump in time moves the camera at once.
         """
         actor = next((each for each in scene.actors if each.key == self.key), None)
         pose = _level_pose(scene, actor, time_s) if actor is not None else None
@@ -126,7 +126,7 @@ class ActorFollower:
 
 def _level_pose(scene: Scene, actor: Actor, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
     """Where an actor is and which way it heads: it may pitch and roll, the camera does not."""
-    way = actor.pose_at(time_s)
+    way = actor.way(time_s)
     if way is None:
         return None
     pose = scene.scene_to_world @ way
@@ -137,22 +137,22 @@ def _level_pose(scene: Scene, actor: Actor, time_s: float) -> Float64[np.ndarray
     return level
 
 
-# § The way that riding along and recording take, in the world: a person's own path, or one that every scene has.
+# Path to ride along and to record: the user's or a default one, in the world
 
 Matrix = Float64[np.ndarray, "4 4"]
 
-_VIEW_SIZE = (960, 640)  # shape of the picture that the default path's field of view is chosen for
+_VIEW_SIZE = (960, 640)  # aspect ratio for the field of view of the default path
 
 
 class PathFollower:
-    """Keeps the path of the present scene; while nothing that it depends on changes it is the very same value."""
+    """Caches the path of the present scene; returns the same object while its inputs stay the same."""
 
     def __init__(self) -> None:
         self._own: tuple[CameraPath, Matrix, CameraPath] | None = None
         self._default: tuple[tuple[object, object], Matrix, CameraPath] | None = None
 
     def path(self, scene: Scene) -> CameraPath:
-        """Path of a scene, in the world (metres, z up)."""
+        """Path of a scene, in the world (meters, z up)."""
         to_world = scene.scene_to_world
         if scene.path is None:
             return self._default_path(scene, to_world)
@@ -161,7 +161,7 @@ class PathFollower:
         return self._own[2]
 
     def _default_path(self, scene: Scene, to_world: Matrix) -> CameraPath:
-        # Layers are left aside: what is hidden or deleted shall not move a path that a person rides along.
+        # Independent of layers: hiding or deleting them must not change a path that the user rides along.
         drive = scene.ego, scene.rigs
         if self._default is None or any(a is not b for a, b in zip(self._default[0], drive, strict=True)):
             self._default = drive, to_world, default_path(scene, *_VIEW_SIZE)

@@ -1,4 +1,4 @@
-"""What is shown of a match: the other view as seen from here, the difference, or what became of each pixel."""
+"""Viewport options: overlays, split view, matching modes, and the adaptive quality."""
 
 import math
 from dataclasses import dataclass, field
@@ -13,84 +13,83 @@ Mode = Literal["picture", "difference", "pixels"]
 
 MODES: tuple[Mode, ...] = get_args(Mode)
 
-# § How the viewport shows things; not part of the document.
+# View options; not part of the document
 
 Split = Literal["off", "clear | rainy", "before | after", "now | preview"]
-"""before: the document before the last step of its history; preview: one view as a transfer makes it."""
+"""before: document before the last undo step; preview: one view transferred."""
 
 
 @dataclass(slots=True)
 class ViewOptions:
-    """What a person has chosen."""
+    """Options chosen by the user."""
 
     show_streak_region: bool = False
     show_haze_region: bool = False
     background: Color = (0.0, 0.0, 0.0)
     gain_ev: float = 0.0
-    """Brightens or darkens the display only."""
+    """Exposure of the display only."""
     shrink: int = 1
-    """Draw every so many-th pixel in each direction; the rain keeps the drops of the full picture."""
+    """Draw every n-th pixel in each direction; the rain keeps the drops of the full image."""
     beyond_calibration: bool = False
-    """Let the intensity slider go on to 100 mm/h."""
+    """Extend the intensity slider to 100 mm/h."""
     follow_path: bool = False
-    """Ride along the camera path instead of flying by hand."""
+    """Ride along the camera path instead of flying."""
     look: RenderMode = "splats"
     split: Split = "off"
-    """Which two pictures stand side by side."""
+    """The two images shown side by side."""
     divider: float = 0.5
-    """Where the left one ends, as a share of the width."""
+    """Boundary between them, as a share of the width."""
     harmonics: Harmonics = "half"
-    """How colours lie on the GPU."""
+    """Precision of the spherical harmonics on the GPU."""
     show_selection: bool = True
-    """Tint what is selected."""
     dialog: str = ""
-    """Which of the window's own pages is open: commands, keys or about."""
+    """Open page of the window: commands, keys or about."""
     member: str = ""
-    """Key of the layer or actor that edits are about; empty or of one that is gone: none."""
+    """Key of the layer or actor to edit; none if empty or gone."""
     tool: str = ""
-    """Name of the viewport's tool; none is plain navigation."""
+    """Name of the active viewport tool; empty for navigation."""
 
 
-# § One side of the viewport: the only one, or one of two that are compared.
+# Panes
 
 
 class SplitPane(NamedTuple):
-    """What one side of the viewport shows."""
+    """Content of one pane of the viewport."""
 
     label: str
     scene: Scene
     rainfall: RainSimulation
 
 
-# § A picture that the window has on the GPU, for panels to show.
+# Texture for panels
 
 
 class Texture(NamedTuple):
-    """First row on top."""
+    """A texture on the GPU, first row on top."""
 
     name: int
-    """What OpenGL calls it."""
+    """OpenGL name."""
     width: int
     height: int
 
 
-# § How much is drawn while the camera moves: as much as a frame-time target allows, and everything once it rests.
+# Adaptive quality: limited by a frame-time target in motion, full at rest
 
 
 class QualityLevel(NamedTuple):
-    """How much of the exact picture is drawn."""
+    """Quality as shares of a full render."""
 
     gaussians: float
-    """Share of each part's Gaussians, those that matter most."""
+    """Share of each part's Gaussians, the most important ones."""
     scale: float
-    """Side of the drawn picture over that of the shown one."""
+    """Ratio of the rendered to the displayed side length."""
 
     @property
     def is_exact(self) -> bool:
         return self == FULL_QUALITY
 
     def __str__(self) -> str:
-        """Say it in words, empty where it is exact."""
+        """Describe the level; empty if it is exact."""
         words: list[str] = []
         if self.gaussians < 1:
             words.append(f"1/{round(1 / self.gaussians)} of the Gaussians")
@@ -108,12 +107,12 @@ LEVELS = (
 """First fewer Gaussians, then fewer pixels."""
 
 SETTLED_S = 0.15
-"""After so long without a movement the exact picture comes back."""
+"""Time without motion after which full quality returns."""
 
 _TOLERANCE = 1.15
 
 _PROMISING = 0.55
-"""A finer level is tried where a frame takes less than this share of the target."""
+"""Share of the target frame time below which a finer level is tried."""
 
 _FORGET_AFTER = 45
 """Frames after which a level that was too slow may be tried again."""
@@ -121,14 +120,14 @@ _FORGET_AFTER = 45
 
 @dataclass(slots=True)
 class AdaptiveQuality:
-    """Chooses the detail of each frame from the times that earlier ones took. Knows no clock of its own."""
+    """Chooses the quality of each frame from the times of earlier ones. Uses no clock of its own."""
 
     target_ms: float = 33.0
     enabled: bool = True
     _level: int = 0
     _rested_s: float = math.inf
     _too_slow: dict[int, int] = field(default_factory=dict[int, int])
-    """Levels that missed the target, and for how many more frames that is remembered."""
+    """Levels that missed the target, with the number of frames until they may be tried again."""
 
     @property
     def detail(self) -> QualityLevel:
@@ -136,22 +135,22 @@ class AdaptiveQuality:
 
     @property
     def is_settling(self) -> bool:
-        """Whether the exact picture is still to come although nothing moves."""
+        """True if the full-quality image is still due although nothing moves."""
         return 0 < self._rested_s < SETTLED_S and not self.detail.is_exact
 
     def observe(self, *, moving: bool, real_s: float) -> QualityLevel:
-        """Take in whether the camera has moved since the last frame, so many seconds ago; returns what to draw."""
+        """Record camera motion since the last frame, `real_s` ago; return the quality to draw."""
         self._rested_s = 0.0 if moving else self._rested_s + real_s
         return self.detail
 
     def measured(self, detail: QualityLevel, frame_ms: float) -> None:
-        """Learn how long a frame of some detail took to draw."""
+        """Record the drawing time of a frame."""
         level = LEVELS.index(detail)
         self._too_slow = {each: left - 1 for each, left in self._too_slow.items() if left > 1}
         excess = frame_ms / self.target_ms
         if excess > _TOLERANCE:
             self._too_slow[level] = _FORGET_AFTER
-            # A level down halves the work at best; never the same level twice in a row.
+            # One level halves the work at best; never choose the same level twice in a row.
             self._level = min(max(self._level, level + max(1, round(math.log2(excess)))), len(LEVELS) - 1)
         elif excess < _PROMISING and level == self._level > 0 and level - 1 not in self._too_slow:
             self._level = level - 1

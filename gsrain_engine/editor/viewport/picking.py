@@ -1,4 +1,4 @@
-"""What is under a pixel: the Gaussian that a person means by pointing at it, and the point of its surface."""
+"""Picking of Gaussians and surface points, projection of points and lines, gizmo matrices, and sky color picks."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,25 +17,25 @@ from ...scene.geometry import matrices_from_quaternions
 from ...scene.scene import Actor, DrawItem, Layer, Scene
 
 _MIN_ALPHA = 0.1
-"""A pixel that is covered less than this shows nothing to point at."""
+"""Minimum coverage of a pixel that can be picked."""
 
 
 class PickResult(NamedTuple):
-    """What is under a pixel."""
+    """Result of picking a pixel."""
 
     key: str
-    """Of the member that it belongs to."""
+    """Key of the member that was hit."""
     gaussian: int
-    """Of the Gaussian among the member's."""
+    """Index of the Gaussian in the member."""
     point_m: Float64[np.ndarray, "3"]
-    """Where the line of sight meets its surface, in the world."""
+    """Intersection of the line of sight with its surface, in the world."""
 
 
 def pick_point(scene: Scene, shot: RenderView, x: float, y: float) -> Float64[np.ndarray, "3"] | None:
-    """Return the point of the world (metres) that is seen at a pixel; None where nothing or only sky is.
+    """Return the world point (meters) visible at a pixel; None for sky or nothing.
 
-    Pixels count from the picture's upper left corner; the centre of the first is at 0.5, 0.5. Locked members count,
-    hidden and deleted Gaussians do not.
+    Pixels count from the image's upper left corner; the center of the first is at 0.5, 0.5. Includes locked members,
+    excludes hidden and deleted Gaussians.
     """
     picked = pick(scene, shot, x, y, _is_thing)
     return None if picked is None else picked.point_m
@@ -44,10 +44,10 @@ def pick_point(scene: Scene, shot: RenderView, x: float, y: float) -> Float64[np
 def pick(
     scene: Scene, shot: RenderView, x: float, y: float, among: Callable[[Layer | Actor], bool] | None = None
 ) -> PickResult | None:
-    """Find the Gaussian that is seen at a pixel, among some of the visible members (None: among all of them).
+    """Find the Gaussian visible at a pixel, among some of the visible members (None: all).
 
-    It is the one by which, from the eye on, half of what covers the pixel is passed: neither a faint veil before a
-    surface nor what shimmers through it. None where nothing covers the pixel.
+    It is the one at which half of the pixel's coverage is reached from the camera: neither a faint veil before a
+    surface nor something shining through it. None if nothing covers the pixel.
     """
     members, parts = _visible_at(scene, shot.time_s, among)
     splats = project(parts, _pixel_camera(shot.camera, x, y))
@@ -79,7 +79,7 @@ def _visible_at(
 
 
 def _pixel_camera(camera: Camera, x: float, y: float) -> Camera:
-    """Camera of one pixel, with its centre at x, y of the whole picture."""
+    """Camera of one pixel, with its center at x, y of the whole image."""
     cx, cy = camera.cx - x + 0.5, camera.cy - y + 0.5
     return Camera(1, 1, camera.fx, camera.fy, cx, cy, camera.world_to_camera, camera.exposure_s)
 
@@ -108,7 +108,7 @@ def _is_drawn(parts: list[DrawItem], indices: Int64[np.ndarray, " k"]) -> Bool[n
 
 
 def _owner(parts: list[DrawItem], index: int) -> tuple[int, int]:
-    """Which part a Gaussian belongs to that is counted through all of them, and which of its own it is."""
+    """Part and index within it of a Gaussian counted through all parts."""
     for number, part in enumerate(parts):
         if index < len(part.gaussians):
             return number, index
@@ -117,7 +117,7 @@ def _owner(parts: list[DrawItem], index: int) -> tuple[int, int]:
 
 
 def _surface_point(part: DrawItem, index: int, camera: Camera, x: float, y: float) -> Float64[np.ndarray, "3"]:
-    """Where a Gaussian is densest along the line of sight through a pixel: for a flat one, where it is cut."""
+    """Point of maximum density of a Gaussian along a pixel's line of sight; for a flat one, the intersection."""
     to_object = np.linalg.inv(part.to_world)
     sight = camera.world_to_camera[:3, :3].T @ [(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0]
     eye = to_object[:3, :3] @ camera.position + to_object[:3, 3]
@@ -128,20 +128,20 @@ def _surface_point(part: DrawItem, index: int, camera: Camera, x: float, y: floa
 
 
 def _whitening(gaussians: Gaussians, index: int) -> Float64[np.ndarray, "3 3"]:
-    """Matrix that makes a ball of radius 1 of one Gaussian."""
+    """Matrix that maps one Gaussian to the unit sphere."""
     scales = gaussians.scales[index].astype(np.float64)
     scales = np.maximum(scales, max(1e-3 * scales.max(), 1e-9))
     rotation = matrices_from_quaternions(gaussians.quaternions[index].astype(np.float64))
     return rotation.T / scales[:, None]
 
 
-# § Points and lines of the world in the picture.
+# Projection
 
 NEAR_M = 0.05
 
 
 class ProjectedPoint(NamedTuple):
-    """A point in the picture."""
+    """A point in image pixels, with its depth."""
 
     x: float
     y: float
@@ -149,13 +149,13 @@ class ProjectedPoint(NamedTuple):
 
 
 def project_point(point: Float64[np.ndarray, "3"], camera: Camera) -> ProjectedPoint | None:
-    """A point of the world (metres) in pixels; None before the near plane."""
+    """Project a world point (meters) to pixels; None if nearer than the near plane."""
     x, y, z = (camera.world_to_camera[:3, :3] @ point + camera.world_to_camera[:3, 3]).tolist()
     return ProjectedPoint(camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z) if z > NEAR_M else None
 
 
 def project_lines(lines: Float64[np.ndarray, "n 2 3"], camera: Camera) -> Float64[np.ndarray, "m 2 2"]:
-    """Lines of the world (metres) in pixels, cut off at the near plane."""
+    """Project world lines (meters) to pixels, clipped at the near plane."""
     seen = lines @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
     depth = seen[..., 2]
     seen = seen[(depth > NEAR_M).any(axis=1)]
@@ -168,7 +168,7 @@ def project_lines(lines: Float64[np.ndarray, "n 2 3"], camera: Camera) -> Float6
     return focal * seen[..., :2] / seen[..., 2:] + center
 
 
-# § What a gizmo library wants to know of a camera, and what its handles mean: 4x4 matrices, column by column.
+# Gizmo matrices (4x4, column-major)
 
 Handle = Literal["translate", "rotate", "scale"]
 
@@ -181,7 +181,7 @@ def opengl_view(camera: Camera) -> list[float]:
 
 
 def opengl_projection(camera: Camera) -> list[float]:
-    """Eye to clip space of OpenGL, by the camera's own focal lengths and centre."""
+    """Eye to OpenGL clip space, with the camera's focal lengths and center."""
     matrix = np.zeros((4, 4))
     matrix[0, 0], matrix[0, 2] = 2 * camera.fx / camera.width, 1 - 2 * camera.cx / camera.width
     matrix[1, 1], matrix[1, 2] = 2 * camera.fy / camera.height, 2 * camera.cy / camera.height - 1
@@ -192,12 +192,11 @@ def opengl_projection(camera: Camera) -> list[float]:
 
 
 def column_major(matrix: Float64[np.ndarray, "4 4"]) -> list[float]:
-    """Sixteen numbers, one column after the other."""
     return matrix.T.ravel().tolist()
 
 
 def from_column_major(values: Float32[np.ndarray, "16"]) -> Float64[np.ndarray, "4 4"]:
-    """Matrix of sixteen numbers, one column after the other."""
+    """Matrix from sixteen numbers, column by column."""
     return values.astype(np.float64).reshape(4, 4).T
 
 
@@ -211,10 +210,10 @@ def frame_at(point_m: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
 def gizmo_delta(
     handle: Handle, start: Float64[np.ndarray, "4 4"], now: Float64[np.ndarray, "4 4"]
 ) -> Float64[np.ndarray, "4 4"]:
-    """Similarity of the world by which a handle took a gizmo's frame from `start` to `now`.
+    """Similarity of the world by which a handle moved a gizmo's frame from `start` to `now`.
 
-    A gizmo computes in single precision and scales each axis on its own: what a handle does not mean is left out, and
-    the axis that was scaled most scales all three, around the gizmo's place.
+    A gizmo computes in single precision and scales each axis separately. Removes components that the handle does not
+    represent; the largest scale of an axis applies to all three, around the gizmo's position.
     """
     there, back, way = frame_at(start[:3, 3]), frame_at(-start[:3, 3]), np.eye(4)
     if handle == "translate":
@@ -225,17 +224,17 @@ def gizmo_delta(
         factors = np.clip(np.linalg.norm(change, axis=0), 1e-3, 1e3)
         way[:3, :3] *= factors[np.argmax(np.abs(np.log(factors)))]
     else:
-        u, _, v = np.linalg.svd(change)  # the nearest rotation
+        u, _, v = np.linalg.svd(change)  # nearest rotation
         way[:3, :3] = u @ v
     return there @ way @ back
 
 
-# § The colour of a part of the picture without rain, for drops to take: picked by hand where no sky is found.
+# Color of a part of the image without rain, for drops if no sky is found
 
 
 @dataclass(frozen=True, slots=True)
 class SkyColorPick:
-    """A rectangle of the picture, in shares of its width and height from the upper left corner."""
+    """A rectangle of the image, in shares of its width and height from the upper left corner."""
 
     left: float
     top: float
@@ -244,7 +243,7 @@ class SkyColorPick:
 
     @classmethod
     def between(cls, a: tuple[float, float], b: tuple[float, float]) -> "SkyColorPick":
-        """Span two corners; what lies outside the picture is cut off."""
+        """Span two corners, clipped to the image."""
         (left, right), (top, bottom) = (sorted(np.clip(pair, 0.0, 1.0).tolist()) for pair in zip(a, b, strict=True))
         return cls(left, top, right, bottom)
 
@@ -252,7 +251,7 @@ class SkyColorPick:
 def mean_color_in_rectangle(
     renderer: Renderer, scene: Scene, shot: RenderView, pick: SkyColorPick, background: Color, wetness: float = 0.0
 ) -> Color:
-    """Draw a scene without rain and average a rectangle of it in linear light; at least one pixel."""
+    """Render a scene without rain and average a rectangle of at least one pixel in linear light."""
     renderer.draw(scene.parts(shot.time_s, wetness=wetness), shot.camera)
     rgba = renderer.read().rgba
     height, width = rgba.shape[:2]
