@@ -72,7 +72,7 @@ class RainyView:
 
 
 class SkippedCounts:
-    """Count the steps that a transfer skipped, over all views."""
+    """Counter of the steps that a transfer skipped, over all views."""
 
     def __init__(self) -> None:
         self._views, self._reasons = 0, Counter[str]()
@@ -111,14 +111,12 @@ class Transfer(Protocol):
 _MIN_KNOWN = 0.5
 """Share of the depth below the sky: lidar reaches 0.7 and more, a few thousand triangulated points 0.2 to 0.4."""
 
-# Settings
-
 
 class TransferSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """User settings of a transfer; each method uses only its own fields."""
 
     wetness: Annotated[float, Meta(ge=0, le=1, title="Wetness")] = 1.0
-    """0 changes nothing, 1 is soaked. Wet colors are made at 1 and blended in later by the scene's wetness."""
+    """0 changes nothing, 1 is soaked. Wet colors are computed at 1; the scene's wetness blends them in."""
     seed: Annotated[
         int, Meta(ge=0, le=2**31 - 1, title="Seed", description="Of what is left to chance: where puddles stand.")
     ] = 0

@@ -17,7 +17,6 @@ class TransferMethod:
 
     name: str
     title: str
-    """Display name."""
     help: str
     opens: Callable[[TransferSettings, "ReflectionEnvironment"], Transfer]
     needs_torch: bool = False

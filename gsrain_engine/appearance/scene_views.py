@@ -32,8 +32,6 @@ _SHADOW_M = 0.08
 _OPEN_SKY = np.array([0.72, 0.80, 0.90], np.float32)
 """Display color of the sky in scenes without one; only for viewing, drops use another one."""
 
-# Placed camera
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedCamera:

@@ -132,9 +132,6 @@ def cross_view_attention(unet: Any, settings: CrossViewAttention) -> Generator[C
         unet.set_attn_processor(before)
 
 
-# Feature maps of views
-
-
 class FeatureMaps:
     """Maps (channels, height, width) over whole images, by view and layer; overlapping tiles are averaged."""
 
@@ -173,7 +170,6 @@ class FeatureMaps:
         return found[0, :, 0].T.to(features.dtype)
 
     def forget(self, views: set[int]) -> None:
-        """Delete the maps of these views."""
         for maps in (self._sums, self._weights):
             for key in [key for key in maps if key[0] in views]:
                 del maps[key]
@@ -422,9 +418,6 @@ def _heads(attn: Any, projected: Tensor, norm: Any) -> Tensor:
 def _joined(found: Tensor) -> Tensor:
     """Reshape (b, heads, tokens, d) to (b, tokens, heads x d)."""
     return found.transpose(1, 2).flatten(2)
-
-
-# Attention with bounded memory
 
 
 def chunked_attention(query: Tensor, key: Tensor, value: Tensor, scale: float, most_scores: int) -> Tensor:

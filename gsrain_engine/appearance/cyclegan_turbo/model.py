@@ -69,9 +69,8 @@ class CycleGanTurbo(torch.nn.Module):
         self.vae_b2a = vae_b2a
         self.guide: Guide = ""
         self.delta: Any = None
-        """Merged weights (`weights.AdapterWeights`), kept to be saved again; None without."""
+        """Merged weights (`weights.AdapterWeights`), for saving them again; None without."""
         self.texts: tuple[str, str] = CAPTIONS
-        """Text of the captions."""
         self.seed: int | None = None
         """Seed of the random base weights; None for SD-Turbo's own."""
 
@@ -146,7 +145,6 @@ class CycleGanTurbo(torch.nn.Module):
         return self.step.clean(latents, noise)
 
     def decode(self, latents: Tensor, skips: list[Tensor], direction: Direction = "a2b") -> Tensor:
-        """Images (b, 3, h, w) in [-1, 1]."""
         return decode_latents(self.autoencoder(direction), latents, skips)
 
     def autoencoder(self, direction: Direction) -> Any:

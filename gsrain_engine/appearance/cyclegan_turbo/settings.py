@@ -45,9 +45,6 @@ class CrossViewAttention(Struct, frozen=True, kw_only=True, forbid_unknown_field
     """256 MB in float32."""
 
 
-# Tile window
-
-
 @dataclass(frozen=True, slots=True)
 class TileWindow:
     """Rectangle of an image in pixels; the whole image if it isn't cut into tiles."""
@@ -88,8 +85,6 @@ class TileWindow:
         top, left, frame_height, frame_width = (int(value) for value in scaled)
         return TileWindow(top, left, height, width, (frame_height, frame_width))
 
-
-# Inference settings
 
 NormalsFrom = Literal["depth", "dsine", "marigold", "none"]
 

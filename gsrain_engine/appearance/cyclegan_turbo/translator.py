@@ -314,7 +314,7 @@ def resized(image: Image, height: int, width: int) -> Image:
 
 
 def restore_size(made: Image, seen: Image, clear: Image, detail: bool) -> Image:
-    """Resize the network's output for `seen` to the size of the clear image that `seen` was made from; display, 0..1.
+    """Resize the network's output to the size of the clear image; `seen` is the network's input; display, 0..1.
 
     With `detail`, the detail that `seen` lacks is added from the clear image: the top band of a Laplacian pyramid (Burt
     and Adelson 1983), since the transfer mostly changes low frequencies.

@@ -35,7 +35,6 @@ class AdapterWeights:
     captions: tuple[Tensor, Tensor] | None = None
     """Embeddings for a2b and b2a; None keeps the model's own."""
     texts: tuple[str, str] | None = None
-    """Text of the captions."""
 
     @property
     def ranks(self) -> LoraRanks:
@@ -162,7 +161,6 @@ def plain_tensors(model: CycleGanTurbo) -> dict[str, Tensor]:
 
 
 def plain_layers(model: CycleGanTurbo) -> list[str]:
-    """Names of the linear layers and convolutions."""
     return [name.removesuffix(".weight") for name, each in plain_tensors(model).items() if each.ndim > 1]
 
 

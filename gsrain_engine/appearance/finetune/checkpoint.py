@@ -37,9 +37,7 @@ class FinetuneCheckpoint:
     """Complete training state. Random numbers and the order of images follow from `step`."""
 
     step: int
-    """Number of finished iterations."""
     seconds: float
-    """Training time so far."""
     tensors: Mapping[str, Any]
     perceptual: bool
     """True if LPIPS is one of the losses."""

@@ -321,7 +321,7 @@ def choose_samples(pictures: Sequence[DatasetImage], count: int) -> tuple[Datase
 
 
 def sample_grid(training: FinetuneTrainer, pictures: tuple[DatasetImage, ...]) -> UInt8[np.ndarray, "h w 3"]:
-    """One row per image: clear, made rainy, made clear again."""
+    """One row per image: clear, rainy, and clear again."""
     rows = [_row(training, each) for each in pictures]
     gap = np.full((_GAP_PX, rows[0].shape[1], 3), 255, np.uint8)
     return np.concatenate([part for row in rows for part in (row, gap)][:-1])

@@ -125,7 +125,6 @@ class FinetuningSettings(Struct, frozen=True, kw_only=True, forbid_unknown_field
 _FOLDER = "finetune"
 
 _FILES = ("path", "normals_weights", "normals_checkout", "base", "clip", "lpips", "start")
-"""Fields that hold paths."""
 
 
 def load_finetuning(name: str | Path, **changes: Any) -> FinetuningSettings:
@@ -168,7 +167,6 @@ def finetuning_names() -> list[str]:
 
 
 def write_finetuning(file: Path, settings: FinetuningSettings) -> None:
-    """Write settings as a YAML file for `load_finetuning`."""
     file.write_bytes(msgspec.yaml.encode(settings))
 
 

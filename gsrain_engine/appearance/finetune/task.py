@@ -42,7 +42,6 @@ class FinetuneTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     @property
     def config(self) -> Path:
-        """Path of the settings used."""
         return self.output / "config.yaml"
 
     @property
@@ -67,7 +66,6 @@ class FinetuneResult:
 
     weights: Path
     grid: Path
-    """Path of the last sample grid."""
     steps: int
     seconds: float
     losses: dict[str, float]

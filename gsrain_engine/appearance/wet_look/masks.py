@@ -107,17 +107,11 @@ def _smoothed(normals: Float32[np.ndarray, "h w 3"], sigma_px: float) -> tuple[F
     return there[..., None] * mean / np.maximum(length, 1e-6)[..., None], sure
 
 
-# Vegetation
-
-
 def vegetation_mask(image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
     """Likeness of a display color to leaves and grass, 0..1: greener than blue and than a warm gray."""
     red, green, blue = (image[..., i] for i in range(3))
     brightest = np.maximum(image.max(axis=-1), 1e-3)
     return smoothstep(0.08, 0.3, (green - blue) / brightest) * smoothstep(-0.06, 0.06, (green - red) / brightest)
-
-
-# Smooth step
 
 
 def smoothstep(low: float, high: float, x: Float[np.ndarray, "*n"]) -> Float32[np.ndarray, "*n"]:
@@ -139,7 +133,7 @@ _ROUGH_UP = 6.0
 """Decrease of the ramp `_MIN_UP` per meter of scatter, since normals from rough depth are unreliable."""
 
 _SMOOTH_GROUND_SHARE = 0.008
-"""Smoothing of normals as a share of the image width, since normals of real scenes are rough."""
+"""Smoothing of normals, as a share of the image width."""
 
 _GRASSY = (0.05, 0.4)
 """Share of leaves around a ground pixel from which it reflects less, and from which it reflects nothing."""

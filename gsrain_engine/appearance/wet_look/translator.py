@@ -75,7 +75,7 @@ class WetTransfer:
 def rainy_image(view: ClearView, settings: WetSettings) -> Image:
     """Return a view without known surfaces on a rainy day, in linear light: its light, colors and sky.
 
-    Nothing is made wet: a film or a puddle might lie on a vehicle or a person.
+    No surface becomes wet: a film or a puddle might lie on a vehicle or a person.
     """
     clear = srgb_to_linear(view.image).astype(np.float32)
     view = extend_sky_mask(view)
