@@ -48,7 +48,6 @@ class ClearView:
 
     @property
     def has_depth(self) -> bool:
-        """True if the depth of any pixel is known."""
         return bool((self.depth > 0).any())
 
     def __post_init__(self) -> None:

@@ -107,7 +107,6 @@ class CaptureSurfaces:
     """Depth and sky of one capture's views, view by view."""
 
     def __init__(self, capture: Capture) -> None:
-        """Take a capture, whose lidar and points are read lazily."""
         self._capture = capture
         self._last: tuple[CaptureFrame, Float32[np.ndarray, "_ _"]] | None = None
 

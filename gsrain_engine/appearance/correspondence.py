@@ -52,7 +52,6 @@ class Correspondence:
 
     @property
     def valid(self) -> Bool[np.ndarray, "h w"]:
-        """Mask of matched pixels."""
         return self.outcome == MatchOutcome.MATCHED
 
     def at(

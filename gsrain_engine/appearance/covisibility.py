@@ -50,7 +50,6 @@ class _CoarseView:
     depth: Float32[np.ndarray, "h w"]
     """Coarse depth; the sky very far away, 0 if unknown."""
     edges: Float32[np.ndarray, " k"]
-    """Edges of the downscaled image, of mean 0 and norm 1."""
     has_pose: bool
 
 

@@ -248,7 +248,6 @@ def tiny() -> TurboArchitecture:
 
 
 ARCHITECTURES = {"sd-turbo": sd_turbo, "tiny": tiny}
-"""Architectures by their names in our weights."""
 
 
 def check_base(folder: Path, architecture: TurboArchitecture) -> None:

@@ -11,7 +11,6 @@ BASE_VARIABLE = "GSRAIN_SD_TURBO"
 """Environment variable with a folder of SD-Turbo in diffusers' layout."""
 
 WEIGHTS_VARIABLE = "GSRAIN_TRANSFER_WEIGHTS"
-"""Environment variable with a file of transfer weights."""
 
 PUBLISHED_URL = "https://www.cs.cmu.edu/~img2img-turbo/models/clear2rainy.pkl"
 

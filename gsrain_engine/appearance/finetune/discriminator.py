@@ -28,7 +28,6 @@ class ClipFeatures(torch.nn.Module):
         config = vision.config
         blocks = config.num_hidden_layers
         self.taps = (max(blocks // 3, 1), max(2 * blocks // 3, 1))
-        """Blocks after which features are taken."""
         self.map_channels, self.whole_channels = config.hidden_size, config.projection_dim
         self._side_px: int = config.image_size
         self.register_buffer("mean", torch.tensor(_MEAN).view(1, 3, 1, 1), persistent=False)
@@ -72,7 +71,6 @@ class Discriminator(torch.nn.Module):
     """Trainable heads with spectral norm (Miyato et al. 2018) on frozen features."""
 
     def __init__(self, features: ClipFeatures, augmentations: Sequence[str], channels: int = 256) -> None:
-        """Take features, which several discriminators may share."""
         super().__init__()
         self._camera_panel = (features,)  # the tuple keeps the features out of this module's parameters and state
         self._augmentations = tuple(augmentations)

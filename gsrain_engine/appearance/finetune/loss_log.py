@@ -31,7 +31,6 @@ class LossLog:
         """Start a log, or continue one after `begins_at` iterations; later rows are dropped and will be repeated."""
         self._file = folder / FILE
         self.kept = [row for row in read_losses(self._file) if row[_STEP] <= begins_at] if begins_at else []
-        """Rows of earlier runs."""
         if self.kept:
             with whole_file(self._file) as beside, beside.open("w", newline="", encoding="utf-8") as stream:
                 _write_rows(stream, self.kept)
@@ -64,7 +63,6 @@ class LossLog:
             self._board.add_image("samples", grid, step, dataformats="HWC")
 
     def flush(self) -> None:
-        """Write all rows to disk, for other readers."""
         self._stream.flush()
         if self._board is not None:
             self._board.flush()
@@ -156,7 +154,6 @@ class CollapseMonitor:
         self._recent.append(losses)
 
     def verdict(self, step: int) -> CollapseVerdict:
-        """Judge the training after `step` iterations."""
         if not self._recent:
             return CollapseVerdict(0.0, 0.0, None)
         mean = {name: sum(each[name] for each in self._recent) / len(self._recent) for name in self._recent[-1]}

@@ -315,7 +315,6 @@ _GAP_PX = 4
 
 
 def choose_samples(pictures: Sequence[DatasetImage], count: int) -> tuple[DatasetImage, ...]:
-    """Choose up to `count` images, evenly spread."""
     places = np.unique(np.linspace(0, len(pictures) - 1, min(count, len(pictures))).round().astype(int))
     return tuple(pictures[int(i)] for i in places)
 

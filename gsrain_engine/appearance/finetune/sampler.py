@@ -48,7 +48,7 @@ class PairSampler:
         """Read one image and its guide, as batches of one.
 
         A missing guide becomes zeros, to which the encoder's new columns add nothing. If only one of the two looks has
-        guides, a model can tell the looks apart by them, so either both or none should have them.
+        guides, a model can tell the looks apart by them, so better give both looks normals.
         """
         image, guide = picture.read()
         batch = torch.from_numpy(image).permute(2, 0, 1)[None].contiguous().to(self._device) * 2 - 1

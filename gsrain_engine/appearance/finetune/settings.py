@@ -157,7 +157,6 @@ def code_of(settings: FinetuningSettings) -> dict[str, str]:
 
 
 def finetuning_help(name: str) -> str:
-    """Description of a setting, for the help of a command-line option."""
     hint = get_type_hints(FinetuningSettings, include_extras=True)[name]
     return f"{hint.__metadata__[-1].description} Default: what CONFIG says."
 

@@ -25,7 +25,6 @@ class FinetuneTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     settings: FinetuningSettings
     output: Path
-    """Folder for weights, checkpoint, losses and samples."""
     resume: bool = False
     """Continue from the folder's checkpoint."""
     code: dict[str, str] = {}
@@ -81,7 +80,6 @@ class FinetuneResult:
 
     @property
     def numbers(self) -> dict[str, Any]:
-        """Values for `--json`."""
         pictures = [
             {"path": path, "look": look, "count": count, "tested": tested} for path, look, count, tested in self.table
         ]

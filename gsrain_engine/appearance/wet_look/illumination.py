@@ -333,8 +333,8 @@ def overcast_sky(directions: Float[np.ndarray, "h w 3"], settings: WetSettings) 
 def extend_sky_mask(view: ClearView) -> ClearView:
     """Grow the sky mask to pixels of its color amidst the sky, or next to it at unknown depth.
 
-    Scenes contain sky-colored Gaussians in front of the sky, and image masks end at twigs. If no depth is known, only pixels
-    amidst the sky count, since hills and walls next to it may have its color.
+    Scenes contain sky-colored Gaussians in front of the sky, and image masks end at twigs. If no depth is known, only
+    pixels amidst the sky count, since hills and walls next to it may have its color.
     """
     rising = view_rays(view.camera)[..., 2] > 0
     is_open = (view.depth <= 0) & rising & view.has_surfaces

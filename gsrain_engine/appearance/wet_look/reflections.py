@@ -37,7 +37,6 @@ class PlanarReflection:
 
     @property
     def camera(self) -> Camera:
-        """World camera below the ground."""
         return self.beyond.camera
 
     def picture(
