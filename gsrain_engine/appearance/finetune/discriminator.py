@@ -68,7 +68,7 @@ class ClipFeatures(torch.nn.Module):
 
 
 class Discriminator(torch.nn.Module):
-    """Trainable heads with spectral norm (Miyato et al. 2018) on frozen features."""
+    """Trainable heads with spectral norm (Miyato et al. 2018) on frozen features, which discriminators may share."""
 
     def __init__(self, features: ClipFeatures, augmentations: Sequence[str], channels: int = 256) -> None:
         super().__init__()
