@@ -1,1 +1,1 @@
-"""Clear views in, rainy views out."""
+"""Appearance transfer: make views of dry scenes look rainy."""

@@ -1,4 +1,4 @@
-"""What every appearance transfer is: clear views in, rainy views out."""
+"""Interfaces of appearance transfer: clear views, rainy views, the transfer protocol and its settings."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -12,43 +12,42 @@ from msgspec import Meta, Struct
 
 from ..scene.camera import Camera
 
-# § A view before its transfer: the picture, and what is known about each pixel. World frame (metres, z up).
+# Views. World frame (meters, z up).
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClearView:
-    """One picture in dry weather. Treat the arrays as values: nobody writes into them."""
+    """Image of a dry scene with its per-pixel geometry. The arrays are never written to."""
 
     name: str
     camera: Camera
-    """In the world; without lens distortion, of the picture's size."""
+    """World frame; no lens distortion; same size as the image."""
     time_s: float
     image: Float32[np.ndarray, "h w 3"]
-    """Display colour (sRGB), 0..1."""
+    """Display color (sRGB), 0..1."""
     depth: Float32[np.ndarray, "h w"]
-    """Metres along the view axis at pixel centres; 0 where it is not known, and in the sky."""
+    """Meters along the view axis at pixel centers; 0 in the sky and at unknown pixels."""
     normals: Float32[np.ndarray, "h w 3"]
-    """Unit surface normals in the world, towards the eye; 0 where they are not known."""
+    """Unit surface normals in the world, towards the eye; 0 at unknown pixels."""
     sky: Float32[np.ndarray, "h w"]
     """Share of sky, 0..1."""
     vehicles: Float32[np.ndarray, "h w"]
-    """Share of vehicles, 0..1; 0 where it is not known."""
+    """Share of vehicles, 0..1; 0 at unknown pixels."""
     sensor: str = ""
-    """Which camera of a rig it is; empty where there is only one."""
+    """Camera name within a rig; empty for a single camera."""
     has_pose: bool = True
-    """Whether it is known where the camera stood: only then can other views show the same place."""
+    """True if the camera pose is known; other views can only be matched to this one with a pose."""
 
     known_share: float = 1.0
-    """Part of the picture below the sky whose depth was measured or drawn; the rest of the depth is a guess."""
+    """Share of the image below the sky whose depth was measured or rendered; the rest of the depth is estimated."""
 
     @property
     def has_surfaces(self) -> bool:
-        """Whether it is known what is where: else road, car and wall can't be told apart."""
+        """True if enough depth is known to tell road, cars and walls apart."""
         return self.known_share >= _MIN_KNOWN and self.has_depth
 
     @property
     def has_depth(self) -> bool:
-        """Whether the distance of any pixel is known."""
         return bool((self.depth > 0).any())
 
     def __post_init__(self) -> None:
@@ -60,19 +59,19 @@ class ClearView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RainyView:
-    """A view as a transfer made it."""
+    """Result of a transfer for one view."""
 
     clear: ClearView
     image: Float32[np.ndarray, "h w 3"]
-    """Display colour (sRGB), 0..1, of the clear picture's size."""
+    """Display color (sRGB), 0..1, same size as the clear image."""
     film: Float32[np.ndarray, "h w"] | None = None
-    """Share of what water mirrors, 0..1: it moves with the eye, so that other views rightly disagree about it."""
+    """Share of water reflection, 0..1; it depends on the view, so other views need not agree on these pixels."""
     left_out: str = ""
-    """What the transfer could not do for this view and why, as the end of a sentence; empty where it did all."""
+    """Steps the transfer skipped for this view, with the reason, as the end of a sentence; empty if none."""
 
 
 class SkippedCounts:
-    """Counts what a transfer could not do, over all views."""
+    """Counter of the steps that a transfer skipped, over all views."""
 
     def __init__(self) -> None:
         self._views, self._reasons = 0, Counter[str]()
@@ -84,7 +83,7 @@ class SkippedCounts:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Return one sentence a reason, with the number of views."""
+        """One sentence per reason, with the number of views."""
         return tuple(
             f"{count} of {self._views} {'view' if self._views == 1 else 'views'}: {reason}."
             for reason, count in self._reasons.items()
@@ -93,7 +92,7 @@ class SkippedCounts:
 
 @runtime_checkable
 class Transfer(Protocol):
-    """A model that makes views look rainy."""
+    """Model that makes views look rainy."""
 
     @property
     def name(self) -> str:
@@ -101,25 +100,22 @@ class Transfer(Protocol):
         ...
 
     def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
-        """Make views rainy, one by one, in the order in which they are done; each comes out once.
+        """Yield each view once as a rainy view, in order of completion.
 
-        `views` may be lazy, each worked out when it is asked for: hold on to no more of them than the model needs.
-        The same views give the same bytes.
+        `views` may be lazy, so hold no more of them than the model needs. Equal views must give identical bytes.
         """
         ...
 
 
 _MIN_KNOWN = 0.5
-"""Of the depth below the sky: a lidar's beams reach 0.7 and more, a few thousand triangulated points 0.2 to 0.4."""
-
-# § What a person can choose about a transfer.
+"""Share of the depth below the sky: lidar reaches 0.7 and more, a few thousand triangulated points 0.2 to 0.4."""
 
 
 class TransferSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a person can choose about a transfer; each method takes what concerns it."""
+    """User settings of a transfer; each method uses only its own fields."""
 
     wetness: Annotated[float, Meta(ge=0, le=1, title="Wetness")] = 1.0
-    """0 changes nothing, 1 is soaked: what a scene's wet colours are made for, since wetness then blends them in."""
+    """0 changes nothing, 1 is soaked. Wet colors are computed at 1; the scene's wetness blends them in."""
     seed: Annotated[
         int, Meta(ge=0, le=2**31 - 1, title="Seed", description="Of what is left to chance: where puddles stand.")
     ] = 0

@@ -1,4 +1,4 @@
-"""Clear views of a capture: its pictures without distortion, with what can be found out about each pixel."""
+"""Clear views of a capture: undistorted images with depth, normals, sky and vehicle masks."""
 
 from functools import cached_property
 
@@ -20,10 +20,10 @@ from .scene_views import CachedViews
 
 
 class CaptureViews(CachedViews):
-    """Views of a capture in the world (metres, z up), each worked out when it is asked for; the last few are kept."""
+    """Views of a capture in the world (meters, z up), computed on access; the most recent ones are cached."""
 
     def __init__(self, capture: Capture, width_px: int) -> None:
-        """Take a capture; nothing is read before it is asked for. Wider pictures are made smaller."""
+        """Take a capture, which is read lazily. Images wider than `width_px` are downscaled."""
         super().__init__(len(capture), self._view)
         self._capture = capture
         self._straight = [undistort_frame(view, min(width_px, view.camera.width)) for view in capture]
@@ -38,7 +38,7 @@ class CaptureViews(CachedViews):
         return matrix
 
     def mask(self, name: str) -> Bool[np.ndarray, "h w"] | None:
-        """Which pixels of a view the lens saw and may be learned from; None means all."""
+        """Mask of a view's pixels that are valid for training; None means all."""
         return next(view.mask for view in self._straight if view.name == name)
 
     def _view(self, index: int) -> ClearView:
@@ -67,7 +67,7 @@ class CaptureViews(CachedViews):
 
 
 def _stand_at_one_place(capture: Capture) -> bool:
-    """Whether poses are the same number time and again, and nothing measured speaks for a camera at rest."""
+    """True if all poses are identical and no measurement suggests a camera at rest, so that poses are placeholders."""
     is_measured = (
         capture.sweeps or capture.points_m is not None or any(view.depth_source is not None for view in capture)
     )
@@ -78,50 +78,50 @@ def _stand_at_one_place(capture: Capture) -> bool:
 
 
 def capture_views(capture: Capture, width_px: int) -> CaptureViews:
-    """Views of a capture, with pictures at most so wide.
+    """Views of a capture, with images at most `width_px` wide.
 
-    Depth comes from the capture's own, or from its lidar or its points, made dense; the sky from its masks, or from
-    colours and what was measured; vehicles from labels or boxes. What is not known is 0.
+    Depth comes from the capture's depth maps, or densified from its lidar or points; the sky from its masks, or from
+    colors and measurements; vehicles from labels or boxes. Unknown values are 0.
     """
     return CaptureViews(capture, width_px)
 
 
-# § Surfaces and sky of a capture's views: from its depth, its lidar, or its points.
+# Surfaces and sky
 
 _FEATHER, _SKY_SPREAD = 0.02, 0.03
-"""Radius, over the picture's width, in which the sky's edge is looked for, and how even its colour is there."""
+"""Search radius for the sky's edge, as a share of the image width, and color deviation of the sky there."""
 
 _TWIGS, _TWIG_NOISE, _TWIG_DARKNESS = 0.012, 0.04, 0.6
-"""Half width of what is thin, over the picture's; by how much it is darker at least, and by what part of the light
-around it when nothing of the sky shows through."""
+"""Half width of thin objects as a share of the image width, the least amount by which they are darker, and the share
+of the surrounding light by which they are darker if they hide the sky completely."""
 
 _GUESS, _GUESS_SPREAD = 0.04, 0.1
-"""The same for depth that was not measured near by."""
+"""Radius and color deviation for depth that was not measured nearby."""
 
 _BEAMS, _AT_BEAM = 0.012, 0.006
-"""So near a measured pixel, over the width, depth is interpolated, and farther away guessed; so near it is no sky."""
+"""Distances to a measured pixel, as shares of the image width: depth is interpolated within the first, estimated
+beyond; no pixel within the second is sky."""
 
 
 class CaptureSurfaces:
-    """Tells depth and sky of views of one capture, view by view."""
+    """Depth and sky of one capture's views, view by view."""
 
     def __init__(self, capture: Capture) -> None:
-        """Take a capture, whose lidar and points are read when they are needed."""
         self._capture = capture
         self._last: tuple[CaptureFrame, Float32[np.ndarray, "_ _"]] | None = None
 
     @property
     def metres_per_unit(self) -> float:
-        """Length of the capture's unit; where nobody knows it, what puts its cameras at the height of a car's."""
+        """Length of the capture's unit; if unknown, the one that puts its cameras at the height of a car's."""
         if self._capture.is_metric or self._drop is None:
             return 1.0
         return EGO_HEIGHT_M / self._drop
 
     def sky(self, view: CaptureFrame) -> Float32[np.ndarray, "h w"]:
-        """Share of sky in each pixel of a view without distortion: as the capture says, else what is surely sky.
+        """Share of sky in each pixel of an undistorted view: the capture's mask, else pixels that are certainly sky.
 
-        The edge of what `certain_sky` finds follows leaves and wires: it is feathered along the picture's own edges.
-        Where a lidar measured something no sky is.
+        The edge of the `certain_sky` mask is feathered along the image's own edges, so that it follows leaves and
+        wires. Pixels near a lidar return are never sky.
         """
         own = view.sky
         if own is not None:
@@ -132,16 +132,16 @@ class CaptureSurfaces:
         return _feathered(sure, view.image)
 
     def known_share(self, view: CaptureFrame, sky: Bool[np.ndarray, "h w"]) -> float:
-        """Part of a view below its sky that was measured, or lies next to what was: other depth is a guess."""
+        """Share of a view below its sky that was measured or lies near a measurement; other depth is estimated."""
         if view.depth_source is not None:
             return 1.0
         return float(_near(self._measured(view), _BEAMS)[~sky].mean()) if not sky.all() else 0.0
 
     def depth(self, view: CaptureFrame, sky: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-        """Depth along the view axis in the capture's unit; 0 in the sky, and in views of which nothing was measured.
+        """Depth along the view axis in the capture's unit; 0 in the sky, and in views without measurements.
 
-        Lidar and points are made dense, see `completed_depth`; what is guessed far from them follows the picture's
-        edges. A picture alone does not say what is road and what is a car upon it.
+        Lidar and points are densified, see `completed_depth`; estimates far from them follow the image's edges. Without
+        measurements no depth is estimated, since an image alone doesn't separate the road from cars on it.
         """
         own = view.depth
         if own is not None:
@@ -153,7 +153,7 @@ class CaptureSurfaces:
         return _along_edges(completed_depth(measured, sky, road), measured, view.image)
 
     def _measured(self, view: CaptureFrame) -> Float32[np.ndarray, "h w"]:
-        """Sparse depth: of the static scene at any time, and of what moves at the view's own; the last one stays."""
+        """Sparse depth, cached for the last view: the static scene of all times, and moving objects of its own time."""
         if self._last is None or self._last[0] is not view:
             self._last = (view, self._newly_measured(view))
         return self._last[1]
@@ -172,7 +172,7 @@ class CaptureSurfaces:
 
     @cached_property
     def _drop(self) -> float | None:
-        """How far the road lies under the cameras, where only triangulated points are known."""
+        """Height of the cameras above the road, if only triangulated points are known."""
         points = self._capture.points_m
         if self._capture.sweeps or points is None or not len(points):
             return None
@@ -180,25 +180,25 @@ class CaptureSurfaces:
 
 
 def _near(depth: Float32[np.ndarray, "h w"], share: float) -> Bool[np.ndarray, "h w"]:
-    """Pixels no farther from a measured one than a share of the picture's width: beams are several pixels apart."""
+    """Pixels within a share of the image width of a measured one: lidar beams are several pixels apart."""
     reach = 2 * max(round(share * depth.shape[1]), 1) + 1
     return cv2.dilate((depth > 0).astype(np.uint8), np.ones((reach, reach), np.uint8)) > 0
 
 
 def _feathered(sky: Bool[np.ndarray, "h w"], image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
-    """Share of sky: as flagged, but near the flags' edge as the picture's colours have it."""
+    """Share of sky: the mask, but fitted to the image's colors near its edge."""
     radius = max(round(_FEATHER * sky.shape[1]), 2)
     window = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
     flags = sky.astype(np.uint8)
     edge = cv2.dilate(flags, window) > cv2.erode(flags, window)
     guide = image.astype(np.float32) / np.float32(255)
     share = color_guided_filter(sky.astype(np.float32), guide, np.ones_like(sky), radius, _SKY_SPREAD)
-    # The fit is a little flat: its middle part is stretched to the whole range.
+    # The fit has too little contrast: stretch its middle part to the whole range.
     return (np.where(edge, np.clip((share - 0.1) / 0.8, 0, 1), sky) * _between_twigs(guide)).astype(np.float32)
 
 
 def _between_twigs(image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
-    """Share of light that passes what is thin and darker than all around it; 1 elsewhere, in clouds too."""
+    """Share of light that passes thin objects darker than their surroundings; 1 elsewhere, also in clouds."""
     light = image.mean(axis=2)
     size = 2 * max(round(_TWIGS * image.shape[1]), 1) + 1
     open_light = cv2.morphologyEx(light, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
@@ -209,7 +209,7 @@ def _between_twigs(image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "
 def _along_edges(
     depth: Float32[np.ndarray, "h w"], measured: Float32[np.ndarray, "h w"], image: UInt8[np.ndarray, "h w 3"]
 ) -> Float32[np.ndarray, "h w"]:
-    """Let depth far from all that was measured follow the picture's edges; 0 stays 0."""
+    """Let depth far from all measurements follow the image's edges; 0 stays 0."""
     radius = max(round(_GUESS * depth.shape[1]), 2)
     guessed = ~_near(measured, _BEAMS) & (depth > 0)
     if not guessed.any():

@@ -1,4 +1,4 @@
-"""Which pixel of another view shows the same place: a backward warp by depth, with a test of what hides it."""
+"""Pixel correspondence between two views: backward warp by depth, with an occlusion test."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -12,10 +12,10 @@ from ..scene.camera import Camera
 from .base import ClearView
 
 _SHARE = 0.5
-"""Of a class or of the sky, from which on a pixel counts as one."""
+"""Threshold from which a pixel counts as a class or as sky."""
 
 _SAME_MOMENT_S = 0.01
-"""Cameras of a rig are released together within so much; a car of 10 m/s moves by 0.1 m meanwhile."""
+"""Largest time offset between a rig's cameras of one exposure; a car at 10 m/s moves 0.1 m in this time."""
 
 _NOWHERE = -1.0
 
@@ -23,46 +23,45 @@ _ROUNDING_PX = 1e-6
 
 
 class MatchOutcome(IntEnum):
-    """What became of a pixel."""
+    """Result of the search for one pixel."""
 
     MATCHED = 0
     UNKNOWN = 1
-    """Nobody knows how far away it is, here or there."""
+    """The depth is unknown in either view."""
     OUTSIDE = 2
-    """The other picture ends before it, or it lies behind the other camera."""
+    """Beyond the other image's border or behind the other camera."""
     HIDDEN = 3
-    """Something else stands before it there, or it is not there."""
+    """Occluded in the other view, or absent from it."""
     EDGE = 4
-    """It lies on the edge of something, here or there: its colour is a mixture."""
+    """On a depth edge in either view, so the color is a mixture."""
     MOVING = 5
-    """A vehicle, seen at another moment."""
+    """Part of a vehicle, with views from different times."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correspondence:
-    """For each pixel of one view its place in another one."""
+    """Position in another view of each pixel of a view."""
 
     places: Float32[np.ndarray, "h w 2"]
-    """Column and row in the other picture, whose first pixel has its centre at (0.5, 0.5); (-1, -1) where it is behind
-    the other camera or its distance is not known. Only those of matched pixels mean the same place."""
+    """Column and row in the other image, whose first pixel has its center at (0.5, 0.5); (-1, -1) behind the other
+    camera or at unknown depth. Only positions of matched pixels show the same point."""
     outcome: UInt8[np.ndarray, "h w"]
-    """`Outcome` of each pixel."""
+    """`MatchOutcome` of each pixel."""
     size: tuple[int, int]
-    """Height and width of the other picture."""
+    """Height and width of the other image."""
 
     @property
     def valid(self) -> Bool[np.ndarray, "h w"]:
-        """Which pixels have a place in the other picture that shows the same."""
         return self.outcome == MatchOutcome.MATCHED
 
     def at(
         self, height: int, width: int
     ) -> tuple[Float32[np.ndarray, "{height} {width} 2"], Bool[np.ndarray, "{height} {width}"]]:
-        """Return the warp for a map of features over the picture, as `grid_sample` takes it with align_corners=False.
+        """Return the warp for a feature map over the image, as `grid_sample` takes it with align_corners=False.
 
-        A cell is valid where at least half of its area is. What is averaged over the valid part is the way from here to
-        there, in shares of both pictures, so that a view warped onto itself stays where it is, to the last bit. Cells
-        that are not valid point outside, at (-2, -2).
+        A cell is valid if at least half of its area is. The offset between both views, in shares of each image, is
+        averaged over the valid part, so that warping a view onto itself is the exact identity. Invalid cells point
+        outside, at (-2, -2).
         """
         valid = self.valid
         own_y, own_x = (np.arange(n, dtype=np.float64) + 0.5 for n in valid.shape)
@@ -79,25 +78,24 @@ class Correspondence:
         return grid.astype(np.float32), is_valid
 
 
-# § How far away a view's pixels are, between pixels too, without mixing near and far. Metres along the view axis.
+# Depth tolerance and matching. Meters along the view axis.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tolerance:
-    """How far two depths of one place may differ: by the larger of both."""
+    """Largest difference between two depths of one point: the larger of `distance_m` and `share` of the depth."""
 
     distance_m: float = 0.05
     share: float = 0.02
     edges: bool = True
-    """Whether pixels on depth edges are left out, where depth and colour are mixtures of two things."""
+    """Skip pixels on depth edges, which mix the depth and color of two surfaces."""
 
 
 def correspondence(of: ClearView, to: ClearView, tolerance: Tolerance | None = None) -> Correspondence:
-    """Find each pixel of a view in another one: (13)-(15) of the paper, taken backwards, so that no hole is left.
+    """Find each pixel of a view in another one: (13)-(15) of the paper as a backward warp, which leaves no holes.
 
-    A pixel is carried into the world by its depth and into the other picture, and it is matched where that picture's
-    own depth there is its distance. The sky is infinitely far away and only matches sky. Vehicles match only where both
-    views were taken at one moment.
+    Each pixel is unprojected by its depth and projected into the other image; it matches if the depth there equals its
+    distance. The sky is infinitely far away and only matches sky. Vehicles match only if both views have the same time.
     """
     tolerance = tolerance or Tolerance()
     here, there = DepthLookup(of), DepthLookup(to)
@@ -124,7 +122,7 @@ def correspondence(of: ClearView, to: ClearView, tolerance: Tolerance | None = N
 
 
 def warped(image: Float32[np.ndarray, "h w c"], correspondence: Correspondence) -> Float32[np.ndarray, "h2 w2 c"]:
-    """Show the other view's picture from this one; 0 where it has no valid place. Bilinear between pixels."""
+    """Warp the other view's image into this view, bilinearly; 0 at unmatched pixels."""
     places = np.where(correspondence.valid[..., None], correspondence.places, 0.5).astype(np.float32)
     shown = sampled(image, places)
     return np.where(correspondence.valid[..., None], shown, 0).astype(np.float32)
@@ -141,23 +139,23 @@ def _area_mean(values: Float32[np.ndarray, "h w c"], height: int, width: int) ->
 
 
 _EDGE = 0.05
-"""Over a plane inverse depth is linear in the picture: a bend of more than this share of it, from one pixel to the
-next, is the edge of something."""
+"""Inverse depth of a plane is linear in the image: a bend from one pixel to the next above this share of it is an
+edge."""
 
 _SPARSE = 0.25
-"""Depth that fewer pixels than this share have was measured by a lidar, and not filled in."""
+"""Depth with a smaller share of known pixels is sparse lidar."""
 
 _MAX_REACH_PX = 12
 
 _SPARSE_SHARE = 0.1
-"""Of the distance, by which nearest lidar points around a pixel may differ from the pixel."""
+"""Relative depth difference allowed between a pixel and the nearest lidar point around it."""
 
 _FAR = 1e9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DepthSample:
-    """What a view knows about places in its picture."""
+    """Depth of a view, sampled at given positions."""
 
     depth: Float64[np.ndarray, "h w"]
     """Infinite in the sky."""
@@ -165,12 +163,12 @@ class DepthSample:
     sky: Bool[np.ndarray, "h w"]
     edge: Bool[np.ndarray, "h w"]
     slack: float
-    """Share of the distance that is allowed in addition."""
+    """Additional tolerance, as a share of the distance."""
 
     def agrees(
         self, depth: Float64[np.ndarray, "h w"], is_sky: Bool[np.ndarray, "h w"], tolerance: Tolerance
     ) -> Bool[np.ndarray, "h w"]:
-        """Whether what is seen is at this distance; of the sky whether it is sky."""
+        """Mask of samples at the given depth; sky only agrees with sky."""
         allowed = np.maximum(tolerance.distance_m, max(tolerance.share, self.slack) * depth)
         with np.errstate(invalid="ignore"):  # infinity minus infinity: both are sky
             near = np.abs(depth - self.depth) <= allowed
@@ -196,7 +194,7 @@ class DepthLookup:
             self.edges = _bends(self.inverse_depth, self.known)
 
     def at(self, places: Float32[np.ndarray, "h2 w2 2"]) -> DepthSample:
-        """Look up places inside the picture, at least half a pixel from its border."""
+        """Sample positions inside the image, at least half a pixel from its border."""
         return self._sparse_at(places) if self.is_sparse else self._dense_at(places)
 
     def _dense_at(self, places: Float32[np.ndarray, "h2 w2 2"]) -> DepthSample:
@@ -232,17 +230,17 @@ def _bends(inverse: Float64[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]) 
     return bent
 
 
-# § Pixels of one camera in another one, by their depth. Cameras in the world; depth along the view axis.
+# Reprojection. Cameras in the world, depth along the view axis.
 
 
 def reprojected(
     inverse_depth: Float[np.ndarray, "h w"], of: Camera, to: Camera
 ) -> tuple[Float64[np.ndarray, "h w 2"], Float64[np.ndarray, "h w"]]:
-    """Return column and row in the other camera (first centre at 0.5), and depth there in metres, of each pixel.
+    """Return column and row in the other camera (first center at 0.5), and depth there in meters, of each pixel.
 
     Equations (13)-(15) of the paper divided by depth: with w = 1/d, (x, y, z)/d = K' R' R^-1 K^-1 (u, v, 1) + w K' t.
-    Inverse depth 0 is infinitely far away, where only the rotation counts; its depth comes out infinite. Depth is at
-    most 0 behind the other camera.
+    Inverse depth 0 is infinitely far away, where only the rotation counts; its depth is infinite. Depth is 0 or less
+    behind the other camera.
     """
     turn = to.world_to_camera[:3, :3] @ of.world_to_camera[:3, :3].T
     shift = to.world_to_camera[:3, 3] - turn @ of.world_to_camera[:3, 3]
@@ -263,20 +261,20 @@ def reprojected(
     return places, depth
 
 
-# § Pictures between their pixels. The first pixel has its centre at (0.5, 0.5).
+# Sampling. The first pixel has its center at (0.5, 0.5).
 
 
 def sampled(
     image: Float[np.ndarray, "h w c"], places: Float32[np.ndarray, "h2 w2 2"]
 ) -> Float32[np.ndarray, "h2 w2 c"]:
-    """Values at columns and rows in a picture, bilinear (OpenCV: to a 32nd of a pixel); its border goes on outside."""
+    """Values at columns and rows of an image, bilinear (OpenCV: to 1/32 pixel); the border is replicated outside."""
     maps = places - np.float32(0.5)
     pixels = np.ascontiguousarray(image, np.float32)
     found = cv2.remap(pixels, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(found, np.float32).reshape(*places.shape[:2], image.shape[2])
 
 
-# § Colours of what becomes of a pixel when it is looked for in another view: of the picture, and of its legend.
+# Colors of outcomes
 
 COLORS: dict[MatchOutcome, tuple[float, float, float]] = {
     MatchOutcome.MATCHED: (0.25, 0.8, 0.45),
@@ -286,4 +284,4 @@ COLORS: dict[MatchOutcome, tuple[float, float, float]] = {
     MatchOutcome.UNKNOWN: (0.55, 0.57, 0.62),
     MatchOutcome.OUTSIDE: (0.0, 0.0, 0.0),
 }
-"""Display colours of 0..1, in the order of the legend."""
+"""Display colors 0..1, in the order of the legend."""

@@ -1,4 +1,4 @@
-"""Which views show the same places as which, by a few points of each: cheap, and the same every time."""
+"""Covisibility: deterministic ranking of neighboring views by the share of sampled points that both show."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,21 +11,21 @@ from ..scene.camera import Camera
 from .base import ClearView
 
 _GRID = (24, 16)
-"""Points across and down a picture that are looked for in the others."""
+"""Columns and rows of the points sampled per image."""
 
 _LOOKUP_PX = 96
-"""Width of the depth in which they are looked up."""
+"""Width of the coarse depth maps in which points are looked up."""
 
 _AGREES = 0.1
-"""Share of the distance by which a point and the coarse depth around it may differ."""
+"""Relative difference allowed between a point's depth and the coarse depth around it."""
 
 _MIN_SHARE, _MIN_SURFACES = 0.05, 0.02
-"""Views that share less than this of the picture, or of it below the sky, are no neighbours: all skies are alike. The
+"""Least shares of the image, and of the image below the sky, that neighbors have in common: all skies are alike. The
 cameras of rigs share 0.06 to 0.2."""
 
 _SAME_PLACE, _MIN_ALIKE = 1e-6, 0.6
-"""Difference of poses up to which a camera did not move, and correlation of edges from which two pictures then show the
-same place: those of a camera at rest in rain have 0.9, of one drive a second later 0.5, of unrelated streets 0.1."""
+"""Largest pose difference of a camera at rest, and least edge correlation of two images of the same scene at equal
+poses: a camera at rest in rain has 0.9, one drive a second later 0.5, unrelated streets 0.1."""
 
 _EDGES_PX = (48, 32)
 
@@ -36,31 +36,30 @@ _FAR_M = 1e4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _CoarseView:
-    """What is kept of a view while the others are looked at."""
+    """Summary of a view, to compare it with all others."""
 
     camera: Camera
     sensor: str
     time_s: float
     points: Float64[np.ndarray, "n 3"]
-    """In the world; the sky very far away."""
+    """World frame; the sky very far away."""
     distances: Float64[np.ndarray, " n"]
-    """Of the points, along the view axis."""
+    """Depth of the points along the view axis."""
     tried: int
-    """Places in the picture that were looked at; not all have depth."""
+    """Number of sampled pixels, with or without depth."""
     depth: Float32[np.ndarray, "h w"]
-    """In small; the sky very far away, 0 where it is not known."""
+    """Coarse depth; the sky very far away, 0 if unknown."""
     edges: Float32[np.ndarray, " k"]
-    """Edges of the picture in small, of mean 0 and length 1."""
     has_pose: bool
 
 
 def rank_neighbors(views: Sequence[ClearView], count: int) -> list[tuple[int, ...]]:
-    """Return for each view the others, at most `count`, that show most of its picture, the best first.
+    """Return for each view up to `count` neighbors: the other views that show most of its image, best first.
 
-    Views whose pose is not known have none, and views that share little but the sky are none. Neighbours in time
-    usually win. So that the cameras of a rig learn of each other, the last place goes to the best
-    view of another camera where none is among two or more. Each view is asked for once, in order; views without depth
-    have no neighbours. Among equals the nearer in time, then the earlier wins.
+    Views without pose or depth have no neighbors, and views that share little but the sky are not neighbors. Neighbors
+    in time usually rank first. If `count` is 2 or more and all best views are from the same camera, the last place goes
+    to the best view of another camera, so that a rig's cameras are linked. Each view is read once, in order. Ties go to
+    the nearer view in time, then to the earlier one.
     """
     sketches = [_sketched(view) for view in views]
     chosen: list[tuple[int, ...]] = []
@@ -92,7 +91,7 @@ def _sketched(view: ClearView) -> _CoarseView:
 
 
 def _edges(image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, " k"]:
-    """Edges of a picture in small, of mean 0 and length 1; all 0 where it has none."""
+    """Edges of the downscaled image, of mean 0 and norm 1; all 0 if it has none."""
     small = cv2.resize(image.mean(axis=2), _EDGES_PX, interpolation=cv2.INTER_AREA)
     edges = np.asarray(cv2.Laplacian(small, cv2.CV_32F)).ravel()
     edges = edges - edges.mean()
@@ -100,7 +99,7 @@ def _edges(image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, " k"]:
 
 
 def _places_tried(depth: Float32[np.ndarray, "h w"]) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
-    """Rows and columns of a grid over the picture; where a lidar has measured little of it, of what was measured."""
+    """Rows and columns of a regular grid; if lidar covers little of it, of evenly chosen measured pixels."""
     rows, columns = (
         ((np.arange(n) + 0.5) * size / n).astype(np.int64) for n, size in zip(_GRID[::-1], depth.shape, strict=True)
     )
@@ -118,20 +117,20 @@ def _far_sky(view: ClearView) -> Float32[np.ndarray, "h w"]:
 
 
 def _share(of: _CoarseView, to: _CoarseView) -> float:
-    """Share of a view's picture that another one shows too; 0 where it can't be known, or is next to nothing."""
+    """Share of a view's image that another one shows too; 0 if it is unknown or negligible."""
     if not (of.has_pose and to.has_pose and of.depth.any() and to.depth.any()):
         return 0.0
     moved = np.abs(of.camera.world_to_camera - to.camera.world_to_camera).max()
     if moved <= _SAME_PLACE and float(of.edges @ to.edges) < _MIN_ALIKE:
-        return 0.0  # the pose of both is a stand-in for one that nobody knows
+        return 0.0  # both poses are placeholders
     share, surfaces = _visible_share(of, to)
     return share if share >= _MIN_SHARE and surfaces >= _MIN_SURFACES else 0.0
 
 
 def _visible_share(of: _CoarseView, to: _CoarseView) -> tuple[float, float]:
-    """Share of a view's picture that another one shows too, and that without the sky.
+    """Share of a view's image that another one shows too, with and without the sky.
 
-    What the other shows larger or smaller counts by that ratio.
+    Points that the other view shows at another scale are weighted by the scale ratio.
     """
     camera = to.camera
     x, y, z = camera.world_to_camera[:3, :3] @ of.points.T + camera.world_to_camera[:3, 3:]
@@ -152,7 +151,7 @@ def _is_unoccluded(
     v: Float64[np.ndarray, " n"],
     z: Float64[np.ndarray, " n"],
 ) -> Bool[np.ndarray, " n"]:
-    """Whether the coarse depth at places (shares of the picture) is what it should be; unknown depth hides nothing."""
+    """Mask of points that match the coarse depth at `u`, `v` (shares of the image); unknown depth hides nothing."""
     found = depth[(v * depth.shape[0]).astype(int), (u * depth.shape[1]).astype(int)]
     is_sky = z > 0.5 * _FAR_M
     agrees = np.where(is_sky, found > 0.5 * _FAR_M, np.abs(found - z) <= _AGREES * z)

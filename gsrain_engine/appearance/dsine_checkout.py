@@ -1,4 +1,4 @@
-"""Builds DSINE's module from a copy of its program, on any device and without a download."""
+"""DSINE's network, built from a local checkout of its code, on any device and without downloads."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -10,25 +10,26 @@ from typing import Any
 from ..trusted_code import Code, check_named, check_unchanged, importable, read_code
 
 _PACKAGES = ("models", "utils")
-"""What its files import by such common names that they must not stay importable."""
+"""Packages of the checkout; their names are so common that they must not stay importable."""
 
 
 def checkout_code(checkout: Path) -> Code:
-    """Read the program: all Python that its files import from the checkout."""
+    """Read all Python code that the checkout's files import from it."""
     return read_code(checkout, _PACKAGES)
 
 
 def check_checkout(named_by: str | Path, normals: str, checkout: Path | str | None) -> None:
-    """Raise `UntrustedCodeError` where the settings of a file would run a program that no person has allowed."""
+    """Raise `UntrustedCodeError` if the settings of a file would run code that the user has not allowed."""
     if normals == "dsine" and checkout is not None:
         check_named(named_by, Path(checkout), _PACKAGES)
 
 
 def dsine_module(checkout: Path, estimates_uncertainty: bool = False) -> Any:
-    """Return DSINE without weights, as `torch.nn.Module`, from either layout that its repository has had.
+    """Return DSINE without weights, as `torch.nn.Module`, from either layout of its repository.
 
-    Raises ValueError where the folder is something else, `geffnet` is not installed, or a file has named it and no
-    person has allowed its content.
+    Raises:
+        ValueError: If the folder is not DSINE's code or `geffnet` is not installed.
+        UntrustedCodeError: If a file named the folder and the user has not allowed its content.
     """
     if not any((checkout / "models" / file).is_file() for file in ("dsine.py", "dsine/v02.py")):
         raise ValueError(f"{checkout}: not DSINE's program: it has neither models/dsine/v02.py nor models/dsine.py")
@@ -59,7 +60,7 @@ def _built(checkout: Path, estimates_uncertainty: bool) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class _Unmoved:
-    """A tensor that the program would put on the first GPU at once, where there may be none."""
+    """Tensor that ignores `to`: DSINE would move it to the first GPU, which may not exist."""
 
     tensor: Any
 
@@ -68,7 +69,7 @@ class _Unmoved:
 
 
 def _published_settings() -> SimpleNamespace:
-    """Return the settings of its published weights (experiments exp001_cvpr2024 and exp002_kappa)."""
+    """Settings of its published weights (experiments exp001_cvpr2024 and exp002_kappa)."""
     return SimpleNamespace(
         NNET_encoder_B=5,
         NNET_decoder_NF=2048,
@@ -86,7 +87,7 @@ def _published_settings() -> SimpleNamespace:
 
 
 def _without_pretrained_encoder(program: Any) -> None:
-    """Keep its encoder from fetching ImageNet weights, which the person's own weights would replace at once."""
+    """Keep the encoder from downloading ImageNet weights, which the user's weights replace anyway."""
     create = program.geffnet.create_model
     program.geffnet = SimpleNamespace(create_model=partial(_created, create))
 

@@ -1,4 +1,4 @@
-"""Which pixels of a capture's view show vehicles: from its labels, or from boxes and depth."""
+"""Vehicle masks of a capture's views, and a color-guided filter that fills in unknown values."""
 
 from collections.abc import Sequence
 
@@ -14,18 +14,18 @@ from ..scene.street.layout import Label
 _MARGIN_M = 0.3
 
 _WHEELS_M = 0.15
-"""Heights over a box's bottom where the road shows through as much as the vehicle."""
+"""Height above a box's bottom below which pixels show the road as much as the vehicle."""
 
 
 def vehicle_pixels(
     view: CaptureFrame, boxes: Sequence[TrackedBox], depth: Float32[np.ndarray, "h w"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Which pixels show vehicles; none where neither labels (the street's classes) nor boxes tell.
+    """Return a mask of vehicles, from labels (the street's classes) or else boxes; all False without either.
 
     Args:
-        view: Without distortion.
-        boxes: Of the capture, in metres.
-        depth: Along the view axis in metres, 0 where unknown: there the box's outline counts whole.
+        view: Frame without lens distortion.
+        boxes: Boxes of the capture, in meters.
+        depth: Along the view axis in meters, 0 where unknown; there the box's whole outline counts.
     """
     labels = view.labels
     if labels is not None:
@@ -41,7 +41,7 @@ def vehicle_pixels(
 
 
 def _in_box(view: CaptureFrame, box: TrackedBox, depth: Float32[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Which pixels' surfaces lie in a box at the view's time, or may lie in it."""
+    """Return a mask of pixels whose surface lies in a box at the view's time; True at unknown depth."""
     pose = box.track.pose(view.time_s)
     assert pose is not None  # it has an outline
     places = view.camera.position + depth[..., None] * pixel_rays(view.camera)
@@ -52,7 +52,7 @@ def _in_box(view: CaptureFrame, box: TrackedBox, depth: Float32[np.ndarray, "h w
     return inside | (depth == 0)
 
 
-# § Smooths values along the edges of a picture: a guided filter (He, Sun and Tang 2013), where values are known.
+# Guided filter (He, Sun and Tang 2013), over known values only
 
 
 def color_guided_filter(
@@ -62,14 +62,14 @@ def color_guided_filter(
     radius_px: int,
     spread: float,
 ) -> Float32[np.ndarray, "h w"]:
-    """Fit values by a linear function of the guide's colour in each window, and take the mean of the fits.
+    """Fit values by a linear function of the guide's color in each window, and take the mean of the fits.
 
     Args:
-        values: What is smoothed.
-        guide: Display colour, 0..1.
-        known: Where values count; elsewhere they are told by those around.
-        radius_px: Of the windows.
-        spread: Deviation of colour below which nothing is taken for an edge.
+        values: Values to smooth.
+        guide: Display color, 0..1.
+        known: Mask of valid values; other pixels are filled from their neighbors.
+        radius_px: Window radius.
+        spread: Standard deviation of color below which nothing counts as an edge.
     """
     side = (2 * radius_px + 1, 2 * radius_px + 1)
 
@@ -89,6 +89,6 @@ def color_guided_filter(
     with_value = mean(guide * (values * weight)[..., None]) / total[..., None] - color * value[..., None]
     slope = np.linalg.solve(covariance, with_value[..., None])[..., 0]
     offset = value - (slope * color).sum(axis=-1)
-    told = (mean(weight) > 1e-6).astype(np.float32)  # windows in which anything is known have a say
+    told = (mean(weight) > 1e-6).astype(np.float32)  # only windows with a known value count
     fitted = (mean(slope * told[..., None]) * guide).sum(axis=-1) + mean(offset * told)
     return (fitted / np.maximum(mean(told), 1e-6)).astype(np.float32)

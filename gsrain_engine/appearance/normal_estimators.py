@@ -1,4 +1,4 @@
-"""Who tells the normals of a picture whose depth nobody knows: a table of estimators behind one protocol."""
+"""Protocol and table of normal estimators, for images without depth."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -12,12 +12,12 @@ from ..scene.camera import Camera
 
 @runtime_checkable
 class NormalEstimator(Protocol):
-    """A model that sees surfaces in a picture."""
+    """Model that estimates surface normals from an image."""
 
     def normals(self, image: Float32[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
-        """Return unit world normals (z up) towards the eye of a display picture, 0..1; the same input, the same bytes.
+        """Return unit world normals (z up) towards the eye, from a display image (0..1); results are deterministic.
 
-        `camera` has no lens distortion and is of the picture's size.
+        `camera` has no lens distortion and the image's size.
         """
         ...
 
@@ -42,15 +42,15 @@ WEIGHTS = {
     "dsine": "dsine.pt (https://huggingface.co/camenduru/DSINE), for non-commercial use only",
     "marigold": "a folder with the model (hf download prs-eth/marigold-normals-v1-1 --local-dir FOLDER)",
 }
-"""What each estimator reads, and where a person gets it."""
+"""Weights of each estimator, and their source."""
 
 
 def open_estimator(
     name: str, weights: Path | str | None, checkout: Path | str | None = None, device: str = "cpu"
 ) -> NormalEstimator:
-    """Open an estimator by its name in ESTIMATORS, with weights from the person's own disk.
+    """Open an estimator by its name in `ESTIMATORS`, with weights from disk.
 
-    Raises ValueError for an unknown name, a path that is missing and a file that is not what the estimator reads.
+    Raises ValueError for an unknown name, a missing path or a file that the estimator can't read.
     """
     if name not in ESTIMATORS:
         raise ValueError(f"no normal estimator {name!r}; there are {', '.join(ESTIMATORS)}")

@@ -1,7 +1,7 @@
-"""Normals by DSINE (Bae and Davison 2024), run from the person's own copy of its program and weights.
+"""Normal estimators DSINE (Bae and Davison 2024) and Marigold (Ke et al. 2024), run from local weights.
 
-Its licence (Imperial College) allows non-commercial use only and no passing on: neither is part of this program. Its
-axes: x right, y down, z forward, normals away from the eye; turned to the world and towards the eye here.
+DSINE runs from the user's checkout: its license (Imperial College) allows only non-commercial use and no
+redistribution, so neither code nor weights are part of this program.
 """
 
 from dataclasses import dataclass
@@ -20,29 +20,32 @@ from .normals import from_right_down_outward, from_right_up_backward
 torch: Any = import_module("torch")
 
 SIDE_PX = 32
-"""Both sides of what it sees are multiples of this."""
+"""Input width and height must be multiples of this."""
 
 _MEAN, _DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""ImageNet's, of display colour 0..1."""
+"""ImageNet statistics of display color, 0..1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DsineNormals:
-    """DSINE's module: `module(picture, intrins=(1, 3, 3))` gives a list whose last is (1, 3 or more, h, w)."""
+    """DSINE's module: `module(image, intrins=(1, 3, 3))` returns a list whose last item is (1, 3 or more, h, w).
+
+    Its normals have axes x right, y down, z forward and point away from the eye.
+    """
 
     module: Any
     device: str = "cpu"
 
     def normals(self, image: Float32[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
-        """Return unit world normals (z up) towards the eye of a display picture, 0..1."""
+        """Return unit world normals (z up) towards the eye, from a display image (0..1)."""
         height, width = image.shape[:2]
         left, top = -width % SIDE_PX // 2, -height % SIDE_PX // 2
         right, bottom = -width % SIDE_PX - left, -height % SIDE_PX - top
         picture = torch.from_numpy(np.ascontiguousarray(image)).permute(2, 0, 1)[None].to(self.device)
-        # Black is added before the colours are normalized: the border is what black pixels are to the network.
+        # Pad with black before the colors are normalized, so that the border reads as black pixels.
         padded = torch.nn.functional.pad(picture, (left, right, top, bottom))
         mean, deviation = (torch.tensor(v, device=self.device)[:, None, None] for v in (_MEAN, _DEVIATION))
-        # Its pixels have their centres at whole numbers, ours at halves.
+        # DSINE's pixel centers lie at whole numbers, ours at halves.
         cx, cy = camera.cx - 0.5 + left, camera.cy - 0.5 + top
         intrinsics = torch.tensor([[[camera.fx, 0, cx], [0, camera.fy, cy], [0, 0, 1]]], device=self.device)
         with torch.inference_mode():
@@ -53,15 +56,15 @@ class DsineNormals:
 
 
 def open_dsine(checkout: Path, weights: Path, device: str = "cpu") -> DsineNormals:
-    """Build DSINE from its program and fill it with weights.
+    """Build DSINE from a checkout and load its weights.
 
-    Raises ValueError where the folder is not its program, the file not its weights, or `geffnet` is not installed.
+    Raises ValueError if the folder is not DSINE's code, the file is not its weights, or `geffnet` is not installed.
     """
     try:
         with open_file(weights) as stream:
             state = torch.load(stream, map_location="cpu", weights_only=True)["model"]
         state = {key.removeprefix("module."): value for key, value in state.items()}
-    except Exception as error:  # torch raises many kinds for a file that is something else
+    except Exception as error:  # torch raises many types for a file of another kind
         raise ValueError(f"{weights}: not DSINE's weights ({type(error).__name__}: {error})") from None
     module = dsine_module(checkout, estimates_uncertainty=any(key.startswith("kappa_head.") for key in state))
     try:
@@ -72,20 +75,20 @@ def open_dsine(checkout: Path, weights: Path, device: str = "cpu") -> DsineNorma
     return DsineNormals(module.eval().to(device), device)
 
 
-# § Normals by Marigold (Ke et al. 2024), from a folder on the person's disk. Axes: turned from x right, y up, z back.
+# Marigold. Its axes: x right, y up, z back.
 
 diffusers: Any = import_module("diffusers")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MarigoldNormals:
-    """A `MarigoldNormalsPipeline` that always starts from the same noise."""
+    """`MarigoldNormalsPipeline` that always starts from the same noise."""
 
     pipeline: Any
     seed: int = 0
 
     def normals(self, image: Float32[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
-        """Return unit world normals (z up) towards the eye of a display picture, 0..1."""
+        """Return unit world normals (z up) towards the eye, from a display image (0..1)."""
         noise = torch.Generator(device="cpu").manual_seed(self.seed)
         self.pipeline.set_progress_bar_config(disable=True)
         found = self.pipeline(np.ascontiguousarray(image), generator=noise, output_type="np").prediction[0]
@@ -93,7 +96,7 @@ class MarigoldNormals:
 
 
 def open_marigold(folder: Path, device: str = "cpu") -> MarigoldNormals:
-    """Open a pipeline in diffusers' layout; nothing is downloaded. Raises ValueError where the folder is another."""
+    """Open a pipeline in diffusers' layout without downloads. Raises ValueError for a folder of another kind."""
     try:
         pipeline = diffusers.MarigoldNormalsPipeline.from_pretrained(str(folder), local_files_only=True)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:

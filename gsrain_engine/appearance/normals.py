@@ -1,4 +1,7 @@
-"""Surface normals of a view from its rendered depth. World axes (z up), camera axes OpenCV."""
+"""Surface normals of a view: from depth, between axis conventions, and as a gray guide channel.
+
+World axes are z up, camera axes OpenCV.
+"""
 
 from typing import Literal
 
@@ -9,29 +12,29 @@ from jaxtyping import Bool, Float, Float32
 from ..scene.camera import Camera
 
 _SMOOTHING_PX = 2.0
-"""The expected depth of splats is bumpy: slopes are averaged at this scale."""
+"""Scale at which slopes are averaged, because the expected depth of splats is bumpy."""
 
 _EDGE_RATIO, _NOISE_SHARE = 3.0, 0.01
-"""A step this many times the one on the other side, and more than the noise, is the edge of another object."""
+"""A step that exceeds the one on the other side by this ratio, and the noise, is an object edge."""
 
 
 def view_rays(camera: Camera) -> Float[np.ndarray, "h w 3"]:
-    """World directions through the pixel centres, a metre of view depth long: point = eye + depth * ray."""
+    """World directions through the pixel centers, one meter of view depth long: point = eye + depth * ray."""
     v, u = np.mgrid[: camera.height, : camera.width] + 0.5
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
     return rays @ camera.world_to_camera[:3, :3]
 
 
 def world_points(depth: Float32[np.ndarray, "h w"], camera: Camera) -> Float[np.ndarray, "h w 3"]:
-    """Where each pixel's surface is in the world, in metres; `depth` along the view axis in metres."""
+    """World position of each pixel's surface, in meters; `depth` along the view axis in meters."""
     return camera.position + depth[..., None].astype(np.float64) * view_rays(camera)
 
 
 def normals_from_depth(depth: Float32[np.ndarray, "h w"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
-    """World normals that face the eye, unit; zero where depth is 0.
+    """Unit world normals towards the eye; zero where depth is 0.
 
-    Over a plane n . point = 1 (camera axes) inverse depth is linear in the image: its gradient is (n_x / fx, n_y / fy).
-    So it is inverse depth whose slopes are taken and averaged.
+    For a plane n . point = 1 (camera axes), inverse depth is linear in the image with gradient (n_x / fx, n_y / fy),
+    so slopes of inverse depth are averaged.
     """
     known = depth > 0
     inverse = np.where(known, 1 / np.where(known, depth, 1), 0).astype(np.float64)
@@ -45,7 +48,7 @@ def normals_from_depth(depth: Float32[np.ndarray, "h w"], camera: Camera) -> Flo
 
 
 def _slope(inverse: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"], axis: int) -> Float[np.ndarray, "h w"]:
-    """Mean of the differences to both neighbours, or to one where the other lies beyond an edge."""
+    """Mean of the differences to both neighbors, or to one of them if the other lies beyond an edge."""
     steps = np.diff(inverse, axis=axis)
     edge = np.zeros_like(np.take(inverse, [0], axis=axis))
     is_step = np.diff(known.astype(np.int8), axis=axis) == 0
@@ -60,16 +63,16 @@ def _slope(inverse: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"], ax
 
 
 def _averaged(values: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """Gaussian mean over the pixels that are known."""
+    """Gaussian mean over the known pixels."""
     weight = scipy.ndimage.gaussian_filter(known.astype(np.float64), _SMOOTHING_PX, mode="nearest")
     return scipy.ndimage.gaussian_filter(values * known, _SMOOTHING_PX, mode="nearest") / np.maximum(weight, 1e-6)
 
 
-# § Turns normals between the world (metres, z up), where they point towards the eye, and the axes of estimators.
+# Axis conventions of normal estimators. World normals point towards the eye.
 
 
 def right_down_outward(normals: Float[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
-    """Turn world normals towards the eye into camera axes (x right, y down, z forward), pointing away from the eye.
+    """Turn world normals towards the eye into camera axes (x right, y down, z forward) away from the eye.
 
     DSINE's convention (Bae and Davison 2024): a wall that faces the camera has (0, 0, 1), the ground (0, 1, 0).
     """
@@ -77,19 +80,19 @@ def right_down_outward(normals: Float[np.ndarray, "h w 3"], camera: Camera) -> F
 
 
 def from_right_down_outward(normals: Float[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
-    """Turn normals in camera axes (x right, y down, z forward) that point away from the eye into ours."""
+    """Turn normals in camera axes (x right, y down, z forward) away from the eye into world normals towards it."""
     return (-(normals @ camera.world_to_camera[:3, :3])).astype(np.float32)
 
 
 def from_right_up_backward(normals: Float[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
-    """Turn normals with x right, y up, z towards the eye, which point towards the eye, into ours.
+    """Turn normals with x right, y up, z towards the eye, which point towards the eye, into world normals.
 
     Marigold's convention (Ke et al. 2024): a wall that faces the camera has (0, 0, 1), the ground (0, 1, 0).
     """
     return ((normals * [1, -1, -1]) @ camera.world_to_camera[:3, :3]).astype(np.float32)
 
 
-# § One grey channel of a view's normals, -1 to 1, for an encoder that takes it beside red, green and blue.
+# Gray guide channel of normals, -1 to 1
 
 GuideKind = Literal["up", "luma"]
 
@@ -100,12 +103,11 @@ _LUMA = np.array([0.299, 0.587, 0.114])
 def normals_to_gray(
     normals: Float[np.ndarray, "h w 3"], camera: Camera, kind: GuideKind = "up"
 ) -> Float32[np.ndarray, "h w"]:
-    """Return the guide of unit world normals (z up) towards the eye; 0 where they are 0: unknown surfaces and the sky.
+    """Return the guide of unit world normals (z up) towards the eye; 0 where normals are 0 (unknown or sky).
 
-    `up` is their upward part: 1 on level ground, 0 on walls, whatever way the camera turns. `luma` is the luma of the
-    picture that a normal estimator draws, (n + 1) / 2 with n in camera axes away from the eye, brought to -1..1: 0.587
-    on level ground before a level camera, 0.114 on a wall that faces it. The paper turns normals to grey without saying
-    how; both are ways to read it.
+    `up` is their upward part: 1 on level ground, 0 on walls, for any camera orientation. `luma` is the luma of a normal
+    map, (n + 1) / 2 with n in camera axes away from the eye, scaled to -1..1: 0.587 on level ground for a level
+    camera, 0.114 on a wall that faces it. The paper doesn't specify how it turns normals to gray; both are readings.
     """
     if kind == "up":
         return np.clip(normals[..., 2], -1, 1).astype(np.float32)

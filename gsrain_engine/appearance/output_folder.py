@@ -1,4 +1,4 @@
-"""Pictures that another program has made of the same views stand in for a transfer."""
+"""Rainy views on disk: images of other programs as a transfer, transfer folders, and contact sheets."""
 
 import json
 import logging
@@ -25,19 +25,19 @@ logger = logging.getLogger("gsrain")
 
 
 class PrecomputedTransfer:
-    """A `Transfer` that reads pictures from a folder, matched by the views' names."""
+    """`Transfer` that reads images from a folder, matched by the views' names."""
 
     name = "images"
 
     def __init__(self, folder: Path) -> None:
-        """Look for the pictures; raises `CaptureError` where there is no such folder."""
+        """List the images; raises `CaptureError` if the folder doesn't exist."""
         self._pictures = find_images(folder)
 
     def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
-        """Read the picture of each view, resized to the view's size.
+        """Read the image of each view, resized to the view's size.
 
-        Views without a picture are left out, and the log names one of them, and one of the pictures without a view.
-        Raises `CaptureError` where no view has one, for a broken picture, and for one of other proportions.
+        Views without an image are skipped; one of them, and one of the images without a view, is logged. Raises
+        `CaptureError` if no view has an image, and for a broken image or one of another aspect ratio.
         """
         missing, named = list[str](), list[tuple[str, str]]()
         for view in views:
@@ -58,13 +58,11 @@ class PrecomputedTransfer:
             logger.warning("%d pictures in %s belong to no view, %r for one", len(left_over), folder, left_over[0])
 
 
-# § Rainy views as a folder, which is a capture by itself: any command that takes pictures with cameras takes it.
+# Transfer folder: a capture folder of rainy images
 #
-# Beside what `datasets.capture_folder` reads (NAME.png is the rainy picture) it holds clear/NAME.png, the picture
-# before,
-# NAME.film.png, the share of what water mirrors, NAME.sky_share.png and NAME.vehicles.png, shares of 255, and
-# transfer.json, which says how it was made. Cameras, depth and normals are in the units and axes of what it was made
-# of.
+# Besides the files that `datasets.capture_folder` reads (NAME.png is the rainy image) it holds clear/NAME.png, the
+# clear image; NAME.film.png, the share of water reflection; NAME.sky_share.png and NAME.vehicles.png, shares of 255;
+# and transfer.json, the `TransferRecord`. Cameras, depth and normals have the units and axes of their source.
 
 _CLEAR = "clear"
 
@@ -72,33 +70,33 @@ _OLD_NAME_BYTES = 200
 
 
 def check_transferred_folder(folder: Path) -> None:
-    """Raise ValueError where rainy views may not be written: a file, or a folder with other things in it."""
+    """Raise ValueError if rainy views can't be written: `folder` is a file or holds something else."""
     if folder.is_file():
         raise ValueError(f"{folder}: is a file; expected a new folder, or one of a transfer to replace")
     if folder.is_dir() and any(folder.iterdir()) and not (folder / TRANSFER).is_file():
         raise ValueError(f"{folder}: holds other things; expected a new folder, or one of a transfer to replace")
 
 
-# § How rainy views were made, as a file beside them.
+# Transfer record (transfer.json)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TransferRecord:
-    """How rainy views were made."""
+    """Method, source and settings of a transfer."""
 
     method: str
     made_of: str
-    """Name of the scene or the capture."""
+    """Name of the scene or capture."""
     settings: Mapping[str, Any] = field(default_factory=dict[str, Any])
     """Plain values."""
     to_world: Float64[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
-    """Similarity from the units and axes of the scene or capture to the world (metres, z up)."""
+    """Similarity from the units and axes of the scene or capture to the world (meters, z up)."""
     notes: tuple[str, ...] = ()
-    """What the method could not do, a sentence each."""
+    """Skipped steps, one sentence each."""
 
     @property
     def metres_per_unit(self) -> float:
-        """Length of a unit of the scene or capture."""
+        """Meters per unit of the scene or capture."""
         return float(np.cbrt(np.linalg.det(self.to_world[:3, :3])))
 
 
@@ -108,19 +106,19 @@ def write_transferred(
     record: TransferRecord,
     mask: Callable[[str], Bool[np.ndarray, "_ _"] | None] = lambda name: None,
 ) -> Iterator[RainyView]:
-    """Write rainy views as they come, and pass each on when it is on the disk.
+    """Write rainy views one by one, and yield each once it is on disk.
 
-    The folder stands once all are written; stopped before, nothing is there but what was there before: an older
-    transfer is replaced in the end. Names of views become file names, with _ for each /.
+    The folder appears once all views are written, and then replaces an older transfer; an interrupted run leaves the
+    old state. Names of views become file names, with _ for each /.
 
     Args:
-        folder: Where to; see `check_transferred_folder`.
+        folder: Target folder; see `check_transferred_folder`.
         views: Rainy views in the world.
-        record: How they are made; what could not be done for some of the views is added to its notes.
-        mask: By name of a view, which of its pixels may be learned from; None means all.
+        record: Record to write; skipped steps are added to its notes.
+        mask: Mask of the pixels valid for training, by name of a view; None means all.
 
     Raises:
-        ValueError: Where the folder holds something else, or two views have the same file name.
+        ValueError: If the folder holds something else, or two views have the same file name.
     """
     check_transferred_folder(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -152,12 +150,12 @@ def is_transferred_folder(folder: Path) -> bool:
 
 
 def read_transferred(folder: Path) -> "TransferredViews":
-    """Read rainy views back, each when it is asked for; raises `CaptureError` for a folder of something else."""
+    """Read rainy views back lazily; raises `CaptureError` for a folder of another kind."""
     return TransferredViews(folder, read_record(folder), read_capture_folder(folder))
 
 
 class TransferredViews(Sequence[RainyView]):
-    """The views of a folder, in the world; colours and shares as exact as bytes are, normals as half floats."""
+    """Views of a transfer folder, in the world; colors and shares at 8 bits, normals as half floats."""
 
     def __init__(self, folder: Path, record: TransferRecord, capture: Capture) -> None:
         self.record = record
@@ -194,7 +192,7 @@ class TransferredViews(Sequence[RainyView]):
 
 
 def _view(rainy: RainyView, record: TransferRecord, mask: Bool[np.ndarray, "h w"] | None) -> CaptureFrame:
-    """The rainy picture as a view in the scene's or capture's own units and axes."""
+    """Rainy image as a view in the units and axes of the scene or capture."""
     clear, scale = rainy.clear, record.metres_per_unit
     from_world = np.linalg.inv(record.to_world)
     return CaptureFrame(
@@ -221,7 +219,7 @@ def _write_shares(folder: Path, name: str, rainy: RainyView) -> None:
 
 
 def _set_aside(folder: Path) -> Path:
-    """Move an older transfer out of the way, to be removed when the new one stands."""
+    """Rename an older transfer, to be removed once the new one is complete."""
     aside = folder.with_name(f".{shortened(folder.name, _OLD_NAME_BYTES)}.old")
     shutil.rmtree(aside, ignore_errors=True)
     if folder.is_dir():
@@ -246,11 +244,11 @@ TRANSFER = "transfer.json"
 _VERSION = 1
 
 _LARGEST = 1e9
-"""Of a transform: metres a unit, and metres to the origin."""
+"""Bound of a transform: meters per unit, and meters to the origin."""
 
 
 def write_record(folder: Path, record: TransferRecord, *, has_poses: bool = True) -> None:
-    """Write the record, and a file on the world where z is not up, the unit is not the metre, or poses are unknown."""
+    """Write the record, and a world file if z is not up, the unit is not the meter, or poses are unknown."""
     values = {
         "version": _VERSION,
         "method": record.method,
@@ -267,7 +265,7 @@ def write_record(folder: Path, record: TransferRecord, *, has_poses: bool = True
 
 
 def read_record(folder: Path) -> TransferRecord:
-    """Read how rainy views were made; raises `CaptureError` where the file is missing or another one."""
+    """Read the record of a transfer; raises `CaptureError` if the file is missing or of another kind."""
     file = folder / TRANSFER
     try:
         values = json_values(read_whole(file))
@@ -287,7 +285,7 @@ def read_record(folder: Path) -> TransferRecord:
         raise CaptureError(f"{file}: not the record of a transfer ({printable_line(error)})") from None
 
 
-# § Some views before and after a transfer, side by side in one picture.
+# Contact sheet
 
 _MARGIN_PX, _LINE_PX = 8, 16
 
@@ -295,10 +293,10 @@ _PAPER, _INK = (24, 26, 28), (220, 222, 224)
 
 
 class ContactSheet:
-    """Collects views, evenly over all that come by, and draws them: a row each, clear on the left."""
+    """Image that shows evenly chosen views before and after a transfer: one row each, clear on the left."""
 
     def __init__(self, count: int, at_most: int = 6, width_px: int = 640) -> None:
-        """Take how many views will come, how many of them are shown, and how wide each picture is."""
+        """Take the number of views to come, the most views to show, and the width of each image."""
         self._wanted = set(np.linspace(0, count - 1, min(at_most, count)).round().astype(int).tolist())
         self._width = width_px
         self._camera_panel = 0

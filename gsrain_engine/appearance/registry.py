@@ -1,4 +1,4 @@
-"""The transfers that there are, one row each, and those of installed packages; each is loaded when it is asked for."""
+"""Table of transfer methods, built in and from installed packages; each is loaded on first use."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -13,30 +13,29 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class TransferMethod:
-    """One transfer in the table."""
+    """Table row of a transfer method."""
 
     name: str
     title: str
-    """For a person to read."""
     help: str
     opens: Callable[[TransferSettings, "ReflectionEnvironment"], Transfer]
     needs_torch: bool = False
     needs: str | None = None
-    """Field of the settings without which it can't be opened."""
+    """Settings field that must be set to open the method."""
     uses: tuple[str, ...] = ()
-    """Fields of the settings that concern it, in the order in which a panel shows them."""
+    """Settings fields that apply to the method, in panel order."""
 
 
 def open_transfer(name: str, settings: TransferSettings, surroundings: "ReflectionEnvironment") -> Transfer:
-    """Make a transfer ready.
+    """Open a transfer method.
 
     Args:
         name: One of `METHODS`.
-        settings: What a person has chosen.
-        surroundings: What the wet method asks for what water mirrors.
+        settings: User settings.
+        surroundings: Source of reflections for the wet look.
 
     Raises:
-        ValueError: For another name, and where the settings lack what the method needs.
+        ValueError: For an unknown name or a missing required setting.
     """
     method = find_method(name)
     if method.needs is not None and getattr(settings, method.needs) is None:
@@ -45,9 +44,11 @@ def open_transfer(name: str, settings: TransferSettings, surroundings: "Reflecti
 
 
 def find_method(name: str) -> TransferMethod:
-    """Find a method by its name; raises ValueError, which lists what there is, for another one.
+    """Find a method by its name.
 
-    And `ExtensionError`, which is one, for a method of an installed package that can't be used.
+    Raises:
+        ValueError: For an unknown name; the message lists the methods.
+        ExtensionError: For an unusable method of an installed package; a `ValueError`.
     """
     for each in METHODS:
         if each.name == name:
@@ -58,13 +59,13 @@ def find_method(name: str) -> TransferMethod:
 
 
 def method_names() -> tuple[str, ...]:
-    """Names of all methods, ours first."""
+    """Names of all methods, built-in ones first."""
     ours = tuple(each.name for each in METHODS)
     return (*ours, *(each.name for each in find_extensions(TRANSFERS) if each.name not in ours))
 
 
 def usable_methods() -> tuple[TransferMethod, ...]:
-    """All methods, ours first; those of installed packages that can't be used are left out, and named in the log."""
+    """All methods, built-in ones first; unusable ones of installed packages are skipped and logged."""
     usable: list[TransferMethod] = []
     for name in method_names():
         try:
@@ -75,7 +76,7 @@ def usable_methods() -> tuple[TransferMethod, ...]:
 
 
 def _installed(extension: Extension) -> TransferMethod:
-    """Return the row of another package; what it opens is looked at, and fails in one sentence."""
+    """Return the row of another package, with `opens` wrapped so that each failure is one sentence."""
     row = extension.load(TransferMethod)
     if row.name != extension.name:
         raise extension.unfit(f"calls itself {row.name}")
@@ -85,7 +86,7 @@ def _installed(extension: Extension) -> TransferMethod:
     def opens(settings: TransferSettings, surroundings: "ReflectionEnvironment") -> Transfer:
         try:
             transfer = row.opens(settings, surroundings)
-        except Exception as error:  # it is code of others: its words are the reason
+        except Exception as error:  # third-party code may raise anything
             raise extension.unfit(error) from error
         if not _is_transfer(transfer):
             raise extension.unfit(f"opens a {type(transfer).__name__}, which has no name or no method transferred")

@@ -1,4 +1,4 @@
-"""Clear views of a scene, drawn on the processor: colour with what is known about each pixel."""
+"""Clear views of a scene, rendered on the CPU, and the cameras to take them from."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
@@ -21,33 +21,31 @@ from .base import ClearView
 from .normals import normals_from_depth, view_rays
 
 _SOLID = 0.3
-"""Share of a pixel that must not be sky for its depth to be told."""
+"""Least share of non-sky in a pixel with depth."""
 
 _THERE = (0.1, 0.3)
-"""Alpha below which a pixel shows nothing of the scene, and from which it shows it whole."""
+"""Alpha below which a pixel shows nothing of the scene, and from which it shows only the scene."""
 
 _SHADOW_M = 0.08
-"""What of a vehicle lies so low is its shadow on the road."""
+"""Height over the road below which a vehicle's Gaussians are its shadow."""
 
 _OPEN_SKY = np.array([0.72, 0.80, 0.90], np.float32)
-"""Display colour of the sky where a scene has none: that of its drops is chosen elsewhere, this one is only seen."""
-
-# § A camera that stands in the world, and when it looks.
+"""Display color of the sky in scenes without one; only for viewing, drops use another one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedCamera:
-    """From where, and when, a view is taken: actors stand where they are at that time."""
+    """Camera and time of a view; actors are drawn at that time."""
 
     name: str
     camera: Camera
-    """In the world (metres, z up)."""
+    """World frame (meters, z up)."""
     time_s: float = 0.0
     sensor: str = ""
-    """Which camera of a rig it is; empty where there is only one."""
+    """Camera name within a rig; empty for a single camera."""
 
     def at_width(self, width_px: int | None) -> "PlacedCamera":
-        """Show the same in a picture so wide, of the nearest whole height; None changes nothing."""
+        """Return the same view at a width, with the nearest whole height; None changes nothing."""
         if width_px is None or width_px == self.camera.width:
             return self
         height = max(round(self.camera.height * width_px / self.camera.width), 1)
@@ -55,10 +53,10 @@ class PlacedCamera:
 
 
 def scene_views(scene: Scene, placed: Sequence[PlacedCamera], width_px: int | None = None) -> Sequence[ClearView]:
-    """Views of a scene from cameras in the world, each drawn when it is asked for; the last few are kept.
+    """Views of a scene from cameras in the world, rendered on access; the most recent ones are cached.
 
-    Colours are clear, and without grading, which comes on top of the colours that are solved for later. Where nothing
-    of the scene is, above the horizon, there is sky if the scene has no sky of its own.
+    Colors are clear and without grading, which is applied after the colors are solved for. If the scene has no sky of
+    its own, empty pixels above the horizon become sky.
     """
     at_width = [each.at_width(width_px) for each in placed]
     return CachedViews(len(at_width), lambda i: scene_view(scene, at_width[i]))
@@ -85,7 +83,7 @@ def scene_view(scene: Scene, placed: PlacedCamera) -> ClearView:
 
 
 class _VisibleItems(NamedTuple):
-    """What can be seen at a time, and what kind of thing each Gaussian of it is."""
+    """Visible parts at a time, and the class of each of their Gaussians."""
 
     parts: list[DrawItem]
     is_sky: Bool[np.ndarray, " n"]
@@ -107,7 +105,7 @@ def _visible_items(scene: Scene, time_s: float) -> _VisibleItems:
 
 
 def _is_body(member: Layer | Actor, metres_per_unit: float) -> Bool[np.ndarray, " n"]:
-    """Which of a member's Gaussians are a vehicle's."""
+    """Mask of a member's Gaussians that belong to a vehicle's body."""
     if isinstance(member, Layer) or not is_vehicle(member.class_name):
         return np.zeros(len(member.gaussians), np.bool_)
     return np.asarray(member.gaussians.means[:, 2] * metres_per_unit > _SHADOW_M)
@@ -119,10 +117,9 @@ def _under_open_sky(
     depth: Float32[np.ndarray, "h w"],
     camera: Camera,
 ) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
-    """Put a sky where nothing is above the horizon, and nothing where nothing is below it.
+    """Fill empty pixels above the horizon with sky; below it, they stay empty.
 
-    A pixel that shows the scene in part shows it whole: colours are solved for from what it shows there, which may not
-    have the sky in it.
+    A partly covered pixel becomes fully covered: colors are solved for from it, and the scene may have no sky there.
     """
     low, high = _THERE
     t = np.clip((alpha - low) / (high - low), 0, 1)
@@ -133,25 +130,25 @@ def _under_open_sky(
     return shown, sky, np.where(there > 0.5, depth, np.float32(0))
 
 
-# § Which views of a scene are taken: those of its recording, along a way, or around it.
+# View choice: from the recording, along a path, or around the scene
 
 Source = Literal["auto", "recorded", "rig", "path", "around"]
 
 DEFAULT_COUNT = 24
-"""Views where a person says nothing: enough for a street of 100 m."""
+"""Default number of views: enough for a street of 100 m."""
 
 DEFAULT_PIXELS = 480 * 320
-"""Size of a picture, whatever its shape, of a quick look: where no width is asked for."""
+"""Default number of pixels of a quick preview, for any aspect ratio."""
 
 OWN_WIDTH_PX = 960
-"""Commands take pictures as wide as they are, up to this, where no width is asked for."""
+"""Largest default width of images in commands; narrower images keep their width."""
 
 _PATH_PX = (960, 640)
-"""Width and height of views along a camera path, which has no pictures of its own."""
+"""Width and height of views along a camera path, which has no images of its own."""
 
 
 class ViewChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a person can choose about views."""
+    """User settings for the choice of views."""
 
     source: Annotated[
         Source,
@@ -174,7 +171,7 @@ class ViewChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         ]
         | None
     ) = None
-    """None is all of a recording, and 24 elsewhere."""
+    """None is all views of a recording, and 24 otherwise."""
     width_px: (
         Annotated[
             int,
@@ -188,7 +185,7 @@ class ViewChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         ]
         | None
     ) = None
-    """None gives pictures as many pixels as 480 x 320, at most their own."""
+    """None gives images as many pixels as 480 x 320, at most their own."""
     sensors: Annotated[
         tuple[str, ...], Meta(title="Cameras", description="Only these of the rig or the recording; empty for all.")
     ] = ()
@@ -200,14 +197,14 @@ def chosen_cameras(
     """Place cameras in a scene as chosen; names are unique.
 
     Args:
-        scene: What is looked at.
-        choice: From where.
-        capture: The scene's recording, whose world is the scene's own units and axes.
-        own_width_px: Where no width is chosen, pictures are as wide as their cameras', up to this; None makes them
-            small instead (`ViewChoice.width_px`).
+        scene: Scene to view.
+        choice: Choice of views.
+        capture: Recording of the scene; its world has the scene's own units and axes.
+        own_width_px: Without a chosen width, images have their cameras' width, up to this; None makes them small
+            instead (`ViewChoice.width_px`).
 
     Raises:
-        ValueError: Where the scene has no such views.
+        ValueError: If the scene has no such views.
     """
     source = choice.source if choice.source != "auto" else _best(scene, capture)
     if source == "recorded":
@@ -232,7 +229,7 @@ def _best(scene: Scene, capture: Capture | None) -> Source:
 
 
 def chosen_views(capture: Capture, choice: ViewChoice) -> Capture:
-    """Return a capture with the chosen views alone; raises ValueError where it has no such camera."""
+    """Return a capture with only the chosen views; raises ValueError if it has no such camera."""
     wanted = [view for view in capture if not choice.sensors or view.sensor in choice.sensors]
     if not wanted:
         there = ", ".join(filter(None, capture.sensors)) or "one without a name"
@@ -262,38 +259,38 @@ def _on_the_path(scene: Scene, count: int) -> list[PlacedCamera]:
 
 
 def _evenly_timed(path: CameraPath, count: int) -> list[float]:
-    """Moments from a path's start to its end, without that at which a loop is back at its start."""
+    """Evenly spaced times along a path; a loop's end is left out, since it repeats the start."""
     if path.duration_s == 0:
         return [path.start_s]
     return np.linspace(path.start_s, path.end_s, count, endpoint=not path.loop).tolist()
 
 
 def evenly_spaced_indices(there: int, count: int | None) -> Sequence[int]:
-    """Indices of so many out of all there are, evenly spread; all where no more are there."""
+    """Evenly spaced indices, `count` out of `there`; all if `count` is None or larger."""
     if count is None or count >= there:
         return range(there)
     return np.floor((np.arange(count) + 0.5) * there / count).astype(int).tolist()
 
 
 def _default_width(placed: PlacedCamera) -> int:
-    """Width at which a picture has the usual number of pixels; never more than its own."""
+    """Width at which an image has `DEFAULT_PIXELS` pixels; at most its own."""
     width, height = placed.camera.width, placed.camera.height
     return min(width, max(1, round(width * np.sqrt(DEFAULT_PIXELS / (width * height)))))
 
 
-# § Views from the ego vehicle's rig, spread over the way it drives. World frame (metres, z up).
+# Views of the ego vehicle's rig. World frame (meters, z up).
 
 
 def views_along_drive(scene: Scene, count: int, sensors: Sequence[str] = ()) -> list[PlacedCamera]:
-    """Spread views over the way driven: the camera that looks forward at every other one, the others in turn between.
+    """Spread views evenly over the driven distance; every second one looks forward, the other cameras take turns.
 
     Args:
-        scene: With an ego vehicle and a rig.
-        count: Of views; those at times when there is no ego are left out.
-        sensors: Only these cameras of the rig; empty for all.
+        scene: Scene with an ego vehicle and a rig.
+        count: Number of views; those at times without an ego vehicle are skipped.
+        sensors: Cameras of the rig to use; empty for all.
 
     Raises:
-        ValueError: Where there is no rig, no such camera in it, or no way.
+        ValueError: If there is no rig or ego trajectory, or no such camera.
     """
     rig = next((cameras for cameras in scene.rigs.values() if cameras), ())
     if scene.ego is None or not scene.ego.valid.any() or not rig:
@@ -315,7 +312,7 @@ def views_along_drive(scene: Scene, count: int, sensors: Sequence[str] = ()) -> 
 
 
 def _evenly_driven(times: Float64[np.ndarray, " t"], positions: Float64[np.ndarray, "t 3"], count: int) -> list[float]:
-    """Times at which equal shares of the way are driven; of time, where the vehicle stands still."""
+    """Times at equal shares of the driven distance; of the duration if the vehicle doesn't move."""
     driven = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
     if driven[-1] <= 0:
         driven = times - times[0]
@@ -330,18 +327,18 @@ def _placed(mounted: RigCamera, camera_to_world: Float64[np.ndarray, "4 4"]) -> 
     )  # fmt: skip
 
 
-# § Views around a scene of which nothing is known but its Gaussians. World frame (metres, z up).
+# Views around a scene of Gaussians alone. World frame (meters, z up).
 
 EYE_HEIGHT_M = 1.6
 
 _FIELD_OF_VIEW_DEG = 60.0
 
 _RING = 2.2
-"""Distance of the ring from the middle, in half diagonals of what is seen."""
+"""Radius of the ring of cameras, in half diagonals of the scene."""
 
 
 def views_around_center(scene: Scene, count: int) -> list[PlacedCamera]:
-    """Look outwards from the middle and inwards from a ring, in turn: one of the two suits a street, one an object."""
+    """Alternate between looking outwards from the center (suits a street) and inwards from a ring (suits an object)."""
     middle, reach = _robust_extent(scene)
     placed: list[PlacedCamera] = []
     for i in range(count):
@@ -355,9 +352,9 @@ def views_around_center(scene: Scene, count: int) -> list[PlacedCamera]:
 
 
 def _robust_extent(scene: Scene) -> tuple[Float[np.ndarray, "3"], float]:
-    """Middle of the box that holds the visible Gaussians but the outer twentieths, and half its diagonal.
+    """Center and half diagonal of the box around the 5 % to 95 % quantiles of visible Gaussians, without the sky.
 
-    In metres; sky is left out; the middle is at eye height where the ground is known.
+    In meters; the center is at eye height if the ground is known.
     """
     layers = [layer for layer in scene.layers if layer.visible and layer.kind != "sky"]
     parts = [part for layer in layers if (part := scene.part(layer)) is not None]
@@ -373,14 +370,14 @@ def _robust_extent(scene: Scene) -> tuple[Float[np.ndarray, "3"], float]:
     return middle, max(reach, 1e-3)
 
 
-# § Views that are worked out when they are asked for, and kept for a while: neighbours are asked for again.
+# View cache: neighbors are accessed repeatedly.
 
 CACHED_VIEWS = 6
-"""Views that stay in memory, 36 bytes a pixel each."""
+"""Number of views kept in memory, at 36 bytes per pixel."""
 
 
 class CachedViews(Sequence[ClearView]):
-    """A sequence of views, each made by a function of its index; the last few that were asked for stay."""
+    """Sequence of views, each made by a function of its index; the most recently used ones are cached."""
 
     def __init__(self, count: int, make: Callable[[int], ClearView], kept: int = CACHED_VIEWS) -> None:
         self._count, self._make, self._room = count, make, kept
@@ -396,7 +393,7 @@ class CachedViews(Sequence[ClearView]):
     def __getitem__(self, index: int | slice) -> "ClearView | CachedViews":
         if isinstance(index, slice):
             chosen = range(self._count)[index]
-            return CachedViews(len(chosen), lambda i: self[chosen[i]], 0)  # this one keeps them already
+            return CachedViews(len(chosen), lambda i: self[chosen[i]], 0)  # `self` caches already
         index = range(self._count)[index]
         view = self._kept.pop(index, None) or self._make(index)
         self._kept[index] = view

@@ -1,1 +1,1 @@
-"""The paper's transfer model: CycleGAN-Turbo with normals and cross-view attention."""
+"""CycleGAN-Turbo with normals and cross-view attention: the paper's transfer model."""

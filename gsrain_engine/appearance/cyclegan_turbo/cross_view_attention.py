@@ -1,4 +1,4 @@
-"""What views say to each other while they go through a network: installed into it, and taken out again."""
+"""Cross-view attention (mutual self-attention, eq. 16-19): view order, feature exchange, and attention processors."""
 
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
@@ -23,18 +23,18 @@ Tensor = Any
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BatchElement:
-    """One entry of a batch: a view, or a tile of one."""
+    """Entry of a batch: a view, or a tile of one."""
 
     view: int
     window: TileWindow
     sources: tuple[tuple[int, Correspondence], ...] = ()
-    """Views that it looks at, each with the places of this view's pixels in it."""
+    """Views that it attends to, each with the correspondence of this view's pixels."""
     is_source: bool = False
-    """Whether any view looks at this one."""
+    """True if any view attends to this one."""
 
 
 class CrossViewExchange:
-    """Knows what is in the batch, keeps features of views, and hands each layer what its queries may also look at."""
+    """Exchange of features between views: stores them and provides each layer with those of neighbors."""
 
     def __init__(self, settings: CrossViewAttention) -> None:
         self.settings = settings
@@ -45,7 +45,7 @@ class CrossViewExchange:
 
     @contextmanager
     def batch(self, elements: Sequence[BatchElement]) -> Generator[None]:
-        """Tell what the next pass through the network is made of; outside of it attention is the plain one."""
+        """Set the entries of the next pass through the network; outside of the context, attention is the plain one."""
         self._elements = tuple(elements)
         try:
             yield
@@ -54,15 +54,15 @@ class CrossViewExchange:
             self._grids.clear()
 
     def before_network(self, unet: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> None:
-        """Take note of the size of what goes into the network: its hook before each pass."""
+        """Record the size of the network's input; a hook before each pass."""
         latent = args[0] if args else kwargs["sample"]
         self._latent = (int(latent.shape[2]), int(latent.shape[3]))
 
     def looked_at(self, layer: str, features: Tensor) -> list[Tensor | None]:
-        """Return for each entry of a batch (b, tokens, channels) the warped features of its neighbours, or None.
+        """Return for each entry of a batch (b, tokens, channels) the warped features of its neighbors, or None.
 
-        Keeps the features first, so that views of one batch see each other. Raises ValueError where the batch is not
-        what was announced.
+        Stores the features first, so that views of one batch can attend to each other. Raises ValueError if the batch
+        differs from the one set by `batch`.
         """
         if not self._elements:
             return [None] * len(features)
@@ -96,11 +96,11 @@ class CrossViewExchange:
         return grid[rows, columns], valid[rows, columns]
 
     def _tokens(self, count: int) -> tuple[int, int] | None:
-        """Rows and columns of a layer's tokens; None where views don't talk at this resolution."""
+        """Rows and columns of a layer's tokens; None for resolutions without cross-view attention."""
         height, width = self._latent
         px_per_token = self._elements[0].window.height / height
         while height * width > count:
-            # The network halves with a stride of 2 and a border of 1: odd sides round up.
+            # The network halves with stride 2 and padding 1, so odd sides round up.
             height, width, px_per_token = -(-height // 2), -(-width // 2), 2 * px_per_token
         if height * width != count:
             raise ValueError(f"{count} tokens are no halving of a latent of {self._latent[0]} x {self._latent[1]}")
@@ -109,9 +109,9 @@ class CrossViewExchange:
 
 @contextmanager
 def cross_view_attention(unet: Any, settings: CrossViewAttention) -> Generator[CrossViewExchange]:
-    """Let the self-attention (attn1) of a diffusers UNet look at other views, and put its own processors back after.
+    """Let the self-attention (attn1) of a diffusers UNet attend to other views; its own processors return on exit.
 
-    Raises ValueError where no layer has one of the names.
+    Raises ValueError if no layer name matches.
     """
     exchange = CrossViewExchange(settings)
     before = dict(unet.attn_processors)
@@ -132,18 +132,15 @@ def cross_view_attention(unet: Any, settings: CrossViewAttention) -> Generator[C
         unet.set_attn_processor(before)
 
 
-# § Features of views that are already in the network or through it, kept for those that look at them.
-
-
 class FeatureMaps:
-    """Maps (channels, height, width) over whole pictures, by view and layer; tiles are put together, averaged."""
+    """Maps (channels, height, width) over whole images, by view and layer; overlapping tiles are averaged."""
 
     def __init__(self) -> None:
         self._sums: dict[tuple[int, str], Tensor] = {}
         self._weights: dict[tuple[int, str], Tensor] = {}
 
     def put(self, view: int, layer: str, features: Tensor, window: TileWindow) -> None:
-        """Keep (tokens, channels) of a window, which is in tokens."""
+        """Store the features (tokens, channels) of a window, which is in tokens."""
         part = features.detach().T.reshape(-1, window.height, window.width)
         key = (view, layer)
         if window.is_whole:
@@ -159,21 +156,20 @@ class FeatureMaps:
     def warped(
         self, view: int, layer: str, grid: Float32[ndarray, "h w 2"], valid: Bool[ndarray, "h w"]
     ) -> Tensor | None:
-        """Return (valid tokens, channels) of a view's map at places as `grid_sample` takes them; None without map."""
+        """Return (valid tokens, channels) of a view's map, sampled on a `grid_sample` grid; None without a map."""
         features = self._sums.get((view, layer))
         if features is None:
             return None
         if (weights := self._weights.get((view, layer))) is not None:
             features = features / weights.clamp_min(1)
         places = torch.from_numpy(grid[valid])[None, None].to(features.device)
-        # float32 also for half-precision networks: a place in a map needs more than 11 bits.
+        # float32 also for half-precision networks: positions in a map need more than 11 bits.
         found = torch.nn.functional.grid_sample(
             features[None].float(), places, mode="bilinear", padding_mode="border", align_corners=False
         )
         return found[0, :, 0].T.to(features.dtype)
 
     def forget(self, views: set[int]) -> None:
-        """Let the maps of these views go."""
         for maps in (self._sums, self._weights):
             for key in [key for key in maps if key[0] in views]:
                 del maps[key]
@@ -183,17 +179,17 @@ class FeatureMaps:
         return sum(m.numel() * m.element_size() for maps in (self._sums, self._weights) for m in maps.values())
 
 
-# § In which order views go through the network, and whom each one looks at.
+# Attention plan: view order and the neighbors of each view
 
 _SPARE = 2
 
 _LONGEST_MOMENT_S = 0.1
-"""A lap of nuScenes' lidar, whose beam releases the cameras."""
+"""One rotation of nuScenes' lidar, which triggers the cameras."""
 
 
 @dataclass(frozen=True, slots=True)
 class AttentionStep:
-    """Views that go through the network at once, and for each the views that it looks at, best first."""
+    """Views that pass the network together, and for each the views it attends to, best first."""
 
     views: tuple[int, ...]
     sources: tuple[tuple[int, ...], ...]
@@ -201,27 +197,27 @@ class AttentionStep:
 
 @dataclass(frozen=True, slots=True)
 class AttentionPlan:
-    """All steps. A step looks at its own views and at those of earlier steps."""
+    """All steps. Views of a step attend to views of the same and of earlier steps."""
 
     steps: tuple[AttentionStep, ...]
 
     def last_use(self) -> dict[int, int]:
-        """Return for each view that is looked at the last step which does so; its features can go after it."""
+        """Return for each source view the last step that uses it; its features can be freed afterwards."""
         return {
             source: number for number, step in enumerate(self.steps) for source in chain.from_iterable(step.sources)
         }
 
 
 def plan_separately(count: int) -> AttentionPlan:
-    """Return one step a view; nobody looks at anybody."""
+    """Return one step per view, without cross-view attention."""
     return AttentionPlan(tuple(AttentionStep((view,), ((),)) for view in range(count)))
 
 
 def plan_outward(ranked: Sequence[Sequence[int]], neighbours: int) -> AttentionPlan:
-    """Begin at the view that most others name, then take the best connected; each looks at views already done.
+    """Start at the view that most others rank, then take the best connected one; each attends to earlier views.
 
-    `ranked` has for each view the others that see what it sees, best first. What has no connection to anything done
-    gets an anchor of its own. Ties go to the lower index: the same lists give the same plan.
+    `ranked` holds for each view its neighbors, best first. A view without a connection to earlier ones becomes a new
+    anchor. Ties go to the lower index, so the plan is deterministic.
     """
     steps: list[AttentionStep] = []
     done: set[int] = set()
@@ -235,7 +231,7 @@ def plan_outward(ranked: Sequence[Sequence[int]], neighbours: int) -> AttentionP
 def plan_in_groups(
     ranked: Sequence[Sequence[int]], neighbours: int, group: int, sizes: Sequence[object]
 ) -> AttentionPlan:
-    """Cut the outward order into groups of views of one size; each looks at its own group and at earlier ones."""
+    """Cut the outward order into groups of views of one size; each attends to its own group and to earlier ones."""
     groups: list[list[int]] = []
     for view in _outward_order(ranked):
         if not groups or len(groups[-1]) == group or sizes[groups[-1][0]] != sizes[view]:
@@ -251,7 +247,7 @@ def plan_in_groups(
 
 
 def attention_plan(views: Sequence[ClearView], settings: CrossViewAttention | None) -> AttentionPlan:
-    """Return the plan for views whose overlap is found by their depth; None or no neighbours: each for itself."""
+    """Return the plan for views by their covisibility; without settings or neighbors, each view is on its own."""
     if settings is None or not settings.neighbours or len(views) < 2:
         return plan_separately(len(views))
     ranked = _ranked(views, settings)
@@ -262,7 +258,7 @@ def attention_plan(views: Sequence[ClearView], settings: CrossViewAttention | No
 
 
 def _ranked(views: Sequence[ClearView], settings: CrossViewAttention) -> list[tuple[int, ...]]:
-    """Neighbours of each view, best first; more than it may look at, since not all of them come before it."""
+    """Neighbors of each view, best first; some spare ones, since not all of them come earlier in the plan."""
     count = settings.neighbours + _SPARE
     if settings.among == "all":
         return rank_neighbors(views, count)
@@ -283,7 +279,7 @@ def _cameras(taken: Sequence[tuple[float, str]]) -> list[list[int]]:
 
 
 def _moments(taken: Sequence[tuple[float, str]]) -> list[list[int]]:
-    """Views of one moment each. Rigs release their cameras one after the other, but none twice in a moment."""
+    """Group views by time. Rigs trigger their cameras one after the other, but none twice per group."""
     sets: list[list[int]] = []
     for index in sorted(range(len(taken)), key=lambda i: (taken[i][0], i)):
         time_s, sensor = taken[index]
@@ -296,7 +292,7 @@ def _moments(taken: Sequence[tuple[float, str]]) -> list[list[int]]:
 
 
 class _ViewSubset(Sequence[ClearView]):
-    """Some of the views, still each one worked out only when it is asked for."""
+    """Subset of the views, still computed lazily."""
 
     def __init__(self, views: Sequence[ClearView], indices: Sequence[int]) -> None:
         self._views, self._indices = views, indices
@@ -315,13 +311,13 @@ class _ViewSubset(Sequence[ClearView]):
 
 
 def _connected(ranked: Sequence[Sequence[int]], view: int) -> list[int]:
-    """Views that this one names, best first, then those that name it."""
+    """Views that this one ranks, best first, then those that rank it."""
     named = list(ranked[view])
     return named + [other for other, names in enumerate(ranked) if view in names and other not in named]
 
 
 def _outward_order(ranked: Sequence[Sequence[int]]) -> list[int]:
-    """The view that others name first most often, then always the one that is best connected to those before it."""
+    """View order: first the one that others rank highest, then always the best connected to those before it."""
     weights = [[0.0] * len(ranked) for _ in ranked]
     for view, names in enumerate(ranked):
         for rank, other in enumerate(names):
@@ -340,14 +336,14 @@ def _outward_order(ranked: Sequence[Sequence[int]]) -> list[int]:
     return order
 
 
-# § Self-attention that also looks at other views: a processor for diffusers' `Attention`.
+# Attention processor for diffusers' `Attention`
 
 diffusers_attention: Any = import_module("diffusers.models.attention_processor")
 
 
 @runtime_checkable
 class AttentionContext(Protocol):
-    """Knows what the queries of a layer may look at besides their own view."""
+    """Source of features of other views for a layer."""
 
     def looked_at(self, layer: str, features: Tensor) -> list[Tensor | None]:
         """Return for each entry of (b, tokens, channels) features of other views, (more tokens, channels), or None."""
@@ -355,11 +351,10 @@ class AttentionContext(Protocol):
 
 
 class MutualSelfAttention:
-    """Mutual self-attention, eq. (16)-(19): a view's queries, keys and values of neighbours warped onto it and its own.
+    """Mutual self-attention, eq. (16)-(19): queries attend to a view's own and to warped neighbors' keys and values.
 
-    All else is as diffusers' `AttnProcessor2_0`. Tokens without a place in the neighbour are left out, which is what a
-    mask with minus infinity does; warped zeros would have weight e^0. Entries with nothing to look at get plain
-    attention.
+    The rest equals diffusers' `AttnProcessor2_0`. Tokens without a correspondence are left out, which is equivalent to
+    masking with minus infinity; warped zeros would have weight e^0. Entries without neighbors get plain attention.
     """
 
     def __init__(self, layer: str, around: AttentionContext, most_scores: int) -> None:
@@ -410,29 +405,26 @@ class MutualSelfAttention:
 
 
 def _keys(attn: Any, features: Tensor) -> tuple[Tensor, Tensor]:
-    """Keys and values. They are linear: those of warped features are the warped ones."""
+    """Keys and values. Projections are linear, so they commute with warping."""
     return _heads(attn, attn.to_k(features), attn.norm_k), _heads(attn, attn.to_v(features), None)
 
 
 def _heads(attn: Any, projected: Tensor, norm: Any) -> Tensor:
-    """(b, tokens, heads x d) as (b, heads, tokens, d)."""
+    """Reshape (b, tokens, heads x d) to (b, heads, tokens, d)."""
     split = projected.unflatten(-1, (attn.heads, -1)).transpose(1, 2)
     return split if norm is None else norm(split)
 
 
 def _joined(found: Tensor) -> Tensor:
-    """(b, heads, tokens, d) as (b, tokens, heads x d)."""
+    """Reshape (b, heads, tokens, d) to (b, tokens, heads x d)."""
     return found.transpose(1, 2).flatten(2)
-
-
-# § Attention whose memory is bounded: queries come in chunks.
 
 
 def chunked_attention(query: Tensor, key: Tensor, value: Tensor, scale: float, most_scores: int) -> Tensor:
     """Return softmax(scale query key^T) value of (b, heads, tokens, d) tensors.
 
-    The keys' number may differ from the queries'. Not more than `most_scores` scores (b x heads x queries x keys)
-    exist at once, whatever kernel torch takes, as long as those of one query do not exceed it.
+    The number of keys may differ from that of queries. Queries are chunked so that at most `most_scores` scores
+    (b x heads x queries x keys) exist at once for any kernel of torch, unless those of one query exceed it.
     """
     scores_per_query = query.shape[0] * query.shape[1] * key.shape[2]
     chunk = max(most_scores // max(scores_per_query, 1), 1)

@@ -1,4 +1,4 @@
-"""Low-rank additions to weights (LoRA, Hu et al. 2022): where they are; by peft for training, merged for use."""
+"""LoRA (low-rank adaptation, Hu et al. 2022) of CycleGAN-Turbo: adapted layers, peft adapters, merging."""
 
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,13 +16,13 @@ UNET_LAYERS = (
     "to_k", "to_q", "to_v", "to_out.0", "conv", "conv1", "conv2", "conv_in", "conv_shortcut", "conv_out",
     "proj_out", "proj_in", "ff.net.2", "ff.net.0.proj",
 )  # fmt: skip
-"""Parts of the names of UNet layers with additions (Parmar et al. 2024)."""
+"""Parts of the names of adapted UNet layers (Parmar et al. 2024)."""
 
 VAE_LAYERS = (
     "conv1", "conv2", "conv_in", "conv_shortcut", "conv", "conv_out", "skip_conv_1", "skip_conv_2", "skip_conv_3",
     "skip_conv_4", "to_k", "to_q", "to_v", "to_out.0",
 )  # fmt: skip
-"""Ends of the names of autoencoder layers with additions."""
+"""Ends of the names of adapted autoencoder layers."""
 
 UNET_ADAPTERS = ("default_encoder", "default_decoder", "default_others")
 
@@ -30,12 +30,12 @@ VAE_ADAPTER = "vae_skip"
 """Names of peft adapters, as in img2img-turbo."""
 
 VAE_ALPHA = 8
-"""peft's default, which img2img-turbo leaves as it is: at rank 4 the autoencoder's additions count twice."""
+"""peft's default, as in img2img-turbo: at rank 4 the autoencoder's LoRA is scaled by 2."""
 
 
 @dataclass(frozen=True, slots=True)
 class LoraRanks:
-    """How many columns the two factors of an addition have."""
+    """Ranks of LoRA factors."""
 
     unet: int = 128
     vae: int = 4
@@ -43,7 +43,7 @@ class LoraRanks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LowRank:
-    """One layer's addition: weight + scale * up @ down."""
+    """LoRA of one layer: weight + scale * up @ down."""
 
     down: Tensor
     """lora_A: (rank, in) of a linear layer, (rank, in, h, w) of a convolution."""
@@ -52,7 +52,7 @@ class LowRank:
     scale: float
 
     def check(self, shape: tuple[int, ...]) -> None:
-        """Raise ValueError where the factors don't make an addition to a weight of this shape."""
+        """Raise ValueError if the factors don't fit a weight of this shape."""
         down, up = tuple(self.down.shape), tuple(self.up.shape)
         kernel = shape[2:]
         ones = (1,) * len(kernel)
@@ -60,14 +60,14 @@ class LowRank:
             raise ValueError(f"factors {up} and {down} don't fit a weight {shape}")
 
     def added(self, weight: Tensor) -> Tensor:
-        """Weight of a layer with the addition, worked out in float32."""
+        """Return the merged weight, computed in float32."""
         down, up = self.down.to(weight.device, torch.float32), self.up.to(weight.device, torch.float32)
         product = (up.flatten(1) @ down.flatten(1)).view_as(weight)
         return (weight.float() + self.scale * product).to(weight.dtype)
 
 
 def unet_targets(unet: Module) -> tuple[list[str], list[str], list[str]]:
-    """Full names of the UNet's layers with additions: those of its encoder, of its decoder, and the others."""
+    """Full names of the UNet's adapted layers: those of its encoder, of its decoder, and the others."""
     encoder: list[str] = []
     decoder: list[str] = []
     others: list[str] = []
@@ -80,19 +80,19 @@ def unet_targets(unet: Module) -> tuple[list[str], list[str], list[str]]:
 
 
 def match_targets(layers: Iterable[str], targets: Sequence[str]) -> list[str]:
-    """Those of some layers whose names are a target, or end in one after a dot: peft's rule."""
+    """Layers whose names are a target, or end in one after a dot: peft's rule."""
     ends = tuple(f".{target}" for target in targets)
     return [name for name in layers if name in targets or name.endswith(ends)]
 
 
 def add_adapters(unet: Module, vae: Module, ranks: LoraRanks) -> None:
-    """Add peft adapters: three to the UNet (alpha = rank) and one to the autoencoder. At first they change nothing."""
+    """Add peft adapters: three to the UNet (alpha = rank) and one to the autoencoder. They start without effect."""
     try:
         peft: Any = import_module("peft")
     except ModuleNotFoundError as error:
         raise ValueError("training additions takes peft: pip install 'gsrain[diffusion]'") from error
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Already found a `peft_config`")  # three adapters are what is wanted
+        warnings.filterwarnings("ignore", "Already found a `peft_config`")  # three adapters are intended
         for adapter, names in zip(UNET_ADAPTERS, unet_targets(unet), strict=True):
             unet.add_adapter(_config(peft, ranks.unet, ranks.unet, names), adapter_name=adapter)
     unet.set_adapter(list(UNET_ADAPTERS))
@@ -104,18 +104,18 @@ def _config(peft: Any, rank: int, alpha: int, layers: list[str]) -> Any:
 
 
 def adapted_layers(module: Module) -> Iterator[tuple[str, Module]]:
-    """Names, as they were before, and layers of a module that peft has wrapped."""
+    """Layers of a module that peft has wrapped, with their original names."""
     for name, each in module.named_modules():
         if hasattr(each, "lora_A") and hasattr(each, "base_layer"):
             yield name, each
 
 
 def addition_of(layer: Module) -> LowRank:
-    """The addition of a layer that peft has wrapped, its parameters themselves; a layer here has one adapter."""
+    """LoRA of a layer that peft has wrapped, as references to its parameters; each layer has one adapter."""
     (adapter,) = layer.lora_A.keys()
     return LowRank(layer.lora_A[adapter].weight, layer.lora_B[adapter].weight, layer.scaling[adapter])
 
 
 def plain_name(name: str) -> str:
-    """Name that a parameter had before peft wrapped its layer."""
+    """Name of a parameter before peft wrapped its layer."""
     return name.replace(".base_layer.", ".")

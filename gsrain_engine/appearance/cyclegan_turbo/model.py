@@ -1,4 +1,4 @@
-"""CycleGAN-Turbo (Parmar et al. 2024): one step of SD-Turbo between two autoencoders' halves, in both directions."""
+"""CycleGAN-Turbo (Parmar et al. 2024): architecture, one-step diffusion by SD-Turbo, and autoencoders with skips."""
 
 import copy
 import json
@@ -22,43 +22,43 @@ Direction = Literal["a2b", "b2a"]
 """a is clear and b rainy, in weights that make views rainy."""
 
 CAPTIONS = ("driving in heavy rain", "driving in the day")
-"""For a2b and b2a, as the published weights were trained with."""
+"""Captions for a2b and b2a, as in the training of the published weights."""
 
 Guide = Literal["", "normals", "mask"]
-"""What the fourth channel was trained with: nothing yet, up-ness of surfaces, or WeatherEdit's mask of classes."""
+"""Training of the fourth channel: none, upward normals, or WeatherEdit's mask of classes."""
 
-# § What CycleGAN-Turbo is built of, as a value: configurations of SD-Turbo's three networks, and a small stand-in.
+# Architecture: configurations of SD-Turbo's three networks, and a tiny variant
 
 
 @dataclass(frozen=True, slots=True)
 class TurboArchitecture:
-    """Configurations as diffusers and transformers write them, and the noise schedule of the one step."""
+    """Configurations in the format of diffusers and transformers, and the noise schedule."""
 
     name: str
-    """Stands in the header of our weights: "sd-turbo" or "tiny"."""
+    """Name in the header of our weights: "sd-turbo" or "tiny"."""
     unet: Mapping[str, Any]
-    """Of UNet2DConditionModel."""
+    """Configuration of UNet2DConditionModel."""
     vae: Mapping[str, Any]
-    """Of AutoencoderKL, with three channels."""
+    """Configuration of AutoencoderKL, with three channels."""
     text: Mapping[str, Any]
-    """Of CLIPTextModel."""
+    """Configuration of CLIPTextModel."""
     betas: tuple[float, float] = (0.00085, 0.012)
-    """Variances of the noise at the first and the last of `noise_steps`; their roots grow in equal steps between."""
+    """Noise variances at the first and the last of `noise_steps`; their square roots are spaced linearly."""
     noise_steps: int = 1000
 
     @property
     def side_multiple(self) -> int:
-        """Picture sides must be multiples of this, in pixels."""
+        """Required divisor of image sides, in pixels."""
         return 2 ** (len(self.vae["block_out_channels"]) - 1)
 
     @property
     def caption_shape(self) -> tuple[int, int, int]:
-        """Of what the UNet takes for a caption: 1, tokens, features."""
+        """Shape of a caption embedding for the UNet: 1, tokens, features."""
         return 1, self.text["max_position_embeddings"], self.unet["cross_attention_dim"]
 
 
 class CycleGanTurbo(torch.nn.Module):
-    """One UNet for both directions, told apart by their captions, and an autoencoder for each."""
+    """One UNet for both directions, selected by caption, and one autoencoder per direction."""
 
     def __init__(self, architecture: TurboArchitecture, unet: Any, vae: Any, vae_b2a: Any) -> None:
         super().__init__()
@@ -69,29 +69,28 @@ class CycleGanTurbo(torch.nn.Module):
         self.vae_b2a = vae_b2a
         self.guide: Guide = ""
         self.delta: Any = None
-        """What has been merged into the weights (`delta.TurboDelta`), kept to be saved again; None for nothing."""
+        """Merged weights (`weights.AdapterWeights`), for saving them again; None without."""
         self.texts: tuple[str, str] = CAPTIONS
-        """What the captions say."""
         self.seed: int | None = None
-        """Of the random weights below what is trained; None for SD-Turbo's own."""
+        """Seed of the random base weights; None for SD-Turbo's own."""
 
     @property
     def takes_guides(self) -> bool:
-        """Whether the encoders have a fourth channel."""
+        """True if the encoders have a fourth channel."""
         return self.vae.config.in_channels == 4
 
     @property
     def adapted(self) -> bool:
-        """Whether peft adapters are there, to be trained; else additions are part of the weights."""
+        """True if trainable peft adapters exist; otherwise LoRAs are merged into the weights."""
         return hasattr(self.unet, "peft_config")
 
     @property
     def captions(self) -> dict[str, Tensor]:
-        """What tells the UNet the direction: (1, tokens, features) each."""
+        """Caption embeddings that select the direction: (1, tokens, features) each."""
         return {"a2b": self.caption_a2b, "b2a": self.caption_b2a}
 
     def set_captions(self, a2b: Tensor, b2a: Tensor) -> None:
-        """Set what the text encoder makes of the two captions; raises ValueError for other shapes."""
+        """Set the embeddings of the two captions; raises ValueError for other shapes."""
         self.check_captions(a2b, b2a)
         like = self.unet.conv_out.bias
         for name, caption in (("a2b", a2b), ("b2a", b2a)):
@@ -99,26 +98,26 @@ class CycleGanTurbo(torch.nn.Module):
             self.register_buffer(f"caption_{name}", value, persistent=False)
 
     def check_captions(self, a2b: Tensor, b2a: Tensor) -> None:
-        """Raise ValueError where `set_captions` would."""
+        """Raise ValueError for shapes that don't fit the UNet."""
         wanted = self.architecture.caption_shape
         for name, caption in (("a2b", a2b), ("b2a", b2a)):
             if tuple(caption.shape) != wanted:
                 raise ValueError(f"caption {name} is {tuple(caption.shape)}; this UNet takes {wanted}")
 
     def translate(self, pictures: Tensor, guides: Tensor | None = None, direction: Direction = "a2b") -> Tensor:
-        """Pictures (b, 3, h, w) in [-1, 1] in the other domain; the same input gives the same output.
+        """Return images (b, 3, h, w) in [-1, 1] in the other domain; the result is deterministic.
 
         Args:
             pictures: In [-1, 1]; h and w multiples of `architecture.side_multiple`.
-            guides: (b, 1, h, w) in [-1, 1], the fourth channel; None gives zeros where the encoders have one.
-            direction: "a2b" as a rule: from clear to rainy.
+            guides: (b, 1, h, w) in [-1, 1], the fourth channel; None gives zeros if the encoders have one.
+            direction: Usually "a2b", from clear to rainy.
 
-        Raises ValueError for other sizes, and for guides that the encoders can't take.
+        Raises ValueError for other sizes, and for guides without a fourth channel.
         """
         if torch.is_grad_enabled():
             latents, skips = self.encode(pictures, guides, direction)
             return self.decode(self.denoise(latents, direction), skips, direction)
-        # One by one: the autoencoder needs most of the memory, and pictures meet only in the UNet.
+        # One by one, since the autoencoder needs most of the memory, and images only interact in the UNet.
         halves = [self.encode(*each, direction) for each in _singles(pictures, guides)]
         clean = self.denoise(torch.cat([latents for latents, _ in halves]), direction)
         made = [self.decode(clean[i : i + 1], skips, direction) for i, (_, skips) in enumerate(halves)]
@@ -139,14 +138,13 @@ class CycleGanTurbo(torch.nn.Module):
         return encode_images(self.autoencoder(direction), pictures)
 
     def denoise(self, latents: Tensor, direction: Direction = "a2b") -> Tensor:
-        """The UNet's one step: latents of the same shape, in the other domain."""
+        """Run the UNet's one step: latents of the same shape, in the other domain."""
         steps = torch.full((len(latents),), self.step.timestep, device=latents.device, dtype=torch.long)
         caption = self.captions[direction].expand(len(latents), -1, -1)
         noise = self.unet(latents, steps, encoder_hidden_states=caption).sample
         return self.step.clean(latents, noise)
 
     def decode(self, latents: Tensor, skips: list[Tensor], direction: Direction = "a2b") -> Tensor:
-        """Pictures (b, 3, h, w) in [-1, 1]."""
         return decode_latents(self.autoencoder(direction), latents, skips)
 
     def autoencoder(self, direction: Direction) -> Any:
@@ -156,13 +154,13 @@ class CycleGanTurbo(torch.nn.Module):
 def build_random_model(
     architecture: TurboArchitecture, normals: bool = True, lora: LoraRanks | None = None, seed: int = 0
 ) -> CycleGanTurbo:
-    """Build with random weights and random captions of this seed: for tests and for measuring, not for pictures.
+    """Build a model with random weights and captions, for tests and benchmarks.
 
     Args:
-        architecture: `tiny()`, or the real one (866 M and twice 84 M numbers).
-        normals: Whether the encoders get a fourth channel, which changes nothing before it is trained.
-        lora: Adds peft adapters to be trained; None for use.
-        seed: The same seed gives the same weights, with and without the channel and the adapters.
+        architecture: `tiny()`, or the real one (866 M and twice 84 M parameters).
+        normals: Add a fourth channel to the encoders, which has no effect before training.
+        lora: Ranks of trainable peft adapters; None for inference.
+        seed: Seed of the weights, which don't depend on `normals` and `lora`.
     """
     diffusers: Any = import_module("diffusers")
     with torch.random.fork_rng(devices=[]):
@@ -184,9 +182,9 @@ def assemble_model(
     normals: bool,
     lora: LoraRanks | None = None,
 ) -> CycleGanTurbo:
-    """Make the model of SD-Turbo's parts; they become its own.
+    """Assemble the model from SD-Turbo's parts, which it takes over and modifies.
 
-    Everything is frozen but the additions, where there are some.
+    All parameters except the LoRAs, if any, are frozen.
     """
     add_skips(vae)
     if normals:
@@ -206,7 +204,7 @@ def _singles(pictures: Tensor, guides: Tensor | None) -> list[tuple[Tensor, Tens
 
 
 def sd_turbo() -> TurboArchitecture:
-    """Architecture of stabilityai/sd-turbo, which is that of Stable Diffusion 2.1 (base)."""
+    """Architecture of stabilityai/sd-turbo, which equals Stable Diffusion 2.1 (base)."""
     unet = {
         "attention_head_dim": [5, 10, 20, 20],
         "block_out_channels": [320, 640, 1280, 1280],
@@ -228,7 +226,7 @@ def sd_turbo() -> TurboArchitecture:
 
 
 def tiny() -> TurboArchitecture:
-    """Stand-in of the same classes, blocks and layer names: a forward pass takes a fraction of a second."""
+    """Tiny variant with the same classes, blocks and layer names: a forward pass takes a fraction of a second."""
     unet = {
         "attention_head_dim": [2, 2, 4, 4],
         "block_out_channels": [8, 8, 16, 16],
@@ -250,13 +248,12 @@ def tiny() -> TurboArchitecture:
 
 
 ARCHITECTURES = {"sd-turbo": sd_turbo, "tiny": tiny}
-"""By the names that our weights carry."""
 
 
 def check_base(folder: Path, architecture: TurboArchitecture) -> None:
-    """Raise ValueError where a folder in diffusers' layout holds another architecture, naming file and field.
+    """Raise ValueError if a folder in diffusers' layout has another architecture, naming file and field.
 
-    Only what is written down is compared: a field that the file leaves out has its class's default value there.
+    Only written fields are compared; a missing field means the class's default.
     """
     for part, wanted in (("unet", architecture.unet), ("vae", architecture.vae)):
         _check(folder / part / "config.json", dict(wanted))
@@ -296,54 +293,53 @@ def _vae(channels: list[int], *, layers: int, groups: int) -> dict[str, Any]:
     }
 
 
-# § The one step of SD-Turbo: a clean latent from the noise that the UNet finds in it, in closed form.
+# One-step diffusion of SD-Turbo
 
 
 @dataclass(frozen=True, slots=True)
 class OneStep:
-    """The step from the last of the noise steps straight to a clean latent."""
+    """Step from the last noise step directly to a clean latent, in closed form."""
 
     timestep: int
     """999 in SD-Turbo: with "trailing" spacing a schedule of one step starts at the end; "leading" would give 0."""
     signal: float
-    """Share of the clean latent at that step, a standard deviation."""
+    """Standard deviation of the clean latent's part at that step."""
     noise: float
-    """Share of the noise, likewise."""
+    """Standard deviation of the noise at that step."""
 
     @classmethod
     def of(cls, architecture: TurboArchitecture) -> "OneStep":
-        """Work the shares out of the noise schedule (Ho et al. 2020, eq. 4; betas "scaled linear")."""
+        """Compute the shares from the noise schedule (Ho et al. 2020, eq. 4; betas "scaled linear")."""
         first, last = architecture.betas
         betas = np.linspace(first**0.5, last**0.5, architecture.noise_steps) ** 2
         kept = float(np.prod(1 - betas))
         return cls(architecture.noise_steps - 1, kept**0.5, (1 - kept) ** 0.5)
 
     def clean(self, latents: Tensor, noise: Tensor) -> Tensor:
-        """Latents without the noise that the UNet predicts for them, as DDPM's step gives (Ho et al. 2020, eq. 15).
+        """Subtract the noise predicted by the UNet from latents, as DDPM's step does (Ho et al. 2020, eq. 15).
 
-        An error in the noise comes out 15 times as large (`noise / signal`), so this is reckoned in float32 at least.
-        The UNet's own rounding is amplified all the same: in a small random one bfloat16 is 1.2 % off and float16
-        0.15 %, which makes 17 % and 2 % of a latent's deviation.
+        Errors in the noise are amplified 15 times (`noise / signal`), so this is computed in float32. The UNet's own
+        rounding is amplified too: for a small random one, bfloat16 is 1.2 % off and float16 0.15 %, which gives 17 %
+        and 2 % of a latent's standard deviation.
         """
         clean = (latents.float() - self.noise * noise.float()) / self.signal
         return clean.to(latents.dtype)
 
 
-# § SD-Turbo's autoencoder with skip connections from encoder to decoder, and a fourth channel beside red, green,
-# blue.
+# SD-Turbo's autoencoder with skip connections from encoder to decoder, and a fourth channel besides RGB
 #
-# The modules and their names are diffusers' AutoencoderKL with `decoder.skip_conv_1` to `_4` added, so that state
+# Modules and names are those of diffusers' AutoencoderKL plus `decoder.skip_conv_1` to `_4`, so that state
 # dictionaries fit those of img2img-turbo (Parmar et al. 2024). Nothing is stored between encoding and decoding.
 
 Autoencoder = Any
 """diffusers' AutoencoderKL, with skips."""
 
 SKIP_START = 1e-5
-"""Every weight of a skip convolution before training (Parmar et al. 2024): as good as no skip."""
+"""Initial weight of skip convolutions (Parmar et al. 2024): practically no skip."""
 
 
 def add_skips(vae: Autoencoder) -> None:
-    """Add the 1x1 convolutions that bring what each down block takes to the up block of the same size."""
+    """Add 1x1 convolutions from the input of each down block to the up block of the same size."""
     channels = list(vae.config.block_out_channels)
     taken = [channels[0], *channels[:-1]]
     given = [channels[-1], *reversed(channels[1:])]
@@ -355,10 +351,10 @@ def add_skips(vae: Autoencoder) -> None:
 
 
 def add_guide_channel(vae: Autoencoder) -> None:
-    """Give the encoder a fourth channel whose weights are zero: pictures are encoded exactly as before.
+    """Add a fourth channel with zero weights to the encoder, so that images are encoded as before.
 
-    Gradients reach the new weights all the same. WeatherEdit starts from the mean over colours instead, which changes
-    every latent.
+    Gradients still reach the new weights. WeatherEdit instead starts from the mean over colors, which changes every
+    latent.
     """
     narrow = vae.encoder.conv_in
     wide = torch.nn.Conv2d(
@@ -379,19 +375,19 @@ def add_guide_channel(vae: Autoencoder) -> None:
 
 
 def widen_kernel(weight: Tensor, channels: int) -> Tensor:
-    """A kernel (out, in, h, w), or a low-rank factor of it, that takes this many channels; the new ones are zero."""
+    """Widen a kernel (out, in, h, w), or a LoRA factor of it, to `channels` inputs; the new ones are zero."""
     missing = weight.new_zeros(weight.shape[0], channels - weight.shape[1], *weight.shape[2:])
     return torch.cat([weight, missing], dim=1)
 
 
 def encode_images(vae: Autoencoder, pictures: Tensor) -> tuple[Tensor, list[Tensor]]:
-    """Scaled latents (b, 4, h / 8, w / 8), and what each down block took, from fine to deep.
+    """Scaled latents (b, 4, h / 8, w / 8), and the input of each down block, from fine to deep.
 
     Args:
-        vae: With skips.
+        vae: Autoencoder with skips.
         pictures: (b, 3 or 4, h, w) in [-1, 1].
 
-    The mode of the distribution, not a sample: neighbouring views must not differ by chance.
+    Latents are the mode of the distribution, not a sample, so that neighboring views don't differ randomly.
     """
     encoder = vae.encoder
     flow = encoder.conv_in(pictures)
@@ -406,9 +402,9 @@ def encode_images(vae: Autoencoder, pictures: Tensor) -> tuple[Tensor, list[Tens
 
 
 def decode_latents(vae: Autoencoder, latents: Tensor, skips: Sequence[Tensor], strength: float = 1.0) -> Tensor:
-    """Pictures (b, 3, h, w) in [-1, 1] from scaled latents and what `encoded` gave beside them.
+    """Images (b, 3, h, w) in [-1, 1] from scaled latents and skips of `encode_images`.
 
-    `strength` scales what the skips carry: 1 as trained (img2img-turbo's gamma), 0 leaves them out.
+    `strength` scales the skips: 1 as trained (img2img-turbo's gamma), 0 disables them.
     """
     decoder = vae.decoder
     flow = decoder.conv_in(vae.post_quant_conv(latents / vae.config.scaling_factor))
@@ -420,7 +416,7 @@ def decode_latents(vae: Autoencoder, latents: Tensor, skips: Sequence[Tensor], s
 
 
 def _through(half: Any, block: Any, flow: Tensor) -> Tensor:
-    """Run a block of an encoder or decoder; with gradient checkpointing it is run again for the gradients."""
+    """Run a block of an encoder or decoder, with gradient checkpointing if enabled."""
     if half.gradient_checkpointing and torch.is_grad_enabled():
         return torch.utils.checkpoint.checkpoint(block, flow, use_reentrant=False)
     return block(flow)

@@ -1,4 +1,4 @@
-"""What SD-Turbo's text encoder makes of a caption: worked out once, then kept."""
+"""Loading of CycleGAN-Turbo: SD-Turbo from disk, transfer weights, and cached caption embeddings."""
 
 import logging
 from collections.abc import Sequence
@@ -30,16 +30,16 @@ Tensor = Any
 def caption_embeddings(
     texts: Sequence[str], base: Path, architecture: TurboArchitecture, cache: Path | None = None
 ) -> list[Tensor]:
-    """Embeddings (1, tokens, features) of captions, from what is kept or from the text encoder.
+    """Embeddings (1, tokens, features) of captions, from the cache or from the text encoder.
 
     Args:
         texts: Captions.
-        base: Folder of SD-Turbo; `text_encoder` and `tokenizer` in it are used for captions that aren't kept yet.
-        architecture: Says the shape.
-        cache: File of captions; None takes the person's own.
+        base: Folder of SD-Turbo, whose `text_encoder` and `tokenizer` encode captions that are not cached.
+        architecture: Architecture that defines the shape.
+        cache: Cache file; None for the user's own.
 
-    Raises FileNotFoundError, with the first caption that is nowhere and what is missing, and ValueError for embeddings
-    of another shape.
+    Raises FileNotFoundError with the first missing caption and the missing files, and ValueError for embeddings of
+    another shape.
     """
     cache = captions_file() if cache is None else cache
     kept = _read(cache)
@@ -61,14 +61,14 @@ def caption_embeddings(
 
 
 def encoded_captions(texts: Sequence[str], base: Path) -> list[Tensor]:
-    """Run the text encoder of a folder; raises ValueError where it can't be read or weights of it are missing."""
+    """Run the text encoder of a folder; raises ValueError if it can't be read or lacks weights."""
     transformers: Any = import_module("transformers")
     try:
         tokenizer: Any = transformers.AutoTokenizer.from_pretrained(base / "tokenizer", local_files_only=True)
         encoder, found = transformers.CLIPTextModel.from_pretrained(
             base / "text_encoder", local_files_only=True, use_safetensors=True, output_loading_info=True
         )
-    except Exception as error:  # transformers fails in many ways; its words are the finding
+    except Exception as error:  # transformers raises many types
         first = str(error).split("\n")[0]
         raise ValueError(f"{base}: its text encoder can't be read, perhaps not wholly downloaded: {first}") from error
     if found["missing_keys"]:
@@ -89,7 +89,7 @@ def _read(cache: Path) -> dict[str, Tensor]:
     try:
         check_file(cache)
         return dict(load(cache))
-    except Exception as error:  # its error class is not public
+    except Exception as error:  # safetensors' error class is not public
         raise ValueError(f"{cache}: not a readable file of captions: {error}") from error
 
 
@@ -100,7 +100,7 @@ def _write(cache: Path, captions: dict[str, Tensor]) -> None:
         save({text: each.contiguous() for text, each in captions.items()}, beside)
 
 
-# § A CycleGAN-Turbo ready for use or for training: SD-Turbo from a person's disk with a transfer's weights in it.
+# Model loading
 
 log = logging.getLogger(__name__)
 
@@ -113,17 +113,17 @@ def open_model(
     lora: LoraRanks | None = None,
     weather: str = "rainy",
 ) -> CycleGanTurbo:
-    """SD-Turbo with weights in it, in float32 on the processor; nothing is downloaded.
+    """Load SD-Turbo with transfer weights, in float32 on the CPU; nothing is downloaded.
 
     Args:
-        weights: A file that `open_weights` takes; None for SD-Turbo as it is, to be trained.
-        base: Folder of SD-Turbo; None looks where `places.base_places` says.
-        normals: Whether the encoders take a fourth channel; one that weights lack changes nothing. Weights that were
-            made with one always get it, and zeros in it where there are no guides.
-        lora: For training: keeps additions apart, in peft adapters of these ranks.
-        weather: Which part of a WeatherEdit checkpoint.
+        weights: File for `open_weights`; None for plain SD-Turbo, to be trained.
+        base: Folder of SD-Turbo; None searches `weight_paths.base_model_folders`.
+        normals: Add a fourth channel to the encoders; without trained weights it has no effect. Weights trained with
+            one always get it, with zeros for missing guides.
+        lora: Ranks of separate peft adapters, for training.
+        weather: Part of a WeatherEdit checkpoint to load.
 
-    Raises FileNotFoundError, with how to get what is missing, and ValueError for files that don't fit.
+    Raises FileNotFoundError with download instructions, and ValueError for files that don't fit.
     """
     file = None if weights is None else open_weights(weights)
     normals = normals or (file is not None and file.takes_guides)
@@ -147,10 +147,10 @@ def read_base(
     lora: LoraRanks | None = None,
     texts: tuple[str, str] | None = CAPTIONS,
 ) -> CycleGanTurbo:
-    """SD-Turbo from a folder in diffusers' layout, checked to be the wanted architecture and to be complete.
+    """Load SD-Turbo from a folder in diffusers' layout, checked for architecture and completeness.
 
-    `texts` are the captions for a2b and b2a; None where they come with the transfer's weights.
-    Raises FileNotFoundError and ValueError, which name the file and what is wrong.
+    `texts` are the captions for a2b and b2a; None if the transfer weights include their embeddings.
+    Raises FileNotFoundError and ValueError with the file and the fault.
     """
     architecture = sd_turbo() if architecture is None else architecture
     check_base(folder, architecture)
@@ -167,7 +167,7 @@ def read_base(
 
 
 def _part(kind: Any, folder: Path) -> Any:
-    """One network; a weight that is missing would be random, so that is an error."""
+    """Load one network; a missing weight would be random, so it is an error."""
     files = list(folder.glob("*.safetensors"))
     if not files:
         raise FileNotFoundError(

@@ -1,4 +1,4 @@
-"""What mutual self-attention lets views take from each other: one value, which a command or a panel fills in."""
+"""Settings of CycleGAN-Turbo's inference and cross-view attention, and the tile window."""
 
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -9,7 +9,7 @@ from ..normals import GuideKind
 
 
 class CrossViewAttention(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Which views attend to which others (eq. 16-19), and in which layers of the network."""
+    """Choice of neighbors that views attend to (eq. 16-19), and of the network's layers."""
 
     neighbours: Annotated[
         int, Meta(ge=0, le=16, title="Neighbours", description="So many other views each one looks at; 0 is none.")
@@ -37,7 +37,7 @@ class CrossViewAttention(Struct, frozen=True, kw_only=True, forbid_unknown_field
         tuple[int, ...],
         Meta(title="Pixels per token", description="Only layers whose tokens are so wide; SD-Turbo has 8 to 64."),
     ] = (8, 16, 32)
-    """At 64 px a token covers more than an object: places in another view mean little there."""
+    """At 64 px a token covers more than an object, so correspondences mean little."""
     most_scores: Annotated[
         int,
         Meta(ge=1, title="Most scores", description="Attention scores held at once; queries come in chunks below it."),
@@ -45,19 +45,16 @@ class CrossViewAttention(Struct, frozen=True, kw_only=True, forbid_unknown_field
     """256 MB in float32."""
 
 
-# § A part of a picture that goes through the network at once.
-
-
 @dataclass(frozen=True, slots=True)
 class TileWindow:
-    """A rectangle of a picture, in its pixels; the whole picture where it is not cut into tiles."""
+    """Rectangle of an image in pixels; the whole image if it isn't cut into tiles."""
 
     top: int
     left: int
     height: int
     width: int
     frame: tuple[int, int]
-    """Height and width of the whole picture."""
+    """Height and width of the whole image."""
 
     @classmethod
     def whole(cls, height: int, width: int) -> "TileWindow":
@@ -68,9 +65,9 @@ class TileWindow:
         return (self.height, self.width) == self.frame
 
     def in_tokens(self, height: int, width: int) -> "TileWindow":
-        """The same in a map whose part for this window has `height` x `width` tokens.
+        """Return the window in tokens, for a map whose part for this window has `height` x `width` tokens.
 
-        Raises ValueError where the window does not begin at a token or the tokens don't cover the picture evenly.
+        Raises ValueError if the window doesn't start at a token or tokens don't divide the image evenly.
         """
         if self.is_whole:
             return TileWindow.whole(height, width)
@@ -89,13 +86,11 @@ class TileWindow:
         return TileWindow(top, left, height, width, (frame_height, frame_width))
 
 
-# § How CycleGAN-Turbo is run over views: one value, which a command or a panel fills in.
-
 NormalsFrom = Literal["depth", "dsine", "marigold", "none"]
 
 
 class RunSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Sizes, guides and neighbours."""
+    """Sizes, guides and neighbors of an inference run."""
 
     side_px: Annotated[
         int | None,

@@ -1,4 +1,4 @@
-"""CycleGAN-Turbo as a transfer: clear views go through the network in an order in which neighbours can be looked at."""
+"""Transfer `cyclegan-turbo`: runs the network over views, with resizing, tiling and a time estimate."""
 
 import logging
 import math
@@ -38,25 +38,25 @@ torch: Any = import_module("torch")
 Tensor = Any
 
 _LEVELS = 8
-"""The UNet halves its latent three times: tiles begin where its coarsest tokens do."""
+"""The UNet halves its latent three times; tiles must start at its coarsest tokens."""
 
 _MIN_MATCHED = 0.02
-"""Share of a view's pixels with a place in another one from which it attends to it."""
+"""Least share of a view's pixels that match another view for it to attend to that view."""
 
 WITHOUT_POSE = "no attention between views: it is not known where their cameras stood"
 
 NO_OVERLAP = "no attention between views: no other one is known to show the same place"
-"""Notes on what was left out of views that stand by themselves."""
+"""Notes on skipped attention, for views without neighbors."""
 
 log = logging.getLogger(__name__)
 
-# § Pictures as the network takes them: sizes, tiles, and the way back to the clear picture's size.
+# Transfer
 
 Image = Float32[np.ndarray, "_ _ c"]
 
 
 class CycleGanTurboTransfer:
-    """The paper's transfer: one step of a fine-tuned SD-Turbo, told surface normals, with mutual self-attention."""
+    """The paper's transfer: one step of a fine-tuned SD-Turbo, guided by normals, with mutual self-attention."""
 
     name = "cyclegan-turbo"
 
@@ -66,9 +66,9 @@ class CycleGanTurboTransfer:
         """Take a model with its weights.
 
         Args:
-            model: On the device and in the precision in which it is to run.
-            settings: Sizes, guides and neighbours.
-            estimator: Tells normals where `settings.normals` is neither "depth" nor "none".
+            model: Model on its final device and in its final precision.
+            settings: Sizes, guides and neighbors.
+            estimator: Normal estimator if `settings.normals` is neither "depth" nor "none".
         """
         self.model, self.settings, self.estimator = model, settings or RunSettings(), estimator
         weight = model.unet.conv_out.weight
@@ -77,7 +77,7 @@ class CycleGanTurboTransfer:
         self._count = 0
 
     def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
-        """Make views rainy, in the order of the plan; see `Transfer`. Holds what later views look at, nothing else."""
+        """Yield rainy views in the plan's order; see `Transfer`. Holds only views that later ones attend to."""
         mutual, self._count = self.settings.mutual, len(views)
         plan = attention_plan(views, mutual)
         if mutual is None or not plan.last_use():
@@ -103,7 +103,7 @@ class CycleGanTurboTransfer:
                 talk.maps.forget(over)
 
     def seconds_per_view(self, width: int, height: int) -> float:
-        """Estimate how long a clear picture of this size in pixels takes here; see `estimated_seconds`."""
+        """Estimate the time for a clear image of this size in pixels; see `estimated_seconds`."""
         windows = self._windows(width, height)
         one = estimated_seconds(
             windows[0].width, windows[0].height, str(self._device), self._dtype, self.settings.mutual is not None
@@ -129,7 +129,7 @@ class CycleGanTurboTransfer:
                 _Entry(frame, window, BatchElement(index, window, places, index in is_source))
                 for window in frame.windows
             ]
-        # Views of one step may look at each other in every layer; tiles of one view never do.
+        # Views of one step may attend to each other in every layer; tiles of one view never do.
         size = len(entries) if len(step.views) > 1 else 1
         made: list[Image] = []
         for start in range(0, len(entries), size):
@@ -142,14 +142,14 @@ class CycleGanTurboTransfer:
             yield RainyView(clear, image, left_out="" if looks[index] else self._why_alone(clear))
 
     def _why_alone(self, view: ClearView) -> str:
-        """Say why a view attends to no other one and none to it; nothing where that was not asked for."""
+        """Return why a view has no cross-view attention; empty if none was requested."""
         mutual = self.settings.mutual
         if mutual is None or not mutual.neighbours or self._count < 2:
             return ""
         return NO_OVERLAP if view.has_pose else WITHOUT_POSE
 
     def _made(self, entries: Sequence["_Entry"], talk: CrossViewExchange | None) -> list[Image]:
-        """Run entries of one size through the network at once; display colour, 0..1."""
+        """Run entries of one size through the network as a batch; display color, 0..1."""
         pictures = torch.stack([self._tensor(2 * _part(e.frame.picture, e.window) - 1) for e in entries])
         guided = self.model.takes_guides and all(e.frame.guide is not None for e in entries)
         guides = torch.stack([self._tensor(_part(e.frame.guide, e.window)) for e in entries]) if guided else None
@@ -169,7 +169,7 @@ class CycleGanTurboTransfer:
         )
 
     def _windows(self, width: int, height: int) -> tuple[TileWindow, ...]:
-        """A clear picture of this size as the network takes it: in one piece or in tiles."""
+        """Windows of a clear image of this size for the network: one piece or tiles."""
         settings, multiple = self.settings, self.model.architecture.side_multiple
         frame = frame_size(height, width, settings.side_px, multiple)
         if settings.tile_px is None or max(frame) <= settings.tile_px:
@@ -211,14 +211,14 @@ def _part(values: Image | None, window: TileWindow) -> Image:
     return values[window.top : window.top + window.height, window.left : window.left + window.width]
 
 
-# § CycleGAN-Turbo ready to run, from what a person has chosen: weights, device, normals, neighbours.
+# Setup from transfer settings
 
 
 def open_cyclegan_turbo(settings: "TransferSettings") -> CycleGanTurboTransfer:
-    """Load SD-Turbo with a transfer's weights from the person's disk, and what is to tell normals.
+    """Load SD-Turbo with transfer weights from disk, and the normal estimator if one is needed.
 
-    Raises FileNotFoundError, with how to get what is missing, and ValueError for files and settings that don't fit
-    each other.
+    Raises FileNotFoundError with download instructions, and ValueError for files and settings that don't fit each
+    other.
     """
     weights = settings.weights or find_transfer_weights()
     wants_normals = settings.normals != "none"
@@ -246,7 +246,7 @@ def open_cyclegan_turbo(settings: "TransferSettings") -> CycleGanTurboTransfer:
 
 
 def chosen_device(name: str) -> str:
-    """Return "cpu" or "cuda"; "auto" takes a GPU where there is one. Raises ValueError where "cuda" has none."""
+    """Return "cpu" or "cuda"; "auto" prefers a GPU. Raises ValueError for "cuda" without a GPU."""
     if name == "auto":
         return "cuda" if torch.cuda.is_available() else "cpu"
     if name == "cuda" and not torch.cuda.is_available():
@@ -254,24 +254,24 @@ def chosen_device(name: str) -> str:
     return name
 
 
-# § How long a machine will take for a picture, before it begins: known work over a speed tried out in a moment.
+# Time estimate: known operation count over the measured speed
 
 _LINEAR, _QUADRATIC = 4.278e12, 0.190e12
-"""Floating-point operations of SD-Turbo's architecture for 512 x 512 px: what grows with the pixels (convolutions), and
-with their square (attention). Counted by torch's FlopCounterMode at 512 and 1024 px."""
+"""Floating-point operations of SD-Turbo at 512 x 512 px: the part linear in pixels (convolutions), and the quadratic
+one (attention). Counted by torch's FlopCounterMode at 512 and 1024 px."""
 
 _PROBE_CHANNELS, _PROBE_SIDE_PX = 128, 192
-"""A convolution like those that the autoencoder spends its time in."""
+"""Size of the probe, a convolution like those that dominate the autoencoder."""
 
 _SHARE_OF_PROBE = {"cpu": 0.75, "cuda": 0.6}
-"""How much of the probe's speed the whole network reaches."""
+"""Speed of the whole network relative to the probe."""
 
 
 def estimated_seconds(width: int, height: int, device: str = "cpu", dtype: Any = None, mutual: bool = False) -> float:
-    """Seconds for one picture of this size in pixels, on this machine as busy as it is now.
+    """Seconds per image of this size in pixels, on this machine under its current load.
 
-    Takes about a tenth of a second itself. Good to a factor of 1.5, since memory and company count as well. Mutual
-    attention doubles the keys, and with them what grows with the square.
+    Takes about 0.1 s. Accurate to a factor of 1.5, since memory and other processes matter too. Mutual attention
+    doubles the keys, and so the quadratic part.
     """
     pictures = width * height / 512**2
     work = _LINEAR * pictures + _QUADRATIC * pictures**2 * (2 if mutual else 1)
@@ -279,7 +279,7 @@ def estimated_seconds(width: int, height: int, device: str = "cpu", dtype: Any =
 
 
 def measured_speed(device: str = "cpu", dtype: Any = None) -> float:
-    """Floating-point operations a second of a 3x3 convolution, the best of three tries."""
+    """Floating-point operations per second of a 3x3 convolution, the best of three tries."""
     kind = torch.float32 if dtype is None else dtype
     channels, side = _PROBE_CHANNELS, _PROBE_SIDE_PX
     layer = torch.nn.Conv2d(channels, channels, 3, padding=1, device=device, dtype=kind)
@@ -294,9 +294,10 @@ def measured_speed(device: str = "cpu", dtype: Any = None) -> float:
 
 
 def frame_size(height: int, width: int, side_px: int | None, multiple: int) -> tuple[int, int]:
-    """Height and width, multiples of `multiple`, at which the shorter side is about `side_px`; nothing is enlarged.
+    """Height and width in multiples of `multiple`, with the shorter side about `side_px`; never enlarged.
 
-    Each side is rounded to the nearest multiple: proportions change by less than 1 % at 512 px with multiples of 8.
+    Each side is rounded to the nearest multiple, which changes the aspect ratio by less than 1 % at 512 px with
+    multiples of 8.
     """
     scale = 1.0 if side_px is None else min(side_px / min(height, width), 1.0)
     rows, columns = (max(round(side * scale / multiple), 1) for side in (height, width))
@@ -304,7 +305,7 @@ def frame_size(height: int, width: int, side_px: int | None, multiple: int) -> t
 
 
 def resized(image: Image, height: int, width: int) -> Image:
-    """Bring a picture (h, w, c) to another size: by area where it shrinks (nothing aliases), cubic where it grows."""
+    """Resize an image (h, w, c): by area if it shrinks, which avoids aliasing, cubic if it grows."""
     if image.shape[:2] == (height, width):
         return image
     shrinks = height <= image.shape[0] and width <= image.shape[1]
@@ -313,10 +314,10 @@ def resized(image: Image, height: int, width: int) -> Image:
 
 
 def restore_size(made: Image, seen: Image, clear: Image, detail: bool) -> Image:
-    """Bring what the network made of `seen` to the size of the clear picture that `seen` was made from; display, 0..1.
+    """Resize the network's output to the size of the clear image; `seen` is the network's input; display, 0..1.
 
-    With `detail`, what the clear picture has beyond `seen` is added: the top band of a Laplacian pyramid (Burt and
-    Adelson 1983), since the transfer is about low frequencies.
+    With `detail`, the detail that `seen` lacks is added from the clear image: the top band of a Laplacian pyramid (Burt
+    and Adelson 1983), since the transfer mostly changes low frequencies.
     """
     height, width = clear.shape[:2]
     large = resized(made, height, width)
@@ -326,14 +327,14 @@ def restore_size(made: Image, seen: Image, clear: Image, detail: bool) -> Image:
 
 
 def split_into_tiles(height: int, width: int, tile_px: int, overlap_px: int, multiple: int) -> tuple[TileWindow, ...]:
-    """Cut a picture into windows of at most `tile_px` a side that overlap, all beginning at multiples of `multiple`."""
+    """Split an image into overlapping windows of at most `tile_px` a side that start at multiples of `multiple`."""
     tall, wide = min(tile_px, height), min(tile_px, width)
     rows, columns = _starts(height, tall, overlap_px, multiple), _starts(width, wide, overlap_px, multiple)
     return tuple(TileWindow(top, left, tall, wide, (height, width)) for top in rows for left in columns)
 
 
 def blend_tiles(parts: Sequence[Image], windows: Sequence[TileWindow], overlap_px: int) -> Image:
-    """Put tiles together again; where they overlap, each fades out towards its own border."""
+    """Blend tiles into one image; where they overlap, each fades out towards its own border."""
     if len(parts) == 1:
         return parts[0]
     frame = windows[0].frame
@@ -348,10 +349,10 @@ def blend_tiles(parts: Sequence[Image], windows: Sequence[TileWindow], overlap_p
 
 
 def _starts(side: int, tile: int, overlap: int, multiple: int) -> list[int]:
-    """Where tiles begin: as few as have the overlap, spread evenly."""
+    """Start positions of tiles: as few as the overlap allows, spread evenly."""
     if tile >= side:
         return [0]
-    # Whole multiples: even steps below it, rounded down one by one, never get further apart than it.
+    # The step is a whole multiple, so starts rounded down to multiples are never farther apart than it.
     step = max((tile - overlap) // multiple, 1) * multiple
     count = math.ceil((side - tile) / step)
     return [(side - tile) * i // count // multiple * multiple for i in range(count)] + [side - tile]

@@ -1,4 +1,4 @@
-"""Where the files of CycleGAN-Turbo are looked for on a person's machine, and how to get them. Needs no torch."""
+"""Paths of CycleGAN-Turbo's files on the user's machine, and download instructions. Needs no torch."""
 
 import os
 from pathlib import Path
@@ -11,7 +11,6 @@ BASE_VARIABLE = "GSRAIN_SD_TURBO"
 """Environment variable with a folder of SD-Turbo in diffusers' layout."""
 
 WEIGHTS_VARIABLE = "GSRAIN_TRANSFER_WEIGHTS"
-"""Environment variable with a file of transfer weights."""
 
 PUBLISHED_URL = "https://www.cs.cmu.edu/~img2img-turbo/models/clear2rainy.pkl"
 
@@ -25,25 +24,25 @@ _SUFFIXES = (".safetensors", ".pkl", ".pt", ".pth")
 
 
 def data_folder() -> Path:
-    """The person's folder for what GSRAIN can use and does not ship."""
+    """User folder for files that GSRAIN can use but doesn't ship."""
     return platformdirs.user_data_path("gsrain", appauthor=False)
 
 
 def base_model_folders() -> tuple[Path, ...]:
-    """Folders in which SD-Turbo may lie: GSRAIN_SD_TURBO if set, else the data folder and Hugging Face's cache."""
+    """Folders to search for SD-Turbo: GSRAIN_SD_TURBO if set, else the data folder and Hugging Face's cache."""
     own = os.environ.get(BASE_VARIABLE)
     return (Path(own),) if own else (data_folder() / "sd-turbo", *hub_snapshots(_HUB_NAME))
 
 
 def is_base_model(folder: Path) -> bool:
-    """Whether a folder has UNet and autoencoder as diffusers lays them out."""
+    """True if a folder has UNet and autoencoder in diffusers' layout."""
     return all((folder / part / "config.json").is_file() for part in _PARTS)
 
 
 def find_base_model(folder: Path | None = None) -> Path:
-    """The folder with SD-Turbo: the given one, or the first place that has it.
+    """Find SD-Turbo's folder: the given one, or the first of `base_model_folders` that has it.
 
-    Raises FileNotFoundError, with where it was looked for and how to get it.
+    Raises FileNotFoundError with the folders searched and download instructions.
     """
     places = base_model_folders() if folder is None else (folder,)
     for place in places:
@@ -55,7 +54,7 @@ def find_base_model(folder: Path | None = None) -> Path:
 
 
 def check_base_complete(base: Path) -> None:
-    """Raise FileNotFoundError where a part of SD-Turbo has its configuration but no weights, naming the folder."""
+    """Raise FileNotFoundError if a part of SD-Turbo has a configuration but no weights, naming the folder."""
     for part in _PARTS:
         if not any((base / part).glob("diffusion_pytorch_model*.safetensors")):
             missing = f"{base / part}: no weights (diffusion_pytorch_model.safetensors)"
@@ -71,15 +70,15 @@ def base_model_instructions() -> str:
 
 
 def transfer_weight_paths() -> tuple[Path, ...]:
-    """Where transfer weights are looked for: the file of GSRAIN_TRANSFER_WEIGHTS, else a folder of such files."""
+    """Paths to search for transfer weights: the file of GSRAIN_TRANSFER_WEIGHTS, else a folder of such files."""
     own = os.environ.get(WEIGHTS_VARIABLE)
     return (Path(own),) if own else (data_folder() / "transfer",)
 
 
 def find_transfer_weights() -> Path:
-    """The file with transfer weights: clear2rainy.pkl, else the first by name.
+    """Find the file with transfer weights: clear2rainy.pkl, else the first by name.
 
-    Raises FileNotFoundError, with where it was looked for and how to get one.
+    Raises FileNotFoundError with the paths searched and download instructions.
     """
     for place in transfer_weight_paths():
         if place.is_file():
@@ -94,18 +93,18 @@ def find_transfer_weights() -> Path:
 
 
 def text_encoder_folder(base: Path) -> Path | None:
-    """The folder of the text encoder beside UNet and autoencoder; None where it, or its tokenizer, is missing."""
+    """Folder of the text encoder next to UNet and autoencoder; None if it or its tokenizer is missing."""
     found = (base / "text_encoder" / "config.json").is_file() and (base / "tokenizer").is_dir()
     return base / "text_encoder" if found else None
 
 
 def captions_file() -> Path:
-    """Where embeddings of captions are kept, so that the text encoder is needed once."""
+    """Cache file for embeddings of captions, so that the text encoder is needed only once."""
     return platformdirs.user_cache_path("gsrain", appauthor=False) / "captions" / "sd-turbo.safetensors"
 
 
 def hub_snapshots(name: str) -> list[Path]:
-    """Snapshots of a model in the cache of Hugging Face's tools, the one that "main" names first."""
+    """Snapshots of a model in Hugging Face's cache, that of "main" first."""
     main = _hub_cache(name) / "refs" / "main"
     named = read_file(main, _MAX_NAME_BYTES).decode("utf-8").strip() if main.is_file() else ""
     return sorted((_hub_cache(name) / "snapshots").glob("*"), key=lambda folder: (folder.name != named, folder.name))

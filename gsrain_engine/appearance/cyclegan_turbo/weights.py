@@ -1,4 +1,4 @@
-"""Files of CycleGAN-Turbo's weights, in whatever layout: read strictly into a model, and written in our own."""
+"""CycleGAN-Turbo's weight files: our format, img2img-turbo and WeatherEdit checkpoints, and diffusers LoRAs."""
 
 import json
 import re
@@ -18,35 +18,34 @@ torch: Any = import_module("torch")
 
 Tensor = Any
 
-# § What a transfer adds to SD-Turbo: low-rank additions, tensors in place of others, captions; taken in, given out.
+# Adapter weights: LoRAs, replaced tensors and captions relative to SD-Turbo
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AdapterWeights:
-    """Weights of one transfer relative to SD-Turbo. Names are of the whole model, as they are without peft."""
+    """Weights of one transfer relative to SD-Turbo. Names are those of the whole model without peft."""
 
     source: str
-    """File that it was read from, for messages."""
+    """Source file, for messages."""
     additions: Mapping[str, LowRank]
-    """By the layer's name, as "unet.mid_block.resnets.0.conv1"."""
+    """LoRAs by layer name, such as "unet.mid_block.resnets.0.conv1"."""
     replaced: Mapping[str, Tensor]
-    """By the tensor's name, as "vae.decoder.skip_conv_1.weight"; additions come on top."""
+    """Tensors by name, such as "vae.decoder.skip_conv_1.weight"; `additions` are added to them."""
     guide: Guide = ""
     captions: tuple[Tensor, Tensor] | None = None
-    """For a2b and b2a; None leaves the model's own."""
+    """Embeddings for a2b and b2a; None keeps the model's own."""
     texts: tuple[str, str] | None = None
-    """What the captions say."""
 
     @property
     def ranks(self) -> LoraRanks:
-        """The largest ranks of the UNet's and the autoencoders' additions; 0 where there are none."""
+        """Largest ranks of the UNet's and the autoencoders' LoRAs; 0 without any."""
         unet = [each.down.shape[0] for name, each in self.additions.items() if name.startswith("unet.")]
         vae = [each.down.shape[0] for name, each in self.additions.items() if not name.startswith("unet.")]
         return LoraRanks(max(unet, default=0), max(vae, default=0))
 
     @property
     def takes_guides(self) -> bool:
-        """Whether it was made with a fourth channel."""
+        """True if trained with a fourth channel."""
         first = self.replaced.get(f"{_ENCODER_INPUTS[0]}.weight")
         addition = self.additions.get(_ENCODER_INPUTS[0])
         return any(each is not None and each.shape[1] > 3 for each in (first, addition and addition.down))
@@ -54,12 +53,12 @@ class AdapterWeights:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WeightsFile:
-    """What a file holds, before it is known which model it goes into."""
+    """Content of a weights file, before the model is known."""
 
     path: Path
     state: Mapping[str, Any]
     metadata: Mapping[str, str]
-    """Header of a .safetensors."""
+    """Header of a .safetensors file."""
 
     @property
     def architecture(self) -> str:
@@ -67,30 +66,30 @@ class WeightsFile:
 
     @property
     def random_base_seed(self) -> int | None:
-        """Of the random weights that it was trained upon, in tests; None for SD-Turbo."""
+        """Seed of the random base weights, in tests; None for SD-Turbo."""
         seed = self.metadata.get("random_base_seed")
         return None if seed is None else int(seed)
 
     @property
     def takes_guides(self) -> bool:
-        """Whether it was made with a fourth channel."""
+        """True if trained with a fourth channel."""
         state: Any = self.state.get("sd_vae_dec", self.state)
         ends = ("vae.encoder.conv_in.weight", "vae.encoder.conv_in.base_layer.weight")
         kernels = [state[name] for name in ends if isinstance(state, Mapping) and name in state]
         return any(len(shape) > 1 and shape[1] > 3 for shape in (getattr(each, "shape", ()) for each in kernels))
 
     def texts(self, weather: str = "rainy") -> tuple[str, str] | None:
-        """Captions that the text encoder has to encode, for a2b and b2a; None where the file has their embeddings."""
+        """Captions for a2b and b2a that the text encoder has to encode; None if the file has their embeddings."""
         return None if is_own(self.metadata) else published_texts(self.state, weather)
 
     def delta(self, model: CycleGanTurbo, weather: str = "rainy") -> AdapterWeights:
-        """What the file adds to SD-Turbo; raises ValueError, with the first bad key, where it isn't for this model."""
+        """Weights relative to SD-Turbo; raises ValueError with the first bad key if they don't fit this model."""
         try:
             return self._delta(model, weather)
         except ValueError as error:
             raise ValueError(printable_line(error)) from None
         except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError) as error:
-            # A value where a tensor belongs, a tensor where a number belongs: whatever damage has put there.
+            # Damaged files may hold a value in place of a tensor, or a tensor in place of a number.
             words = printable_line(str(error).split("\n")[0])
             raise ValueError(f"{self.path}: its weights are damaged: {words or type(error).__name__}") from None
 
@@ -107,9 +106,9 @@ class WeightsFile:
 
 
 def open_weights(path: Path) -> WeightsFile:
-    """Read a .pkl (as weights only: no code of it runs) or a .safetensors.
+    """Read a .pkl (weights only, so none of its code runs) or a .safetensors file.
 
-    Raises FileNotFoundError, and ValueError with the file's name where it can't be read.
+    Raises FileNotFoundError, and ValueError with the file's name if it can't be read.
     """
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file of weights")
@@ -121,7 +120,7 @@ def open_weights(path: Path) -> WeightsFile:
     try:
         with open_file(path) as stream:
             state = torch.load(stream, map_location="cpu", weights_only=True)
-    except Exception as error:  # torch fails in many ways; its words are the finding
+    except Exception as error:  # torch raises many types
         first = str(error).split("\n")[0].strip() or type(error).__name__
         raise ValueError(f"{path}: not a readable file of torch weights: {printable_line(first)}") from None
     if not isinstance(state, Mapping):
@@ -130,9 +129,9 @@ def open_weights(path: Path) -> WeightsFile:
 
 
 def save_weights(model: CycleGanTurbo, path: Path) -> None:
-    """Write everything that a model has beyond SD-Turbo to a .safetensors: additions, first convolutions, captions.
+    """Write all weights that a model adds to SD-Turbo to a .safetensors file: LoRAs, first convolutions, captions.
 
-    Raises ValueError for another suffix, and where there is nothing to save.
+    Raises ValueError for another suffix, and for plain SD-Turbo.
     """
     if path.suffix != ".safetensors":
         raise ValueError(f"{path}: weights are written as .safetensors")
@@ -157,19 +156,18 @@ _ENCODER_INPUTS = ("vae.encoder.conv_in", "vae_b2a.encoder.conv_in")
 
 
 def plain_tensors(model: CycleGanTurbo) -> dict[str, Tensor]:
-    """A model's weights without additions, by the names that they have without peft."""
+    """Weights of a model without LoRAs, by their names without peft."""
     return {plain_name(name): each for name, each in model.named_parameters() if ".lora_" not in name}
 
 
 def plain_layers(model: CycleGanTurbo) -> list[str]:
-    """Names of the linear layers and convolutions."""
     return [name.removesuffix(".weight") for name, each in plain_tensors(model).items() if each.ndim > 1]
 
 
 def apply_adapter_weights(model: CycleGanTurbo, delta: AdapterWeights) -> None:
-    """Put weights into a model: into its peft adapters where it has them, else merged into its layers.
+    """Load weights into a model: into its peft adapters if it has them, else merged into its layers.
 
-    Raises ValueError, which names the first one, for layers and tensors that don't fit; the model is as it was then.
+    Raises ValueError with the first layer or tensor that doesn't fit; the model is then unchanged.
     """
     if model.delta is not None:
         raise ValueError(f"{delta.source}: the model has weights from {model.delta.source} already")
@@ -193,9 +191,9 @@ def apply_adapter_weights(model: CycleGanTurbo, delta: AdapterWeights) -> None:
 
 
 def extract_adapter_weights(model: CycleGanTurbo) -> AdapterWeights:
-    """What a model has beyond SD-Turbo, with everything that may have been trained, whether it is another or not.
+    """Extract all weights that a model adds to SD-Turbo, including trainable ones that haven't changed.
 
-    Raises ValueError for a model that has neither adapters nor loaded weights.
+    Raises ValueError for a model without adapters and loaded weights.
     """
     captions = (model.captions["a2b"], model.captions["b2a"])
     if not model.adapted:
@@ -213,7 +211,7 @@ def extract_adapter_weights(model: CycleGanTurbo) -> AdapterWeights:
 
 
 def check_names(found: Iterable[str], wanted: Iterable[str], where: str) -> None:
-    """Raise ValueError, which names the first of each, where keys are missing or unknown."""
+    """Raise ValueError with the first of each if keys are missing or unknown."""
     have, need = set(found), set(wanted)
     faults = [f"{_first(need - have)} missing"] if need - have else []
     faults += [f"{_first(have - need)} unknown"] if have - need else []
@@ -227,7 +225,7 @@ def _first(names: set[str]) -> str:
 
 
 def _fitted(delta: AdapterWeights, tensors: Mapping[str, Tensor]) -> AdapterWeights:
-    """The delta with kernels widened to the model's channels and without tensors that are the model's own anyway."""
+    """Return weights with kernels widened to the model's channels, without tensors equal to the model's."""
     takes = tensors[f"{_ENCODER_INPUTS[0]}.weight"].shape[1]
     if delta.takes_guides and takes == 3:
         raise ValueError(f"{delta.source}: made with a fourth channel, which this model lacks: open it with normals")
@@ -275,7 +273,7 @@ def _into_adapters(model: CycleGanTurbo, delta: AdapterWeights) -> None:
         mine.up.copy_(delta.additions[name].up)
 
 
-# § Our own file of a transfer's weights: safetensors with everything that differs from SD-Turbo, whole or not at all.
+# Our file format: safetensors with all differences from SD-Turbo, written atomically
 
 FORMAT = "gsrain-cyclegan-turbo"
 
@@ -284,19 +282,19 @@ _VERSION = "1"
 _FACTORS = ("lora_A.weight", "lora_B.weight", "alpha")
 
 _PROBE = "unet.conv_out.bias"
-"""A tensor of the base that nothing trains, kept to see that weights are put onto what they were made for."""
+"""Untrained tensor of the base, stored to check that weights are applied to the right base."""
 
 _PROBE_TOLERANCE = 2e-2
-"""Relative to the largest value: halves of float precision are the same base."""
+"""Tolerance relative to the largest value, so that half-precision copies of the base pass."""
 
 
 def is_own(metadata: Mapping[str, str]) -> bool:
-    """Whether the header of a .safetensors says that it is such a file."""
+    """True if the header of a .safetensors file is of our format."""
     return metadata.get("format") == FORMAT
 
 
 def write_own(model: CycleGanTurbo, path: Path) -> None:
-    """Write what a model has beyond SD-Turbo; raises ValueError where that is nothing."""
+    """Write all weights that a model adds to SD-Turbo; raises ValueError if there are none."""
     delta = extract_adapter_weights(model)
     tensors: dict[str, Tensor] = {f"base.{_PROBE}": plain_tensors(model)[_PROBE]}
     for name, addition in delta.additions.items():
@@ -329,7 +327,7 @@ def write_own(model: CycleGanTurbo, path: Path) -> None:
 def read_own(
     tensors: Mapping[str, Tensor], metadata: Mapping[str, str], model: CycleGanTurbo, source: str
 ) -> AdapterWeights:
-    """Weights of such a file; raises ValueError for another version, architecture or base, and for unknown keys."""
+    """Read our format; raises ValueError for another version, architecture or base, and for unknown keys."""
     check_header(metadata, source)
     if metadata["architecture"] != model.architecture.name:
         raise ValueError(f"{source}: made for {metadata['architecture']}, not for {model.architecture.name}")
@@ -356,7 +354,7 @@ def read_own(
 
 
 def check_header(metadata: Mapping[str, str], source: str) -> None:
-    """Raise ValueError where the header of our file lacks a field, or is of another version or architecture."""
+    """Raise ValueError if the header of our file lacks a field, or has another version or architecture."""
     for field in ("version", "architecture", "guide", "caption_a2b", "caption_b2a", "tensors"):
         if field not in metadata:
             raise ValueError(f"{source}: {field!r} is missing from its header")
@@ -377,32 +375,32 @@ def _check_base(tensors: Mapping[str, Tensor], model: CycleGanTurbo, source: str
         raise ValueError(f"{source}: made upon another base than this one; SD-Turbo of Stability AI is wanted")
 
 
-# § Checkpoints of img2img-turbo (clear2rainy.pkl and others) and of WeatherEdit, as their authors publish them.
+# Published checkpoints of img2img-turbo (clear2rainy.pkl and others) and of WeatherEdit
 
 _UNET_PARTS = (
     ("sd_encoder", "l_target_modules_encoder"),
     ("sd_decoder", "l_target_modules_decoder"),
     ("sd_other", "l_modules_others"),
 )
-"""Where the UNet's additions are, and which layers they are of."""
+"""Keys of the UNet's LoRAs and of the names of their layers."""
 
 _OTHERS = ("rank_unet", "rank_vae", "vae_lora_target_modules", "sd_vae_enc", "sd_vae_dec")
 
 _VAES = ("vae.", "vae_b2a.")
 
 WEATHERS = ("rainy", "snowy", "foggy")
-"""Which one checkpoint of WeatherEdit holds, each with the same autoencoder."""
+"""Weathers in one checkpoint of WeatherEdit, which share an autoencoder."""
 
 WEATHEREDIT_CAPTION = "Picture of a {} weather scene"
 
 
 def is_published(state: Mapping[str, Any]) -> bool:
-    """Whether a loaded file looks like a checkpoint of img2img-turbo or WeatherEdit."""
+    """True if a loaded file looks like a checkpoint of img2img-turbo or WeatherEdit."""
     return "sd_vae_enc" in state or "rank_unet" in state
 
 
 def published_texts(state: Mapping[str, Any], weather: str) -> tuple[str, str]:
-    """Captions that weights were trained with; WeatherEdit has a sentence of its own for each weather."""
+    """Captions of the training; WeatherEdit has one per weather."""
     a2b, b2a = CAPTIONS
     return (WEATHEREDIT_CAPTION.format(weather) if "sd_rainy_encoder" in state else a2b), b2a
 
@@ -410,13 +408,13 @@ def published_texts(state: Mapping[str, Any], weather: str) -> tuple[str, str]:
 def read_published(
     state: Mapping[str, Any], model: CycleGanTurbo, source: str, weather: str = "rainy"
 ) -> AdapterWeights:
-    """Weights of a checkpoint.
+    """Read the weights of a checkpoint.
 
     Args:
-        state: What the file holds.
-        model: What they are for; it says which layers there are.
-        source: The file, for messages.
-        weather: Which additions to take where there are several.
+        state: Content of the file.
+        model: Model that defines the layers.
+        source: File name, for messages.
+        weather: LoRAs to take if there are several.
 
     Raises ValueError for missing and unknown keys and other shapes, naming the first.
     """
@@ -438,7 +436,7 @@ def read_published(
 def _check_top(state: Mapping[str, Any], keys: list[str], source: str, several: list[str]) -> None:
     wanted = {*keys, *_OTHERS}
     allowed = {f"sd_{each}_{part}" for each in several for part in ("encoder", "decoder", "other")}
-    # A plain value that is not known tells something about the training; tensors would be weights, lost unseen.
+    # Unknown plain values are training metadata; unknown tensors would be weights lost silently.
     heavy = {key for key, value in state.items() if isinstance(value, Mapping) or hasattr(value, "shape")}
     check_names((set(state) & wanted) | (heavy - allowed), wanted, source)
 
@@ -457,7 +455,7 @@ def _unet_additions(state: Mapping[str, Any], layers: list[str], where: str, ran
 def _autoencoders(
     state: Mapping[str, Any], model: CycleGanTurbo, source: str
 ) -> tuple[dict[str, LowRank], dict[str, Any]]:
-    """Additions and whole tensors of both autoencoders, which the file holds twice: the later one counts."""
+    """LoRAs and whole tensors of both autoencoders; the file holds them twice, and the later copy counts."""
     layers = [name.removeprefix("vae.") for name in plain_layers(model) if name.startswith("vae.")]
     adapted = match_targets(layers, state["vae_lora_target_modules"])
     wanted = {prefix + _stored(name, adapted) for prefix in _VAES for name in _vae_tensors(model)}
@@ -489,7 +487,7 @@ def _stored(name: str, adapted: list[str]) -> str:
     return f"{layer}.base_layer.{tensor}" if layer in adapted else name
 
 
-# § LoRA files of diffusers (pytorch_lora_weights.safetensors), and of kohya's scripts: additions to the UNet alone.
+# LoRA files of diffusers (pytorch_lora_weights.safetensors) and of kohya's scripts, for the UNet alone
 
 _PREFIX = "unet."
 
@@ -505,20 +503,20 @@ _DIFFUSERS_FACTORS = {
 _ENDING = re.compile(rf"\.({'|'.join(map(re.escape, _DIFFUSERS_FACTORS))})$")
 
 _METADATA = "lora_adapter_metadata"
-"""Where diffusers writes peft's settings, in JSON."""
+"""Header field in which diffusers writes peft's settings, in JSON."""
 
 
 def is_diffusers_lora(names: Mapping[str, Any]) -> bool:
-    """Whether the tensors of a file are named as those of a LoRA."""
+    """True if the tensors of a file are named like a LoRA's."""
     return any(name.startswith((_PREFIX, _FLAT_PREFIX)) and _ENDING.search(name) for name in names)
 
 
 def read_diffusers_lora(
     tensors: Mapping[str, Tensor], metadata: Mapping[str, str], model: CycleGanTurbo, source: str
 ) -> AdapterWeights:
-    """Additions of a LoRA file: scaled by alpha / rank where it tells alpha, else once.
+    """Read a LoRA file, scaled by alpha / rank, or by 1 without alpha.
 
-    Raises ValueError, naming the first key, for parts that don't belong to the UNet and for factors without the other.
+    Raises ValueError with the first key that doesn't belong to the UNet, and for incomplete pairs of factors.
     """
     layers = {name.removeprefix(_PREFIX) for name in plain_layers(model) if name.startswith(_PREFIX)}
     shapes = {name: tuple(tensor.shape) for name, tensor in plain_tensors(model).items()}
@@ -542,7 +540,7 @@ def read_diffusers_lora(
 def _named(name: str, layers: set[str], flat: Mapping[str, str], source: str) -> tuple[str, str]:
     ending = _ENDING.search(name)
     stem = name[: ending.start()] if ending else name
-    # Before diffusers had peft, attention's additions were called after its processor.
+    # Before diffusers used peft, attention LoRAs were named after the attention processor.
     stem = re.sub(r"\.processor\.(to_[qkv]|to_out)_lora$", lambda m: f".{_OUT.get(m[1], m[1])}", stem)
     layer = stem.removeprefix(_PREFIX) if stem.startswith(_PREFIX) else flat.get(stem.removeprefix(_FLAT_PREFIX), "")
     if ending is None or layer not in layers:
@@ -554,7 +552,7 @@ _OUT = {"to_out": "to_out.0"}
 
 
 def _as_layer(factors: Mapping[str, Tensor], shape: tuple[int, ...]) -> tuple[Tensor, Tensor]:
-    """Factors as the layer's own kind: files hold linear layers as 1x1 convolutions too."""
+    """Reshape factors to the layer's type: files may store linear layers as 1x1 convolutions."""
     down, up = factors["down"], factors["up"]
     if len(shape) == 2:
         return down.flatten(1), up.flatten(1)
@@ -577,13 +575,13 @@ def _alpha(settings: Mapping[str, Any], layer: str, rank: int) -> float:
     return float(settings.get("lora_alpha", rank))
 
 
-# § Puts the fields in the header of a .safetensors in order: the library writes them in another one every time.
+# Deterministic .safetensors headers: the library writes fields in varying order
 
 _LENGTH_BYTES = 8
 
 
 def sort_header(file: Path) -> None:
-    """Rewrite the header in place, so that the same weights are the same bytes; where tensors lie stays as it is."""
+    """Sort the header in place, so that equal weights give identical bytes; tensor offsets stay."""
     with file.open("r+b") as stream:
         length = int.from_bytes(stream.read(_LENGTH_BYTES), "little")
         header: dict[str, Any] = json.loads(stream.read(length))

@@ -1,1 +1,1 @@
-"""Fine-tuning the transfer model."""
+"""Fine-tuning of CycleGAN-Turbo on unpaired clear and rainy images."""

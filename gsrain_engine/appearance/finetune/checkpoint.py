@@ -1,4 +1,4 @@
-"""How far a fine-tuning has come, on disk: a safetensors file, no pickle, that appears whole or not at all."""
+"""Checkpoints of a fine-tuning, as safetensors files written atomically."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,24 +25,22 @@ _FREE = frozenset(
     {"steps", "samples", "sampled_every", "saved_every", "warned_after", "gradient_checkpointing", "device", "base",
      "clip", "lpips", "start"}
 )  # fmt: skip
-"""Settings that may change when a training is taken up again: places of files, and nothing that is learned from."""
+"""Settings that may change on resume: paths, and values that don't affect what is learned."""
 
 
 class FinetuningCheckpointError(ValueError):
-    """A training can't be taken up from a checkpoint; the message names the file and says why."""
+    """Error for a checkpoint that can't be resumed; the message names the file and the reason."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FinetuneCheckpoint:
-    """Everything that a training goes on from. Random numbers and the order of pictures follow from `step`."""
+    """Complete training state. Random numbers and the order of images follow from `step`."""
 
     step: int
-    """How many iterations are done."""
     seconds: float
-    """How long they took."""
     tensors: Mapping[str, Any]
     perceptual: bool
-    """Whether LPIPS was a part of the losses."""
+    """True if LPIPS is one of the losses."""
 
 
 class _FinetuneHeader(msgspec.Struct, frozen=True, kw_only=True):
@@ -57,7 +55,7 @@ class _FinetuneHeader(msgspec.Struct, frozen=True, kw_only=True):
 def write_finetune_checkpoint(
     file: Path, checkpoint: FinetuneCheckpoint, settings: FinetuningSettings, pictures: str
 ) -> None:
-    """Write a checkpoint; `pictures` is a text that tells sets of pictures apart."""
+    """Write a checkpoint; the text `pictures` identifies the image set."""
     head = _FinetuneHeader(
         version=_VERSION, step=checkpoint.step, seconds=checkpoint.seconds, perceptual=checkpoint.perceptual,
         pictures=pictures, settings=settings,
@@ -70,7 +68,7 @@ def write_finetune_checkpoint(
 def read_finetune_checkpoint(
     file: Path, settings: FinetuningSettings, pictures: str, perceptual: bool
 ) -> FinetuneCheckpoint:
-    """Read a checkpoint of the same training. Raises `FinetuningCheckpointError` where it is damaged or of another."""
+    """Read a checkpoint of this training. Raises `FinetuningCheckpointError` if it is damaged or of another one."""
     if not file.is_file():
         raise FinetuningCheckpointError(f"{file}: there is no checkpoint to resume from; begin anew without --resume")
     try:

@@ -1,4 +1,4 @@
-"""Opens the pictures of a training: sources to pictures of two looks, split into training and test."""
+"""Image sets for fine-tuning: sources, weather labels, guides, and the split into training and test."""
 
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -24,14 +24,14 @@ from ..normals import normals_from_depth, normals_to_gray
 
 _Guide = Callable[[CaptureFrame], Float32[np.ndarray, "_ _"] | None]
 
-# § A picture as training takes it: framed, in floats, with its guide.
+# Training image
 
 Framing = Literal["stretch", "crop"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DatasetImage:
-    """One picture of a data set, read when it is asked for."""
+    """One image of a data set, read on demand."""
 
     name: str
     view: CaptureFrame
@@ -39,10 +39,10 @@ class DatasetImage:
     height: int
     framing: Framing = "stretch"
     guide: Callable[[CaptureFrame], Float32[np.ndarray, "_ _"] | None] | None = None
-    """Works out the guide of a straightened view; None trains without one."""
+    """Function that computes the guide of an undistorted view; None trains without one."""
 
     def read(self) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"] | None]:
-        """Display colour 0..1, and the guide -1..1 or None. Raises `CaptureError` where the file is broken."""
+        """Return display color 0..1, and the guide -1..1 or None. Raises `CaptureError` for a broken file."""
         view = undistort_frame(self.view)
         pixels = Image.fromarray(self._cut(view.image)).resize((self.width, self.height), Image.Resampling.LANCZOS)
         guide = None if self.guide is None else self.guide(view)
@@ -52,7 +52,7 @@ class DatasetImage:
         return np.asarray(pixels, np.float32) / np.float32(255), guide
 
     def _cut(self, pixels: np.ndarray) -> np.ndarray:
-        """Return the middle that has the proportions asked for, or everything."""
+        """Return the center crop with the training aspect ratio, or the whole image."""
         if self.framing == "stretch":
             return pixels
         height, width = pixels.shape[:2]
@@ -64,7 +64,7 @@ class DatasetImage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnpairedImages:
-    """Pictures of two looks; none belongs to one of the other look."""
+    """Images of two looks, without pairs."""
 
     source: tuple[DatasetImage, ...]
     target: tuple[DatasetImage, ...]
@@ -72,25 +72,25 @@ class UnpairedImages:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageSplit:
-    """What a training learns from, and what it never sees."""
+    """Disjoint sets of images for training and test."""
 
     train: UnpairedImages
     test: UnpairedImages
     table: tuple[tuple[str, str, int, int], ...]
-    """A row a source: its path, clear or rainy, pictures in all, and how many of them are for testing."""
+    """One row per source: its path, clear or rainy, number of images, and number of test images."""
     problems: tuple[str, ...] = ()
 
     def counted(self) -> Iterator[str]:
-        """Say in lines what there is."""
+        """Yield one line per source for the log."""
         for path, look, count, tested in self.table:
             yield f"{path}: {count} {look} pictures, {tested} of them for testing"
 
 
-# § Which pictures a transfer is trained on: one value, which is a part of the training's YAML file.
+# Image settings, part of the training's YAML file
 
 
 class ImageSource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Pictures of one data set, by what its own labels say of the weather."""
+    """Images of one data set, filtered by its own weather labels."""
 
     path: Annotated[str, Meta(title="Path", description="Any capture, data set or folder of pictures.")]
     weather: Annotated[
@@ -107,7 +107,7 @@ class ImageSource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
 class ImageSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Two sets of pictures that show no place twice, how they are framed, and what guides the encoder beside them."""
+    """Two unpaired sets of images, their framing, and the guide for the encoder's fourth channel."""
 
     clear: Annotated[tuple[ImageSource, ...], Meta(min_length=1, title="Clear", description="In dry weather.")]
     rainy: Annotated[tuple[ImageSource, ...], Meta(min_length=1, title="Rainy", description="In rain.")]
@@ -137,10 +137,10 @@ class ImageSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 def open_images(settings: ImageSettings, cache: Path | None = None) -> ImageSplit:
-    """Open all sources; estimated guides are kept in the folder `cache`.
+    """Open all sources; estimated guides are cached in the folder `cache`.
 
-    Each source is split by itself, so that both parts are made up alike. Broken pictures are left out and named.
-    Raises `CaptureError` where a source can't be read, has no picture of the weather asked for, or too few.
+    Each source is split separately, so that training and test have the same mix. Broken images are skipped and listed.
+    Raises `CaptureError` if a source can't be read, or has no or too few images of the requested weather.
     """
     guide = _guides(settings, cache)
     rows: list[tuple[str, str, int, int]] = []
@@ -204,7 +204,7 @@ def _chosen(source: ImageSource, problems: list[str]) -> list[CaptureFrame]:
 
 
 def _spread(views: Sequence[CaptureFrame], count: int) -> list[CaptureFrame]:
-    """Choose evenly from all sequences: neighbours in time show nearly the same picture."""
+    """Choose evenly from all sequences, since neighbors in time show nearly the same image."""
     groups: dict[str, list[CaptureFrame]] = {}
     for view in views:
         groups.setdefault(view.sensor, []).append(view)
@@ -219,7 +219,7 @@ def _spread(views: Sequence[CaptureFrame], count: int) -> list[CaptureFrame]:
     return chosen
 
 
-# § What a data set's own words say of the weather and the light in a picture.
+# Weather and daytime labels of data sets
 
 Weather = Literal["clear", "rainy", "other"]
 
@@ -227,39 +227,39 @@ _WEATHERS: Mapping[str, Weather] = {
     "clear": "clear", "partly cloudy": "clear", "overcast": "clear", "rainy": "rainy",
     "snowy": "other", "foggy": "other",
 }  # fmt: skip
-"""Words of BDD-100K; beside them it has "undefined"."""
+"""Weather labels of BDD-100K, except "undefined"."""
 
 _DARK = ("night", "dawn/dusk")
 
 
 def weather_of(attributes: Mapping[str, str]) -> Weather | None:
-    """Weather by RainSense's intensity or the labels of BDD-100K; None where nothing is said."""
+    """Weather by RainSense's intensity or the labels of BDD-100K; None without either."""
     if RAIN in attributes:
         return "rainy" if float(attributes[RAIN]) > 0 else "clear"
     return _WEATHERS.get(attributes.get("weather", ""))
 
 
 def is_daylight(attributes: Mapping[str, str]) -> bool:
-    """Whether nothing says that it was dark."""
+    """True unless the image is labeled as dark."""
     return attributes.get("timeofday") not in _DARK
 
 
-# § Guides of pictures: from the capture's own normals or depth, else estimated once and kept on the disk.
+# Guides of images: from the capture's own normals or depth, else estimated once and cached
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConditioningImages:
-    """Works out guides; a call with a view gives its guide, or None where nothing tells its surfaces."""
+    """Guides by view; None for a view without known surfaces."""
 
     kind: Literal["up", "luma"]
     estimator: NormalEstimator | None = None
     estimator_name: str = "none"
-    """Tells the kept files of one estimator from those of another."""
+    """Part of the cache key, so that estimators don't share files."""
     folder: Path | None = None
-    """Where estimated guides are kept; None keeps none."""
+    """Cache folder for estimated guides; None disables the cache."""
 
     def __call__(self, view: CaptureFrame) -> Float32[np.ndarray, "_ _"] | None:
-        """Return -1..1 per pixel of a view without lens."""
+        """Return the guide of an undistorted view, -1..1 per pixel, or None."""
         normals = self._known(view)
         if normals is not None:
             return normals_to_gray(normals, view.camera, self.kind)
@@ -285,7 +285,7 @@ class ConditioningImages:
         guide = normals_to_gray(
             estimator.normals(image.astype(np.float32) / np.float32(255), camera), camera, self.kind
         )
-        # Kept and used with the same 8 bits: the first time a picture is seen is like every other.
+        # Quantized to 8 bits even on first use, so that cached and new guides are equal.
         steps = np.round(guide * 127).astype(np.int8)
         if file is not None:
             file.parent.mkdir(parents=True, exist_ok=True)
@@ -295,7 +295,7 @@ class ConditioningImages:
 
 
 def _read(file: Path, shape: tuple[int, ...]) -> Float32[np.ndarray, "_ _"] | None:
-    """Return a kept guide; None where there is none that is whole."""
+    """Return a cached guide; None if it is missing or damaged."""
     try:
         with open_file(file) as stream:
             steps = np.load(stream, allow_pickle=False)

@@ -1,4 +1,4 @@
-"""Tells made pictures from real ones by CLIP's features, at three levels (vision-aided GAN, Kumari et al. 2022)."""
+"""Discriminators on CLIP features at three levels (vision-aided GAN, Kumari et al. 2022), with augmentation."""
 
 from collections.abc import Sequence
 from importlib import import_module
@@ -15,20 +15,19 @@ Tensor = Any
 
 _SLOPE = 0.2
 
-# § What discriminators look at: features of a frozen CLIP vision model (Kumari et al. 2022, Radford et al. 2021).
+# Features of a frozen CLIP vision model (Kumari et al. 2022, Radford et al. 2021)
 
 
 class ClipFeatures(torch.nn.Module):
-    """Features of two depths and of the whole picture; its numbers stay, gradients go into the pictures."""
+    """CLIP features of two depths and of the whole image; frozen, but gradients reach the images."""
 
     def __init__(self, vision: Any) -> None:
-        """Take a `CLIPVisionModelWithProjection`; of 12 blocks the 4th and the 8th are tapped, of others the thirds."""
+        """Take a `CLIPVisionModelWithProjection`; taps at one and two thirds of its blocks, 4 and 8 of 12."""
         super().__init__()
         self.vision = vision.eval().requires_grad_(False)
         config = vision.config
         blocks = config.num_hidden_layers
         self.taps = (max(blocks // 3, 1), max(2 * blocks // 3, 1))
-        """Blocks after which features are taken."""
         self.map_channels, self.whole_channels = config.hidden_size, config.projection_dim
         self._side_px: int = config.image_size
         self.register_buffer("mean", torch.tensor(_MEAN).view(1, 3, 1, 1), persistent=False)
@@ -36,13 +35,13 @@ class ClipFeatures(torch.nn.Module):
 
     @classmethod
     def read(cls, folder: Path | None) -> "ClipFeatures":
-        """Load a folder that a person has (None: wherever `clip_places` says).
+        """Load the model from a folder (None: the first of `clip_places`).
 
-        Raises FileNotFoundError, with how to get it, where there is none, ValueError where weights are missing in it.
+        Raises FileNotFoundError with download instructions if there is none, ValueError if weights are missing.
         """
         place = find_clip(folder)
         vision, told = _loaded(place)
-        # A whole CLIP has a text model too, which nobody misses; but a number that is missing here would be random.
+        # The text model of a full CLIP is not needed; a vision weight missing here would be random.
         lacking = sorted({*told["missing_keys"], *(name for name, *_ in told["mismatched_keys"])})
         if lacking:
             raise ValueError(f"{place}: {len(lacking)} weights of CLIP's vision model are missing, first {lacking[0]}")
@@ -50,7 +49,7 @@ class ClipFeatures(torch.nn.Module):
 
     @classmethod
     def tiny(cls) -> "ClipFeatures":
-        """Make a stand-in of the same classes with random weights, from torch's present random state."""
+        """Make a model of the same classes with few random weights, from torch's current random state."""
         config = transformers.CLIPVisionConfig(
             hidden_size=16, intermediate_size=32, projection_dim=16, num_hidden_layers=3, num_attention_heads=2,
             image_size=32, patch_size=8,
@@ -58,23 +57,22 @@ class ClipFeatures(torch.nn.Module):
         return cls(transformers.CLIPVisionModelWithProjection(config))
 
     def train(self, mode: bool = True) -> "ClipFeatures":
-        """Stay as it is: the model is frozen."""
+        """Do nothing: the model is frozen."""
         return self
 
     def forward(self, pictures: Tensor) -> list[Tensor]:
-        """See pictures (b, 3, h, w) of values -1..1: two maps (b, c, rows, columns) and one vector (b, d)."""
+        """Return two maps (b, c, rows, columns) and one vector (b, d) of images (b, 3, h, w) in -1..1."""
         shown = area_resized(pictures * 0.5 + 0.5, self._side_px)
         seen = self.vision(pixel_values=(shown - self.mean) / self.deviation, output_hidden_states=True)
         return [*(_as_map(seen.hidden_states[tap]) for tap in self.taps), seen.image_embeds]
 
 
 class Discriminator(torch.nn.Module):
-    """Heads over frozen features, of layers with spectral norm (Miyato et al. 2018). Only the heads are its own."""
+    """Trainable heads with spectral norm (Miyato et al. 2018) on frozen features, which discriminators may share."""
 
     def __init__(self, features: ClipFeatures, augmentations: Sequence[str], channels: int = 256) -> None:
-        """Several discriminators may look through the same `features`."""
         super().__init__()
-        self._camera_panel = (features,)  # in a tuple: no part of this module, its numbers are not saved with it
+        self._camera_panel = (features,)  # the tuple keeps the features out of this module's parameters and state
         self._augmentations = tuple(augmentations)
         self.maps = torch.nn.ModuleList(_MapHead(features.map_channels, channels) for _ in features.taps)
         self.whole = torch.nn.Sequential(
@@ -84,13 +82,13 @@ class Discriminator(torch.nn.Module):
         )
 
     def forward(self, pictures: Tensor, generator: Any) -> list[Tensor]:
-        """Logits of "real" for pictures (b, 3, h, w) of values -1..1, a tensor a level; augments with `generator`."""
+        """Logits of "real" for images (b, 3, h, w) in -1..1, one tensor per level; augments with `generator`."""
         *maps, whole = self._camera_panel[0](augment_images(pictures, self._augmentations, generator))
         return [*(head(each) for head, each in zip(self.maps, maps, strict=True)), self.whole(whole)]
 
 
 class _MapHead(torch.nn.Module):
-    """Logits over a map, one for every second place: convolution, blur against aliasing, convolution."""
+    """Logits over a map, at every second position: convolution, anti-aliasing blur, convolution."""
 
     def __init__(self, channels_in: int, channels: int) -> None:
         super().__init__()
@@ -112,16 +110,16 @@ _DEVIATION = (0.26862954, 0.26130258, 0.27577711)
 
 
 def area_resized(pictures: Tensor, side_px: int) -> Tensor:
-    """Resize (b, c, h, w) to a square by means over areas: torch's "area", as two products of matrices.
+    """Resize (b, c, h, w) to a square by area means: torch's "area", as two matrix products.
 
-    Torch's own has a gradient on CUDA that adds up in a different order every time.
+    The gradient of torch's own is not deterministic on CUDA.
     """
     rows, columns = (_area_weights(side, side_px).to(pictures) for side in pictures.shape[-2:])
     return rows @ pictures @ columns.T
 
 
 def _area_weights(of: int, to: int) -> Tensor:
-    """Shares (to, of) of old pixels in new ones."""
+    """Weights (to, of) of old pixels in new ones."""
     weights = torch.zeros(to, of)
     for i in range(to):
         first, end = i * of // to, -(-(i + 1) * of // to)
@@ -130,7 +128,7 @@ def _area_weights(of: int, to: int) -> Tensor:
 
 
 def _loaded(place: Path) -> tuple[Any, Any]:
-    """The vision model of a folder, and what was found; without the report on the text model that it would log."""
+    """Load the vision model of a folder and its loading info, without the log messages on the unused text model."""
     log = transformers.logging
     said, shown = log.get_verbosity(), log.is_progress_bar_enabled()
     log.set_verbosity_error()
@@ -146,26 +144,26 @@ def _loaded(place: Path) -> tuple[Any, Any]:
 
 
 def _as_map(tokens: Tensor) -> Tensor:
-    """Tokens (b, 1 + n, c) without the class token, as the square that they cover."""
+    """Reshape tokens (b, 1 + n, c), without the class token, into a square map."""
     count, tokens_in_all, channels = tokens.shape
     side = round((tokens_in_all - 1) ** 0.5)
     return tokens[:, 1:].transpose(1, 2).reshape(count, channels, side, side)
 
 
-# § Differentiable augmentation of what a discriminator sees (Zhao et al. 2020), in plain torch.
+# Differentiable augmentation (Zhao et al. 2020), in plain torch
 
 _SHIFT = 1 / 8
-"""Farthest translation, as a share of the side."""
+"""Largest translation, as a share of the side."""
 
 _HOLE = 1 / 2
-"""Side of the hole, as a share of the picture's side."""
+"""Side of the hole, as a share of the image's side."""
 
 
 def augment_images(pictures: Tensor, kinds: Sequence[str], generator: Any) -> Tensor:
-    """Change pictures (b, 3, h, w) of values -1..1 at random, each in its own way; gradients go through.
+    """Augment images (b, 3, h, w) in -1..1, each one differently; gradients pass through.
 
-    `kinds` are "color", "translation" and "cutout", done in this order. `generator` is torch's, on the CPU, so that
-    the same seed draws the same on every device. What a shift uncovers and a hole leaves is 0, the middle grey.
+    `kinds` are "color", "translation" and "cutout", applied in this order. `generator` is torch's, on the CPU, so that
+    a seed gives the same draws on every device. Uncovered borders and holes are 0, the middle gray.
     """
     for kind in ("color", "translation", "cutout"):
         if kind in kinds:
@@ -174,7 +172,7 @@ def augment_images(pictures: Tensor, kinds: Sequence[str], generator: Any) -> Te
 
 
 def _color(pictures: Tensor, generator: Any) -> Tensor:
-    """Brightness by up to half the range, saturation 0 to 2, contrast a half to one and a half."""
+    """Change brightness by up to half the range, saturation by 0 to 2, contrast by 0.5 to 1.5."""
     draws = torch.rand(3, len(pictures), 1, 1, 1, generator=generator).to(pictures)
     pictures = pictures + (draws[0] - 0.5)
     grey = pictures.mean(1, keepdim=True)
@@ -196,7 +194,7 @@ def _translation(pictures: Tensor, generator: Any) -> Tensor:
 
 
 def _cutout(pictures: Tensor, generator: Any) -> Tensor:
-    """A hole whose middle lies anywhere in the picture: at its rim less is cut out."""
+    """Cut a hole centered anywhere in the image; at the border it is smaller."""
     count, _, height, width = pictures.shape
     kept = torch.ones(count, 1, height, width)
     sides = [int(side * _HOLE + 0.5) for side in (height, width)]

@@ -1,4 +1,4 @@
-"""The losses of a fine-tuning, iteration by iteration: as a CSV file, and for TensorBoard where it is installed."""
+"""Training losses: a CSV and TensorBoard log, and early warnings of failed trainings."""
 
 import csv
 import logging
@@ -25,13 +25,12 @@ _STEP = "step"
 
 
 class LossLog:
-    """Appends to a folder's files; use it as a context, so that everything is on the disk in the end."""
+    """Log of losses in a folder's files; a context manager that closes them."""
 
     def __init__(self, folder: Path, begins_at: int = 0) -> None:
-        """Begin, or go on after so many iterations: what was noted later is forgotten, it comes again."""
+        """Start a log, or continue one after `begins_at` iterations; later rows are dropped and will be repeated."""
         self._file = folder / FILE
         self.kept = [row for row in read_losses(self._file) if row[_STEP] <= begins_at] if begins_at else []
-        """What was noted before."""
         if self.kept:
             with whole_file(self._file) as beside, beside.open("w", newline="", encoding="utf-8") as stream:
                 _write_rows(stream, self.kept)
@@ -53,7 +52,7 @@ class LossLog:
             self._board.close()
 
     def add(self, step: int, losses: Mapping[str, float]) -> None:
-        """Note the losses of an iteration; the first one is number 1."""
+        """Append the losses of an iteration, counted from 1."""
         self._write({_STEP: float(step), **losses})
         if self._board is not None:
             for name, value in losses.items():
@@ -64,7 +63,6 @@ class LossLog:
             self._board.add_image("samples", grid, step, dataformats="HWC")
 
     def flush(self) -> None:
-        """Bring what was noted to the disk, for others to read."""
         self._stream.flush()
         if self._board is not None:
             self._board.flush()
@@ -88,7 +86,7 @@ def _in_words(row: Mapping[str, float]) -> dict[str, str]:
 
 
 def read_losses(file: Path) -> list[dict[str, float]]:
-    """Read all whole rows of a CSV file of losses, which may still be growing; none where it is missing."""
+    """Read all complete rows of a loss log, which may still be growing; empty if it is missing."""
     if not file.is_file():
         return []
     rows: list[dict[str, float]] = []
@@ -101,21 +99,21 @@ def read_losses(file: Path) -> list[dict[str, float]]:
     return rows
 
 
-# § Says early when a training goes nowhere: when the model gives back what it is given, or a discriminator has won.
+# Collapse monitor: warns if the model only reconstructs, or if a discriminator has won
 
 CHANCE = float(3 * np.log(2))
-"""Adversarial loss of three levels where made and real can't be told apart."""
+"""Adversarial loss of three levels if generated and real images are indistinguishable."""
 
 _COUNTED = 64
-"""Pictures of each look that the distance is measured on."""
+"""Images per look used to measure the distance."""
 
 _RANKS = 256
 
 _STUCK = 0.25
-"""Less of the distance than this, and a model only reconstructs."""
+"""Share of the distance below which a model only reconstructs."""
 
 _WON = 0.1
-"""A discriminator whose loss is under this share of chance has won: nothing is learned from it any more."""
+"""Share of the chance loss below which a discriminator has won, so that nothing is learned from it."""
 
 _WINDOW = 100
 
@@ -123,31 +121,31 @@ _WINDOW = 100
 def color_distance(
     source: Iterable[Float32[np.ndarray, "_ _ 3"]], target: Iterable[Float32[np.ndarray, "_ _ 3"]]
 ) -> float:
-    """How far apart two sets of pictures of values 0..1 are in their colours alone: a mean over red, green and blue.
+    """Mean color distance of two sets of images in 0..1, over red, green and blue.
 
-    The Wasserstein distance of a channel's values (Villani 2003). No translation of the one look into the other can
-    change pictures by less on average: that is what the distance means.
+    The Wasserstein distance of each channel's values (Villani 2003): a lower bound of the mean change of any
+    translation of one look into the other.
     """
     return float(np.abs(_ranked(source) - _ranked(target)).mean())
 
 
 @dataclass(frozen=True, slots=True)
 class CollapseVerdict:
-    """How a training looks over its last iterations."""
+    """State of a training over its last iterations."""
 
     change: float
-    """Mean change by the translation, as a share of the range of values."""
+    """Mean change by the translation, as a share of the value range."""
     share: float
-    """The same as a share of the distance between the looks: 1 or more where a translation is complete."""
+    """Change as a share of the distance between the looks: 1 or more for a complete translation."""
     warning: str | None
-    """What is wrong, as a sentence or two; None where all is well, or it is too early to tell."""
+    """Problem in a sentence or two; None if there is none or it is too early to tell."""
 
 
 class CollapseMonitor:
-    """Watches the losses of a training."""
+    """Monitor of the losses of a training."""
 
     def __init__(self, distance: float, gan_weight: float, warned_after: int) -> None:
-        """Take the distance between the looks, the weight within the adversarial losses, and when to speak first."""
+        """Take the distance between the looks, the adversarial weight, and the first step with warnings."""
         self.distance = max(distance, 1 / 255)
         self._gan_weight, self._warned_after = gan_weight, warned_after
         self._recent: deque[Mapping[str, float]] = deque(maxlen=_WINDOW)
@@ -156,7 +154,6 @@ class CollapseMonitor:
         self._recent.append(losses)
 
     def verdict(self, step: int) -> CollapseVerdict:
-        """Judge after so many iterations."""
         if not self._recent:
             return CollapseVerdict(0.0, 0.0, None)
         mean = {name: sum(each[name] for each in self._recent) / len(self._recent) for name in self._recent[-1]}
@@ -186,17 +183,17 @@ class CollapseMonitor:
         return None
 
     def _of_chance(self, mean: Mapping[str, float], look: str) -> float:
-        # Each of the two losses holds half the weight: together they are the weight times `CHANCE` there.
+        # Each of the two losses has half the weight, so chance level is the weight times `CHANCE`.
         return (mean[f"judge_{look}_made"] + mean[f"judge_{look}_real"]) / (self._gan_weight * CHANCE)
 
 
 def distance_sample(pictures: Sequence[object]) -> list[int]:
-    """Which pictures of a set the distance is measured on: evenly spread, at most 64."""
+    """Indices of the images used to measure the distance: evenly spread, at most 64."""
     return np.unique(np.linspace(0, len(pictures) - 1, min(len(pictures), _COUNTED)).round().astype(int)).tolist()
 
 
 def _ranked(pictures: Iterable[Float32[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "_ 3"]:
-    """Values of all pictures, each counting the same, at evenly spaced ranks for each channel."""
+    """Values of all images, weighted equally, at evenly spaced quantiles per channel."""
     ranks = (np.arange(_RANKS) + 0.5) / _RANKS
     pooled = np.concatenate([np.quantile(each.reshape(-1, 3), ranks, axis=0) for each in pictures])
     return np.quantile(pooled, ranks, axis=0).astype(np.float32)

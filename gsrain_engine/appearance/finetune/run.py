@@ -1,6 +1,6 @@
-"""Fine-tunes CycleGAN-Turbo: start or resume, learn, show, save; a generator that may be stopped anywhere.
+"""Fine-tuning of CycleGAN-Turbo: start or resume, train, sample and save, as a generator that may be stopped anywhere.
 
-`session/appearance/transfer_training_work.py` brings LPIPS along, for the command line and the window.
+The caller provides LPIPS.
 """
 
 import logging
@@ -41,34 +41,34 @@ torch: Any = import_module("torch")
 logger = logging.getLogger("gsrain")
 
 _STARTED, _TRAINED = 0.02, 0.99
-"""Shares of the whole work after which training begins, and is over."""
+"""Progress at which training begins and ends."""
 
 _PREVIEW_INTERVAL_S = 2.0
 
 _FLUSHED_EVERY_S = 1.0
 
 _RECENT = 100
-"""Iterations that the result's losses are means over."""
+"""Number of last iterations that the result's losses are averaged over."""
 
 
 def finetune(task: FinetuneTask, perceptual: Perceptual | None = None) -> Generator[Progress, None, FinetuneResult]:
     """Fine-tune, and write weights, checkpoint, losses, samples and settings into the task's folder.
 
     Args:
-        task: What to do.
-        perceptual: LPIPS on the device of the task; None leaves its losses out and says so.
+        task: Settings and folder.
+        perceptual: LPIPS on the task's device; None trains without its losses and logs a warning.
 
     Yields:
-        Progress, at least once an iteration, with a preview now and then. Stopped there, the last checkpoint remains.
+        Progress, at least once per iteration, sometimes with a preview. If stopped, the last checkpoint remains.
 
     Raises:
-        CaptureError: For pictures that can't be read.
-        FinetuningCheckpointError: When `resume` finds no checkpoint, or one of another training.
-        FileNotFoundError: Where SD-Turbo or CLIP are missing, with how to get them.
-        ValueError: Where what is there doesn't fit, or the folder holds another training.
-        DivergedError: Where the training has come apart.
-        MemoryError: Where the device has too little.
-        HeldError: Where another process writes into the folder.
+        CaptureError: For unreadable images.
+        FinetuningCheckpointError: If `resume` finds no checkpoint, or one of another training.
+        FileNotFoundError: If SD-Turbo or CLIP is missing, with download instructions.
+        ValueError: If files don't fit each other, or the folder holds another training.
+        DivergedError: If the training diverged.
+        MemoryError: If the device has too little memory.
+        HeldError: If another process writes into the folder.
     """
     with hold_for_writing(task.output):
         return (yield from _finetuned(task, perceptual))
@@ -92,7 +92,7 @@ def _finetuned(task: FinetuneTask, perceptual: Perceptual | None) -> Generator[P
 
 
 class _FinetuneLoop:
-    """One training from its first iteration to its last, with what is noted on the way."""
+    """One training with its log and monitor."""
 
     def __init__(self, task: FinetuneTask, split: ImageSplit, training: FinetuneTrainer, perceptual: bool) -> None:
         self._task, self._split, self._training, self._perceptual = task, split, training, perceptual
@@ -123,7 +123,7 @@ class _FinetuneLoop:
                     log.show(number + 1, grid)
                     yield self._progress_at(number, f"Samples after {number + 1:,} iterations", grid)
                 if _is_due(settings.saved_every, number, settings.steps):
-                    log.flush()  # first: who goes on from the checkpoint has the losses before it
+                    log.flush()  # first, so that a resumed training finds the losses before its checkpoint
                     self._save(number + 1)
                     yield self._progress_at(number, f"Saved {self._task.checkpoint.name}")
                 if (now := time.perf_counter()) - self._flushed_at > _FLUSHED_EVERY_S:
@@ -182,7 +182,7 @@ class _FinetuneLoop:
         return grid
 
     def _line(self, number: int, done: FinetuneStepResult) -> str:
-        """Say what an iteration did; a warning once, when it comes up, in the log too."""
+        """Return the progress message of an iteration; a new warning is also logged once."""
         verdict = self._warning.verdict(number + 1)
         if verdict.warning is not None and self._warned is None:
             logger.warning("%s", verdict.warning)
@@ -221,11 +221,11 @@ def _is_due(every: int, number: int, steps: int) -> bool:
 
 @contextmanager
 def _repeatable() -> Generator[None]:
-    """Let torch take ways that give the same bytes every time; on the processor it does so anyway."""
+    """Use deterministic algorithms on CUDA; on the CPU torch's are deterministic anyway."""
     if not torch.cuda.is_available():
         yield
         return
-    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # read when its first product is worked out
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # cuBLAS reads it at its first product
     before = torch.are_deterministic_algorithms_enabled()
     torch.use_deterministic_algorithms(True, warn_only=True)
     try:
@@ -234,7 +234,7 @@ def _repeatable() -> Generator[None]:
         torch.use_deterministic_algorithms(before)
 
 
-# § Puts a fine-tuning together: pictures, model, discriminators, and what they are measured with.
+# Setup: images, model, discriminators and monitor
 
 _TINY_CHANNELS = 32
 
@@ -242,7 +242,7 @@ _DISTANCE_PX = 64
 
 
 def chosen_device(name: str) -> str:
-    """Device of a setting. Raises ValueError where CUDA is asked for and not there."""
+    """Resolve a device setting. Raises ValueError if CUDA is requested but not available."""
     has_cuda = bool(torch.cuda.is_available())
     if name == "cuda" and not has_cuda:
         raise ValueError("device cuda: no CUDA device is there; take cpu or auto")
@@ -252,11 +252,11 @@ def chosen_device(name: str) -> str:
 def start_finetuning(
     settings: FinetuningSettings, pictures: UnpairedImages, perceptual: Perceptual | None = None
 ) -> FinetuneTrainer:
-    """Build everything, from the seed where it is new.
+    """Build the trainer; new parts are initialized from the seed.
 
     Raises:
-        FileNotFoundError: Where SD-Turbo, CLIP or the weights to start from are missing, with how to get them.
-        ValueError: Where one of them is of another architecture, or CUDA isn't there.
+        FileNotFoundError: If SD-Turbo, CLIP or the initial weights are missing, with download instructions.
+        ValueError: If one of them has another architecture, or CUDA is not available.
     """
     device = chosen_device(settings.device)
     guided = settings.pictures.guide != "none"
@@ -275,7 +275,7 @@ def start_finetuning(
 
 
 def start_warning(settings: FinetuningSettings, pictures: UnpairedImages) -> CollapseMonitor:
-    """Measure how far apart the two looks are, for the early warning."""
+    """Measure the distance between the two looks and make the collapse monitor."""
     distance = color_distance(_small(pictures.source), _small(pictures.target))
     return CollapseMonitor(distance, settings.losses.gan, settings.warned_after)
 
@@ -300,14 +300,14 @@ def _features(settings: FinetuningSettings) -> ClipFeatures:
 
 
 def _small(pictures: tuple[DatasetImage, ...]) -> Iterator[Float32[np.ndarray, "_ _ 3"]]:
-    """Some of the pictures, thinned: their colours are what counts."""
+    """Some of the images, subsampled, since only their colors count."""
     for i in distance_sample(pictures):
         image = pictures[i].read()[0]
         step = max(1, max(image.shape) // _DISTANCE_PX)
         yield image[::step, ::step]
 
 
-# § Pictures to judge a fine-tuning by: the same clear ones every time, translated and back again.
+# Sample grid: fixed clear images, translated and back
 
 Tensor = Any
 
@@ -315,20 +315,19 @@ _GAP_PX = 4
 
 
 def choose_samples(pictures: Sequence[DatasetImage], count: int) -> tuple[DatasetImage, ...]:
-    """Choose the pictures that are shown: so many, evenly spread."""
     places = np.unique(np.linspace(0, len(pictures) - 1, min(count, len(pictures))).round().astype(int))
     return tuple(pictures[int(i)] for i in places)
 
 
 def sample_grid(training: FinetuneTrainer, pictures: tuple[DatasetImage, ...]) -> UInt8[np.ndarray, "h w 3"]:
-    """A row a picture: clear, made rainy, made clear again."""
+    """One row per image: clear, rainy, and clear again."""
     rows = [_row(training, each) for each in pictures]
     gap = np.full((_GAP_PX, rows[0].shape[1], 3), 255, np.uint8)
     return np.concatenate([part for row in rows for part in (row, gap)][:-1])
 
 
 def join_horizontally(*pictures: Tensor) -> UInt8[np.ndarray, "h w 3"]:
-    """Put (1, 3, h, w) pictures of values -1..1 side by side."""
+    """Join (1, 3, h, w) images in -1..1 side by side."""
     shown = [_pixels(each) for each in pictures]
     gap = np.full((shown[0].shape[0], _GAP_PX, 3), 255, np.uint8)
     return np.concatenate([part for each in shown for part in (each, gap)][:-1], axis=1)

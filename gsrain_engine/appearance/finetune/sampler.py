@@ -1,4 +1,4 @@
-"""Which two pictures an iteration learns from, and its random numbers: all from the seed and its number alone."""
+"""Deterministic sampler of unpaired images: pairs and random numbers follow from seed and iteration alone."""
 
 import zlib
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ Tensor = Any
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnpairedSample:
-    """A clear and a rainy picture of different places: batches of one, (1, 3, h, w) in -1..1; guides (1, 1, h, w)."""
+    """Clear and rainy image of different places: batches of one, (1, 3, h, w) in -1..1; guides (1, 1, h, w)."""
 
     clear: Tensor
     rainy: Tensor
@@ -26,9 +26,9 @@ class UnpairedSample:
 
 
 class PairSampler:
-    """Pairs of an endless training: each set goes round in ever new orders, so that no place always meets another.
+    """Endless pairs: each set is shuffled anew in every epoch, so that pairs change.
 
-    Nothing is remembered from one iteration to the next: a training that is taken up again goes on as it would have.
+    It has no state, so a resumed training continues as if never interrupted.
     """
 
     def __init__(self, pictures: UnpairedImages, seed: int, guided: bool, device: str) -> None:
@@ -41,14 +41,14 @@ class PairSampler:
         return UnpairedSample(clear, rainy, clear_guide, rainy_guide)
 
     def generator(self, iteration: int) -> Any:
-        """Random numbers of an iteration, drawn on the processor."""
+        """Random numbers of an iteration, drawn on the CPU."""
         return torch.Generator().manual_seed(self._seed * 1_000_003 + iteration)
 
     def read(self, picture: DatasetImage) -> tuple[Tensor, Tensor | None]:
-        """Read one picture and its guide, as batches of one.
+        """Read one image and its guide, as batches of one.
 
-        A picture without a guide has one of zeros: the encoder's new columns add nothing then. Where only one of the
-        two looks has guides, a model can tell them apart by that; better give normals to both.
+        A missing guide becomes zeros, to which the encoder's new columns add nothing. If only one of the two looks has
+        guides, a model can tell the looks apart by them, so better give both looks normals.
         """
         image, guide = picture.read()
         batch = torch.from_numpy(image).permute(2, 0, 1)[None].contiguous().to(self._device) * 2 - 1
@@ -63,6 +63,6 @@ class PairSampler:
 
 
 def fingerprint(pictures: UnpairedImages) -> str:
-    """Tell sets of pictures apart by their names and sizes, in a line that a person can read."""
+    """Identify sets of images by names and sizes, in a readable line."""
     names = "\n".join(f"{each.name} {each.width} {each.height}" for each in (*pictures.source, *pictures.target))
     return f"{len(pictures.source)} clear, {len(pictures.target)} rainy, {zlib.crc32(names.encode()):08x}"

@@ -1,4 +1,4 @@
-"""What a person can choose about a fine-tuning of CycleGAN-Turbo: one value, which is also its YAML and its help."""
+"""Settings of a fine-tuning of CycleGAN-Turbo, their YAML files and command-line help, and the path of CLIP."""
 
 import os
 from pathlib import Path
@@ -17,7 +17,7 @@ Weight = Annotated[float, Meta(ge=0, le=100)]
 
 
 class LossWeights(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How much each loss counts. The paper's three; those of LPIPS, where it is silent, are CycleGAN-Turbo's."""
+    """Loss weights: the paper's three; those of LPIPS, which it doesn't give, are CycleGAN-Turbo's."""
 
     cycle: Annotated[Weight, Meta(title="Cycle", description="Mean difference after there and back again.")] = 1.0
     cycle_lpips: Annotated[Weight, Meta(title="Cycle, LPIPS", description="The same, as LPIPS sees it.")] = 10.0
@@ -29,7 +29,7 @@ class LossWeights(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
 class OptimizerSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """AdamW (Loshchilov and Hutter 2019), of the generator and of the discriminators."""
+    """AdamW (Loshchilov and Hutter 2019) for the generator and the discriminators."""
 
     rate: Annotated[float, Meta(gt=0, le=1, title="Learning rate", description="Of the generator.")] = 1e-5
     discriminator_rate: Annotated[
@@ -50,14 +50,14 @@ class OptimizerSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class LoraSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Size of what is learned (Hu et al. 2022)."""
+    """LoRA ranks (Hu et al. 2022)."""
 
     unet: Annotated[int, Meta(ge=1, le=1024, title="UNet rank", description="Of each layer's LoRA.")] = 128
     vae: Annotated[int, Meta(ge=1, le=1024, title="VAE rank", description="Of each layer's LoRA.")] = 4
 
 
 class FinetuningSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How CycleGAN-Turbo is fine-tuned. The defaults are the paper's recipe; batches hold one picture of each look."""
+    """Settings of a fine-tuning. The defaults are the paper's recipe; batches hold one image of each look."""
 
     pictures: Annotated[ImageSettings, Meta(title="Pictures")]
     architecture: Annotated[
@@ -120,20 +120,19 @@ class FinetuningSettings(Struct, frozen=True, kw_only=True, forbid_unknown_field
     ] = 500
 
 
-# § Reads the settings of a fine-tuning: shipped ones by name, a person's by path, with changes on top.
+# Settings files: shipped ones by name, the user's by path, with changes applied on top
 
 _FOLDER = "finetune"
 
 _FILES = ("path", "normals_weights", "normals_checkout", "base", "clip", "lpips", "start")
-"""Fields that name files."""
 
 
 def load_finetuning(name: str | Path, **changes: Any) -> FinetuningSettings:
-    """Read settings, and change some; changes that are None are passed over.
+    """Read settings and apply changes; changes that are None are ignored.
 
-    Files that it names are looked for in its own folder first, then in the working folder. Raises ValueError with the
-    file or option, the field and what is allowed; `UntrustedCodeError` where they name a program that no person has
-    allowed to run.
+    Relative paths are resolved against the settings file's folder first, then the working folder. Raises ValueError
+    with the file or option, the field and the allowed values; `UntrustedCodeError` if they name code that the user has
+    not allowed to run.
     """
     values = load_values(_FOLDER, name, "settings", _FILES)
     changed = {key: value for key, value in changes.items() if value is not None}
@@ -149,7 +148,7 @@ def load_finetuning(name: str | Path, **changes: Any) -> FinetuningSettings:
 
 
 def code_of(settings: FinetuningSettings) -> dict[str, str]:
-    """Digests of the Python that settings name, by its absolute path: for the process that runs it."""
+    """Digests of the Python code that settings name, by absolute path: for the process that runs it."""
     pictures = settings.pictures
     if pictures.normals != "dsine" or pictures.normals_checkout is None:
         return {}
@@ -158,7 +157,6 @@ def code_of(settings: FinetuningSettings) -> dict[str, str]:
 
 
 def finetuning_help(name: str) -> str:
-    """Description of a setting, for the help of a command that changes it."""
     hint = get_type_hints(FinetuningSettings, include_extras=True)[name]
     return f"{hint.__metadata__[-1].description} Default: what CONFIG says."
 
@@ -168,11 +166,10 @@ def finetuning_names() -> list[str]:
 
 
 def write_finetuning(file: Path, settings: FinetuningSettings) -> None:
-    """Write settings as a YAML file that `load_finetuning` reads."""
     file.write_bytes(msgspec.yaml.encode(settings))
 
 
-# § Where CLIP's vision model, by which discriminators see, is looked for, and how to get it. Needs no torch.
+# Path of CLIP's vision model for the discriminators. Needs no torch.
 
 PLACE = "GSRAIN_CLIP"
 """Environment variable with the folder of CLIP ViT-B/32 in the layout of transformers."""
@@ -183,15 +180,15 @@ _OWN = "clip-vit-base-patch32"
 
 
 def clip_places() -> tuple[Path, ...]:
-    """Folders in which it may lie: that of GSRAIN_CLIP if set, else the data folder and Hugging Face's cache."""
+    """Folders to search for CLIP: that of GSRAIN_CLIP if set, else the data folder and Hugging Face's cache."""
     own = os.environ.get(PLACE)
     return (Path(own),) if own else (data_folder() / _OWN, *hub_snapshots(_HUB_NAME))
 
 
 def find_clip(folder: Path | None = None) -> Path:
-    """Find the folder: the given one, or the first place that has it.
+    """Find CLIP's folder: the given one, or the first of `clip_places` that has it.
 
-    Raises FileNotFoundError, with where it was looked for and how to get it.
+    Raises FileNotFoundError with the folders searched and download instructions.
     """
     places = clip_places() if folder is None else (folder,)
     for place in places:

@@ -1,4 +1,4 @@
-"""One iteration of CycleGAN-Turbo's training (Parmar et al. 2024; Zhu et al. 2017), and what it leaves behind."""
+"""Training step of CycleGAN-Turbo (Parmar et al. 2024; Zhu et al. 2017): losses, trained parameters, optimizer."""
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -23,27 +23,27 @@ _GENERATOR, _DISCRIMINATORS = "generator", "discriminators"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FinetuneStepResult:
-    """What an iteration did."""
+    """Losses and images of an iteration."""
 
     losses: dict[str, float]
-    """Weighted losses by name, and "change": mean |a2b(clear) - clear| as a share of the range of values."""
+    """Weighted losses by name, and "change": mean |a2b(clear) - clear| as a share of the value range."""
     clear: Tensor
     translated: Tensor
-    """(1, 3, h, w) of values -1..1, both."""
+    """(1, 3, h, w) in -1..1, both."""
 
 
-# § The losses of CycleGAN-Turbo (Parmar et al. 2024): adversarial at several levels, and pictures against pictures.
+# Losses of CycleGAN-Turbo (Parmar et al. 2024): multilevel adversarial, cycle and identity
 
 Perceptual = Callable[[Tensor, Tensor], Tensor]
-"""Distance of two batches (b, 3, h, w) of values -1..1 as eyes see it, a scalar; LPIPS is one."""
+"""Perceptual distance of two batches (b, 3, h, w) in -1..1, a scalar; LPIPS is one."""
 
 
 class FinetuneTrainer:
-    """What a training changes, and how: the generator's three steps of an iteration, then the discriminators' two.
+    """Trained state and training step: three steps of the generator per iteration, then two of the discriminators.
 
-    As in the published code the cycle, the adversarial and the identity loss each get a step of their own, with moments
-    in common: one graph of one direction is in memory at a time. In a cycle the guide of a picture serves both ways:
-    rain changes looks, not surfaces. The discriminators only see colours.
+    As in the published code, the cycle, adversarial and identity losses each get a step with shared moments, so only
+    the graph of one direction is in memory at a time. In a cycle, an image's guide serves both directions: rain
+    changes looks, not surfaces. The discriminators get only colors.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class FinetuneTrainer:
         settings: FinetuningSettings,
         perceptual: Perceptual | None = None,
     ) -> None:
-        """Take a model with LoRA layers, what tells rainy from made rainy, what tells clear from made clear."""
+        """Take a model with LoRA layers, and the discriminators of rainy and of clear images."""
         self.model, self.order = model, order
         self.rainy_judge, self.clear_judge = discriminators
         self._settings, self._perceptual = settings, perceptual
@@ -72,7 +72,7 @@ class FinetuneTrainer:
                 part.enable_gradient_checkpointing()
 
     def iterate(self, number: int) -> FinetuneStepResult:
-        """Learn from one pair of pictures. Raises `DivergedError` where a gradient is no number any more."""
+        """Train on one pair of images. Raises `DivergedError` if a gradient is not finite."""
         pair, random = self.order.pair(number), self.order.generator(number)
         frozen_parameters((self.rainy_judge, self.clear_judge), True)
         losses = self._learn_cycles(pair, number)
@@ -84,12 +84,12 @@ class FinetuneTrainer:
         return FinetuneStepResult(losses, pair.clear, made_rainy)
 
     def translated(self, pictures: Tensor, guides: Tensor | None, direction: Direction) -> Tensor:
-        """Translate without learning."""
+        """Translate without training."""
         with torch.no_grad(), self._precision():
             return self.model.translate(pictures, guides, direction).float()
 
     def state(self) -> dict[str, Any]:
-        """Return everything that the training goes on from, as tensors by name."""
+        """Return the complete training state, as tensors by name."""
         arrays = _under(f"{_GENERATOR}:weights", state_of(self._generator.parameters))
         arrays |= _under(f"{_GENERATOR}:moments", self._generator.state())
         arrays |= _under(f"{_DISCRIMINATORS}:moments", self._judges.state())
@@ -99,7 +99,7 @@ class FinetuneTrainer:
         return arrays
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Go back to what `state` returned; raises KeyError or RuntimeError where something is missing or odd."""
+        """Restore the result of `state`; raises KeyError or RuntimeError for missing or unfitting tensors."""
         restore(self._generator.parameters, _of(arrays, f"{_GENERATOR}:weights"))
         self._generator.restore(_of(arrays, f"{_GENERATOR}:moments"))
         self._judges.restore(_of(arrays, f"{_DISCRIMINATORS}:moments"))
@@ -136,7 +136,7 @@ class FinetuneTrainer:
         return losses, made[0].detach(), made[1].detach()
 
     def _learn_identity(self, pair: UnpairedSample, number: int) -> dict[str, float]:
-        """A rainy picture made rainy, and a clear one made clear, stay as they are."""
+        """Train to leave rainy images unchanged by a2b and clear ones by b2a."""
         weights = self._settings.losses
         losses: dict[str, float] = {}
         for name, picture, guide, direction in (
@@ -178,7 +178,7 @@ class FinetuneTrainer:
 
 
 def _learn_from(loss: Tensor) -> float:
-    """Leave the gradients of a loss where they belong, and free its graph."""
+    """Accumulate the gradients of a loss and free its graph."""
     loss.backward()
     return float(loss.detach())
 
@@ -193,9 +193,9 @@ def _of(arrays: Mapping[str, Any], kind: str) -> dict[str, Any]:
 
 
 def adversarial(logits: Sequence[Tensor], real: bool) -> Tensor:
-    """Sum over the levels of the mean cross-entropy of logits with "real" or "made" (multilevel sigmoid loss).
+    """Sum over levels of the mean cross-entropy of logits with "real" or "made" (multilevel sigmoid loss).
 
-    A generator minimizes it with `real` for what it made.
+    The generator minimizes it with `real` for its own images.
     """
     losses = [torch.nn.functional.softplus(-each if real else each).mean() for each in logits]
     return torch.stack(losses).sum()
@@ -204,14 +204,14 @@ def adversarial(logits: Sequence[Tensor], real: bool) -> Tensor:
 def difference(
     shown: Tensor, truth: Tensor, weight: float, perceptual_weight: float, perceptual: Perceptual | None
 ) -> Tensor:
-    """Weighted mean absolute difference of pictures of values -1..1, plus the weighted perceptual one, if any."""
+    """Weighted mean absolute difference of images in -1..1, plus the weighted perceptual one, if any."""
     loss = weight * (shown - truth).abs().mean()
     if perceptual is not None and perceptual_weight > 0:
         loss = loss + perceptual_weight * perceptual(shown, truth)
     return loss
 
 
-# § Which numbers of CycleGAN-Turbo are learned, and how a pretrained layer is held where only a part of it may move.
+# Trained parameters of CycleGAN-Turbo
 
 Parameter = Any
 
@@ -227,17 +227,17 @@ _COLORS = 3
 
 
 def trained_parameters(model: Any) -> tuple[dict[str, Parameter], dict[str, Parameter]]:
-    """Choose what is learned, by name, and freeze the rest: what may decay towards nothing, and what may not.
+    """Choose the trained parameters, by name, and freeze the rest; the first result has weight decay, the second none.
 
     The published code trains every LoRA, the UNet's first convolution and the skip convolutions; but adding the
-    adapters freezes the skips again, and its checkpoints lose the first convolution. Here:
+    adapters freezes the skips again, and its checkpoints lack the first convolution. Here:
 
-    * every LoRA, and the skip convolutions, which start at nothing too: with weight decay, which pulls back to the
+    * every LoRA and the skip convolutions, which also start at about zero: with weight decay, which pulls back to the
       pretrained model;
-    * the UNet's first convolution, and of each encoder's first convolution the columns of the guide, which a LoRA of
-      low rank would squeeze: without decay, which would pull away from the pretrained model.
+    * the UNet's first convolution, and the guide's columns of each encoder's first convolution, for which a LoRA of
+      low rank is too small: without decay, which would pull away from the pretrained model.
 
-    All of them are in what `save_weights` writes. Raises ValueError where a model has no LoRA to train.
+    `save_weights` writes all of them. Raises ValueError for a model without LoRA layers.
     """
     model.requires_grad_(False)
     decaying: dict[str, Parameter] = {}
@@ -258,35 +258,35 @@ def trained_parameters(model: Any) -> tuple[dict[str, Parameter], dict[str, Para
 
 
 def state_of(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
-    """Copies of parameters, on the processor, by name."""
+    """Copies of parameters on the CPU, by name."""
     return {name: parameter.detach().cpu().clone() for name, parameter in parameters.items()}
 
 
 def restore(parameters: Mapping[str, Parameter], arrays: Mapping[str, Any]) -> None:
-    """Put back what `state_of` returned; raises KeyError where a name is missing."""
+    """Restore the result of `state_of`; raises KeyError for a missing name."""
     with torch.no_grad():
         for name, parameter in parameters.items():
             parameter.copy_(arrays[name])
 
 
 def _only_guide(gradient: Any) -> Any:
-    """Hold the columns of the colours: without gradient and without decay AdamW leaves every bit of them."""
+    """Zero the gradient of the color columns: with no gradient and no decay, AdamW leaves them bit-identical."""
     gradient = gradient.clone()
     gradient[:, :_COLORS] = 0
     return gradient
 
 
-# § AdamW over named parameters, with clipping and a warm-up that counts iterations, and all of its state by name.
+# Optimizer: AdamW with named parameters, gradient clipping and warm-up
 
 _MOMENTS = ("step", "exp_avg", "exp_avg_sq")
 
 
 class DivergedError(ValueError):
-    """A training has come apart: a gradient is no number any more."""
+    """Error of a diverged training: a gradient is not finite."""
 
 
 class NamedOptimizer:
-    """One AdamW. Parameters in `decaying` are pulled towards nothing, those in `held` are not."""
+    """One AdamW. Weight decay applies to the parameters in `decaying`, not to those in `held`."""
 
     def __init__(
         self,
@@ -311,11 +311,10 @@ class NamedOptimizer:
         self._adam.zero_grad(set_to_none=True)
 
     def step(self, iteration: int) -> float:
-        """Clip, move, and forget the gradients; returns the gradient's length before clipping.
+        """Clip, update and clear the gradients; returns the gradient's norm before clipping.
 
-        The rate follows from the iteration alone, however many of its steps an iteration takes: the published code
-        moved its schedule on with each of them. Raises `DivergedError` where the gradient is no number: nothing has
-        moved then.
+        The learning rate depends on the iteration alone, not on the number of its steps; the published code advances
+        its schedule with each step. Raises `DivergedError` before any update if the gradient is not finite.
         """
         for group in self._adam.param_groups:
             group["lr"] = self._rate * min(1.0, (iteration + 1) / max(self._warmup, 1))
@@ -330,7 +329,7 @@ class NamedOptimizer:
         return length
 
     def state(self) -> dict[str, Any]:
-        """Return all moments, on the processor, as "moment:parameter"; nothing before the first step."""
+        """Return all moments, on the CPU, as "moment:parameter"; empty before the first step."""
         return {
             f"{moment}:{name}": self._adam.state[parameter][moment].detach().cpu().clone()
             for name, parameter in self.parameters.items()
@@ -339,7 +338,7 @@ class NamedOptimizer:
         }
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Put back what `state` returned; raises KeyError where a part of a parameter's moments is missing."""
+        """Restore the result of `state`; raises KeyError if a parameter's moments are incomplete."""
         self._adam.state.clear()
         for name, parameter in self.parameters.items():
             if f"step:{name}" not in arrays:
@@ -353,6 +352,6 @@ class NamedOptimizer:
 
 
 def frozen_parameters(modules: Iterable[Any], still: bool) -> None:
-    """Let gradients pass through modules without leaving any in them, or end that."""
+    """Disable or enable gradients of modules' parameters; gradients pass through either way."""
     for module in modules:
         module.requires_grad_(not still)

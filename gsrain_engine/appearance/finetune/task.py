@@ -1,4 +1,4 @@
-"""What is to be fine-tuned, where everything goes, and what came of it."""
+"""Task and result of a fine-tuning, as plain values."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +12,7 @@ _WARNING = ". Warning: "
 
 
 def with_warning(message: str, warning: str | None) -> str:
-    """What an iteration did, and what is wrong if anything is."""
+    """Append a warning, if any, to a progress message."""
     return message if warning is None else f"{message}{_WARNING}{warning}"
 
 
@@ -21,19 +21,18 @@ def warning_in(message: str) -> str | None:
 
 
 class FinetuneTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One order to fine-tune the transfer; it survives pickling, for a worker process."""
+    """Fine-tuning job; picklable for a worker process."""
 
     settings: FinetuningSettings
     output: Path
-    """Folder for weights, checkpoint, losses and samples."""
     resume: bool = False
-    """Whether to go on from the folder's checkpoint."""
+    """Continue from the folder's checkpoint."""
     code: dict[str, str] = {}
-    """Digests of Python programs that the settings name, by path: a person has allowed these."""
+    """Digests of Python code that the settings name and the user has allowed, by path."""
 
     @property
     def weights(self) -> Path:
-        """What `gsrain transfer --weights` takes; written with each checkpoint."""
+        """Path of the weights for `gsrain transfer --weights`; written with each checkpoint."""
         return self.output / "weights.safetensors"
 
     @property
@@ -42,12 +41,11 @@ class FinetuneTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     @property
     def config(self) -> Path:
-        """The settings, as they were used."""
         return self.output / "config.yaml"
 
     @property
     def losses(self) -> Path:
-        """A row of losses an iteration; `loss_log.read_losses` reads it while the training runs."""
+        """Path of the loss log; `loss_log.read_losses` can read it during training."""
         return self.output / "losses.csv"
 
     @property
@@ -57,17 +55,16 @@ class FinetuneTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     @property
     def images_cache(self) -> Path:
-        """Where estimated normals are kept."""
+        """Cache folder for estimated guides."""
         return self.output / "guides"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FinetuneResult:
-    """What a fine-tuning brought."""
+    """Files and statistics of a finished fine-tuning."""
 
     weights: Path
     grid: Path
-    """The last grid of samples."""
     steps: int
     seconds: float
     losses: dict[str, float]
@@ -76,14 +73,13 @@ class FinetuneResult:
     """Change by the translation as a share of the distance between the looks."""
     warning: str | None
     perceptual: bool
-    """Whether LPIPS was a part of the losses."""
+    """True if LPIPS was one of the losses."""
     table: tuple[tuple[str, str, int, int], ...]
-    """A row a source: path, clear or rainy, pictures in all, pictures for testing."""
+    """One row per source: path, clear or rainy, number of images, number of test images."""
     problems: tuple[str, ...]
 
     @property
     def numbers(self) -> dict[str, Any]:
-        """For `--json`."""
         pictures = [
             {"path": path, "look": look, "count": count, "tested": tested} for path, look, count, tested in self.table
         ]

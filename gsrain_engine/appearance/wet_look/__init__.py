@@ -1,1 +1,1 @@
-"""The built-in wet look, without a network."""
+"""Built-in wet look, without a neural network."""

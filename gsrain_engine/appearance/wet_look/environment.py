@@ -1,4 +1,4 @@
-"""What a wet ground mirrors: what there is to know about the world around views."""
+"""Environment of wet ground: finds the ground in views and renders its mirror image."""
 
 from dataclasses import replace
 from functools import cached_property, lru_cache
@@ -20,44 +20,44 @@ from .reflections import PlanarReflection, fill_reflection_holes, mirror_camera,
 
 @runtime_checkable
 class ReflectionEnvironment(Protocol):
-    """What is known about the world around the views."""
+    """Source of ground and reflections for the wet look."""
 
     def ground(self, view: ClearView) -> VisibleGround | None:
-        """Find the ground in a view; None where it shows none."""
+        """Find the ground in a view; None if it shows none."""
         ...
 
     def mirrored(self, view: ClearView, ground: VisibleGround) -> PlanarReflection:
-        """Show what the ground's plane mirrors to the view's eye."""
+        """Render the reflection of the environment in the ground's plane."""
         ...
 
 
-# § Where a wet ground finds what it mirrors: in the scene itself, seen from below the ground.
+# Scene environment: the scene rendered from below the ground
 
 MIRROR_SCALE = 0.5
-"""Resolution of the mirror's picture relative to the view's: no water on a road is that smooth."""
+"""Resolution of the mirror image relative to the view's; water on a road is never smooth enough for more."""
 
 _SOLID = 0.5
-"""Opacity from which a Gaussian tells where the ground is."""
+"""Least opacity of Gaussians used to find the ground."""
 
 _FLAT, _MIN_FLAT = 0.5, 0.02
-"""A Gaussian lies that is so many times as high as wide; and share of those that must lie for them alone to tell."""
+"""Largest height-to-width ratio of a flat Gaussian, and least share of flat ones to find the ground by them alone."""
 
 _MAX_SCENE_POINTS = 400_000
 
 _BAND_M = 0.3
 
 _UPON_M = 0.03
-"""What reaches so little over the ground is ground, whatever its shape."""
+"""Gaussians of any shape up to this height over the ground count as ground."""
 
 _THICKNESS_M = 0.15
-"""What lies flat within so much of the ground is ground."""
+"""Flat Gaussians up to this height over the ground count as ground."""
 
 _BANK_M = 0.3
-"""Ground that rises so far over the mirror's plane is a bank, which the road mirrors."""
+"""Ground higher than this over the mirror plane is a bank, which the road reflects."""
 
 
 class SceneEnvironment:
-    """The surroundings of a scene's views: a mirrored camera sees what is really there, also beyond the view's edge."""
+    """Environment of a scene's views: a mirrored camera renders the scene, also beyond the view's border."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
@@ -72,10 +72,10 @@ class SceneEnvironment:
         return find_visible_ground(view, self._heights, self._start)
 
     def mirrored(self, view: ClearView, ground: VisibleGround) -> PlanarReflection:
-        """Show what the view itself has seen where it has, and else render the scene for the mirrored camera.
+        """Use screen-space reflection where it hits, and elsewhere render the scene for the mirrored camera.
 
-        That is done without the ground, through which the camera would have to look. What the view has seen looks
-        better than captured Gaussians do from below, where no camera ever was.
+        The rendering leaves out the ground, which would block that camera. Screen-space reflection looks better than
+        captured Gaussians from below, where no camera has been.
         """
         camera = mirror_camera(view.camera, ground.plane, MIRROR_SCALE)
         placed = PlacedCamera(f"{view.name} mirrored", camera, view.time_s, view.sensor)
@@ -86,12 +86,12 @@ class SceneEnvironment:
 
     @cached_property
     def _layers(self) -> list["_LayerSurfaces"]:
-        """What stands still and can be seen, sky apart."""
+        """Visible layers, without actors and sky."""
         return [_standing(self._scene, layer) for layer in self._scene.layers if layer.visible and layer.kind != "sky"]
 
     @cached_property
     def _points(self) -> Float64[np.ndarray, "n 3"]:
-        """Centres of what is solid and lies flat, in the world; of all that is solid where hardly anything lies."""
+        """World centers of solid, flat Gaussians; of all solid ones if hardly any are flat."""
         solid = np.concatenate([np.zeros((0, 3)), *(each.points[each.solid] for each in self._layers)])
         flat = np.concatenate([np.zeros((0, 3)), *(each.points[each.solid & each.flat] for each in self._layers)])
         points = flat if len(flat) > _MIN_FLAT * len(solid) else solid
@@ -114,7 +114,7 @@ class SceneEnvironment:
 
     @cached_property
     def _lying(self) -> list[Bool[np.ndarray, " n"]]:
-        """Which Gaussians of each layer lie on the ground."""
+        """Mask of each layer's Gaussians that lie on the ground."""
         assert self._heights is not None
         over = [each.points[:, 2] - self._heights.sampled(self._heights.fine_m, each.points) for each in self._layers]
         return [
@@ -124,13 +124,13 @@ class SceneEnvironment:
 
     @property
     def _ego_path(self) -> Float64[np.ndarray, "n 2"]:
-        """Where the ego vehicle drives, x and y in the world."""
+        """Path of the ego vehicle, x and y in the world."""
         ego, to_world = self._scene.ego, self._scene.scene_to_world
         places = np.zeros((0, 3)) if ego is None else ego.positions[ego.valid]
         return (places @ to_world[:3, :3].T + to_world[:3, 3])[:, :2]
 
     def _above(self, plane: GroundPlane) -> Scene:
-        """Return the scene without its ground and without what is under the mirror's plane."""
+        """Return the scene without its ground and without Gaussians below the mirror plane."""
         scene = self._scene
         for each, lying in zip(self._layers, self._lying, strict=True):
             over = plane.heights(each.points)
@@ -141,20 +141,20 @@ class SceneEnvironment:
 
 
 class _LayerSurfaces(NamedTuple):
-    """What there is to know about the Gaussians of a layer."""
+    """Geometry of a layer's Gaussians."""
 
     key: str
     marks: SelectionFlags
     points: Float64[np.ndarray, "n 3"]
-    """Centres in the world."""
+    """Centers in the world."""
     solid: Bool[np.ndarray, " n"]
     flat: Bool[np.ndarray, " n"]
-    """Which are wide rather than high."""
+    """Mask of Gaussians that are wider than high."""
 
 
 def _standing(scene: Scene, layer: Layer) -> _LayerSurfaces:
     part = scene.part(layer)
-    assert part is not None  # layers are there at any time
+    assert part is not None  # layers exist at all times
     g, to_world = part.gaussians, part.to_world
     points = g.means @ to_world[:3, :3].T + to_world[:3, 3]
     solid = (g.opacities * part.opacity > _SOLID) & np.isfinite(points).all(axis=1)
@@ -166,7 +166,7 @@ def _standing(scene: Scene, layer: Layer) -> _LayerSurfaces:
     return _LayerSurfaces(layer.key, layer.marks, points, solid, flat)
 
 
-# § Where a wet ground finds what it mirrors when there is no scene: in the view's own picture and depth.
+# Image environment: the view's own image and depth, for views without a scene
 
 _SCALE = 0.5
 
@@ -179,17 +179,17 @@ _MAX_IMAGE_POINTS = 60_000
 _IMAGE_BAND_M = 0.1
 
 _UPRIGHT = 0.5
-"""Cosine between the picture's own down and the world's below which no ground is looked for: pictures are upright, so
-that the world's up is wrong, and its ground may be a wall."""
+"""Cosine between the image's down and the world's below which no ground is searched: images are upright, so the
+world's up is wrong then, and its ground may be a wall."""
 
 _FADE = 0.25
-"""Angle in radians over which what stands at the picture's edge is taken to go on beyond it."""
+"""Angle in radians over which objects at the image's border are extended beyond it."""
 
 
 class ImageEnvironment:
-    """The surroundings of pictures with depth: each view mirrors what it shows itself, and beyond that the sky.
+    """Environment of images with depth: each view reflects its own content, and the sky beyond it.
 
-    The ground is told by the view's own depth, so dips are left out: other views would tell them differently.
+    The ground is fitted to the view's own depth and evened out, since other views would find different dips.
     """
 
     def __init__(self) -> None:
@@ -199,10 +199,9 @@ class ImageEnvironment:
         return self._recent_ground(view)
 
     def mirrored(self, view: ClearView, ground: VisibleGround) -> PlanarReflection:
-        """Follow mirrored rays through the view's depth.
+        """Trace mirrored rays through the view's depth.
 
-        What stands at the edge of the picture goes on for a while where rays leave it, rather than give way to the sky
-        at once.
+        Where rays leave the image, objects at its border are extended a little, so that they don't end abruptly.
         """
         camera = mirror_camera(view.camera, ground.plane, _SCALE)
         again = screen_space_reflection(view, ground, camera)
@@ -245,7 +244,7 @@ def _mean_sky(view: ClearView) -> Float32[np.ndarray, "3"]:
 def _near_edge(
     rays: Float64[np.ndarray, "h w 3"], view: ClearView, rows: np.ndarray, columns: np.ndarray
 ) -> Float32[np.ndarray, "h w"]:
-    """1 where a direction is that of the picture's edge at the given pixel, falling to 0 at `_FADE` from it."""
+    """Weight of 1 for directions at the given border pixel, falling to 0 at `_FADE` from it."""
     at_edge = view_rays(view.camera)[rows, columns]
     cosine = np.sum(rays * at_edge, axis=-1) / (np.linalg.norm(rays, axis=-1) * np.linalg.norm(at_edge, axis=-1))
     return 1 - smoothstep(0.0, _FADE, np.arccos(np.clip(cosine, -1, 1)))

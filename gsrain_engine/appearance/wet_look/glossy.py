@@ -1,4 +1,4 @@
-"""What a rough water surface mirrors: facets of all slopes, each by Fresnel's law. World frame, linear light."""
+"""Glossy reflection of rough water: microfacets of all slopes with Fresnel's law. World frame, linear light."""
 
 from typing import NamedTuple, no_type_check
 
@@ -11,7 +11,7 @@ from .materials import WATER_INDEX, reflectance, unshadowed
 from .reflections import PlanarReflection
 
 _WIDEST = 2.2
-"""Facets tilted by up to so many standard deviations are looked at."""
+"""Largest facet tilt that is integrated, in standard deviations."""
 
 _FAR_M = 1000.0
 """Distance of the sky."""
@@ -19,31 +19,31 @@ _FAR_M = 1000.0
 _ROUNDS = 3
 
 _ACROSS = 2.0
-"""Width over which the mirror's picture is blurred across, in standard deviations of what facets tilted sideways do."""
+"""Width of the sideways blur of the mirror image, in standard deviations of the effect of sideways tilts."""
 
 _SPECK_PX = 5
-"""Width of the median that takes single pixels away."""
+"""Width of the median filter that removes single pixels."""
 
 
 class GlossyReflection(NamedTuple):
-    """What comes to the eye from the water's surface."""
+    """Light that the water surface reflects towards the eye."""
 
     color: Float32[np.ndarray, "h w 3"]
-    """Linear light, times its share."""
+    """Linear light, multiplied by its share."""
     share: Float32[np.ndarray, "h w"]
-    """Share of light that the surface mirrors towards the eye, 0..1."""
+    """Share of light reflected towards the eye, 0..1."""
 
 
-# § A picture blurred by every power of two across and down, each by itself: what a rough mirror shows is stretched.
+# Ripmap: an image blurred by powers of two, separately across and down, because rough reflections are stretched
 
 
 class Ripmap(NamedTuple):
-    """Pictures of halving sizes, one after the other (a "ripmap", McReynolds et al. 1998)."""
+    """Images of halving sizes, stored consecutively (a "ripmap", McReynolds et al. 1998)."""
 
     values: Float32[np.ndarray, " n"]
-    """All pictures, rows of three channels."""
+    """All images, as rows of three channels."""
     table: Int64[np.ndarray, "down across 3"]
-    """Where each picture begins among the values, its rows and columns."""
+    """Offset of each image in `values`, its rows and columns."""
 
 
 def glossy_reflection(
@@ -55,13 +55,13 @@ def glossy_reflection(
     slopes: Float32[np.ndarray, "h w"],
     facets: int,
 ) -> GlossyReflection:
-    """Integrate what the facets of a rough water surface mirror towards the eye.
+    """Integrate the light that the facets of a rough water surface reflect towards the eye.
 
-    Facets tilted towards and away from the eye by Gaussian slopes count by the area that the eye sees of them; each
-    mirrors its share by Fresnel's law, less what its neighbours shadow (Smith 1967). Where a mirrored ray ends is found
-    in the depth of the mirror's picture. Facets tilted sideways blur across; at grazing angles that is much less than
-    what the others blur downwards, which is why reflections on wet roads are stretched. Both grow from nothing at the
-    foot of things. Pixels with a slope below 0 are left out.
+    Facets tilted towards and away from the eye, with Gaussian slopes, are weighted by their projected area; each
+    reflects by Fresnel's law, reduced by shadowing (Smith 1967). Mirrored rays end at the mirror image's depth.
+    Facets tilted sideways blur across; at grazing angles this is much less than the vertical blur of the others, which
+    is why reflections on wet roads are stretched. Both blurs are zero at the foot of an object and grow with distance.
+    Pixels with a slope below 0 are left out.
     """
     size = slopes.shape
     color, share = np.zeros((*size, 3), np.float32), np.zeros(size, np.float32)
@@ -76,7 +76,7 @@ def glossy_reflection(
 
 
 def _without_specks(mean: Float32[np.ndarray, "h w 3"], told: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 3"]:
-    """Take away single pixels whose rays found another thing than those around them, at the edges of things."""
+    """Remove single pixels at object edges whose rays hit another object than their neighbors' rays."""
     window = np.ones((_SPECK_PX, _SPECK_PX), np.uint8)
     inner = cv2.erode(told.astype(np.uint8), window, borderValue=1)
     return np.where(inner[..., None] > 0, cv2.medianBlur(mean, _SPECK_PX), mean)
@@ -98,7 +98,7 @@ def _integrate(points, normals, slopes, eye, pose, lens, depth, values, table, f
             eye_distance = np.sqrt(ex * ex + ey * ey + ez * ez)
             ex, ey, ez = ex / eye_distance, ey / eye_distance, ez / eye_distance
             flat = ex * nx + ey * ny + ez * nz
-            if not flat > 1e-3:  # not a number, either
+            if not flat > 1e-3:  # also excludes NaN
                 continue
             tx, ty, tz = ex - flat * nx, ey - flat * ny, ez - flat * nz  # along the ground, towards the eye
             length = max(np.sqrt(tx * tx + ty * ty + tz * tz), 1e-6)
@@ -155,7 +155,7 @@ def _integrate(points, normals, slopes, eye, pose, lens, depth, values, table, f
 @numba.njit(error_model="numpy")
 @no_type_check
 def _looked_up(values, table, x, y, down_px, across_px):
-    """Colour at a place, averaged over so many pixels down and across."""
+    """Color at a position, averaged over a number of pixels down and across."""
     i = min(max(np.log2(max(down_px, 1.0)), 0.0), table.shape[0] - 1.001)
     j = min(max(np.log2(max(across_px, 1.0)), 0.0), table.shape[1] - 1.001)
     i0, j0 = int(i), int(j)
@@ -187,7 +187,7 @@ _SAMPLES_ACROSS, _DOWN = 5, 8
 
 
 def build_ripmap(image: Float32[np.ndarray, "h w 3"]) -> Ripmap:
-    """Halve a picture (linear light) down and across, again and again."""
+    """Repeatedly halve an image (linear light) down and across."""
     pieces, rows = list[Float32[np.ndarray, " n"]](), list[list[tuple[int, int, int]]]()
     start, tall = 0, np.ascontiguousarray(image)
     for _ in range(_DOWN):

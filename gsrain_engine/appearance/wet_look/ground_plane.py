@@ -1,4 +1,4 @@
-"""The plane of the ground and the camera mirrored in it. World frame (metres, z up)."""
+"""Ground geometry: the plane of the ground, mirrored cameras, and a height map. World frame (meters, z up)."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,44 +11,44 @@ from scipy import ndimage
 from ...scene.camera import Camera
 
 _STEEPEST_UP = 0.9
-"""Least upward component of a ground's normal: 26 degrees of slope."""
+"""Least upward component of the ground's normal: a slope of 26 degrees."""
 
 _TRIPLES, _VOTERS = 400, 4000
 
 _NEAR_PLANE_M = 0.08
-"""Points so close to a plane vote for it."""
+"""Points this close to a plane vote for it."""
 
 _BELOW_COUNTS = 2.0
-"""How much more a point below a plane counts against it than one upon it does for it: nothing is under the ground."""
+"""Weight of a vote against a plane, by a point below it, relative to a vote for it: nothing is under the ground."""
 
 _ROUNDS = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundPlane:
-    """All points with normal . point = offset_m."""
+    """Plane of all points with normal . point = offset_m."""
 
     normal: Float64[np.ndarray, "3"]
     """Unit, upwards, in the world."""
     offset_m: float
 
     def heights(self, points: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
-        """Signed distance of points over the plane, in metres."""
+        """Signed distance of points over the plane, in meters."""
         return np.asarray(points, np.float64) @ self.normal - self.offset_m
 
     @property
     def reflection(self) -> Float64[np.ndarray, "4 4"]:
-        """What takes points of the world to their mirror images (Householder); its determinant is -1."""
+        """Matrix that maps world points to their mirror images (Householder); its determinant is -1."""
         matrix = np.eye(4)
         matrix[:3, :3] -= 2 * np.outer(self.normal, self.normal)
         matrix[:3, 3] = 2 * self.offset_m * self.normal
         return matrix
 
     def mirrored(self, camera: Camera) -> Camera:
-        """Return the camera that stands where the eye's mirror image is, and sees what the plane mirrors.
+        """Return the camera at the eye's mirror image, which renders the plane's reflection.
 
-        A reflection makes a right-handed camera left-handed, so the picture's rows are turned over: what the mirror
-        shows at (u, v) of the eye's picture, the mirrored camera sees at (u, height - v). Mirrored twice it is itself.
+        A reflection makes a right-handed camera left-handed, so the image's rows are flipped: the reflection at (u, v)
+        of the eye's image is at (u, height - v) of the mirrored camera's. Mirroring twice gives the original camera.
         """
         rows_turned = np.diag([1.0, -1.0, 1.0, 1.0])
         pose = rows_turned @ camera.world_to_camera @ self.reflection
@@ -56,11 +56,11 @@ class GroundPlane:
 
 
 def fit_ground_plane(points: Float64[np.ndarray, "n 3"], tolerance_m: float) -> GroundPlane | None:
-    """Fit the plane that lies under a cloud of points most of which may be on other things; None where there is none.
+    """Fit the ground plane under points of which most may lie on other objects; None if there is none.
 
-    Planes through three points of the cloud, upright enough, are voted on (RANSAC, Fischler and Bolles 1981; points far
-    below count against one), and the best is fitted to the points around it by reweighted least squares (Cauchy's
-    weights of scale `tolerance_m`). The draws are seeded.
+    Candidates are upright planes through three points, chosen by votes (RANSAC, Fischler and Bolles 1981; points far
+    below count against a plane). The best one is refined by reweighted least squares (Cauchy's weights of scale
+    `tolerance_m`). The random draws are seeded.
     """
     if len(points) < 3:
         return None
@@ -82,7 +82,7 @@ def fit_ground_plane(points: Float64[np.ndarray, "n 3"], tolerance_m: float) -> 
 
 
 def refine_plane(plane: GroundPlane, points: Float64[np.ndarray, "n 3"], tolerance_m: float) -> GroundPlane:
-    """Fit a plane to those of the points that are near it, by reweighted least squares (Cauchy's weights)."""
+    """Fit a plane to the points near it, by reweighted least squares (Cauchy's weights)."""
     for _ in range(_ROUNDS):
         weights = 1 / (1 + (plane.heights(points) / tolerance_m) ** 2) ** 2
         total = weights.sum()
@@ -98,68 +98,68 @@ def refine_plane(plane: GroundPlane, points: Float64[np.ndarray, "n 3"], toleran
     return plane
 
 
-# § How high the ground is at each place: one height map a scene, the same for all views. World frame (metres, z up).
+# Ground heights: one height map per scene, shared by all views
 
 CELL_M = 0.25
 
 _MAX_CELLS = 1200
-"""On a side; cells grow where a scene is larger."""
+"""Most cells per side; cells grow in larger scenes."""
 
 _WITHIN = (0.005, 0.995)
-"""Shares of the points between which the map lies."""
+"""Quantiles of the points that bound the map."""
 
 _MARGIN_M = 4.0
 
 _ABOVE_COUNTS = 0.2
-"""Weight of a point over the surface relative to one under it: all sorts of things are over the ground."""
+"""Weight of a point over the surface relative to one under it, since many objects are over the ground."""
 
 _MANY = 4
-"""Points in a cell from which more of them don't count for more: things seen from near are not more likely ground."""
+"""Points in a cell above which more points add little: nearby objects have more points but are no likelier ground."""
 
 _PASSES = ((8.0, 1.0, 6), (4.0, 0.5, 4), (2.0, 0.25, 3), (1.0, 0.12, 3), (0.5, 0.08, 2))
-"""Smoothing in metres, band in metres, how often: from the lie of the land down to the lane."""
+"""Smoothing in meters, band in meters, number of iterations: from terrain down to lanes."""
 
 _MIN_BAND = 2.0
-"""A band is at least so many times the points' scatter about the ground."""
+"""Least width of a band, as a multiple of the points' scatter about the ground."""
 
 _SCATTER_WITHIN_M = 0.5
 
 _ENOUGH = 0.02
-"""Smoothed weight of points a cell at which half of what they say is believed."""
+"""Smoothed weight of points per cell at which they move the surface half-way."""
 
 _SMOOTH_M = 1.2
-"""Slopes that mirror are those of the ground at this scale: finer ones are mostly noise of the reconstruction."""
+"""Scale of the slopes used for reflections; finer ones are mostly noise of the reconstruction."""
 
 _DIP_M = 1.2
-"""A place lies in a dip by how much it is under the mean at this scale."""
+"""Scale of the mean height from which the depth of a dip is measured."""
 
 _MAX_DIP_M, _DIP_SHARE = 0.03, 0.12
-"""Deepest dip that is believed, and the share of it that counts: what a capture tells is uncertain by as much."""
+"""Deepest dip that is accepted, and the share of it that counts: captures are uncertain by as much."""
 
 _RUT_M, _RUT_WIDTH_M, _HALF_TRACK_M = 0.005, 0.25, 0.78
-"""Depth and half width of what wheels have worn into a lane, and how far beside its middle they run."""
+"""Depth and half width of wheel ruts in a lane, and their distance from its center line."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundHeights:
-    """Heights over a grid of the world's x and y; beyond the grid the nearest cell's."""
+    """Heights over a grid of the world's x and y; beyond the grid, the nearest cell's."""
 
     corner_m: tuple[float, float]
-    """x and y of the middle of the first cell."""
+    """x and y of the center of the first cell."""
     cell_m: float
     fine_m: Float32[np.ndarray, "rows columns"]
     """Height of the ground, rows along y."""
     smooth_m: Float32[np.ndarray, "rows columns"]
-    """The same without what is smaller than about two metres."""
+    """Height without features smaller than about two meters."""
     sunk_m: Float32[np.ndarray, "rows columns"]
-    """How far each place lies under what is around it, as far as that is believed: dips, and ruts of wheels."""
+    """Depth of each cell below its surroundings: dips, limited to a plausible depth, and wheel ruts."""
     scatter_m: float
-    """How far the points that told the ground lie off it: a standard deviation."""
+    """Standard deviation of the distance of ground points from the surface."""
 
     def sampled(
         self, grid: Float32[np.ndarray, "rows columns"], points: Float[np.ndarray, "*n 3"]
     ) -> Float32[np.ndarray, "*n"]:
-        """Value of one of the grids under each point, blended between cells."""
+        """Values of one of the grids under each point, interpolated between cells."""
         x, y = (((points[..., k] - self.corner_m[k]) / self.cell_m).astype(np.float32) for k in (0, 1))
         flat = x.reshape(1, -1), y.reshape(1, -1)
         pieces = [
@@ -170,10 +170,10 @@ class GroundHeights:
         return np.concatenate(pieces or [np.zeros((1, 0), np.float32)], axis=1).reshape(x.shape)
 
     def with_ruts(self, way_m: Float64[np.ndarray, "n 2"]) -> "GroundHeights":
-        """Return the same with the ruts of a lane, whose middle runs through places (x and y)."""
+        """Return a copy with the ruts of a lane whose center line is `way_m` (x and y)."""
         rows, columns = self.fine_m.shape
         beside = np.full((rows, columns), 255, np.uint8)
-        cells = np.rint((way_m - self.corner_m) / self.cell_m * 16).astype(np.int32)  # four bits behind the point
+        cells = np.rint((way_m - self.corner_m) / self.cell_m * 16).astype(np.int32)  # four fractional bits
         cv2.polylines(beside, [cells.reshape(-1, 1, 2)], False, 0, 1, cv2.LINE_8, 4)
         away: Any = ndimage.distance_transform_edt(beside)
         distance = away * self.cell_m
@@ -189,11 +189,11 @@ class GroundHeights:
 
 
 def ground_heights(points: Float64[np.ndarray, "n 3"], start: GroundPlane) -> GroundHeights:
-    """Find the ground among points on all sorts of things, beginning with a plane that is roughly it.
+    """Find the ground among points on all objects, starting from an approximate plane.
 
-    The surface moves to the mean of the points in a band around it, smoothed, again and again, while band and smoothing
-    get narrower: so it follows slopes and the crown of a road, and passes under cars and bushes. Where there are no
-    points it keeps what was found at the next larger scale.
+    The surface repeatedly moves to the smoothed mean of the points in a band around it, while band and smoothing
+    shrink, so it follows slopes and a road's crown, and passes under cars and bushes. Cells without points keep the
+    result of the next larger scale.
     """
     low, high = np.quantile(points[:, :2], _WITHIN, axis=0)
     low, high = low - _MARGIN_M, high + _MARGIN_M
@@ -223,7 +223,7 @@ def ground_heights(points: Float64[np.ndarray, "n 3"], start: GroundPlane) -> Gr
 
 
 def _scatter(above: Float64[np.ndarray, " n"]) -> float:
-    """Robust standard deviation of what is near the ground."""
+    """Robust standard deviation of the points near the ground."""
     near = above[np.abs(above) < _SCATTER_WITHIN_M]
     return 1.4826 * float(np.median(np.abs(near - np.median(near)))) if len(near) else 0.0
 

@@ -1,4 +1,4 @@
-"""The light that a scene was seen in, told from all its views at once: what sun and shadow look like in it."""
+"""Illumination: estimate of sun and shadow over all views, overcast relighting, and the overcast sky."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,46 +16,46 @@ from .noise import SmoothNoise, guided_filter
 from .settings import WetSettings
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
-"""Of linear sRGB (IEC 61966-2-1)."""
+"""Luminance weights of linear sRGB (IEC 61966-2-1)."""
 
 DARKEST_EV = -10.0
 """Stops below white at which a pixel counts as black."""
 
 MAX_CONTRAST_EV = 3.0
-"""Sun and clear sky together over the sky alone: seven or eight to one. What is darker is dark by itself."""
+"""Largest contrast of sun plus clear sky over sky alone: seven or eight to one. Darker pixels are dark materials."""
 
 _VIEWS, _STRIDE = 8, 4
-"""So many views are looked at, spread evenly, and every so many-th pixel of each, both ways."""
+"""Number of views sampled, spread evenly, and pixel stride in both directions."""
 
 _GRAY_ALBEDO = 0.35
-"""Largest saturation (spread over maximum, linear) of ground that the light can be told from."""
+"""Largest saturation (spread over maximum, linear) of ground used for the estimate."""
 
 _NEAR_M, _FAR_M = 1.5, 60.0
 
 _BINS = 80
 
 _UNTOLD_EV = -3.0
-"""Ground where none is seen: a grey of 0.125."""
+"""Default for scenes without visible ground: a gray of 0.125."""
 
 
 @dataclass(frozen=True, slots=True)
 class IlluminationEstimate:
-    """Light on level grey ground. Brightness in stops (EV) over white, linear light."""
+    """Light on level gray ground. Brightness in stops (EV) over white, linear light."""
 
     sun: float
-    """How surely there are two kinds of ground, sunlit and shadowed: 0 to 1."""
+    """Confidence that there is both sunlit and shadowed ground, 0 to 1."""
     shadow_ev: float
     sunlit_ev: float
-    """Mean brightness of both; equal where there is one kind only."""
+    """Mean brightness of both; equal if there is only one kind."""
     level_ev: float
     """Mean brightness of all ground."""
     shadow_tint_ev: tuple[float, float, float]
     sunlit_tint_ev: tuple[float, float, float]
-    """Colour of both: stops of red, green and blue over their luminance."""
+    """Color of both: stops of red, green and blue over their luminance."""
 
 
 def estimate_illumination(views: Sequence[ClearView]) -> IlluminationEstimate:
-    """Tell the light from at most eight views of a sequence; each is asked for once."""
+    """Estimate the illumination from at most eight views of a sequence; each is read once."""
     chosen = sorted({round(i) for i in np.linspace(0, len(views) - 1, min(len(views), _VIEWS))})
     samples = [_ground_samples(views[i]) for i in chosen]
     colors = np.concatenate([np.zeros((0, 3), np.float32), *(each[0] for each in samples)])
@@ -67,7 +67,7 @@ def estimate_illumination(views: Sequence[ClearView]) -> IlluminationEstimate:
 
 
 def _ground_samples(view: ClearView) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
-    """Colours (linear) of level grey ground, and what area of it each stands for."""
+    """Colors (linear) of level gray ground, weighted by the area of each sample."""
     every = (slice(None, None, _STRIDE), slice(None, None, _STRIDE))
     light = srgb_to_linear(view.image[every])
     depth, brightest = view.depth[every], light.max(axis=-1)
@@ -80,7 +80,7 @@ def _ground_samples(view: ClearView) -> tuple[Float[np.ndarray, "n 3"], Float[np
 def _two_kinds(
     colors: Float[np.ndarray, "n 3"], levels: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]
 ) -> IlluminationEstimate:
-    """Part brightness in two where the variance between both parts is largest (Otsu 1979)."""
+    """Split brightness into two classes of maximal between-class variance (Otsu 1979)."""
     counts, edges = np.histogram(levels, _BINS, (DARKEST_EV, 0.0), weights=weights)
     share = counts / counts.sum()
     middle = (edges[1:] + edges[:-1]) / 2
@@ -121,61 +121,61 @@ def _ramp(low: float, high: float, value: float) -> float:
     return float(np.clip((value - low) / (high - low), 0, 1))
 
 
-# § Light of an overcast sky instead of the sun's: shadows lifted, sun lowered, its warmth taken away.
+# Overcast relighting: shadows lifted, sunlight dimmed, its warmth removed
 
 Image = Float32[np.ndarray, "h w 3"]
 
 Plane = Float32[np.ndarray, "h w"]
 
 DRY_GROUND_EV = -2.7
-"""Brightness that level dry ground gets under cloud: half of what a camera gives to grey, under a sky nearly white."""
+"""Target brightness of level dry ground under cloud: half of a camera's middle gray, under an almost white sky."""
 
 _EXPOSURE_SHARE, _EXPOSURE_EV = 0.75, 1.5
-"""How much of the way there the exposure goes, and at most how far."""
+"""Share of the difference to the target that exposure corrects, and its limit in stops."""
 
 _FLATTENED_WALLS, _FLATTENED_PLANTS = 0.7, 0.4
-"""Flattening relative to the ground's: brightness of walls and leaves tells their own colour as well."""
+"""Flattening relative to the ground's, since the brightness of walls and leaves also depends on their own color."""
 
 _PIVOT, _PIVOT_PLANTS = 0.5, 0.2
-"""What is this much in the sun keeps its brightness: leaves are dark by themselves, so that theirs is lifted less."""
+"""Sunlit share at which brightness is unchanged; lower for leaves, which are dark themselves and so are lifted less."""
 
 _SOFT_EDGE, _WIDE_EDGE = 0.3, 0.7
-"""Half width of the ramp between shadow and sun, as a share of their distance: on the ground, and elsewhere."""
+"""Half width of the ramp between shadow and sun, as a share of their contrast: on the ground, and elsewhere."""
 
 _SPECK_SHARE, _EDGE_SHARE, _EDGE_EV2 = 0.012, 0.006, 0.05
-"""Sizes over which shadow is told and snapped to edges, as shares of the picture's width."""
+"""Median size and guided filter radius of the sunlit share, as shares of the image width, and the filter's variance."""
 
 _TINT_EV, _TINT_SHARE = 0.2, 0.7
-"""Most stops that a channel is moved to take the light's colour away, and the share of the way there."""
+"""Largest correction of a channel towards neutral light in stops, and the share of it that is applied."""
 
 CLOUD_TINT_EV = np.array([-0.05, 0.0, 0.07], np.float32)
 
 _SATURATION, _SHADOW_DULLING = 0.9, 0.6
-"""Colour that surfaces other than plants keep, and what ground in shadow loses: the blue of a clear sky."""
+"""Color that surfaces other than plants keep, and the blue of the clear sky that shadowed ground loses."""
 
 _BLUE = (-0.05, 0.1)
-"""Blue over red, as a share of luminance, from which ground counts as blue."""
+"""Blue minus red, as a share of luminance, over which ground turns from neutral to blue."""
 
 _WHITE, _WHITE_WALL = 0.85, 0.55
-"""Albedo of the whitest things, and what an upright one gets of a cloudy sky and a dark ground."""
+"""Albedo of the whitest materials, and share of light that an upright one gets from cloudy sky and dark ground."""
 
 _LOST_EV, _GRAIN_M, _CLIPPED = 0.3, 12.0, (0.88, 0.98)
-"""Unevenness of ground too bright for the camera, the period of its noise, and display values at which it is lost."""
+"""Grain added to clipped ground in stops, period of its noise, and display values over which ground is clipped."""
 
 _DAYLIGHT = (0.08, 0.22)
-"""Median display brightness below the sky up to which a picture is of the night, and from which it is of the day."""
+"""Median display brightness below the sky up to which an image is of the night, and from which it is of the day."""
 
 _IMAGE_EV, _FLATTENED_IMAGE, _IMAGE_SATURATION = -0.35, 0.2, 0.75
-"""What a picture alone gets of a cloudy day: stops, share of its contrast in stops that goes, colour that stays."""
+"""Overcast look without known surfaces: stops, share of contrast that is removed, saturation that is kept."""
 
 _IMAGE_WHITE_EV = (-1.2, 0.0)
-"""Brightness over which contrast stays: a sky that is not sure, white before, is as bright as the cloud after."""
+"""Brightness over which contrast is kept, so that white areas that may be sky end up as bright as the clouds."""
 
 _CONTACT_SHADE, _CONTACT_SHARE = 0.5, 0.02
 
 
 def composite_over_cloud(view: ClearView, surface: Image, settings: WetSettings) -> Image:
-    """Surfaces (linear) before the overcast sky; mixed in display colour, as renderers and cameras mix edges."""
+    """Composite surfaces (linear) over the overcast sky, in display color, as renderers and cameras mix edges."""
     rays = view_rays(view.camera)
     directions = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
     share = view.sky[..., None]
@@ -187,7 +187,7 @@ def composite_over_cloud(view: ClearView, surface: Image, settings: WetSettings)
 def overcast_surfaces(
     view: ClearView, light: IlluminationEstimate, settings: WetSettings, surfaces: SurfaceShares
 ) -> Image:
-    """Everything but the sky under cloud, dry; linear light."""
+    """Surfaces under overcast light, dry and without the sky; linear light."""
     color = srgb_to_linear(remove_sky_color(view)).astype(np.float32)
     grey = (color @ LUMINANCE)[..., None]
     level = np.log2(np.maximum(grey[..., 0], 2**DARKEST_EV)).astype(np.float32)
@@ -214,17 +214,16 @@ def overcast_surfaces(
 
 
 def daylight(view: ClearView) -> float:
-    """Return from the brightness of a picture's lower parts whether it was taken by day: 0 at night, 1 by day."""
+    """Daylight estimate from the brightness of an image's lower parts: 0 at night, 1 by day."""
     lower = view.image[view.sky < 0.1].mean(axis=-1)
     return 0.0 if not lower.size else float(smoothstep(*_DAYLIGHT, np.median(lower, keepdims=True))[0])
 
 
 def overcast_image(view: ClearView, settings: WetSettings) -> Image:
-    """Everything but the sky under cloud, linear light, where nothing is known of the surfaces: light and colour alone.
+    """Overcast look of a view without known surfaces, except its sky: light and color alone, linear.
 
-    One curve for the whole picture, which keeps to the order of brightness: contrast shrinks about the picture's
-    middle, by day the exposure falls, colours fade, and the light turns cooler. No pixel is taken for a road, a wall
-    or a vehicle.
+    One monotonic curve for the whole image: contrast shrinks about the image's median, exposure falls by day, colors
+    fade, and the light turns cooler. No pixel is classified as road, wall or vehicle.
     """
     day = daylight(view)
     color = srgb_to_linear(remove_sky_color(view)).astype(np.float32)
@@ -239,25 +238,24 @@ def overcast_image(view: ClearView, settings: WetSettings) -> Image:
 
 
 def _no_brighter_than_cloud(light: Image, surfaces: SurfaceShares, settings: WetSettings) -> Image:
-    """Bend brightness off below what cloud can give: white paper laid flat is as bright as the sky, a wall half."""
+    """Compress brightness to what clouds can light: a level white surface is as bright as the sky, a wall half."""
     most = srgb_to_linear(np.array(settings.sky_brightness)) * (_WHITE_WALL + (1 - _WHITE_WALL) * surfaces.up_facing)
     over = (light @ LUMINANCE) / (_WHITE * most)
     return (light / np.sqrt(1 + over**2)[..., None]).astype(np.float32)
 
 
 def exposure_ev(light: IlluminationEstimate, settings: WetSettings) -> float:
-    """Stops by which the camera opens up (or down) for the ground under cloud; the scene's, not a view's."""
+    """Exposure change in stops for the ground under cloud; one value per scene, for all views."""
     middle = (light.sunlit_ev + light.shadow_ev) / 2
     level = light.level_ev + settings.sun_removal * light.sun * (middle - light.level_ev)
     return settings.exposure_ev + float(np.clip(_EXPOSURE_SHARE * (DRY_GROUND_EV - level), -_EXPOSURE_EV, _EXPOSURE_EV))
 
 
 def sunlit_share(level_ev: Plane, light: IlluminationEstimate, ground: Plane) -> Plane:
-    """How sunlit each pixel is, 0 to 1, by its brightness between the scene's shadow and sun.
+    """Share of sunlight on each pixel, 0 to 1, from its brightness between the scene's shadow and sun levels.
 
-    On the ground a median takes road markings and specks along with what is around them. Walls have all sorts of
-    colours: a wider ramp makes less of where theirs happens to lie. A guided filter (He, Sun and Tang 2013) keeps to
-    edges.
+    On the ground, a median makes road markings and specks follow their surroundings. Walls have many colors, so a wider
+    ramp makes their brightness count less. A guided filter (He, Sun and Tang 2013) follows edges.
     """
     middle, contrast = (light.sunlit_ev + light.shadow_ev) / 2, max(light.sunlit_ev - light.shadow_ev, 0.1)
     sharp, wide = (
@@ -271,19 +269,19 @@ def sunlit_share(level_ev: Plane, light: IlluminationEstimate, ground: Plane) ->
 
 
 def _tint(tint_ev: tuple[float, float, float], settings: WetSettings) -> Float32[np.ndarray, "3"]:
-    """Stops a channel that turn the light's colour into cloud's."""
+    """Stops per channel that turn the light's color into that of clouds."""
     away = np.clip(-np.array(tint_ev, np.float32), -_TINT_EV, _TINT_EV)
     return (_TINT_SHARE * away + settings.coolness * CLOUD_TINT_EV).astype(np.float32)
 
 
 def _contact_shade(view: ClearView, surfaces: SurfaceShares) -> Plane:
-    """Shade of the cloudy sky that vehicles keep from the ground beside them."""
+    """Ambient occlusion of the ground next to vehicles under a cloudy sky."""
     near = cv2.GaussianBlur(view.vehicles, (0, 0), max(1.0, _CONTACT_SHARE * view.camera.width))
     return (_CONTACT_SHADE * np.minimum(2 * near, 1) * surfaces.ground).astype(np.float32)
 
 
 def _clipped_ground(view: ClearView, surfaces: SurfaceShares) -> Plane:
-    """Where the sun left no drawing on the ground: dimmed, it would be as even as plastic."""
+    """Share of ground overexposed by the sun: when dimmed, it would be as even as plastic."""
     return smoothstep(*_CLIPPED, view.image.min(axis=-1)) * surfaces.ground
 
 
@@ -292,37 +290,37 @@ def _grain(surfaces: SurfaceShares, seed: int) -> Plane:
     return noise.at(surfaces.points[..., 0] / _GRAIN_M, surfaces.points[..., 1] / _GRAIN_M)
 
 
-# § The overcast sky: light by world direction, and how it takes the place of the clear one.
+# Overcast sky: light by world direction, and its sky mask
 
 HORIZON_TO_ZENITH = 0.86
-"""Display brightness overhead over that at the horizon. CIE's overcast sky (ISO 15469) is brighter overhead, but
-rain-laden air is brighter where one looks through more of it."""
+"""Display brightness of the zenith relative to the horizon. CIE's overcast sky (ISO 15469) is brighter at the zenith,
+but rain-laden air is brighter along longer lines of sight."""
 
 TINT = np.array([-0.045, 0.0, 0.04], np.float32)
-"""Display colour of cloud over grey: 7000 K seen by a camera balanced for 5500 K, kept milder than the ratio."""
+"""Display color of clouds relative to gray: 7000 K for a camera balanced for 5500 K, attenuated."""
 
 _CLOUD_HEIGHT_PERIODS = 5.0
-"""Period of the cloud deck in its own height above the eye."""
+"""Period of the cloud deck, in units of its height above the eye."""
 
 _CLOUD_CONTRAST = 0.06
 
 _FLAT = 0.12
-"""Added to the rise of a direction, so that clouds don't shrink without end towards the horizon."""
+"""Added to the rise of a direction, so that clouds don't shrink without limit towards the horizon."""
 
 _LOCAL_SHARE = 0.012
-"""Size over which the clear sky's colour is averaged, as a share of the picture's width."""
+"""Scale over which the clear sky's color is averaged, as a share of the image width."""
 
 _MIN_COVER = 0.05
 
 _LIKE, _AMIDST = (0.04, 0.12), (0.3, 0.6)
-"""Difference (display) up to which a colour is the sky's, and from which it is not; the same for sky around it."""
+"""Ramps of the sky mask: color difference (display) from sky to other, and share of sky around a pixel."""
 
 _NEAR_SKY, _ROUNDS, _MIN_GROWTH = (0.01, 0.06), 10, 2e-4
-"""The same beside the sky; how often it may grow there, and the share of what is open that it must gain each time."""
+"""Ramp of the share of sky around a pixel of unknown depth; most growth rounds, and least growth per round."""
 
 
 def overcast_sky(directions: Float[np.ndarray, "h w 3"], settings: WetSettings) -> Image:
-    """Light of the cloud deck by unit world direction (z up), linear. Below the horizon it is that of the horizon."""
+    """Light of the cloud deck by unit world direction (z up), linear. Below the horizon it is the horizon's."""
     rise = np.clip(directions[..., 2], 0, 1).astype(np.float32)
     over = _CLOUD_HEIGHT_PERIODS * (rise + _FLAT)
     clouds = SmoothNoise(settings.seed).at(directions[..., 0] / over, directions[..., 1] / over)
@@ -333,10 +331,10 @@ def overcast_sky(directions: Float[np.ndarray, "h w 3"], settings: WetSettings) 
 
 
 def extend_sky_mask(view: ClearView) -> ClearView:
-    """Count as sky what has its colour and stands in its midst, or beside it at a distance that is not known.
+    """Grow the sky mask to pixels of its color amidst the sky, or next to it at unknown depth.
 
-    Scenes keep scraps of sky before the sky, and masks of pictures end where twigs begin. Where distances are not
-    known, only what stands in its midst counts: hills and walls beside a sky may have its colour.
+    Scenes contain sky-colored Gaussians in front of the sky, and image masks end at twigs. If no depth is known, only
+    pixels amidst the sky count, since hills and walls next to it may have its color.
     """
     rising = view_rays(view.camera)[..., 2] > 0
     is_open = (view.depth <= 0) & rising & view.has_surfaces
@@ -353,9 +351,9 @@ def extend_sky_mask(view: ClearView) -> ClearView:
 
 
 def match_sky_brightness(view: ClearView, settings: WetSettings, daylight: float) -> WetSettings:
-    """Return settings whose cloud is, but for the share of daylight, no brighter than the clear sky of a picture.
+    """Return settings whose clouds are no brighter than the image's clear sky, except for the share of daylight.
 
-    Where the light of a place is not known its own sky tells it: over a street at dusk no cloud is white.
+    Without known illumination, the image's own sky is the reference: at dusk no cloud is white.
     """
     sky = view.sky > 0.9
     if not sky.any():
@@ -366,9 +364,9 @@ def match_sky_brightness(view: ClearView, settings: WetSettings, daylight: float
 
 
 def remove_sky_color(view: ClearView) -> Image:
-    """What stands before the sky, display colour: pixels that are partly sky are unmixed from its colour around them.
+    """Display color of surfaces in front of the sky; partly covered pixels are unmixed from the sky's local color.
 
-    Renderers and cameras alike mix edges: picture = sky share * sky + rest * surface, solved for the surface.
+    Renderers and cameras mix edges alike: image = sky share * sky + rest * surface, solved for the surface.
     """
     share = view.sky[..., None]
     behind, _ = _local_sky(view.image, view.sky)
@@ -377,7 +375,7 @@ def remove_sky_color(view: ClearView) -> Image:
 
 
 def _local_sky(image: Image, share: Float32[np.ndarray, "h w"]) -> tuple[Image, Float32[np.ndarray, "h w"]]:
-    """Colour of the clear sky around each pixel (display), and share of pixels there that show nothing else."""
+    """Color of the clear sky around each pixel (display), and the share of pure sky pixels there."""
     weight = (share > 0.9).astype(np.float32)
     sigma = max(1.0, _LOCAL_SHARE * share.shape[1])
     around = cv2.GaussianBlur(weight, (0, 0), sigma)

@@ -1,4 +1,4 @@
-"""What kind of surface each pixel shows: ground, plants, walls, vehicles. Shares from 0 to 1."""
+"""Surface masks: shares of ground, plants, walls and vehicles per pixel, and the visible ground."""
 
 from dataclasses import dataclass, replace
 
@@ -13,69 +13,69 @@ from .ground_plane import GroundHeights, GroundPlane, refine_plane
 Plane = Float32[np.ndarray, "h w"]
 
 _SMOOTH_SHARE = 0.01
-"""Normals are averaged over this share of the picture's width: those of real scenes are rough."""
+"""Smoothing of normals as a share of the image width, since normals of real scenes are rough."""
 
 _NEAR_GROUND_M, _DEPTH_NOISE = 0.2, 0.008
-"""Height up to which something is ground: at once, and a metre of distance."""
+"""Height up to which a surface counts as ground: fixed part in meters, and additional height per meter of distance."""
 
 _UP, _AGREEING = (0.35, 0.8), (0.75, 0.95)
-"""Up-ness from which a surface lies open to rain, and length of mean normals from which they mean anything."""
+"""Ramps of the upward normal component of rain-exposed surfaces, and of the mean normal's length for confidence."""
 
 _AMONG = (0.25, 0.6)
-"""Share of leaves around something from which it is one."""
+"""Ramp of the share of leaves around a pixel from which it counts as a leaf itself."""
 
 _UP_ELSEWHERE = 0.8
-"""Soaking of level surfaces off the ground: ledges and roofs drain."""
+"""Wetness of level surfaces off the ground: ledges and roofs drain."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceShares:
-    """Shares of kinds, and where they lie."""
+    """Shares of surface classes per pixel, with positions and normals."""
 
     points: Float32[np.ndarray, "h w 3"]
-    """In the world, metres."""
+    """World position, meters."""
     normals: Float32[np.ndarray, "h w 3"]
-    """Averaged over small surroundings, unit or 0."""
+    """Smoothed locally, unit or 0."""
     up_facing: Plane
-    """How much a surface lies open to rain from above: 0 to 1."""
+    """Exposure to rain from above, 0 to 1."""
     ground: Plane
     plants: Plane
-    """Leaves and grass, upon the ground or not."""
+    """Leaves and grass, on the ground or not."""
     vehicles: Plane
-    """Without the shadows on the ground that scenes count to them."""
+    """Without ground shadows, which scenes assign to vehicles."""
 
 
-# § What is known about the ground in each pixel of a view. World frame, metres.
+# Visible ground. World frame, meters.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VisibleGround:
-    """The ground as a view sees it. Where `share` is 0 the other maps mean nothing."""
+    """Ground seen in a view. Where `share` is 0, the other maps except `above_m` are undefined."""
 
     plane: GroundPlane
-    """Through the ground that the view sees, most of all the near one."""
+    """Plane fitted to the visible ground, dominated by nearby ground."""
     share: Float32[np.ndarray, "h w"]
-    """How much of each pixel is ground, 0..1."""
+    """Share of ground in each pixel, 0..1."""
     above_m: Float32[np.ndarray, "h w"]
-    """How high over the ground each pixel's surface is; means something wherever depth is known."""
+    """Height of each pixel's surface over the ground; valid wherever depth is known."""
     points_m: Float64[np.ndarray, "h w 3"]
-    """Where its ray meets the smooth ground, in the world."""
+    """Intersection of each pixel's ray with the smooth ground, in the world."""
     normals: Float32[np.ndarray, "h w 3"]
-    """Of the smooth ground: unit, upwards."""
+    """Normals of the smooth ground: unit, upwards."""
     sunk_m: Float32[np.ndarray, "h w"]
-    """How far the place lies under what is around it."""
+    """Depth of each point below its surroundings."""
 
     def of_rows(self, rows: slice) -> "VisibleGround":
         maps = {name: getattr(self, name)[rows] for name in ("share", "above_m", "points_m", "normals", "sunk_m")}
         return replace(self, **maps)
 
     def evened(self) -> "VisibleGround":
-        """Return the same without what is known about dips and ruts."""
+        """Return a copy without dips and ruts."""
         return replace(self, sunk_m=np.zeros_like(self.sunk_m))
 
 
 def surfaces_of(view: ClearView, ground: VisibleGround | None = None) -> SurfaceShares:
-    """Tell kinds of surface from colour, up-ness, and height above the ground if that is known."""
+    """Classify surfaces by color, normals and, if known, height above the ground."""
     points = world_points(view.depth, view.camera).astype(np.float32)
     normals, sure = _smoothed(view.normals, max(1.0, _SMOOTH_SHARE * view.camera.width))
     upness = smoothstep(*_UP, normals[..., 2]) * sure
@@ -87,19 +87,19 @@ def surfaces_of(view: ClearView, ground: VisibleGround | None = None) -> Surface
 
 
 def _with_gaps(plants: Plane, level: Plane) -> Plane:
-    """Count what is dark between leaves as leaves; on the ground it is ground."""
+    """Count dark gaps between leaves as leaves, except on the ground."""
     among = cv2.GaussianBlur(plants, (0, 0), max(1.0, _SMOOTH_SHARE * plants.shape[1]))
     return np.maximum(plants, smoothstep(*_AMONG, among) * (1 - level))
 
 
 def _near_ground(view: ClearView, ground: VisibleGround) -> Plane:
-    """How surely each pixel lies on the ground by its height alone: normals of real scenes are rough."""
+    """Confidence that each pixel lies on the ground, by its height alone: normals of real scenes are rough."""
     slack = _NEAR_GROUND_M + _DEPTH_NOISE * view.depth
     return (1 - smoothstep(0.5, 1.5, np.abs(ground.above_m) / slack)) * (view.depth > 0)
 
 
 def _smoothed(normals: Float32[np.ndarray, "h w 3"], sigma_px: float) -> tuple[Float32[np.ndarray, "h w 3"], Plane]:
-    """Mean normals, unit or 0, and how surely they are known: what is averaged agrees with itself."""
+    """Smoothed normals, unit or 0, and their confidence: the agreement of the averaged normals."""
     there = (np.abs(normals).sum(axis=-1) > 0).astype(np.float32)
     mean = cv2.GaussianBlur(normals, (0, 0), sigma_px)
     length = np.linalg.norm(mean, axis=-1).astype(np.float32)
@@ -107,53 +107,47 @@ def _smoothed(normals: Float32[np.ndarray, "h w 3"], sigma_px: float) -> tuple[F
     return there[..., None] * mean / np.maximum(length, 1e-6)[..., None], sure
 
 
-# § Leaves and grass, told by their colour.
-
-
 def vegetation_mask(image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
-    """How much a display colour looks like leaves and grass: greener than blue and than a warm grey."""
+    """Likeness of a display color to leaves and grass, 0..1: greener than blue and than a warm gray."""
     red, green, blue = (image[..., i] for i in range(3))
     brightest = np.maximum(image.max(axis=-1), 1e-3)
     return smoothstep(0.08, 0.3, (green - blue) / brightest) * smoothstep(-0.06, 0.06, (green - red) / brightest)
 
 
-# § A soft step between two values.
-
-
 def smoothstep(low: float, high: float, x: Float[np.ndarray, "*n"]) -> Float32[np.ndarray, "*n"]:
-    """Rise from 0 at `low` to 1 at `high`."""
+    """Rise smoothly from 0 at `low` to 1 at `high`."""
     t = np.clip((x - low) / (high - low), 0, 1).astype(np.float32)
     return t * t * (3 - 2 * t)
 
 
 _NEAR_M, _NOISE_SHARE = 0.12, 0.006
-"""How far off the ground a pixel's depth may put it: at once, and a metre of distance (depth is less sure there)."""
+"""Largest error of a pixel's height: fixed part in meters, and additional error per meter of distance."""
 
 _MIN_UP = (0.35, 0.6)
-"""Up-ness of the surface below which a pixel is no ground, and from which it is."""
+"""Ramp of the upward component of a ground surface's normal."""
 
 _SCATTER = 1.5
-"""How many times the scatter of the ground's own points may be added."""
+"""Factor of the ground points' scatter in the height tolerance."""
 
 _ROUGH_UP = 6.0
-"""By how much less up-facing a surface may be for each metre of that scatter: normals of a rough depth say little."""
+"""Decrease of the ramp `_MIN_UP` per meter of scatter, since normals from rough depth are unreliable."""
 
 _SMOOTH_GROUND_SHARE = 0.008
-"""Normals are averaged over this share of the picture's width: those of real scenes are rough."""
+"""Smoothing of normals, as a share of the image width."""
 
 _GRASSY = (0.05, 0.4)
-"""Share of leaves around a place on the ground from which it mirrors less, and from which nothing."""
+"""Share of leaves around a ground pixel from which it reflects less, and from which it reflects nothing."""
 
 _MIN_PIXELS = 64
 
 _STEPS = 3
 
 _FARTHEST = 0.35
-"""Part of its depth by which a pixel's place may be moved to lie on the smooth ground."""
+"""Largest move of a pixel's point onto the smooth ground, as a share of its depth."""
 
 
 def find_visible_ground(view: ClearView, heights: GroundHeights, start: GroundPlane) -> VisibleGround | None:
-    """Find the ground in a view, given the height map; None where the view shows hardly any."""
+    """Find the ground in a view by the height map; None if the view shows hardly any."""
     points = world_points(view.depth, view.camera)
     rays, normals = view_rays(view.camera), heights.normals(points)
     above = points[..., 2] - heights.sampled(heights.fine_m, points)
@@ -164,7 +158,7 @@ def find_visible_ground(view: ClearView, heights: GroundHeights, start: GroundPl
     up = cv2.GaussianBlur(np.sum(view.normals * normals, axis=-1), (0, 0), sigma)
     plants = smoothstep(*_GRASSY, cv2.GaussianBlur(vegetation_mask(view.image), (0, 0), sigma))
     share = level * smoothstep(low, high, up) * (1 - plants) * (view.depth > 0) * (1 - view.sky)
-    share *= 1 - view.vehicles * (1 - level)  # scenes count the shadows under vehicles to them
+    share *= 1 - view.vehicles * (1 - level)  # scenes assign the shadows under vehicles to them
     share *= np.sum(rays * normals, axis=-1) < 0
     seen = share > 0.5
     if np.count_nonzero(seen) < _MIN_PIXELS:
@@ -184,7 +178,7 @@ def _upon(
     rays: Float64[np.ndarray, "h w 3"],
     depth: Float32[np.ndarray, "h w"],
 ) -> tuple[Float64[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"]]:
-    """Where rays meet the smooth ground, and where they surely do: it is not the bumpy depth that mirrors."""
+    """Intersect rays with the smooth ground, with confidence: reflections need it instead of the bumpy depth."""
     farthest = (_FARTHEST * depth).astype(np.float64)
     moved = np.zeros_like(farthest)
     for _ in range(_STEPS):

@@ -1,4 +1,4 @@
-"""How surfaces look with water in and on them: darker and more colourful where they are porous."""
+"""Wet materials: darkened porous surfaces, glossy paint, lamps, and mist. Linear light."""
 
 from math import erfc, exp, pi, sqrt
 from typing import no_type_check
@@ -20,19 +20,19 @@ Image = Float32[np.ndarray, "h w 3"]
 Plane = Float32[np.ndarray, "h w"]
 
 WATER_REFLECTANCE = 0.02
-"""Of water at normal incidence (refractive index 1.33)."""
+"""Reflectance of water at normal incidence (refractive index 1.33)."""
 
 INTERNAL_REFLECTION = 0.55
-"""Share of diffuse light that water's surface throws back down: 1 - (1 - 0.07) / 1.33^2, rounded up."""
+"""Share of diffuse light that the water's surface reflects back down: 1 - (1 - 0.07) / 1.33^2, rounded up."""
 
 WHITE = 0.9
-"""Albedo of what the picture shows as white."""
+"""Albedo of white pixels."""
 
 SOAKING_OF_GROUND, SOAKING_OF_PLANTS, SOAKING_OF_WALLS, SOAKING_OF_VEHICLES = 1.0, 0.35, 0.3, 0.0
-"""How much of a porous ground's change each kind shows; leaves and paint keep water on them, not in them."""
+"""Share of the change of porous ground per class; leaves and paint hold water on them, not in them."""
 
 PLANT_SATURATION = 0.25
-"""Growth of the colour of leaves and grass: a film on them scatters less white light than their wax and dust do."""
+"""Increase in saturation of leaves and grass: a water film scatters less white light than their wax and dust."""
 
 _STREAK_WIDTH_M, _STREAK_HEIGHT_M = 24.0, 260.0
 """Periods of the noise on walls, across and down: a streak is a hundredth of it."""
@@ -41,8 +41,8 @@ _STREAK_WIDTH_M, _STREAK_HEIGHT_M = 24.0, 260.0
 def wet_albedo(albedo: Image) -> Image:
     """Diffuse albedo under a film of water, per channel (Lekner and Dorf 1988, without their change of index).
 
-    Light enters with 1 - R, is reflected by the surface with d, and thrown back by the film with p time and again:
-    w = (1 - R) (1 - p) d / (1 - p d). Dark colours lose more than bright ones, hence also saturation grows.
+    Light enters with 1 - R, is reflected by the surface with d, and repeatedly reflected back by the film with p:
+    w = (1 - R) (1 - p) d / (1 - p d). Dark colors lose more than bright ones, so saturation grows too.
     """
     return (1 - WATER_REFLECTANCE) * (1 - INTERNAL_REFLECTION) * albedo / (1 - INTERNAL_REFLECTION * albedo)
 
@@ -59,7 +59,7 @@ def wet_surfaces_color(surface: Image, surfaces: SurfaceShares, settings: WetSet
 
 
 def porosity_wetness(surfaces: SurfaceShares, settings: WetSettings) -> Plane:
-    """How soaked each pixel is, 0 to 1: what lies open most, walls in streaks from above, vehicles not at all."""
+    """Soaking of each pixel, 0 to 1: full for surfaces open to rain, in streaks on walls, none on vehicles."""
     walls = SOAKING_OF_WALLS * (1 + settings.streaks * _streaks(surfaces, settings.seed))
     open_to_rain = walls + (SOAKING_OF_GROUND - walls) * surfaces.up_facing
     porous = open_to_rain + surfaces.plants * (SOAKING_OF_PLANTS - open_to_rain)
@@ -67,29 +67,29 @@ def porosity_wetness(surfaces: SurfaceShares, settings: WetSettings) -> Plane:
 
 
 def _streaks(surfaces: SurfaceShares, seed: int) -> Plane:
-    """Where water runs down: noise that is fine along a wall and long downwards, -1 to 1."""
+    """Pattern of water running down walls: noise that is fine across and long downwards, -1 to 1."""
     x, y, z = (surfaces.points[..., i] for i in range(3))
     along = (0.8 * x + 0.6 * y) / _STREAK_WIDTH_M + 0.618 * (0.8 * y - 0.6 * x) / _STREAK_WIDTH_M
     noise = SmoothNoise(seed + 1, 0.9).at(along, z / _STREAK_HEIGHT_M)
     return (2 * smoothstep(-1.0, 1.6, noise) - 1) * (1 - surfaces.up_facing)
 
 
-# § Wet paint: what vehicles mirror of the overcast sky.
+# Wet paint: reflections of the overcast sky on vehicles
 
 _OF_GROUND = 0.12
-"""Brightness of what a vehicle mirrors below the horizon, over the sky's: a wet road."""
+"""Brightness of vehicle reflections below the horizon (a wet road) relative to the sky's."""
 
 
 def add_clear_coat(
     surface: Image, surfaces: SurfaceShares, directions: Float[np.ndarray, "h w 3"], settings: WetSettings
 ) -> Image:
-    """Add what water on vehicles mirrors, by Schlick's (1994) form of Fresnel's law. Linear light in and out.
+    """Add reflections of wet vehicles, by Schlick's (1994) form of Fresnel's law. Linear light in and out.
 
     Args:
-        surface: The view without it.
-        surfaces: Kinds and normals.
-        directions: From the eye, unit, in the world.
-        settings: How much gloss there is, and which sky.
+        surface: View without the reflections.
+        surfaces: Classes and normals.
+        directions: View directions from the eye, unit, in the world.
+        settings: Gloss and sky.
     """
     if not surfaces.vehicles.any():
         return surface
@@ -102,7 +102,7 @@ def add_clear_coat(
     return ((1 - share) * surface + share * seen).astype(np.float32)
 
 
-# § How much light water mirrors: Fresnel's law for unpolarized light.
+# Fresnel reflectance
 
 WATER_INDEX = 1.333
 """Refractive index of water in visible light at 20 C."""
@@ -111,7 +111,7 @@ WATER_INDEX = 1.333
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check
 def reflectance(cosine, index):
-    """Share of unpolarized light that a smooth dielectric mirrors (Fresnel 1823): the mean over both polarizations.
+    """Reflectance of a smooth dielectric for unpolarized light (Fresnel 1823): the mean over both polarizations.
 
     `cosine` is that of the angle between ray and normal, 0 to 1; `index` the refractive index of the inside.
     """
@@ -124,7 +124,7 @@ def reflectance(cosine, index):
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check
 def unshadowed(cosine, slope):
-    """Share of a rough surface's facets that a ray this flat meets unhindered (Smith 1967, Gaussian slopes).
+    """Share of a rough surface's facets that a ray reaches unshadowed (Smith 1967, Gaussian slopes).
 
     `cosine` is that of the angle to the mean normal, `slope` the facets' standard deviation of slope along the ray.
     """
@@ -138,22 +138,22 @@ def unshadowed(cosine, slope):
     return 1 / (1 + 0.5 * (exp(-v * v) / (v * sqrt(pi)) - erfc(v)))
 
 
-# § Lamps, lit signs and traffic lights: as bright as ever under a dimmer sky, with a soft glow around them.
+# Lamps, lit signs and traffic lights: unchanged brightness under a dimmer sky, with a soft glow
 
 _AROUND_SHARE = 0.025
-"""A lamp is small: it outshines the mean over this share of the picture's width."""
+"""Window as a share of the image width; a lamp is small, so it outshines the mean over it."""
 
 _GLOW_SHARES, _GLOW_STRENGTHS = (0.004, 0.014), (0.25, 0.12)
-"""Spread of the glow's core and skirt as shares of the picture's width, and how strong they are."""
+"""Spread of the glow's core and skirt as shares of the image width, and their strengths."""
 
 BRIGHTENING = 2.0
-"""Of lamps over their clear look: the camera opens up under cloud, lamps don't dim."""
+"""Brightness of lamps relative to the clear view: exposure rises under cloud, and lamps don't dim."""
 
 
 def emissive_share(view: ClearView, surfaces: SurfaceShares, tail_lamps: bool = True) -> Plane:
-    """How surely each pixel is a light of its own, 0 to 1: bright, colourful, small, neither sky nor ground.
+    """Confidence that each pixel is a light source, 0 to 1: bright, colorful, small, neither sky nor ground.
 
-    With `tail_lamps` also what is red on a vehicle and redder than what is around it.
+    `tail_lamps` adds pixels of vehicles that are red, and redder than their surroundings.
     """
     light = srgb_to_linear(view.image).astype(np.float32)
     brightest = light.max(axis=-1)
@@ -172,7 +172,7 @@ def emissive_share(view: ClearView, surfaces: SurfaceShares, tail_lamps: bool = 
 
 
 def add_emissive_lights(surface: Image, view: ClearView, share: Plane, glow: float) -> Image:
-    """Put lamps back at their own brightness, and light around them. Linear light in and out."""
+    """Restore lamps to their own brightness and add their glow. Linear light in and out."""
     if not share.any():
         return surface
     own = BRIGHTENING * srgb_to_linear(view.image).astype(np.float32)
@@ -183,20 +183,20 @@ def add_emissive_lights(surface: Image, view: ClearView, share: Plane, glow: flo
     return lit.astype(np.float32)
 
 
-# § Damp air: what is far fades into the light of the cloudy horizon.
+# Mist: distant surfaces fade into the light of the cloudy horizon
 
 _FILL_SHARE, _EDGE_SHARE, _EDGE2 = 0.02, 0.012, 0.002
-"""Sizes over which an unknown distance is taken from around it, and over which distances keep to the picture's edges,
-as shares of its width; variance of display brightness from which something is an edge."""
+"""Smoothing scales as shares of the image width: to fill unknown distances, and to align distances with image edges;
+variance of display brightness from which the image has an edge."""
 
 _ENCLOSED = 0.5
-"""Share of known distances around a gap from which it is filled: what lies beyond them may be near or far."""
+"""Share of known distances around a gap from which it is filled; at the border of unknown areas, distance is open."""
 
 
 def apply_fog(surface: Image, view: ClearView, rays: Float[np.ndarray, "h w 3"], settings: WetSettings) -> Image:
-    """Fade by exp(-extinction * distance) (Koschmieder 1924), linear light in and out; the sky stays as it is.
+    """Fade by exp(-extinction * distance) (Koschmieder 1924), linear light in and out; the sky is unchanged.
 
-    `rays` are world directions a metre of view depth long.
+    `rays` are world directions, one meter of view depth long.
     """
     if settings.mist_km == 0:
         return surface
@@ -208,7 +208,7 @@ def apply_fog(surface: Image, view: ClearView, rays: Float[np.ndarray, "h w 3"],
 
 
 def _even(through: Plane, view: ClearView) -> Plane:
-    """Give unknown places what is around them, and let steps be only where the picture has edges too."""
+    """Fill unknown pixels from their surroundings, and allow steps only at edges of the image."""
     width = view.camera.width
     known = (view.depth > 0).astype(np.float32)
     sigma = max(1.0, _FILL_SHARE * width)

@@ -1,4 +1,4 @@
-"""Smooth noise that repeats, as a function of place: the same wherever it is seen from."""
+"""Procedural noise by world position, the same in all views, and an edge-preserving guided filter."""
 
 from functools import lru_cache
 
@@ -10,13 +10,13 @@ _SIZE = 512
 
 
 class SmoothNoise:
-    """Gaussian noise of mean 0 and variance 1 whose power falls with frequency f as f^-2 slope, with period 1."""
+    """Gaussian noise of mean 0 and variance 1 with a power spectrum of f^-(2 slope) and period 1."""
 
     def __init__(self, seed: int, slope: float = 1.6) -> None:
         self._values = _texture(seed, slope)
 
     def at(self, x: Float[np.ndarray, "h w"], y: Float[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-        """Values at places given in periods."""
+        """Values at positions given in periods."""
         columns, rows = ((_SIZE * (each - np.floor(each))).astype(np.float32) for each in (x, y))
         return cv2.remap(self._values, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP).astype(np.float32)
 
@@ -30,19 +30,19 @@ def _texture(seed: int, slope: float) -> Float32[np.ndarray, "n n"]:
     return (values / values.std()).astype(np.float32)
 
 
-# § Random bumps of the ground, as a function of place in the world: all views see the same. Metres.
+# Ground bumps by world position. Meters.
 
 _TEXTURE = 512
-"""Bumps along a side until they repeat."""
+"""Bumps per side until they repeat."""
 
 _BLENDED = 0.85
-"""Standard deviation that cubic blending leaves of independent random heights."""
+"""Standard deviation of independent random heights after cubic interpolation."""
 
 
 def lattice_noise_at(
     points_m: Float[np.ndarray, "h w 3"], size_m: float, turn: float, seed: int
 ) -> Float32[np.ndarray, "h w"]:
-    """Smooth noise of mean 0 and variance 1 on a turned lattice of the given pitch."""
+    """Smooth noise of mean 0 and variance 1 on a rotated lattice of the given pitch."""
     c, s = np.cos(turn) / size_m, np.sin(turn) / size_m
     x, y = points_m[..., 0], points_m[..., 1]
     across, along = c * x + s * y, c * y - s * x
@@ -52,26 +52,26 @@ def lattice_noise_at(
 
 @lru_cache(maxsize=32)
 def _bump_texture(seed: int) -> Float32[np.ndarray, "n n"]:
-    """Random heights that repeat; scaled for the variance that blending between them takes away."""
+    """Periodic random heights, scaled to make up for the variance lost by interpolation."""
     side = _TEXTURE - 4
     values = np.random.default_rng(seed).standard_normal((side, side)).astype(np.float32)
     return np.pad(values / np.float32(_BLENDED), (1, 3), mode="wrap")
 
 
-# § Small slopes of the water's surface that a picture resolves: reflections get ragged edges from them.
+# Water slopes large enough for the image resolution, which give reflections ragged edges
 
 _SIZES_M = (0.45, 0.17, 0.07)
 
 _VISIBLE_SHARE = 0.5
-"""Part of a bump's size up to which a pixel's length shows it."""
+"""Largest pixel length that still resolves a bump, as a share of the bump's size."""
 
 
 def water_slopes(
     points_m: Float64[np.ndarray, "h w 3"], footprint_m: Float32[np.ndarray, "h w"], seed: int
 ) -> Float32[np.ndarray, "h w 2"]:
-    """Slopes along the world's x and y at places, at random, with a standard deviation of 1.
+    """Random slopes along the world's x and y, with a standard deviation of 1.
 
-    `footprint_m` is a pixel's length on the ground: bumps that it hides are left out.
+    `footprint_m` is a pixel's length on the ground; bumps smaller than it are left out.
     """
     slopes = np.zeros((*footprint_m.shape, 2), np.float32)
     for k, size in enumerate(_SIZES_M):
@@ -93,19 +93,19 @@ def tilt_normals(
     return (normals + tilts) / np.sqrt(1 + np.sum(tilts * tilts, axis=-1, keepdims=True))
 
 
-# § The guided filter: smooths one picture, and keeps to the edges of another one.
+# Guided filter
 
 Plane = Float32[np.ndarray, "h w"]
 
 
 def guided_filter(values: Plane, guide: Plane, radius: int, variance: float) -> Plane:
-    """Return `values` as a local linear function of `guide` (He, Sun and Tang 2013).
+    """Smooth `values` along the edges of `guide`, as a local linear function of it (He, Sun and Tang 2013).
 
     Args:
-        values: What is smoothed.
-        guide: Whose edges stay.
-        radius: Of the surroundings, in pixels.
-        variance: Of the guide, from which something is an edge.
+        values: Values to smooth.
+        guide: Image whose edges are kept.
+        radius: Window radius in pixels.
+        variance: Variance of the guide from which it has an edge.
     """
     size = (2 * radius + 1, 2 * radius + 1)
     mean, mean_guide = cv2.blur(values, size), cv2.blur(guide, size)

@@ -1,4 +1,4 @@
-"""What the ground mirrors, as a picture: taken by a camera that stands where the eye's mirror image is."""
+"""Planar reflection in the ground: mirrored camera, screen-space reflection, and hole filling."""
 
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, no_type_check
@@ -16,44 +16,43 @@ from .ground_plane import GroundPlane
 from .masks import VisibleGround
 
 _BELOW_HORIZON, _MARGIN_SHARES = 0.02, 0.08
-"""Parts of the picture's height and width that the mirror's picture shows more: rough water looks past its edges."""
+"""Margins of the mirror image, as parts of its height and width: rough water reflects from beyond its borders."""
 
 _ABOVE = 0.35
-"""Tangent by which it looks higher than the flat mirror does."""
+"""Tangent by which the mirror image extends higher than a flat mirror's."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanarReflection:
-    """The picture in the mirror, by the camera below the ground, upright: from the view where the view shows it too."""
+    """Mirror image of a camera below the ground, upright: from the view itself where it shows the same point."""
 
     beyond: ClearView
-    """What is not seen in the view; where nothing of the world is, it is sky."""
+    """Environment outside the view; sky where it is empty."""
     places: Float32[np.ndarray, "h w 2"]
-    """Columns and rows in the view (pixel centres at halves) that show what is mirrored."""
+    """Columns and rows in the view (pixel centers at halves) of the reflected points."""
     known: Float32[np.ndarray, "h w"]
-    """How much of each pixel is taken from there, 0..1; the rest is `beyond`."""
+    """Share of each pixel taken from the view, 0..1; the rest is `beyond`."""
     depth: Float32[np.ndarray, "h w"]
-    """Metres along the mirror camera's axis; 0 for sky."""
+    """Meters along the mirror camera's axis; 0 for sky."""
 
     @property
     def camera(self) -> Camera:
-        """In the world, below the ground."""
         return self.beyond.camera
 
     def picture(
         self, seen: Float32[np.ndarray, "_ _ 3"], beyond: Float32[np.ndarray, "h w 3"]
     ) -> Float32[np.ndarray, "h w 3"]:
-        """Put together what the view shows and what is beyond it, each as the rainy day makes it look."""
+        """Combine the rainy image of the view and that of `beyond`."""
         columns, rows = (np.ascontiguousarray(self.places[..., k]) - np.float32(0.5) for k in (0, 1))
         taken = cv2.remap(seen, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return beyond + self.known[..., None] * (taken - beyond)
 
 
 def mirror_camera(camera: Camera, plane: GroundPlane, scale: float) -> Camera:
-    """Return the mirrored camera, cropped to what the ground can mirror and widened by a margin.
+    """Return the mirrored camera, cropped to what the ground can reflect and widened by a margin.
 
-    `scale` is its resolution relative to the eye's. Rays that the ground mirrors rise: what lies under the horizon of
-    the mirrored camera is left out.
+    `scale` is its resolution relative to the eye's. Reflected rays rise, so the image ends at the horizon of the
+    mirrored camera.
     """
     turned = plane.mirrored(camera)
     turn = turned.world_to_camera[:3, :3]
@@ -72,32 +71,32 @@ def mirror_camera(camera: Camera, plane: GroundPlane, scale: float) -> Camera:
     return replace(turned, width=width, height=rows, fx=fx, fy=fy, cx=-(left - wide) * fx, cy=-high * fy)
 
 
-# § What the ground mirrors and the view itself shows: rays followed through its depth (screen-space reflection).
+# Screen-space reflection: mirrored rays traced through the view's depth
 
 _GROUND = 0.5
 
 _FIRST_M, _GROWTH, _STEPS = 0.03, 1.12, 84
-"""Way of the first step, how much longer each is than the one before, and how many: to about 400 m."""
+"""Length of the first step, growth factor of steps, and their number: about 400 m in all."""
 
 _HALVINGS = 6
 
 _THICK_M, _THICK_SHARE = 0.2, 0.03
-"""How thick a surface is taken to be: a ray that is farther behind it is hidden, and met nothing that is seen."""
+"""Assumed thickness of surfaces: a ray farther behind one is occluded and has not hit it."""
 
 
 class SsrHits(NamedTuple):
-    """For each pixel of the mirror's picture, where the view shows the same thing."""
+    """Hits of screen-space reflection, per pixel of the mirror image."""
 
     places: Float32[np.ndarray, "h w 2"]
-    """Columns and rows in the view (pixel centres at halves); where the ray left the view, if it was not found."""
+    """Columns and rows in the view (pixel centers at halves); without a hit, where the ray left the view."""
     depth: Float32[np.ndarray, "h w"]
-    """Along the mirror camera's axis in metres; 0 for sky."""
+    """Along the mirror camera's axis in meters; 0 for sky."""
     found: Bool[np.ndarray, "h w"]
     left: Bool[np.ndarray, "h w"]
-    """Where the ray left the picture in front of all that it shows."""
+    """True where the ray left the image in front of all visible surfaces."""
 
     def with_hidden_filled(self) -> "SsrHits":
-        """Let what is neither seen nor beyond the edge look like the nearest thing in the mirror that is seen."""
+        """Fill rays that neither hit nor left the image with the nearest hit in the mirror image."""
         hidden = ~self.found & ~self.left
         if not self.found.any():
             return self
@@ -109,7 +108,7 @@ class SsrHits(NamedTuple):
 
 
 def screen_space_reflection(view: ClearView, ground: VisibleGround, mirror: Camera) -> SsrHits:
-    """Follow the rays of the mirror's picture, each from where it leaves the ground, through the view's depth."""
+    """Trace the mirror image's rays, each from the point where it leaves the ground, through the view's depth."""
     size = (mirror.height, mirror.width)
     places, depth = np.zeros((*size, 2), np.float32), np.zeros(size, np.float32)
     found, left = np.zeros(size, np.bool_), np.zeros(size, np.bool_)
@@ -183,7 +182,7 @@ def _follow(solid, is_sky, pose, eye_lens, mirror_pose, mirror_lens, normal, off
                 z = a[2] + way * b[2]
                 places[v, u, 0] = (a[0] + way * b[0]) / z * eye_lens[0] + eye_lens[2]
                 places[v, u, 1] = (a[1] + way * b[1]) / z * eye_lens[1] + eye_lens[3]
-                depth[v, u] = start + way  # the ray is one metre of the mirror camera's depth long
+                depth[v, u] = start + way  # the ray is one meter of the mirror camera's depth long
                 found[v, u] = not hidden
                 break
             else:
@@ -195,16 +194,16 @@ def _follow(solid, is_sky, pose, eye_lens, mirror_pose, mirror_lens, normal, off
                 left[v, u] = not hidden
 
 
-# § Gaps low over the horizon of a mirror's picture: what was hidden there is no sky.
+# Holes near the horizon of the mirror image are occluded surfaces, not sky
 
 _LOW = 0.06
-"""Rise of rays (3.4 degrees) up to which something of the world is always in the way."""
+"""Rise of rays (3.4 degrees) up to which the world always covers the sky."""
 
 
 def fill_reflection_holes(view: ClearView, plane: GroundPlane) -> ClearView:
-    """Let what stands over a gap near the horizon reach down to it, under cars or where the captured world ends.
+    """Extend surfaces above a gap near the horizon down into it, under cars or where the captured world ends.
 
-    Where there is nothing at all there is sky.
+    Gaps with nothing above them become sky.
     """
     rays = view_rays(view.camera)
     rise = (rays @ plane.normal) / np.linalg.norm(rays, axis=-1)

@@ -1,4 +1,4 @@
-"""The transfer `wet`: a view on a day of rain, without any weights."""
+"""Transfer `wet`: makes views rainy from light, depth and normals, without weights."""
 
 from collections.abc import Iterator, Sequence
 
@@ -27,11 +27,11 @@ from .water import water_layer_of
 Image = Float32[np.ndarray, "h w 3"]
 
 LIGHT_AND_SKY = "only light, colors and the sky where it is sure: their depth is not known, so nothing is made wet"
-"""What is left out of pictures alone."""
+"""Skipped steps of views without surfaces."""
 
 
 class WetTransfer:
-    """Overcast light, wet materials, water, lamps and mist; the same view by view, since all is told by the scene."""
+    """Overcast light, wet materials, water, lamps and mist; consistent across views, since all come from the scene."""
 
     def __init__(
         self, settings: WetSettings, surroundings: ReflectionEnvironment, light: IlluminationEstimate | None = None
@@ -43,11 +43,11 @@ class WetTransfer:
         return "wet"
 
     def light_of(self, views: Sequence[ClearView]) -> IlluminationEstimate:
-        """The light that views were seen in: what was given, or what they tell."""
+        """Illumination of the clear views: the given one, or an estimate."""
         return estimate_illumination(views) if self._light is None else self._light
 
     def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
-        """Make views rainy in their order. The light is told from some of them first, unless it was given."""
+        """Yield rainy views in order. Unless light was given, it is first estimated from some of the views."""
         light = self.light_of(views)
         for i in range(len(views)):
             yield self._rainy(views[i], light)
@@ -73,9 +73,9 @@ class WetTransfer:
 
 
 def rainy_image(view: ClearView, settings: WetSettings) -> Image:
-    """Return a view of which no surfaces are known on a rainy day, linear light: its light, its colours and its sky.
+    """Return a view without known surfaces on a rainy day, in linear light: its light, colors and sky.
 
-    Nothing is wet in it: a film or a puddle might lie on a vehicle or on a person.
+    No surface becomes wet: a film or a puddle might lie on a vehicle or a person.
     """
     clear = srgb_to_linear(view.image).astype(np.float32)
     view = extend_sky_mask(view)
@@ -88,7 +88,7 @@ def rainy_image(view: ClearView, settings: WetSettings) -> Image:
 def rainy_light(
     view: ClearView, light: IlluminationEstimate, settings: WetSettings, ground: VisibleGround | None
 ) -> Image:
-    """Return the view on a rainy day but for the water on the ground, linear light."""
+    """Return the view on a rainy day without the water on the ground, in linear light."""
     clear = srgb_to_linear(view.image).astype(np.float32)
     view = extend_sky_mask(view)
     rays = view_rays(view.camera)

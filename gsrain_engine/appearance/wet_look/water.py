@@ -1,4 +1,4 @@
-"""Water on the ground: a film that mirrors roughly, puddles that mirror clearly. Linear light."""
+"""Water on the ground: a film with rough reflections, puddles with clear ones. Linear light."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,37 +18,37 @@ from .reflections import PlanarReflection
 WaterAppearance = Callable[[ClearView], Float32[np.ndarray, "h w 3"]]
 
 _FILM_SLOPE, _FILM_SMOOTHING = 0.09, 0.6
-"""Standard deviation of slope of a thin film over asphalt, and by how much of that a thicker one is smoother."""
+"""Slope deviation of a thin film over asphalt, and the share by which a thick film is smoother."""
 
 _PUDDLE_SLOPE = 0.022
-"""Of standing water that rain falls on: rings of a few millimetres' height, decimetres long."""
+"""Slope deviation of standing water in rain: rings a few millimeters high, decimeters long."""
 
 _TEXTURE_TILT, _RIPPLE_TILT = 0.016, 0.006
-"""Standard deviations of slope of the bumps that a picture resolves, in the film and in puddles."""
+"""Slope deviation of the bumps that an image resolves, in the film and in puddles."""
 
 _FILM_COVER = (0.7, 1.0)
-"""Share of the road that the film covers where it is thin and where it is thick: stones stick out of it."""
+"""Share of the road that a thin and a thick film cover: stones stick out of it."""
 
 _FACETS, _PUDDLE_FACETS = 11, 5
 
 _MIN_SHARE = 0.01
 
 _UNDER_WATER = 0.72
-"""Part of a soaked road's light that gets out through standing water: what is mirrored back into it is absorbed."""
+"""Share of a soaked road's light that leaves standing water; light reflected back into the water is absorbed."""
 
 _UNDER_RIM = 0.88
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WaterLayer:
-    """What water does to a picture: (1 - share) * through * surface + color. Linear light."""
+    """Effect of water on an image: (1 - share) * through * surface + color. Linear light."""
 
     color: Float32[np.ndarray, "h w 3"]
-    """Light that the water mirrors, times its share."""
+    """Reflected light, multiplied by its share."""
     share: Float32[np.ndarray, "h w"]
-    """Share of mirrored light, 0..1."""
+    """Share of reflected light, 0..1."""
     through: Float32[np.ndarray, "h w"]
-    """Part of the light of the ground itself that comes through the water, 0..1; 1 where there is none."""
+    """Share of the ground's own light that passes the water, 0..1; 1 without water."""
 
 
 def water_layer_of(
@@ -59,15 +59,15 @@ def water_layer_of(
     wetness: float,
     seed: int,
 ) -> WaterLayer | None:
-    """Work out the water on the ground of a view; None where there is none.
+    """Compute the water on the ground of a view; None if there is none.
 
     Args:
-        view: As it is when clear.
-        surface: The view on the rainy day, but for the water; linear light. It is mirrored where it shows what is.
-        surroundings: Where the ground is, and what else it mirrors.
-        look: Makes any view look like `surface`: what is mirrored from beyond the view goes through it.
+        view: Clear view.
+        surface: View on the rainy day without the water, linear light; source of screen-space reflections.
+        surroundings: Source of the ground and of reflections from outside the view.
+        look: Function that makes any view look like `surface`; applied to the reflected environment.
         wetness: 0 (none) to 1.
-        seed: Chooses the puddles.
+        seed: Seed of the puddles.
     """
     ground = surroundings.ground(view) if wetness > 0 else None
     if ground is None:
@@ -114,52 +114,52 @@ def _water(
 def _where(
     chosen: Bool[np.ndarray, "h w"], roughness: Float32[np.ndarray, "h w"] | float
 ) -> Float32[np.ndarray, "h w"]:
-    """Slopes of facets where they are asked for, and below 0 elsewhere."""
+    """Slopes of facets at chosen pixels, and below 0 elsewhere."""
     return np.where(chosen, roughness, -1).astype(np.float32)
 
 
 def _footprint(ground: VisibleGround, camera: Camera) -> Float32[np.ndarray, "h w"]:
-    """Length in metres of the ground in each pixel, along the line of sight."""
+    """Length in meters of the ground in each pixel, along the line of sight."""
     away = camera.position - ground.points_m
     distance = np.linalg.norm(away, axis=-1)
     flat = np.maximum(np.sum(away * ground.normals, axis=-1) / np.maximum(distance, 1e-6), 0.01)
     return (distance / (camera.fy * flat)).astype(np.float32)
 
 
-# § Where water stands on the ground: a function of place in the world, so that all views agree. Metres.
+# Standing water by world position, so that all views agree. Meters.
 
 _OCTAVES = ((4.3, 0.8), (2.1, 0.9), (1.0, 0.5), (0.47, 0.25), (0.23, 0.13), (0.11, 0.07))
-"""Size of a bump in metres, and its height relative to the first: the finest frays the shores."""
+"""Size of bumps in meters, and height relative to the first; the finest ones fray the shores."""
 
 _PATCHES = (0.0, 1.0, 1.0, 0.9, 0.6, 0.6)
-"""Strength of each in the film's thickness."""
+"""Strength of each octave in the film's thickness."""
 
 _TURN = 2.39996
-"""Radians from one octave's axes to the next one's (the golden angle): no direction repeats."""
+"""Rotation in radians between octaves (the golden angle), so that no direction repeats."""
 
 _HEIGHT_M = 0.006
-"""Standard deviation of the ground's unevenness that no capture can tell: a road of middling quality."""
+"""Standard deviation of unevenness that captures don't resolve: a road of medium quality."""
 
 _STANDING = 0.12
-"""Share of an even road under standing water when it is soaked."""
+"""Share of an even, soaked road under standing water."""
 
 _SHORE, _RIM = 0.35, 1.3
-"""Widths, in standard deviations of height, of the shore and of the damp rim about it."""
+"""Widths of the shore and of the damp rim around it, in standard deviations of height."""
 
 _UNSEEN = 3.4
-"""Width of the smooth step that is nearest to a normal distribution's, in its standard deviations."""
+"""Width of the smooth step closest to a normal distribution, in its standard deviations."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StandingWater:
-    """What stands on the ground; each map is 0..1."""
+    """Standing water on the ground; each map is 0..1."""
 
     puddle: Float32[np.ndarray, "h w"]
     """Share of each pixel under standing water."""
     rim: Float32[np.ndarray, "h w"]
-    """How near to it: 1 in the puddle, falling to 0."""
+    """Proximity to a puddle: 1 in it, falling to 0."""
     patches: Float32[np.ndarray, "h w"]
-    """How the film's thickness differs from place to place: 0.5 on average."""
+    """Relative thickness of the film: 0.5 on average."""
 
 
 def standing_water(
@@ -169,12 +169,12 @@ def standing_water(
     wetness: float,
     seed: int,
 ) -> StandingWater:
-    """Tell where water stands.
+    """Compute the extent of puddles.
 
-    The ground is uneven by a sum of random bumps of halving size, and by `sunk_m`, how far each place is known to lie
-    under its surroundings. Water fills what lies lowest, up to the level under which the share of an even road that the
-    wetness asks for lies. Bumps smaller than a pixel's `footprint_m` are not drawn: there the share of the pixel under
-    water is returned, so nothing flickers far away.
+    The ground's unevenness is a sum of random bumps of halving size plus `sunk_m`, the known depth of each point below
+    its surroundings. Water fills the lowest parts, up to the level that covers the share of an even road set by the
+    wetness. Bumps smaller than a pixel's `footprint_m` are not drawn but replaced by the share of the pixel under
+    water, so that distant water doesn't flicker.
     """
     low = np.zeros(points_m.shape[:-1], np.float32)
     hidden = np.zeros_like(low)
