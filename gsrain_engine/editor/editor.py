@@ -215,17 +215,17 @@ class Editor(EditorServices):
     @property
     def displayed_scene(self) -> Scene:
         """Scene of the viewport, including a drag preview and the road users of the playing roll-out."""
-        return self.drives.scene_in_place_of(super().shown_scene)
+        return self.drives.scene_in_place_of(super().displayed_scene)
 
     @property
-    def shown_rainfall(self) -> RainSimulation:
+    def displayed_rain(self) -> RainSimulation:
         """Rain of the viewport: the document's, or that of the playing roll-out."""
         return self.drives.rainfall(roofs=self._roofs.knows(self.scene)) or self._drawn_rainfall
 
     @property
     def split_panes(self) -> list[SplitPane]:
-        """What the viewport shows: one side, or two from left to right."""
-        shown, rainfall = self.shown_scene, self.shown_rainfall
+        """Panes of the viewport: one, or two from left to right."""
+        shown, rainfall = self.displayed_scene, self.displayed_rain
         here = SplitPane("", shown, rainfall)
         if self.view.split == "clear | rainy":
             clear = rainfall.rain.without_rain

@@ -77,13 +77,13 @@ class ViewportState(EditedDocument):
         return self.scene if self._shown_preview is None else self._shown_preview
 
     @property
-    def shown_rainfall(self) -> RainSimulation:
+    def displayed_rain(self) -> RainSimulation:
         return self.rainfall
 
     @property
     def wetness_now(self) -> float:
-        """Share of the soaked colours at the present time, 0..1."""
-        return self.shown_rainfall.wetness_at(self.clock.time_s)
+        """Wetness (share of the wet colors) at the present time, 0..1."""
+        return self.displayed_rain.wetness_at(self.clock.time_s)
 
     @property
     def sky(self) -> Color:

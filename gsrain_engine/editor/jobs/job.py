@@ -94,7 +94,7 @@ class CopiedSceneJob:
             if self._worker is not None:
                 self._follow(self._worker)
         except Exception as error:  # whatever a disk or a worker can do: the window lives on
-            self.error = self._said(error)
+            self.error = self._describe(error)
             self._end("failed")
 
     def cancel(self) -> None:

@@ -125,8 +125,8 @@ class ActorFollower:
 
 
 def _level_pose(scene: Scene, actor: Actor, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
-    """Where an actor is and which way it heads: it may pitch and roll, the camera does not."""
-    way = actor.way(time_s)
+    """Position and heading of an actor, without its pitch and roll."""
+    way = actor.pose_at(time_s)
     if way is None:
         return None
     pose = scene.scene_to_world @ way
