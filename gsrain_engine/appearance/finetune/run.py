@@ -68,7 +68,7 @@ def finetune(task: FinetuneTask, perceptual: Perceptual | None = None) -> Genera
         ValueError: If files don't fit each other, or the folder holds another training.
         DivergedError: If the training diverged.
         MemoryError: If the device has too little memory.
-        HeldError: If another process writes into the folder.
+        PathInUseError: If another process writes into the folder.
     """
     with hold_for_writing(task.output):
         return (yield from _finetuned(task, perceptual))
