@@ -129,7 +129,6 @@ def find_extensions(group: EntryPointGroup) -> tuple[Extension, ...]:
 
 
 def find_extension(group: EntryPointGroup, name: str) -> Extension | None:
-    """Return the extension of that name; None if there is none."""
     return next((each for each in find_extensions(group) if each.name == name), None)
 
 
@@ -146,7 +145,6 @@ def load_extensions(group: EntryPointGroup, kind: type[_Kind]) -> list[tuple[Ext
 
 @lru_cache(maxsize=64)
 def warn_once(sentence: str) -> None:
-    """Log a warning about an unusable extension, the first time only."""
     logger.warning("%s; it is left out", sentence)
 
 

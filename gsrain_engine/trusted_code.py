@@ -63,7 +63,6 @@ class Code:
 
     @property
     def others(self) -> list[str]:
-        """File names of the imported neighbors."""
         return sorted(file.path.name for name, file in self.files.items() if name != MAIN)
 
 
@@ -162,7 +161,6 @@ _named_by_files: set[str] = set()
 
 
 def trust(digests: Iterable[str]) -> None:
-    """Allow code with these digests in this process."""
     _trusted.update(digests)
 
 
@@ -184,7 +182,6 @@ def is_trusted(code: Code) -> bool:
 
 
 def check_trusted(named_by: str | Path, codes: Iterable[Code]) -> None:
-    """Raise `UntrustedCodeError` for code that is not allowed."""
     codes = list(codes)
     _named_by_files.update(str(each.path) for each in codes)
     untrusted = [each for each in codes if not is_trusted(each)]

@@ -173,7 +173,6 @@ class CameraPath:
         return np.where(flying[:, None], at.rates[:, None] * self._curves.positions(at.times_s, 1), 0.0)
 
     def places(self, times_s: Float64[np.ndarray, " t"]) -> Float64[np.ndarray, "t 3"]:
-        """Positions of the camera at many times."""
         if len(self.times_s) < 2:
             return np.repeat(self.positions, len(times_s), axis=0)
         return self._curves.positions(self._at(times_s).times_s)

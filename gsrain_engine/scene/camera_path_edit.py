@@ -107,12 +107,10 @@ def stretch_path_time(path: CameraPath, factor: float) -> CameraPath:
 
 
 def shift_path_time(path: CameraPath, seconds: float) -> CameraPath:
-    """Delay all keyframes."""
     return replace(path, times_s=path.times_s + seconds)
 
 
 def reverse_path_time(path: CameraPath) -> CameraPath:
-    """Reverse the path, in the same time span."""
     backwards = np.arange(len(path.times_s))[::-1]
     return _of_keys(path, backwards, path.times_s[0] + path.times_s[-1] - path.times_s[backwards])
 
@@ -145,7 +143,6 @@ def _with_rows(
     quaternions: Float64[np.ndarray, "n 4"],
     fov: Float64[np.ndarray, " n"],
 ) -> CameraPath:
-    """Insert keyframes into a path, sorted by time."""
     at = np.searchsorted(path.times_s, times)
     return replace(
         path,
@@ -163,7 +160,6 @@ def _with_row(rows: np.ndarray, row: int, value: np.ndarray) -> np.ndarray:
 
 
 # View angles
-# Heading, pitch, roll and focal length of a camera.
 
 _VIDEO_HEIGHT_MM = 24.0
 """Image height of 35 mm film, the reference of focal lengths."""
@@ -285,7 +281,6 @@ class PathSpeed:
 
 
 def _turn_rates(path: CameraPath, times: Float64[np.ndarray, " t"]) -> Float64[np.ndarray, " t"]:
-    """Degrees per second, from sample to sample."""
     if len(times) < 2:
         return np.zeros(len(times))
     turns = path.turns(times)
@@ -371,7 +366,6 @@ def _trajectory_of_keys(path: CameraPath, keys: Int64[np.ndarray, " n"]) -> Came
 
 
 # Paths without times
-# Positions of photos carry no speed.
 
 WALKING_M_S = 1.4
 """Default speed in m/s: a person's comfortable walk (Bohannon 1997, Age and Ageing 26: 1.3 to 1.5 m/s)."""

@@ -36,7 +36,6 @@ def read_camera_path(path: Path | str) -> CameraPath:
 
 
 def write_camera_path(path: Path | str, camera_path: CameraPath) -> None:
-    """Write a camera path as GSRAIN's JSON."""
     text = json.dumps(plain_camera_path(camera_path), indent=1) + "\n"
     with whole_file(Path(path)) as beside:
         beside.write_text(text, encoding="utf-8")

@@ -197,7 +197,6 @@ class FileLock:
             os.close(handle)  # its last holder has just removed it
 
     def release(self) -> None:
-        """Release the lock and remove the file."""
         if self._handle < 0:
             return
         if fcntl is not None:  # Windows can't remove an open file
@@ -253,7 +252,6 @@ def hold_for_writing(path: Path, *, shared: bool = False) -> Generator[None]:
 
 
 def lock_file(path: Path) -> Path:
-    """Return the lock file of a path."""
     name = path.name.encode(errors="surrogateescape")
     if len(name) <= _LONGEST_NAME:
         return path.with_name(f".{path.name}.lock")
@@ -319,7 +317,6 @@ def _let_go(path: Path, held: _HeldPath) -> None:
 
 
 def _command() -> str:
-    """Command line of this process."""
     program, *arguments = sys.argv or [""]
     return shlex.join([Path(program).name or "python", *arguments])[: _LONGEST_NOTE // 2]
 

@@ -32,12 +32,10 @@ class BitMask:
 
     @staticmethod
     def none(count: int) -> "BitMask":
-        """Mask of no Gaussian."""
         return BitMask(count, np.zeros(_words(count), np.uint32))
 
     @staticmethod
     def all(count: int) -> "BitMask":
-        """Mask of every Gaussian."""
         return ~BitMask.none(count)
 
     @property

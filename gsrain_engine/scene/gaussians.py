@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64, Int, UInt32
 
 SH_C0 = 0.28209479177387814
-"""Spherical harmonic of degree 0, 1/(2 sqrt(pi)): color = SH_C0 * sh[0] + 0.5 (3DGS, Curbl et al. 2023)."""
+"""Spherical harmonic of degree 0, 1/(2 sqrt(pi)): color = SH_C0 * sh[0] + 0.5 (3DGS, Kerbl et al. 2023)."""
 
 COEFFICIENTS_OF_DEGREE = (1, 4, 9, 16)
 """Number of spherical harmonics up to degree 0, 1, 2, 3."""
@@ -65,7 +65,6 @@ class Gaussians:
         )
 
     def with_sh(self, sh: Float32[np.ndarray, "n k 3"]) -> "Gaussians":
-        """Return the Gaussians with other colors."""
         return Gaussians(self.means, self.scales, self.quaternions, self.opacities, sh)
 
     @staticmethod
@@ -113,7 +112,7 @@ _SAMPLES = 64
 def sh_basis(directions: Float[np.ndarray, "*n 3"], coefficients: int) -> Float[np.ndarray, "*n k"]:
     """Values of the first 1, 4, 9 or 16 harmonics in unit directions (eye to Gaussian), in the directions' precision.
 
-    Real harmonics in the order and sign of 3DGS (Curbl et al. 2023), the same as in `common_spherical_harmonics.glsl`.
+    Real harmonics in the order and sign of 3DGS (Kerbl et al. 2023), the same as in `common_spherical_harmonics.glsl`.
     """
     x, y, z = np.moveaxis(directions, -1, 0)
     basis = [np.full_like(x, 0.28209479177387814)]

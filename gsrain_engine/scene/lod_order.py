@@ -47,7 +47,6 @@ def lod_order(gaussians: Gaussians) -> UInt32[np.ndarray, " n"]:
 
 
 def in_lod_order(gaussians: Gaussians) -> Gaussians:
-    """Return the Gaussians in LOD order."""
     return gaussians.take(lod_order(gaussians))
 
 

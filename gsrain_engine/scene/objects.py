@@ -101,7 +101,6 @@ def _standing(pose: Float64[np.ndarray, "4 4"]) -> PoseTrack:
 
 
 # Object classes
-# COCO's names and ids, and the names of data sets.
 
 COCO_CLASSES: tuple[str, ...] = (
     "person", "bicycle", "car", "motorcycle", "airplane", "bus", "train", "truck", "boat", "traffic light",

@@ -138,7 +138,6 @@ _UP = (0.0, -1.0, 0.0)
 
 
 def is_random_scene(name: str) -> bool:
-    """Return whether `random_scene` accepts a name."""
     return name.startswith("random-")
 
 

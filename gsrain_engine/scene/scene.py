@@ -122,7 +122,6 @@ class SceneCore(NamedTuple):
 
     @property
     def radius_m(self) -> float:
-        """Radius of the sphere around the box."""
         return float(np.linalg.norm(self.high - self.low)) / 2
 
     @property
@@ -312,7 +311,6 @@ class PoseTrack:
         return matrix
 
     def moved(self, similarity: Float64[np.ndarray, "4 4"]) -> "PoseTrack":
-        """Return the transformed track."""
         turn = similarity[:3, :3] / np.cbrt(np.linalg.det(similarity[:3, :3]))
         quaternions = quaternions_from_matrices(turn @ matrices_from_quaternions(self.quaternions_wxyz))
         return PoseTrack(self.times, self.positions @ similarity[:3, :3].T + similarity[:3, 3], quaternions, self.valid)
@@ -498,7 +496,6 @@ class Scene:
         raise KeyError(key)
 
     def with_member(self, key: str, **fields: Any) -> "Scene":
-        """Return the scene with fields of one member replaced."""
         layers = tuple(replace(each, **fields) if each.key == key else each for each in self.layers)
         actors = tuple(replace(each, **fields) if each.key == key else each for each in self.actors)
         return replace(self, layers=layers, actors=actors)

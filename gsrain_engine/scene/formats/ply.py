@@ -1,4 +1,4 @@
-"""PLY files: 3DGS properties (Curbl et al. 2023), headers, rows, and SuperSplat's compressed variant.
+"""PLY files: 3DGS properties (Kerbl et al. 2023), headers, rows, and SuperSplat's compressed variant.
 
 3DGS stores log scales, opacity logits and harmonics as 32-bit floats.
 """
@@ -189,7 +189,6 @@ def _spread_rows(path: Path, file: BufferedReader, dtype: "np.dtype[Any]", array
 
 
 def _skip_rows_before(file: BufferedReader, elements: dict[str, PlyElement]) -> None:
-    """Skip the lines of elements before the vertices."""
     for element in elements.values():
         if element.name == "vertex":
             return

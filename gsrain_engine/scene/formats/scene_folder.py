@@ -66,7 +66,6 @@ class FileCache:
         self._folders[folder.resolve()] = [_CachedFolder(contents, path, _state(path)) for contents, path in kept]
 
     def forget(self, folder: Path) -> None:
-        """Discard the records of a folder."""
         self._folders.pop(folder.resolve(), None)
 
     def file_in(self, folder: Path, contents: Contents, taken: set[Path]) -> Path | None:
@@ -209,8 +208,6 @@ def _leftovers(folder: Path) -> set[Path]:
 
 
 class _Writer:
-    """Writer of the files of one scene."""
-
     def __init__(self, scene: Scene, known: FileCache, linking: bool, in_drawing_order: bool) -> None:
         self.scene = scene
         self.known = known
@@ -294,7 +291,6 @@ def _write_contents(contents: Contents, path: Path) -> None:
 
 
 def _kind(member: Layer | Actor) -> str:
-    """Subfolder of a member's file."""
     return member.key.split("/")[0]
 
 

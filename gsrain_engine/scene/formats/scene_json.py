@@ -155,7 +155,6 @@ class SceneRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     @property
     def files(self) -> list[str]:
-        """Files of all layers, then of all actors."""
         return [each.file for each in (*self.layers, *self.actors)]
 
     @property

@@ -123,7 +123,6 @@ def _decode(path: Path, read: ReadMember, file_bytes: int) -> Gaussians:
 
 
 def _pixels(path: Path, read: ReadMember, name: str, count: int) -> UInt8[np.ndarray, "count 4"]:
-    """Pixels of the first `count` Gaussians."""
     most = count + _SPARE_PIXELS
     data = read(name, 8 * most)
     width, height = lossless_webp_size(path, name, data)

@@ -142,7 +142,6 @@ def build_street(parameters: StreetParameters | None = None) -> Scene:
 
 
 def scene_of(surfaces: StreetSurfaces) -> Scene:
-    """Convert surfaces to a scene of Gaussians."""
     light = surfaces.light
     layers = tuple(
         Layer(name, quads_to_gaussians(quads, light), kind="sky" if name == "sky" else "background")
@@ -185,7 +184,6 @@ def _straight(times: np.ndarray, x: np.ndarray, y: float, z: float) -> PoseTrack
 
 
 # Quads to Gaussians
-# One flat Gaussian per quad, with its light baked into spherical harmonics.
 
 SH_C1 = 0.4886025119029199
 """Spherical harmonics of degree 1, sqrt(3/(4 pi)), in the sign of 3DGS: -y, z, -x."""
@@ -309,7 +307,6 @@ def _pose(yaw_deg: float, x: float, y: float, above_road: float) -> Float64[np.n
 
 
 # Parked vehicles
-# The scene has one layer of cars and one of trucks.
 
 PARKED_CARS, PARKED_TRUCKS = "parked cars", "parked trucks"
 

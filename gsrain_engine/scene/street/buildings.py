@@ -116,7 +116,6 @@ def _side(house: House, neighbour: House | None, *, at_start: bool) -> Quads:
 
 
 def _dormers(house: House) -> Quads:
-    """Small gabled windows in the front slope."""
     bays = max(2, round(house.width / 2.75))
     bay = house.width / bays
     slope = float(np.tan(np.radians(house.pitch_deg)))

@@ -116,9 +116,7 @@ def _outline(form: CarForm, fine: float) -> Float64[np.ndarray, "n 2"]:
     count = 2 * round(reached[-1] / 2)
     at = np.interp(np.linspace(0, reached[-1], count + 1), reached, np.arange(len(angle)))
     flank = np.abs(y[:-1]) > 0.4 * form.width
-    for line in (
-        door + e for door in _shut_lines(form) for e in (-0.008, 0.008)
-    ):  # separate columns for the shut lines
+    for line in (door + e for door in _shut_lines(form) for e in (-0.008, 0.008)):  # their own columns
         crossed = np.flatnonzero(flank & ((x[:-1] - line) * (x[1:] - line) <= 0))
         at = np.concatenate([at[np.min(np.abs(at[:, None] - crossed), axis=1) > 6], crossed + 0.5])
     at = np.sort(at)
@@ -126,7 +124,6 @@ def _outline(form: CarForm, fine: float) -> Float64[np.ndarray, "n 2"]:
 
 
 def _shut_lines(form: CarForm) -> tuple[float, float, float]:
-    """Shut lines of the doors, x."""
     return form.pillar, form.belt[1] - 0.32, max(form.belt[0] + 0.75, form.wheels[0] + form.wheel_radius + 0.12)
 
 
@@ -254,7 +251,6 @@ def _glass_house(form: CarForm, paint: Any, fine: float) -> Quads:
 
 
 def _roof(rim: Float64[np.ndarray, "n 3"], form: CarForm, paint: Any) -> Quads:
-    """Close the roof from its rim to the center line, domed."""
     rows = np.array([0.0, 0.2, 0.5, 0.8, 1.0])
     middle_x = np.clip(rim[:, 0], form.roof[0] + 0.3, form.roof[1] - 0.25)
     x = rim[:, :1] + rows * (middle_x - rim[:, 0])[:, None]
@@ -349,7 +345,6 @@ def _underside(form: CarForm) -> Quads:
 
 
 # Wheels
-# A metal disc in a tire, for cars and trucks.
 
 TIRE = (0.018, 0.018, 0.019)
 

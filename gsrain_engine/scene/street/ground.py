@@ -169,7 +169,6 @@ def _cross_street(layout: StreetLayout, end: int) -> Quads:
 
 
 # Sidewalks
-# With granite curbs, concrete slabs and tree pits.
 
 
 _SLAB = np.array([0.235, 0.225, 0.205])

@@ -150,7 +150,6 @@ class House:
 
     @property
     def eaves(self) -> float:
-        """Height of the front wall."""
         return self.ground_height + self.floors * self.floor_height + 0.35
 
     @property
@@ -172,7 +171,6 @@ class Tree:
 
 
 # Parked vehicles
-# Cars in their bays, and trucks between the tree crowns.
 
 CarShape = Literal["hatchback", "saloon", "estate", "van"]
 
@@ -392,6 +390,5 @@ def plan_trucks(
 
 
 def cars_clear_of_trucks(cars: Sequence[ParkedCar], trucks: Sequence[ParkedTruck]) -> tuple[ParkedCar, ...]:
-    """Cars that do not overlap with the trucks."""
     least = 0.5 * (TRUCK_LENGTH_M + _CAR_LENGTH_M) + _GAP_M
     return tuple(car for car in cars if all(car.y * t.y < 0 or abs(car.x - t.x) > least for t in trucks))

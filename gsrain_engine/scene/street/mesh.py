@@ -76,7 +76,6 @@ class Quads:
         )
 
     def take(self, chosen: Any) -> "Quads":
-        """Pick quads by mask or index."""
         return Quads(*(getattr(self, name)[chosen] for name in _FIELDS))
 
     def tinted(self, factors: Any) -> "Quads":
@@ -93,7 +92,6 @@ class Quads:
         return replace(turned, corners=turned.corners + np.asarray(offset, np.float32))
 
     def turned(self, rotation: Float[np.ndarray, "3 3"]) -> "Quads":
-        """Apply a rotation to positions and normals."""
         matrix = np.asarray(rotation, np.float32)
         return replace(self, corners=self.corners @ matrix.T, normals=self.normals @ matrix.T)
 
@@ -112,7 +110,6 @@ class Quads:
 
     @staticmethod
     def joined(parts: "Iterable[Quads]") -> "Quads":
-        """Concatenate parts in order."""
         listed = list(parts)
         if not listed:
             return Quads.of(np.zeros((0, 4, 3), np.float32), 0.0, Label.NOTHING)
@@ -268,7 +265,6 @@ def tube(
 
 
 # Noise
-# Smooth random textures that depend on position and seed only.
 
 
 def lattice_noise(cells: Int64[np.ndarray, "n d"], seed: int) -> Float64[np.ndarray, " n"]:

@@ -159,7 +159,6 @@ def _past_vehicles(
 
 
 def _vehicle_occlusion(vehicles: Sequence[VehicleOccluder], p: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
-    """Darken the ground under and around vehicles."""
     share = np.ones(len(p))
     for each in vehicles:
         away_x = np.abs(p[:, 0] - each.x) - 0.5 * each.length + 0.1

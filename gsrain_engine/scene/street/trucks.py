@@ -103,7 +103,6 @@ def _front_and_roof(form: TruckForm, body: Color) -> Quads:
 
 
 # Cab
-# Lofted upwards from its bumper: windshield, doors, grille, lamps, mirrors.
 
 _GLASS = (0.018, 0.02, 0.022)
 
@@ -190,7 +189,6 @@ def _shell(form: TruckForm, loop: Any, face: Any, rise: Any, paint: Color) -> Qu
 
 
 def _colors(form: TruckForm, column: Any, x: Any, y: Any, z: Any, paint: Color) -> tuple[Any, Any]:
-    """Albedo and gloss of the shell's cells."""
     front = 0.5 * form.length - 0.03
     inner = 0.5 * form.cab_width - _CORNER_M
     ahead = np.abs(column - 1) < 0.3
@@ -220,7 +218,6 @@ def _colors(form: TruckForm, column: Any, x: Any, y: Any, z: Any, paint: Color) 
 
 
 def _recolored(quads: Quads, albedo: Any, gloss: Any, sky_access: Any) -> Quads:
-    """Copy of the surfaces in other colors."""
     return Quads.of(quads.corners, albedo, Label.TRUCK, spread=quads.spread, gloss=gloss, sky_access=sky_access)
 
 
@@ -286,7 +283,6 @@ def _visor(form: TruckForm) -> Quads:
 
 
 # Chassis
-# Girders, wheels, guards, tank, and the rear end with lamps and underrun bar.
 
 _RED_LAMP, _WHITE_LAMP = (0.42, 0.006, 0.006), (0.72, 0.72, 0.70)
 
@@ -294,7 +290,6 @@ _WHITE_TAPE = (0.74, 0.74, 0.72)
 
 
 def build_chassis(form: TruckForm) -> Quads:
-    """Build everything below cab and box, in the object frame."""
     return Quads.joined([_frame(form), _rear_end(form), _guards(form), _undercarriage(form), _wheels(form)])
 
 
@@ -312,7 +307,7 @@ def _frame(form: TruckForm) -> Quads:
 
 
 def _rear_end(form: TruckForm) -> Quads:
-    """Build lamps, number plate, underrun bar with its signed ends, buffers and mud flaps."""
+    """Build lamps, number plate, underrun bar with striped ends, buffers and mud flaps."""
     back, half = form.body_back, 0.5 * form.width
     parts = [
         box((back + 0.09, 0, 0.79), (0.12, 2.0, 0.22), STEEL, Label.TRUCK, edge=0.08, coarse=0.25, faces="xyYzZ"),

@@ -118,7 +118,6 @@ def _depth_inside(
 
 
 # Street furniture
-# Lamps, signs, bollards, bins and benches.
 
 _IRON = (0.045, 0.055, 0.052)
 
@@ -129,7 +128,6 @@ _BEFORE_POLE_M = 0.05
 
 
 def build_furniture(layout: StreetLayout) -> Quads:
-    """Build all furniture on the sidewalks, in the world."""
     p = layout.parameters
     parts = [_lamp(x, y) for x, y in layout.lamps]
     beside = p.curb_y_m + 0.32
