@@ -79,7 +79,7 @@ class DrawItem(NamedTuple):
 
     @property
     def drawn_count(self) -> int:
-        """Number of Gaussians to draw before the limit applies."""
+        """Number of Gaussians within the limit, including those in `left_out`."""
         return len(self.gaussians) if self.limit is None else min(self.limit, len(self.gaussians))
 
     @property

@@ -362,7 +362,7 @@ def _codebook(path: Path, name: str, values: list[float | None]) -> Float32[np.n
     if len(numbers) != len(others):
         raise SceneFormatError(path, f"meta.json: {name}.codebook holds null after its first entry")
     if first is None:
-        # Early writers omitted the first entry: as in PlayCanvas, extrapolate one step below the second.
+        # Early writers stored null as the first entry: as in PlayCanvas, extrapolate one step below the second.
         first = numbers[0] + (numbers[0] - numbers[-1]) / 255
     codebook = np.full(256, np.nan, np.float32)
     with np.errstate(over="ignore"):  # infinity, like NaN, is rejected when a Gaussian uses it

@@ -129,7 +129,7 @@ class VehicleOccluder:
     """True if its boxes are exact enough to shade its own surfaces; otherwise only their normals light those."""
 
     def is_lit_by_itself(self, local: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        """Mask of positions in its own frame on its own surfaces, which no box may shade."""
+        """Mask of positions (own frame) on its own surfaces that no box may shade."""
         if self.shades_itself:
             return np.zeros(len(local), np.bool_)
         half, w = 0.5 * self.length, 0.5 * self.width
