@@ -25,8 +25,8 @@ _NO_FIELD = re.compile(r"Object contains unknown field `(.*?)`")
 def readable_validation_error(error: Exception, kind: Any, values: Any = None) -> str:
     """Return the message of a failed `msgspec.convert(..., kind)`, extended by the allowed values.
 
-    `Invalid value 'brak' - at $.behaviour.kind` becomes `Invalid value 'brak', expected brake, cut-in, ... - at ...`; an
-    unknown field gets the most similar field and a list of all. `values` is the input of the conversion: if several
+    `Invalid value 'brak' - at $.behaviour.kind` becomes `Invalid value 'brak', expected brake, cut-in, ... - at ...`;
+    an unknown field gets the most similar field and a list of all. `values` is the input of the conversion: if several
     tagged objects are possible at a position, the message lists the fields of the tagged one only.
     """
     message = " ".join(str(error).split())

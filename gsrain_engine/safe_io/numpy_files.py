@@ -89,8 +89,7 @@ class Readable(Protocol):
 def read_array_header(stream: Readable, kinds: str = "fiub") -> tuple[tuple[int, ...], bool, "np.dtype[Any]"]:
     """Read shape, order (true if column-major, Fortran) and type of an array; the numbers follow in the stream.
 
-    Raises ValueError, with the reason in a clause, for anything but an array of the `kinds`
-    (NumPy's letters).
+    Raises ValueError, with the reason in a clause, for anything but an array of the `kinds` (NumPy's letters).
     """
     try:
         version = np.lib.format.read_magic(stream)

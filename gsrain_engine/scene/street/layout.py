@@ -26,7 +26,7 @@ class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     pavement_width_m: Annotated[float, Meta(ge=2.5, le=5.0, title="Pavement width", extra={"unit": "m"})] = 3.5
     """From curb to house fronts."""
     tree_spacing_m: Annotated[float, Meta(ge=8, le=60, title="Tree spacing", extra={"unit": "m"})] = 15.0
-    """Along each pavement."""
+    """Along each sidewalk."""
     parked_share: Annotated[float, Meta(ge=0, le=1, title="Parked cars")] = 0.46
     """Fraction of occupied parking bays."""
     sun_azimuth_deg: Annotated[float, Meta(ge=0, le=180, title="Sun azimuth", extra={"unit": "deg"})] = 128.0
