@@ -1,4 +1,4 @@
-"""The engine: scenes, rain, rendering, jobs. Knows no window and imports no GUI library."""
+"""The engine: scenes, rain, rendering and jobs, without a window or GUI library."""
 
 from .compile_cache import use_kernel_cache, wait_briefly
 

@@ -1,6 +1,6 @@
-"""Names for programs and extensions, kept for one release: programs import `gsrain` instead.
+"""Old import path of the Python API, kept for one release: programs import `gsrain` instead.
 
-Importing this imports nothing else: a name is loaded when it is first asked for.
+Names load on first access, so that importing this module is cheap.
 """
 
 # pyright: reportUnusedImport=false
@@ -219,7 +219,7 @@ TOPICS: dict[str, dict[str, str]] = {
         "Editor": "editor.editor",
     },
 }
-"""Where each name is at present. Type checkers read the imports above; a test holds the two equal."""
+"""Module of each name. Type checkers read the imports above; a test compares the two lists."""
 
 _PLACES = {name: place for topic in TOPICS.values() for name, place in topic.items()}
 

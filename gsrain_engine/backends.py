@@ -1,4 +1,4 @@
-"""Which renderer draws: OpenGL on a GPU, the processor elsewhere, gsplat where it is asked for."""
+"""Choice of the renderer: OpenGL on a GPU, the CPU elsewhere, gsplat (CUDA) on request."""
 
 import importlib.util
 from collections.abc import Generator
@@ -25,15 +25,15 @@ Backend = Literal["auto", "opengl", "cpu", "cuda"]
 
 @contextmanager
 def open_renderer(backend: Backend = "auto") -> Generator[Renderer]:
-    """Open a renderer without a window for as long as the block runs. Several can be open, and take turns.
+    """Open a renderer without a window while the block runs. Several may be open and take turns.
 
-    auto takes OpenGL where a GPU executes it. A software rasterizer would draw the same picture on the same processor
-    several times slower than the `cpu` back end does, which also needs no OpenGL at all. `cuda` sorts rain only roughly
-    in among the scene and is never taken unasked.
+    `auto` takes OpenGL if a GPU executes it. Otherwise it takes the `cpu` back end, which draws the same image several
+    times faster than a software rasterizer and needs no OpenGL. `cuda` sorts rain only roughly into the scene, so
+    `auto` never selects it.
 
     Raises:
-        NoOpenGLError: When OpenGL was asked for and can't be had.
-        NoCudaError: When gsplat was asked for and can't draw here.
+        NoOpenGLError: When OpenGL was requested and is not available.
+        NoCudaError: When gsplat was requested and can't draw here.
         LostContextError: When the GPU is lost while the block runs.
     """
     if backend == "cpu":
@@ -55,30 +55,31 @@ def open_renderer(backend: Backend = "auto") -> Generator[Renderer]:
         yield renderer
     except Exception:
         with context:
-            check_context(context)  # whatever goes wrong in a lost context does so because of it
+            check_context(context)  # the lost context is the cause of any other error
         raise
     finally:
         context.release()
 
 
 def device_of(renderer: Renderer) -> str:
-    """Name what executes a renderer's drawing."""
+    """Name the device that executes a renderer's drawing."""
     if isinstance(renderer, SplatRenderer):
         return renderer.context.info["GL_RENDERER"]
     return getattr(renderer, "device_name", None) or processor_name()
 
 
-# § Opens the `cuda` back end where there is a GPU, torch and gsplat; none of them is imported before that.
+# CUDA back end
+# It imports torch and gsplat only when it is requested.
 
 _NEEDED = ("torch", "gsplat")
 
 
 class NoCudaError(OSError):
-    """gsplat can't draw on this machine; says what is missing and how to get it."""
+    """Raised if gsplat can't draw on this machine; the message names what is missing and how to get it."""
 
 
 def open_cuda_renderer() -> "CudaRenderer":
-    """Make the renderer and draw one Gaussian with it: gsplat compiles its kernels with nvcc at its first use.
+    """Create the renderer and draw one Gaussian: gsplat compiles its kernels with nvcc on first use.
 
     Raises:
         NoCudaError: When torch, gsplat or the GPU is missing, or gsplat fails.
@@ -96,7 +97,7 @@ def open_cuda_renderer() -> "CudaRenderer":
         renderer = CudaRenderer(gsplat.rasterization, "cuda")
         renderer.draw([_one_gaussian()], Camera(16, 16, 16.0, 16.0, 8.0, 8.0))
         renderer.read()
-    except Exception as error:  # compilers and drivers fail in their own ways: whatever they say goes into the message
+    except Exception as error:  # compilers and drivers raise errors of many types: the message quotes them
         raise NoCudaError(
             f"gsplat can't draw here; it needs the CUDA toolkit (nvcc) of torch's version: {error}"
         ) from error

@@ -1,4 +1,4 @@
-"""Where compiled kernels outlive the process: one folder for each state of the sources they were compiled from."""
+"""Cache of compiled Numba kernels, one folder for each state of their sources, and the spin count of OpenMP threads."""
 
 import hashlib
 import os
@@ -18,24 +18,24 @@ import platformdirs
 _HERE = Path(__file__).parent
 
 _SOURCES = _HERE / "raster", _HERE / "rain"
-"""Where kernels call those of other files."""
+"""Folders with kernels that call those of other files."""
 
 _FRAME_SOURCES = *_SOURCES, _HERE / "scene"
-"""Where all kernels of a frame are."""
+"""Folders of all kernels of a frame."""
 
 _CACHED_VERSIONS = 2
 
 _UNUSED_S = 3600.0
-"""A folder from which no process has started for so long may go; one that still runs compiles again, no more."""
+"""Age after which an unused folder may be removed; a process that still uses it only compiles again."""
 
 _ROOM_BYTES = 32 << 20
-"""Kernels take a fifth of it."""
+"""Free space to require; the kernels take a fifth of it."""
 
 
 def use_kernel_cache() -> None:
     """Point Numba to this version's cache folder; Numba reads the setting at its first import.
 
-    A folder that the user has set stays; one that a parent process of ours has set is looked up again.
+    A folder set by the user stays; one set by a parent process of this program is looked up again.
     """
     root = Path(platformdirs.user_cache_dir("gsrain", appauthor=False)) / "numba"
     chosen = os.environ.get("NUMBA_CACHE_DIR")
@@ -49,19 +49,19 @@ def use_kernel_cache() -> None:
 
 
 def has_any_kernel() -> bool:
-    """Whether the cache folder holds anything yet: before that, a first frame takes a minute or two."""
+    """Return whether the cache folder holds any kernel; without one, the first frame takes a minute or two."""
     folder = os.environ.get("NUMBA_CACHE_DIR")
     return folder is not None and _holds_any(Path(folder))
 
 
 def has_kernels() -> bool:
-    """Whether all kernels of a frame have been compiled into the cache folder, so that loading them takes no second."""
+    """Return whether the cache folder holds all kernels of a frame, so that loading them takes less than a second."""
     mark = _mark()
     return mark is not None and mark.is_file()
 
 
 def mark_kernels() -> None:
-    """Keep beside the kernels that all of a frame's are there; where the disk can't be written, nothing is kept."""
+    """Mark the cache folder as holding all kernels of a frame; does nothing if the disk can't be written."""
     mark = _mark()
     if mark is not None:
         with suppress(OSError):
@@ -69,12 +69,12 @@ def mark_kernels() -> None:
 
 
 def kernel_cache(root: Path, version: str, sources: Iterable[Path]) -> Path:
-    """Make the cache folder that belongs to the sources as they are, and remove those of older ones.
+    """Create the cache folder for the current sources, and remove outdated ones.
 
-    Numba looks at a compiled function's own file, not at the files of what it calls: a change there has to lead to
-    another folder. Python files in the folders `sources` count by path, time and size. The two cache folders that were
-    used last stay. Any number of processes may do this at once. Where the disk can't be written, Numba finds its own
-    place.
+    Numba checks only a compiled function's own file, not the files of the functions that it calls: a change there has
+    to lead to another folder. Python files in the folders `sources` count by path, time and size. The two most recently
+    used cache folders stay. Any number of processes may call this at once. If the disk can't be written, Numba selects
+    a folder itself.
     """
     folder = root / _key(version, sources)
     with suppress(OSError):
@@ -85,8 +85,8 @@ def kernel_cache(root: Path, version: str, sources: Iterable[Path]) -> Path:
 
 
 def _mark() -> Path | None:
-    """File that stands for all kernels of a frame as Numba would find them: for another processor it compiles anew."""
-    from llvmlite import binding  # with Numba, whose first import has to come after this module's
+    """File that marks all kernels of a frame as compiled for this processor; Numba recompiles for another one."""
+    from llvmlite import binding  # imports Numba, whose first import must follow this module's
 
     folder = os.environ.get("NUMBA_CACHE_DIR")
     if folder is None:
@@ -96,7 +96,7 @@ def _mark() -> Path | None:
 
 
 def _has_room(folder: Path) -> bool:
-    """Whether kernels can be kept there, or are already: compiling them fails where they can't."""
+    """Return whether the folder holds kernels or has room for them: compilation fails on a full disk."""
     try:
         has_room = _holds_any(folder) or shutil.disk_usage(folder).free > _ROOM_BYTES
         return has_room and os.access(folder, os.W_OK)
@@ -109,7 +109,7 @@ def _holds_any(folder: Path) -> bool:
 
 
 def _temporary_root() -> Path | None:
-    """Folder for kernels among the temporary files; None where somebody else could put some into it."""
+    """Folder for kernels among the temporary files; None if another user could write to it."""
     if os.name != "posix":
         return None
     root = Path(tempfile.gettempdir()) / f"gsrain-kernels-{os.getuid()}"
@@ -123,7 +123,7 @@ def _temporary_root() -> Path | None:
 
 
 def _remove_torn(folder: Path) -> None:
-    """Remove what a machine that went down has left half: Numba would end every later start over it."""
+    """Remove files truncated by a crash of the machine: Numba would fail on them at every later start."""
     for file in folder.rglob("*.nb[ic]"):
         with suppress(OSError), file.open("rb") as opened:
             opened.seek(max(0, file.stat().st_size - 1))
@@ -145,20 +145,21 @@ def _remove_old(root: Path) -> None:
     used = {folder: folder.stat().st_mtime for folder in root.iterdir() if folder.is_dir()}
     for folder in sorted(used, key=used.__getitem__, reverse=True)[_CACHED_VERSIONS:]:
         if time.time() - used[folder] > _UNUSED_S:
-            shutil.rmtree(folder, ignore_errors=True)  # another process may be at it too
+            shutil.rmtree(folder, ignore_errors=True)  # another process may be removing it too
 
 
-# § How long threads of OpenMP (our kernels, torch) stay awake while they wait for each other.
+# OpenMP threads
 
 _SPINS = "20000"
-"""GCC's OpenMP waits 300,000 spins before it sleeps, time that another process on the same cores lacks. With 5,000 and
-fewer torch's threads are woken anew for every small product of matrices (docs/performance.md)."""
+"""Spins of GCC's OpenMP before a thread sleeps. Its default of 300,000 takes time from other processes on the same
+cores; with 5,000 and fewer, torch's threads are woken anew for every small matrix product (docs/performance.md).
+"""
 
 
 def wait_briefly() -> None:
-    """Let waiting threads sleep soon, unless the user has said how they wait.
+    """Let waiting OpenMP threads sleep soon, unless the user has configured them.
 
-    OpenMP reads it when the first library with threads is loaded.
+    OpenMP reads the setting when the first library with threads is loaded.
     """
     if "OMP_WAIT_POLICY" not in os.environ:
         os.environ.setdefault("GOMP_SPINCOUNT", _SPINS)

@@ -1,4 +1,4 @@
-"""What other installed packages add to the program: their entry points, one group for each kind of thing."""
+"""Extensions: entry points of other installed packages, one group for each kind."""
 
 import logging
 import sys
@@ -15,14 +15,14 @@ _Kind = TypeVar("_Kind")
 
 
 class EntryPointGroup(NamedTuple):
-    """Entry points of one kind."""
+    """Group of entry points of one kind."""
 
     name: str
-    """As in a package's metadata: gsrain.panels."""
+    """Group name in a package's metadata: gsrain.panels."""
     noun: str
-    """What one of them is called in sentences."""
+    """Singular noun for messages."""
     value: str
-    """What an entry point has to name."""
+    """Description of the object that an entry point must name."""
 
 
 AGENTS = EntryPointGroup("gsrain.agents", "agent", "a callable that takes `AgentOptions` and returns an `Agent`")
@@ -46,11 +46,11 @@ SCENE_FORMATS = EntryPointGroup(
 TRANSFERS = EntryPointGroup("gsrain.transfers", "transfer", "a `TransferMethod` of the entry's name")
 
 GROUPS = (AGENTS, CAPTURE_FORMATS, DECODERS, DISDROMETERS, EVALUATIONS, PANELS, SCENE_FORMATS, TRANSFERS)
-"""All that can be added without a change of the program; docs/extending.md has an example of each."""
+"""All groups; docs/extending.md has an example of each."""
 
 
 class ExtensionError(ValueError):
-    """An extension that can't be used, in one sentence: which, of which package, and why."""
+    """Error of an unusable extension; the message names it, its package and the reason."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,29 +62,29 @@ class Extension:
     place: str
     """Module and object: my_package.panels:CLOUDBURST."""
     package: str
-    """Name of the package for pip; empty where nobody knows."""
+    """Name of the package for pip; empty if unknown."""
     version: str
     _entry: Any
-    """An EntryPoint of importlib.metadata, or of its backport where some library has put that in its place."""
+    """An EntryPoint of importlib.metadata, or of its backport if a library has replaced it."""
 
     @property
     def title(self) -> str:
-        """What sentences call it: panel cloudburst (my_package:PANEL of my-package)."""
+        """Name in messages: panel cloudburst (my_package:PANEL of my-package)."""
         return f"{self.group.noun} {self.name} ({self.place} of {self.package or 'an installed package'})"
 
     def load(self, kind: type[_Kind]) -> _Kind:
-        """Return what it names. Raises `ExtensionError` where that can't be imported or is of another kind."""
+        """Return the named object. Raises `ExtensionError` if it can't be imported or is of another kind."""
         return self.expect(self._loaded(), kind, "is")
 
     def load_callable(self) -> Any:
-        """Return what it names. Raises `ExtensionError` where that can't be imported or called."""
+        """Return the named object. Raises `ExtensionError` if it can't be imported or called."""
         found = self._loaded()
         if not callable(found):
             raise self.unfit(f"is a {type(found).__name__}, which can't be called")
         return found
 
     def expect(self, found: object, kind: type[_Kind], how: str) -> _Kind:
-        """Return what was found, if it is of a kind; `how` it came about (is, reads, gives) is said where it is not.
+        """Return `found` if it is of a kind; the error uses `how` as its verb (is, reads, gives).
 
         Raises `ExtensionError`.
         """
@@ -93,13 +93,13 @@ class Extension:
         return found
 
     def unfit(self, reason: object) -> ExtensionError:
-        """Error that says why it can't be used; an exception of its code is a reason by its place and its words."""
+        """Return the error for a reason; an exception of the extension's code is quoted with its location."""
         if isinstance(reason, Exception):
             reason = self._where(reason) + (" ".join(str(reason).split()) or type(reason).__name__)
         return ExtensionError(f"{self.title}: {reason}")
 
     def _where(self, error: Exception) -> str:
-        """Say the last line of its own code that led to an error; nothing where none did."""
+        """Location of the extension's last line in an error's traceback; empty if it has none there."""
         package = self.place.partition(":")[0].partition(".")[0]
         passed = [
             f"line {line} of {Path(frame.f_code.co_filename).name}: "
@@ -116,25 +116,24 @@ class Extension:
 
     @cached_property
     def _outcome(self) -> tuple[Any, Exception | None]:
-        """What loading it has come to: it runs once, however often a window asks."""
+        """Result of loading: the code runs once, however often the window asks."""
         try:
             return self._entry.load(), None
-        except Exception as error:  # it is code of others: its words are the reason
+        except Exception as error:  # third-party code may raise anything: its message is the reason
             return None, error
 
 
 def find_extensions(group: EntryPointGroup) -> tuple[Extension, ...]:
-    """What installed packages add of one kind, by name; of several with one name the first that is found."""
+    """Extensions of one kind in installed packages, by name; of several with one name, the first found."""
     return _found(group, tuple(sys.path))
 
 
 def find_extension(group: EntryPointGroup, name: str) -> Extension | None:
-    """Return the one of that name; None where there is none."""
     return next((each for each in find_extensions(group) if each.name == name), None)
 
 
 def load_extensions(group: EntryPointGroup, kind: type[_Kind]) -> list[tuple[Extension, _Kind]]:
-    """Load all of one kind; what can't be used is left out, and said once in the log."""
+    """Load all extensions of one kind; unusable ones are logged once and left out."""
     fit: list[tuple[Extension, _Kind]] = []
     for each in find_extensions(group):
         try:
@@ -146,13 +145,12 @@ def load_extensions(group: EntryPointGroup, kind: type[_Kind]) -> list[tuple[Ext
 
 @lru_cache(maxsize=64)
 def warn_once(sentence: str) -> None:
-    """Warn in the log about an extension that is left out, the first time."""
     logger.warning("%s; it is left out", sentence)
 
 
 @lru_cache(maxsize=64)
 def _found(group: EntryPointGroup, path: tuple[str, ...]) -> tuple[Extension, ...]:
-    """Search the metadata of all packages on `path`, Python's own; that takes too long for every frame of a window."""
+    """Search the metadata of all packages on `path` (`sys.path`); cached because it is too slow for every frame."""
     named: dict[str, Extension] = {}
     for entry in entry_points(group=group.name):
         dist = entry.dist

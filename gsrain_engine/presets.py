@@ -1,4 +1,4 @@
-"""Files that the program ships: shaders, and YAML files by name; or a person's own YAML file by path."""
+"""Shipped files (shaders, and YAML configurations by name) and the user's own YAML files by path."""
 
 import os
 from collections.abc import Collection
@@ -14,7 +14,7 @@ _Config = TypeVar("_Config")
 def shipped_folder(name: str) -> Path:
     """Return the folder `shaders` or `sample_configs`.
 
-    An installed program has them inside of this package; in a source tree they are beside it.
+    An installed program has them inside this package; in a source tree they are its siblings.
     """
     package = Path(__file__).parent
     inside = package / name
@@ -22,7 +22,7 @@ def shipped_folder(name: str) -> Path:
 
 
 def shipped_config_names(folder: str) -> list[str]:
-    """Names of the shipped files of a folder, in the order of the alphabet."""
+    """Names of the shipped files of a folder, in alphabetical order."""
     files = (shipped_folder("sample_configs") / folder).iterdir()
     return sorted(file.name.removesuffix(".yaml") for file in files if file.name.endswith(".yaml"))
 
@@ -35,10 +35,10 @@ def load_config(
     files: Collection[str] = (),
     known: Collection[str] = (),
 ) -> _Config:
-    """Read a file as a type that msgspec knows; `what` it is begins the sentence where it is not found.
+    """Read a file as a type that msgspec supports; `what` is the noun for it in error messages.
 
-    Its fields `files` name files, which count from its own folder (`resolve_from_folder`), but for `known` names.
-    Raises ValueError with the file, the field and what is allowed, OSError where it can't be read.
+    Its fields `files` name files relative to its own folder (`resolve_from_folder`), except `known` names. Raises
+    ValueError with the file, the field and the allowed values, OSError if it can't be read.
     """
     data = _data(folder, str(name), what)
     try:
@@ -54,7 +54,7 @@ def load_config(
 def load_values(
     folder: str, name: str | Path, what: str, files: Collection[str] = (), known: Collection[str] = ()
 ) -> dict[str, Any]:
-    """Read a file's fields unchecked, for what goes on top of them; the rest is as in `load_config`."""
+    """Read a file's fields unchecked, for merging with other values; otherwise like `load_config`."""
     values = load_config(folder, name, object, what, files, known)
     if not isinstance(values, dict):
         raise ValueError(f"{name}: expected a YAML mapping of settings such as `steps: 1500`")
@@ -62,9 +62,9 @@ def load_values(
 
 
 def resolve_from_folder(folder: Path, name: str) -> str:
-    """Return a name that counts from a folder as it counts from the working folder; as it is if nothing stands there.
+    """Resolve a name relative to a folder to a path for the working folder; unchanged if no such file exists.
 
-    A name that goes on behind `.py:` names something in a Python file.
+    A name that continues after `.py:` names an object in a Python file.
     """
     file, python, _ = name.partition(".py:")
     place = folder / (f"{file}.py" if python else name)
@@ -73,7 +73,7 @@ def resolve_from_folder(folder: Path, name: str) -> str:
 
 
 def _resolve_names(values: Any, folder: Path, files: Collection[str], known: Collection[str]) -> Any:
-    """Return plain values with the names in the fields `files`, at any depth, as they count from the working folder."""
+    """Return plain values with the names in the fields `files`, at any depth, resolved from `folder`."""
     if isinstance(values, list):
         return [_resolve_names(each, folder, files, known) for each in values]
     if not isinstance(values, dict):

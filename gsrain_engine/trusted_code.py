@@ -1,9 +1,9 @@
-"""Python that a file from elsewhere names: it runs only when a person has said yes to its very bytes.
+"""Consent for Python code that files name: it runs only after a person has allowed its exact bytes.
 
-A sweep names agents, the settings of a training or a comparison the program of an estimator of normals. Whoever loads
-such a file gets `UntrustedCodeError` with what it names; who asks the person then calls `trust` (for this process) or
-`remember` (for good), by content. What runs is compiled from the bytes that were hashed, so that a file that changes
-meanwhile runs in neither form. Code that a person names himself, on the command line or in a program, needs no answer.
+Sweeps name agents; the settings of a training or a comparison name a normal estimator's program. Loading such a file
+raises `UntrustedCodeError` with the code. The caller asks the person, then calls `trust` (for this process) or
+`trust_permanently`, by content hash. The hashed bytes themselves are compiled, so that a file that changes meanwhile
+runs in neither form. Code that a person names directly, on the command line or in a program, needs no consent.
 """
 
 import ast
@@ -32,11 +32,11 @@ from .scene.files import lock_path, whole_file
 logger = logging.getLogger("gsrain")
 
 _MAX_FILES, _MAX_BYTES = 2000, 1 << 25
-"""Of one program. More is no program that somebody looks at before he says yes."""
+"""Limits of one program; nobody reviews a larger one."""
 
 
 class CodeFile(msgspec.Struct, frozen=True):
-    """One Python file as it was read."""
+    """One Python file and the bytes that were read from it."""
 
     path: Path
     is_package: bool
@@ -45,16 +45,16 @@ class CodeFile(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, eq=False)
 class Code:
-    """A Python program that a file names, as it was read: the file itself and all files near it that it imports."""
+    """A Python program that a file names: the file itself and all neighboring files that it imports."""
 
     path: Path
-    """File or folder by its absolute path."""
+    """Absolute path of the file or folder."""
     files: Mapping[str, CodeFile]
-    """By the names by which they are imported; the file that was named itself is `MAIN`."""
+    """Files by import name; the named file itself is `MAIN`."""
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 (64 hex digits): of the file, where it imports none of its neighbors; else over all of them."""
+        """SHA-256 (64 hex digits) of the file if it imports no neighbors, otherwise over all files."""
         hashes = {name: hashlib.sha256(file.source).hexdigest() for name, file in self.files.items()}
         if list(hashes) == [MAIN]:
             return hashes[MAIN]
@@ -63,7 +63,6 @@ class Code:
 
     @property
     def others(self) -> list[str]:
-        """Names of the files that it brings along, beside the one that was named."""
         return sorted(file.path.name for name, file in self.files.items() if name != MAIN)
 
 
@@ -71,7 +70,7 @@ MAIN = ""
 
 
 class UntrustedCodeError(ValueError):
-    """Python code that a file names, which no person has allowed to run; says what it is and how to allow it."""
+    """Python code named by a file and not yet allowed; the message lists the code and how to allow it."""
 
     def __init__(self, named_by: str | Path, codes: Sequence[Code]) -> None:
         listed = ", ".join(f"{each.path} (SHA-256 {each.digest[:12]})" for each in codes)
@@ -83,9 +82,9 @@ class UntrustedCodeError(ValueError):
 
 
 def read_code(path: Path, packages: Sequence[str] = ()) -> Code:
-    """Read a Python file with those files near it that it imports, or all `packages` of a folder.
+    """Read a Python file with the neighboring files that it imports, or all `packages` of a folder.
 
-    Raises ValueError for what is no Python file, or is too large; OSError where it can't be read.
+    Raises ValueError if it is no Python file or too large, OSError if it can't be read.
     """
     path = path.absolute()
     if path.is_dir():
@@ -105,10 +104,10 @@ def read_code(path: Path, packages: Sequence[str] = ()) -> Code:
 
 
 def _imported(source: bytes) -> set[str]:
-    """First parts of all names that a file imports, anywhere in it; nothing where it can't be read as Python."""
+    """First parts of all names that a file imports, anywhere in it; empty if it is not valid Python."""
     try:
         tree = ast.parse(source)
-    except (SyntaxError, ValueError, RecursionError, MemoryError):  # running it says so, by its line
+    except (SyntaxError, ValueError, RecursionError, MemoryError):  # running it raises the error with its line
         return set()
     names: set[str] = set()
     for node in ast.walk(tree):
@@ -127,7 +126,7 @@ def _near(folder: Path, name: str) -> Iterable[tuple[str, CodeFile]]:
 
 
 def _package(folder: Path, name: str) -> Iterable[tuple[str, CodeFile]]:
-    """All Python files of a package, which may have no `__init__.py`, or the file of that name."""
+    """All Python files of a package (`__init__.py` is optional), or the single file of that name."""
     root = folder / name
     if not root.is_dir():
         if root.with_suffix(".py").is_file():
@@ -152,39 +151,37 @@ def _check_size(path: Path, files: Mapping[str, CodeFile]) -> None:
         raise ValueError(f"{path}: more Python than {_MAX_FILES:,} files or {_MAX_BYTES >> 20} MiB")
 
 
-# Answers
+# Consent
 
 _trusted: set[str] = set()
-"""Digests of what may run in this process, besides those that are remembered."""
+"""Digests allowed in this process, besides the remembered ones."""
 
 _named_by_files: set[str] = set()
-"""Absolute paths of code that files have named in this process: what stands there must be trusted when it runs."""
+"""Absolute paths of code named by files in this process: their content must be trusted when it runs."""
 
 
 def trust(digests: Iterable[str]) -> None:
-    """Let code of these digests run in this process."""
     _trusted.update(digests)
 
 
 def expect_trusted(digests: Mapping[str, str]) -> None:
-    """Take over another process's decision: code at these paths runs here if it has these digests."""
+    """Adopt another process's decision: code at these paths runs here if it has these digests."""
     _named_by_files.update(digests)
     trust(digests.values())
 
 
 def check_unchanged(code: Code) -> None:
-    """Raise `UntrustedCodeError` for code that a file has named, if it is not what a person has allowed."""
+    """Raise `UntrustedCodeError` for code named by a file if its content is not allowed."""
     if str(code.path) in _named_by_files and not is_trusted(code):
         raise UntrustedCodeError(code.path, [code])
 
 
 def is_trusted(code: Code) -> bool:
-    """Whether a person has allowed this very code, now or earlier."""
+    """Return whether a person has allowed exactly this code, now or earlier."""
     return code.digest in _trusted or code.digest in _remembered()
 
 
 def check_trusted(named_by: str | Path, codes: Iterable[Code]) -> None:
-    """Raise `UntrustedCodeError` for code that nobody has allowed."""
     codes = list(codes)
     _named_by_files.update(str(each.path) for each in codes)
     untrusted = [each for each in codes if not is_trusted(each)]
@@ -193,9 +190,9 @@ def check_trusted(named_by: str | Path, codes: Iterable[Code]) -> None:
 
 
 def check_named(named_by: str | Path, path: Path, packages: Sequence[str] = ()) -> None:
-    """Raise `UntrustedCodeError` where a file names code that nobody has allowed; later content is checked, too.
+    """Raise `UntrustedCodeError` if a file names code that is not allowed.
 
-    `check_unchanged` does that when it is to run.
+    `check_unchanged` checks the content again before it runs.
     """
     _named_by_files.add(str(path.absolute()))
     if path.exists():
@@ -203,7 +200,7 @@ def check_named(named_by: str | Path, path: Path, packages: Sequence[str] = ()) 
 
 
 def trust_permanently(codes: Iterable[Code]) -> None:
-    """Allow code for good, and in this process; a log line says so where the answer can't be written down."""
+    """Allow code permanently, and in this process; logs a warning if the answer can't be written."""
     codes = list(codes)
     trust(each.digest for each in codes)
     path = answers_file()
@@ -212,7 +209,7 @@ def trust_permanently(codes: Iterable[Code]) -> None:
         with lock_path(path.parent):
             known = _remembered() | {each.digest: str(each.path) for each in codes}
             with suppress(FileNotFoundError):
-                path.chmod(0o600)  # the new file keeps the permissions of the old one
+                path.chmod(0o600)  # the new file inherits the permissions of the old one
             with whole_file(path) as beside:
                 beside.touch(mode=0o600)
                 beside.write_bytes(msgspec.json.format(msgspec.json.encode(_Answers(trusted=known)), indent=1))
@@ -226,11 +223,11 @@ def answers_file() -> Path:
 
 class _Answers(msgspec.Struct, frozen=True):
     trusted: dict[str, str]
-    """Digest to the path under which it was first allowed."""
+    """Digest to the path at which it was first allowed."""
 
 
 def _remembered() -> dict[str, str]:
-    """Answers of earlier runs; none where the file is missing, damaged, or could have been written by others."""
+    """Remembered answers; empty if the file is missing, damaged, or writable by other users."""
     path = answers_file()
     try:
         with open_file(path, _MAX_BYTES) as file:
@@ -244,11 +241,11 @@ def _remembered() -> dict[str, str]:
         return {}
 
 
-# Running
+# Execution
 
 
 def run_main(code: Code, name: str) -> ModuleType:
-    """Run the file that was named as a module of a name; what it imports of its neighbors is what was read.
+    """Run the named file as a module called `name`; its imports of neighbors use the bytes that were read.
 
     Raises whatever the code raises, `SyntaxError` among it.
     """
@@ -264,7 +261,7 @@ def run_main(code: Code, name: str) -> ModuleType:
 
 @contextmanager
 def importable(code: Code) -> Generator[None]:
-    """Let the packages of a folder be imported by their names while the block runs; no trace of them stays behind."""
+    """Make the packages of a folder importable while the block runs, and remove them from `sys.modules` afterwards."""
     tops = {name.partition(".")[0] for name in code.files}
     before = {name: sys.modules.pop(name) for name in list(sys.modules) if name.partition(".")[0] in tops}
     finder = _CodeFinder(code)
@@ -279,8 +276,8 @@ def importable(code: Code) -> Generator[None]:
 
 
 def _serve(code: Code) -> None:
-    """Serve the neighbors of a file from now on: a driver may import one when it is asked for a plan."""
-    for name in code.files:  # what another file's neighbor of that name was is not this one's
+    """Make the neighbors of a file importable from now on: an agent may import one as late as its first plan."""
+    for name in code.files:  # another file's neighbor of the same name
         module = sys.modules.get(name)
         if module is not None and isinstance(module.__loader__, _CodeLoader):
             del sys.modules[name]
@@ -292,7 +289,7 @@ def _serve(code: Code) -> None:
 
 
 class _CodeFinder(importlib.abc.MetaPathFinder):
-    """Finds the modules of one program, in memory."""
+    """Finder for the modules of one program, in memory."""
 
     def __init__(self, code: Code) -> None:
         self.path = code.path
@@ -315,7 +312,7 @@ class _CodeFinder(importlib.abc.MetaPathFinder):
 
 
 class _CodeLoader(importlib.abc.Loader):
-    """Runs a file from the bytes that were read; bytecode that lies near it is never used."""
+    """Loader that runs a file from the bytes that were read; it ignores bytecode files."""
 
     def __init__(self, file: CodeFile | None) -> None:
         self._file = file

@@ -1,1 +1,1 @@
-"""Files and streams from strangers: limits before memory, and errors in one sentence."""
+"""Safe reading of untrusted files and streams: limits before allocation, errors in one sentence."""

@@ -1,4 +1,4 @@
-"""What msgspec says of a wrong value, with what would be right: the kinds, words and fields that a type has there."""
+"""Validation errors of msgspec, extended by the allowed types, values and fields."""
 
 import difflib
 import re
@@ -11,7 +11,7 @@ from msgspec import inspect
 from .text_files import check_finite, printable_line
 
 _LONGEST = 3000
-"""Signs of a sentence: settings of a training have some forty fields."""
+"""Maximum characters of a message: the settings of a training have some forty fields."""
 
 _PLACE = re.compile(r" - at `\$(.*)`$")
 
@@ -23,11 +23,11 @@ _NO_FIELD = re.compile(r"Object contains unknown field `(.*?)`")
 
 
 def readable_validation_error(error: Exception, kind: Any, values: Any = None) -> str:
-    """Return an error of `msgspec.convert(..., kind)` with the words that would be right where one is wrong.
+    """Return the message of a failed `msgspec.convert(..., kind)`, extended by the allowed values.
 
-    `Invalid value 'brak' - at `$.behaviour.kind`` becomes `Invalid value 'brak', expected brake, cut-in, ... - at ...`;
-    an unknown field gets the field that is most like it, and all that there are. `values` are what was to be converted:
-    of several kinds of objects that can stand at a place, those of its own kind are listed.
+    `Invalid value 'brak' - at $.behaviour.kind` becomes `Invalid value 'brak', expected brake, cut-in, ... - at ...`;
+    an unknown field gets the most similar field and a list of all. `values` is the input of the conversion: if several
+    tagged objects are possible at a position, the message lists the fields of the tagged one only.
     """
     message = " ".join(str(error).split())
     place = _PLACE.search(message)
@@ -46,7 +46,7 @@ def readable_validation_error(error: Exception, kind: Any, values: Any = None) -
 
 
 def _fields(types: list[inspect.Type], value: Any) -> Iterator[str]:
-    """Names of the fields that an object can have at a place; of those told apart by a tag, the fields of its own."""
+    """Fields that an object can have at a position; for tagged objects, only those of the tag in `value`."""
     objects = [each for each in types if isinstance(each, inspect.StructType | inspect.DataclassType)]
     tagged = [each for each in objects if isinstance(each, inspect.StructType) and each.tag_field is not None]
     if isinstance(value, dict):
@@ -59,7 +59,7 @@ def _fields(types: list[inspect.Type], value: Any) -> Iterator[str]:
 
 
 def _at(values: Any, place: str) -> Any:
-    """Return what stands at a place such as `.rain` or `.agents[0]`; None where that can't be followed."""
+    """Return the value at a position such as `.rain` or `.agents[0]`; None if there is none."""
     for match in _STEP.finditer(place):
         try:
             values = values[match[1]] if match[1] else values[int(match[0][1:-1])]
@@ -69,7 +69,7 @@ def _at(values: Any, place: str) -> Any:
 
 
 def _types(kind: Any, steps: list[str]) -> list[inspect.Type]:
-    """All types that can stand at a place: a step is the name of a field, or nothing for a member of a sequence."""
+    """All types possible at a position: a step is a field name, or empty for a member of a sequence."""
     here = list(_choices(inspect.type_info(kind)))
     for step in steps:
         here = [choice for each in here for inner in _inside(each, step) for choice in _choices(inner)]
@@ -98,7 +98,7 @@ def _inside(found: inspect.Type, step: str) -> Iterator[inspect.Type]:
 
 
 def _words(around: list[inspect.Type], name: str) -> Iterator[str]:
-    """Words that can stand in a field: tags of the structs around it, or what the field's own type lists."""
+    """Allowed values of a field: tags of the enclosing structs, or members of the field's own type."""
     for each in around:
         if isinstance(each, inspect.StructType) and each.tag_field == name:
             yield str(each.tag)
@@ -111,9 +111,10 @@ def _words(around: list[inspect.Type], name: str) -> Iterator[str]:
 
 
 def convert_checked(values: Any, kind: Any, **options: Any) -> Any:
-    """Return plain values as a type that msgspec knows.
+    """Convert plain values to a type that msgspec supports.
 
-    Raises msgspec.ValidationError (a ValueError) with the place and what is allowed, ValueError for NaN or infinity.
+    Raises msgspec.ValidationError (a ValueError) with the position and the allowed values, ValueError for NaN or
+    infinity.
     """
     check_finite(values)
     try:

@@ -1,4 +1,4 @@
-"""Says of a file that can't be read as what its name promises what it is instead, by its first bytes."""
+"""Limits on untrusted input (kind of file, bytes, time) for files, pipes, devices and sockets."""
 
 import errno
 import ipaddress
@@ -20,18 +20,18 @@ from typing import Any, NamedTuple, NoReturn
 import psutil
 
 _HEAD_BYTES = 512
-"""The mark of a tar archive stands at byte 257."""
+"""The magic of a tar archive is at byte 257."""
 
 
 class _FileKind(NamedTuple):
     words: str
-    """The kind, and what can be done with such a file."""
+    """The kind, and advice for such a file."""
     starts: tuple[bytes, ...] = ()
-    """First bytes, any of them."""
+    """Alternative magic bytes, in lower case."""
     at: int = 0
-    """Byte at which they stand."""
+    """Byte offset of the magic."""
     suffixes: tuple[str, ...] = ()
-    """Names that such a file rightly has: it is no surprise there. A kind without first bytes goes by them alone."""
+    """Usual suffixes of the kind. A kind without magic bytes is recognized by them alone."""
 
 
 _IMAGE = "a picture: give the folder that it is in"
@@ -71,14 +71,14 @@ _KINDS = (
     _FileKind(_MESH, suffixes=(".obj", ".stl", ".fbx", ".gltf", ".glb", ".dae", ".las", ".laz", ".e57", ".pcd")),
     _FileKind(_VIDEO, suffixes=(".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v")),
 )
-"""The first that fits is right. Letters are compared as small ones."""
+"""Kinds in order of precedence; magic bytes are compared in lower case."""
 
 
 def kind_of_file(path: Path, *, named_rightly: bool = False) -> str | None:
-    """Say what a file is ("an archive: unpack it, and give what was in it"), for the end of a refusal.
+    """Describe a file's actual kind ("an archive: unpack it, and give what was in it"), for the end of an error.
 
-    None for what no kind fits, for what can't be opened, and, where the reader goes by names and is `named_rightly`,
-    for what its name says that it is.
+    Returns None if no kind matches, if the file can't be opened, or, with `named_rightly`, if the kind matches the
+    suffix.
     """
     try:
         with open_file(path) as file:
@@ -89,7 +89,7 @@ def kind_of_file(path: Path, *, named_rightly: bool = False) -> str | None:
 
 
 def kind_of_bytes(head: bytes, suffix: str = "", *, named_rightly: bool = False) -> str | None:
-    """Say what the first bytes of a file, whose name ends so in small letters, belong to, as `kind_of_file` does."""
+    """Describe the kind of a file by its first bytes and its lower-case suffix, as `kind_of_file` does."""
     if not head:
         return "an empty file"
     head = head[:_HEAD_BYTES].lower().removeprefix(b"\xef\xbb\xbf")
@@ -99,25 +99,23 @@ def kind_of_bytes(head: bytes, suffix: str = "", *, named_rightly: bool = False)
     return None
 
 
-# § One deadline and one byte budget for all that comes from files, pipes, devices and sockets of strangers.
-#
-# A file is opened without waiting and only then asked for its kind, by its descriptor: nothing can take its place in
-# between. A deadline holds for a whole exchange, not for each of its parts, which an endless drip of bytes would
-# reset.
+# Deadlines and byte budgets
+# A file is opened without blocking and its kind is then checked on the descriptor: no other file can be swapped in
+# between. A deadline covers a whole exchange, not each part of it: a slow drip of bytes would reset that.
 
 MAX_FILE_BYTES = 1 << 36
-"""Of any file that is read as a whole."""
+"""Limit of any file that is read as a whole."""
 
 PIPE_WAIT_S = 30.0
-"""For all that comes through a pipe that a person names in place of a file, such as `<(command)` of a shell."""
+"""Limit for reading a pipe given in place of a file, such as a shell's `<(command)`."""
 
 _BLOCK_BYTES = 1 << 20
 
 _LOOK_S = 0.2
-"""Pause between two looks at whether the other end of a pipe still lives."""
+"""Interval of checks that the other end of a pipe still exists."""
 
 _SMALL_BYTES = 1 << 26
-"""Files below this are read without asking for free memory."""
+"""Smaller files are read without a check of free memory."""
 
 _PATH_KINDS = (
     (stat.S_ISDIR, "folder"),
@@ -129,18 +127,18 @@ _PATH_KINDS = (
 
 
 class InputError(OSError):
-    """Input that is refused: `filename` is its name, `strerror` the reason."""
+    """Refused input: `filename` is its name, `strerror` the reason."""
 
     def __str__(self) -> str:
         return f"{self.filename}: {self.strerror}"
 
 
 class TooLargeError(InputError):
-    """Input that goes beyond its byte budget."""
+    """Input that exceeds its byte budget."""
 
 
 class Deadline:
-    """The moment by which a whole exchange must be over, on the monotonic clock: nobody can set that."""
+    """End of a whole exchange on the monotonic clock, which changes of the system time do not affect."""
 
     def __init__(self, seconds: float) -> None:
         self.seconds = seconds
@@ -148,11 +146,11 @@ class Deadline:
 
     @property
     def left_s(self) -> float:
-        """Seconds that are left; 0 once the moment has passed."""
+        """Seconds left; 0 after the deadline."""
         return max(0.0, self._end - time.monotonic())
 
     def check(self) -> float:
-        """Return the seconds that are left. Raises TimeoutError where there are none."""
+        """Return the seconds left. Raises TimeoutError if there are none."""
         left = self.left_s
         if left <= 0:
             raise TimeoutError(errno.ETIMEDOUT, f"not over within {self.seconds:g} s")
@@ -160,25 +158,25 @@ class Deadline:
 
 
 class ByteBudget:
-    """Bytes that may still come from one source."""
+    """Number of bytes that one source may still deliver."""
 
     def __init__(self, max_bytes: int, name: Path | str) -> None:
-        """Allow so many bytes; `name` is that of the source, for errors."""
+        """Allow `max_bytes`; `name` is the source in error messages."""
         self.max_bytes, self._name = max_bytes, name
         self.spent_bytes = 0
 
     def spend(self, count: int) -> None:
-        """Count bytes that have come. Raises `TooLargeError` where they are more than allowed."""
+        """Count received bytes. Raises `TooLargeError` if they exceed the budget."""
         self.spent_bytes += count
         if self.spent_bytes > self.max_bytes:
             _refuse_size(self._name, self.max_bytes)
 
 
 def open_file(path: Path | str, max_bytes: int | None = None) -> BufferedReader:
-    """Open a regular file for reading in bytes; never waits for a pipe, and opens no device.
+    """Open a regular file for reading in bytes; never blocks on a pipe, and opens no device.
 
-    Raises `InputError` where something else than a file stands there, `TooLargeError` where it has more than
-    `max_bytes`, OSError where it is missing or may not be read.
+    Raises `InputError` if it is not a regular file, `TooLargeError` if it has more than `max_bytes`, OSError if it is
+    missing or can't be read.
     """
     stream = os.fdopen(_opened(path, pipe=False), "rb")
     size = os.fstat(stream.fileno()).st_size
@@ -189,7 +187,7 @@ def open_file(path: Path | str, max_bytes: int | None = None) -> BufferedReader:
 
 
 def check_file(path: Path | str) -> None:
-    """Refuse what is there and is no regular file, for libraries that open files by their names.
+    """Raise unless the path is a regular file, for libraries that open files by name.
 
     Raises as `open_file` does.
     """
@@ -197,7 +195,7 @@ def check_file(path: Path | str) -> None:
 
 
 def read_file(path: Path | str, max_bytes: int = MAX_FILE_BYTES) -> bytes:
-    """Read a regular file of at most so many bytes, and no more than memory is free.
+    """Read a regular file of at most `max_bytes` that fits into free memory.
 
     Raises as `open_file` does.
     """
@@ -209,7 +207,7 @@ def read_file(path: Path | str, max_bytes: int = MAX_FILE_BYTES) -> bytes:
         start = stream.read(size + 1) or b""
         if len(start) <= size:
             return start
-        budget = ByteBudget(max_bytes, path)  # it grows, or is one of those that don't know their size
+        budget = ByteBudget(max_bytes, path)  # the file grows, or has no known size
         budget.spend(len(start))
         parts = [start]
         while part := stream.read(_BLOCK_BYTES):
@@ -219,10 +217,10 @@ def read_file(path: Path | str, max_bytes: int = MAX_FILE_BYTES) -> bytes:
 
 
 def read_input(path: Path | str, max_bytes: int) -> bytes:
-    """Read a regular file, or a pipe such as `/dev/stdin` or `<(command)` to its end, of at most so many bytes.
+    """Read a regular file, or a pipe such as `/dev/stdin` or `<(command)` to its end, of at most `max_bytes`.
 
-    A pipe must be at its end within `PIPE_WAIT_S`. Raises `InputError` for that and for devices, sockets and
-    folders, `TooLargeError`, OSError.
+    Raises `InputError` for a pipe that has not ended within `PIPE_WAIT_S` and for devices, sockets and folders,
+    `TooLargeError`, OSError.
     """
     if not stat.S_ISFIFO(_status(path).st_mode):
         return read_file(path, max_bytes)
@@ -236,10 +234,10 @@ def read_input(path: Path | str, max_bytes: int) -> bytes:
 
 
 def read_pipe(pipe: int, budget: ByteBudget, deadline: Deadline, idle: Callable[[], object] = bool) -> bytes:
-    """Read the descriptor of a pipe, opened without waiting, to its end.
+    """Read the descriptor of a pipe, opened without blocking, to its end.
 
-    `idle` is called while nothing comes, and may raise where nothing will: what came before that still counts. Raises
-    TimeoutError, `TooLargeError`.
+    Calls `idle` while no data arrives; it may raise if the writer is gone, after all data sent before has been read.
+    Raises TimeoutError, `TooLargeError`.
     """
     poll = select.poll()
     poll.register(pipe, select.POLLIN)
@@ -249,12 +247,12 @@ def read_pipe(pipe: int, budget: ByteBudget, deadline: Deadline, idle: Callable[
             try:
                 idle()
             except Exception:
-                if not poll.poll(0):  # what it wrote before it ended is read first
+                if not poll.poll(0):  # data written before its end is read first
                     raise
             continue
         try:
             part = os.read(pipe, _BLOCK_BYTES)
-        except BlockingIOError:  # somebody else reads from it, too
+        except BlockingIOError:  # another process reads from it too
             continue
         if not part:
             return bytes(data)
@@ -263,9 +261,9 @@ def read_pipe(pipe: int, budget: ByteBudget, deadline: Deadline, idle: Callable[
 
 
 def write_pipe(pipe: int, data: memoryview | bytes, deadline: Deadline, idle: Callable[[], object]) -> None:
-    """Write to the descriptor of a pipe, opened without waiting; returns when it has taken in the last byte.
+    """Write to the descriptor of a pipe, opened without blocking; returns when the last byte is written.
 
-    `idle` is called while it takes nothing, and may raise. Raises TimeoutError, BrokenPipeError.
+    Calls `idle` while the pipe accepts no data; it may raise. Raises TimeoutError, BrokenPipeError.
     """
     poll = select.poll()
     poll.register(pipe, select.POLLOUT)
@@ -281,7 +279,7 @@ def write_pipe(pipe: int, data: memoryview | bytes, deadline: Deadline, idle: Ca
 
 
 def open_pipe(path: Path, flags: int) -> int:
-    """Open one end of a named pipe without waiting for the other. Raises `InputError` where it is none, OSError."""
+    """Open one end of a named pipe without waiting for the other. Raises `InputError` if it is no pipe, OSError."""
     descriptor = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC)
     if not stat.S_ISFIFO(os.fstat(descriptor).st_mode):
         os.close(descriptor)
@@ -290,15 +288,15 @@ def open_pipe(path: Path, flags: int) -> int:
 
 
 def receive_message(connection: Connection, max_bytes: int) -> Any:
-    """Take in the next message of a process that this one has started. Raises EOFError, OSError where it is larger."""
+    """Receive the next message of a child process. Raises EOFError, OSError if it is larger than `max_bytes`."""
     return pickle.loads(connection.recv_bytes(max_bytes))
 
 
 class ServerConnection:
-    """A connection to a server; all of it, from the look-up of its name on, is under one deadline and one budget."""
+    """A connection to a server; one deadline and one byte budget cover all of it, including the name lookup."""
 
     def __init__(self, host: str, port: int, deadline: Deadline, budget: ByteBudget, *, is_secure: bool) -> None:
-        """Connect, by TLS where it `is_secure`. Raises TimeoutError, OSError where nobody answers there."""
+        """Connect, by TLS if `is_secure`. Raises TimeoutError, OSError if no server answers."""
         self._deadline, self._budget = deadline, budget
         plain = _connected(host, port, deadline)
         if not is_secure:
@@ -312,14 +310,14 @@ class ServerConnection:
             raise
 
     def send(self, data: bytes) -> None:
-        """Send all of it. Raises TimeoutError, OSError."""
+        """Send all data. Raises TimeoutError, OSError."""
         rest = memoryview(data)
         while rest:
             self._socket.settimeout(self._deadline.check())
             rest = rest[self._socket.send(rest[:_BLOCK_BYTES]) :]
 
     def receive(self) -> bytes:
-        """Return what has come since; nothing at the end. Raises TimeoutError, `TooLargeError`, OSError."""
+        """Return newly received data; empty at the end. Raises TimeoutError, `TooLargeError`, OSError."""
         self._socket.settimeout(self._deadline.check())
         data = self._socket.recv(_BLOCK_BYTES)
         self._budget.spend(len(data))
@@ -348,7 +346,7 @@ def _connected(host: str, port: int, deadline: Deadline) -> socket.socket:
 
 
 def _addresses(host: str, port: int, deadline: Deadline) -> list[tuple[int, int, int, Any]]:
-    """Look a host up, in a thread: the system's own look-up has no deadline."""
+    """Look up a host in a thread: the system's lookup has no deadline."""
     found: queue.SimpleQueue[list[tuple[int, int, int, Any]] | Exception] = queue.SimpleQueue()
 
     def look() -> None:
@@ -381,9 +379,9 @@ def _is_address(host: str) -> bool:
 
 
 def _opened(path: Path | str, *, pipe: bool) -> int:
-    """Open for reading without waiting, and refuse what is neither a file nor, where it may be one, a pipe.
+    """Open for reading without blocking; accept regular files and, with `pipe`, pipes.
 
-    Devices are not even opened: some do something then.
+    Devices are not even opened: opening can have side effects.
     """
     _check_kind(path, _status(path), pipe=pipe)
     flags = (getattr(os, name, 0) for name in ("O_NONBLOCK", "O_NOCTTY", "O_CLOEXEC", "O_BINARY"))

@@ -1,4 +1,4 @@
-"""NumPy archives (.npz) of strangers: sizes are looked at before memory is taken, and nothing in them is run."""
+"""Untrusted NumPy files (.npz, .npy): sizes are checked before allocation, and pickles are refused."""
 
 import io
 import math
@@ -18,20 +18,20 @@ _MAX_BYTES = 8 << 30
 _SUFFIX = ".npy"
 
 _KINDS = "fiubU"
-"""Numbers, and the names that they go by."""
+"""Kinds of numbers, and text for names."""
 
 DAMAGES = (
     ArithmeticError, EOFError, LookupError, MemoryError, NotImplementedError, OSError, RecursionError, RuntimeError,
     TypeError, ValueError, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
-"""What zipfile and NumPy raise over damaged archives."""
+"""Exceptions of zipfile and NumPy for damaged archives."""
 
 
 def read_archive(path: Path, most_bytes: int = _MAX_BYTES) -> dict[str, np.ndarray]:
-    """Read all arrays of an archive by their names.
+    """Read all arrays of an archive by name.
 
-    Raises FileNotFoundError, and ValueError with what is wrong where the archive is damaged, would take more memory
-    than `most_bytes`, says another size than it has, or holds objects.
+    Raises FileNotFoundError; ValueError with the reason if the archive is damaged, needs more memory than `most_bytes`,
+    declares a wrong size, or holds objects.
     """
     with open_file(path) as stream:
         try:
@@ -50,9 +50,9 @@ def _arrays(stream: io.BufferedReader, most_bytes: int) -> dict[str, np.ndarray]
 
 
 def read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, kinds: str = "fiub") -> np.ndarray:
-    """Read an array whose header fits how long it is: NumPy takes the memory that a header asks for.
+    """Read an array whose header agrees with its length: NumPy would allocate whatever a header declares.
 
-    Raises ValueError where it does not fit or is of other `kinds`, and what else is in `DAMAGES`.
+    Raises ValueError if it does not agree or is not of `kinds`, and the other exceptions in `DAMAGES`.
     """
     name = member.filename
     with archive.open(member) as stream:
@@ -66,7 +66,7 @@ def read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, kinds: str = 
     return np.frombuffer(data, dtype).reshape(shape, order="F" if is_fortran else "C").copy()
 
 
-# § Headers of NumPy's array files (.npy) of strangers: which array they speak of, before memory is taken for it.
+# Array headers (.npy)
 
 _VERSIONS = ((1, 0), (2, 0), (3, 0))
 
@@ -74,23 +74,22 @@ _DAMAGES = (
     ArithmeticError, EOFError, LookupError, MemoryError, RecursionError, SyntaxError, TypeError, ValueError,
     tokenize.TokenError,
 )  # fmt: skip
-"""What NumPy raises over damaged headers: it takes them for Python."""
+"""Exceptions of NumPy for damaged headers, which it parses as Python."""
 
 
 @runtime_checkable
 class Readable(Protocol):
-    """What NumPy needs of a file."""
+    """File interface that NumPy needs."""
 
     def read(self, size: int = ..., /) -> bytes:
-        """Read so many bytes, or fewer at the end."""
+        """Read up to `size` bytes; fewer at the end only."""
         ...
 
 
 def read_array_header(stream: Readable, kinds: str = "fiub") -> tuple[tuple[int, ...], bool, "np.dtype[Any]"]:
-    """Read shape, whether columns come first (Fortran's order), and type; the numbers are what comes next.
+    """Read shape, order (true if column-major, Fortran) and type of an array; the numbers follow in the stream.
 
-    Raises ValueError, with what is wrong in a clause, for anything but an array of plain numbers, or of what other
-    `kinds` NumPy's letters stand for.
+    Raises ValueError, with the reason in a clause, for anything but an array of the `kinds` (NumPy's letters).
     """
     try:
         version = np.lib.format.read_magic(stream)
@@ -98,7 +97,7 @@ def read_array_header(stream: Readable, kinds: str = "fiub") -> tuple[tuple[int,
             raise ValueError(f"version {version[0]}.{version[1]} of NumPy's format is not known")
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # NumPy's words about how the header was written
+            warnings.simplefilter("ignore")  # warnings about the header's format version
             shape, is_fortran, dtype = read(stream)
     except _DAMAGES as error:
         words = str(error).strip().splitlines()

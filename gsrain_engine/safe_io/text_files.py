@@ -1,4 +1,7 @@
-"""YAML and JSON of strangers as plain values: limits on size, depth and number come before memory is taken."""
+"""Untrusted YAML and JSON as plain values, and safe display of text from files.
+
+Limits on size, depth and number of values apply before allocation.
+"""
 
 import json
 import math
@@ -11,31 +14,31 @@ import yaml
 from .limits import InputError, read_input
 
 MAX_BYTES = 1 << 24
-"""Of a file of settings: a scenario with an hour of tracks has a tenth of it."""
+"""Limit of a settings file, ten times the size of a scenario with an hour of tracks."""
 
 _MAX_DEPTH = 100
 
 _MAX_VALUES = 300_000
-"""Aliases count as what they stand for."""
+"""An alias counts as much as its anchor."""
 
 _MAX_DIGITS = 400
-"""Of a whole number; a float has no more than 309 before its point."""
+"""Digits of an integer; a float has at most 309 before its decimal point."""
 
 _MAX_SIGNS = 100_000
-"""Of one word or text."""
+"""Characters of one string."""
 
 _MERGED = "<<"
 
 _SOURCE = ' in "<byte string>",'
-"""How PyYAML calls what it reads."""
+"""PyYAML's name of its input."""
 
 _Parser: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 def read_whole(path: Path, max_bytes: int = MAX_BYTES) -> bytes:
-    """Read settings: a file, or a pipe such as `<(command)`, of at most so many bytes.
+    """Read settings from a file or a pipe such as `<(command)`, of at most `max_bytes`.
 
-    Raises ValueError with its name where it is larger or neither of them, OSError where it can't be read.
+    Raises ValueError with its name if it is larger or neither of them, OSError if it can't be read.
     """
     try:
         return read_input(path, max_bytes)
@@ -44,10 +47,10 @@ def read_whole(path: Path, max_bytes: int = MAX_BYTES) -> bytes:
 
 
 def yaml_values(data: bytes) -> Any:
-    """Return what a YAML document says; raises ValueError, with what is wrong and where, for what can't be settings.
+    """Parse a YAML document; raises ValueError, with the reason and the line, if it can't be settings.
 
-    Those are, beside bad syntax: a field given twice, more than 300 000 values (with aliases as often as they are used)
-    or 100 levels, and everything that YAML could make beyond plain values.
+    Besides bad syntax that is a duplicate field, more than 300,000 values (an alias counts each time) or 100 levels,
+    and any tag for other than plain values.
     """
     try:
         _check_events(data)
@@ -57,12 +60,12 @@ def yaml_values(data: bytes) -> Any:
     except ValueError as error:
         raise ValueError(f"not readable as YAML: {printable_line(error)}") from None
     except (ArithmeticError, AttributeError, LookupError, TypeError, RecursionError):
-        # What PyYAML makes of tags before what they can't be, such as `!!int ""`.
+        # PyYAML's exceptions for tags on unsuitable values, such as `!!int ""`.
         raise ValueError("not readable as YAML: a tag (!!...) stands before what it can't be") from None
 
 
 def json_values(data: bytes) -> Any:
-    """Return what a JSON document says; raises ValueError for bad syntax, nesting beyond bounds, NaN and infinity."""
+    """Parse a JSON document; raises ValueError for bad syntax, excessive nesting, NaN and infinity."""
     try:
         values = json.loads(data)
     except RecursionError:
@@ -74,7 +77,7 @@ def json_values(data: bytes) -> Any:
 
 
 def check_finite(values: Any) -> None:
-    """Raise ValueError, with the place, where plain values hold NaN or infinity, or are nested beyond 100 levels."""
+    """Raise ValueError, with the position, if plain values hold NaN or infinity or exceed 100 levels."""
     waiting: list[tuple[str, int, Any]] = [("$", 0, values)]
     while waiting:
         place, depth, value = waiting.pop()
@@ -91,7 +94,7 @@ def check_finite(values: Any) -> None:
 
 
 def _check_events(data: bytes) -> None:
-    """Walk through a document without making anything of it: aliases that multiply and depth end here."""
+    """Scan a document without building values: rejects exponential aliases and excessive depth."""
     total, opened = 0, list[tuple[str | None, int]]()
     sizes: dict[str | None, int] = {}
     for event in yaml.parse(data, _Parser):
@@ -117,7 +120,7 @@ def _check_events(data: bytes) -> None:
 
 
 class _SafeYamlLoader(_Parser):
-    """Plain values only; a field that stands twice is an error, as YAML has it."""
+    """Loader of plain values only; a duplicate field is an error, as the YAML standard requires."""
 
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
         seen = set[str]()
@@ -146,22 +149,22 @@ _SafeYamlLoader.add_constructor("tag:yaml.org,2002:int", _SafeYamlLoader.constru
 
 _SafeYamlLoader.add_constructor("tag:yaml.org,2002:float", _SafeYamlLoader.construct_yaml_float)
 
-# § Words out of files in sentences for people: no sign in them steers a terminal, and none goes on for pages.
+# Text for messages
 
 _LONGEST = 600
 
 
 def printable_line(words: object, longest: int = _LONGEST) -> str:
-    """Return words as one line: signs that can't be printed as their escapes, and the middle of long ones left out."""
+    """Return text as one line, with unprintable characters escaped and the middle of long text left out."""
     line = escape_invisible(" ".join(str(words).split()))
     return line if len(line) <= longest else f"{line[: longest // 2]} ... {line[-longest // 2 :]}"
 
 
 def escape_invisible(text: str) -> str:
-    r"""Return a name or a line with everything in it that is no visible character or space as its escape.
+    r"""Return text with all invisible characters but spaces escaped.
 
-    ESC becomes `\x1b`, a line break `\n`, U+202E and the other controls of direction `\u202e`, an undecodable byte
-    `\udcff`. So no name steers a terminal, adds a line of its own, or is read backwards.
+    ESC becomes `\x1b`, a line break `\n`, U+202E and the other direction controls `\u202e`, an undecodable byte
+    `\udcff`. So a name can't control the terminal, add a line, or reverse the text direction.
     """
     if text.isprintable():
         return text
@@ -169,19 +172,19 @@ def escape_invisible(text: str) -> str:
 
 
 _SPACES = "\u00a0\u2002\u2003\u2009\u202f\u3000"
-"""Spaces that names are written with, which Python does not count as printable."""
+"""Typographic spaces, which Python does not count as printable."""
 
-# § Words out of files in figures: short enough to leave room for the curves, and nothing in them is a formula.
+# Text for figures
 
 _MISSING = "□"
-"""In the place of a sign that the font lacks."""
+"""Replacement for characters missing in the font."""
 
 
 def figure_words(words: object, longest: int = 48) -> str:
-    """Return words as Matplotlib writes them as they are.
+    """Return text in a form that Matplotlib draws literally.
 
-    The middle of long ones is left out, `$` begins no formula, an underscore in front hides no curve from the legend,
-    and a sign that the font lacks becomes a box.
+    The middle of long text is left out, `$` is escaped, a leading underscore gets a space before it (Matplotlib would
+    hide the curve from the legend), and a character missing in the font becomes a box.
     """
     line = printable_line(words, longest)
     if not line.isascii():
@@ -192,6 +195,6 @@ def figure_words(words: object, longest: int = 48) -> str:
 
 @cache
 def _has_glyph(sign: str) -> bool:
-    from matplotlib.font_manager import findfont, get_font  # loads slowly, and most names are ASCII
+    from matplotlib.font_manager import findfont, get_font  # slow to import, and most names are ASCII
 
     return get_font(findfont("DejaVu Sans")).get_char_index(ord(sign)) != 0

@@ -1,1 +1,1 @@
-"""What a scene is made of, and the files it comes from. Uses nothing else of ours."""
+"""Scene data, cameras and the files they are read from; depends on no other package of the engine."""

@@ -1,4 +1,4 @@
-"""A pinhole camera with OpenCV axes (x right, y down, z forward)."""
+"""Pinhole camera with OpenCV axes (x right, y down, z forward), and its JSON file."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,12 +13,12 @@ DEFAULT_EXPOSURE_S = 0.004
 """Daylight shutter of driving cameras: 2.6-3.9 ms in a Waymo sample frame, rounded up."""
 
 _FARTHEST = 1e12
-"""Larger numbers are those of damaged files: their squares would soon be none."""
+"""Larger numbers come from damaged files; their squares would soon overflow."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Camera:
-    """Intrinsics in pixels, pose as world to camera. Pixel (0, 0) has its centre at (0.5, 0.5)."""
+    """Intrinsics in pixels, pose as world to camera. Pixel (0, 0) has its center at (0.5, 0.5)."""
 
     width: int
     height: int
@@ -33,13 +33,12 @@ class Camera:
     def from_fov(
         cls, width: int, height: int, vertical_fov_deg: float, world_to_camera: Float64[np.ndarray, "4 4"]
     ) -> "Camera":
-        """Build a camera with square pixels and its principal point in the middle."""
+        """Build a camera with square pixels and a centered principal point."""
         f = 0.5 * height / np.tan(np.radians(vertical_fov_deg) / 2)
         return cls(width, height, float(f), float(f), width / 2, height / 2, world_to_camera)
 
     @property
     def camera_to_world(self) -> Float64[np.ndarray, "4 4"]:
-        """Pose of the camera in the world."""
         rotation = self.world_to_camera[:3, :3].T
         matrix = np.eye(4)
         matrix[:3, :3] = rotation
@@ -48,7 +47,7 @@ class Camera:
 
     @property
     def position(self) -> Float64[np.ndarray, "3"]:
-        """Centre of projection in the world."""
+        """Center of projection in the world."""
         return self.camera_to_world[:3, 3]
 
     @property
@@ -57,7 +56,7 @@ class Camera:
         return float(np.degrees(np.arctan(self.cy / self.fy) + np.arctan((self.height - self.cy) / self.fy)))
 
     def resized(self, width: int, height: int) -> "Camera":
-        """Show the same vertical field of view in another image size; the sides gain or lose, nothing is stretched."""
+        """Keep the vertical field of view in another image size; the sides gain or lose, nothing is stretched."""
         s = height / self.height
         return replace(
             self,
@@ -70,7 +69,7 @@ class Camera:
         )
 
     def moved(self, similarity: Float64[np.ndarray, "4 4"]) -> "Camera":
-        """Show the same picture of a world that was moved, turned and scaled (scene units to metres, say)."""
+        """Return the camera with the same view of a transformed world (scene units to meters, for example)."""
         scale = np.cbrt(np.linalg.det(similarity[:3, :3]))
         turn = similarity[:3, :3] / scale
         matrix = np.eye(4)
@@ -79,7 +78,6 @@ class Camera:
         return replace(self, world_to_camera=matrix)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the plain values of a camera file."""
         return {
             "width": self.width,
             "height": self.height,
@@ -129,11 +127,11 @@ class Camera:
 def look_at(
     eye: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]
 ) -> Float64[np.ndarray, "4 4"]:
-    """World-to-camera matrix of an eye that looks at `target` with `up` upwards in the image."""
+    """World-to-camera matrix of a camera at `eye` that looks at `target`, with `up` upwards in the image."""
     forward = np.asarray(target, np.float64) - eye
     forward /= np.linalg.norm(forward)
     right = _cross(forward, up)
-    if np.linalg.norm(right) < 1e-9:  # looking along `up`: any right will do
+    if np.linalg.norm(right) < 1e-9:  # looking along `up`: any right vector will do
         right = _cross(forward, np.roll(up, 1))
     right /= np.linalg.norm(right)
     matrix = np.eye(4)
@@ -143,7 +141,7 @@ def look_at(
 
 
 def _cross(a: Float[np.ndarray, "3"], b: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "3"]:
-    """Return what `np.cross` does, ten times as fast for two vectors: a window asks often in each frame."""
+    """Cross product, ten times as fast as `np.cross` for two vectors: the window needs it often in each frame."""
     (a_x, a_y, a_z), (b_x, b_y, b_z) = a.tolist(), b.tolist()
     return np.array((a_y * b_z - a_z * b_y, a_z * b_x - a_x * b_z, a_x * b_y - a_y * b_x))
 

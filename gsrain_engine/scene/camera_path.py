@@ -1,4 +1,4 @@
-"""A camera that moves: keys with curves through positions, rotations and fields of view."""
+"""Camera paths: keyframes, interpolation of positions, rotations and fields of view, easing, and orbits."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -6,34 +6,34 @@ from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import scipy  # which loads its parts where they are used first: most scenes are opened without a flight
+import scipy  # loads its submodules on first use: most scenes are opened without a camera path
 from jaxtyping import Float64
 
 from .camera import DEFAULT_EXPOSURE_S, Camera
 from .geometry import matrices_from_quaternions, quaternions_from_matrices
 
 _KEYS_OF_A_CIRCLE = 12
-"""A spline through so many keys is off the circle by 0.02 % of its radius."""
+"""Keyframes of a circle; the spline deviates from it by 0.02 % of its radius."""
 
 _SHORTEST_S, _NARROWEST_DEG, _FARTHEST = 1e-9, 1e-4, 1e12
-"""Times that are nearer to each other, narrower views and larger numbers are those of damaged files."""
+"""Closer times, narrower views and larger numbers come from damaged files."""
 
 _NOT_UNIT = 1e-3
 
-# § What lies between the keys of a camera path: curves through places, rotations and fields of view.
+# Interpolation
 
 Interpolation = Literal["spline", "linear"]
-"""spline: smooth through all keys; linear: straight from key to key, at constant speed between two of them."""
+"""spline: smooth through all keyframes; linear: straight between keyframes, at constant speed between two of them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathCurves:
-    """Curves through two or more keys; to be asked between the first key and the last only, or the seam of a loop."""
+    """Curves through two or more keyframes, valid only from the first to the last one, or to the seam of a loop."""
 
     positions: Callable[..., Any]
-    """Of path time; a second argument of 1 gives the derivative."""
+    """Positions at path times; a second argument of 1 gives the derivative."""
     rotations: Callable[..., Any]
-    """SciPy's Rotation, of path time."""
+    """SciPy's Rotation at path times."""
     fields_of_view: Callable[..., Any]
 
     @classmethod
@@ -46,10 +46,10 @@ class PathCurves:
         interpolation: Interpolation = "spline",
         period_s: float | None = None,
     ) -> "PathCurves":
-        """Lay curves through keys; with a period the last key leads on to the first, without a kink in a spline.
+        """Interpolate keyframes; with a period the last one leads back to the first, smoothly if a spline.
 
-        Splines: natural cubic for places, cubic in rotation vectors for rotations (scipy's RotationSpline), monotone
-        cubic for the field of view, which so never leaves the range of its two keys.
+        Splines: natural cubic for positions, cubic in rotation vectors for rotations (SciPy's RotationSpline), monotone
+        cubic for the field of view, which therefore stays between the values of its two keyframes.
         """
         if period_s is not None:
             n = len(times_s)
@@ -72,26 +72,26 @@ class PathCurves:
         )
 
 
-# § How time goes by between the keys of a camera path: evenly, or slower where the camera sets off and arrives.
+# Easing
 
 Easing = Literal["none", "in and out", "at each key"]
-"""none: even; in and out: sets off and arrives gently; at each key: comes to rest at every key."""
+"""none: even; in and out: starts and ends gently; at each key: stops at every keyframe."""
 
 
 class Eased(NamedTuple):
-    """A moment of the clock, and where on the path's own time that is."""
+    """Path times after easing, and their rates."""
 
     times_s: Float64[np.ndarray, " t"]
     rates: Float64[np.ndarray, " t"]
-    """Path seconds that go by in a second of the clock."""
+    """Path seconds per second of the clock."""
 
 
 @dataclass(frozen=True, eq=False)
 class CameraPath:
-    """Keyframes of a flight. Camera axes are OpenCV's (x right, y down, z forward); the world is that of the caller."""
+    """Keyframes of a camera path. Camera axes are OpenCV's (x right, y down, z forward); any world frame."""
 
     times_s: Float64[np.ndarray, " k"]
-    """Rising; moments of the scene, so that a flight meets the same traffic and the same rain each time."""
+    """Increasing times of the scene, so that a path always meets the same traffic and the same rain."""
     positions: Float64[np.ndarray, "k 3"]
     quaternions_wxyz: Float64[np.ndarray, "k 4"]
     """Camera to world, unit."""
@@ -100,10 +100,11 @@ class CameraPath:
     interpolation: Interpolation = "spline"
     easing: Easing = "none"
     loop: bool = False
-    """Fly from the last key on to the first, in as long as the other intervals take on average, and so on for ever."""
+    """Return from the last keyframe to the first, in the mean interval of the others, and repeat endlessly."""
     is_timed: bool = True
-    """Whether the times are known. Keys of photos without times are laid out at walking pace (`paced`), and a still
-    from such a path is that of a camera at rest."""
+    """True if the times are known. Keyframes of photos without times get a walking pace (`with_constant_speed`), and a
+    still image from such a path is that of a camera at rest.
+    """
 
     def __post_init__(self) -> None:
         keys = len(self.times_s)
@@ -123,9 +124,9 @@ class CameraPath:
 
     @classmethod
     def through(cls, times_s: Sequence[float], cameras: Sequence[Camera]) -> "CameraPath":
-        """Fly through cameras at moments, in seconds, which rise; the exposure is the first one's.
+        """Path through cameras at increasing times in seconds; takes the exposure of the first camera.
 
-        Raises ValueError where there is no camera, there are not as many moments, or they don't rise.
+        Raises ValueError if there is no camera, or if the times differ in number or don't increase.
         """
         if len(times_s) != len(cameras):
             raise ValueError(f"a camera path needs a moment for each camera: {len(times_s)} for {len(cameras)}")
@@ -138,21 +139,20 @@ class CameraPath:
 
     @property
     def start_s(self) -> float:
-        """Moment of the first key."""
         return float(self.times_s[0])
 
     @property
     def end_s(self) -> float:
-        """Moment of the last key; of a loop, when it is back at the first one."""
+        """Time of the last keyframe; of a loop, time of the return to the first."""
         return float(self._knots_s[-1])
 
     @property
     def duration_s(self) -> float:
-        """Time from the first key to the last, and of a loop back to the first."""
+        """Time from the first keyframe to the last, and of a loop back to the first."""
         return float(self._knots_s[-1] - self._knots_s[0])
 
     def camera(self, time_s: float, width: int, height: int) -> Camera:
-        """Camera at a time; before the first key and after the last it stands still, unless it loops."""
+        """Camera at a time; it rests before the first keyframe and after the last, unless the path loops."""
         t = float(self._at(np.array([time_s])).times_s[0])
         camera_to_world = np.eye(4)
         camera_to_world[:3, :3] = self._rotation(t)
@@ -161,11 +161,11 @@ class CameraPath:
         return Camera(*_intrinsics(camera), camera.world_to_camera, self.exposure_s)
 
     def velocity(self, time_s: float) -> Float64[np.ndarray, "3"]:
-        """Velocity of the camera in world units a second; zero outside the keys."""
+        """Velocity of the camera in world units per second; zero outside the keyframes."""
         return self.velocities(np.array([float(time_s)]))[0]
 
     def velocities(self, times_s: Float64[np.ndarray, " t"]) -> Float64[np.ndarray, "t 3"]:
-        """Velocities of the camera at many moments, as `velocity` gives them."""
+        """Velocities of the camera at many times; see `velocity`."""
         if len(self.times_s) < 2:
             return np.zeros((len(times_s), 3))
         at = self._at(times_s)
@@ -173,19 +173,18 @@ class CameraPath:
         return np.where(flying[:, None], at.rates[:, None] * self._curves.positions(at.times_s, 1), 0.0)
 
     def places(self, times_s: Float64[np.ndarray, " t"]) -> Float64[np.ndarray, "t 3"]:
-        """Positions of the camera at many moments."""
         if len(self.times_s) < 2:
             return np.repeat(self.positions, len(times_s), axis=0)
         return self._curves.positions(self._at(times_s).times_s)
 
     def turns(self, times_s: Float64[np.ndarray, " t"]) -> Float64[np.ndarray, "t 3 3"]:
-        """Rotations, camera to world, at many moments."""
+        """Rotations, camera to world, at many times."""
         if len(self.times_s) < 2:
             return np.repeat(matrices_from_quaternions(self.quaternions_wxyz), len(times_s), axis=0)
         return self._curves.rotations(self._at(times_s).times_s).as_matrix()
 
     def moved(self, similarity: Float64[np.ndarray, "4 4"]) -> "CameraPath":
-        """Return the path in a world that was moved, turned and scaled (scene units to metres, say)."""
+        """Return the path in a transformed world (scene units to meters, for example)."""
         turn = similarity[:3, :3] / np.cbrt(np.linalg.det(similarity[:3, :3]))
         return replace(
             self,
@@ -194,7 +193,7 @@ class CameraPath:
         )
 
     def _at(self, times_s: Float64[np.ndarray, " t"]) -> Eased:
-        """Moments within the flight, with easing."""
+        """Path times within the path's duration, with easing."""
         knots = self._knots_s
         if self.loop and len(knots) > 1:
             within = knots[0] + np.mod(times_s - knots[0], knots[-1] - knots[0])
@@ -215,7 +214,7 @@ class CameraPath:
 
     @cached_property
     def _knots_s(self) -> Float64[np.ndarray, " k"]:
-        """Moments of the keys; of a loop, also when it closes."""
+        """Times of the keyframes; of a loop, also the time of its closure."""
         times = self.times_s
         if not self.loop or len(times) < 2:
             return times
@@ -230,13 +229,13 @@ class CameraPath:
 def orbit_path(
     center: Float64[np.ndarray, "3"], camera: Camera, duration_s: float, sweep_deg: float = 40.0
 ) -> CameraPath:
-    """Swing around a point, from one side of a camera's place to the other, looking as it does. World z is up."""
+    """Swing around a point from one side of the camera's position to the other. World z is up."""
     angles = np.radians(np.linspace(-sweep_deg / 2, sweep_deg / 2, 9))
     return _around(center, camera, angles, np.linspace(0, duration_s, len(angles)))
 
 
 def circle_path(center: Float64[np.ndarray, "3"], camera: Camera, duration_s: float) -> CameraPath:
-    """Fly round a point for ever, from a camera's place on, looking as it does. World z is up."""
+    """Circle around a point endlessly, starting at the camera's pose. World z is up."""
     shares = np.arange(_KEYS_OF_A_CIRCLE) / _KEYS_OF_A_CIRCLE
     return replace(_around(center, camera, 2 * np.pi * shares, duration_s * shares), loop=True)
 
@@ -247,7 +246,7 @@ def _around(
     angles: Float64[np.ndarray, " k"],
     times: Float64[np.ndarray, " k"],
 ) -> CameraPath:
-    """Keys of a camera that is turned around a point by angles in radians."""
+    """Keyframes of a camera rotated around a point by angles in radians."""
     turns = scipy.spatial.transform.Rotation.from_euler("z", angles[:, None]).as_matrix()
     pose = camera.camera_to_world
     rotations = turns @ pose[:3, :3]
@@ -261,15 +260,17 @@ def _intrinsics(camera: Camera) -> tuple[int, int, float, float, float, float]:
 
 
 _KEYS_AROUND_A_LOOP = 24
-"""Keys that are laid out before and after a loop: a spline forgets its ends by a factor of 2 or more a key."""
+"""Extra keyframes before and after a loop: the influence of a spline's ends falls by a factor of 2 or more per
+keyframe.
+"""
 
 
 def apply_easing(easing: Easing, knots_s: Float64[np.ndarray, " k"], times_s: Float64[np.ndarray, " t"]) -> Eased:
-    """Path time at moments between the first knot and the last.
+    """Path times for clock times between the first knot and the last.
 
-    Every knot stays at its moment, the order of moments stays, and the rate has no jumps. Between two knots that both
-    are rests it is u^2 (3 - 2u) of the share u of the interval; where only the first is, u^2 (2 - u); where only the
-    last is, that backwards.
+    Every knot keeps its time, the order of times is preserved, and the rate is continuous. With u the fraction of an
+    interval between two knots, progress is u^2 (3 - 2u) if the camera rests at both, u^2 (2 - u) if only at the first,
+    and the mirror image of that if only at the last.
     """
     if easing == "none" or len(knots_s) < 2:
         return Eased(times_s, np.ones_like(times_s))

@@ -1,4 +1,7 @@
-"""Changes of a camera path, key by key: each returns a new path in the same frame as the given one."""
+"""Edits of camera paths: keyframes, timing, view angles, speed, and simplification of recorded trajectories.
+
+Edits return a new path in the same frame as the given one.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -11,29 +14,29 @@ from .camera_path import CameraPath
 from .geometry import normalized, quaternions_from_matrices
 
 SAME_TIME_S = 0.005
-"""Keys as near as this are one key: less than half a frame at 60 frames a second."""
+"""Keyframes as near as this are one: less than half a frame at 60 frames per second."""
 
 
 class EditedKeyframe(NamedTuple):
-    """A path, and the number of the key that was changed: keys that pass one another change their numbers."""
+    """A path and the index of its changed keyframe, which changes when keyframes pass one another."""
 
     path: CameraPath
     key: int
 
 
 def keyframe_at(path: CameraPath, time_s: float) -> int | None:
-    """Number of the key at a moment; None where there is none."""
+    """Index of the keyframe at a time; None if there is none."""
     key = int(np.argmin(np.abs(path.times_s - time_s)))
     return key if abs(path.times_s[key] - time_s) <= SAME_TIME_S else None
 
 
 def keyframe_camera(path: CameraPath, key: int, width: int, height: int) -> Camera:
-    """Camera of a key: exactly the one that was put there."""
+    """Camera of a keyframe, exactly as it was set."""
     return replace(path, easing="none", loop=False).camera(float(path.times_s[key]), width, height)
 
 
 def with_keyframe(path: CameraPath | None, time_s: float, camera: Camera) -> EditedKeyframe:
-    """Put a camera at a moment, in the place of the key that is there already; without a path, begin one."""
+    """Set a keyframe at a time, replacing one that is there; creates a path if there is none."""
     time = np.array([float(time_s)])
     pose = camera.camera_to_world
     fov = np.array([camera.vertical_fov_deg])
@@ -48,13 +51,13 @@ def with_keyframe(path: CameraPath | None, time_s: float, camera: Camera) -> Edi
 
 
 def without_keyframe(path: CameraPath, key: int) -> CameraPath | None:
-    """Take a key away; None where it was the last one."""
+    """Remove a keyframe; None if it was the last one."""
     kept = np.delete(np.arange(len(path.times_s)), key)
     return _of_keys(path, kept, path.times_s[kept]) if len(kept) else None
 
 
 def move_keyframe(path: CameraPath, key: int, time_s: float) -> EditedKeyframe:
-    """Move a key to another moment, past others if need be; where another one is, to the nearest free moment."""
+    """Move a keyframe to another time, past others if necessary; uses the nearest free time if that is occupied."""
     free = _free_moment(np.delete(path.times_s, key), time_s)
     times = path.times_s.copy()
     times[key] = free
@@ -65,7 +68,7 @@ def move_keyframe(path: CameraPath, key: int, time_s: float) -> EditedKeyframe:
 
 
 def copy_keyframe_to(path: CameraPath, key: int, time_s: float) -> EditedKeyframe:
-    """Put a copy of a key at another moment; where another key is, at the nearest free moment."""
+    """Copy a keyframe to another time, or to the nearest free one if that is occupied."""
     free = _free_moment(path.times_s, time_s)
     rows = (path.positions[key : key + 1], path.quaternions_wxyz[key : key + 1], path.vertical_fov_deg[key : key + 1])
     longer = _with_rows(replace(path, is_timed=True), np.array([free]), *rows)
@@ -79,7 +82,7 @@ def place_keyframe_at(
     quaternion_wxyz: Float64[np.ndarray, "4"] | None = None,
     vertical_fov_deg: float | None = None,
 ) -> CameraPath:
-    """Give a key another place, rotation or field of view (degrees); what is None stays."""
+    """Change a keyframe's position, rotation or field of view (degrees); None keeps a value."""
     changes: dict[str, Any] = {}
     if position is not None:
         changes["positions"] = _with_row(path.positions, key, position)
@@ -93,9 +96,9 @@ def place_keyframe_at(
 
 
 def stretch_path_time(path: CameraPath, factor: float) -> CameraPath:
-    """Let the flight take so many times longer; its first key stays at its moment.
+    """Multiply the duration by a factor; the first keyframe keeps its time.
 
-    Raises `ValueError` where keys would come too close to one another.
+    Raises `ValueError` if keyframes would come too close to one another.
     """
     times = path.times_s[0] + factor * (path.times_s - path.times_s[0])
     if not np.isfinite(factor) or np.any(np.diff(times) <= SAME_TIME_S):
@@ -104,18 +107,16 @@ def stretch_path_time(path: CameraPath, factor: float) -> CameraPath:
 
 
 def shift_path_time(path: CameraPath, seconds: float) -> CameraPath:
-    """Let the flight begin so much later."""
     return replace(path, times_s=path.times_s + seconds)
 
 
 def reverse_path_time(path: CameraPath) -> CameraPath:
-    """Fly the same way backwards, in the same span of time."""
     backwards = np.arange(len(path.times_s))[::-1]
     return _of_keys(path, backwards, path.times_s[0] + path.times_s[-1] - path.times_s[backwards])
 
 
 def _free_moment(taken: Float64[np.ndarray, " k"], time_s: float) -> float:
-    """The moment nearest to the asked one at which no key is."""
+    """Free time nearest to the requested one."""
     gap = 2 * SAME_TIME_S
     candidates = np.concatenate([[float(time_s)], taken - gap, taken + gap])
     fences = np.concatenate([[-np.inf], taken, [np.inf]])
@@ -125,7 +126,7 @@ def _free_moment(taken: Float64[np.ndarray, " k"], time_s: float) -> float:
 
 
 def _of_keys(path: CameraPath, keys: Int64[np.ndarray, " n"], times_s: Float64[np.ndarray, " n"]) -> CameraPath:
-    """Keys by their numbers, in this order, at these moments."""
+    """Path of the keyframes with these indices, in this order, at these times."""
     return replace(
         path,
         times_s=times_s,
@@ -142,7 +143,6 @@ def _with_rows(
     quaternions: Float64[np.ndarray, "n 4"],
     fov: Float64[np.ndarray, " n"],
 ) -> CameraPath:
-    """Add keys to a path where their moments belong."""
     at = np.searchsorted(path.times_s, times)
     return replace(
         path,
@@ -159,27 +159,27 @@ def _with_row(rows: np.ndarray, row: int, value: np.ndarray) -> np.ndarray:
     return changed
 
 
-# § Rotation and field of view of a camera in the numbers that people set: heading, pitch, roll, focal length.
+# View angles
 
 _VIDEO_HEIGHT_MM = 24.0
-"""Of the 35 mm film that focal lengths are compared on."""
+"""Image height of 35 mm film, the reference of focal lengths."""
 
 _STRAIGHT_UP = 1 - 1e-12
 
 
 class ViewAngles(NamedTuple):
-    """Where a camera looks, in a world with z up; degrees."""
+    """Direction of view in a world with z up; degrees."""
 
     heading_deg: float
     """From +x to +y; -180..180."""
     pitch_deg: float
     """Upwards; -90..90."""
     roll_deg: float
-    """How far the camera leans to its right: positive turns the picture's content to the left; -180..180."""
+    """Lean to the camera's right: positive rotates the image content to the left; -180..180."""
 
 
 def view_angles(camera_to_world: Float64[np.ndarray, "3 3"]) -> ViewAngles:
-    """Angles of a rotation (OpenCV axes). One that looks straight up or down has no roll: it is all heading."""
+    """Angles of a rotation (OpenCV axes). A camera that looks straight up or down has heading only, no roll."""
     right, down, forward = camera_to_world.T
     pitch = np.arcsin(np.clip(forward[2], -1, 1))
     if abs(forward[2]) > _STRAIGHT_UP:
@@ -191,7 +191,7 @@ def view_angles(camera_to_world: Float64[np.ndarray, "3 3"]) -> ViewAngles:
 
 
 def view_rotation(angles: ViewAngles) -> Float64[np.ndarray, "3 3"]:
-    """Rotation, camera to world (OpenCV axes), that has these angles."""
+    """Rotation, camera to world (OpenCV axes), of these angles."""
     heading, pitch, roll = np.radians(angles)
     forward = np.array([np.cos(pitch) * np.cos(heading), np.cos(pitch) * np.sin(heading), np.sin(pitch)])
     level = np.array([np.sin(heading), -np.cos(heading), 0.0])
@@ -201,7 +201,7 @@ def view_rotation(angles: ViewAngles) -> Float64[np.ndarray, "3 3"]:
 
 
 def focal_length_mm(vertical_fov_deg: float) -> float:
-    """Focal length of the lens that sees as much from top to bottom on 35 mm film (a picture 24 mm high)."""
+    """Focal length with this vertical field of view on 35 mm film (image height 24 mm)."""
     return float(_VIDEO_HEIGHT_MM / 2 / np.tan(np.radians(vertical_fov_deg) / 2))
 
 
@@ -211,34 +211,35 @@ def fov_of_focal_length(focal_mm: float) -> float:
 
 
 def _in_degrees(heading: float, pitch: float, roll: float) -> ViewAngles:
-    """Without what is only rounding, which would be read as -0.0."""
+    """Angles in degrees, with rounding errors removed, which would be shown as -0.0."""
     return ViewAngles(*(np.degrees([heading, pitch, roll]).round(9) + 0.0).tolist())
 
 
-# § How long and how fast a camera path is, and where no vehicle could follow it. World frame, metres.
+# Speed
+# World frame, meters.
 
 FASTEST_KM_H = 250.0
-"""Faster than cars are let go on any road."""
+"""Above any road's speed limit."""
 
 FASTEST_TURN_DEG_S = 180.0
-"""Half a turn a second: a picture that only smears."""
+"""Half a turn per second: motion blur hides everything."""
 
 _SAMPLES_A_SECOND, _FEWEST, _SAMPLE_LIMITS = 30, 64, 4000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathSpeed:
-    """A path's speed over its time."""
+    """A path's speed over time."""
 
     times_s: Float64[np.ndarray, " t"]
     speeds_m_s: Float64[np.ndarray, " t"]
     turns_deg_s: Float64[np.ndarray, " t"]
-    """How fast the camera turns its head."""
+    """Angular speed of the camera."""
     length_m: float
 
     @classmethod
     def of(cls, path: CameraPath) -> "PathSpeed":
-        """Sample a path, in the world, about thirty times a second."""
+        """Sample a path, in the world, about thirty times per second."""
         count = int(np.clip(_SAMPLES_A_SECOND * path.duration_s, _FEWEST, _SAMPLE_LIMITS))
         times = np.linspace(path.start_s, path.end_s, count) if path.duration_s > 0 else np.array([path.start_s])
         inside = np.minimum(times, np.nextafter(path.end_s, -np.inf)) if path.loop else times
@@ -252,13 +253,13 @@ class PathSpeed:
 
     @property
     def mean_km_h(self) -> float:
-        """Length over time; 0 for a path that takes no time."""
+        """Length over time; 0 for a path without duration."""
         span = float(self.times_s[-1] - self.times_s[0])
         return 3.6 * self.length_m / span if span > 0 else 0.0
 
     @property
     def implausible(self) -> Bool[np.ndarray, " t"]:
-        """Samples at which the camera is faster than any road vehicle, or turns too fast to see anything."""
+        """Samples at which the camera is faster than any road vehicle, or turns too fast for a usable image."""
         return (3.6 * self.speeds_m_s > FASTEST_KM_H) | (self.turns_deg_s > FASTEST_TURN_DEG_S)
 
     @property
@@ -269,7 +270,7 @@ class PathSpeed:
 
     @property
     def warning(self) -> str | None:
-        """What is implausible, in one sentence; None where nothing is."""
+        """Description of implausible speeds in one sentence; None if there are none."""
         if self.fastest_km_h > FASTEST_KM_H:
             return f"The camera reaches {self.fastest_km_h:,.0f} km/h: no road vehicle does."
         if self.turns_deg_s.max() > FASTEST_TURN_DEG_S:
@@ -280,23 +281,22 @@ class PathSpeed:
 
 
 def _turn_rates(path: CameraPath, times: Float64[np.ndarray, " t"]) -> Float64[np.ndarray, " t"]:
-    """Degrees a second, from sample to sample."""
     if len(times) < 2:
         return np.zeros(len(times))
     turns = path.turns(times)
     traces = np.einsum("tij,tij->t", turns[:-1], turns[1:])
     angles = np.degrees(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
-    # arccos of nearly 1 has no more digits than this: what lies below is rounding.
+    # arccos is imprecise near 1: smaller angles are rounding errors.
     angles[angles < 1e-5] = 0.0
     rates = angles / np.diff(times)
     return np.append(rates, rates[-1])
 
 
-# § Recorded trajectories as camera paths: a few keys that fly the same way, and keys laid onto the nearest place.
+# Recorded trajectories
 
 
 def resample(path: CameraPath, seconds: float) -> CameraPath:
-    """Keep one key each so many seconds, and the first and last one."""
+    """Keep one keyframe every `seconds`, and the first and last one."""
     if not seconds > 0:
         raise ValueError(f"a key every {seconds:g} s: must be above 0 s")
     if len(path.times_s) < 2:
@@ -310,10 +310,10 @@ def resample(path: CameraPath, seconds: float) -> CameraPath:
 
 
 def simplify(path: CameraPath, tolerance_m: float = 0.05, tolerance_deg: float = 0.5) -> CameraPath:
-    """Keep few keys, between which the curves pass all others within a distance (units of the path) and an angle.
+    """Keep few keyframes, so that all others are within a distance (units of the path) and an angle of the curves.
 
-    Begins with the first and last key, and adds the one that is farthest off until none is too far. Few, not proven
-    to be the fewest. Not for loops.
+    Starts with the first and last keyframe, and adds the farthest one until all are within tolerance. The number is
+    small, not provably minimal. Not for loops.
     """
     times, places, turns = path.times_s, path.positions, path.turns(path.times_s)
     kept = np.unique([0, len(times) - 1])
@@ -332,7 +332,7 @@ def simplify(path: CameraPath, tolerance_m: float = 0.05, tolerance_deg: float =
 
 
 def nearest_time(path: CameraPath, place: Float64[np.ndarray, "3"]) -> float:
-    """When a trajectory comes nearest to a place, on the straight lines between its keys."""
+    """Time at which a trajectory is nearest to a position, along straight lines between its keyframes."""
     if len(path.times_s) < 2:
         return path.start_s
     starts, along = path.positions[:-1], np.diff(path.positions, axis=0)
@@ -344,7 +344,7 @@ def nearest_time(path: CameraPath, place: Float64[np.ndarray, "3"]) -> float:
 
 
 def snap_key_to(path: CameraPath, key: int, trajectory: CameraPath, *, turn_too: bool = True) -> CameraPath:
-    """Lay a key onto the nearest place of a trajectory in the same frame, looking as it looks there if asked."""
+    """Move a keyframe to the nearest position on a trajectory in the same frame, with its rotation if `turn_too`."""
     at = trajectory.camera(nearest_time(trajectory, path.positions[key]), 2, 2)
     quaternion = quaternions_from_matrices(at.camera_to_world[:3, :3]) if turn_too else None
     return place_keyframe_at(path, key, at.position, quaternion)
@@ -365,22 +365,22 @@ def _trajectory_of_keys(path: CameraPath, keys: Int64[np.ndarray, " n"]) -> Came
     )
 
 
-# § Speed for paths whose keys have no times: the places of photos, which say nothing about how fast anybody went.
+# Paths without times
 
 WALKING_M_S = 1.4
-"""Speed of a path without times: a person's comfortable walk (Bohannon 1997, Age and Ageing 26: 1.3 to 1.5 m/s)."""
+"""Default speed in m/s: a person's comfortable walk (Bohannon 1997, Age and Ageing 26: 1.3 to 1.5 m/s)."""
 
 _SHORTEST_S = 0.02
 
 _TURN_DEG_S = 90.0
-"""Between photos from one place the camera turns so fast."""
+"""Rotation speed between photos from one position."""
 
 
 def with_constant_speed(path: CameraPath, speed: float, *, is_timed: bool = False) -> CameraPath:
-    """Give the keys moments at which the camera passes them at a speed, in the path's own unit a second.
+    """Retime the keyframes to a constant speed, in the path's own unit per second.
 
-    The first key stays at its moment. `is_timed` says whether these are times that somebody asked for. Raises
-    ValueError for a speed that is not above 0.
+    The first keyframe keeps its time. `is_timed` is true if the user chose the speed. Raises ValueError for a speed
+    that is not above 0.
     """
     if not 0 < speed < np.inf:
         raise ValueError(f"a speed of {speed:g}: must be above 0")

@@ -1,4 +1,4 @@
-"""Camera paths from files: our own JSON, nerfstudio's `camera_path.json`, and the `cameras.json` of 3DGS."""
+"""Camera path files: GSRAIN's JSON, nerfstudio's `camera_path.json`, and the `cameras.json` of 3DGS."""
 
 import json
 import re
@@ -16,16 +16,16 @@ from .files import SceneFormatError, read_json, whole_file
 from .geometry import normalized, quaternions_from_matrices
 
 VERSION = 2
-"""Since 2: interpolation, easing, loop. A path that has none of them is written as version 1, for older readers."""
+"""Version 2 added interpolation, easing and loop. A path without them is written as version 1, for older readers."""
 
 _NUMBERS = re.compile(r"([0-9]+)")
 
 
 def read_camera_path(path: Path | str) -> CameraPath:
-    """Read a camera path, whichever of the three kinds it is; positions in the scene's own units and axes."""
+    """Read a camera path of any of the three formats; positions in the scene's own units and axes."""
     values = read_json(path)
     try:
-        with np.errstate(all="ignore"):  # what is too large, or divided by 0, is named by the path's own checks
+        with np.errstate(all="ignore"):  # the path's own checks report overflow and division by 0
             return _reader(values, path)(values)
     except SceneFormatError:
         raise
@@ -36,14 +36,13 @@ def read_camera_path(path: Path | str) -> CameraPath:
 
 
 def write_camera_path(path: Path | str, camera_path: CameraPath) -> None:
-    """Write a camera path as our own JSON."""
     text = json.dumps(plain_camera_path(camera_path), indent=1) + "\n"
     with whole_file(Path(path)) as beside:
         beside.write_text(text, encoding="utf-8")
 
 
 def plain_camera_path(camera_path: CameraPath) -> dict[str, Any]:
-    """Plain values of a camera path, as in our own JSON."""
+    """Plain values of a camera path, as in GSRAIN's JSON."""
     keyframes = [
         {"time_s": t, "position": p, "quaternion_wxyz": q, "vertical_fov_deg": fov}
         for t, p, q, fov in zip(
@@ -61,7 +60,7 @@ def plain_camera_path(camera_path: CameraPath) -> dict[str, Any]:
 
 
 def _reader(values: Any, path: Path | str) -> Callable[[Any], CameraPath]:
-    if isinstance(values, dict) and "camera_path" in values:  # nerfstudio's own has keyframes too
+    if isinstance(values, dict) and "camera_path" in values:  # nerfstudio's files have keyframes too
         return _nerfstudio
     if isinstance(values, dict) and "keyframes" in values:
         if values.get("version", VERSION) > VERSION:
@@ -73,9 +72,9 @@ def _reader(values: Any, path: Path | str) -> Callable[[Any], CameraPath]:
 
 
 def camera_path_of_plain(values: dict[str, Any]) -> CameraPath:
-    """Camera path of plain values as in our own JSON; raises `KeyError`, `TypeError` or `ValueError` where they aren't.
+    """Camera path of plain values as in GSRAIN's JSON; checked by `read_camera_path`, not here.
 
-    Numbers are taken as they are: `read_camera_path` looks at them too.
+    Raises `KeyError`, `TypeError` or `ValueError` for other values.
     """
     keys = values["keyframes"]
     interpolation, easing, loop = (
@@ -99,7 +98,7 @@ def camera_path_of_plain(values: dict[str, Any]) -> CameraPath:
 
 
 def _nerfstudio(values: dict[str, Any]) -> CameraPath:
-    """nerfstudio: 4x4 camera-to-world with OpenGL axes (y up, z backward), row by row; fov is vertical, degrees."""
+    """nerfstudio: 4x4 camera-to-world with OpenGL axes (y up, z backward), row-major; fov is vertical, degrees."""
     keys = values["camera_path"]
     poses = np.array([key["camera_to_world"] for key in keys], np.float64).reshape(-1, 4, 4)
     fov = np.array([key["fov"] for key in keys], np.float64)
@@ -111,8 +110,7 @@ def _nerfstudio(values: dict[str, Any]) -> CameraPath:
 def _training_cameras(values: list[dict[str, Any]]) -> CameraPath:
     """3DGS: camera-to-world rotation with OpenCV axes, focal lengths in pixels; photos without times.
 
-    Where all have names of their own they are flown in the order of these, frame_2 before frame_10: the file may have
-    those for testing first.
+    Sorted by name if all names differ, frame_2 before frame_10: the file may list the test cameras first.
     """
     if len({_in_order(key) for key in values} - {()}) == len(values):
         values = sorted(values, key=_in_order)
@@ -123,7 +121,7 @@ def _training_cameras(values: list[dict[str, Any]]) -> CameraPath:
 
 
 def _in_order(camera: dict[str, Any]) -> tuple[tuple[bool, int, str], ...]:
-    """Return the name of a training camera with its numbers as numbers; nothing where it has none."""
+    """Sort key of a training camera: its name with numbers as integers; empty without a name."""
     parts = _NUMBERS.split(str(camera.get("img_name", "")))
     return tuple((part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts if part)
 
@@ -134,19 +132,19 @@ def _from_poses(
     positions: Float64[np.ndarray, "k 3"],
     fov: Float64[np.ndarray, " k"],
 ) -> CameraPath:
-    """Fly through poses at moments, or, without these, at walking pace, a unit taken for a metre."""
+    """Path through poses at times, or, without times, at walking pace, with a unit taken for a meter."""
     moments = np.arange(len(positions), dtype=np.float64) if times is None else times
     path = CameraPath(moments, positions, normalized(quaternions_from_matrices(rotations)), fov)
     return path if times is not None else with_constant_speed(path, WALKING_M_S)
 
 
-# § Camera paths for other programs: nerfstudio's `camera_path.json` and the `cameras.json` of 3DGS, frame by frame.
+# Export to nerfstudio and 3DGS
 
 _TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def frame_times(camera_path: CameraPath, fps: float) -> Float64[np.ndarray, " n"]:
-    """Moments of a path's frames; of a loop, without the last one, which is the first again."""
+    """Times of a path's frames; a loop omits the last one, which equals the first."""
     count = max(1, round(camera_path.duration_s * fps) + (0 if camera_path.loop else 1))
     return camera_path.start_s + np.arange(count) / fps
 
@@ -154,7 +152,7 @@ def frame_times(camera_path: CameraPath, fps: float) -> Float64[np.ndarray, " n"
 def write_nerfstudio_path(
     path: Path | str, camera_path: CameraPath, fps: float, width: int = 1920, height: int = 1080
 ) -> None:
-    """Write a path for nerfstudio: every frame, which `ns-render camera-path` reads, and the keys for its viewer."""
+    """Write a path for nerfstudio: every frame for `ns-render camera-path`, and the keyframes for its viewer."""
     times = frame_times(camera_path, fps)
     keys = [keyframe_camera(camera_path, key, width, height) for key in range(len(camera_path.times_s))]
     gaps = np.diff(camera_path.times_s, append=camera_path.end_s).tolist()
@@ -188,7 +186,7 @@ def write_nerfstudio_path(
 def write_training_cameras(
     path: Path | str, camera_path: CameraPath, fps: float, width: int = 1920, height: int = 1080
 ) -> None:
-    """Write every frame of a path as a camera of 3DGS (its `cameras.json`), which knows no times."""
+    """Write every frame of a path as a camera of 3DGS (`cameras.json`), a format without times."""
     values: list[dict[str, Any]] = []
     for number, t in enumerate(frame_times(camera_path, fps).tolist()):
         camera = camera_path.camera(t, width, height)
@@ -209,7 +207,7 @@ def write_training_cameras(
 
 
 def _opengl_pose(camera: Camera) -> list[float]:
-    """Camera to world, row by row, for a camera with y up and z backward."""
+    """Camera to world, row-major, for a camera with y up and z backward."""
     return (camera.camera_to_world @ _TO_OPENGL).ravel().tolist()
 
 

@@ -1,6 +1,7 @@
-"""Files and folders that appear whole or not at all: written beside their place, then renamed into it.
+"""Atomic writes, locks between processes, JSON input and file names.
 
-What writers that were killed have left beside a place goes when the next process writes there.
+Files and folders are written next to their path, then renamed to it; the remains of killed writers are removed when the
+next process writes there.
 """
 
 import errno
@@ -26,29 +27,29 @@ from ..safe_io.limits import read_input
 from ..safe_io.text_files import printable_line
 
 _PART = re.compile(r"\..*\.[0-9a-f]{8}\.part", re.DOTALL)
-"""Names that only we give."""
+"""Names that only this program uses."""
 
 _LONGEST_NAME = 200
-"""Bytes of a file's name that go into that of its part; disks take 255."""
+"""Bytes of a file's name in the name of its partial file; file systems accept 255."""
 
 _ABANDONED_S = 600.0
-"""What nobody has touched for so long, and nobody holds, nobody writes any more."""
+"""Age after which an unlocked partial file counts as abandoned."""
 
 _HALF_WRITTEN = re.compile(r"\d+ requested and \d+ written|encoder error")
-"""What NumPy and Pillow say of a disk that is full: their libraries don't tell them why."""
+"""Messages of NumPy and Pillow for a full disk: their libraries omit the cause."""
 
 _tidied: set[Path] = set()
-"""Folders that this process has rid of abandoned parts: to look once is enough."""
+"""Folders already cleared of abandoned partial files by this process; once is enough."""
 
 
 @contextmanager
 def whole_file(path: Path) -> Generator[Path]:
-    """Give a path beside `path` to write to; it takes the place of `path` once the block has ended without an error.
+    """Yield a path next to `path` to write to; it replaces `path` when the block ends without an error.
 
-    What stood at `path` is untouched until then, and for good when the block fails; its permissions stay. Where a link
-    stands there, what it leads to is replaced. A device or a pipe is written to as it is. Missing folders are made.
+    Until then, and if the block fails, the old file stays untouched; the new one inherits its permissions. If `path` is
+    a link, its target is replaced. A device or a pipe is written directly. Creates missing folders.
 
-    Raises `OSError` that names `path` where the disk refuses.
+    Raises `OSError` that names `path` if the file system refuses.
     """
     path = path.resolve() if path.is_symlink() else path
     if _is_special(path):
@@ -61,21 +62,21 @@ def whole_file(path: Path) -> Generator[Path]:
         with naming_path(path, beside):
             yield beside
             sync(beside)
-            with suppress(OSError):  # a new file has none to keep
+            with suppress(OSError):  # a new file has no permissions to inherit
                 beside.chmod(stat.S_IMODE(path.stat().st_mode))
             beside.replace(path)
     finally:
-        with suppress(OSError):  # what went wrong before says more
+        with suppress(OSError):  # the earlier error is more informative
             beside.unlink(missing_ok=True)
     sync(path.parent)
 
 
 @contextmanager
 def whole_folder(path: Path, *, shared: bool = False) -> Generator[Path]:
-    """Give a new folder beside `path`; it becomes `path`, which may not exist or be empty, once the block has ended.
+    """Yield a new folder next to `path`; when the block ends, it becomes `path`, which must be missing or empty.
 
-    Raises `OSError` that names `path` where the disk refuses, and `PathInUseError` where another process writes it;
-    with `shared`, several may, and the first that is done has it.
+    Raises `OSError` that names `path` if the file system refuses, and `PathInUseError` if another process writes it;
+    with `shared`, several processes may write it, and the first to finish wins.
     """
     with hold_for_writing(path, shared=shared):
         yield from _renamed_in_the_end(path)
@@ -98,7 +99,7 @@ def _renamed_in_the_end(path: Path) -> Generator[Path]:
 
 @contextmanager
 def naming_path(path: Path, part: Path) -> Generator[None]:
-    """Let what a disk refuses in the block name `path`, where it names no file, or `part` and what is in it."""
+    """Make I/O errors in the block name `path` instead of no file, of `part`, or of a file inside it."""
     try:
         yield
     except OSError as error:
@@ -113,7 +114,7 @@ def naming_path(path: Path, part: Path) -> Generator[None]:
 
 
 def remove_abandoned(folder: Path) -> None:
-    """Remove the parts in a folder that nobody goes on with, their writers having been killed; once a process."""
+    """Remove partial files of killed writers from a folder; once per process."""
     if folder in _tidied:
         return
     _tidied.add(folder)
@@ -124,9 +125,9 @@ def remove_abandoned(folder: Path) -> None:
 
 
 def sync(path: Path) -> None:
-    """Wait until a file's bytes, or the names in a folder, are on the disk."""
+    """Flush a file's bytes, or a folder's entries, to the disk."""
     if path.is_dir() and os.name != "posix":
-        return  # folders can't be opened there
+        return  # folders can't be opened on Windows
     handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
     try:
         os.fsync(handle)
@@ -135,7 +136,7 @@ def sync(path: Path) -> None:
 
 
 def _temporary_path(path: Path) -> Path:
-    # What a locale's character set can't say goes: a name made of it could not be written.
+    # Drop characters outside the locale's character set: such a name could not be written.
     name = os.fsencode(path.name)[:_LONGEST_NAME].decode(sys.getfilesystemencoding(), errors="ignore")
     return path.with_name(f".{name}.{secrets.token_hex(4)}.part")
 
@@ -159,7 +160,8 @@ def _remove_if_abandoned(part: Path) -> None:
             part.unlink(missing_ok=True)
 
 
-# § Locks between processes: the system lets go of them when their holder dies, however it dies.
+# Locks between processes
+# The system releases them when their holder dies for any reason.
 
 try:
     import fcntl
@@ -167,11 +169,11 @@ except ImportError:  # Windows
     fcntl = None
 
 _WITHOUT_WAITING = getattr(os, "O_NONBLOCK", 0)
-"""A pipe of that name would keep whoever opens it until somebody comes to its other end."""
+"""Opening a pipe of that name would otherwise block until its other end is opened."""
 
 
 class FileLock:
-    """A lock that is held from `take` until `release`, or until the process ends."""
+    """A lock held from `take` until `release`, or until the process ends."""
 
     def __init__(self, path: Path, handle: int) -> None:
         self._path = path
@@ -179,10 +181,10 @@ class FileLock:
 
     @staticmethod
     def take(path: Path) -> "FileLock | None":
-        """Lock a file, which is made where it is missing; None while somebody else has it, in this process too.
+        """Lock a file, which is created if missing; None while it is locked elsewhere, in this process too.
 
         Raises:
-            OSError: When the file can't be made.
+            OSError: When the file can't be created.
         """
         path.parent.mkdir(parents=True, exist_ok=True)
         while True:
@@ -195,26 +197,25 @@ class FileLock:
             os.close(handle)  # its last holder has just removed it
 
     def release(self) -> None:
-        """Let others have it, and remove the file."""
         if self._handle < 0:
             return
-        if fcntl is not None:  # Windows removes no file that is open
+        if fcntl is not None:  # Windows can't remove an open file
             self._path.unlink(missing_ok=True)
         os.close(self._handle)
         self._handle = -1
 
 
 class PathInUseError(OSError):
-    """A place that another process writes to: says which process that is, and what it was called with."""
+    """A path that another process writes to; the message names that process and its command."""
 
 
 @dataclass
 class _HeldPath:
-    """A place that this process writes to, and how often it has begun to."""
+    """A path that this process writes to, with the count of its nested holds."""
 
     handle: int | None
     made: tuple[Path, ...]
-    """Folders that were made for the lock, the innermost first; they go with it where nothing was written."""
+    """Folders created for the lock, innermost first; removed with it if nothing was written."""
     count: int = 1
 
 
@@ -223,14 +224,14 @@ _guard, _holdings = threading.Lock(), dict[Path, _HeldPath]()
 
 @contextmanager
 def hold_for_writing(path: Path, *, shared: bool = False) -> Generator[None]:
-    """Have a file or folder that is written to for this process, for as long as the block runs; it need not be there.
+    """Reserve a file or folder, which need not exist, for writing by this process while the block runs.
 
-    The lock is a file beside it, `.NAME.lock`, in which the process writes down what it is; it goes in the end, and one
-    that a process left which was killed is taken over. In this process it may be held several times. Processes that
-    write to one place together, as the shares of a sweep, hold it `shared`.
+    The lock is a file next to it, `.NAME.lock`, with the process's id and command; it is removed in the end, and one
+    left by a killed process is taken over. A process may hold a path several times. Processes that write to one path
+    together, as the shares of a sweep, hold it `shared`.
 
     Raises:
-        HeldError: At once, where another process has it.
+        PathInUseError: At once, if another process holds it.
     """
     place = path.resolve()
     with _guard:
@@ -251,7 +252,6 @@ def hold_for_writing(path: Path, *, shared: bool = False) -> Generator[None]:
 
 
 def lock_file(path: Path) -> Path:
-    """Return the file by which a place is held."""
     name = path.name.encode(errors="surrogateescape")
     if len(name) <= _LONGEST_NAME:
         return path.with_name(f".{path.name}.lock")
@@ -263,7 +263,7 @@ _LONGEST_NOTE = 4096
 
 
 def _try_lock(place: Path, shared: bool) -> int | None:
-    """Lock a place; None where the disk takes no file there: what is written next says why."""
+    """Lock a path; None if the file system accepts no lock file, as the write that follows then reports the reason."""
     path = lock_file(place)
     while True:
         try:
@@ -279,7 +279,7 @@ def _try_lock(place: Path, shared: bool) -> int | None:
             break
         os.close(handle)  # its last holder has just removed it
     note = {"pid": os.getpid(), "host": platform.node(), "command": _command(), "since": time.strftime("%H:%M:%S")}
-    with suppress(OSError):  # a full disk: it is held all the same
+    with suppress(OSError):  # on a full disk the lock holds without its text
         os.ftruncate(handle, 0)
         os.lseek(handle, 0, os.SEEK_SET)
         os.write(handle, json.dumps(note).encode()[:_LONGEST_NOTE])
@@ -287,14 +287,14 @@ def _try_lock(place: Path, shared: bool) -> int | None:
 
 
 def _opened(path: Path) -> int:
-    """Open a lock's file: never what a link leads to, for in a folder of several people anybody can put one there.
+    """Open a lock file without following links: in a shared folder anybody could place one there.
 
-    Raises OSError where there is anything but a plain file of one name.
+    Raises OSError for anything but a regular file with one name.
     """
     flags = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     try:
         handle = os.open(path, os.O_RDWR | os.O_CREAT | flags, 0o644)
-    except PermissionError:  # somebody else's: it can be asked all the same
+    except PermissionError:  # another user's lock can still be tested
         handle = os.open(path, os.O_RDONLY | flags)
     status = os.fstat(handle)
     if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
@@ -306,7 +306,7 @@ def _opened(path: Path) -> int:
 def _let_go(path: Path, held: _HeldPath) -> None:
     if held.handle is None:
         return
-    # Shared ones stay until the last of them goes. Windows removes no file that is open.
+    # Shared locks stay until the last holder releases them. Windows can't remove an open file.
     if fcntl is not None and _lock(held.handle, waiting=False):
         with suppress(OSError):
             path.unlink(missing_ok=True)
@@ -317,13 +317,12 @@ def _let_go(path: Path, held: _HeldPath) -> None:
 
 
 def _command() -> str:
-    """What this process was called with, as it is typed."""
     program, *arguments = sys.argv or [""]
     return shlex.join([Path(program).name or "python", *arguments])[: _LONGEST_NOTE // 2]
 
 
 def _holder(handle: int) -> str:
-    """Say who has a place, by what stands in its lock file: "process 4711 (gsrain street out) writes it since ..."."""
+    """Describe a path's holder from its lock file: "process 4711 (gsrain street out) writes it since ..."."""
     try:
         note = json.loads(os.read(handle, _LONGEST_NOTE))
         pid, command, since, host = (note[name] for name in ("pid", "command", "since", "host"))
@@ -336,7 +335,7 @@ def _holder(handle: int) -> str:
 
 @contextmanager
 def lock_path(path: Path) -> Generator[None]:
-    """Hold the lock of a file or folder that exists; waits for whoever has it. Without effect where disks know none."""
+    """Lock an existing file or folder, waiting for other holders. No effect on file systems without locks."""
     if fcntl is None and path.is_dir():
         yield
         return
@@ -350,9 +349,9 @@ def lock_path(path: Path) -> Generator[None]:
 
 @contextmanager
 def try_lock_path(path: Path) -> Generator[bool]:
-    """Hold the lock of a file or folder that exists, unless somebody else does; says which.
+    """Lock an existing file or folder without waiting; yields False if it is locked elsewhere.
 
-    Where the system or the disk knows no locks, it looks free.
+    Yields True if the operating system or the file system has no locks.
     """
     if fcntl is None:
         yield True
@@ -365,7 +364,7 @@ def try_lock_path(path: Path) -> Generator[bool]:
 
 
 def _lock(handle: int, *, waiting: bool, shared: bool = False) -> bool:
-    """Lock an open file; False when somebody else has it. A disk that knows no locks lets everybody in."""
+    """Lock an open file; False if it is locked elsewhere. Always succeeds on file systems without locks."""
     try:
         if fcntl is not None:
             kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
@@ -376,7 +375,7 @@ def _lock(handle: int, *, waiting: bool, shared: bool = False) -> bool:
             msvcrt.locking(handle, msvcrt.LK_LOCK if waiting else msvcrt.LK_NBLCK, 1)  # pyright: ignore
     except BlockingIOError:
         return False
-    except PermissionError:  # what Windows says when it is taken
+    except PermissionError:  # Windows' error for a locked file
         return False
     except OSError:
         return True
@@ -390,27 +389,27 @@ def _is_still(path: Path, handle: int) -> bool:
         return False
 
 
-# § Reads JSON that may be damaged, or made to exhaust who reads it; what is wrong with it is one sentence.
+# JSON input
 
 _MAX_BYTES = 1 << 28
-"""A path of an hour with a key for each of 30 frames a second has 30 MB."""
+"""An hour's path with a keyframe for each of 30 frames per second takes 30 MB."""
 
 
 def read_json(path: Path | str) -> Any:
-    """Read a JSON file, or a pipe of one; `SceneFormatError` where it is missing, no JSON, nested without end, huge."""
+    """Read a JSON file or pipe; `SceneFormatError` if it is missing, invalid, too deeply nested or too large."""
     try:
         return json.loads(read_input(path, _MAX_BYTES).decode("utf-8"))
     except OSError as error:
         raise SceneFormatError(path, f"can't be read: {error.strerror}") from None
-    except (ValueError, RecursionError) as error:  # also no UTF-8, and integers of thousands of digits
+    except (ValueError, RecursionError) as error:  # also invalid UTF-8, and integers of thousands of digits
         raise SceneFormatError(path, f"not a JSON file: {error}") from None
 
 
-# § What goes wrong with a scene, in one sentence that a person can act on.
+# Errors
 
 
 class SceneFormatError(ValueError):
-    """A scene file that can't be read: names the file, the field and what would be right."""
+    """Error of an unreadable scene file; the message names the file, the field and the expected value."""
 
     def __init__(self, path: Path | str, problem: str) -> None:
         super().__init__(f"{printable_line(path)}: {printable_line(problem)}")
@@ -419,24 +418,24 @@ class SceneFormatError(ValueError):
 
 
 def sentence_of(error: BaseException) -> str:
-    """What an error says; what a disk says without its number, and with the file first."""
+    """Message of an error; of an OSError without its number, and with the file first."""
     if isinstance(error, OSError) and error.strerror is not None:
         return error.strerror if error.filename is None else f"{printable_line(error.filename)}: {error.strerror}"
     return str(error) or type(error).__name__
 
 
-# § Names of files to be written: those that a disk takes, and long ones that are derived from names of people's own.
+# File names
 
 DEFAULT_NAME_BYTES = 255
-"""That a name may have on nearly all disks; some that encrypt take 143."""
+"""Length limit on nearly all file systems; some encrypting ones allow 143."""
 
 _MAX_PATH_BYTES = 4096
 
 _PART_BYTES = 64
-"""Of a path that stay free for what is written for a while on the way to it, and for numbered files in it."""
+"""Bytes reserved in a path for temporary names and for numbered files in it."""
 
 _STEM_BYTES = 160
-"""Of a derived name without its ending: passes, cameras and hashes may be added."""
+"""Bytes of a derived name without its suffix: passes, cameras and hashes may be appended."""
 
 _HASH_DIGITS = 8
 
@@ -444,17 +443,17 @@ _IMPOSSIBLE = re.compile(r'[\\/:*?"<>|\x00-\x1f\x7f]+')
 
 
 def file_word(name: str, max_bytes: int = _STEM_BYTES) -> str:
-    """Return a name as part of a file's: what would lead into another folder, or nowhere, becomes a dash.
+    """Return a name as part of a file name: separators and other unsafe characters become dashes.
 
-    One of more than `max_bytes` is `shortened`.
+    A name of more than `max_bytes` is `shortened`.
     """
     return shortened(_IMPOSSIBLE.sub("-", name).lstrip(".") or "-", max_bytes)
 
 
 def shortened(name: str, max_bytes: int = _STEM_BYTES) -> str:
-    """Return a name of at most so many bytes: one that is longer is cut, and ends in a hash of the whole.
+    """Return a name of at most `max_bytes`: a longer one is cut, and ends in a hash of the whole.
 
-    Names of the same beginning stay apart, and the same name gives the same word everywhere.
+    Names with a common beginning stay distinct, and the result is the same on every machine.
     """
     whole = _bytes(name)
     if len(whole) <= max_bytes:
@@ -464,7 +463,7 @@ def shortened(name: str, max_bytes: int = _STEM_BYTES) -> str:
 
 
 def name_problem(path: Path) -> str | None:
-    """Return what a disk has against the name of a file or folder that is to be written; None where nothing."""
+    """Reason why the file system would refuse to create a file or folder of this name; None if there is none."""
     if "\0" in str(path):
         return "a name can't hold a zero byte"
     try:
@@ -483,11 +482,11 @@ def name_problem(path: Path) -> str | None:
 
 
 def _max_name_bytes(folder: Path) -> int:
-    """Bytes that a name in a folder may have, by the next folder above it that is there."""
+    """Maximum bytes of a name in a folder, from its nearest existing parent."""
     for each in (folder, *folder.parents):
         try:
             return os.pathconf(each, "PC_NAME_MAX")
-        except (OSError, ValueError, AttributeError):  # not there, or a system that has none
+        except (OSError, ValueError, AttributeError):  # missing, or a system without this limit
             continue
     return DEFAULT_NAME_BYTES
 
@@ -495,5 +494,5 @@ def _max_name_bytes(folder: Path) -> int:
 def _bytes(name: str) -> bytes:
     try:
         return os.fsencode(name)
-    except UnicodeEncodeError:  # half of a pair of UTF-16, which no file's name can hold
+    except UnicodeEncodeError:  # a lone UTF-16 surrogate, which no file name can hold
         return name.encode(errors="replace")

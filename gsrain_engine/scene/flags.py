@@ -1,4 +1,4 @@
-"""Which Gaussians of a set are meant: one bit each, as a value."""
+"""Bit masks of Gaussians, and selection, hide and delete flags."""
 
 from dataclasses import dataclass
 
@@ -10,9 +10,9 @@ from .gaussians import scene_cache
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BitMask:
-    """One bit for each of `count` Gaussians: a million take 125 kB, so that a history can keep many.
+    """One bit for each of `count` Gaussians: a million take 125 kB, so that the undo history can hold many.
 
-    Treat the array as a value: nobody writes into it once it is in here.
+    Treat the array as immutable.
     """
 
     count: int
@@ -32,12 +32,10 @@ class BitMask:
 
     @staticmethod
     def none(count: int) -> "BitMask":
-        """No Gaussian of so many."""
         return BitMask(count, np.zeros(_words(count), np.uint32))
 
     @staticmethod
     def all(count: int) -> "BitMask":
-        """Every one of so many Gaussians."""
         return ~BitMask.none(count)
 
     @property
@@ -47,12 +45,12 @@ class BitMask:
 
     @property
     def indices(self) -> Int64[np.ndarray, " m"]:
-        """The Gaussians that are meant, rising."""
+        """Indices of the set bits, increasing."""
         return np.flatnonzero(self.flags)
 
     @property
     def size(self) -> int:
-        """How many Gaussians are meant."""
+        """Number of set bits."""
         return int(np.bitwise_count(self.words).sum())
 
     def __bool__(self) -> bool:
@@ -74,17 +72,17 @@ class BitMask:
         return BitMask(self.count, words)
 
     def same_as(self, other: "BitMask") -> bool:
-        """Whether both mean the same Gaussians."""
+        """Return whether both masks have the same bits."""
         return self.count == other.count and np.array_equal(self.words, other.words)
 
     def take(self, indices: Int64[np.ndarray, " m"]) -> "BitMask":
-        """Mask of Gaussians that were picked by index from those of this one."""
+        """Mask of Gaussians picked by index from those of this one."""
         return BitMask.of(self.flags[indices])
 
 
 @scene_cache(maxsize=256)
 def mask_union(first: BitMask, second: BitMask) -> BitMask:
-    """Return `first | second`, the very same value each time: renderers know arrays by their identity."""
+    """Return `first | second`, the identical object each time: renderers identify arrays by identity."""
     return first | second
 
 
@@ -92,21 +90,22 @@ def _words(count: int) -> int:
     return -(-count // 32)
 
 
-# § What is marked among a member's Gaussians. Edits mark: the arrays stay, so a step of undo costs a few bits.
+# Selection flags
+# Edits set flags and leave the arrays, so that an undo step costs a few bits.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SelectionFlags:
-    """Marks of one member; none where nothing is marked."""
+    """Flags of one member; None for a flag that no Gaussian has."""
 
     selected: BitMask | None = None
     hidden: BitMask | None = None
     deleted: BitMask | None = None
-    """Gone, but for undo: files never see them."""
+    """Deleted, except for undo: never written to files."""
 
     @property
     def left_out(self) -> BitMask | None:
-        """What is not drawn; the very same value each time."""
+        """Gaussians that are not drawn; the identical object each time."""
         if self.hidden is None or self.deleted is None:
             return self.deleted if self.hidden is None else self.hidden
         return mask_union(self.hidden, self.deleted)

@@ -1,4 +1,4 @@
-"""A set of 3D Gaussians: the one thing that every scene, actor and raindrop is drawn as."""
+"""3D Gaussians, their spherical harmonics, and caches by scene identity."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,21 +9,21 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64, Int, UInt32
 
 SH_C0 = 0.28209479177387814
-"""Spherical harmonic of degree 0, 1/(2 sqrt(pi)): colour = SH_C0 * sh[0] + 0.5 (3DGS, Kerbl et al. 2023)."""
+"""Spherical harmonic of degree 0, 1/(2 sqrt(pi)): color = SH_C0 * sh[0] + 0.5 (3DGS, Kerbl et al. 2023)."""
 
 COEFFICIENTS_OF_DEGREE = (1, 4, 9, 16)
-"""How many spherical harmonics there are up to degree 0, 1, 2, 3."""
+"""Number of spherical harmonics up to degree 0, 1, 2, 3."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gaussians:
     """N Gaussians, activated: logs and logits exist only in file formats and optimizers.
 
-    Treat the arrays as values: nobody writes into them once they are in here.
+    Treat the arrays as immutable.
     """
 
     means: Float32[np.ndarray, "n 3"]
-    """Centres, in the units and axes of the layer they belong to."""
+    """Centers, in the units and axes of their layer."""
     scales: Float32[np.ndarray, "n 3"]
     """Standard deviations along the Gaussian's own axes, >= 0, same unit as `means`."""
     quaternions: Float32[np.ndarray, "n 4"]
@@ -31,7 +31,7 @@ class Gaussians:
     opacities: Float32[np.ndarray, " n"]
     """Largest alpha, in [0, 1]."""
     sh: Float32[np.ndarray, "n k 3"]
-    """Spherical harmonics of display colour, k = 1, 4, 9 or 16, in the order and sign of 3DGS."""
+    """Spherical harmonics of display color, k = 1, 4, 9 or 16, in the order and sign of 3DGS."""
 
     def __post_init__(self) -> None:
         n, k = len(self.means), self.sh.shape[1]
@@ -48,12 +48,10 @@ class Gaussians:
 
     @property
     def sh_degree(self) -> int:
-        """Degree of the spherical harmonics, 0 to 3."""
         return COEFFICIENTS_OF_DEGREE.index(self.sh.shape[1])
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all arrays."""
         return sum(a.nbytes for a in (self.means, self.scales, self.quaternions, self.opacities, self.sh))
 
     def take(self, indices: "Int[np.ndarray, ' m'] | UInt32[np.ndarray, ' m'] | slice") -> "Gaussians":
@@ -67,12 +65,10 @@ class Gaussians:
         )
 
     def with_sh(self, sh: Float32[np.ndarray, "n k 3"]) -> "Gaussians":
-        """Return the same Gaussians in other colours."""
         return Gaussians(self.means, self.scales, self.quaternions, self.opacities, sh)
 
     @staticmethod
     def empty(sh_degree: int = 0) -> "Gaussians":
-        """Return a set without members."""
         f = np.float32
         k = COEFFICIENTS_OF_DEGREE[sh_degree]
         return Gaussians(
@@ -81,7 +77,10 @@ class Gaussians:
 
     @staticmethod
     def concatenate(parts: Sequence["Gaussians"]) -> "Gaussians":
-        """Join sets in order; lower SH degrees are padded with zeros to the highest one. One set alone comes back."""
+        """Join sets in order; lower SH degrees are padded with zeros to the highest one.
+
+        Returns a single set itself.
+        """
         if len(parts) < 2:
             return parts[0] if parts else Gaussians.empty()
         k = max(part.sh.shape[1] for part in parts)
@@ -100,14 +99,14 @@ class Gaussians:
 
 
 def sh_from_color(colors: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 1 3"]:
-    """Spherical harmonics of degree 0 that show the same display colour (0..1) from every side."""
+    """Spherical harmonics of degree 0 with the same display color (0..1) from every direction."""
     return ((colors - np.float32(0.5)) / np.float32(SH_C0))[:, None, :]
 
 
-# § Spherical harmonics of display colour up to degree 3: their values, and what a turn makes of them.
+# Spherical harmonics
 
 _SAMPLES = 64
-"""Directions that the matrices of a rotation are solved from; degree 3 has 7 unknowns a row."""
+"""Sample directions for the matrices of a rotation; degree 3 has 7 unknowns per row."""
 
 
 def sh_basis(directions: Float[np.ndarray, "*n 3"], coefficients: int) -> Float[np.ndarray, "*n k"]:
@@ -141,27 +140,27 @@ def sh_basis(directions: Float[np.ndarray, "*n 3"], coefficients: int) -> Float[
 
 
 def evaluate_sh(sh: Float[np.ndarray, "n k 3"], directions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Display colours, one direction (unit, eye to Gaussian) a Gaussian; they may leave 0..1: nothing is clamped."""
+    """Display colors for one direction (unit, eye to Gaussian) per Gaussian; unclamped, so they may leave 0..1."""
     return np.einsum("nk,nkc->nc", sh_basis(directions, sh.shape[1]), sh) + sh.dtype.type(0.5)
 
 
 def rotate_sh(sh: Float32[np.ndarray, "n k 3"], rotation: Float[np.ndarray, "3 3"]) -> Float32[np.ndarray, "n k 3"]:
-    """Coefficients of the same colours after a turn: `evaluate_sh(rotate_sh(sh, R), R @ d)` is `evaluate_sh(sh, d)`.
+    """Rotate coefficients: `evaluate_sh(rotate_sh(sh, R), R @ d)` is `evaluate_sh(sh, d)`.
 
-    `rotation` is orthonormal (a mirroring is allowed, too): every degree then turns within itself.
+    `rotation` is orthonormal (mirroring included): it transforms every degree within itself.
     """
     turned = sh.copy()
     degrees = COEFFICIENTS_OF_DEGREE.index(sh.shape[1])
     for degree, matrix in enumerate(_rotation_matrices(rotation, degrees), start=1):
         band = slice(degree**2, (degree + 1) ** 2)
-        # One product of matrices for all three colours is several times faster than one for each.
+        # One matrix product for all three colors is several times faster than one for each.
         of_colors = np.kron(matrix, np.eye(3)).astype(np.float32).T
         turned[:, band] = (sh[:, band].reshape(len(sh), len(of_colors)) @ of_colors).reshape(len(sh), len(matrix), 3)
     return turned
 
 
 def _rotation_matrices(rotation: Float[np.ndarray, "3 3"], degrees: int) -> list[Float64[np.ndarray, "m m"]]:
-    """One matrix a degree from 1 on. Solved from samples: basis(R d) @ turned = basis(d) @ coefficients for all d."""
+    """One matrix per degree from 1 on, solved from samples: basis(R d) @ turned = basis(d) @ coefficients for all d."""
     directions = _spread_directions(_SAMPLES)
     before = sh_basis(directions, 16)
     after = sh_basis(directions @ np.asarray(rotation, np.float64).T, 16)
@@ -178,7 +177,7 @@ def _spread_directions(count: int) -> Float64[np.ndarray, "n 3"]:
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=-1)
 
 
-# § Values compared by identity, and what is found for scenes once and kept until another scene is opened.
+# Caches by identity
 
 _Parameters = ParamSpec("_Parameters")
 
@@ -189,7 +188,7 @@ _CACHES: list[Any] = []
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IdentityKey:
-    """Equal to another one exactly where both hold the very same object; holds on to it, so that its id stays taken."""
+    """Wrapper that compares by identity; it references the object, so that its id is not reused."""
 
     of: object
 
@@ -201,7 +200,7 @@ class IdentityKey:
 
 
 def scene_cache(maxsize: int) -> Callable[[Callable[_Parameters, _Result]], Callable[_Parameters, _Result]]:
-    """Decorate a function of scenes, or of Gaussians: its last `maxsize` results are kept until `forget_scenes`."""
+    """Decorate a function of scenes or Gaussians to cache its last `maxsize` results until `forget_scenes`."""
 
     def decorate(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
         cached = lru_cache(maxsize)(function)
@@ -212,6 +211,6 @@ def scene_cache(maxsize: int) -> Callable[[Callable[_Parameters, _Result]], Call
 
 
 def forget_scenes() -> None:
-    """Let go of all that `scene_cache` keeps: results hold on to the scenes that they were found for."""
+    """Clear all caches of `scene_cache`, whose results hold references to their scenes."""
     for each in _CACHES:
         each.cache_clear()

@@ -1,4 +1,7 @@
-"""Quaternions (w, x, y, z), unit, right-handed: the convention of 3DGS files."""
+"""Quaternions, the sRGB transfer function, and boxes.
+
+Quaternions are (w, x, y, z), unit, right-handed, as in 3DGS files.
+"""
 
 from typing import Any
 
@@ -7,12 +10,11 @@ from jaxtyping import Float, Float64
 
 
 def normalized(quaternions: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 4"]:
-    """Scale quaternions to length 1, in their own precision."""
     return quaternions / np.linalg.norm(quaternions, axis=-1, keepdims=True)
 
 
 def matrices_from_quaternions(quaternions_wxyz: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 3 3"]:
-    """Turn unit quaternions into rotation matrices that act on column vectors."""
+    """Convert unit quaternions to rotation matrices that act on column vectors."""
     w, x, y, z = np.moveaxis(quaternions_wxyz, -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -23,9 +25,9 @@ def matrices_from_quaternions(quaternions_wxyz: Float[np.ndarray, "*n 4"]) -> Fl
 
 
 def quaternions_from_matrices(rotations: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "*n 4"]:
-    """Turn rotation matrices into unit quaternions (w, x, y, z) with w >= 0."""
+    """Convert rotation matrices to unit quaternions (w, x, y, z) with w >= 0."""
     m = rotations
-    # Four candidates, each exact where its own diagonal term is the largest (Shepperd, 1978).
+    # Four candidates, each exact if its own diagonal term is the largest (Shepperd, 1978).
     trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
     squares = np.stack([trace, m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]], axis=-1)
     a, b, c = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
@@ -60,28 +62,28 @@ def quaternion_product(left: Float[np.ndarray, "*n 4"], right: Float[np.ndarray,
     )
 
 
-# § The sRGB transfer function (IEC 61966-2-1): display values <-> linear light.
+# sRGB transfer function (IEC 61966-2-1)
 
 
 def srgb_to_linear(display: Float[np.ndarray, "*n"]) -> Float[Any, "*n"]:
-    """Turn display values into linear light; both are 1 for white. Values below 0 count as 0."""
+    """Convert display values to linear light; both are 1 for white. Values below 0 count as 0."""
     c = np.maximum(display, 0)
     return np.where(c > 0.04045, ((c + 0.055) / 1.055) ** 2.4, c / 12.92)
 
 
 def linear_to_srgb(linear: Float[np.ndarray, "*n"]) -> Float[Any, "*n"]:
-    """Turn linear light into display values; both are 1 for white. Values below 0 count as 0."""
+    """Convert linear light to display values; both are 1 for white. Values below 0 count as 0."""
     c = np.maximum(linear, 0)
     return np.where(c > 0.0031308, 1.055 * c ** (1 / 2.4) - 0.055, 12.92 * c)
 
 
-# § Corners and edges of a box, and what of them lies before a camera.
+# Boxes
 
 CORNERS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
-"""Of a box of size 1: x forward, y left, z up, origin at the bottom centre."""
+"""Corners of a unit box: x forward, y left, z up, origin at the bottom center."""
 
 EDGES = np.array([(a, b) for a in range(8) for b in range(a) if (CORNERS[a] != CORNERS[b]).sum() == 1])
-"""Numbers of the two corners of each."""
+"""Pairs of corner indices."""
 
 _NEAR_M = 0.1
 
@@ -89,12 +91,12 @@ _NEAR_M = 0.1
 def box_corners(
     pose: Float64[np.ndarray, "4 4"], size_lwh_m: tuple[float, float, float] | Float64[np.ndarray, "3"]
 ) -> Float64[np.ndarray, "8 3"]:
-    """Corners of a box (length, width and height in metres) in the frame that its pose leads to, in metres."""
+    """Corners of a box (length, width and height in meters), transformed by its pose, in meters."""
     return (CORNERS * size_lwh_m) @ pose[:3, :3].T + pose[:3, 3]
 
 
 def before_camera(corners: Float64[np.ndarray, "8 3"]) -> Float64[np.ndarray, "c 3"]:
-    """Corners of a box in a camera's frame (OpenCV axes, metres), cut off where it reaches behind the camera."""
+    """Corners of a box in a camera's frame (OpenCV axes, meters), clipped at the near plane."""
     start, end = corners[EDGES[:, 0]], corners[EDGES[:, 1]]
     crosses = (start[:, 2] > _NEAR_M) != (end[:, 2] > _NEAR_M)
     start, end = start[crosses], end[crosses]

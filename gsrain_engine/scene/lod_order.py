@@ -1,4 +1,4 @@
-"""The order in which Gaussians lie in memory: what matters most first, and neighbours in space side by side."""
+"""Level-of-detail (LOD) order of Gaussians in memory: largest contribution first, spatial neighbors together."""
 
 import math
 from typing import no_type_check
@@ -11,28 +11,28 @@ from .gaussians import Gaussians
 from .scene import robust_bounds
 
 LEVELS = (1 / 8, 1 / 4, 1 / 2, 1.0)
-"""Shares of all Gaussians that a level ends at."""
+"""Fractions of all Gaussians at which the levels end."""
 
 _CELLS = 1024
-"""Along each axis: ten bits of a Morton code."""
+"""Cells along each axis: ten bits of a Morton code."""
 
 
 def lod_level_ends(count: int) -> tuple[int, ...]:
-    """How many Gaussians there are up to the end of each level; the last is `count`."""
+    """Number of Gaussians up to the end of each level; the last is `count`."""
     return tuple(math.ceil(count * share) for share in LEVELS)
 
 
 def lod_order(gaussians: Gaussians) -> UInt32[np.ndarray, " n"]:
-    """Tell which Gaussian comes at each place.
+    """Permutation of the Gaussians into LOD order: the index of the Gaussian at each position.
 
-    A level is a weighted sample without replacement of what is left (Efraimidis and Spirakis 2006), the weight being
-    what a Gaussian contributes: opacity times s1 s2 + s2 s3 + s3 s1, in proportion to the mean of the ellipsoid's three
-    cross-sections, so that it knows no view. What is large comes first, and of a road of a thousand equal Gaussians
-    every level gets its even share instead of a hole. Inside a level they follow a Morton curve of 2^30 cells over the
-    robust bounds (Morton 1966): what is drawn together is read together. What is not finite contributes nothing. The
-    same at any number of threads. Memory: 12 bytes a Gaussian.
+    A level is a weighted sample without replacement of the remaining Gaussians (Efraimidis and Spirakis 2006). The
+    weight is opacity times s1 s2 + s2 s3 + s3 s1, proportional to the mean of the ellipsoid's three cross-sections, so
+    that it is independent of the view. Large Gaussians come first, and every level gets an even share of a road of a
+    thousand equal Gaussians instead of leaving a hole. Within a level they follow a Morton curve of 2^30 cells over the
+    robust bounds (Morton 1966), for coherent memory access. Non-finite values have no weight. Deterministic for any
+    number of threads. Memory: 12 bytes per Gaussian.
     """
-    # One 64-bit number a Gaussian, its index below what it is sorted by: no two are equal, so any sort is stable.
+    # One 64-bit key per Gaussian with its index in the lower half: no two are equal, so any sort is stable.
     keys = _largest_first(_ranks(_contributions(gaussians.scales, gaussians.opacities)).view(np.uint32))
     keys.sort()
     box = robust_bounds(gaussians)
@@ -47,14 +47,13 @@ def lod_order(gaussians: Gaussians) -> UInt32[np.ndarray, " n"]:
 
 
 def in_lod_order(gaussians: Gaussians) -> Gaussians:
-    """Return the same Gaussians in their drawing order."""
     return gaussians.take(lod_order(gaussians))
 
 
 def sort_into_lod_order(gaussians: Gaussians) -> None:
-    """Bring the very arrays of a set into their drawing order, with 12 bytes a Gaussian on top of them.
+    """Sort the arrays of a set in place into LOD order, with 12 bytes per Gaussian of extra memory.
 
-    Gaussians are values: only who has just made the arrays, and has shown them to nobody, may call this.
+    Gaussians are immutable values: call this only on newly created arrays that nothing else references.
 
     Raises:
         ValueError: When an array can't be written.
@@ -69,7 +68,7 @@ def sort_into_lod_order(gaussians: Gaussians) -> None:
 
 
 def lod_growth(gaussians: Gaussians, share: float) -> float:
-    """How much larger the first of them have to be drawn to cover as much as all do: 1 or more."""
+    """Scale factor at which the first `share` of the Gaussians covers as much as all: 1 or more."""
     if share >= 1 or not len(gaussians):
         return 1.0
     contributions = _contributions(gaussians.scales, gaussians.opacities).astype(np.float64)
@@ -92,7 +91,7 @@ def _contributions(scales, opacities):
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
 def _ranks(contributions):
-    """Turn weights into what a weighted sample is sorted by: w / -ln(u), u in (0, 1) hashed from the index."""
+    """Convert weights to sort keys of a weighted sample: w / -ln(u), u in (0, 1) hashed from the index."""
     ranks = np.empty(len(contributions), np.float32)
     for n in numba.prange(len(contributions)):
         x = np.uint64(n) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(0x9E3779B97F4A7C15)  # splitmix64 (Steele 2014)
@@ -117,7 +116,7 @@ def _largest_first(bits):
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
 def _to_morton_keys(means, low, cells_a_unit, keys):
-    """Replace the upper half of each key by the Morton code of the Gaussian that its lower half names."""
+    """Replace the upper half of each key by the Morton code of the Gaussian whose index is in the lower half."""
     for k in numba.prange(len(keys)):
         n = keys[k] & np.uint64(0xFFFFFFFF)
         code = np.uint64(0)
@@ -142,7 +141,7 @@ def _spread(x):
 @numba.njit(cache=True)
 @no_type_check
 def _permute(means, scales, quaternions, opacities, sh, order):
-    """Move row order[n] of each array to row n, one cycle of the permutation after the other; `order` is used up."""
+    """Move row order[n] of each array to row n, one cycle of the permutation after the other; overwrites `order`."""
     held = np.empty(11 + sh.shape[1], np.float32)
     for first in range(len(order)):
         if order[first] == first:

@@ -1,4 +1,4 @@
-"""The things in a scene that have a class and a box: its actors, and the built-in street's parked vehicles."""
+"""Objects with a class and a box in a scene, and object classes of COCO and of data sets."""
 
 import re
 from collections.abc import Iterable
@@ -13,32 +13,32 @@ from .scene import Actor, Layer, PoseTrack, Scene
 from .street.build import PARKED_CARS, PARKED_TRUCKS, ParkedBox, parked_boxes
 
 _MARGIN_M = 0.2
-"""Mirrors and Gaussians that stand over the edge of a box are the thing's own."""
+"""Includes mirrors and Gaussians that protrude from a box."""
 
 _SHADOW_HEIGHT_M, _SHADOW_OPACITY = 0.1, 0.9
-"""What lies lower and is less opaque is the shadow that a thing carries along."""
+"""Lower and less opaque Gaussians are the object's baked shadow."""
 
 _MIN_SHARE = 0.95
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneObject:
-    """A thing in a scene, and which Gaussians show it."""
+    """An object in a scene, with the Gaussians that show it."""
 
     id: str
     class_name: str
     size_lwh: tuple[float, float, float]
     """Length, width, height in the scene's units."""
     track: PoseTrack
-    """From the object's frame (x forward, y left, z up, origin at the bottom centre) to the scene."""
+    """From the object's frame (x forward, y left, z up, origin at the bottom center) to the scene."""
     member: str
-    """Key of the layer or actor that holds its Gaussians."""
+    """Key of the layer or actor with its Gaussians."""
     rows: Int64[np.ndarray, " n"]
-    """Which of the member's Gaussians, rising."""
+    """Indices of the member's Gaussians, increasing."""
 
 
 def scene_objects(scene: Scene) -> tuple[SceneObject, ...]:
-    """Find what has a class and a box, visible members only: actors first, then the street's parked vehicles."""
+    """Objects with a class and a box, of visible members: actors first, then the built-in street's parked vehicles."""
     actors = [_of_actor(actor) for actor in scene.actors if actor.visible]
     parked = [layer for layer in scene.layers if layer.name in (PARKED_CARS, PARKED_TRUCKS) and layer.visible]
     if scene.name != "street" or not parked:
@@ -56,7 +56,7 @@ def _of_actor(actor: Actor) -> SceneObject:
 
 
 def _parked(layer: Layer, boxes: Iterable[ParkedBox]) -> list[SceneObject]:
-    """Share out a layer's Gaussians among boxes; nothing where most lie in none, for it then is another street."""
+    """Assign a layer's Gaussians to boxes; empty if most are in none, as the layer is then another street."""
     means = layer.gaussians.means.astype(np.float64)
     objects: list[SceneObject] = []
     for box in boxes:
@@ -74,7 +74,7 @@ def _parked(layer: Layer, boxes: Iterable[ParkedBox]) -> list[SceneObject]:
 
 
 def _inside(points: Float64[np.ndarray, "n 3"], size_lwh: tuple[float, float, float]) -> Bool[np.ndarray, " n"]:
-    """Which points in an object's frame lie in its box, or nearly so."""
+    """Points in an object's frame that are inside its box, or nearly so."""
     reach = np.array(size_lwh) / 2 + _MARGIN_M
     return np.asarray((np.abs(points - [0, 0, size_lwh[2] / 2]) <= reach).all(axis=1))
 
@@ -100,7 +100,7 @@ def _standing(pose: Float64[np.ndarray, "4 4"]) -> PoseTrack:
     return PoseTrack(np.zeros(1), pose[None, :3, 3].copy(), quaternion, np.ones(1, bool))
 
 
-# § COCO's classes of objects, with its numbers, and what data sets call the same things.
+# Object classes
 
 COCO_CLASSES: tuple[str, ...] = (
     "person", "bicycle", "car", "motorcycle", "airplane", "bus", "train", "truck", "boat", "traffic light",
@@ -130,16 +130,16 @@ _SAME = {
     "traffic light": r"traffic light|traffic signal",
     "stop sign": r"stop sign",
 }
-"""Names of KITTI, nuScenes, Waymo, DGP, BDD100K and RainSense, in lower case, by the class of COCO they fall into."""
+"""Patterns for names in KITTI, nuScenes, Waymo, DGP, BDD100K and RainSense, in lower case, by class of COCO."""
 
 _GROUP = re.compile(r"^((vehicle|movable_object|static_object)\.|type_)")
 
 
 def coco_class(name: str) -> str:
-    """The class of COCO that a data set's `name` falls into; the name itself, in lower case, where none is the same.
+    """Class of COCO for a data set's class name; the name itself, in lower case, if there is none.
 
-    Riders (KITTI's Cyclist, BDD100K's rider) stay as they are: COCO labels the person and the bicycle each alone.
-    Waymo's vehicle becomes a car, which most of them are.
+    Riders (KITTI's Cyclist, BDD100K's rider) stay as they are: COCO labels the person and the bicycle separately.
+    Waymo's vehicle becomes a car, as most of them are.
     """
     plain = _GROUP.sub("", name.strip().lower()).replace("_", " ")
     for known, pattern in _SAME.items():
@@ -148,7 +148,7 @@ def coco_class(name: str) -> str:
     return plain
 
 
-# § Which classes of things are vehicles with paint and glass, as data sets and scenes call them.
+# Vehicle classes
 
 _VEHICLES = ("car", "truck", "van", "bus", "vehicle", "trailer", "tram", "train")
 
@@ -156,6 +156,6 @@ _CYCLES = ("cycl", "bike", "motor")
 
 
 def is_vehicle(class_name: str) -> bool:
-    """Whether a class is one of motor vehicles with a body: cars, trucks and trams, but neither bicycles nor riders."""
+    """Return whether a class is a motor vehicle with a body: car, truck or tram, but no bicycle or rider."""
     name = class_name.lower()
     return any(word in name for word in _VEHICLES) and not any(word in name for word in _CYCLES)

@@ -1,4 +1,4 @@
-"""Opens what a person names: a file, a folder, or the built-in street."""
+"""Scene loading by name: a file, a folder, the built-in street, or a random scene."""
 
 import hashlib
 import logging
@@ -31,17 +31,17 @@ STREET = "street"
 
 
 def load_scene(name: Path | str | None, known: FileCache | None = None) -> Scene:
-    """Read a scene; none, or "street" where no scene of that name stands, is the built-in street.
+    """Load a scene. None loads the built-in street, as does "street" unless a scene of that name exists.
 
-    `known` learns which Gaussians the files of a scene folder hold. Raises `SceneFormatError` for what can't be read.
+    Records in `known` which Gaussians the files of a scene folder hold. Raises `SceneFormatError` for unreadable files.
     """
     return load_street() if is_built_in_street(name) else read_scene(Path(str(name)), known)
 
 
 def load_sorted_scene(name: Path | str | None, known: FileCache | None = None) -> Scene:
-    """Read a scene as `load_scene` does, and bring the Gaussians of each layer into their drawing order."""
+    """Load a scene as `load_scene` does, and sort the Gaussians of each layer into LOD order."""
     scene = load_scene(name, known)
-    if is_built_in_street(name):  # the street is kept in that order
+    if is_built_in_street(name):  # the cached street is already in that order
         return scene
     folder = folder_to_read(Path(str(name)))
     if folder is not None and is_in_drawing_order(folder):
@@ -52,13 +52,13 @@ def load_sorted_scene(name: Path | str | None, known: FileCache | None = None) -
 
 
 def scene_folder_of(path: Path) -> Path | None:
-    """The scene folder that a path names, by itself or by its `scene.json`; None for anything else."""
+    """Scene folder that a path names, directly or by its `scene.json`; None for anything else."""
     folder = path.parent if path.name == SCENE_FILE else path
     return folder.resolve() if (folder / SCENE_FILE).is_file() else None
 
 
 def folder_to_read(path: Path) -> Path | None:
-    """The scene folder that is read for a path: the one that it names, or `scene` in what `gsrain street` has written.
+    """Scene folder to read for a path: the named one, or `scene` in the output of `gsrain street`.
 
     None for anything else.
     """
@@ -66,7 +66,7 @@ def folder_to_read(path: Path) -> Path | None:
 
 
 def load_street() -> Scene:
-    """Return the built-in street: built once, then read from the cache folder."""
+    """Load the built-in street, which is built once and then read from the cache folder."""
     folder = Path(platformdirs.user_cache_dir("gsrain", appauthor=False)) / f"street-{street_fingerprint()}"
     if folder.is_dir():
         try:
@@ -81,13 +81,13 @@ def load_street() -> Scene:
     except (SceneFormatError, OSError) as error:
         logger.warning("The street can't be kept for the next start: %s", error)
         return scene
-    return read_scene(folder)  # so that the first run shows the very numbers of every later one
+    return read_scene(folder)  # read back, so that the first run uses exactly the numbers of every later one
 
 
 def is_built_in_street(name: Path | str | None) -> bool:
-    """Whether a name means the built-in street.
+    """Return whether a name selects the built-in street.
 
-    A folder of that name which is no scene, such as `gsrain street street` writes, does not stand in its way.
+    A folder of that name that is no scene, such as the output of `gsrain street street`, does not override it.
     """
     return name is None or (name == STREET and not _is_scene(Path(name)))
 
@@ -97,7 +97,7 @@ def _is_scene(path: Path) -> bool:
 
 
 def _put_into_order(scene: Scene) -> Scene:
-    """Bring arrays that were just made into their drawing order; what is marked stays marked, wet colours go along."""
+    """Sort newly created arrays into LOD order, together with their flags and wet colors."""
     kept = {key for masks in scene.selections.values() for key in masks}
     orders: dict[str, Int64[np.ndarray, " n"]] = {}
     for member in scene.members:
@@ -119,14 +119,14 @@ def _masks(marks: SelectionFlags) -> tuple[BitMask | None, BitMask | None, BitMa
 
 
 def street_fingerprint() -> str:
-    """Return a hash of the built-in street's parameters and source: another version of it is another scene."""
+    """Hash of the built-in street's parameters and source, which identifies its version."""
     digest = hashlib.sha256(msgspec.json.encode(StreetParameters()))
     for source in (Path(lod_order.__file__), *sorted(Path(build.__file__).parent.glob("*.py"))):
         digest.update(source.read_bytes())
     return digest.hexdigest()[:16]
 
 
-# § Scenes of random Gaussians in any number: what renderers are timed with.
+# Random scenes for benchmarks
 
 _NAME = re.compile(r"random-([1-9]\d*)(k|m|)")
 
@@ -138,16 +138,14 @@ _UP = (0.0, -1.0, 0.0)
 
 
 def is_random_scene(name: str) -> bool:
-    """Whether this names a scene that `random_scene` makes."""
     return name.startswith("random-")
 
 
 def random_scene(name: str) -> Scene:
-    """Make "random-200k", "random-3m": so many Gaussians, of SH degree 0 in thousands and 3 in millions.
+    """Make "random-200k", "random-3m": that number of Gaussians, of SH degree 0 for "k" and 3 for "m".
 
-    In front of an eye at the origin that looks along +z with y downwards: x within 8 m, y within 5 m, z 4 to 24 m;
-    log-normal scales with median 0.03 m, any direction, opacity 0.05 to 1. The same name is the same scene; it lies in
-    its drawing order.
+    For a camera at the origin that looks along +z with y down: x within 8 m, y within 5 m, z 4 to 24 m; log-normal
+    scales with median 0.03 m, any rotation, opacity 0.05 to 1. The name determines the scene, which is in LOD order.
 
     Raises `SceneFormatError` for any other name.
     """
@@ -161,7 +159,7 @@ def random_scene(name: str) -> Scene:
 
 
 def random_scene_camera(scene: Scene, width: int, height: int) -> Camera:
-    """Look into a random scene from its front, 60 degrees high. World frame, metres."""
+    """Camera in front of a random scene, 60 degrees high. World frame, meters."""
     return Camera.from_fov(width, height, _FOV_DEG, np.eye(4)).moved(scene.scene_to_world)
 
 

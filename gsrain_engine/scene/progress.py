@@ -1,4 +1,4 @@
-"""How far a background job has come: the one thing that jobs say while they work."""
+"""Progress of background jobs: the one message type that jobs yield."""
 
 from collections.abc import Callable, Generator
 from typing import NamedTuple, TypeVar
@@ -13,15 +13,15 @@ class Progress(NamedTuple):
     """One step of a job; a job may be stopped wherever it yields one."""
 
     fraction: float
-    """Work done so far, 0 to 1, never falling."""
+    """Completed fraction, 0 to 1, never decreasing."""
     message: str
-    """What is being done, for a person to read."""
+    """Description of the current step for the user."""
     preview: UInt8[np.ndarray, "h w 3"] | None = None
-    """A small picture of how it goes; of several, the newest is shown."""
+    """A small preview image; only the newest is shown."""
 
 
 def run_to_end(work: Generator[Progress, None, _Result], tell: Callable[[Progress], object] | None = None) -> _Result:
-    """Do a piece of work to its end and return its result; `tell` hears of each step. What it raises comes through."""
+    """Run a job to its end and return its result; calls `tell` with each step. Exceptions propagate."""
     while True:
         try:
             step = next(work)
@@ -34,7 +34,7 @@ def run_to_end(work: Generator[Progress, None, _Result], tell: Callable[[Progres
 def subprogress(
     work: Generator[Progress, None, _Result], first: float, last: float
 ) -> Generator[Progress, None, _Result]:
-    """Do a piece of work as a part of a whole, of which it takes the share from `first` to `last` (0 to 1)."""
+    """Run a job as a part of a larger one, whose progress it advances from `first` to `last` (0 to 1)."""
     while True:
         try:
             step = next(work)

@@ -1,4 +1,7 @@
-"""Cameras of a rig as it stands at a time: from the ego frame (x forward, y left, z up) to the world (z up)."""
+"""Cameras of a rig in the world at a time, and the camera path of a camera mounted on the ego vehicle.
+
+The ego frame has x forward, y left, z up; the world z up.
+"""
 
 import numpy as np
 
@@ -9,9 +12,9 @@ from .scene import RigCamera, Scene
 
 
 def rig_camera(scene: Scene, rig: str, name: str, time_s: float) -> Camera:
-    """Return a rig's camera in the world (metres) at a time.
+    """Camera of a rig in the world (meters) at a time.
 
-    Raises ValueError where the scene has no such rig or camera, or no ego at that time.
+    Raises ValueError if the scene has no such rig or camera, or no ego at that time.
     """
     if rig not in scene.rigs:
         raise ValueError(f"scene {scene.name!r} has no rig {rig!r}, only {', '.join(scene.rigs) or 'none'}")
@@ -37,20 +40,20 @@ def rig_camera(scene: Scene, rig: str, name: str, time_s: float) -> Camera:
     )
 
 
-# § The way of a camera that rides on the ego vehicle.
+# Camera path of the ego vehicle
 
 
 def rig_camera_path(scene: Scene, mounted: RigCamera, width: int, height: int) -> CameraPath:
-    """Path in the world of a rig camera that rides on the ego vehicle; in an image of this shape it sees as much.
+    """Camera path in the world of a camera mounted on the ego vehicle.
 
-    Raises `ValueError` where the scene has no ego track.
+    Keeps the horizontal field of view for this aspect ratio. Raises `ValueError` if the scene has no ego track.
     """
     if scene.ego is None or not len(scene.ego.times):
         raise ValueError(f"scene {scene.name!r} has no ego track to drive along")
     poses = [
         (t, pose @ mounted.camera_to_ego) for t in scene.ego.times if (pose := scene.ego_to_world(float(t))) is not None
     ]
-    # The mounted camera's focal length in relation to the image's width: what is seen to the sides stays.
+    # The focal length scales with the image's width: the horizontal field of view stays.
     focal = mounted.fx * width / mounted.width
     fov = np.degrees(2 * np.arctan(0.5 * height / focal))
     matrices = np.stack([pose for _, pose in poses])

@@ -1,4 +1,4 @@
-"""Boxes around the centres of Gaussians: all of them, nearly all, or the core where they are dense."""
+"""Scenes: layers, actors, pose tracks and color grading, their transformation to the world, and their bounds."""
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,91 +16,91 @@ from .gaussians import Gaussians, IdentityKey
 from .geometry import matrices_from_quaternions, quaternions_from_matrices
 
 _ROBUST_SHARE = 0.98
-"""Share of the opacity along an axis that the robust box keeps; captures have strays far outside."""
+"""Fraction of the opacity along an axis inside the robust box; captures have strays far outside."""
 
 _SAMPLES = 1_000_000
-"""Gaussians that the robust box looks at, evenly spaced in order: sorting all of 10 million takes seconds."""
+"""Maximum number of Gaussians sampled for the robust box, evenly in order: sorting all of 10 million takes seconds."""
 
 _CORE_SAMPLES = 100_000
-"""Gaussians that the core is found by, evenly spaced in order: a tenth of a second for any number of them."""
+"""Maximum number of Gaussians sampled for the core, evenly in order: a tenth of a second for any scene."""
 
 _CORE_SHARE = 0.25
-"""Least share of the opacity that the core holds."""
+"""Minimum fraction of the opacity in the core."""
 
 _GROWTH = 0.15
-"""The core's radius R makes share / R^0.15 largest: twice as far out is worth it for 11 % more."""
+"""The core's radius R maximizes share / R^0.15: twice the radius must gain 11 %."""
 
 _SHELL_BEGINS = 3.0
-"""Radii of the core, from its middle, beyond which Gaussians may belong to a shell."""
+"""Distance from the core's center, in radii of the core, beyond which Gaussians may belong to a shell."""
 
 _SHELL_COVERS = 0.2
-"""Least share of all directions that a shell covers; a dome covers half of them, strays next to nothing."""
+"""Minimum fraction of all directions that a shell covers; a dome covers half of them, strays next to nothing."""
 
 _RINGS, _SECTORS = 4, 8
-"""Of directions: cells of the same solid angle."""
+"""Cells of directions with equal solid angle."""
 
 
 class Aabb(NamedTuple):
-    """An axis-aligned box."""
+    """An axis-aligned bounding box."""
 
     low: Float64[np.ndarray, "3"]
     high: Float64[np.ndarray, "3"]
 
 
-# § What a scene is made of: layers that stand still and actors that move, and how each of them is shown.
+# Items to draw
 
 
 class DrawItem(NamedTuple):
-    """What a renderer draws: Gaussians, and the similarity that takes them to the world (metres, z up)."""
+    """Gaussians to draw, with the similarity from them to the world (meters, z up)."""
 
     gaussians: Gaussians
     to_world: Float64[np.ndarray, "4 4"]
     limit: int | None = None
-    """Draw only the first so many of them; none draws all."""
+    """Draw only the first `limit` Gaussians; None draws all."""
     growth: float = 1.0
-    """Draw them so many times larger, to fill in for those that are left out."""
+    """Scale factor of the drawn Gaussians, to fill in for omitted ones."""
     left_out: BitMask | None = None
     """Gaussians that are not drawn."""
     selected: BitMask | None = None
     """Gaussians that are drawn tinted."""
     opacity: float = 1.0
-    """Multiplies each Gaussian's own."""
+    """Factor on each Gaussian's own opacity."""
     colors: Float64[np.ndarray, "3 4"] | None = None
-    """Affine change of display colours, before what is below 0 is cut off."""
+    """Affine map of display colors, before clamping at 0."""
     wet_sh: Float32[np.ndarray, "n k 3"] | None = None
-    """Harmonics of the Gaussians when they are soaked; none where they have no wet colours."""
+    """Harmonics of the Gaussians when fully wet; None without wet colors."""
     wetness: float = 0.0
-    """0..1: colours are (1 - wetness) of the clear ones and wetness of the wet ones."""
+    """0..1: colors are (1 - wetness) of the clear ones and wetness of the wet ones."""
 
     @property
     def is_wet(self) -> bool:
-        """Whether there is anything of wet colours to be seen."""
+        """Return whether wet colors contribute."""
         return self.wet_sh is not None and self.wetness > 0
 
     @property
     def drawn_count(self) -> int:
-        """How many are drawn, and left out, before the limit."""
+        """Number of Gaussians within the limit, including those in `left_out`."""
         return len(self.gaussians) if self.limit is None else min(self.limit, len(self.gaussians))
 
     @property
     def remaining(self) -> Gaussians:
-        """The Gaussians without those that are left out; the very same value where none is."""
+        """Gaussians without those in `left_out`; the identical object if there are none."""
         return self.gaussians if not self.left_out else self.gaussians.take((~self.left_out).indices)
 
 
 class SkyShell(NamedTuple):
-    """A sky, or what else surrounds a scene from far away, as seen from the middle of the core."""
+    """A sky or other distant surroundings of a scene, relative to the core's center."""
 
     middle: Float64[np.ndarray, "3"]
     nearest_m: float
-    """What is nearer to the middle does not belong to it."""
+    """Gaussians nearer to the center do not belong to it."""
     radius_m: float
-    """Distance from the middle by which half of what it covers is passed."""
+    """Median distance from the center, weighted by covered solid angle."""
     smallest: float
-    """Size over distance: Gaussians that look smaller from the middle are strays, and don't belong to it either."""
+    """Size over distance: Gaussians that appear smaller from the center are strays and do not belong to it either."""
 
     def holds(self, part: DrawItem) -> Bool[np.ndarray, " n"]:
-        """Tell which of a part's Gaussians belong to it, those that are left out too."""
+        """Mask of an item's Gaussians that belong to the shell, including those in `left_out`."""
         means = part.gaussians.means @ part.to_world[:3, :3].T + part.to_world[:3, 3]
         distances = np.linalg.norm(means - self.middle, axis=1)
         scale = np.cbrt(np.linalg.det(part.to_world[:3, :3]))
@@ -109,12 +109,12 @@ class SkyShell(NamedTuple):
 
 
 class SceneCore(NamedTuple):
-    """The place of a scene where its Gaussians are dense. World frame, metres."""
+    """The dense region of a scene. World frame, meters."""
 
     low: Float64[np.ndarray, "3"]
     high: Float64[np.ndarray, "3"]
     shell: SkyShell | None = None
-    """What surrounds it from far away, where anything does."""
+    """Distant surroundings, if any."""
 
     @property
     def middle(self) -> Float64[np.ndarray, "3"]:
@@ -122,25 +122,24 @@ class SceneCore(NamedTuple):
 
     @property
     def radius_m(self) -> float:
-        """Radius of the sphere around the box."""
         return float(np.linalg.norm(self.high - self.low)) / 2
 
     @property
     def farthest_m(self) -> float:
-        """Largest distance from the middle to look from: inside of the shell, else where it is still to be seen."""
+        """Maximum viewing distance from the center: inside the shell, otherwise limited by visibility."""
         if self.shell is None:
             return 50 * self.radius_m
         return max(0.8 * self.shell.radius_m, 1.2 * self.radius_m)
 
 
 def core_bounds(parts: Sequence[DrawItem], sky: Sequence[DrawItem] = ()) -> SceneCore:
-    """Find the dense core of parts, and the shell far around it; `sky` are parts known to be of that shell.
+    """Find the dense core of items, and the shell far around it; `sky` are items known to belong to the shell.
 
-    Its middle is the middle of the denser half of the Gaussians, halved six times over (the half-sample mode of
-    Robertson and Cryer 1974, with medians); around it, the core ends where going farther adds little, see `_GROWTH`.
-    Opacities are weights. The box keeps 98 % of what is in there along each axis, and is never smaller than a typical
-    Gaussian. What lies beyond three radii is a shell where it covers a fifth of all directions. Values that are not
-    finite don't count; without Gaussians the core is a point at the origin.
+    The core's center is found by six times keeping the denser half of the Gaussians (half-sample mode of Robertson and
+    Cryer 1974, with medians); the core ends where a larger radius gains little, see `_GROWTH`. Opacities are weights.
+    The box holds 98 % of the core along each axis, and is never smaller than a typical Gaussian. Gaussians beyond three
+    radii are a shell if they cover a fifth of all directions. Non-finite values are ignored; without Gaussians the core
+    is a point at the origin.
     """
     samples = _samples(parts)
     means, sizes, weights = samples
@@ -168,7 +167,7 @@ def core_bounds(parts: Sequence[DrawItem], sky: Sequence[DrawItem] = ()) -> Scen
 class _PointSamples(NamedTuple):
     means: Float64[np.ndarray, "n 3"]
     sizes: Float64[np.ndarray, " n"]
-    """Longest standard deviations."""
+    """Largest standard deviations."""
     weights: Float64[np.ndarray, " n"]
 
 
@@ -192,7 +191,7 @@ def _samples(parts: Sequence[DrawItem]) -> _PointSamples:
 
 
 def _shell(core: SceneCore, samples: _PointSamples, sky: _PointSamples) -> SkyShell | None:
-    """Recognize what surrounds the core from far away, by how much of all directions it covers."""
+    """Find distant surroundings of the core by the fraction of directions that they cover."""
     nearest_m = _SHELL_BEGINS * max(core.radius_m, 1e-9)
     means, sizes, weights = (np.concatenate(pair) for pair in zip(samples, sky, strict=True))
     is_sky = np.arange(len(means)) >= len(samples[0])
@@ -217,7 +216,7 @@ def _shell(core: SceneCore, samples: _PointSamples, sky: _PointSamples) -> SkySh
 
 
 def bounds(gaussians: Gaussians) -> Aabb:
-    """Box around all centres; without Gaussians a point at the origin."""
+    """Box around all centers; without Gaussians a point at the origin."""
     if not len(gaussians):
         return Aabb(np.zeros(3), np.zeros(3))
     columns = gaussians.means.T
@@ -228,9 +227,9 @@ def bounds(gaussians: Gaussians) -> Aabb:
 
 
 def robust_bounds(*sets: Gaussians, share: float = _ROBUST_SHARE) -> Aabb:
-    """Box that keeps the middle `share` (0..1) of all opacity along each axis; without Gaussians the origin.
+    """Box of the middle `share` (0..1) of all opacity along each axis; without Gaussians a point at the origin.
 
-    Where everything is fully transparent, every centre counts the same. Of more than a million, an even share counts.
+    If everything is fully transparent, all centers have equal weight. More than a million Gaussians are sampled evenly.
     """
     step = -(-sum(map(len, sets)) // _SAMPLES) or 1
     means = np.concatenate([np.zeros((0, 3), np.float32), *(each.means[::step] for each in sets)])
@@ -246,19 +245,19 @@ def robust_bounds(*sets: Gaussians, share: float = _ROBUST_SHARE) -> Aabb:
 def _weighted_quantiles(
     values: Float[np.ndarray, " n"], weights: Float64[np.ndarray, " n"], shares: list[float]
 ) -> Float64[np.ndarray, " s"]:
-    """Smallest values that have at least these shares of the weight at or below them."""
+    """Smallest values with at least these fractions of the weight at or below them."""
     order = np.argsort(values)
     summed = np.cumsum(weights[order])
     index = np.searchsorted(summed, np.array(shares) * summed[-1])
     return values[order[np.minimum(index, len(values) - 1)]].astype(np.float64)
 
 
-# § A scene: layers and actors, and how they lie in the world; with what else a scene folder holds.
+# Rigs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigCamera:
-    """A camera bolted to the ego vehicle, with its pose in the ego frame (x forward, y left, z up)."""
+    """A camera mounted on the ego vehicle, with its pose in the ego frame (x forward, y left, z up)."""
 
     name: str
     width: int
@@ -271,31 +270,31 @@ class RigCamera:
     exposure_s: float
 
 
-# § Where a thing is over time: samples of its pose, and what lies between them.
+# Pose tracks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseTrack:
-    """Where an actor is over time: samples, linear and slerp between them. Outside its times it stays put."""
+    """Poses over time: samples, with linear interpolation and slerp between them, constant outside."""
 
     times: Float64[np.ndarray, " t"]
-    """Seconds, rising."""
+    """Seconds, increasing."""
     positions: Float64[np.ndarray, "t 3"]
-    """Bottom centre of the object, in scene units and axes."""
+    """Bottom center of the object, in scene units and axes."""
     quaternions_wxyz: Float64[np.ndarray, "t 4"]
     """Object (x forward, y left, z up) to scene axes, unit."""
     valid: Bool[np.ndarray, " t"]
-    """Whether the object is in the scene from this sample to the next."""
+    """True if the object is in the scene from this sample to the next."""
 
     @classmethod
     def standing(cls, pose: Float64[np.ndarray, "4 4"]) -> "PoseTrack":
-        """Return the track of something that stays where it is; of a pose with scale, only place and turn."""
+        """Track of an object at rest; of a pose with scale, it uses only position and rotation."""
         turn = pose[:3, :3] / np.cbrt(np.linalg.det(pose[:3, :3]))
         quaternion = np.asarray(quaternions_from_matrices(turn[None]), np.float64)
         return cls(np.zeros(1), pose[None, :3, 3].copy(), quaternion, np.ones(1, bool))
 
     def pose(self, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
-        """Object to scene at a time, or None while the object is not there."""
+        """Object to scene at a time, or None while the object is absent."""
         if not len(self.times):
             return None
         lower = max(int(np.searchsorted(self.times, time_s, side="right")) - 1, 0)
@@ -312,17 +311,17 @@ class PoseTrack:
         return matrix
 
     def moved(self, similarity: Float64[np.ndarray, "4 4"]) -> "PoseTrack":
-        """Return the track moved, turned and scaled, all samples alike."""
         turn = similarity[:3, :3] / np.cbrt(np.linalg.det(similarity[:3, :3]))
         quaternions = quaternions_from_matrices(turn @ matrices_from_quaternions(self.quaternions_wxyz))
         return PoseTrack(self.times, self.positions @ similarity[:3, :3].T + similarity[:3, 3], quaternions, self.valid)
 
 
-# § Colour grading: an affine change of display colours, so that it can be baked into harmonics exactly.
+# Color grading
+# An affine map of display colors, so that it can be baked into harmonics exactly.
 
 
 class ColorGrading(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is done to colours, in this order. The defaults change nothing."""
+    """Color adjustments in the order of application. The defaults change nothing."""
 
     exposure_ev: Annotated[
         float, Meta(ge=-6, le=6, title="Exposure", description="Stops brighter or darker.", extra={"unit": "EV"})
@@ -342,7 +341,7 @@ class ColorGrading(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     @property
     def matrix(self) -> Float64[np.ndarray, "3 4"]:
-        """Display colour c (0..1) becomes matrix[:, :3] @ c + matrix[:, 3]."""
+        """Affine map: display color c (0..1) becomes matrix[:, :3] @ c + matrix[:, 3]."""
         light = 2.0**self.exposure_ev * np.array(
             [2.0 ** (self.temperature + self.tint / 2), 2.0**-self.tint, 2.0 ** (-self.temperature + self.tint / 2)]
         )
@@ -356,33 +355,33 @@ _LUMA = np.array([0.2126, 0.7152, 0.0722])
 """Rec. 709."""
 
 _ENCODING = 2.2
-"""Display values are about light to the power of 1/2.2, so a factor of light is this root of it in display values."""
+"""Approximate display gamma: a factor on light is this root of it in display values."""
 
 UNCHANGED = ColorGrading()
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SceneNode:
-    """What layers and actors have in common."""
+    """Common fields of layers and actors."""
 
     visible: bool = True
     locked: bool = False
-    """Whether selection and edits pass it by."""
+    """True if selection and edits skip it."""
     opacity: float = 1.0
-    """Multiplies that of each Gaussian; 0..1."""
+    """Factor on the opacity of each Gaussian; 0..1."""
     grading: ColorGrading = UNCHANGED
     marks: SelectionFlags = UNMARKED
-    """Which of its Gaussians are selected, hidden or deleted."""
+    """Selected, hidden and deleted Gaussians."""
     wet_sh: Float32[np.ndarray, "n k 3"] | None = None
-    """Harmonics of its Gaussians when they are soaked, as many as they have when clear; none where nobody knows them.
+    """Harmonics of its Gaussians when fully wet, of the same shape as the clear ones; None without wet colors.
 
-    Treat the array as a value, and as one with `gaussians`: what reorders or turns the one does so with the other.
+    Treat the array as immutable, and as one with `gaussians`: reorder or rotate both together.
     """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layer(SceneNode):
-    """Gaussians that stand still."""
+    """Static Gaussians."""
 
     name: str
     gaussians: Gaussians
@@ -399,13 +398,13 @@ class Layer(SceneNode):
         return f"layers/{self.name}"
 
     def pose_at(self, time_s: float) -> Float64[np.ndarray, "4 4"]:
-        """Similarity to the scene, at any time."""
+        """Similarity to the scene, the same at any time."""
         return self.to_scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Actor(SceneNode):
-    """A thing that moves: Gaussians in its own frame (x forward, y left, z up, origin at the bottom centre)."""
+    """A moving object: Gaussians in its own frame (x forward, y left, z up, origin at the bottom center)."""
 
     id: str
     class_name: str
@@ -425,16 +424,16 @@ class Actor(SceneNode):
         return self.id
 
     def pose_at(self, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
-        """Pose in the scene at a time; None while it is not there."""
+        """Pose in the scene at a time; None while it is absent."""
         return self.track.pose(time_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """Everything that a scene folder holds.
+    """Content of a scene folder.
 
-    Layers, tracks, cameras and the ego path are in the scene's own units and axes, as they stand in files.
-    `scene_to_world` takes them to the world: metres, z up, right-handed, which is where rain falls.
+    Layers, tracks, cameras and the ego path are in the scene's own units and axes, as in files. `scene_to_world` maps
+    them to the world: meters, z up, right-handed, the frame of the rain.
     """
 
     name: str
@@ -444,38 +443,38 @@ class Scene:
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """Upward direction in scene axes."""
     ground_m: float | None = None
-    """Height of the ground in the world, where it is known."""
+    """Height of the ground in the world, if known."""
     rigs: Mapping[str, tuple[RigCamera, ...]] = field(default_factory=dict[str, tuple[RigCamera, ...]])
     ego: PoseTrack | None = None
-    """Where the ego vehicle drives: the origin of the rig frame, which is at sensor height."""
+    """Track of the ego vehicle: the origin of the rig frame, which is at sensor height."""
     path: CameraPath | None = None
-    """The flight that a person has made, in scene units and axes."""
+    """The user's camera path, in scene units and axes."""
     rain: Mapping[str, Any] | None = None
-    """The rain that was set when the scene was saved, as plain values."""
+    """Rain settings saved with the scene, as plain values."""
     weather: Mapping[str, Any] | None = None
-    """How that rain changes over time, as plain values."""
+    """Rain over time, as plain values."""
     view: Mapping[str, Any] | None = None
-    """From where it was looked at when it was saved, as plain values."""
+    """Camera view saved with the scene, as plain values."""
     selections: Mapping[str, Mapping[str, BitMask]] = field(default_factory=dict[str, Mapping[str, BitMask]])
     """Selection sets by name; each by the keys of members."""
     unit_is_assumed: bool = False
-    """Whether neither a file nor a person has said how long a unit is, so that it is only taken for a metre."""
+    """True if neither a file nor the user has set the length of a unit, so that it is assumed to be a meter."""
 
     @property
     def scene_to_world(self) -> Float64[np.ndarray, "4 4"]:
-        """Similarity from scene units and axes to the world (metres, z up)."""
+        """Similarity from scene units and axes to the world (meters, z up)."""
         matrix = np.eye(4)
         matrix[:3, :3] = self.metres_per_unit * rotation_to_z_up(self.up)
         return matrix
 
     @property
     def appearance(self) -> Hashable:
-        """What a picture depends on: equal for two scenes that look the same; only their paths or notes differ."""
+        """Key of everything that an image depends on: equal for scenes that differ only in paths or notes."""
         return self.layers, self.actors, self.metres_per_unit, self.up, self.ground_m, self.ego
 
     @property
     def geometry_key(self) -> Hashable:
-        """What is there to be seen and sheltered under: equal where only selection, locks and names differ."""
+        """Key of the geometry that is visible and shelters from rain: selection, locks and names do not change it."""
         shown = [
             (each.gaussians, IdentityKey(each.wet_sh), each.marks.left_out, each.opacity, each.grading)
             + ((each.kind, each.to_scene.tobytes()) if isinstance(each, Layer) else (each.track,))
@@ -490,33 +489,32 @@ class Scene:
         return (*self.layers, *self.actors)
 
     def member(self, key: str) -> Layer | Actor:
-        """Find a member by its key; raises `KeyError` where there is none."""
+        """Return a member by its key; raises `KeyError` if there is none."""
         for each in self.members:
             if each.key == key:
                 return each
         raise KeyError(key)
 
     def with_member(self, key: str, **fields: Any) -> "Scene":
-        """Return the scene with fields of one member replaced."""
         layers = tuple(replace(each, **fields) if each.key == key else each for each in self.layers)
         actors = tuple(replace(each, **fields) if each.key == key else each for each in self.actors)
         return replace(self, layers=layers, actors=actors)
 
     @property
     def gaussian_count(self) -> int:
-        """Gaussians in all layers and actors, visible or not, without the deleted ones."""
+        """Number of Gaussians in all layers and actors, visible or not, without the deleted ones."""
         deleted = sum(each.marks.deleted.size for each in self.members if each.marks.deleted is not None)
         return sum(len(each.gaussians) for each in self.members) - deleted
 
     @property
     def has_wet_colors(self) -> bool:
-        """Whether anything that can be seen looks different when it is wet."""
+        """Return whether any visible member has wet colors."""
         return any(each.wet_sh is not None for each in self.members if each.visible)
 
     def parts(self, time_s: float = 0.0, *, selection: bool = False, wetness: float = 0.0) -> list[DrawItem]:
-        """What can be seen at a time: layers first, then actors.
+        """Visible items at a time: layers first, then actors.
 
-        `selection` has the selected ones tinted; `wetness` (0..1) blends in the wet colours of those that have them.
+        `selection` tints selected Gaussians; `wetness` (0..1) blends in the wet colors of members that have them.
         """
         parts = [self.part(each, time_s, selection=selection, wetness=wetness) for each in self.members if each.visible]
         return [part for part in parts if part is not None]
@@ -525,7 +523,7 @@ class Scene:
         self, member: Layer | Actor, time_s: float = 0.0, *, selection: bool = False, wetness: float = 0.0
     ) -> DrawItem | None:
         """What of a member is drawn at a time; None while it is not there. See `parts`."""
-        way = member.pose_at(time_s)
+        way = member.way(time_s)
         if way is None:
             return None
         return DrawItem(
@@ -540,7 +538,7 @@ class Scene:
         )
 
     def ego_to_world(self, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
-        """Pose of the ego vehicle in metres, without scale; None where the scene has none at that time."""
+        """Pose of the ego vehicle in meters, without scale; None if the scene has none at that time."""
         pose = self.ego.pose(time_s) if self.ego is not None else None
         if pose is None:
             return None
@@ -551,10 +549,10 @@ class Scene:
 
 @lru_cache(maxsize=64)
 def rotation_to_z_up(up: tuple[float, float, float]) -> Float64[np.ndarray, "3 3"]:
-    """Rotation that takes `up` to +z, the smallest but for the nearly upside-down; exact where `up` is an axis."""
+    """Rotation that maps `up` to +z: the smallest, except nearly upside down; exact if `up` is an axis."""
     u = np.asarray(up, np.float64)
     u = u / np.linalg.norm(u)
-    if u[2] < -0.999:  # the division below would lose all digits: half a turn about x first
+    if u[2] < -0.999:  # the division below would lose all digits: rotate by half a turn about x first
         half_turn = np.diag([1.0, -1.0, -1.0])
         x, y, z = (half_turn @ u).tolist()
         rotation = rotation_to_z_up((x, y, z)) @ half_turn
@@ -562,16 +560,16 @@ def rotation_to_z_up(up: tuple[float, float, float]) -> Float64[np.ndarray, "3 3
         v = np.cross(u, [0.0, 0.0, 1.0])
         cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
         rotation = np.eye(3) + cross + cross @ cross / (1 + u[2])
-    rotation.flags.writeable = False  # it is handed out again
+    rotation.flags.writeable = False  # the cached array is shared
     return rotation
 
 
 def _slerp(start: Float64[np.ndarray, "4"], end: Float64[np.ndarray, "4"], part: float) -> Float64[np.ndarray, "4"]:
-    """Spherical linear interpolation of unit quaternions along the shorter way (Shoemake, 1985)."""
+    """Spherical linear interpolation of unit quaternions along the shorter arc (Shoemake, 1985)."""
     cosine = float(start @ end)
     if cosine < 0:
         end, cosine = -end, -cosine
-    if cosine > 0.9995:  # nearly equal: the sine below would divide by nothing
+    if cosine > 0.9995:  # nearly equal: the sine below would be near 0
         mixed = (1 - part) * start + part * end
     else:
         angle = np.arccos(cosine)
@@ -580,7 +578,7 @@ def _slerp(start: Float64[np.ndarray, "4"], end: Float64[np.ndarray, "4"], part:
 
 
 def grade_sh(sh: Float32[np.ndarray, "n k 3"], matrix: Float64[np.ndarray, "3 4"]) -> Float32[np.ndarray, "n k 3"]:
-    """Harmonics of colours after an affine change; the colours are sums of harmonics + 0.5, as in 3DGS."""
+    """Harmonics of colors after an affine map; colors are sums of harmonics + 0.5, as in 3DGS."""
     changed = sh.astype(np.float64) @ matrix[:, :3].T
     changed[:, 0] += (matrix @ np.array([0.5, 0.5, 0.5, 1.0]) - 0.5) / _FIRST
     return changed.astype(np.float32)
@@ -593,7 +591,7 @@ _FIRST = 0.28209479177387814
 def take_gaussians(
     member: Layer | Actor, indices: Int64[np.ndarray, " m"]
 ) -> tuple[Gaussians, Float32[np.ndarray, "m k 3"] | None]:
-    """Pick Gaussians of a member by index, with their wet colours."""
+    """Pick Gaussians of a member by index, with their wet colors."""
     return member.gaussians.take(indices), None if member.wet_sh is None else member.wet_sh[indices]
 
 

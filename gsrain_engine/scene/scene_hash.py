@@ -1,4 +1,4 @@
-"""Hashes of what files hold: equal hashes, equal scenes, wherever and under whatever name they lie."""
+"""Content hashes of scenes and files, independent of their path and name."""
 
 import hashlib
 from pathlib import Path
@@ -12,10 +12,10 @@ _DIGITS = 16
 
 
 def scene_hash(name: str | None) -> str:
-    """Return a hash (16 hex digits) of a scene that a person names.
+    """Hash (16 hex digits) of a scene by the name that `load_scene` takes.
 
-    It is that of the bytes of its files; of the built-in street, that of its source. Raises `SceneFormatError` for what
-    is not there.
+    It covers the bytes of its files, or the source of the built-in street. Raises `SceneFormatError` if it does not
+    exist.
     """
     if is_built_in_street(name):
         return street_fingerprint()
@@ -32,6 +32,6 @@ def scene_hash(name: str | None) -> str:
 
 
 def file_hash(path: Path) -> str:
-    """Return a hash (SHA-256, 16 hex digits) of a file's bytes; raises OSError where it can't be read."""
+    """Hash (SHA-256, 16 hex digits) of a file's bytes; raises OSError if it can't be read."""
     with open_file(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()[:_DIGITS]

@@ -1,4 +1,4 @@
-"""One set of Gaussians made of a whole scene, for files that know neither actors nor units."""
+"""Transformation and flattening of Gaussians, and wet colors."""
 
 from dataclasses import replace
 
@@ -10,13 +10,13 @@ from .geometry import quaternion_product, quaternions_from_matrices
 from .scene import Actor, DrawItem, Layer, Scene, grade_sh, rotation_to_z_up
 
 FILE_UP = (0.0, -1.0, 0.0)
-"""Upward in files that can't say it: y points down, as in COLMAP and thus in 3DGS captures."""
+"""Up direction in files that don't store one: y points down, as in COLMAP and thus in 3DGS captures."""
 
 
 def transform_gaussians(gaussians: Gaussians, similarity: Float64[np.ndarray, "4 4"]) -> Gaussians:
-    """Move, turn and scale Gaussians; their spherical harmonics turn with them.
+    """Translate, rotate and scale Gaussians; their spherical harmonics rotate with them.
 
-    `similarity` is a rotation times one scale above 0, and a translation. The identity returns the very same value.
+    `similarity` is a rotation times one scale above 0, and a translation. The identity returns the identical object.
     """
     if np.array_equal(similarity, np.eye(4)):
         return gaussians
@@ -35,10 +35,10 @@ def transform_gaussians(gaussians: Gaussians, similarity: Float64[np.ndarray, "4
 
 
 def flatten_scene(scene: Scene, time_s: float = 0.0) -> Gaussians:
-    """All that can be seen at a time, in metres with `FILE_UP` upwards: what single-file scenes are read as.
+    """Merge all that is visible at a time, in meters with `FILE_UP` upwards: the frame of single-file scenes.
 
-    A scene that was read from a single file comes out unchanged, and every scene looks the same from the same world
-    camera before and after it went through a single file.
+    A scene read from a single file is unchanged, and every scene looks the same from the same world camera before and
+    after a round trip through a single file.
     """
     world_to_file = np.eye(4)
     world_to_file[:3, :3] = rotation_to_z_up(FILE_UP).T
@@ -48,7 +48,7 @@ def flatten_scene(scene: Scene, time_s: float = 0.0) -> Gaussians:
 
 
 def lost_when_flattened(scene: Scene, time_s: float = 0.0) -> list[str]:
-    """Name what `flattened` leaves out of a scene, a phrase each; empty where a single file holds all of it."""
+    """Phrases for what `flatten_scene` omits from a scene; empty if a single file holds all of it."""
     shown = [each for each in scene.members if each.visible]
     layers = [each for each in scene.layers if each.visible]
     there = [each for each in scene.actors if each.visible and each.pose_at(time_s) is not None]
@@ -81,7 +81,7 @@ def _counted(count: int, one: str, several: str = "") -> str:
 
 
 def bake_item(part: DrawItem) -> Gaussians:
-    """Return what remains of a part, with its opacity, wetness and grading in the Gaussians themselves."""
+    """Bake an item's opacity, wetness and grading into its Gaussians, without those left out."""
     gaussians = part.remaining
     if part.is_wet and part.wet_sh is not None:
         wet_sh = part.wet_sh if not part.left_out else part.wet_sh[(~part.left_out).indices]
@@ -91,13 +91,14 @@ def bake_item(part: DrawItem) -> Gaussians:
     return gaussians if part.colors is None else gaussians.with_sh(grade_sh(gaussians.sh, part.colors))
 
 
-# § Wet colours: harmonics of what something looks like when it is soaked, beside its clear ones, and blends of both.
+# Wet colors
+# Harmonics of a surface's appearance when fully wet, stored with the clear ones, and blends of both.
 
 
 def blend_wet_sh(
     clear: Float32[np.ndarray, "n k 3"], wet: Float32[np.ndarray, "n k 3"], wetness: float
 ) -> Float32[np.ndarray, "n k 3"]:
-    """Harmonics of colours between clear (wetness 0) and soaked (1); at both ends the very numbers of either."""
+    """Harmonics between clear (wetness 0) and fully wet (1); exact at both ends."""
     w = np.float32(wetness)
     blend = clear * (np.float32(1) - w)
     blend += w * wet
@@ -105,12 +106,12 @@ def blend_wet_sh(
 
 
 def wet_sh_of(member: Layer | Actor) -> Float32[np.ndarray, "n k 3"]:
-    """Harmonics of a member when it is soaked: the clear ones where it has no wet colours."""
+    """Harmonics of a member when fully wet: the clear ones if it has no wet colors."""
     return member.gaussians.sh if member.wet_sh is None else member.wet_sh
 
 
 def with_wetness_baked(scene: Scene, wetness: float) -> Scene:
-    """Return the scene as it looks at one wetness (0..1), without wet colours: for what knows one colour alone."""
+    """Return the scene as it looks at one wetness (0..1), without wet colors, for formats with only one color."""
     for each in scene.members:
         if each.wet_sh is not None:
             gaussians = each.gaussians.with_sh(blend_wet_sh(each.gaussians.sh, each.wet_sh, wetness))
@@ -119,16 +120,16 @@ def with_wetness_baked(scene: Scene, wetness: float) -> Scene:
 
 
 def without_wet_colors(scene: Scene, key: str) -> Scene:
-    """Return the scene with a member that looks the same wet and dry. Raises `KeyError` where there is none."""
+    """Return the scene without a member's wet colors. Raises `KeyError` if there is no such member."""
     scene.member(key)
     return scene.with_member(key, wet_sh=None)
 
 
 def with_wet_colors_of(scene: Scene, other: Scene) -> Scene:
-    """Return the scene with the wet colours of another version of it, and nothing else of that.
+    """Return the scene with the wet colors of another version of it, and nothing else of that.
 
-    Members that the other does not know, or knows with other Gaussians or harmonics, stay as they are. Raises
-    `ValueError` where that is so of all.
+    Members that are missing in the other, or have other Gaussians or harmonics there, are unchanged. Raises
+    `ValueError` if that applies to all.
     """
     given, changed = {each.key: each.wet_sh for each in other.members}, scene
     for each in scene.members:

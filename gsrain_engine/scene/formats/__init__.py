@@ -1,4 +1,4 @@
-"""Scene files: readers, writers, and the one table of formats."""
+"""Scene files: readers, writers, and the table of formats."""
 
 from ._common import Format
 from .registry import FORMATS

@@ -1,4 +1,4 @@
-"""Decompression that never yields more than was asked for: damaged files and bombs end in one error, not in swap."""
+"""Shared parts of scene formats: bounded decompression, memory checks, validation, and packed quaternions."""
 
 import io
 import logging
@@ -16,19 +16,21 @@ from ..files import SceneFormatError
 from ..gaussians import Gaussians
 
 _LARGEST_EXPANSION = 200
-"""Gaussians in memory over bytes of their file. Real SPZ and SOG scenes expand 6 to 30 times, bombs 1000 and more."""
+"""Maximum ratio of memory to file size. Real SPZ and SOG scenes expand 6 to 30 times, decompression bombs 1000 and
+more.
+"""
 
 _ALWAYS_ALLOWED_BYTES = 64 * 2**20
-"""What a file of any size may expand to: scenes made of equal Gaussians compress without a bound."""
+"""Allowed for a file of any size: scenes of equal Gaussians compress without a bound."""
 
 _LARGEST_ZSTD_WINDOW = 2**27
-"""What zstd itself allows without being asked (windowLog 27)."""
+"""The default limit of zstd (windowLog 27)."""
 
 
 def check_expansion(path: Path, count: int, coefficients: int, file_bytes: int) -> None:
-    """Refuse a header that asks for more memory than is free, or than its file can fill out of proportion.
+    """Reject a header that requires more memory than is free or than is plausible for its file size.
 
-    `count` Gaussians have `coefficients` spherical harmonics a colour. Call it before anything of that size is made.
+    `count` Gaussians have `coefficients` spherical harmonics per color. Call it before allocating.
     """
     wanted = gaussian_bytes(count, coefficients)
     if wanted > max(_ALWAYS_ALLOWED_BYTES, _LARGEST_EXPANSION * file_bytes):
@@ -41,7 +43,7 @@ def check_expansion(path: Path, count: int, coefficients: int, file_bytes: int) 
 
 
 def gunzip_start(path: Path, data: bytes, size: int) -> bytes:
-    """First `size` bytes of a gzip stream, fewer where it ends before."""
+    """First `size` bytes of a gzip stream; fewer if it ends before."""
     try:
         return zlib.decompressobj(wbits=31).decompress(data, size)
     except zlib.error:
@@ -49,7 +51,7 @@ def gunzip_start(path: Path, data: bytes, size: int) -> bytes:
 
 
 def gunzip(path: Path, data: bytes, at_most: int) -> bytes:
-    """Unpack a whole gzip stream of at most `at_most` bytes, with its checksum."""
+    """Decompress a whole gzip stream of at most `at_most` bytes, and verify its checksum."""
     stream = zlib.decompressobj(wbits=31)
     try:
         unpacked = stream.decompress(data, at_most + 1)
@@ -63,7 +65,7 @@ def gunzip(path: Path, data: bytes, at_most: int) -> bytes:
 
 
 def unzstd(path: Path, data: bytes, size: int, name: str) -> bytes:
-    """Unpack one zstd frame of exactly `size` bytes; `name` says in errors what it holds."""
+    """Decompress one zstd frame of exactly `size` bytes; `name` describes its content in errors."""
     decompressor = zstandard.ZstdDecompressor(max_window_size=_LARGEST_ZSTD_WINDOW)
     try:
         with decompressor.stream_reader(io.BytesIO(data)) as reader:
@@ -76,18 +78,18 @@ def unzstd(path: Path, data: bytes, size: int, name: str) -> bytes:
     return unpacked
 
 
-# § Whether a scene fits into memory, said before any of it is taken.
+# Memory of a scene
 
 logger = logging.getLogger("gsrain")
 
 DRAWING_FACTOR = 1.6
-"""Opening and drawing a scene takes at most so many times the bytes of its Gaussians."""
+"""Maximum memory to open and draw a scene, as a multiple of the bytes of its Gaussians."""
 
 _WORTH_SAYING_BYTES = 200e6
 
 
 def check_room(path: Path, count: int, coefficients: int) -> None:
-    """Say what so many Gaussians with so many harmonics a colour will take, and refuse what can't fit.
+    """Log the memory that a scene will need, and reject one that can't fit, before it is allocated.
 
     Raises `SceneFormatError`.
     """
@@ -108,7 +110,7 @@ def gaussian_bytes(count: int, coefficients: int) -> int:
     return 4 * count * (3 + 3 + 4 + 1 + 3 * coefficients)
 
 
-# § What every reader does last: refuse values that no Gaussian can have, and normalize quaternions.
+# Validation
 
 
 def checked_gaussians(
@@ -119,9 +121,9 @@ def checked_gaussians(
     opacities: Float32[np.ndarray, " n"],
     sh: Float32[np.ndarray, "n k 3"],
 ) -> Gaussians:
-    """Build `Gaussians` from what a file held; the quaternions may have any length but zero.
+    """Build `Gaussians` from a file's values; normalizes quaternions, which must not be 0.
 
-    Raises `SceneFormatError` that says what is wrong with how many Gaussians, and which is the first.
+    Raises `SceneFormatError` with the problem, the number of affected Gaussians and the first of them.
     """
     fields = {"mean": means, "scale": scales, "quaternion": quaternions, "opacity": opacities, "colour": sh}
     check_finite(path, fields)
@@ -139,12 +141,12 @@ def checked_gaussians(
 
 
 def check_finite(path: Path, fields: Mapping[str, Float32[np.ndarray, "..."]]) -> None:
-    """Refuse fields, one row a Gaussian, that hold NaN or infinity.
+    """Reject fields, one row per Gaussian, that hold NaN or infinity.
 
-    Raises `SceneFormatError` that says which field of how many Gaussians, and which is the first.
+    Raises `SceneFormatError` with the field, the number of affected Gaussians and the first of them.
     """
     for name, values in fields.items():
-        # A sum is finite exactly where every term is, overflow of float32 aside; it is the cheap test.
+        # Cheap test: a sum is finite only if every term is, apart from float32 overflow.
         with np.errstate(invalid="ignore"):  # infinity minus infinity
             total = np.sum(values, dtype=np.float64)
         if not np.isfinite(total):
@@ -157,32 +159,33 @@ def _counted(bad: "np.ndarray[tuple[int], np.dtype[np.int64]]", total: int, what
     return f"{len(bad)} of {total} Gaussians have {what}, the first is number {bad[0]}"
 
 
-# § What a single-file scene format is.
+# Format description
 
 
 class Format(NamedTuple):
-    """A way to keep Gaussians in one file."""
+    """A single-file scene format."""
 
     suffix: str
-    """End of the file's name, in lower case; the first row that matches counts."""
+    """End of the file's name, in lower case; the first matching row counts."""
     read: Callable[[Path], Gaussians]
     write: Callable[[Gaussians, Path], None] | None
-    """Writes to just this path, which is beside the file's place; None where we only read."""
+    """Writes to exactly this path, a temporary one; None for read-only formats."""
     description: str
     keeps_harmonics: bool = True
-    """Whether colours may depend on the direction that they are seen from."""
+    """True if colors may depend on the viewing direction."""
 
 
-# § Unit quaternions without their largest component, as several scene formats store them.
+# Packed quaternions
+# Unit quaternions without their largest component, as in several scene formats.
 
 OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-"""Components that are stored, in order, when the largest is component 0, 1, 2 or 3."""
+"""Stored components, in order, if the largest is component 0, 1, 2 or 3."""
 
 
 def with_largest(largest: Integer[np.ndarray, " n"], others: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 4"]:
-    """Put the largest component, which is never negative, back in its place (0..3) among the three others.
+    """Restore quaternions from three components and the index (0..3) of the largest, which is never negative.
 
-    Where the three are together longer than 1, which only damage and rounding do, the largest becomes 0.
+    If the three together are longer than 1, by damage or rounding, the largest becomes 0.
     """
     quaternions = np.empty((len(others), 4), np.float32)
     np.put_along_axis(quaternions, OTHERS[largest], others, axis=1)

@@ -1,4 +1,4 @@
-"""KSPLAT scenes (mkkellogg, https://github.com/mkkellogg/GaussianSplats3D), compression levels 0, 1 and 2."""
+"""KSPLAT scenes (mkkellogg, https://github.com/mkkellogg/GaussianSplats3D), levels 0 to 2, and `.splat` scenes."""
 
 import struct
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ from ._common import check_room, checked_gaussians
 _HEADER_BYTES = 4096
 
 _HEADER = struct.Struct("<BBxxIIIIHxx3fff")
-"""Version, sections (room, used), Gaussians (room, used), compression level, scene centre, range of 8-bit harmonics."""
+"""Version, sections (capacity, used), Gaussians (capacity, used), level, scene center, range of 8-bit harmonics."""
 
 _SECTION_BYTES = 1024
 
 _SECTION = struct.Struct("<IIIIfHxxIIIIH")
-"""Gaussians (used, room), Gaussians a bucket, buckets, block size, bytes a bucket, quantization range, bytes of the
-section, full buckets, other buckets, SH degree.
+"""Gaussians (used, capacity), Gaussians per bucket, buckets, block size, bytes per bucket, quantization range, bytes of
+the section, full buckets, other buckets, SH degree.
 """
 
 _BUCKET_BYTES = 12
@@ -29,7 +29,7 @@ _BUCKET_BYTES = 12
 _POSITION_RANGE = 32767
 
 _HARMONICS_RANGE = 1.5
-"""Written where a header leaves the range of positions or of 8-bit harmonics at 0."""
+"""Default for a header whose range of positions or of 8-bit harmonics is 0."""
 
 _LARGEST_DEGREE = 2
 
@@ -59,14 +59,14 @@ class _KsplatSection:
 
     @property
     def bucket_table_bytes(self) -> int:
-        """Lengths of the buckets that are not full, then the centres of all."""
+        """Lengths of the partially filled buckets, then the centers of all."""
         return 4 * self.other_buckets + self.bucket_bytes * self.buckets
 
 
 def read_ksplat(path: Path) -> Gaussians:
     """Read a KSPLAT file; sections of different SH degree are padded with zeros to the highest.
 
-    Layout: `SplatBuffer.js` of version 0.4.7. Raises `SceneFormatError` where the file is damaged or cut off.
+    Layout: `SplatBuffer.js` of version 0.4.7. Raises `SceneFormatError` if the file is damaged or truncated.
     """
     data = read_file(path)
     header = _read_header(path, data)
@@ -116,7 +116,7 @@ def _read_section(path: Path, data: bytes, index: int) -> _KsplatSection:
 
 
 def _record(level: int, sh_degree: int) -> np.dtype[np.void]:
-    """One Gaussian, without gaps between the fields."""
+    """Type of one Gaussian, without padding between the fields."""
     number = "<f4" if level == 0 else "<f2"
     rest = 3 * (COEFFICIENTS_OF_DEGREE[sh_degree] - 1)
     return np.dtype(
@@ -131,7 +131,7 @@ def _record(level: int, sh_degree: int) -> np.dtype[np.void]:
 
 
 def _bucket_centers(path: Path, section: _KsplatSection, table: bytes) -> Float32[np.ndarray, "n 3"]:
-    """Centre of the bucket of every Gaussian: the full buckets come first."""
+    """Center of each Gaussian's bucket: the full buckets come first."""
     if section.bucket_bytes != _BUCKET_BYTES or section.full_buckets + section.other_buckets > section.buckets:
         raise SceneFormatError(
             path,
@@ -154,7 +154,7 @@ def _decode(
     records: Shaped[np.ndarray, " n"],
     centres: Float32[np.ndarray, "n 3"] | None,
 ) -> Gaussians:
-    # Damaged floats warn when they are widened or multiplied; the checks below name them.
+    # Damaged floats cause warnings when converted or multiplied; the checks below report them.
     with np.errstate(invalid="ignore", over="ignore"):
         means = records["mean"].astype(np.float32)
         if centres is not None:
@@ -189,17 +189,18 @@ def _decode_harmonics(
     return sh
 
 
-# § `.splat` files (Kevin Kwok's viewer, https://github.com/antimatter15/splat): 32 bytes a Gaussian, no header.
+# .splat
+# Kevin Kwok's viewer, https://github.com/antimatter15/splat: 32 bytes per Gaussian, no header.
 
 _ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quaternion", "u1", 4)])
-"""Scales are linear, rgba is display colour and opacity over 255, the quaternion is (w, x, y, z) * 128 + 128."""
+"""Scales are linear, rgba is display color and opacity times 255, the quaternion is (w, x, y, z) * 128 + 128."""
 
 
 def read_splat(path: Path) -> Gaussians:
-    """Read a .splat file; it has no spherical harmonics above degree 0.
+    """Read a .splat file; the format has no spherical harmonics above degree 0.
 
     Raises:
-        SceneFormatError: When the file is empty, ends inside a row, or holds values that no Gaussian can have.
+        SceneFormatError: When the file is empty, ends inside a row, or holds invalid values.
     """
     size = path.stat().st_size
     if size == 0 or size % _ROW.itemsize:
@@ -221,9 +222,9 @@ def read_splat(path: Path) -> Gaussians:
 
 
 def write_splat(gaussians: Gaussians, path: Path) -> None:
-    """Write a .splat file: without harmonics above degree 0, with colours cut to 0 .. 1, in the same order.
+    """Write a .splat file, in the same order: drops harmonics above degree 0, clamps colors to 0 .. 1.
 
-    Raises `ValueError` without Gaussians: an empty file can't be told from a damaged one.
+    Raises `ValueError` without Gaussians: an empty file would look damaged.
     """
     if not len(gaussians):
         raise ValueError("a .splat has no header and thus at least one Gaussian; there is none to write")

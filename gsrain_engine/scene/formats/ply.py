@@ -1,4 +1,7 @@
-"""The PLY file of 3D Gaussian Splatting (Kerbl et al. 2023): logs, logits and harmonics as 32-bit floats."""
+"""PLY files: 3DGS properties (Kerbl et al. 2023), headers, rows, and SuperSplat's compressed variant.
+
+3DGS stores log scales, opacity logits and harmonics as 32-bit floats.
+"""
 
 import logging
 import os
@@ -27,10 +30,10 @@ _QUATERNIONS = ("rot_0", "rot_1", "rot_2", "rot_3")
 _REQUIRED = (*_MEANS, *_BASE_SH, "opacity", *_SCALES, *_QUATERNIONS)
 
 _NORMALS = ("nx", "ny", "nz")
-"""Written as zeros, as by 3DGS itself: some readers count properties instead of reading their names."""
+"""Written as zeros, as in 3DGS itself: some readers count properties instead of reading their names."""
 
 _CHUNK_BYTES = 1 << 18
-"""Rows are read and spread over the arrays in pieces that stay in the processor's cache."""
+"""Rows are read and distributed to the arrays in blocks that fit into the CPU cache."""
 
 _CHUNK_LINES = 1024
 
@@ -44,20 +47,20 @@ _Arrays = tuple[
     Float32[np.ndarray, " n"],
     Float32[np.ndarray, "n k 3"],
 ]
-"""Means, logarithms of scales, quaternions, logits of opacities, harmonics."""
+"""Means, log scales, quaternions, opacity logits, harmonics."""
 
 _LARGEST_LOGIT = 100.0
-"""Written for an opacity of 1 or 0, whose logit is infinite: it gives just 1 or 0 back in 32-bit floats."""
+"""Written for an opacity of 1 or 0, whose logit is infinite: it converts back to exactly 1 or 0 in 32-bit floats."""
 
 _SMALLEST_SCALE = np.float32(1e-37)
 """Written for a scale of 0, whose logarithm is infinite."""
 
 
 def read_ply(path: Path) -> Gaussians:
-    """Read a 3DGS PLY of SH degree 0 to 3, or SuperSplat's compressed PLY, which is told from its header.
+    """Read a 3DGS PLY of SH degree 0 to 3, or SuperSplat's compressed PLY, recognized by its header.
 
-    Properties may stand in any order and be of any type, in either byte order or as text; those that 3DGS does not
-    know, and other elements, are passed over. Memory: the arrays and one piece of 256 KB.
+    Properties may have any order and type, in either byte order or as text; unknown properties and elements are
+    skipped. Memory: the arrays and one block of 256 KB.
 
     Raises:
         SceneFormatError: When the file is damaged or is not a file of Gaussians.
@@ -85,24 +88,24 @@ def write_ply(gaussians: Gaussians, path: Path) -> None:
             file.write(_rows(gaussians.take(slice(start, start + rows))).data)
 
 
-# § Headers of PLY files: which elements there are, where each begins and how one of its rows is laid out.
+# PLY header
 
 
 class PlyElement(NamedTuple):
-    """One kind of row in a PLY file."""
+    """One element (kind of row) in a PLY file."""
 
     name: str
     rows: int
     dtype: "np.dtype[Any] | None"
-    """Fields of a row; None where it has lists, whose rows differ in length."""
+    """Fields of a row; None with list properties, whose rows differ in length."""
     offset: int | None
-    """Byte in the file where its first row begins; None where that can't be known without reading lists or text."""
+    """Byte offset of its first row; None if lists or text before it make that unknown."""
     is_text: bool = False
-    """Whether its rows are lines of text; the fields of a row then only say what stands in which column."""
+    """True if its rows are lines of text; the fields then give only the columns."""
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all its rows, 0 where they have lists."""
+        """Bytes of all its rows; 0 with list properties."""
         return self.rows * self.dtype.itemsize if self.dtype is not None else 0
 
 
@@ -120,7 +123,7 @@ def _read_vertices(path: Path, file: BufferedReader, elements: dict[str, PlyElem
     sh = np.empty((n, coefficients, 3), np.float32)
     if offset is not None:
         file.seek(offset)
-    # Numbers too large for 32 bits become infinite, and are named below.
+    # Numbers too large for 32 bits become infinite, and are reported below.
     with np.errstate(over="ignore", invalid="ignore"):
         arrays = means, scales, quaternions, opacities, sh
         if offset is not None:
@@ -135,15 +138,15 @@ def _read_vertices(path: Path, file: BufferedReader, elements: dict[str, PlyElem
 
 
 def activate_opacities(logits: Float32[np.ndarray, " n"]) -> None:
-    """Turn logits into opacities in place: 1 / (1 + exp(-x))."""
-    with np.errstate(over="ignore"):  # exp of what is far below 0 is infinite, and the opacity 0
+    """Convert logits to opacities in place: 1 / (1 + exp(-x))."""
+    with np.errstate(over="ignore"):  # exp overflows for large negative logits, and the opacity is 0
         np.exp(np.negative(logits, out=logits), out=logits)
     logits += 1
     np.reciprocal(logits, out=logits)
 
 
 def _coefficients(path: Path, dtype: "np.dtype[Any]", *, has_faces: bool) -> int:
-    """How many spherical harmonics a colour has, from the names of the properties."""
+    """Number of spherical harmonics per color, from the names of the properties."""
     names = dtype.names or ()
     missing = [name for name in _REQUIRED if name not in names]
     if missing:
@@ -168,7 +171,7 @@ def _properties(coefficients: int) -> list[str]:
 
 
 def _spread_rows(path: Path, file: BufferedReader, dtype: "np.dtype[Any]", arrays: _Arrays) -> None:
-    """Copy the properties of the file's next rows into arrays, piece by piece; numbers of any kind become float32."""
+    """Copy the properties of the file's next rows into arrays, block by block, converted to float32."""
     count, names = len(arrays[0]), _properties(arrays[4].shape[1])
     piece = np.empty(min(count, max(1, _CHUNK_BYTES // dtype.itemsize)), dtype)
     places = {name: number for number, name in enumerate(dtype.names or ())}
@@ -186,7 +189,6 @@ def _spread_rows(path: Path, file: BufferedReader, dtype: "np.dtype[Any]", array
 
 
 def _skip_rows_before(file: BufferedReader, elements: dict[str, PlyElement]) -> None:
-    """Pass over the lines of elements that stand before the vertices."""
     for element in elements.values():
         if element.name == "vertex":
             return
@@ -196,7 +198,7 @@ def _skip_rows_before(file: BufferedReader, elements: dict[str, PlyElement]) -> 
 
 
 def _spread_lines(path: Path, file: BufferedReader, dtype: "np.dtype[Any]", arrays: _Arrays) -> None:
-    """Copy the numbers of the next lines of text into arrays, piece by piece."""
+    """Copy the numbers of the next lines of text into arrays, block by block."""
     count, names = len(arrays[0]), list(dtype.names or ())
     columns = np.array([names.index(name) for name in _properties(arrays[4].shape[1])], np.int64)
     for start in range(0, count, _CHUNK_LINES):
@@ -236,10 +238,10 @@ def _rows(gaussians: Gaussians) -> Float32[np.ndarray, "n p"]:
 logger = logging.getLogger("gsrain")
 
 _LARGEST_HEADER = 1 << 20
-"""Bytes in which `end_header` must come; real headers have 2 KB."""
+"""Bytes within which `end_header` must appear; real headers have 2 KB."""
 
 _DIGITS = 20
-"""Digits of a count that are read: more rows than any file has, and no number that takes long to read."""
+"""Maximum digits of a count: more than any file needs, and quick to parse."""
 
 _TEXT = "ascii"
 
@@ -254,12 +256,12 @@ _TYPES = {
 
 
 def read_ply_header(path: Path, file: BinaryIO) -> dict[str, PlyElement]:
-    """Read the header of a PLY file and check that the file has room for the rows that it lists.
+    """Read the header of a PLY file and check that the file is long enough for its rows.
 
-    Of a text (ascii) `file` stands at the first row afterwards.
+    For a text (ascii) PLY, `file` is positioned at the first row afterwards.
 
     Raises:
-        SceneFormatError: When the file is no PLY, has a damaged header, or is shorter than its header says.
+        SceneFormatError: When the file is no PLY, has a damaged header, or is shorter than its header declares.
     """
     lines, size = _header_lines(path, file)
     kind = _format(path, lines)
@@ -272,7 +274,7 @@ def read_ply_header(path: Path, file: BinaryIO) -> dict[str, PlyElement]:
 
 
 def element_rows(path: Path, element: PlyElement) -> tuple["np.dtype[Any]", int]:
-    """Layout of an element's rows and the byte where they begin; refuses what lists make unreadable."""
+    """Row type of an element and the byte offset of its rows; rejects elements that lists make unreadable."""
     if element.is_text:
         raise SceneFormatError(path, f"element {element.name!r} is text (format ascii), it must be binary")
     if element.dtype is None:
@@ -340,7 +342,7 @@ def _add_field(path: Path, fields: dict[str, str] | None, name: str, kind: str) 
 
 
 def _check_size(path: Path, elements: list[PlyElement], header_size: int, file_size: int) -> None:
-    """Refuse a file too short for its header; one that is longer exists in the wild (rows cut by editing the count)."""
+    """Reject a file too short for its header. Longer files are valid: some tools delete rows by editing the count."""
     is_text = any(element.is_text for element in elements)
     expected = header_size + sum(_text_bytes(element) if is_text else element.nbytes for element in elements)
     rows = ", ".join(f"{element.rows} {element.name}" for element in elements)
@@ -355,11 +357,11 @@ def _check_size(path: Path, elements: list[PlyElement], header_size: int, file_s
 
 
 def _text_bytes(element: PlyElement) -> int:
-    """Fewest bytes of its rows as text: a digit a number and a sign that ends it, the last one of the file aside."""
+    """Minimum bytes of its rows as text: a digit and a separator per number, without the last separator."""
     return max(0, 2 * element.rows * (1 if element.dtype is None else len(element.dtype.names or ())) - 1)
 
 
-# § Rows of numbers as a PLY file has them, spread over the arrays of Gaussians.
+# Rows to arrays
 
 
 def spread_rows(
@@ -371,15 +373,15 @@ def spread_rows(
     opacities: Float32[np.ndarray, " r"],
     sh: Float32[np.ndarray, "r k 3"],
 ) -> None:
-    """Copy numbers into arrays, each row at once.
+    """Copy numbers into arrays, one row at a time.
 
     Args:
-        rows: What the file holds.
-        columns: Where in a row stands what goes into the arrays, one after the other and in their own order in memory.
-        means: To be filled, as are those after it.
-        scales: As the file has them.
-        quaternions: As the file has them.
-        opacities: As the file has them.
+        rows: Values of the file.
+        columns: Columns of `rows` for the elements of the arrays, in the arrays' memory order.
+        means: Output, like the arrays after it.
+        scales: As stored in the file.
+        quaternions: As stored in the file.
+        opacities: As stored in the file.
         sh: Harmonics.
     """
     _spread(rows, columns, means, scales, quaternions, opacities, sh.reshape(len(sh), 3 * sh.shape[1]))
@@ -388,7 +390,7 @@ def spread_rows(
 @numba.njit(cache=True, nogil=True)
 @no_type_check
 def _spread(rows, columns, means, scales, quaternions, opacities, sh):
-    """Row by row what is read and written lies together; column by column every number is a cache line of its own."""
+    """Row-wise copy with contiguous access; column-wise copy would touch a cache line per number."""
     for n in range(len(rows)):
         for i in range(3):
             means[n, i] = rows[n, columns[i]]
@@ -400,10 +402,11 @@ def _spread(rows, columns, means, scales, quaternions, opacities, sh):
             sh[n, i] = rows[n, columns[11 + i]]
 
 
-# § SuperSplat's compressed PLY: 16 bytes a Gaussian, quantized within the bounds of chunks of 256.
+# Compressed PLY
+# SuperSplat's: 16 bytes per Gaussian, quantized within the bounds of chunks of 256.
 
 _CHUNK = 256
-"""Gaussians that share one row of bounds."""
+"""Gaussians per chunk, with common bounds."""
 
 _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 
@@ -414,7 +417,7 @@ _COLOR_BITS = (8, 8, 8, 8)
 _ROTATION_BITS = (2, 10, 10, 10)
 
 _SH_RANGE = 8.0
-"""Harmonics lie in -4 .. 4; bytes 0 and 255 are the ends, the others the middles of 256 steps."""
+"""Harmonics are in -4 .. 4; bytes 0 and 255 are the ends, the others the midpoints of 256 steps."""
 
 
 def is_compressed(elements: dict[str, PlyElement]) -> bool:
@@ -423,11 +426,10 @@ def is_compressed(elements: dict[str, PlyElement]) -> bool:
 
 
 def read_compressed(path: Path, file: BufferedReader, elements: dict[str, PlyElement]) -> Gaussians:
-    """Read the Gaussians of a compressed PLY whose header has been read already.
+    """Read the Gaussians of a compressed PLY after its header.
 
-    Layout as SuperSplat and splat-transform (PlayCanvas, MIT) write it: element `chunk` with bounds of means, of
-    logarithms of scales and, in newer files, of colours; `vertex` with four 32-bit words; optional `sh` with a byte a
-    coefficient.
+    Layout as written by SuperSplat and splat-transform (PlayCanvas, MIT): element `chunk` with bounds of means, log
+    scales and, in newer files, colors; `vertex` with four 32-bit words; optional `sh` with a byte per coefficient.
 
     Raises:
         SceneFormatError: When a property is missing, counts contradict one another or bounds are not finite.
@@ -439,7 +441,7 @@ def read_compressed(path: Path, file: BufferedReader, elements: dict[str, PlyEle
     n = elements["vertex"].rows
     if chunk.rows != -(-n // _CHUNK):
         raise SceneFormatError(path, f"{n} Gaussians need {-(-n // _CHUNK)} chunks, the header lists {chunk.rows}")
-    with np.errstate(over="ignore", invalid="ignore"):  # what is too large becomes infinite, and is named at the end
+    with np.errstate(over="ignore", invalid="ignore"):  # overflow gives infinity, which the final check reports
         bounds = _Bounds(path, file, chunk)
         means = bounds.between(_fractions(packed["packed_position"], _MEANS_BITS), "x", "y", "z")
         logs = bounds.between(_fractions(packed["packed_scale"], _MEANS_BITS), "scale_x", "scale_y", "scale_z")
@@ -456,7 +458,7 @@ def read_compressed(path: Path, file: BufferedReader, elements: dict[str, PlyEle
 
 
 class _Bounds:
-    """Rows of element `chunk`: the range that each value of up to 256 Gaussians lies in."""
+    """Rows of element `chunk`: the value ranges of up to 256 Gaussians each."""
 
     def __init__(self, path: Path, file: BufferedReader, chunk: PlyElement) -> None:
         self.has_colors = chunk.dtype is not None and "min_r" in _names(chunk.dtype)
@@ -488,7 +490,7 @@ def _read(
 
 
 def _unsigned(path: Path, rows: "np.ndarray[Any, np.dtype[Any]]", name: str, kind: str) -> UInt[np.ndarray, " n"]:
-    """One property, in this machine's byte order; `kind` is the type that holds the packed bits."""
+    """One property, in native byte order; `kind` is the integer type of the packed bits."""
     if rows[name].dtype.newbyteorder("=") != kind:
         raise SceneFormatError(path, f"property {name} of a compressed PLY must be {kind}, not {rows[name].dtype}")
     return rows[name].astype(kind)
@@ -523,7 +525,7 @@ _SH_OF_BYTE = _sh_of_byte()
 
 
 def _fractions(words: UInt[np.ndarray, " n"], bits: tuple[int, ...]) -> Float32[np.ndarray, "n f"]:
-    """Cut words into fields from the top bit down, each as a fraction 0 .. 1 of its largest value."""
+    """Unpack words into bit fields from the top bit down, each as a fraction 0 .. 1 of its maximum."""
     fields = np.empty((len(words), len(bits)), np.float32)
     shift = sum(bits)
     for i, size in enumerate(bits):
@@ -533,7 +535,7 @@ def _fractions(words: UInt[np.ndarray, " n"], bits: tuple[int, ...]) -> Float32[
 
 
 def _quaternions(words: UInt[np.ndarray, " n"]) -> Float32[np.ndarray, "n 4"]:
-    """Which of w, x, y, z is the largest stands in the upper two bits, then the three others within +-1/sqrt(2)."""
+    """Unpack rotations: the upper two bits index the largest of w, x, y, z; the others are within +-1/sqrt(2)."""
     others = (_fractions(words, _ROTATION_BITS)[:, 1:] - np.float32(0.5)) * np.float32(np.sqrt(2))
     return with_largest((words >> np.uint32(30)).astype(np.int64), others)
 

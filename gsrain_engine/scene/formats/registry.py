@@ -1,4 +1,7 @@
-"""The table of single-file formats; a new one is one file with a reader and one row here, or an installed package."""
+"""Table of single-file scene formats, with those of installed packages.
+
+A new format is one file with a reader and one row here, or an installed package.
+"""
 
 import difflib
 from collections.abc import Callable, Generator, Sequence
@@ -27,31 +30,31 @@ FORMATS = (
     Format(".sog", read_sog, None, "PlayCanvas' images in a zip file"),
     Format("meta.json", read_sog, None, "PlayCanvas' images in a folder"),
 )
-"""Our formats; see `scene_suffixes` for those of installed packages too."""
+"""Built-in formats; `scene_suffixes` includes those of installed packages."""
 
 
 def format_of(path: Path) -> Format | None:
-    """Row of the table that a file's name belongs to, else the format of an installed package; None where none fits.
+    """Format of a file by its name: a row of the table, else a format of an installed package; None if there is none.
 
-    Raises `SceneFormatError` where that package can't be used.
+    Raises `SceneFormatError` if that package can't be used.
     """
     ours = next((row for row in FORMATS if path.name.lower().endswith(row.suffix)), None)
     return ours or installed_format(path)
 
 
 def scene_suffixes() -> tuple[str, ...]:
-    """Return the ends of the names of all files that hold scenes, those of installed packages last."""
+    """Suffixes of all scene files, those of installed packages last."""
     return (*(row.suffix for row in FORMATS), *installed_suffixes())
 
 
 def writable_suffixes() -> tuple[str, ...]:
-    """Return the ends of the names of files that can be written, those of installed packages that work last."""
+    """Suffixes of all writable formats, those of installed packages that work last."""
     ours = [row.suffix for row in FORMATS if row.write is not None]
     return (*ours, *(suffix for suffix in installed_suffixes() if _is_written(suffix)))
 
 
 def unknown_format(path: Path) -> str:
-    """Return what is wrong with the name of a file of no known format, without that name."""
+    """Error text for the name of a file of no known format, without that name."""
     return f"no known scene format: the name must end in {_listed(scene_suffixes())}{_slip(path) or _instead(path)}"
 
 
@@ -60,7 +63,7 @@ def read_gaussians(path: Path) -> Gaussians:
 
     Raises:
         SceneFormatError: When the name or the contents belong to no known format, or the file is damaged.
-        OSError: When there is no such file or it can't be read.
+        OSError: When the file is missing or can't be read.
     """
     row = format_of(path)
     if row is None:
@@ -77,11 +80,11 @@ def read_gaussians(path: Path) -> Gaussians:
 
 
 def write_gaussians(gaussians: Gaussians, path: Path) -> None:
-    """Write a single file of the format that its name says: whole, or not at all and what was there stays.
+    """Write a single file atomically, in the format of its suffix.
 
     Raises:
-        SceneFormatError: When no format that can be written has this name, or the format can't hold the values, which
-            none can where they are not finite.
+        SceneFormatError: When the suffix belongs to no writable format, or the format can't hold the values, as
+            none can if they are not finite.
         OSError: When the file can't be written.
     """
     write = check_written_format(path)
@@ -96,7 +99,7 @@ def write_gaussians(gaussians: Gaussians, path: Path) -> None:
 
 
 def check_written_format(path: Path) -> Callable[[Gaussians, Path], None]:
-    """Return what writes files of such a name. Raises `SceneFormatError` where no format that is written has it."""
+    """Return the writer for a file name. Raises `SceneFormatError` if it belongs to no writable format."""
     row = format_of(path)
     if row is None or row.write is None:
         writable = _listed(writable_suffixes())
@@ -106,9 +109,9 @@ def check_written_format(path: Path) -> Callable[[Gaussians, Path], None]:
 
 
 def check_writable(path: Path, gaussians: Gaussians, of: str = "") -> None:
-    """Refuse to write what could not be read again; `of` names in errors whose Gaussians they are.
+    """Reject values that could not be read again; `of` names the owner of the Gaussians in errors.
 
-    Raises `SceneFormatError` where values are NaN or infinite.
+    Raises `SceneFormatError` for NaN or infinity.
     """
     fields = {
         "mean": gaussians.means,
@@ -121,18 +124,18 @@ def check_writable(path: Path, gaussians: Gaussians, of: str = "") -> None:
 
 
 def close_match(name: str, known: Sequence[str]) -> str:
-    """Question to end an error with, where `name` looks like a slip of the hand for one that is known."""
+    """Return a "did you mean" question for the end of an error, if `name` resembles a known one."""
     close = difflib.get_close_matches(name.lower(), known, 1)
     return f" (did you mean {close[0]}?)" if close else ""
 
 
 def _slip(path: Path) -> str:
-    """Ask for the suffix that a name which belongs to no format may have been meant to end in."""
+    """Suggest the suffix that a name of no known format may have been meant to have."""
     return close_match(path.suffix, scene_suffixes()) if format_of(path) is None else ""
 
 
 def _instead(path: Path) -> str:
-    """End a refusal with what the file is, where its first bytes are not of the format that its name says."""
+    """Describe a file's actual kind for the end of an error, if its first bytes contradict its suffix."""
     kind = kind_of_file(path, named_rightly=format_of(path) is not None) if path.is_file() else None
     return "" if kind is None else f"; it is {kind}"
 
@@ -150,18 +153,18 @@ def _listed(suffixes: Sequence[str]) -> str:
     return f"{', '.join(first)} or {last}"
 
 
-# § Scene formats of other installed packages: found by the suffix, loaded when a file has it, checked like ours.
+# Formats of installed packages
 
 
 def installed_suffixes() -> tuple[str, ...]:
-    """Return the suffixes, with their dots, that installed packages read."""
+    """Suffixes, with their dots, that installed packages read."""
     return tuple(f".{each.name.lower()}" for each in find_extensions(SCENE_FORMATS))
 
 
 def installed_format(path: Path) -> Format | None:
-    """Return the format of another package that a file's name belongs to; None where there is none.
+    """Format of another package for a file's name; None if there is none.
 
-    Raises `SceneFormatError` where the package can't be used.
+    Raises `SceneFormatError` if the package can't be used.
     """
     for each, suffix in zip(find_extensions(SCENE_FORMATS), installed_suffixes(), strict=True):
         if path.name.lower().endswith(suffix):
@@ -179,7 +182,7 @@ def _checked(extension: Extension, row: Format, suffix: str) -> Format:
 
 
 def _guarded(extension: Extension, row: Format) -> Format:
-    """Let code of others fail in one sentence, and give arrays such as our own readers give."""
+    """Wrap third-party functions: errors become one sentence, arrays are converted as in built-in readers."""
 
     def read(path: Path) -> Gaussians:
         with _as_format_error(extension, path):
@@ -197,7 +200,7 @@ def _written(extension: Extension, write: Callable[[Gaussians, Path], None], gau
 
 @contextmanager
 def _as_format_error(extension: Extension, path: Path) -> Generator[None]:
-    """Turn whatever others raise into one sentence."""
+    """Convert any third-party exception to a `SceneFormatError` in one sentence."""
     try:
         yield
     except (SceneFormatError, OSError, MemoryError):

@@ -1,4 +1,4 @@
-"""Scenes in and out of files and folders, whatever their format."""
+"""Reading and writing of scenes as files or folders of any format."""
 
 import re
 from pathlib import Path
@@ -12,23 +12,23 @@ from .scene_folder import SCENE_FILE, FileCache, read_scene_folder, write_scene_
 from .sog import is_sog_folder, read_sog
 
 SOG_FILE = "meta.json"
-"""Description of a SOG scene that was unpacked into a folder."""
+"""Description file of a SOG scene unpacked into a folder."""
 
 INNER_SCENE = "scene"
-"""Folder with the scene in one that `gsrain street` has written."""
+"""Folder of the scene in the output of `gsrain street`."""
 
 
 def read_scene(path: Path | str, known: FileCache | None = None) -> Scene:
     """Read a scene folder, a file of any format in `FORMATS`, or a SOG folder.
 
-    `known` learns which Gaussians the files of a scene folder hold.
+    Records in `known` which Gaussians the files of a scene folder hold.
 
-    A single file becomes one background layer named after it, in units of 1 m with -y upwards: the axes of COLMAP and
-    3DGS captures, and a guess for the units that the file does not hold.
+    A single file becomes one background layer named after it, with a unit of 1 m and -y upwards: the axes of COLMAP and
+    3DGS captures, and an assumed unit, as the file holds none.
 
     Raises:
         SceneFormatError: When it does not exist or can't be read, is no scene, is damaged, or is from a newer program;
-            one sentence says what is wrong.
+            the message is one sentence.
     """
     path = Path(path)
     try:
@@ -41,23 +41,23 @@ def read_scene(path: Path | str, known: FileCache | None = None) -> Scene:
 
 
 def names_scene_folder(path: Path) -> bool:
-    """Whether a scene that is written to this path becomes a folder: the name ends in no suffix of a file."""
+    """Return whether a scene is written to this path as a folder: its name has no suffix of a file format."""
     return path.is_dir() or (format_of(path) is None and not re.fullmatch(r"\.[A-Za-z]\w*", path.suffix))
 
 
 def write_scene(
     scene: Scene, path: Path | str, known: FileCache | None = None, *, in_drawing_order: bool = False
 ) -> None:
-    """Write a scene folder, or, where the name ends in a suffix of `FORMATS`, a single file. Missing parents are made.
+    """Write a scene folder, or, if the name ends in a suffix of `FORMATS`, a single file. Missing parents are created.
 
-    A single file gets all visible layers, and the visible actors where they are at time 0, in metres with -y upwards
-    (see `flattened`). Of a scene folder, files that `known` says to hold the very same Gaussians are not written again;
-    `in_lod_order` says there that Gaussians need not be sorted when it is opened to be drawn. Either is written
-    whole or not at all; what it replaces stays until then.
+    A single file gets all visible layers, and the visible actors as at time 0, in meters with -y upwards (see
+    `flatten_scene`). In a scene folder, files that hold the identical Gaussians according to `known` are not written
+    again; `in_drawing_order` records there that the Gaussians are in LOD order and need no sorting when opened. Either
+    is written atomically; the old one stays until then.
 
     Raises:
-        SceneFormatError: When the format can't be written or something else is in the way.
-        OSError: When the disk refuses.
+        SceneFormatError: When the format can't be written or another kind of file is in the way.
+        OSError: When the file system refuses.
     """
     path = Path(path)
     path.absolute().parent.mkdir(parents=True, exist_ok=True)
@@ -68,7 +68,7 @@ def write_scene(
 
 
 def _read(path: Path, known: FileCache | None) -> Scene:
-    path.stat()  # a file that isn't there is named as such, whatever its suffix
+    path.stat()  # a missing file is reported as such, whatever its suffix
     if path.name == SCENE_FILE:
         path = path.parent
     if not path.is_dir():
@@ -87,9 +87,9 @@ def _read(path: Path, known: FileCache | None) -> Scene:
 
 
 def scene_files_in(folder: Path, limit: int = 3) -> list[str]:
-    """Names of scenes in a folder that is none itself, as paths from there, and the last iteration of a 3DGS training.
+    """Relative paths of up to `limit` scenes in a folder, including the last iteration of a 3DGS training.
 
-    At most so many; none where it can't be looked into.
+    Empty if the folder can't be read.
     """
     try:
         names = sorted(each.name for each in folder.iterdir() if each.is_file() and format_of(each) is not None)
@@ -103,7 +103,7 @@ def scene_files_in(folder: Path, limit: int = 3) -> list[str]:
 
 
 def _sibling_file(path: Path) -> str:
-    """Ask for a file beside `path` with nearly its name, where there is one."""
+    """Suggest a file in the same folder with a similar name, if there is one."""
     try:
         return close_match(path.name, [each.name for each in path.parent.iterdir()])
     except OSError:
@@ -111,11 +111,11 @@ def _sibling_file(path: Path) -> str:
 
 
 def _single_layer(name: str, gaussians: Gaussians) -> Scene:
-    name = name.encode(errors="replace").decode()  # bytes of a file's name that are no UTF-8 can't be saved as JSON
+    name = name.encode(errors="replace").decode()  # names that are not UTF-8 can't be saved as JSON
     return Scene(name, layers=(Layer(name, gaussians),), up=FILE_UP, unit_is_assumed=True)
 
 
 def _stem(path: Path) -> str:
-    """Name of a file without the suffix of its format; a file that is only a suffix lends its folder's name."""
+    """Name of a file without the suffix of its format; for a file named only by a suffix, its folder's name."""
     row = format_of(path)
     return path.name[: -len(row.suffix)] if row and len(path.name) > len(row.suffix) else path.resolve().parent.name

@@ -1,4 +1,4 @@
-"""Scene folders: `scene.json`, one 3DGS PLY a layer and actor, and their wet colours beside them."""
+"""Scene folders: `scene.json`, one 3DGS PLY per layer and actor, and files of their wet colors."""
 
 import hashlib
 import os
@@ -25,10 +25,10 @@ from .scene_json import SCENE_VERSION, SceneRecord, places_not_finite, record_of
 SCENE_FILE = "scene.json"
 
 _LARGEST_SCENE_FILE = 1 << 26
-"""Bytes; a track of an hour at 10 Hz takes 5 MB; a mask of a million Gaussians at most 0.17 MB."""
+"""Bytes; an hour's track at 10 Hz takes 5 MB; a mask of a million Gaussians at most 0.17 MB."""
 
 _OURS = re.compile(r"\d{3}-.+-([0-9a-f]{12})\.(?:ply|wet\.npy)|\.\d{3}-.+\.part|\.scene\.json\.[0-9a-f]{8}\.part")
-"""Names that only we give: a writer that was killed leaves such files behind. The group is the hash of the contents."""
+"""Names that only this program uses, also for the remains of killed writers. The group is the hash of the contents."""
 
 
 class _FolderVersion(msgspec.Struct):
@@ -39,10 +39,10 @@ class _FolderOrder(msgspec.Struct):
     in_drawing_order: bool = False
 
 
-# § Which files of scene folders hold which Gaussians or wet colours: what has not changed need not be written again.
+# Cache of written files
 
 Contents = Gaussians | Float32[np.ndarray, "_ _ 3"]
-"""What one file holds: Gaussians, or harmonics by themselves. Both are values."""
+"""Content of one file: Gaussians, or harmonics alone. Both are immutable."""
 
 
 class _CachedFolder(NamedTuple):
@@ -52,30 +52,29 @@ class _CachedFolder(NamedTuple):
 
 
 class FileCache:
-    """What was last read from, or written to, each folder. For one thread at a time.
+    """Values last read from, or written to, each folder, so that unchanged ones are not written again. Not thread-safe.
 
-    The very same value has the very same bytes; a file that someone else has changed since is not trusted. Holds on to
-    the values, which their scene does anyway, until the folder is written again.
+    Identical objects have identical bytes; a file changed since by another program is not trusted. Holds references to
+    the values, as their scene does anyway, until the folder is written again.
     """
 
     def __init__(self) -> None:
         self._folders: dict[Path, list[_CachedFolder]] = {}
 
     def remember(self, folder: Path, kept: list[tuple[Contents, Path]]) -> None:
-        """Say which files of a folder hold which values; what was said of this folder before is forgotten."""
+        """Record which files of a folder hold which values, replacing earlier records of this folder."""
         self._folders[folder.resolve()] = [_CachedFolder(contents, path, _state(path)) for contents, path in kept]
 
     def forget(self, folder: Path) -> None:
-        """Trust no file of a folder any more."""
         self._folders.pop(folder.resolve(), None)
 
     def file_in(self, folder: Path, contents: Contents, taken: set[Path]) -> Path | None:
-        """File of this folder with these very values, but for those that are taken; None where there is none."""
+        """File of this folder with exactly these values, except taken ones; None if there is none."""
         files = self._files(self._folders.get(folder.resolve(), []), contents)
         return next((path for path in files if path not in taken), None)
 
     def file_anywhere(self, contents: Contents) -> Path | None:
-        """File of any folder with these very values; None where there is none."""
+        """File of any folder with exactly these values; None if there is none."""
         return next((path for kept in self._folders.values() for path in self._files(kept, contents)), None)
 
     def _files(self, kept: list[_CachedFolder], contents: Contents) -> list[Path]:
@@ -83,7 +82,7 @@ class FileCache:
 
 
 def read_scene_folder(folder: Path, known: FileCache | None = None) -> Scene:
-    """Read a scene folder of this version or an older one; `known` learns which Gaussians its files hold.
+    """Read a scene folder of this version or an older one; records in `known` which Gaussians its files hold.
 
     Raises:
         SceneFormatError: When a file is missing, damaged, newer than this program or outside the folder.
@@ -99,7 +98,7 @@ def read_scene_folder(folder: Path, known: FileCache | None = None) -> Scene:
     except (SceneFormatError, FileNotFoundError):
         if _read_record(folder) == record:
             raise
-        return read_scene_folder(folder, known)  # another process has replaced the scene, and its files, meanwhile
+        return read_scene_folder(folder, known)  # another process has replaced the scene and its files meanwhile
     if known is not None:
         read = [*gaussians, *(each for each in wet if each is not None)]
         known.remember(folder, list(zip(read, places.values(), strict=True)))
@@ -110,19 +109,19 @@ def read_scene_folder(folder: Path, known: FileCache | None = None) -> Scene:
 
 
 def scene_folder_files(folder: Path) -> list[Path]:
-    """Return the files that a scene folder is made of: `scene.json`, then those of its layers and actors.
+    """Files of a scene folder: `scene.json`, then those of its layers and actors.
 
     Raises:
-        SceneFormatError: When one is missing, or `scene.json` is no description of a scene.
+        SceneFormatError: When one is missing, or `scene.json` is no scene description.
     """
     return [folder / SCENE_FILE, *_places(folder, _read_record(folder)).values()]
 
 
 def is_in_drawing_order(folder: Path) -> bool:
-    """Whether a scene folder holds its Gaussians in their drawing order.
+    """Return whether the Gaussians of a scene folder are in LOD order.
 
     Raises:
-        SceneFormatError: When its `scene.json` is no description of a scene.
+        SceneFormatError: When its `scene.json` is no scene description.
     """
     return msgspec.json.decode(_checked_version(folder), type=_FolderOrder).in_drawing_order
 
@@ -135,20 +134,20 @@ def write_scene_folder(
     linking: bool = False,
     in_drawing_order: bool = False,
 ) -> None:
-    """Write a scene folder, or replace one: at every moment, readers find the old scene or the new one, whole.
+    """Write or replace a scene folder atomically: readers always find the old scene or the new one, complete.
 
-    A new folder is written beside its place and renamed. In an existing one, the new Gaussians get files of their own,
-    `scene.json` is replaced, which is the moment of change, and then the old files go, with what a writer that was
-    killed has left there. Other files in it stay. Files that `known` says to hold the very same Gaussians stay where
-    they are; with `linking`, those of other folders get a second name here instead of being written again.
+    A new folder is written next to its path and renamed. In an existing one, new Gaussians are written to new files,
+    `scene.json` is replaced, which switches to the new scene, and then the old files are removed, with the remains of
+    killed writers. Unrelated files stay. Files that hold the identical Gaussians according to `known` stay in place;
+    with `linking`, those of other folders are hard-linked here instead of written again.
 
     One process writes at a time.
 
     Raises:
-        HeldError: When another process writes it, or has said that it will.
-        SceneFormatError: When something that is no scene folder, or one of a newer program, is in the way; or when the
+        PathInUseError: When another process writes to the folder, or has reserved it.
+        SceneFormatError: When the path holds anything but a scene folder of this version or an older one, or when the
             scene has values that could not be read again.
-        OSError: When it can't be written; what was there is as before.
+        OSError: When it can't be written; the old scene is unchanged.
     """
     folder = folder.resolve()
     writer = _Writer(scene, known or FileCache(), linking, in_drawing_order)
@@ -162,16 +161,16 @@ def write_scene_folder(
             old = _replaceable_files(folder)
             placed = writer.write(folder, old)
             for file in (old | _leftovers(folder)) - {file for _, file in placed}:
-                if _is_own(folder, file):  # of a link only itself goes, never what it leads to
+                if _is_own(folder, file):  # removes only a link itself, never its target
                     file.unlink(missing_ok=True)
     writer.known.remember(folder, placed)
 
 
 def _check_writable(scene: Scene, folder: Path, known: FileCache) -> None:
-    """Refuse a scene that could not be read again, before it takes the place of one that can."""
+    """Reject a scene that could not be read again, before it replaces one that can."""
     gaussians = [each.gaussians for each in scene.members]
     for member in scene.members:
-        if known.file_anywhere(member.gaussians) is None:  # those that came from a file were checked then
+        if known.file_anywhere(member.gaussians) is None:  # values from a file were checked when read
             check_writable(folder, member.gaussians, f" of {_kind(member)[:-1]} {member.name!r}")
         if member.wet_sh is not None and known.file_anywhere(member.wet_sh) is None:
             check_finite(folder, {f"wet colour of {_kind(member)[:-1]} {member.name!r}": member.wet_sh})
@@ -181,7 +180,7 @@ def _check_writable(scene: Scene, folder: Path, known: FileCache) -> None:
         raise SceneFormatError(path, f"can't be written: expected a finite number - at `{place}`")
     try:
         scene_of(msgspec.json.decode(msgspec.json.encode(record), type=SceneRecord), gaussians)
-    except (ValueError, RecursionError) as error:  # among them msgspec's errors, and text that is no Unicode
+    except (ValueError, RecursionError) as error:  # includes msgspec's errors and text that is not Unicode
         raise SceneFormatError(path, f"can't be written: {error}") from None
 
 
@@ -199,18 +198,16 @@ def _replaceable_files(folder: Path) -> set[Path]:
     try:
         return set(_places(folder, _read_record(folder)).values())
     except SceneFormatError:
-        return set()  # a damaged scene may be replaced; what its files were can't be known
+        return set()  # a damaged scene may be replaced; its files are unknown
 
 
 def _leftovers(folder: Path) -> set[Path]:
-    """Files under names that only we give, in a scene folder; those of its present scene among them."""
+    """Files in a scene folder with names that only this program uses, including those of its present scene."""
     places = (folder, folder / "layers", folder / "actors")
     return {file for place in places if place.is_dir() for file in place.iterdir() if _OURS.fullmatch(file.name)}
 
 
 class _Writer:
-    """Writes the files of one scene."""
-
     def __init__(self, scene: Scene, known: FileCache, linking: bool, in_drawing_order: bool) -> None:
         self.scene = scene
         self.known = known
@@ -218,9 +215,9 @@ class _Writer:
         self._in_drawing_order = in_drawing_order
 
     def write(self, folder: Path, kept: set[Path]) -> list[tuple[Contents, Path]]:
-        """Write files and `scene.json`; on failure remove again what was written, but for the files in `kept`.
+        """Write files and `scene.json`; on failure remove the written files, except those in `kept`.
 
-        Returns which file holds what.
+        Returns the contents of each file.
         """
         placed: list[tuple[Contents, Path]] = []
         written: set[Path] = set()
@@ -251,7 +248,7 @@ class _Writer:
         return placed
 
     def _written(self, name: str, contents: Contents, folder: Path, index: int) -> Path:
-        """Write one file whose name ends in a hash of its bytes, so that it never stands in the place of another."""
+        """Write one file whose name ends in a hash of its bytes, so that it never overwrites a different one."""
         folder.mkdir(exist_ok=True)
         label = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:40] or "unnamed"
         beside = folder / f".{index:03d}-{label}.part"
@@ -268,10 +265,10 @@ class _Writer:
             beside.unlink(missing_ok=True)
 
     def _linked(self, contents: Contents, target: Path) -> str | None:
-        """Give a file of ours that holds these values a second name; returns the hash that its first name ends in.
+        """Hard-link a known file with these values to `target`; returns the hash in the known file's name.
 
-        Where the disk can't do that, the file is copied: written anew, numbers could differ in their last bits. None
-        where there is no such file.
+        If the file system can't link, the file is copied: written anew, numbers could differ in their last bits. None
+        if there is no such file.
         """
         source = self.known.file_anywhere(contents) if self._linking else None
         ours = None if source is None else _OURS.fullmatch(source.name)
@@ -280,7 +277,7 @@ class _Writer:
         target.unlink(missing_ok=True)
         try:
             os.link(source.resolve(), target)
-        except OSError:  # another disk, or one without second names
+        except OSError:  # another file system, or one without hard links
             shutil.copyfile(source, target)
             sync(target)
         return ours[1]
@@ -294,7 +291,6 @@ def _write_contents(contents: Contents, path: Path) -> None:
 
 
 def _kind(member: Layer | Actor) -> str:
-    """Subfolder of a member's file."""
     return member.key.split("/")[0]
 
 
@@ -307,7 +303,7 @@ def _read_record(folder: Path) -> SceneRecord:
 
 
 def _checked_version(folder: Path) -> bytes:
-    """Bytes of `scene.json`, once its version is known to be readable."""
+    """Content of `scene.json`, after a check that its version is readable."""
     path = folder / SCENE_FILE
     data = read_file(path, _LARGEST_SCENE_FILE)
     try:
@@ -322,9 +318,9 @@ def _checked_version(folder: Path) -> bytes:
 
 
 def _places(folder: Path, record: SceneRecord) -> dict[str, Path]:
-    """Where a record's files are, in their order: every name inside the folder and used once.
+    """Paths of a record's files, in order; each name must be inside the folder and used once.
 
-    What stands there may be a link to a file elsewhere: people keep large files on another disk.
+    A path may be a link to a file elsewhere: people store large files on another disk.
     """
     home = folder.resolve()
     places: dict[str, Path] = {}
@@ -348,7 +344,7 @@ def _is_file(place: Path) -> bool:
 
 
 def _link(place: Path) -> str:
-    """Say where a link leads that leads to no file."""
+    """Describe the target of a broken link."""
     try:
         return f" (what stands there is a link to {place.readlink()})"
     except (OSError, ValueError):
@@ -356,7 +352,7 @@ def _link(place: Path) -> str:
 
 
 def _is_own(folder: Path, file: Path) -> bool:
-    """Whether a file, or a link, lies in the folder itself: not in one elsewhere that a link leads to."""
+    """Return whether a file, or a link, is in the folder itself, not in a linked folder elsewhere."""
     return file.parent.resolve().is_relative_to(folder)
 
 
@@ -372,16 +368,17 @@ def _state(path: Path) -> tuple[int, int, int]:
     return status.st_mtime_ns, status.st_size, status.st_ino
 
 
-# § Spherical harmonics by themselves, as a NumPy array file (.npy, version 1.0): the wet colours of a layer or actor.
+# Wet color files
+# Spherical harmonics as a NumPy array file (.npy, version 1.0).
 
 SUFFIX = ".wet.npy"
 
 
 def read_harmonics(path: Path, shape: tuple[int, ...]) -> Float32[np.ndarray, "n k 3"]:
-    """Read harmonics of a shape (n, k, 3) that is known before: that of the clear colours.
+    """Read harmonics of a given shape (n, k, 3), that of the clear colors.
 
     Raises:
-        SceneFormatError: When the file is damaged, holds something else or another shape.
+        SceneFormatError: When the file is damaged, or has other content or another shape.
     """
     with open_file(path) as file:
         try:

@@ -1,4 +1,4 @@
-"""What stands in `scene.json`: plain values that msgspec checks, and the way from and to `Scene`."""
+"""Content of `scene.json`: plain values validated by msgspec, and their conversion from and to `Scene`."""
 
 import base64
 import binascii
@@ -20,7 +20,7 @@ from ..geometry import normalized
 from ..scene import UNCHANGED, Actor, ColorGrading, Layer, PoseTrack, RigCamera, Scene
 
 SCENE_VERSION = 4
-"""Raised when a field is added. Each field has a default that says what older files meant, so that they can be read."""
+"""Incremented when a field is added. The default of each field is its meaning in older files, which stay readable."""
 
 Row = tuple[float, float, float, float]
 
@@ -36,11 +36,12 @@ WetColors = Float32[np.ndarray, "_ _ 3"] | None
 
 _IDENTITY: Matrix = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
-# § Masks as they stand in `scene.json`: packed bits, deflated, in base64.
+# Flags and masks
+# Packed bits, deflated, in base64.
 
 
 class FlagsRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`SelectionFlags` of a member, each as `mask_to_text` writes it."""
+    """`SelectionFlags` of a member; each mask is text of `mask_to_text`."""
 
     selected: str | None = None
     hidden: str | None = None
@@ -62,7 +63,7 @@ class LayerRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     to_scene: Matrix = _IDENTITY
 
 
-# § Tracks and camera paths as they stand in `scene.json`.
+# Tracks
 
 Vector = tuple[float, float, float]
 
@@ -70,7 +71,7 @@ Quaternion = tuple[float, float, float, float]
 
 
 class TrackRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A `PoseTrack`, one entry a sample in every list."""
+    """A `PoseTrack`; every list has one entry per sample."""
 
     times: list[float]
     positions: list[Vector]
@@ -108,7 +109,7 @@ class CameraRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     exposure_s: Positive = DEFAULT_EXPOSURE_S
 
 
-# § Camera paths as they stand in `scene.json`.
+# Camera paths
 
 
 class KeyframeRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -150,28 +151,27 @@ class SceneRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     view: dict[str, Any] | None = None
     selections: dict[str, dict[str, str]] = {}
     in_drawing_order: bool = False
-    """Whether the files hold their Gaussians as they are best drawn, so that they need not be sorted when opened."""
+    """True if the Gaussians are in LOD order in the files, so that they need no sorting when opened."""
 
     @property
     def files(self) -> list[str]:
-        """Files of all layers, then of all actors."""
         return [each.file for each in (*self.layers, *self.actors)]
 
     @property
     def wet_files(self) -> list[str | None]:
-        """Files of the wet colours of all layers, then of all actors; None for those that have none."""
+        """Files of the wet colors of all layers, then of all actors; None for members without."""
         return [each.wet_file for each in (*self.layers, *self.actors)]
 
     @property
     def every_file(self) -> list[str]:
-        """Files of all layers, then of all actors, then those of their wet colours."""
+        """Files of all layers, then of all actors, then those of their wet colors."""
         return [*self.files, *(file for file in self.wet_files if file is not None)]
 
 
 def record_of(
     scene: Scene, files: list[str], wet_files: Sequence[str | None] | None = None, *, in_drawing_order: bool = False
 ) -> SceneRecord:
-    """Plain values of a scene whose layers, then actors, are kept in these files, and their wet colours in others."""
+    """Plain values of a scene with the files of its layers, then actors, and of their wet colors."""
     names, wet_names = iter(files), iter(wet_files or [None] * len(files))
     return SceneRecord(
         version=SCENE_VERSION,
@@ -193,12 +193,12 @@ def record_of(
     )
 
 
-@np.errstate(over="ignore", invalid="ignore")  # numbers too large to be squared are named, like other wrong ones
+@np.errstate(over="ignore", invalid="ignore")  # overflow is reported like other invalid numbers
 def scene_of(record: SceneRecord, gaussians: list[Gaussians], wet: Sequence[WetColors] | None = None) -> Scene:
-    """Scene of a record and what its files hold, in the order of `record.files`: Gaussians, and wet colours if any.
+    """Scene of a record and the contents of its files, in the order of `record.files`: Gaussians, and any wet colors.
 
     Raises:
-        ValueError: Where numbers contradict one another; the message names the field.
+        ValueError: When numbers contradict one another; the message names the field.
     """
     given, wet_given = iter(gaussians), iter(wet or [None] * len(gaussians))
     if not np.isfinite(record.up).all() or not 1e-9 < np.linalg.norm(record.up) < 1e9:
@@ -229,7 +229,7 @@ def scene_of(record: SceneRecord, gaussians: list[Gaussians], wet: Sequence[WetC
 
 
 def places_not_finite(value: object, place: str = "$") -> Iterator[str]:
-    """Where plain values hold NaN or infinity: JSON has neither, and msgspec would write null in their place."""
+    """Positions of NaN or infinity in plain values: JSON has neither, and msgspec would write null."""
     if isinstance(value, float) and not math.isfinite(value):
         yield place
     elif isinstance(value, dict):
@@ -345,16 +345,16 @@ def _camera(record: CameraRecord, rig: str) -> RigCamera:
 
 
 def flags_record(marks: SelectionFlags) -> FlagsRecord:
-    """Plain values of marks; a mask that means no Gaussian is left out."""
+    """Plain values of flags; omits masks without any Gaussian."""
     masks = {"selected": marks.selected, "hidden": marks.hidden, "deleted": marks.deleted}
     return FlagsRecord(**{name: mask_to_text(mask) for name, mask in masks.items() if mask})
 
 
 def flags_of(record: FlagsRecord, count: int, where: str) -> SelectionFlags:
-    """Marks of a member of `count` Gaussians.
+    """Flags of a member of `count` Gaussians.
 
     Raises:
-        ValueError: When a text is no mask of so many; `where` tells in which field of the file it stands.
+        ValueError: When a text is no mask of `count` bits; `where` is its field in the file.
     """
     if record == FlagsRecord():
         return UNMARKED
@@ -367,20 +367,20 @@ def flags_of(record: FlagsRecord, count: int, where: str) -> SelectionFlags:
 
 
 def mask_to_text(mask: BitMask) -> str:
-    """Write a mask: its words, little endian, as a zlib stream (RFC 1950) in base64."""
+    """Encode a mask: its words, little endian, as a zlib stream (RFC 1950) in base64."""
     return base64.b64encode(zlib.compress(mask.words.astype("<u4", copy=False).tobytes(), 1)).decode()
 
 
 def mask_from_text(text: str, count: int, where: str) -> BitMask:
-    """Read a mask of `count` Gaussians.
+    """Decode a mask of `count` Gaussians.
 
     Raises:
-        ValueError: When the text is damaged or a mask of another count; `where` tells in which field it stands.
+        ValueError: When the text is damaged or a mask of another count; `where` is its field in the file.
     """
     expected = 4 * -(-count // 32)
     stream = zlib.decompressobj()
     try:
-        # One byte more than is right tells what is too long from what fits, and keeps a lie from filling the memory.
+        # One extra byte detects text that is too long, without a false length filling the memory.
         data = stream.decompress(base64.b64decode(text, validate=True), expected + 1)
     except (binascii.Error, zlib.error, ValueError) as error:
         raise ValueError(f"no mask can be read ({error}) - at {where}") from None
@@ -398,7 +398,7 @@ def mask_from_text(text: str, count: int, where: str) -> BitMask:
 def selections_record(
     selections: Mapping[str, Mapping[str, BitMask]], counts: Mapping[str, int]
 ) -> dict[str, dict[str, str]]:
-    """Plain values of selection sets; what a set says of members that are gone or have other Gaussians is dropped."""
+    """Plain values of selection sets, without members that are missing or have other Gaussians."""
     return {
         name: {key: mask_to_text(mask) for key, mask in masks.items() if counts.get(key) == mask.count}
         for name, masks in selections.items()
@@ -406,10 +406,10 @@ def selections_record(
 
 
 def selections_of(record: Mapping[str, Mapping[str, str]], counts: Mapping[str, int]) -> dict[str, dict[str, BitMask]]:
-    """Selection sets of members whose numbers of Gaussians are `counts`, by their keys.
+    """Selection sets of members with these `counts` of Gaussians, by their keys.
 
     Raises:
-        ValueError: When a set names a member that is not there, or a mask does not fit.
+        ValueError: When a set names a missing member, or a mask does not fit.
     """
     sets: dict[str, dict[str, BitMask]] = {}
     for name, masks in record.items():
@@ -440,7 +440,7 @@ def path_of(record: PathRecord, where: str) -> CameraPath:
     """Path of plain values.
 
     Raises:
-        ValueError: Where its times do not rise or a rotation is none; `where` tells in which field it stands.
+        ValueError: When its times do not increase or a rotation is invalid; `where` is its field in the file.
     """
     keys = record.keyframes
     times = np.array([key.time_s for key in keys], np.float64)
@@ -472,7 +472,7 @@ def track_of(record: TrackRecord, where: str) -> PoseTrack:
     """Track of plain values.
 
     Raises:
-        ValueError: Where they contradict one another; `where` tells in which field of the file they stand.
+        ValueError: When they contradict one another; `where` is their field in the file.
     """
     n = len(record.times)
     if not n == len(record.positions) == len(record.quaternions_wxyz) == len(record.valid):
@@ -487,7 +487,7 @@ def track_of(record: TrackRecord, where: str) -> PoseTrack:
 
 
 def unit_quaternions(values: list[Quaternion], where: str) -> Float64[np.ndarray, "n 4"]:
-    """Rotations of any length but zero, as unit quaternions; what is unit already stays as it is, to the bit.
+    """Normalize quaternions of any length but zero; those that are unit already stay bit-identical.
 
     Raises:
         ValueError: When one is 0 or not finite.

@@ -29,22 +29,22 @@ _META_BYTES = 2**20
 """Three codebooks of 256 numbers take 16 KB."""
 
 _SPARE_PIXELS = 2**16
-"""How many more pixels than Gaussians an image may have; writers fill up the last rows."""
+"""Maximum excess of pixels over Gaussians in an image; writers pad the last rows."""
 
 _PALETTE_COLUMNS = 64
 
 _FIRST_LARGEST = 252
-"""Alpha of a quaternion's pixel: 252, 253, 254, 255 where w, x, y, z is the largest and left out."""
+"""Alpha of a quaternion's pixel: 252, 253, 254, 255 if w, x, y, z is the largest and omitted."""
 
 _ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, NotImplementedError, ValueError, OSError)
-"""What `zipfile` raises for damage, by trial."""
+"""Exceptions of `zipfile` for damaged archives, found by experiment."""
 
 ReadMember = Callable[[str, int], bytes]
-"""Bytes of a file of the scene, by name; an error where it is longer than so many bytes."""
+"""Returns a file of the scene by name; raises if it is longer than the given number of bytes."""
 
 
 def is_sog_folder(folder: Path) -> bool:
-    """Whether a folder holds the meta.json of SOG: a JSON object that says where the means are, not only that name."""
+    """Return whether a folder's `meta.json` describes a SOG scene: a JSON object with the field of the means."""
     try:
         values = json.loads(read_file(folder / _META, _META_BYTES))
     except (OSError, ValueError, RecursionError):
@@ -55,7 +55,7 @@ def is_sog_folder(folder: Path) -> bool:
 def read_sog(path: Path) -> Gaussians:
     """Read a SOG scene, version 1 or 2: a `.sog` (a zip), a folder with `meta.json` and its images, or that file.
 
-    Raises `SceneFormatError` where something is missing, damaged or out of all proportion.
+    Raises `SceneFormatError` if it is incomplete, damaged or implausibly large.
     """
     if path.is_dir() or path.name.lower() == _META:
         folder = path if path.is_dir() else path.parent
@@ -105,7 +105,7 @@ def _decode(path: Path, read: ReadMember, file_bytes: int) -> Gaussians:
     low = _pixels(path, read, meta.means_files[0], meta.count)
     high = _pixels(path, read, meta.means_files[1], meta.count)
     base = _pixels(path, read, meta.base_file, meta.count)
-    with np.errstate(over="ignore", invalid="ignore"):  # infinite values are named by the check at the end
+    with np.errstate(over="ignore", invalid="ignore"):  # the final check reports infinite values
         means = _decode_means(meta, low, high)
         scales = np.exp(_looked_up(meta.log_scales, _pixels(path, read, meta.scales_file, meta.count)))
     sh = np.empty((meta.count, 1, 3), np.float32)
@@ -123,7 +123,6 @@ def _decode(path: Path, read: ReadMember, file_bytes: int) -> Gaussians:
 
 
 def _pixels(path: Path, read: ReadMember, name: str, count: int) -> UInt8[np.ndarray, "count 4"]:
-    """Pixels of the first `count` Gaussians."""
     most = count + _SPARE_PIXELS
     data = read(name, 8 * most)
     width, height = lossless_webp_size(path, name, data)
@@ -136,24 +135,25 @@ def _looked_up(codebooks: Float32[np.ndarray, "3 256"], pixels: UInt8[np.ndarray
     return np.stack([codebook[pixels[:, channel]] for channel, codebook in enumerate(codebooks)], axis=1)
 
 
-# § The `meta.json` of a SOG scene, with its numbers checked; version 1 is brought into the form of version 2.
+# meta.json
+# Version 1 is converted to the form of version 2.
 
 
 class RestHarmonics(msgspec.Struct, frozen=True, kw_only=True):
-    """Where the harmonics above degree 0 are: a palette of them, and a label a Gaussian."""
+    """Files of the harmonics above degree 0: a palette, and a label per Gaussian."""
 
     centroids: str
     labels: str
     bands: int | None
-    """SH degree; version 1 leaves it to the width of the palette's image."""
+    """SH degree; in version 1 the width of the palette's image determines it."""
     palette_count: int | None
     codebook: Float32[np.ndarray, "256"]
 
 
 class SogMeta(msgspec.Struct, frozen=True, kw_only=True):
-    """What `meta.json` says: every byte of an image is looked up in a codebook of 256 numbers.
+    """Content of `meta.json`: codebooks of 256 numbers for the bytes of the images.
 
-    What a codebook of the file is too short to give is NaN here, so that a byte that asks for it is found out.
+    Missing entries of a short codebook are NaN, so that bytes that refer to them are detected.
     """
 
     count: int
@@ -192,7 +192,7 @@ def _decode_quaternions(path: Path, pixels: UInt8[np.ndarray, "n 4"]) -> Float32
 def _decode_rest(
     path: Path, read: ReadMember, rest: RestHarmonics, count: int, file_bytes: int
 ) -> Float32[np.ndarray, "n k 3"]:
-    """Harmonics above degree 0, with room for that: row `label` of the palette, whose images have 64 entries a row."""
+    """Harmonics with room for degree 0: row `label` of the palette, whose images have 64 entries per row."""
     data = read(rest.centroids, 2**24)
     width, height = lossless_webp_size(path, rest.centroids, data)
     widths = {_PALETTE_COLUMNS * (k - 1): degree for degree, k in enumerate(COEFFICIENTS_OF_DEGREE) if degree}
@@ -228,7 +228,7 @@ _PALETTE = 65536
 """Labels have 16 bits."""
 
 
-# Writers add fields of their own (`asset`, `antialias`): unlike in our own files, unknown ones are passed over.
+# Unknown fields are ignored, unlike in GSRAIN's own files: writers add their own (`asset`, `antialias`).
 class _Means(msgspec.Struct, frozen=True):
     mins: _Triple
     maxs: _Triple
@@ -286,7 +286,7 @@ class _SogVersion(msgspec.Struct, frozen=True):
 
 
 def read_meta(path: Path, text: bytes) -> SogMeta:
-    """Read version 2, and version 1 (2024, without a `version`), of the description of a SOG scene.
+    """Read the description of a SOG scene, version 2 or 1 (2024, without a `version`).
 
     Raises `SceneFormatError` that names the field, as in ``Expected `int` - at `$.count` ``.
     """
@@ -362,23 +362,23 @@ def _codebook(path: Path, name: str, values: list[float | None]) -> Float32[np.n
     if len(numbers) != len(others):
         raise SceneFormatError(path, f"meta.json: {name}.codebook holds null after its first entry")
     if first is None:
-        # A bug of early writers: PlayCanvas goes on to where the entry must have been, one step below the second.
+        # Early writers stored null as the first entry: as in PlayCanvas, extrapolate one step below the second.
         first = numbers[0] + (numbers[0] - numbers[-1]) / 255
     codebook = np.full(256, np.nan, np.float32)
-    with np.errstate(over="ignore"):  # infinity is refused together with NaN when a Gaussian uses it
+    with np.errstate(over="ignore"):  # infinity, like NaN, is rejected when a Gaussian uses it
         codebook[: len(values)] = np.array([first, *numbers]).astype(np.float32)
     return codebook
 
 
 def _ramps(mins: list[float], maxs: list[float]) -> Float32[np.ndarray, "channels 256"]:
-    """Codebooks of version 1: 256 equal steps from the smallest to the largest value."""
+    """Codebooks of version 1: 256 equal steps from the minimum to the maximum."""
     low, high = np.array(mins)[:, None], np.array(maxs)[:, None]
     with np.errstate(over="ignore", invalid="ignore"):
         return (low + (high - low) * (np.arange(256) / 255)).astype(np.float32)
 
 
 def _file(path: Path, name: str) -> str:
-    """Accept only a bare file name: nothing in a scene may point out of its folder."""
+    """Accept only a bare file name: a scene must not refer to files outside its folder."""
     if not name or name in (".", "..") or "\0" in name or len(name) > 255:
         raise SceneFormatError(path, f"meta.json: {name[:40]!r} is not the name of a file")
     if PurePosixPath(name).name != name or PureWindowsPath(name).name != name:
@@ -386,7 +386,8 @@ def _file(path: Path, name: str) -> str:
     return name
 
 
-# § Lossless WebP images that carry numbers; their size is known, and judged, before anything is decoded.
+# Lossless WebP images
+# The size is checked before decoding.
 
 _CHUNK = struct.Struct("<4sI")
 
@@ -400,8 +401,8 @@ _ANIMATION_FLAG = 0x02
 def lossless_webp_size(path: Path, name: str, data: bytes) -> tuple[int, int]:
     """Width and height in pixels; `name` is the image's file, `path` the scene's.
 
-    Layout: WebP container and lossless bitstream specifications (RFC 9649, sections 2 and 3.4).
-    Raises `SceneFormatError` where it is no WebP, or a lossy or moving one.
+    Layout: WebP container and lossless bitstream specifications (RFC 9649, sections 2 and 3.4). Raises
+    `SceneFormatError` if it is no WebP, or a lossy or animated one.
     """
     if data[:4] != b"RIFF" or data[8:_RIFF_HEADER_BYTES] != b"WEBP":
         raise SceneFormatError(path, f"{name} is not a WebP image")
@@ -425,7 +426,7 @@ def lossless_webp_size(path: Path, name: str, data: bytes) -> tuple[int, int]:
 
 
 def read_lossless_webp(path: Path, name: str, data: bytes) -> UInt8[np.ndarray, "pixels 4"]:
-    """Red, green, blue and alpha of every pixel, row by row. Judge the size with `lossless_webp_size` first."""
+    """Red, green, blue and alpha of every pixel, row by row. Check the size with `lossless_webp_size` first."""
     width, height = lossless_webp_size(path, name, data)
     try:
         with Image.open(io.BytesIO(data), formats=("WEBP",)) as image:

@@ -21,7 +21,7 @@ _HEADER = struct.Struct("<4sIIBBBB")
 """Magic, version, number of Gaussians, SH degree, fractional bits, flags, number of streams (0 before version 4)."""
 
 _CONTENTS_OFFSET = struct.Struct("<I12x")
-"""What follows the header in version 4: where the table of contents is."""
+"""Follows the header in version 4: offset of the table of contents."""
 
 _STREAM_SIZES = struct.Struct("<QQ")
 """One entry of that table: compressed and unpacked size of a stream in bytes."""
@@ -29,23 +29,23 @@ _STREAM_SIZES = struct.Struct("<QQ")
 _EXTENSIONS_FLAG = 2
 
 _EXTENSIONS_BYTES = 2**20
-"""Vendors' extensions, camera limits and the like, follow the Gaussians in versions 2 and 3; we leave them unread."""
+"""Vendor extensions, camera limits and the like follow the Gaussians in versions 2 and 3; the reader ignores them."""
 
 _FRACTIONAL_BITS = 23
-"""Most that a 24-bit fixed-point coordinate can have besides its sign."""
+"""Maximum for a 24-bit fixed-point coordinate with sign."""
 
 _WRITTEN_FRACTIONAL_BITS = 16
-"""Finest step we write: 15 micrometres in a scene in metres."""
+"""Finest step written: 15 micrometers for a scene in meters."""
 
 _COLOR_SCALE = 0.15
-"""SPZ stores sh[0] * 0.15 + 0.5 as colour, so that colours from -0.44 to 1.44 fit, not 0 to 1."""
+"""SPZ stores sh[0] * 0.15 + 0.5 as color, so that the range is -0.44 to 1.44 instead of 0 to 1."""
 
 _POINT_FLIP = np.array([1, -1, -1], np.float32)
 
 _XYZW_FLIP = np.array([1, -1, -1, 1], np.float32)
 
 _SH_FLIP = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
-"""SPZ axes are right, up, back; those of PLY, which are ours, right, down, front: half a turn about x.
+"""SPZ axes are right, up, back; those of PLY and of `Gaussians` right, down, front: half a turn about x.
 
 It negates y and z, and every harmonic that is odd in y and z together.
 """
@@ -57,7 +57,7 @@ _OPACITIES = np.arange(256, dtype=np.float32) / 255
 _BASE_SH = ((np.arange(256) / 255 - 0.5) / _COLOR_SCALE).astype(np.float32)
 
 _REST_ZERO, _REST_STEP = np.float32(128), np.float32(1 / 128)
-"""Of harmonics above degree 0: the byte that means 0, and what one more means; a power of 2, so that nothing rounds."""
+"""Byte for 0, and step, of harmonics above degree 0; the step is a power of 2, so that nothing rounds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,9 +88,9 @@ class _SpzHeader:
 
 
 def read_spz(path: Path) -> Gaussians:
-    """Read an SPZ file of version 1, 2, 3 (gzip, or not compressed at all) or 4 (zstd), turned into PLY axes.
+    """Read an SPZ file of version 1, 2, 3 (gzip or uncompressed) or 4 (zstd), converted to PLY axes.
 
-    Raises `SceneFormatError` where the file is damaged or has a version or SH degree above 4 or 3.
+    Raises `SceneFormatError` if the file is damaged or has a version above 4 or an SH degree above 3.
     """
     data = read_file(path)
     gzipped = data.startswith(_GZIP_MAGIC)
@@ -110,12 +110,12 @@ def write_spz(gaussians: Gaussians, path: Path) -> None:
 def encode_spz(gaussians: Gaussians) -> bytes:
     """Encode Gaussians, in PLY axes, as SPZ version 3.
 
-    Version 3 and not 4, because more viewers read it (gzip is in every browser, zstd is not), and version 4 saves only
-    a tenth of the size. Harmonics keep 8 bits and means up to 16 fractional bits, more than Niantic's own writer gives,
-    in files that are 40 % larger: the step is 1/128 for harmonics, 1/16 for the logarithm of scales. What lies outside
-    SPZ's ranges is clamped: scales to e^-10 .. e^5.9, harmonics above degree 0 to -1 .. 127/128.
+    Version 3, because more viewers read it (every browser has gzip, but not zstd) and version 4 saves only a tenth of
+    the size. Harmonics keep 8 bits and means up to 16 fractional bits, more than in Niantic's own writer, in files that
+    are 40 % larger: the step is 1/128 for harmonics, 1/16 for log scales. Values outside SPZ's ranges are clamped:
+    scales to e^-10 .. e^5.9, harmonics above degree 0 to -1 .. 127/128.
 
-    Raises `ValueError` where a mean is not finite or farther out than 2^23 units.
+    Raises `ValueError` if a mean is not finite or farther out than 2^23 units.
     """
     fractional_bits = _fitting_fractional_bits(gaussians.means)
     header = _HEADER.pack(_MAGIC, 3, len(gaussians), gaussians.sh_degree, fractional_bits, 0, 0)
@@ -127,7 +127,7 @@ def encode_spz(gaussians: Gaussians) -> bytes:
         _encode_quaternions(gaussians.quaternions),
         _encode_rest(gaussians.sh),
     )
-    # No time stamp: the same scene always makes the same bytes.
+    # No time stamp: the output is deterministic.
     return gzip.compress(b"".join((header, *body)), mtime=0)
 
 
@@ -216,10 +216,10 @@ def _decode(path: Path, header: _SpzHeader, streams: dict[str, bytes]) -> Gaussi
 def _decode_means(header: _SpzHeader, stream: bytes) -> Float32[np.ndarray, "n 3"]:
     if header.version == 1:
         means = np.frombuffer(stream, "<f2").astype(np.float32).reshape(header.count, 3)
-        return np.where(np.isfinite(means), means, np.float32(np.nan))  # the check at the end names them
+        return np.where(np.isfinite(means), means, np.float32(np.nan))  # reported by the final check
     fixed = np.zeros((3 * header.count, 4), np.uint8)
     fixed[:, 1:] = np.frombuffer(stream, np.uint8).reshape(-1, 3)
-    # The 24 bits stand in the upper part of 32, so that the shift back brings their sign along.
+    # The 24 bits are in the upper part of 32, so that the right shift extends their sign.
     integers = fixed.view("<i4").reshape(header.count, 3) >> 8
     return integers.astype(np.float32) / np.float32(1 << header.fractional_bits)
 
@@ -234,7 +234,7 @@ def _decode_quaternions(header: _SpzHeader, stream: bytes) -> Float32[np.ndarray
         fields = (packed[:, None] >> np.array([20, 10, 0], np.uint32)) & 1023
         magnitudes = (fields & 511).astype(np.float32) * np.float32(np.sqrt(0.5) / 511)
         xyzw = with_largest(packed >> 30, np.where(fields & 512, -magnitudes, magnitudes))
-    return np.ascontiguousarray((xyzw * _XYZW_FLIP)[:, [3, 0, 1, 2]])  # what is picked by columns lies by columns
+    return np.ascontiguousarray((xyzw * _XYZW_FLIP)[:, [3, 0, 1, 2]])  # indexing by columns gives a column-major array
 
 
 def _fitting_fractional_bits(means: Float32[np.ndarray, "n 3"]) -> int:

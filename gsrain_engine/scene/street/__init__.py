@@ -1,1 +1,1 @@
-"""The built-in street: one parametric description that becomes Gaussians and, for ground truth, a mesh."""
+"""The built-in street: one parametric description for both the Gaussians and the ground-truth mesh."""

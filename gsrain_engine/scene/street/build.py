@@ -1,4 +1,4 @@
-"""Builds the street: surfaces first, then the scene of Gaussians that shows them."""
+"""Assembly of the street: surfaces, baked daylight, Gaussians, tracks, camera rigs and parked vehicles."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -28,12 +28,13 @@ _LEAD_PAINT = (0.014, 0.034, 0.075)
 
 _TRACK_STEP_S = 0.1
 
-# § Daylight baked into the street: one sun with shadows, the sky's ambient light, light from the ground.
+# Daylight
+# One sun with shadows, the sky's ambient light, and light reflected by the ground.
 
 
 @dataclass(frozen=True, slots=True)
 class Daylight:
-    """Where the sun stands and what stands in its way; without a layout the object stands in the open."""
+    """Direction of the sun, and the layout that occludes it; without a layout nothing does."""
 
     sun: Float64[np.ndarray, "3"]
     """Unit vector towards the sun."""
@@ -47,12 +48,12 @@ class Daylight:
         return cls(sun, layout, parameters.seed)
 
     def display_colors(self, quads: Quads, points: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
-        """Matte display colour (0..1) of each quad, lit as at `points` (its centre, or one of its corners)."""
+        """Matte display color (0..1) of each quad, lit as at `points` (its center, or one of its corners)."""
         if len(quads) and quads.labels[0] == Label.SKY:
             return self._sky(points)
         normals = quads.normals.astype(np.float64)
         facing = np.maximum(normals @ self.sun, 0)
-        leaf = quads.labels == Label.VEGETATION  # leaves glow when the sun is behind them
+        leaf = quads.labels == Label.VEGETATION  # light transmitted by leaves
         facing = np.where(leaf, 0.30 + 0.62 * facing, facing)
         visible = quads.sun_access.astype(np.float64)
         ambient = quads.sky_access.astype(np.float64)
@@ -69,10 +70,10 @@ class Daylight:
     def gloss_of(
         self, normals: Float[np.ndarray, "n 3"]
     ) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "n 3 3"]]:
-        """Return what a mirror adds to the display colour: a constant, and a linear form of the viewing direction.
+        """Mirror reflection added to the display color: a constant, and a linear form of the viewing direction.
 
-        The mirrored direction d - 2 (d.n) n is linear in d, and so is a smooth sky seen in it: that is spherical
-        harmonics of degree 1. The form has shape (n, direction, colour).
+        The mirrored direction d - 2 (d.n) n is linear in d, and so is the reflection of a smooth sky: these are
+        spherical harmonics of degree 1. The form has shape (n, direction, color).
         """
         n = normals.astype(np.float64)
         flip = np.eye(3) - 2 * n[:, :, None] * n[:, None, :]
@@ -88,7 +89,7 @@ class Daylight:
         return sky_display(away, self.sun, self.seed).astype(np.float32)
 
     def _hazy(self, colors: Float[np.ndarray, "n 3"], points: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
-        """Let far things fade into the air; only hills are far enough to show it."""
+        """Blend distant surfaces into haze; only the hills are far enough to show it."""
         if self.layout is None:
             return colors.astype(np.float32)
         p = self.layout.parameters
@@ -100,7 +101,7 @@ class Daylight:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StreetSurfaces:
-    """Every surface of the street: the one description behind its Gaussians and its mesh, quad by quad."""
+    """All surfaces of the street as quads, from which its Gaussians and its mesh are made."""
 
     layout: StreetLayout
     layers: Mapping[str, Quads]
@@ -114,7 +115,7 @@ class StreetSurfaces:
 
     @property
     def lead_light(self) -> Daylight:
-        """Light on the lead car: the same sun, nothing in its way (it drives in and out of shadows unlit by them)."""
+        """Light on the lead car: the same sun without occlusion, as the car drives in and out of shadows."""
         return Daylight.over(self.layout.parameters)
 
 
@@ -136,12 +137,11 @@ def street_surfaces(parameters: StreetParameters | None = None) -> StreetSurface
 
 
 def build_street(parameters: StreetParameters | None = None) -> Scene:
-    """Build the street as a scene: layers by noun, the lead car as an actor, rigs and the ego's way."""
+    """Build the street as a scene: named layers, the lead car as an actor, rigs and the ego track."""
     return scene_of(street_surfaces(parameters))
 
 
 def scene_of(surfaces: StreetSurfaces) -> Scene:
-    """Turn surfaces into the scene of Gaussians that shows them."""
     light = surfaces.light
     layers = tuple(
         Layer(name, quads_to_gaussians(quads, light), kind="sky" if name == "sky" else "background")
@@ -160,13 +160,13 @@ def scene_of(surfaces: StreetSurfaces) -> Scene:
 
 
 def ego_track(p: StreetParameters) -> PoseTrack:
-    """Return the ego's way: down the right-hand lane at constant speed, from x = 0."""
+    """Ego track: down the right-hand lane at constant speed, from x = 0."""
     times = _times(p)
     return _straight(times, p.ego_speed_m_s * times, -0.5 * p.lane_width_m, SENSOR_HEIGHT_M)
 
 
 def lead_track(p: StreetParameters) -> PoseTrack:
-    """Return the lead car's way: the ego's speed on average, 6 % faster and slower with a period of 8 s."""
+    """Lead car's track: the ego's speed on average, 6 % faster and slower with a period of 8 s."""
     times = _times(p)
     swing = 2 * np.pi / 8.0
     x = p.lead_gap_m + p.ego_speed_m_s * (times + 0.06 / swing * np.sin(swing * times))
@@ -183,17 +183,17 @@ def _straight(times: np.ndarray, x: np.ndarray, y: float, z: float) -> PoseTrack
     return PoseTrack(times, positions, np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)), np.ones(n, bool))
 
 
-# § Quads to Gaussians: one flat Gaussian a quad, with its light baked into spherical harmonics.
+# Quads to Gaussians
 
 SH_C1 = 0.4886025119029199
 """Spherical harmonics of degree 1, sqrt(3/(4 pi)), in the sign of 3DGS: -y, z, -x."""
 
 _THICKNESS = 0.02
-"""Standard deviation across a surface, as a share of the smaller one within it."""
+"""Standard deviation across a surface, as a fraction of the smaller one within it."""
 
 
 def quads_to_gaussians(quads: Quads, light: Daylight) -> Gaussians:
-    """Turn quads into Gaussians, in order. Glossy sets get spherical harmonics of degree 1, matte ones degree 0."""
+    """Convert quads to Gaussians, in order. Glossy sets get spherical harmonics of degree 1, matte ones degree 0."""
     scales, quaternions = _ellipses(quads)
     colors = light.display_colors(quads, quads.centers)
     return Gaussians(quads.centers, scales, quaternions, quads.opacity, _harmonics(quads, colors, light))
@@ -202,14 +202,14 @@ def quads_to_gaussians(quads: Quads, light: Daylight) -> Gaussians:
 def displayed_colors(
     quads: Quads, light: Daylight, matte: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
 ) -> Float32[np.ndarray, "n 3"]:
-    """Display colour of quads seen along unit directions (eye to quad), as their Gaussians show it."""
+    """Display color of quads viewed along unit directions (eye to quad), as in their Gaussians."""
     constant, linear = light.gloss_of(quads.normals)
     mirrored = constant + np.einsum("nd,ndc->nc", directions, linear)
     return np.clip(matte + quads.gloss[:, None] * mirrored, 0, 1).astype(np.float32)
 
 
 def _ellipses(quads: Quads) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 4"]]:
-    """Axes of each cell: those of the covariance of a parallelogram, scaled by the cell's spread."""
+    """Scales and quaternions of the cells: axes of a parallelogram's covariance, scaled by the cell's spread."""
     c = quads.corners.astype(np.float64)
     u = 0.5 * (c[:, 1] + c[:, 2] - c[:, 0] - c[:, 3]) * quads.spread[:, :1]
     v = 0.5 * (c[:, 2] + c[:, 3] - c[:, 0] - c[:, 1]) * quads.spread[:, 1:]
@@ -248,10 +248,10 @@ _GROUND_LIGHT = np.array([0.30, 0.27, 0.22])
 _EXPOSURE = 1.18
 
 _MIRRORED = np.array([0.36, 0.40, 0.45])
-"""Display colour that a mirror shows when it reflects the horizon."""
+"""Display color of a mirror that reflects the horizon."""
 
 _MIRRORED_UP = np.array([0.30, 0.37, 0.48])
-"""What is added where it reflects the zenith, and taken away where it reflects the road."""
+"""Added for a reflection of the zenith, subtracted for one of the road."""
 
 _MIRRORED_SUN = np.array([0.16, 0.15, 0.12])
 
@@ -259,7 +259,8 @@ _HAZE = np.array([0.70, 0.78, 0.86])
 
 _HAZE_LENGTH_M = 1400.0
 
-# § Camera rigs of the two large driving data sets, in the ego frame (x forward, y left, z up, 1.5 m above the road).
+# Camera rigs
+# The rigs of the two large driving data sets, in the ego frame (x forward, y left, z up, 1.5 m above the road).
 
 SENSOR_HEIGHT_M = 1.5
 """Height of the ego frame's origin above the road."""
@@ -271,7 +272,7 @@ _WAYMO = (
     ("FRONT_RIGHT", -45.0, 1.49, -0.10, 2.12, 2059.0, 963.0, 640.0),
 )
 
-# As calibrated in the sample log of 2018-07-24, places to a centimetre and angles to half a degree.
+# Calibration of the sample log of 2018-07-24, positions to a centimeter and angles to half a degree.
 _NUSCENES = (
     ("CAM_FRONT", 0.0, 1.70, 0.02, 1.51, 1266.4, 816.3, 491.5),
     ("CAM_FRONT_RIGHT", -56.0, 1.55, -0.49, 1.50, 1260.8, 808.0, 495.3),
@@ -282,11 +283,11 @@ _NUSCENES = (
 )
 
 _CAMERA_TO_FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""OpenCV axes to ego axes for a camera that looks straight ahead."""
+"""OpenCV axes to ego axes for a camera that points straight ahead."""
 
 
 def street_rigs() -> dict[str, tuple[RigCamera, ...]]:
-    """Return the rigs by name: `waymo_front3` (three cameras ahead) and `nuscenes` (six, all around)."""
+    """Rigs by name: `waymo_front3` (three cameras ahead) and `nuscenes` (six, all around)."""
     return {
         "waymo_front3": tuple(_camera(row, 1920, 1280) for row in _WAYMO),
         "nuscenes": tuple(_camera(row, 1600, 900) for row in _NUSCENES),
@@ -305,10 +306,9 @@ def _pose(yaw_deg: float, x: float, y: float, above_road: float) -> Float64[np.n
     return matrix
 
 
-# § Where cars and trucks stand that are parked in the built-in street: its scene has one layer of each.
+# Parked vehicles
 
 PARKED_CARS, PARKED_TRUCKS = "parked cars", "parked trucks"
-"""Names of the layers that show them."""
 
 
 class ParkedBox(NamedTuple):
@@ -318,15 +318,15 @@ class ParkedBox(NamedTuple):
     class_name: str
     """Car or truck."""
     layer: str
-    """Name of the layer that shows it."""
+    """Name of the vehicle's layer."""
     size_lwh: tuple[float, float, float]
-    """Metres."""
+    """Meters."""
     to_street: Float64[np.ndarray, "4 4"]
-    """From the vehicle's frame (x forward, y left, z up, origin at the bottom centre) to the street's."""
+    """From the vehicle's frame (x forward, y left, z up, origin at the bottom center) to the street's."""
 
 
 def parked_boxes(parameters: StreetParameters | None = None) -> list[ParkedBox]:
-    """Return the parked vehicles of a street, in the order of its plan: cars, then trucks."""
+    """Parked vehicles of a street, in the order of its plan: cars, then trucks."""
     layout = plan_street(parameters or StreetParameters())
     boxes: list[ParkedBox] = []
     for number, car in enumerate(layout.cars):

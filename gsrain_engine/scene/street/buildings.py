@@ -1,4 +1,4 @@
-"""Whole houses: front, roof, dormers, chimneys, and the plain walls beside and behind."""
+"""Buildings: roofs, dormers, chimneys, plain walls, and fronts with windows and doors."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,7 +17,6 @@ _LINING_DEPTH = 1.2
 
 
 def build_houses(layout: StreetLayout) -> Quads:
-    """Build all rows of houses, in the world."""
     rows: list[Sequence[House]] = [layout.left, layout.right]
     ends = layout.ends
     rows += [[h for h in ends if h.turn_deg < 0], [h for h in ends if h.turn_deg > 0]]
@@ -41,7 +40,7 @@ def _house(house: House, first: House | None, last: House | None) -> Quads:
 
 
 def _roof(house: House) -> Quads:
-    """Two slopes of tiles whose rows can be told apart."""
+    """Two slopes with visible rows of tiles."""
     half = 0.5 * HOUSE_DEPTH_M
     slope = float(np.tan(np.radians(house.pitch_deg)))
     x = even_lines(0.0, house.width, 0.6 * house.detail)
@@ -85,13 +84,13 @@ def _back(house: House) -> Quads:
 
 
 def _lining(house: House) -> Quads:
-    """A wall of the front's colour inside the house: what shines through between its Gaussians looks like itself."""
+    """A wall inside the house in the front's color, which hides gaps between the front's Gaussians."""
     x, z = even_lines(0.0, house.width, 1.2), even_lines(0.0, house.eaves, 1.2)
     return panel((0, _LINING_DEPTH, 0), _X, _Z, x, z, house.color, Label.BUILDING, spread=0.7)
 
 
 def _side(house: House, neighbour: House | None, *, at_start: bool) -> Quads:
-    """Build the gable wall, from the neighbour's eaves upwards; the whole wall at the end of a row."""
+    """Build the gable wall, from the neighbor's eaves upwards; the whole wall at the end of a row."""
     foot = 0.0 if neighbour is None else max(0.0, min(neighbour.eaves, house.eaves) - 0.3)
     if neighbour is not None and neighbour.ridge > house.ridge + 0.5 and neighbour.eaves > house.eaves + 0.5:
         return Quads.joined([])
@@ -117,7 +116,6 @@ def _side(house: House, neighbour: House | None, *, at_start: bool) -> Quads:
 
 
 def _dormers(house: House) -> Quads:
-    """Small gabled windows in the front slope."""
     bays = max(2, round(house.width / 2.75))
     bay = house.width / bays
     slope = float(np.tan(np.radians(house.pitch_deg)))
@@ -150,7 +148,8 @@ def _dormers(house: House) -> Quads:
     return Quads.joined(one).repeated(offsets)
 
 
-# § House fronts in the frame of the house: x along the front, y into the house, z up.
+# House fronts
+# In the frame of the house: x along the front, y into the house, z up.
 
 
 _FRAMES = ((0.66, 0.65, 0.62), (0.62, 0.62, 0.6), (0.10, 0.055, 0.03), (0.045, 0.075, 0.06), (0.6, 0.58, 0.52))
@@ -234,14 +233,12 @@ def _wall(
 ) -> list[Quads]:
     """Fill the wall around holes: full-height piers between the columns, spandrels inside them.
 
-    Upper floors share all `rows` in every column; the ground floor (`stone`) has one row a column.
+    Upper floors share all `rows` in every column; the ground floor (`stone`) has one row per column.
     """
     edge, coarse = _EDGE * house.detail, 0.5 * house.detail
     color = house.color if stone is None else stone
     tall = 0.6 * house.detail
-    if (
-        stone is not None and not house.shop and house.detail < 1.4
-    ):  # courses of ashlar: the joints are lines of their own
+    if stone is not None and not house.shop and house.detail < 1.4:  # courses of ashlar, with their joints
         joints = np.arange(z0 + 0.5, z1 - 0.2, 0.46)
         v_lines = np.sort(np.concatenate([[z0, z1], joints - 0.017, joints + 0.017]))
         edge *= 2
@@ -267,7 +264,7 @@ def _plain(x0: float, x1: float, x: Any, z: Any, color: Any) -> Quads:
 
 
 def _weathered(front: Quads, house: House) -> Quads:
-    """Give walls their texture: bricks, stones or stained plaster, dirt at the foot, dusk under the eaves."""
+    """Texture the walls: bricks, stones or stained plaster, dirt at the foot, darkening under the eaves."""
     center = front.centers
     own = center[:, [0, 2]] + house.seed % 997
     z = center[:, 2]
@@ -325,7 +322,7 @@ def _balcony(x: float, z: float, width: float, trim: Any) -> Quads:
 
 
 def _shop_front(house: House, others: Sequence[int], bay: float, rng: np.random.Generator) -> list[Quads]:
-    """Sign boards over runs of neighbouring display windows, and awnings over some."""
+    """Signboards over runs of neighboring display windows, and awnings over some."""
     runs: list[list[int]] = []
     for k in others:
         if runs and runs[-1][-1] == k - 1:
@@ -341,7 +338,7 @@ def _shop_front(house: House, others: Sequence[int], bay: float, rng: np.random.
         )  # fmt: skip
         letters = rng.uniform(0.12, 0.26, int(min(12, (x1 - x0) / 0.35)))
         at = (x0 + x1) / 2 - letters.sum() * 0.65
-        for width in letters:  # a word that nobody can read
+        for width in letters:  # an illegible word
             tall = 0.13 if rng.random() < 0.7 else 0.2
             parts.append(strip(float(at), float(at + width), 3.1, 3.1 + tall, -0.11, (0.7, 0.66, 0.52), 0.2))
             at += width * 1.3
@@ -363,11 +360,12 @@ def _awning(x0: float, x1: float, color: Any) -> Quads:
     return Quads.joined([cloth, under.placed((0, 0, -0.01)), valance])
 
 
-# § Windows and doors in the frame of a house front: x along it, y into the house, z up.
+# Windows and doors
+# In the frame of a house front: x along it, y into the house, z up.
 
 
 REVEAL_M = 0.17
-"""How deep frames lie behind the wall."""
+"""Depth of frames behind the wall."""
 
 TRIM_M = 0.11
 """Width of the stone surround."""
@@ -403,7 +401,7 @@ def opening(width: float, height: float, wall: Any, step: float, deep: float = R
 
 
 def glass(x0: float, x1: float, z0: float, z1: float, y: float, curtain: float, coarse: float) -> Quads:
-    """Make a pane: a dark room behind it, curtains at its sides (0: none, 1: drawn), a mirrored street on it."""
+    """Make a pane: a dark room behind it, curtains at its sides (0: open, 1: drawn), the reflected street."""
     pane = panel(
         (0, y, 0), _X, _Z, graded_lines([x0, x1], 0.08, coarse), graded_lines([z0, z1], 0.08, coarse),
         0.02,
@@ -423,7 +421,7 @@ def window(
 ) -> Quads:
     """Make a two-winged window with its surround; origin at the lower left corner of the hole, at the wall.
 
-    The surround reaches `TRIM_M` beyond the hole on every side but the lower one, where the sill is.
+    The surround reaches `TRIM_M` beyond the hole on every side but the lower one, which has the sill.
     """
     step, coarse = 0.6 * detail, 0.34 * detail
     y, t = REVEAL_M, TRIM_M
@@ -457,7 +455,7 @@ def window(
 
 
 def far_window(width: float, height: float, wall: Any, trim: Any, frame: Any, curtain: float, detail: float) -> Quads:
-    """Make a window for houses that are never seen from near: the same look, without depth; origin as for `window`."""
+    """Make a flat window for distant houses, of the same appearance; origin as for `window`."""
     del wall, detail
     t, bar, middle = TRIM_M, 0.7 * height, 0.5 * width
     x = np.array([0.0, _FRAME, 0.5 * (_FRAME + middle - 0.045), middle - 0.045, middle + 0.045,
@@ -508,7 +506,7 @@ def shop_window(width: float, height: float, wall: Any, frame: Any, warm: float,
 
 
 def door(width: float, height: float, wall: Any, color: Any, detail: float) -> Quads:
-    """Make a panelled door with a light above it; origin at the lower left corner of the hole, at the wall."""
+    """Make a paneled door with a light above it; origin at the lower left corner of the hole, at the wall."""
     deep = 0.28
     top = min(height - 0.12, 2.15)
     wood = np.asarray(color, np.float64)

@@ -1,4 +1,7 @@
-"""Cars in the object frame (x forward, y left, z up, origin at the bottom centre): lofted bodies on four wheels."""
+"""Cars: lofted bodies on four wheels, their shadows, wheels for cars and trucks, and the outline of a truck.
+
+The object frame has x forward, y left, z up, and its origin at the bottom center.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,25 +19,25 @@ _TRIM = (0.022, 0.022, 0.024)
 _PAINT_GLOSS, _GLASS_GLOSS = 0.17, 0.36
 
 _SMOOTH = 1.1
-"""Gaussians of a car are this much wider than elsewhere: paint shows every gap."""
+"""Gaussians of a car are this much wider than elsewhere: gaps are conspicuous in paint."""
 
 _SHADOW_HEIGHT_M = 0.06
-"""High enough that shadows are sorted before the road that they darken."""
+"""High enough that shadows are sorted before the road below them."""
 
 
 @dataclass(frozen=True, slots=True)
 class CarForm:
-    """The outline of a car, in metres; x counts from the middle."""
+    """The outline of a car, in meters; x counts from the center."""
 
     length: float
     width: float
     height: float
     hood: tuple[float, float]
-    """Height of the body at its front and where the windscreen begins."""
+    """Height of the body at its front and at the lower edge of the windshield."""
     tail: tuple[float, float]
-    """Height of the body at its rear and where the rear window begins."""
+    """Height of the body at its rear and at the lower edge of the rear window."""
     belt: tuple[float, float]
-    """Rear and front end of the glass house at the belt line, x."""
+    """Rear and front end of the greenhouse (windows) at the belt line, x."""
     roof: tuple[float, float]
     """Rear and front end of the roof, x."""
     wheels: tuple[float, float]
@@ -54,18 +57,18 @@ CAR_FORMS: dict[CarShape, CarForm] = {
         4.55, 1.84, 1.84, (0.80, 1.08), (1.02, 1.10), (-2.12, 1.35), (-1.98, 0.62), (-1.30, 1.45), -0.05, 0.33
     ),
 }
-"""The shapes that stand in the street."""
+"""Car shapes in the street."""
 
 
 def build_parked_cars(layout: StreetLayout) -> Quads:
-    """Build all parked cars, in the world; each shape is made once and painted anew."""
+    """Build all parked cars, in the world; each shape is built once and recolored."""
     return Quads.joined(
         build_car(car.shape, car.paint, fine=1.35).placed((car.x, car.y, 0.0), car.turn_deg) for car in layout.cars
     )
 
 
 def build_car(shape: CarShape, paint: tuple[float, float, float], fine: float = 1.0) -> Quads:
-    """Build one car in the object frame. `fine` scales its cells: 1 is for a car seen from near."""
+    """Build one car in the object frame. `fine` scales its cells: 1 is for a car at close range."""
     form = CAR_FORMS[shape]
     outline = _outline(form, fine)
     parts = [
@@ -81,12 +84,12 @@ def build_car(shape: CarShape, paint: tuple[float, float, float], fine: float = 
 
 
 def car_shadow(shape: CarShape) -> Quads:
-    """Build the soft dark patch that a moving car carries along on the ground."""
+    """Build the soft dark patch on the ground below a moving car."""
     return vehicle_shadow(CAR_FORMS[shape].length, CAR_FORMS[shape].width)
 
 
 def vehicle_shadow(length: float, width: float) -> Quads:
-    """Build the soft dark patch on the ground around a vehicle of a size, in metres."""
+    """Build the soft dark patch on the ground around a vehicle of a size, in meters."""
     x = np.linspace(-0.5 * length - 0.5, 0.5 * length + 0.4, 30)
     y = np.linspace(-0.5 * width - 0.75, 0.5 * width + 0.35, 18)
     points = np.stack(np.broadcast_arrays(x[:, None], y[None, :], _SHADOW_HEIGHT_M), axis=2)
@@ -100,7 +103,7 @@ def vehicle_shadow(length: float, width: float) -> Quads:
 
 
 def _outline(form: CarForm, fine: float) -> Float64[np.ndarray, "n 2"]:
-    """Trace the body seen from above, counter-clockwise from the middle of the tail: a superellipse, evenly stepped."""
+    """Outline of the body from above, counter-clockwise from the middle of the tail: a superellipse, evenly stepped."""
     angle = np.linspace(-np.pi, np.pi, 4001)
     cosine, sine = np.cos(angle), np.sin(angle)
     x = 0.5 * form.length * np.sign(cosine) * np.abs(cosine) ** (2 / 6.5)
@@ -113,7 +116,7 @@ def _outline(form: CarForm, fine: float) -> Float64[np.ndarray, "n 2"]:
     count = 2 * round(reached[-1] / 2)
     at = np.interp(np.linspace(0, reached[-1], count + 1), reached, np.arange(len(angle)))
     flank = np.abs(y[:-1]) > 0.4 * form.width
-    for line in (door + e for door in _shut_lines(form) for e in (-0.008, 0.008)):  # columns of their own
+    for line in (door + e for door in _shut_lines(form) for e in (-0.008, 0.008)):  # their own columns
         crossed = np.flatnonzero(flank & ((x[:-1] - line) * (x[1:] - line) <= 0))
         at = np.concatenate([at[np.min(np.abs(at[:, None] - crossed), axis=1) > 6], crossed + 0.5])
     at = np.sort(at)
@@ -121,7 +124,6 @@ def _outline(form: CarForm, fine: float) -> Float64[np.ndarray, "n 2"]:
 
 
 def _shut_lines(form: CarForm) -> tuple[float, float, float]:
-    """Where doors meet each other and the body, x."""
     return form.pillar, form.belt[1] - 0.32, max(form.belt[0] + 0.75, form.wheels[0] + form.wheel_radius + 0.12)
 
 
@@ -135,7 +137,7 @@ def _top(form: CarForm, x: Any) -> Any:
 
 
 def _foot(form: CarForm, x: Any, y: Any) -> Any:
-    """Lower edge of the body: the sill, lifted over the wheels on the body's flanks."""
+    """Lower edge of the body: the sill, raised over the wheels on the body's flanks."""
     foot = np.full_like(x, 0.23) + 0.04 * (np.abs(x) > 0.5 * form.length - 0.3)
     arch = form.wheel_radius + 0.055
     for axle in form.wheels:
@@ -145,11 +147,11 @@ def _foot(form: CarForm, x: Any, y: Any) -> Any:
 
 
 def _skirt(form: CarForm, outline: Float64[np.ndarray, "n 2"], paint: Any) -> Quads:
-    """Build flanks, front and rear: the outline drawn upwards, bulging at its middle."""
+    """Build flanks, front and rear: the outline extruded upwards, bulging at its middle."""
     x, y = outline.T
     foot, top = _foot(form, x, y), _top(form, x)
     rows = np.array([0.0, 0.12, 0.26, 0.42, 0.56, 0.70, 0.84, 0.94, 1.0])
-    # Rows at the heights of an uncut body; over the wheels they are pushed up to the arch.
+    # Rows at the heights of an uncut body; over the wheels they are raised to the arch.
     z = np.maximum(0.23 + rows * (top - 0.23)[:, None], foot[:, None])
     absolute = (z - 0.23) / (top[:, None] - 0.23)
     inset = 0.055 * np.maximum(0.32 - absolute, 0) / 0.32 + 0.075 * np.maximum(absolute - 0.62, 0) ** 2 / 0.1444
@@ -193,7 +195,7 @@ def _deck(form: CarForm, outline: Float64[np.ndarray, "n 2"], paint: Any) -> Qua
     open_to_sky = (middle > form.belt[1] - 0.25) | (middle < form.belt[0] + 0.2)
     # Front and rear rows of the outline run across the car: there the deck would be a sliver.
     keep = np.repeat(open_to_sky[:, None], len(rows) - 1, axis=1)
-    keep[:, 0] = True  # the shoulder beside the windows
+    keep[:, 0] = True  # the shoulder next to the windows
     return patch(points, paint, Label.CAR, keep=keep, closed=True, gloss=_PAINT_GLOSS + 0.06)
 
 
@@ -214,7 +216,7 @@ def _glass_house(form: CarForm, paint: Any, fine: float) -> Quads:
         1.0,
     ]
     along = graded_lines(stops, 0.09 * fine / span, 0.17 * fine / span)
-    # Counter-clockwise from the rear right: right side forwards, windscreen, left side back, rear window.
+    # Counter-clockwise from the rear right: right side forwards, windshield, left side back, rear window.
     right = np.stack([along, -np.ones_like(along)], axis=1)
     ahead = np.stack([np.ones_like(across), across], axis=1)
     left, behind = -right * [-1, 1], ahead * [0, -1]
@@ -249,7 +251,6 @@ def _glass_house(form: CarForm, paint: Any, fine: float) -> Quads:
 
 
 def _roof(rim: Float64[np.ndarray, "n 3"], form: CarForm, paint: Any) -> Quads:
-    """Close the roof from its rim to the middle line, domed."""
     rows = np.array([0.0, 0.2, 0.5, 0.8, 1.0])
     middle_x = np.clip(rim[:, 0], form.roof[0] + 0.3, form.roof[1] - 0.25)
     x = rim[:, :1] + rows * (middle_x - rim[:, 0])[:, None]
@@ -267,7 +268,7 @@ def _wheels(form: CarForm, fine: float) -> list[Quads]:
     parts = [each.placed((axle, 0, 0)) for axle in form.wheels for each in (tread, mirrored)]
     arch = form.wheel_radius + 0.05
     half = np.linspace(0.04 * np.pi, 0.96 * np.pi, 9)
-    for axle in form.wheels:  # the dark of the wheel wells
+    for axle in form.wheels:  # dark wheel wells
         for side in (-1, 1):
             y = side * np.array([0.5 * form.width - 0.06, 0.5 * form.width - 0.34])
             well = np.stack(
@@ -285,7 +286,7 @@ def _wheels(form: CarForm, fine: float) -> list[Quads]:
 
 
 def _details(form: CarForm, paint: Any, fine: float) -> list[Quads]:
-    """Lamps, grille, number plates, bumpers' dark inserts, mirrors."""
+    """Lamps, grille, number plates, dark inserts of the bumpers, mirrors."""
     half = 0.5 * form.width
     z = form.hood[0]
     parts: list[Quads] = []
@@ -308,7 +309,7 @@ def _details(form: CarForm, paint: Any, fine: float) -> list[Quads]:
 
 
 def _mirror(x: float, y: float, z: float, paint: Any) -> Quads:
-    """A wing mirror: an egg with its glass at the back."""
+    """A side mirror: an ellipsoid with its glass at the back."""
     turn = np.linspace(0, 2 * np.pi, 10)[:, None]
     along = np.cos(np.linspace(0, np.pi, 6))[None]
     wide = np.sqrt(np.maximum(1 - along**2, 0.0009))
@@ -323,7 +324,7 @@ def _badge(
     form: CarForm, end: int, y: float, z: float, width: float, height: float, albedo: Any, gloss: float, fine: float,
     out: float = 0.045,
 ) -> Quads:  # fmt: skip
-    """Lay a coloured rectangle on the curved front (end 1) or rear (-1), centred at (y, z)."""
+    """Lay a colored rectangle on the curved front (end 1) or rear (-1), centered at (y, z)."""
     yy = graded_lines([y - 0.5 * width, y + 0.5 * width], 0.05 * fine, 0.12 * fine)
     zz = np.linspace(z - 0.5 * height, z + 0.5 * height, max(3, round(height / 0.06) + 1))
     part = np.clip(np.abs(yy) / (0.5 * form.width * 0.975), 0, 0.995)
@@ -343,7 +344,7 @@ def _underside(form: CarForm) -> Quads:
     return patch(points[::-1], 0.01, Label.CAR, sky_access=0.1, sun_access=0.0)
 
 
-# § Wheels of cars and trucks: a dish of metal in a tyre, seen from outside.
+# Wheels
 
 TIRE = (0.018, 0.018, 0.019)
 
@@ -353,7 +354,7 @@ RIM = (0.36, 0.36, 0.37)
 def build_wheel(radius: float, sides: int, dish: float = 0.0) -> Quads:
     """Build the right-hand side of a wheel around its hub: the outside faces -y, the tread runs inwards to +0.19 m.
 
-    `dish` is how far the rim lies inside the tyre, in metres: trucks' twin wheels are hollow.
+    `dish` is the depth of the rim inside the tire, in meters: trucks' twin wheels are hollow.
     """
     angle = np.linspace(0, 2 * np.pi, sides + 1)
     radii = np.array([0.0, 0.06, 0.13, 0.205, 0.225, 0.275, 0.315, 0.32])
@@ -370,7 +371,7 @@ def build_wheel(radius: float, sides: int, dish: float = 0.0) -> Quads:
     return patch(points, albedo, Label.CAR, closed=True, sky_access=0.6, gloss=0.04)
 
 
-# § The outline of a delivery lorry, and the colours that its parts share.
+# Truck outline and colors
 
 STEEL: Color = (0.10, 0.105, 0.11)
 
@@ -387,7 +388,7 @@ RED_TAPE: Color = (0.45, 0.012, 0.014)
 
 @dataclass(frozen=True, slots=True)
 class TruckForm:
-    """The outline of a box lorry of 7.5 t, in metres; x counts from the middle."""
+    """The outline of a 7.5 t box truck, in meters; x counts from the center."""
 
     length: float = TRUCK_LENGTH_M
     width: float = TRUCK_WIDTH_M
@@ -404,9 +405,8 @@ class TruckForm:
 
     @property
     def body_back(self) -> float:
-        """Where the doors of the box are, x."""
+        """Rear doors of the box, x."""
         return -0.5 * self.length + 0.06
 
 
 TRUCK_FORM = TruckForm()
-"""The lorries that stand in the street."""

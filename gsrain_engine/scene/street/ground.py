@@ -1,4 +1,4 @@
-"""The carriageway: asphalt, lane markings, zebra crossings, and the streets that cross at the ends."""
+"""Ground: carriageway and markings, cross streets, sidewalks, and the surroundings with hills."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ _PAINT = np.array([0.50, 0.50, 0.48])
 _DASH_M, _PERIOD_M = 3.0, 7.5
 
 _STEP_M = 0.3
-"""Cells along the street; dashes begin and end on multiples of it."""
+"""Cell size along the street; dashes begin and end on multiples of it."""
 
 _STOP_LINE_M = 0.42
 
@@ -34,7 +34,7 @@ _SEAM_M = 0.035
 
 
 def build_road(layout: StreetLayout) -> Quads:
-    """Build the road between the kerbs and the crossing streets, at z = 0."""
+    """Build the road between the curbs and the crossing streets, at z = 0."""
     p = layout.parameters
     stops = [p.start_x_m, *[x for c in layout.crossings for x in (c, c + CROSSING_LENGTH_M)], p.end_x_m]
     parts = [_lanes(layout, x0, x1) for x0, x1 in zip(stops[::2], stops[1::2], strict=True)]
@@ -53,7 +53,7 @@ def _lanes(layout: StreetLayout, x0: float, x1: float) -> Quads:
     inner = np.arange(first, x1 + 1e-6, _STEP_M)
     lines = np.unique(np.round(np.concatenate([[x0, x1], inner[(inner > x0 + 0.1) & (inner < x1 - 0.1)]]), 6))
     ends = [c - 1.0 for c in layout.crossings if abs(c - x1) < 1e-6]
-    for end in ends:  # the stop line before a crossing has rows of its own
+    for end in ends:  # separate rows for the stop line before a crossing
         lines = lines[(lines < end - _STOP_LINE_M - 0.12) | (lines > end + 0.12)]
         lines = np.sort(np.concatenate([lines, np.linspace(end - _STOP_LINE_M, end, 4)]))
     across = _cross_seams(layout, x0, x1)
@@ -77,14 +77,14 @@ def _lanes(layout: StreetLayout, x0: float, x1: float) -> Quads:
 
 
 def _cross_seams(layout: StreetLayout, x0: float, x1: float) -> list[float]:
-    """Where the asphalt was laid in another day's work: tarred joints across both lanes."""
+    """Transverse joints of the asphalt, tarred, across both lanes."""
     rng = np.random.default_rng([layout.parameters.seed, 13, round(10 * x0) + 10_000])
     places = np.cumsum(rng.uniform(7.0, 19.0, 40)) + x0
     return [float(x) + 0.11 for x in np.floor(places / _STEP_M) * _STEP_M if x < x1 - 6.0]
 
 
 def _crossing(layout: StreetLayout, x: float) -> Quads:
-    """Build a zebra crossing, kerb to kerb: stripes of half a metre along the driving direction."""
+    """Build a zebra crossing, curb to curb: stripes of half a meter along the driving direction."""
     edge = layout.parameters.curb_y_m
     count = int(np.floor(edge / 0.5))
     stops = [float(y) for y in np.arange(-count, count + 1) * 0.5]
@@ -97,10 +97,10 @@ def _crossing(layout: StreetLayout, x: float) -> Quads:
 
 
 def _parking(layout: StreetLayout, x0: float, x1: float, side: int) -> Quads:
-    """Build a parking lane with its gutter; bays are told apart by short white marks."""
+    """Build a parking lane with its gutter; short white marks separate the bays."""
     p = layout.parameters
     inner, outer = p.lane_width_m, p.curb_y_m
-    y = np.append(graded_lines([inner, outer - 0.3, outer], 0.12, 0.3), outer + 0.1)  # a little under the kerb
+    y = np.append(graded_lines([inner, outer - 0.3, outer], 0.12, 0.3), outer + 0.1)  # a little under the curb
     marks = [float(m) for m in np.arange(p.start_x_m + 3.0, p.end_x_m, 6.1) if x0 + 1 < m < x1 - 1]
     lines = graded_lines([x0, *[e for m in marks for e in (m - 0.06, m + 0.06)], x1], 0.12, 0.34)
     road = panel((0, 0, 0), _X, _Y, lines, y if side > 0 else -y[::-1], 0.92 * _ASPHALT, Label.ROAD)
@@ -120,7 +120,7 @@ def _painted(road: Quads, paint: Bool[np.ndarray, " n"]) -> Quads:
 
 
 def _worn(road: Quads, layout: StreetLayout) -> Quads:
-    """Give the asphalt its grain, wheel tracks, repairs and oil stains, and wear to the paint."""
+    """Add grain, wheel tracks, repairs and oil stains to the asphalt, and wear to the markings."""
     p = layout.parameters
     center = road.centers[:, :2].astype(np.float64)
     rng = np.random.default_rng([p.seed, 11])
@@ -136,7 +136,7 @@ def _worn(road: Quads, layout: StreetLayout) -> Quads:
 
 
 def _repairs(center: Float64[np.ndarray, "n 2"], layout: StreetLayout) -> Float64[np.ndarray, " n"]:
-    """Where trenches were filled with darker asphalt: 1 inside, 0 outside."""
+    """Mask of trenches filled with darker asphalt: 1 inside, 0 outside."""
     p = layout.parameters
     rng = np.random.default_rng([p.seed, 12])
     inside = np.zeros(len(center))
@@ -149,7 +149,7 @@ def _repairs(center: Float64[np.ndarray, "n 2"], layout: StreetLayout) -> Float6
 
 
 def _cross_street(layout: StreetLayout, end: int) -> Quads:
-    """Build the street that crosses at the end (1) or behind the start (-1), kerb to kerb."""
+    """Build the street that crosses at the end (1) or behind the start (-1), curb to curb."""
     p = layout.parameters
     near = p.end_x_m if end > 0 else p.start_x_m
     x0 = near + end * CROSS_SIDEWALK_M
@@ -168,7 +168,7 @@ def _cross_street(layout: StreetLayout, end: int) -> Quads:
     return road.tinted((0.83 + 0.34 * clouds)[:, None])
 
 
-# § Pavements with kerbs of granite, concrete slabs and tree pits.
+# Sidewalks
 
 
 _SLAB = np.array([0.235, 0.225, 0.205])
@@ -181,7 +181,7 @@ CURB_WIDTH_M = 0.15
 
 
 def build_sidewalks(layout: StreetLayout) -> Quads:
-    """Build both pavements of the street and those of the crossing streets."""
+    """Build both sidewalks of the street and those of the crossing streets."""
     parts = [_side(layout, side) for side in (1, -1)]
     parts += [_across(layout, end) for end in (1, -1)]
     return Quads.joined(parts)
@@ -210,7 +210,7 @@ def _side(layout: StreetLayout, side: int) -> Quads:
     stone = np.floor(stones.centers[:, :1].astype(np.float64) / 1.2).astype(np.int64)
     shade = 0.88 + 0.24 * lattice_noise(stone, p.seed + 63 + side)
     lowered = np.zeros(len(stones), bool)
-    for c in layout.crossings:  # kerbs are painted light at crossings
+    for c in layout.crossings:  # curbs are painted light at crossings
         lowered |= (stones.centers[:, 0] > c) & (stones.centers[:, 0] < c + CROSSING_LENGTH_M)
     return Quads.joined([slabs, stones.tinted((shade * np.where(lowered, 1.25, 1.0))[:, None])])
 
@@ -228,7 +228,7 @@ def _curb_face(x: np.ndarray, kerb: float, side: int) -> Quads:
 
 
 def _across(layout: StreetLayout, end: int) -> Quads:
-    """Build the pavements along a crossing street: a whole one on the far side, two halves on the near side."""
+    """Build the sidewalks along a crossing street: a whole one on the far side, two halves on the near side."""
     p = layout.parameters
     near = p.end_x_m if end > 0 else p.start_x_m
     parts: list[Quads] = []
@@ -249,7 +249,7 @@ def _across(layout: StreetLayout, end: int) -> Quads:
             else panel((kerb_x, 0, 0), _Y, _Z, y, z, _GRANITE, Label.PAVEMENT)
         )
         parts.append(face)
-    for s in (1, -1):  # where the pavement meets the mouth of the street
+    for s in (1, -1):  # corners at the mouth of the street
         low, high = sorted((near, near + end * CROSS_SIDEWALK_M))
         parts.append(_curb_face(graded_lines([low, high], 0.3, 0.6), p.curb_y_m, s))
         parts.append(_yard(layout, end, s))
@@ -257,7 +257,7 @@ def _across(layout: StreetLayout, end: int) -> Quads:
 
 
 def _yard(layout: StreetLayout, end: int, side: int) -> Quads:
-    """Build the paved ground beside the last house of a row, along the crossing street."""
+    """Build the paved ground next to the last house of a row, along the crossing street."""
     p = layout.parameters
     near = p.end_x_m if end > 0 else p.start_x_m
     x0, x1 = sorted((near, near - end * 0.6))
@@ -273,7 +273,7 @@ def _yard(layout: StreetLayout, end: int, side: int) -> Quads:
     )
 
 
-# § What lies behind the houses: ground, and wooded hills that close the horizon.
+# Surroundings
 
 _GROUND_RADIUS_M = 420.0
 
@@ -290,7 +290,7 @@ def build_surroundings(layout: StreetLayout) -> Quads:
 
 
 def _ground(layout: StreetLayout) -> Quads:
-    """Fields around the street; the rectangle that houses and roads cover is left out."""
+    """Fields around the street, without the rectangle of houses and roads."""
     p = layout.parameters
     half_x = 0.5 * p.length_m + CROSS_ROAD_M + 2 * CROSS_SIDEWALK_M + HOUSE_DEPTH_M
     angle = np.linspace(0, 2 * np.pi, 97)
@@ -306,7 +306,7 @@ def _ground(layout: StreetLayout) -> Quads:
 
 
 def _hills(radius: float, k: int, seed: int) -> Quads:
-    """A ring of woods, hazier the farther away."""
+    """A ring of woods, hazier with distance."""
     angle = np.linspace(0, 2 * np.pi, 181)
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     crest = 9.0 + 14 * k + 24 * layered_noise(ring * radius, 95.0, seed + 80 + k, 3)

@@ -1,4 +1,4 @@
-"""What a person may ask of the built-in street."""
+"""Parameters and layout of the built-in street, and the semantic classes of its surfaces."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,21 +14,21 @@ class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """Size and contents of the street. It runs along +x, with the ego lane on the right (y < 0) and z upwards."""
 
     seed: Annotated[int, Meta(ge=0, le=2**31 - 1, title="Seed")] = 7
-    """Which street: the same seed gives the same bytes."""
+    """Random seed of the street: the same seed gives the same bytes."""
     length_m: Annotated[float, Meta(ge=120, le=260, title="Length", extra={"unit": "m"})] = 180.0
     """From the cross street behind the start to the one ahead."""
     behind_m: Annotated[float, Meta(ge=20, le=60, title="Behind the start", extra={"unit": "m"})] = 30.0
-    """How much of the length lies behind x = 0."""
+    """Part of the length behind x = 0."""
     lane_width_m: Annotated[float, Meta(ge=2.8, le=4.0, title="Lane width", extra={"unit": "m"})] = 3.4
     """One lane each way."""
     parking_width_m: Annotated[float, Meta(ge=2.0, le=2.6, title="Parking lane width", extra={"unit": "m"})] = 2.2
     """One parking lane on each side."""
     pavement_width_m: Annotated[float, Meta(ge=2.5, le=5.0, title="Pavement width", extra={"unit": "m"})] = 3.5
-    """From kerb to house fronts."""
+    """From curb to house fronts."""
     tree_spacing_m: Annotated[float, Meta(ge=8, le=60, title="Tree spacing", extra={"unit": "m"})] = 15.0
-    """Along each pavement."""
+    """Along each sidewalk."""
     parked_share: Annotated[float, Meta(ge=0, le=1, title="Parked cars")] = 0.46
-    """Share of the parking bays that are taken."""
+    """Fraction of occupied parking bays."""
     sun_azimuth_deg: Annotated[float, Meta(ge=0, le=180, title="Sun azimuth", extra={"unit": "deg"})] = 128.0
     """Counter-clockwise from the driving direction: 90 is from the left, 180 from behind."""
     sun_elevation_deg: Annotated[float, Meta(ge=25, le=75, title="Sun elevation", extra={"unit": "deg"})] = 47.0
@@ -40,7 +40,7 @@ class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
     @property
     def start_x_m(self) -> float:
-        """Where the rows of houses begin."""
+        """Start of the rows of houses."""
         return -self.behind_m
 
     @property
@@ -49,7 +49,7 @@ class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
     @property
     def curb_y_m(self) -> float:
-        """Half the width between the kerbs."""
+        """Half the width between the curbs."""
         return self.lane_width_m + self.parking_width_m
 
     @property
@@ -59,17 +59,17 @@ class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
     @property
     def drive_seconds(self) -> float:
-        """How long the ego drives: until 30 m before the end, or 15 s where it stands still."""
+        """Duration of the ego's drive: until 30 m before the end, or 15 s if it does not move."""
         if self.ego_speed_m_s <= 0:
             return 15.0
         return min(60.0, (self.end_x_m - 30.0) / self.ego_speed_m_s)
 
 
-# § What a surface of the street is: the semantic classes of its ground truth.
+# Semantic classes
 
 
 class Label(IntEnum):
-    """Semantic class of a surface; 0 is kept for pixels that show nothing."""
+    """Semantic class of a surface; 0 is reserved for pixels that show nothing."""
 
     NOTHING = 0
     ROAD = 1
@@ -86,19 +86,20 @@ class Label(IntEnum):
     TRUCK = 12
 
 
-# § The plan of the street: which houses, trees, cars and lamps stand where. Everything else is built from it.
+# Layout
+# Positions of houses, trees, cars and lamps, from which everything else is built.
 
 CURB_HEIGHT_M = 0.12
 
 HOUSE_DEPTH_M = 10.0
 
 CROSS_ROAD_M = 8.0
-"""Width between the kerbs of the two streets that cross at the ends."""
+"""Width between the curbs of the two streets that cross at the ends."""
 
 CROSS_SIDEWALK_M = 2.6
 
 CROSS_LENGTH_M = 36.0
-"""How far the cross streets reach to each side of the axis."""
+"""Extent of the cross streets to each side of the axis."""
 
 Wall = Literal["plaster", "brick", "stone"]
 
@@ -107,7 +108,7 @@ _WALLS: tuple[tuple[Wall, tuple[float, float, float]], ...] = (
     ("plaster", (0.60, 0.56, 0.48)),  # cream
     ("brick", (0.30, 0.125, 0.085)),  # red brick
     ("plaster", (0.46, 0.27, 0.20)),  # terracotta
-    ("plaster", (0.40, 0.45, 0.44)),  # grey green
+    ("plaster", (0.40, 0.45, 0.44)),  # gray green
     ("stone", (0.43, 0.39, 0.32)),  # sandstone
     ("plaster", (0.52, 0.40, 0.35)),  # old rose
     ("brick", (0.36, 0.22, 0.14)),  # yellow brown brick
@@ -144,12 +145,11 @@ class House:
     balconies: bool
     pitch_deg: float
     detail: float
-    """1 beside the drive line, larger where cells may be coarser."""
+    """Cell size: 1 near the ego's path, larger farther away."""
     seed: int
 
     @property
     def eaves(self) -> float:
-        """Height of the front wall."""
         return self.ground_height + self.floors * self.floor_height + 0.35
 
     @property
@@ -160,7 +160,7 @@ class House:
 
 @dataclass(frozen=True, slots=True)
 class Tree:
-    """A tree on the pavement."""
+    """A tree on the sidewalk."""
 
     x: float
     y: float
@@ -170,7 +170,7 @@ class Tree:
     seed: int
 
 
-# § Who stands at the kerbs of the street: cars in their bays, and lorries where the crowns of the trees leave room.
+# Parked vehicles
 
 CarShape = Literal["hatchback", "saloon", "estate", "van"]
 
@@ -180,7 +180,7 @@ Color = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class ParkedCar:
-    """A car at the kerb; heading +x or -x."""
+    """A car at the curb; heading +x or -x."""
 
     x: float
     y: float
@@ -191,7 +191,7 @@ class ParkedCar:
 
 @dataclass(frozen=True, slots=True)
 class ParkedTruck:
-    """A box lorry at the kerb; heading +x or -x."""
+    """A box truck at the curb; heading +x or -x."""
 
     x: float
     y: float
@@ -203,7 +203,7 @@ class ParkedTruck:
 
 @dataclass(frozen=True, slots=True)
 class StreetLayout:
-    """Everything that stands in the street."""
+    """Positions and attributes of everything on the street."""
 
     parameters: StreetParameters
     left: tuple[House, ...]
@@ -215,11 +215,11 @@ class StreetLayout:
     lamps: tuple[tuple[float, float], ...]
     """Feet (x, y) of the street lamps."""
     crossings: tuple[float, ...]
-    """Where zebra crossings begin along x."""
+    """Start of the zebra crossings, x."""
 
 
 def plan_street(parameters: StreetParameters) -> StreetLayout:
-    """Decide what stands where; the same parameters give the same plan."""
+    """Create the layout; the same parameters give the same layout."""
     p = parameters
     crossings = tuple(float(x) for x in (34.0, 106.0) if x + 12.0 < p.end_x_m)
     left, right = (_row(p, side, np.random.default_rng([p.seed, 1, side])) for side in (0, 1))
@@ -243,7 +243,7 @@ def plan_street(parameters: StreetParameters) -> StreetLayout:
 
 
 def _house(rng: np.random.Generator, origin: tuple[float, float, float], turn: float, width: float, kind: int) -> House:
-    """Draw the looks of one house; `kind` walks through the palette so that neighbours differ."""
+    """Choose the appearance of one house at random; `kind` steps through the palette so that neighbors differ."""
     wall, color = _WALLS[kind % len(_WALLS)]
     vary = rng.uniform(0.9, 1.08)
     return House(
@@ -342,16 +342,16 @@ _TRUCKS: tuple[tuple[int, float, Color, Color, Color], ...] = (
     (-1, 67.0, (0.03, 0.09, 0.27), (0.64, 0.64, 0.63), (0.03, 0.09, 0.27)),
     (-1, 97.5, (0.62, 0.62, 0.61), (0.035, 0.11, 0.26), (0.62, 0.62, 0.60)),
 )
-"""Side of the street (1: left), where about (x, m), colours of cab, box and sign."""
+"""Side of the street (1: left), approximate x in m, colors of cab, box and sign."""
 
 _CAR_LENGTH_M, _GAP_M = 4.7, 0.5
 
 _MAX_SHIFT_M = 5.0
-"""A lorry that finds no room so near to where it would like to stand has not come."""
+"""Maximum shift of a truck to a free position; without one it is omitted."""
 
 
 def plan_cars(p: StreetParameters, crossings: Sequence[float], rng: np.random.Generator) -> tuple[ParkedCar, ...]:
-    """Draw which bays are taken, and by what."""
+    """Choose the occupied bays and their cars at random."""
     cars: list[ParkedCar] = []
     shapes: tuple[CarShape, ...] = ("hatchback", "saloon", "estate", "hatchback", "van", "saloon")
     for side in (1, -1):
@@ -374,7 +374,7 @@ def plan_trucks(
     crowns: Sequence[tuple[float, float, float]],
     cars: Sequence[ParkedCar],
 ) -> tuple[ParkedTruck, ...]:
-    """Place lorries close to the kerb, clear of crowns (x, y, radius) and crossings; none where nobody may park."""
+    """Place trucks close to the curb, clear of crowns (x, y, radius) and crossings; empty without parking lanes."""
     trucks: list[ParkedTruck] = []
     for side, x, cab, body, sign in _TRUCKS if cars else ():
         taken = [(at - radius, at + radius) for at, y, radius in crowns if y * side > 0]
@@ -390,6 +390,5 @@ def plan_trucks(
 
 
 def cars_clear_of_trucks(cars: Sequence[ParkedCar], trucks: Sequence[ParkedTruck]) -> tuple[ParkedCar, ...]:
-    """The cars that find room where the trucks stand already."""
     least = 0.5 * (TRUCK_LENGTH_M + _CAR_LENGTH_M) + _GAP_M
     return tuple(car for car in cars if all(car.y * t.y < 0 or abs(car.x - t.x) > least for t in trucks))

@@ -1,4 +1,4 @@
-"""Coloured quadrilaterals: each is one Gaussian of the street and two triangles of its mesh."""
+"""Colored quads, surfaces cut into cells, and procedural noise; each quad is one Gaussian and two triangles."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -11,32 +11,32 @@ from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
 from .layout import Label
 
 INNER_SPREAD = 0.63
-"""A Gaussian's standard deviation in cell widths, inside a surface: leaves 2 to 4 % of gaps between four cells."""
+"""Standard deviation of a Gaussian in cell widths, inside a surface: leaves 2 to 4 % of gaps between four cells."""
 
 EDGE_SPREAD = 0.42
-"""The same across the edge of a surface, or for one that stands alone: keeps outlines where they are."""
+"""The same across the edge of a surface, or for an isolated one: keeps outlines in place."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Quads:
-    """N quadrilaterals in metres, with what light needs to know about them."""
+    """N quadrilaterals in meters, with their material and lighting attributes."""
 
     corners: Float32[np.ndarray, "n 4 3"]
-    """Counter-clockwise as seen from the front; the first edge is u, the last one backwards is v."""
+    """Counter-clockwise from the front; the first edge is u, the last one backwards is v."""
     normals: Float32[np.ndarray, "n 3"]
-    """Unit normals that light uses; for leaves those of the crown, not of the leaf."""
+    """Unit normals for lighting; for leaves those of the crown, not of the leaf."""
     albedo: Float32[np.ndarray, "n 3"]
     """Linear reflectance, 0 to 1."""
     labels: UInt8[np.ndarray, " n"]
     """Values of `Label`."""
     sky_access: Float32[np.ndarray, " n"]
-    """Share of the sky's light that reaches the surface, before what the street as a whole takes away."""
+    """Fraction of the sky's light that reaches the surface, before occlusion by the street as a whole."""
     sun_access: Float32[np.ndarray, " n"]
-    """Share of the sun's light that the object itself lets through."""
+    """Fraction of the sun's light that passes the object itself."""
     gloss: Float32[np.ndarray, " n"]
-    """How much of the mirrored surroundings is added, 0 to 1."""
+    """Weight of the mirrored surroundings, 0 to 1."""
     opacity: Float32[np.ndarray, " n"]
-    """Largest alpha of the Gaussian; below 0.9 the mesh shows it half transparent (shadows on the ground)."""
+    """Largest alpha of the Gaussian; below 0.9 the mesh is translucent there (shadows on the ground)."""
     spread: Float32[np.ndarray, "n 2"]
     """Standard deviation in cell widths along u and v."""
 
@@ -61,7 +61,7 @@ class Quads:
         opacity: Any = 0.999,
         spread: Any = INNER_SPREAD,
     ) -> "Quads":
-        """Build quads of one class; single values are spread over all of them."""
+        """Build quads of one class; single values are broadcast to all of them."""
         n = len(corners)
         return cls(
             np.asarray(corners, np.float32),
@@ -76,16 +76,15 @@ class Quads:
         )
 
     def take(self, chosen: Any) -> "Quads":
-        """Pick quads by mask or index."""
         return Quads(*(getattr(self, name)[chosen] for name in _FIELDS))
 
     def tinted(self, factors: Any) -> "Quads":
-        """Multiply the albedo, by one colour or one factor a quad, and keep it within 0 to 0.95."""
+        """Multiply the albedo by one color or one factor per quad, clamped to 0 .. 0.95."""
         tinted = self.albedo * np.asarray(factors, np.float32)
         return replace(self, albedo=np.clip(tinted, 0, np.float32(0.95)))
 
     def placed(self, offset: Any, turn_deg: float = 0.0) -> "Quads":
-        """Turn about z, then move."""
+        """Rotate about z, then translate."""
         if turn_deg:
             turned = self.turned(rotation_about_z(turn_deg))
         else:
@@ -93,12 +92,11 @@ class Quads:
         return replace(turned, corners=turned.corners + np.asarray(offset, np.float32))
 
     def turned(self, rotation: Float[np.ndarray, "3 3"]) -> "Quads":
-        """Apply a rotation to places and normals."""
         matrix = np.asarray(rotation, np.float32)
         return replace(self, corners=self.corners @ matrix.T, normals=self.normals @ matrix.T)
 
     def mirrored(self) -> "Quads":
-        """The same on the other side of the xz plane: y is negated, and corners run the other way round."""
+        """Mirror at the xz plane: y is negated, and the order of corners reversed."""
         flip = np.array([1, -1, 1], np.float32)
         return replace(self, corners=self.corners[:, [1, 0, 3, 2]] * flip, normals=self.normals * flip)
 
@@ -112,7 +110,6 @@ class Quads:
 
     @staticmethod
     def joined(parts: "Iterable[Quads]") -> "Quads":
-        """All quads of all parts, in order."""
         listed = list(parts)
         if not listed:
             return Quads.of(np.zeros((0, 4, 3), np.float32), 0.0, Label.NOTHING)
@@ -127,22 +124,23 @@ def _filled(value: Any, shape: tuple[int, ...]) -> Any:
 
 
 def geometric_normals(corners: Float[np.ndarray, "n 4 3"]) -> Float[np.ndarray, "n 3"]:
-    """Unit normals from the diagonals; also right where two corners fall together."""
+    """Unit normals from the diagonals; also correct if two corners coincide."""
     normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     return normals / np.maximum(lengths, 1e-12)
 
 
 def rotation_about_z(degrees: float) -> Float[np.ndarray, "3 3"]:
-    """Counter-clockwise as seen from above."""
+    """Counter-clockwise as viewed from above."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-# § Surfaces cut into cells: fine where a colour ends, coarse in between.
+# Surfaces cut into cells
+# Fine at color edges, coarse in between.
 
 GROWTH = 2.1
-"""How much wider a cell may be than its neighbour nearer to the edge."""
+"""Maximum ratio of a cell's width to its neighbor's nearer to the edge."""
 
 
 def even_lines(start: float, stop: float, spacing: float) -> Float64[np.ndarray, " n"]:
@@ -151,7 +149,7 @@ def even_lines(start: float, stop: float, spacing: float) -> Float64[np.ndarray,
 
 
 def graded_lines(breaks: Sequence[float | int], edge: float, coarse: float) -> Float64[np.ndarray, " n"]:
-    """Grid lines that hit every break, `edge` apart there and up to `coarse` in the middle between breaks."""
+    """Grid lines through every break, `edge` apart there and up to `coarse` in the middle between breaks."""
     parts = [np.array(breaks[:1], np.float64)]
     for start, stop in pairwise(breaks):
         parts.append(start + _graded(stop - start, edge, coarse)[1:])
@@ -198,9 +196,9 @@ def patch(
     closed: bool = False,
     **more: Any,
 ) -> Quads:
-    """Make a cell of each mesh of a grid of points; u runs along the first index. It faces u x v.
+    """Make one cell of each mesh of a grid of points; u runs along the first index. It faces u x v.
 
-    `keep` leaves cells out; `closed` says that the last row of points is the first one again (no edge there).
+    `keep` masks cells; `closed` means that the last row of points equals the first one (no edge there).
     """
     corners = np.stack([points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]], axis=2)
     i, j = corners.shape[:2]
@@ -261,16 +259,16 @@ def tube(
     points = path[None] + radii[None, :, None] * rings
     ends = np.zeros((sides, len(path) - 1))
     ends[:, [0, -1]] = EDGE_SPREAD - INNER_SPREAD
-    # Few and strongly bent cells: narrow Gaussians around, or the pole would look thicker than it is.
+    # Few and strongly bent cells: narrow Gaussians around, or the pole would appear too thick.
     spread = np.stack([np.full_like(ends, EDGE_SPREAD), INNER_SPREAD + ends], axis=2).reshape(-1, 2)
     return patch(points, albedo, label, closed=True, **{"spread": spread, **more})
 
 
-# § Smooth random textures that depend on place and seed only.
+# Noise
 
 
 def lattice_noise(cells: Int64[np.ndarray, "n d"], seed: int) -> Float64[np.ndarray, " n"]:
-    """Draw a number in [0, 1) for each integer cell (a multiplicative hash, finished as in splitmix64)."""
+    """Random number in [0, 1) for each integer cell (a multiplicative hash, finished as in splitmix64)."""
     primes = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
     mixed = (cells.astype(np.uint64) * primes[: cells.shape[1]]).sum(axis=1, dtype=np.uint64)
     mixed = mixed + np.uint64(seed * 0xD6E8FEB86659FD93 % 2**64)
@@ -280,7 +278,7 @@ def lattice_noise(cells: Int64[np.ndarray, "n d"], seed: int) -> Float64[np.ndar
 
 
 def smooth_noise(points: Float[np.ndarray, "n d"], size: Any, seed: int) -> Float64[np.ndarray, " n"]:
-    """Value noise in [0, 1): random values on a lattice of the given size (one number or one an axis), blended."""
+    """Value noise in [0, 1): random values on a lattice of the given size (one number or one per axis), blended."""
     scaled = points.astype(np.float64) / np.asarray(size, np.float64)
     cells = np.floor(scaled).astype(np.int64)
     part = scaled - cells
@@ -297,7 +295,7 @@ def smooth_noise(points: Float[np.ndarray, "n d"], size: Any, seed: int) -> Floa
 def layered_noise(
     points: Float[np.ndarray, "n d"], size: Any, seed: int, octaves: int = 3
 ) -> Float64[np.ndarray, " n"]:
-    """Sum value noise of halving size and strength, in [0, 1)."""
+    """Sum value noise of halving size and amplitude, in [0, 1)."""
     size = np.asarray(size, np.float64)
     strengths = 0.5 ** np.arange(octaves)
     layers = [s * smooth_noise(points, size * 0.5**k, seed + k) for k, s in enumerate(strengths)]

@@ -1,4 +1,4 @@
-"""What keeps light from a point of the street: rows of houses, crowns of trees, parked vehicles."""
+"""Occlusion of sun and sky in the street by houses, tree crowns and parked vehicles."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from .vegetation import crown_lobes
 def sun_visibility(
     layout: StreetLayout, sun: Float64[np.ndarray, "3"], points: Float[np.ndarray, "n 3"], leaf: Bool[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
-    """Share of the sun that reaches each point. Leaves are not shaded by trees again: their crown has done that."""
+    """Fraction of the sun that reaches each point. Trees do not shade leaves again, as their own crown already does."""
     p = points.astype(np.float64)
     visible = np.ones(len(p))
     for row, side in ((layout.left, 1), (layout.right, -1)):
@@ -31,7 +31,7 @@ def sun_visibility(
 def ground_occlusion(
     layout: StreetLayout, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, " n"]:
-    """Share of the sky's light in the street: less between the houses, below cars, under trees, at the walls' feet."""
+    """Fraction of the sky's light in the street: less between houses, below cars, under trees, at the foot of walls."""
     p = points.astype(np.float64)
     a = layout.parameters
     inside = (p[:, 0] > a.start_x_m) & (p[:, 0] < a.end_x_m) & (np.abs(p[:, 1]) < a.front_y_m + 0.5)
@@ -55,7 +55,7 @@ def ground_occlusion(
 def _past_houses(
     row: tuple[House, ...], side: int, front: float, sun: Float64[np.ndarray, "3"], p: Float64[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, " n"]:
-    """Compare the ray's height with the eaves and the ridge of the house that it passes over."""
+    """Compare the ray's height with the eaves and the ridge of the house below it."""
     starts = np.array([house.origin[0] - (house.width if side < 0 else 0) for house in row])
     stop = starts[-1] + row[-1].width
     visible = np.ones(len(p))
@@ -73,7 +73,7 @@ def _past_houses(
 def _through_trees(
     layout: StreetLayout, sun: Float64[np.ndarray, "3"], p: Float64[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, " n"]:
-    """Let light through the crowns in flecks."""
+    """Transmit light through the crowns in flecks."""
     passed = np.ones(len(p))
     for tree in layout.trees:
         middle = np.array([tree.x, tree.y, CURB_HEIGHT_M + 0.5 * (tree.crown_base + tree.height)])
@@ -104,32 +104,32 @@ def _through_trees(
     return passed
 
 
-# § Parked vehicles as boxes that keep light away: what shadows need to know of them.
+# Vehicle occluders
 
 Corner = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleOccluder:
-    """A vehicle that stands at (x, y), in metres."""
+    """Boxes of a vehicle at (x, y), in meters."""
 
     x: float
     y: float
     way: float
-    """1 where it heads +x, -1 where it heads -x."""
+    """1 for heading +x, -1 for -x."""
     length: float
     width: float
     height: float
-    """Up to where it shades other things."""
+    """Maximum height of its shade on other objects."""
     reach: float
-    """How far beside it shadows are looked for."""
+    """Maximum distance of its shadows to the sides."""
     boxes: tuple[tuple[Corner, Corner], ...]
     """Lowest and highest corners, in its own frame."""
     shades_itself: bool
-    """Whether its boxes are exact enough to shade its own surfaces; else those are lit by their normals alone."""
+    """True if its boxes are exact enough to shade its own surfaces; otherwise only their normals light those."""
 
     def is_lit_by_itself(self, local: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        """Which places in its own frame are its own surfaces, that no box may shade."""
+        """Mask of positions (own frame) on its own surfaces that no box may shade."""
         if self.shades_itself:
             return np.zeros(len(local), np.bool_)
         half, w = 0.5 * self.length, 0.5 * self.width
@@ -139,7 +139,7 @@ class VehicleOccluder:
 def _past_vehicles(
     vehicles: Sequence[VehicleOccluder], sun: Float64[np.ndarray, "3"], p: Float64[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, " n"]:
-    """Cast shadows of a few boxes a vehicle, softened where the sun only grazes them."""
+    """Cast shadows of a few boxes per vehicle, softened at grazing angles of the sun."""
     passed = np.ones(len(p))
     for each in vehicles:
         half, w = 0.5 * each.length, 0.5 * each.width
@@ -159,7 +159,6 @@ def _past_vehicles(
 
 
 def _vehicle_occlusion(vehicles: Sequence[VehicleOccluder], p: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
-    """Darken the ground under and around vehicles."""
     share = np.ones(len(p))
     for each in vehicles:
         away_x = np.abs(p[:, 0] - each.x) - 0.5 * each.length + 0.1
@@ -184,7 +183,7 @@ def _car(car: ParkedCar) -> VehicleOccluder:
 
 
 def _truck(truck: ParkedTruck) -> VehicleOccluder:
-    """A truck: its box, its cab behind the windscreen, and what is below the box."""
+    """A truck: its box, its cab behind the windshield, and the parts below the box."""
     form = TRUCK_FORM
     w, cab_w = 0.5 * form.width, 0.5 * form.cab_width - 0.1
     body = (form.body_back + 0.02, -w + 0.02, form.floor), (form.body_front - 0.02, w - 0.02, form.height - 0.02)

@@ -1,4 +1,7 @@
-"""The box of a delivery lorry: flanks, two doors behind, roof, and the cooling unit on its forehead."""
+"""Delivery trucks: box, cab and chassis.
+
+The object frame has x forward, y left, z up, and its origin at the bottom center.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,12 +20,12 @@ _GLOSS = 0.10
 
 
 def build_body(form: TruckForm, body: Color, sign: Color) -> Quads:
-    """Build the box, without its wheels, in the object frame."""
+    """Build the box, without the wheels, in the object frame."""
     return Quads.joined([_flanks(form, body, sign), _doors(form, body, sign), _front_and_roof(form, body)])
 
 
 def _flanks(form: TruckForm, body: Color, sign: Color) -> Quads:
-    """Build both flanks of the box: panels between rails, with a coloured field in the middle."""
+    """Build both flanks of the box: panels between rails, with a colored field in the middle."""
     x0, x1 = form.body_back, form.body_front
     low, high = form.floor, form.height
     x = graded_lines([x0, x0 + 0.06, x0 + 1.6, x1 - 1.3, x1 - 0.06, x1], 0.08, 0.6)
@@ -39,7 +42,7 @@ def _flanks(form: TruckForm, body: Color, sign: Color) -> Quads:
 
 
 def _doors(form: TruckForm, body: Color, sign: Color) -> Quads:
-    """Build the rear: two doors in a frame, four locking bars with handles, hinges, tape that shines, and two signs."""
+    """Build the rear: two doors in a frame, four locking bars with handles, hinges, reflective tape, and two signs."""
     half, back = 0.5 * form.width, form.body_back
     low, high = form.floor, form.height
     y = graded_lines([-half, -half + 0.08, -0.66, -0.30, -0.012, 0.012, 0.30, 0.66, half - 0.08, half], 0.08, 0.4)
@@ -74,7 +77,7 @@ def _doors(form: TruckForm, body: Color, sign: Color) -> Quads:
 
 
 def _front_and_roof(form: TruckForm, body: Color) -> Quads:
-    """Build what shows of the box above the cab, its roof and its floor, and the cooling unit on its forehead."""
+    """Build the box's visible front above the cab, with the cooling unit, its roof and its floor."""
     half, x0, x1 = 0.5 * form.width, form.body_back, form.body_front
     y = graded_lines([-half, -half + 0.06, half - 0.06, half], 0.08, 0.6)
     z = graded_lines([form.floor, 2.2, form.height - 0.07, form.height], 0.1, 0.6)
@@ -99,7 +102,7 @@ def _front_and_roof(form: TruckForm, body: Color) -> Quads:
     )
 
 
-# § The cab of a delivery lorry, lofted upwards from its bumper: windscreen, doors, grille, lamps, mirrors.
+# Cab
 
 _GLASS = (0.018, 0.02, 0.022)
 
@@ -115,7 +118,7 @@ _SILL_M = 0.36
 
 _LEVELS = (_SILL_M, 0.46, 0.56, 0.66, 0.70, 0.80, 0.84, 0.92, 0.97, 1.13, 1.18, 1.27, 1.32, _BELT_M, 1.41, 1.52,
            1.72, 1.92, 2.01, _SCREEN_TOP_M, 2.11)  # fmt: skip
-"""Heights of the rows of cells: narrow where a colour ends, at the sill, the lamps, the grille, and the windows."""
+"""Heights of the rows of cells: narrow at color edges: the sill, the lamps, the grille, and the windows."""
 
 
 def build_cab(form: TruckForm, paint: Color) -> Quads:
@@ -127,9 +130,9 @@ def build_cab(form: TruckForm, paint: Color) -> Quads:
 
 
 def _plan(form: TruckForm) -> tuple[Float64[np.ndarray, "n 2"], Float64[np.ndarray, " n"]]:
-    """Outline from above, counter-clockwise from the rear right corner, and what each point is on.
+    """Outline from above, counter-clockwise from the rear right corner, and the side of each point.
 
-    What a point is on: 0 the right flank, 1 the front, 2 the left flank; corners lie in between.
+    Sides: 0 the right flank, 1 the front, 2 the left flank; corners have values between.
     """
     half, front, back = 0.5 * form.cab_width, 0.5 * form.length - 0.03, form.cab_back
     flank = np.array([back, back + 0.18, back + 0.20, back + 0.26, back + 0.32, back + 0.60,
@@ -186,7 +189,6 @@ def _shell(form: TruckForm, loop: Any, face: Any, rise: Any, paint: Color) -> Qu
 
 
 def _colors(form: TruckForm, column: Any, x: Any, y: Any, z: Any, paint: Color) -> tuple[Any, Any]:
-    """Albedo and gloss of the shell's cells."""
     front = 0.5 * form.length - 0.03
     inner = 0.5 * form.cab_width - _CORNER_M
     ahead = np.abs(column - 1) < 0.3
@@ -216,12 +218,11 @@ def _colors(form: TruckForm, column: Any, x: Any, y: Any, z: Any, paint: Color) 
 
 
 def _recolored(quads: Quads, albedo: Any, gloss: Any, sky_access: Any) -> Quads:
-    """The same surfaces in other colours."""
     return Quads.of(quads.corners, albedo, Label.TRUCK, spread=quads.spread, gloss=gloss, sky_access=sky_access)
 
 
 def _roof(rim: Float64[np.ndarray, "n 3"], form: TruckForm, paint: Color) -> Quads:
-    """Close the roof from its rim to the middle line, and the back wall below it."""
+    """Close the roof from its rim to the center line, and the back wall below it."""
     rows = np.array([0.0, 0.25, 0.6, 1.0])
     y = rim[:, 1:2] * (1 - rows)
     middle = np.clip(rim[:, 0], form.cab_back, rim[:, 0].max() - 0.1)
@@ -235,7 +236,7 @@ def _roof(rim: Float64[np.ndarray, "n 3"], form: TruckForm, paint: Color) -> Qua
 
 
 def _mirrors(form: TruckForm) -> list[Quads]:
-    """Two tall mirrors on their arms, beside the windscreen."""
+    """Two tall mirrors on their arms, next to the windshield."""
     x, parts = 0.5 * form.length - 0.22, list[Quads]()
     for side in (-1, 1):
         y = side * (0.5 * form.cab_width + 0.15)
@@ -247,7 +248,7 @@ def _mirrors(form: TruckForm) -> list[Quads]:
 
 
 def _trim(form: TruckForm) -> list[Quads]:
-    """Wipers, a badge, door handles, steps, and the dark of the wheel wells."""
+    """Wipers, a badge, door handles, steps, and dark wheel wells."""
     front, half = 0.5 * form.length - 0.03, 0.5 * form.cab_width
     badge = box((front + 0.055, 0, 1.22), (0.02, 0.34, 0.09), (0.5, 0.5, 0.5), Label.TRUCK, edge=0.05, coarse=0.1,
                 faces="X", gloss=0.2)  # fmt: skip
@@ -274,14 +275,14 @@ def _trim(form: TruckForm) -> list[Quads]:
 
 
 def _visor(form: TruckForm) -> Quads:
-    """The sun visor over the windscreen, with its two marker lamps."""
+    """The sun visor over the windshield, with its two marker lamps."""
     front = 0.5 * form.length - 0.20
     visor = box((front, 0, 2.11), (0.16, 1.62, 0.10), TRIM, Label.TRUCK, edge=0.06, coarse=0.25, faces="XyYzZ",
                 gloss=0.1)  # fmt: skip
     return visor
 
 
-# § What carries a delivery lorry: girders, wheels, guards, tank, and its rear end with lamps and underrun bar.
+# Chassis
 
 _RED_LAMP, _WHITE_LAMP = (0.42, 0.006, 0.006), (0.72, 0.72, 0.70)
 
@@ -289,12 +290,11 @@ _WHITE_TAPE = (0.74, 0.74, 0.72)
 
 
 def build_chassis(form: TruckForm) -> Quads:
-    """Build everything below cab and box, in the object frame."""
     return Quads.joined([_frame(form), _rear_end(form), _guards(form), _undercarriage(form), _wheels(form)])
 
 
 def _frame(form: TruckForm) -> Quads:
-    """Build the two girders that carry cab and box, with a cross member behind the cab."""
+    """Build the two girders below cab and box, with a cross member behind the cab."""
     x0, x1 = form.body_back + 0.05, form.cab_back + 0.4
     parts = [
         box((0.5 * (x0 + x1), side * 0.40, 0.82), (x1 - x0, 0.10, 0.30), STEEL, Label.TRUCK, edge=0.15, coarse=1.0,
@@ -307,7 +307,7 @@ def _frame(form: TruckForm) -> Quads:
 
 
 def _rear_end(form: TruckForm) -> Quads:
-    """Build lamps, number plate, underrun bar with its signd ends, buffers and mud flaps."""
+    """Build lamps, number plate, underrun bar with striped ends, buffers and mud flaps."""
     back, half = form.body_back, 0.5 * form.width
     parts = [
         box((back + 0.09, 0, 0.79), (0.12, 2.0, 0.22), STEEL, Label.TRUCK, edge=0.08, coarse=0.25, faces="xyYzZ"),
@@ -333,7 +333,7 @@ def _rear_end(form: TruckForm) -> Quads:
 
 
 def _rear_panel(x: float, y: float, z: float, width: float, height: float, albedo: Color, gloss: float = 0.03) -> Quads:
-    """A rectangle that looks backwards, centred at (y, z)."""
+    """A rectangle that faces backwards, centered at (y, z)."""
     across = np.linspace(0.0, width, max(3, round(width / 0.06) + 1))
     up = np.linspace(0.0, height, 3)
     origin = (x, y + 0.5 * width, z - 0.5 * height)
@@ -341,7 +341,7 @@ def _rear_panel(x: float, y: float, z: float, width: float, height: float, albed
 
 
 def _guards(form: TruckForm) -> Quads:
-    """Build the rails between the axles that keep cyclists out, the fuel tank, wings over the rear wheels."""
+    """Build the side guard rails between the axles, the fuel tank, and the fenders over the rear wheels."""
     rear, front = form.wheels
     x0, x1 = rear + 0.55, front - 0.75
     half = 0.5 * form.width
@@ -371,7 +371,7 @@ def _both(right: Quads) -> Quads:
 
 
 def _flank_panel(x0: float, x1: float, z0: float, z1: float, half: float, albedo: Color) -> Quads:
-    """A rectangle on the right flank, looking to -y."""
+    """A rectangle on the right flank, facing -y."""
     x = graded_lines([x0, x1], min(0.08, x1 - x0), 0.6)
     z = np.linspace(z0, z1, 3)
     points = np.stack(np.broadcast_arrays(x[:, None], -half, z[None]), axis=2)
@@ -379,7 +379,7 @@ def _flank_panel(x0: float, x1: float, z0: float, z1: float, half: float, albedo
 
 
 def _undercarriage(form: TruckForm) -> Quads:
-    """Build axles, engine and what else is dark below: nobody sees through under a lorry."""
+    """Build axles, engine and other dark parts below, which block the view under the truck."""
     rear, front = form.wheels
     engine = box((front - 0.1, 0, 0.62), (1.3, 1.1, 0.5), DARK, Label.TRUCK, edge=0.2, coarse=0.4, faces="xXyYz",
                  sky_access=0.2, sun_access=0.0)  # fmt: skip
@@ -389,7 +389,7 @@ def _undercarriage(form: TruckForm) -> Quads:
 
 
 def _wheels(form: TruckForm) -> Quads:
-    """Two wheels in front; behind, hollow twin wheels, of which the inner ones show from behind."""
+    """Two wheels in front; behind, hollow twin wheels, of which the inner ones are visible from behind."""
     radius, half = form.wheel_radius, 0.5 * form.width
     rear, front = form.wheels
     places: Sequence[tuple[float, float, float]] = (
@@ -411,14 +411,13 @@ def _wheels(form: TruckForm) -> Quads:
     return Quads.joined(parts)
 
 
-# § Delivery lorries in the object frame (x forward, y left, z up, origin at the bottom centre): a cab before a box.
+# Whole trucks
 
 _SMOOTH = 1.08
-"""Gaussians of a truck are this much wider than elsewhere: paint shows every gap."""
+"""Gaussians of a truck are this much wider than elsewhere: gaps are conspicuous in paint."""
 
 
 def build_parked_trucks(layout: StreetLayout) -> Quads:
-    """Build all parked trucks, in the world."""
     return Quads.joined(build_truck(each).placed((each.x, each.y, 0.0), each.turn_deg) for each in layout.trucks)
 
 

@@ -1,4 +1,4 @@
-"""Trees: a trunk with branches, and a crown of leaf clusters with light between them."""
+"""Trees, street furniture, and the sky dome."""
 
 from dataclasses import replace
 from typing import Any
@@ -17,12 +17,12 @@ _TWIGS, _LEAVES_A_TWIG = 58, 29
 
 
 def build_trees(layout: StreetLayout, sun: Float64[np.ndarray, "3"]) -> Quads:
-    """Build every tree; `sun` points to the sun and decides which leaves lie in their own crown's shade."""
+    """Build every tree; `sun` points to the sun, for the shade of leaves by their own crown."""
     return Quads.joined(_tree(tree, sun) for tree in layout.trees)
 
 
 def crown_lobes(tree: Tree) -> Float64[np.ndarray, "m 4"]:
-    """Balls (x, y, z, radius) in metres that together make the crown's outline."""
+    """Balls (x, y, z, radius) in meters whose union is the crown's outline."""
     rng = np.random.default_rng(tree.seed)
     base, top, r = CURB_HEIGHT_M + tree.crown_base, CURB_HEIGHT_M + tree.height, tree.radius
     middle = np.array([tree.x, tree.y, 0.5 * (base + top) - 0.1])
@@ -68,7 +68,7 @@ def _wood(tree: Tree, lobes: Float64[np.ndarray, "m 4"], rng: np.random.Generato
 def _leaves(
     tree: Tree, lobes: Float64[np.ndarray, "m 4"], sun: Float64[np.ndarray, "3"], rng: np.random.Generator
 ) -> Quads:
-    """Scatter leaves around twigs near the lobes' surfaces; gaps between twigs let the sky through."""
+    """Scatter leaves around twigs near the lobes' surfaces; the sky is visible through gaps between twigs."""
     shares = lobes[:, 3] ** 2 / np.sum(lobes[:, 3] ** 2)
     of_lobe = rng.choice(len(lobes), size=_TWIGS, p=shares)
     outward = rng.normal(size=(_TWIGS, 3)) + np.array([0, 0, 0.25])
@@ -108,7 +108,7 @@ def _leaves(
 def _depth_inside(
     points: Float64[np.ndarray, "n 3"], lobes: Float64[np.ndarray, "m 4"], direction: Float64[np.ndarray, "3"]
 ) -> Float64[np.ndarray, " n"]:
-    """Metres of crown between each point and the outside along a direction; overlaps count once each."""
+    """Meters of crown between each point and the outside along a direction; each overlapping lobe counts."""
     away = points[:, None] - lobes[None, :, :3]
     along = away @ direction
     inside = along**2 - (np.sum(away**2, axis=2) - lobes[:, 3] ** 2)
@@ -117,18 +117,17 @@ def _depth_inside(
     return 0.55 * np.where(inside > 0, path, 0).sum(axis=1)
 
 
-# § Street furniture: lamps, signs, bollards, bins and benches.
+# Street furniture
 
 _IRON = (0.045, 0.055, 0.052)
 
 _STEEL = (0.24, 0.245, 0.25)
 
 _BEFORE_POLE_M = 0.05
-"""How far in front of its pole a sign hangs."""
+"""Distance of a sign in front of its pole."""
 
 
 def build_furniture(layout: StreetLayout) -> Quads:
-    """Build everything that stands on the pavements, in the world."""
     p = layout.parameters
     parts = [_lamp(x, y) for x, y in layout.lamps]
     beside = p.curb_y_m + 0.32
@@ -177,7 +176,7 @@ def _lamp(x: float, y: float) -> Quads:
 
 
 def _round_sign(x: float, y: float, z: float, size: float) -> Quads:
-    """A speed limit that faces along -x: a red ring around two digits."""
+    """A speed limit sign that faces along -x: a red ring around two digits."""
     angle = np.linspace(0, -2 * np.pi, 25)
     radii = 0.5 * size * np.array([0.0, 0.25, 0.5, 0.76, 0.88, 1.0])
     across, up = radii[None] * np.sin(angle)[:, None], radii[None] * np.cos(angle)[:, None]
@@ -203,7 +202,7 @@ def _square_sign(x: float, y: float, z: float, size: float, facing: int) -> Quad
 
 
 def _with_back(face: Quads) -> Quads:
-    """Put a grey back behind a sign's face, one centimetre away."""
+    """Add a gray back behind a sign's face, one centimeter away."""
     corners = face.corners[:, ::-1] - np.float32(0.01) * face.normals[:, None]
     return Quads.joined([face, Quads.of(corners, 0.3, Label.SIGN, spread=face.spread)])
 
@@ -236,12 +235,13 @@ def _bin(x: float, y: float) -> Quads:
     return body.tinted(np.where(slot, 0.25, 1.0)[:, None])
 
 
-# § The sky: a dome with a blue-to-pale gradient and soft clouds.
+# Sky
+# A dome with a blue-to-pale gradient and soft clouds.
 
 RADIUS_M = 900.0
 
 SKY_SPREAD = 0.8
-"""Wider than elsewhere: neighbouring cells of sky melt into one another."""
+"""Wider than elsewhere, to blend neighboring cells of sky."""
 
 
 def build_sky(layout: StreetLayout) -> Quads:
@@ -265,7 +265,7 @@ def build_sky(layout: StreetLayout) -> Quads:
 def sky_display(
     directions: Float[np.ndarray, "n 3"], sun: Float64[np.ndarray, "3"], seed: int
 ) -> Float64[np.ndarray, "n 3"]:
-    """Display colour of the sky in unit directions: paler towards the horizon and the sun, with cumulus."""
+    """Display color of the sky in unit directions: paler towards the horizon and the sun, with cumulus."""
     up = np.clip(directions[:, 2], 0, 1).astype(np.float64)
     zenith, horizon = np.array([0.24, 0.44, 0.74]), np.array([0.80, 0.87, 0.93])
     part = (1 - up) ** 3.2
@@ -276,7 +276,7 @@ def sky_display(
 
 
 def _with_clouds(color: Any, directions: Any, up: Any, seed: int) -> Any:
-    """Lay clouds over the gradient: noise on a flat layer above, so that they flatten towards the horizon."""
+    """Add clouds to the gradient: noise on a flat layer above, so that they flatten towards the horizon."""
     flat = directions[:, :2] / (up + 0.22)[:, None]
     billow = layered_noise(flat, 0.75, seed + 101, 5)
     cover = np.clip((billow - 0.50) / 0.17, 0, 1)
