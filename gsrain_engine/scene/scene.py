@@ -522,8 +522,8 @@ class Scene:
     def part(
         self, member: Layer | Actor, time_s: float = 0.0, *, selection: bool = False, wetness: float = 0.0
     ) -> DrawItem | None:
-        """What of a member is drawn at a time; None while it is not there. See `parts`."""
-        way = member.way(time_s)
+        """Item of a member at a time; None while it is absent. See `parts`."""
+        way = member.pose_at(time_s)
         if way is None:
             return None
         return DrawItem(
