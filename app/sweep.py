@@ -1,4 +1,4 @@
-"""`gsrain sweep SWEEP.yaml`: many drives or renders, here, in shares, or on a cluster."""
+"""`gsrain sweep SWEEP.yaml`: many drives or renders, locally, in shards, or on a cluster."""
 
 import signal
 import sys
@@ -108,7 +108,7 @@ def _folder(name: str, sweep: Sweep, output: Path | None) -> Path:
 
 
 def _check_engine(workers: int | None, dask: str | None, resources: str) -> None:
-    """Raise ValueError for what contradicts itself, before anything is written."""
+    """Raise ValueError for options that contradict each other, before anything is written."""
     if dask is None and resources:
         raise ValueError(f"--dask-resources {resources}: expected --dask ADDRESS with it")
     if dask is not None and workers is not None:
@@ -119,7 +119,7 @@ def _check_engine(workers: int | None, dask: str | None, resources: str) -> None
 
 
 def _engine(workers: int | None, dask: str | None, resources: str, stack: ExitStack) -> Executor:
-    """Choose where to work."""
+    """Choose the executor."""
     if dask is None:
         return SerialExecutor() if workers == 0 else LocalPool(workers)
     cluster = DaskCluster(dask, _resources(resources))
@@ -142,7 +142,7 @@ def _resources(text: str) -> dict[str, float]:
 
 @contextmanager
 def _ended_gently() -> Generator[None]:
-    """Take what a batch system sends at the end of its time as Ctrl-C."""
+    """Treat SIGTERM, which batch systems send at their time limit, as Ctrl-C."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
@@ -164,7 +164,7 @@ def _count(number: int, what: str) -> str:
     return f"{number:,} {what}" if number == 1 else f"{number:,} {what}s"
 
 
-# § What `gsrain sweep` shows of the drives that it made: a row an agent and intensity.
+# Table of drives, a row per agent and intensity
 
 _COLUMNS = 160
 

@@ -1,4 +1,4 @@
-"""`gsrain reconstruct CAPTURE -o SCENE`: images, with lidar or COLMAP points, become Gaussians."""
+"""`gsrain reconstruct` and `gsrain recolor`: scenes from captures, and new colors from images."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -82,7 +82,7 @@ def reconstruct(
     page = report_path(output, report)
     check_writable(page, json)
     require_torch("gsrain reconstruct")
-    # torch takes two seconds to load: only now, that there is something to do.
+    # Loading torch takes two seconds, so import it only after the checks.
     from gsrain_engine.training.task import ReconstructionTask
     from gsrain_engine.training.train import reconstruct as work
 
@@ -143,7 +143,7 @@ def _print(result: Any, output: Path) -> None:
     )
 
 
-# § `gsrain recolor SCENE --images DIR -o SCENE`: a scene takes on the look of pictures.
+# gsrain recolor
 
 _REFINE_STEPS = 300
 
@@ -199,7 +199,7 @@ def recolor(
     if polish or refine:
         require_torch("--polish" if polish else "--refine")
     pictures = _images(images, capture)
-    # Kernels take a second to load: only now, that there is something to do.
+    # Loading kernels takes a second, so import them only after the checks.
     from gsrain_engine.recolor.recolor import recolor_to_capture
 
     run = followed(recolor_to_capture(load_scene(scene), pictures, options))

@@ -1,4 +1,4 @@
-"""`gsrain evaluate`: how close what we make is to what cameras see."""
+"""`gsrain evaluate streaks`: comparison of rendered rain streaks with real ones."""
 
 import logging
 import math
