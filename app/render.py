@@ -93,7 +93,7 @@ class RainOptions:
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class RecordingOptions:
-    """How a clip is recorded, on the command line."""
+    """Recording of a clip on the command line."""
 
     fps: Annotated[float, Parameter(help="Frames a second.")] = 30.0
     time: Annotated[float, Parameter(name=["--time", "--from"], help="Moment of the first frame in seconds.")] = 0.0
