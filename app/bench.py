@@ -94,8 +94,6 @@ def time_frames(renderer: Renderer, sequences: Sequence[FrameSequence], frames: 
 
 @dataclass(slots=True)
 class _Run:
-    """Timer of one sequence."""
-
     renderer: Renderer
     sequence: FrameSequence
     sky: Color
@@ -228,7 +226,7 @@ def render(
     frames: Annotated[int, Parameter(help="Frames that are timed, after two that are not.")] = 20,
     json: JsonFileOrScreen = None,
 ) -> dict[str, Any]:
-    """Time frames of fixed scenes: make the rain, draw, fetch the picture. Medians, by back end, size and rain."""
+    """Time frames of fixed scenes: create rain, render, read back. Medians by back end, size and rain."""
     check_writable(json)
     if not 1 <= frames <= 10_000:
         raise ValueError(f"--frames {frames}: must be within 1..10000")
@@ -253,7 +251,6 @@ def render(
 
 
 def timed_scene(name: str) -> Scene:
-    """Load a scene, or create a random one."""
     return random_scene(name) if is_random_scene(name) else load_scene(name)
 
 
@@ -491,7 +488,7 @@ def recoloring(
     iterations: Annotated[int, Parameter(help="Steps of conjugate gradients.")] = 12,
     json: JsonFileOrScreen = None,
 ) -> dict[str, Any]:
-    """Time recolouring scenes to darkened pictures of themselves: looking, choosing, solving, measuring."""
+    """Time recoloring scenes to darkened images of themselves: setup, choosing, solving, measuring."""
     check_writable(json)
     if not 1 <= views <= 1000:
         raise ValueError(f"--views {views}: must be within 1..1000")

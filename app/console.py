@@ -72,10 +72,9 @@ def bold(text: str) -> Text:
 
 
 class WordsColumn(ProgressColumn):
-    """Text column of a progress bar: the task's description or a fixed text."""
+    """Text column of a progress bar: a fixed text or the task's description."""
 
     def __init__(self, words: str | None = None) -> None:
-        """Show `words`, or the task's description if None."""
         super().__init__()
         self._words = words
 

@@ -297,7 +297,7 @@ def find_base_model() -> Finding:
 
 
 def find_text_encoder() -> Finding:
-    """Look for the text encoder; it is needed only once, because its encoded captions are cached."""
+    """Look for the text encoder, needed only once, because its encoded captions are cached."""
     from gsrain_engine.appearance.cyclegan_turbo.weight_paths import (
         base_model_folders,
         captions_file,
@@ -339,7 +339,6 @@ def find_clip_model() -> Finding:
 
 
 def installed_extensions() -> list[Extension]:
-    """Return all extensions, group by group."""
     return [each for group in GROUPS for each in find_extensions(group)]
 
 

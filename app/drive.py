@@ -171,10 +171,10 @@ def drive(
     backend: Annotated[Backend, Parameter(help="auto takes OpenGL on a GPU, else the processor.")] = "auto",
     json: JsonFile = None,
 ) -> None:
-    """Test a driver in the rain: it sees the scene, says where it wants to be, and is driven there.
+    """Test a driver in the rain: an agent sees the scene and plans, and the vehicle follows its plan.
 
     A folder gets each run as JSON lines (which the window opens), a table like the paper's, figures over time, a report
-    and a film. Without SCENARIO.yaml a car stands in the lane of the built-in street.
+    and a video. Without SCENARIO.yaml a car is parked in the lane of the built-in street.
     """
     asked = driver or DriverOptions()
     test = _as_asked(load_scenario(scenario or DEFAULT_SCENARIO), scene, rig, width, duration)
@@ -255,13 +255,11 @@ def _drive(simulation: Simulation, agent: Agent) -> str | None:
 
 
 def _place(error: Exception) -> str:
-    """Return the file and the line where an error was raised."""
     frame = traceback.extract_tb(error.__traceback__)[-1]
     return f"{Path(frame.filename).name}, line {frame.lineno}"
 
 
 def _run(simulation: Simulation, agent: Agent, hashed: str) -> ScoredRun:
-    """Compute the metrics of a finished simulation."""
     drivable = drivable_of(simulation.scene, simulation.ground, simulation.occupied)
     rollout = msgspec.structs.replace(simulation.rollout(agent.name), scene_hash=hashed, software=software())
     return ScoredRun.of(rollout, simulation.occupied, drivable)

@@ -35,7 +35,6 @@ class DriveFiles:
     folder: Path
     exports: frozenset[str]
     fps: float
-    """Frame rate of videos."""
 
     def check(self) -> None:
         """Raise ValueError for unknown formats, missing packages and frame rates out of bounds."""
@@ -49,12 +48,10 @@ class DriveFiles:
             raise ValueError(f"--fps {self.fps:g}: must be within 1..60")
 
     def of(self, run: ScoredRun, suffix: str) -> Path:
-        """Return the file of a run."""
         metrics = run.metrics
         return self._of(metrics.scenario, metrics.agent, metrics.intensity_mm_h, metrics.seed, suffix)
 
     def figure(self, scenario: str, agent: str) -> Path:
-        """Return the file of a figure over time."""
         return self.folder / f"{_drive_word(scenario, agent)}.png"
 
     def planned(

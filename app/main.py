@@ -154,7 +154,7 @@ def bench_all(
     ] = "random-200k,street",
     json: JsonFileOrScreen = None,
 ) -> None:
-    """Time this machine: frames in rain and without, loading, recolouring. The commands time one, with options."""
+    """Time this machine: frames in rain and without, loading, recoloring. The commands time one, with options."""
     from .options import check_writable
 
     check_writable(json)

@@ -187,7 +187,6 @@ def lock_outputs(*places: Path | None, shared: bool = False) -> None:
 
 
 def release_outputs() -> None:
-    """Release all locks of a command."""
     _held.close()
 
 
@@ -351,7 +350,6 @@ def with_trust(load: Callable[[], _Result], trust: bool) -> _Result:
 
 
 def _is_allowed(error: UntrustedCodeError) -> bool:
-    """Ask in the terminal; the default is no."""
     if not all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stderr)):  # pyright: ignore
         return False
     print(f"{error.named_by} names Python code, which would run with all your rights:", file=sys.stderr)

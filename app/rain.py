@@ -291,7 +291,6 @@ def _disdrometer_numbers(counted: DisdrometerMeasurement) -> dict[str, Any]:
 
 
 def _spectrum(counted: DisdrometerMeasurement, edges_mm: Float64[np.ndarray, " n_and_one"]) -> dict[str, list[float]]:
-    """Return drops counted, and drops in the air, by diameter."""
     drops, _ = np.histogram(counted.diameters_mm, edges_mm, weights=counted.counts.sum(axis=0).astype(float))
     in_air, _ = np.histogram(counted.diameters_mm, edges_mm, weights=counted.in_air_m3)
     return {

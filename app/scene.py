@@ -92,7 +92,7 @@ def info(
 
 
 def _scene_info(scene: str) -> dict[str, Any]:
-    """Print the contents of a scene; returns the printed numbers."""
+    """Print a scene's contents; returns the printed numbers."""
     opened = load_scene(scene)
     rows = [_member(each) for each in opened.members]
     numbers = {
@@ -301,9 +301,9 @@ def convert(
     ] = None,
     json: JsonFile = None,
 ) -> None:
-    """Convert a scene. A scene folder remembers which way is up and how long a unit is.
+    """Convert a scene. A scene folder stores orientation and unit.
 
-    A single file gets all visible layers, and actors where they stand at time 0, in metres with -y up.
+    A single file gets all visible layers, and actors at their place at time 0, in meters with -y up.
     """
     if wetness is not None and not 0 <= wetness <= 1:
         raise ValueError(f"--wetness {wetness:g}: must be within 0..1")

@@ -54,12 +54,11 @@ def sweep(
     trust: Trust = False,
     json: JsonFile = None,
 ) -> int:
-    """Run every combination that a sweep names. Run again, it goes on: jobs with a row are not done twice.
+    """Run every combination that a sweep names. Run again, it resumes: jobs with a row are not repeated.
 
-    Any number of such commands may work on one folder: with --shard on machines that know nothing of each other. Rows
-    say nothing of time or machine; those of equal jobs are equal to the byte. Where one fails, its row has the error.
-
-    Agents in Python files run only with --trust, or once you have said yes to their content in a terminal.
+    Any number of such commands may work on one folder, with --shard on independent machines. Rows contain neither times
+    nor machine names; equal jobs give byte-identical rows. The row of a failed job has the error. Agents in Python
+    files run only with --trust, or once you have allowed their content in a terminal.
     """
     started = time.perf_counter()
     told = load_sweep(sweep)
@@ -119,7 +118,6 @@ def _check_engine(workers: int | None, dask: str | None, resources: str) -> None
 
 
 def _engine(workers: int | None, dask: str | None, resources: str, stack: ExitStack) -> Executor:
-    """Choose the executor."""
     if dask is None:
         return SerialExecutor() if workers == 0 else LocalPool(workers)
     cluster = DaskCluster(dask, _resources(resources))
@@ -176,7 +174,6 @@ _COLUMN_TITLES = {
 
 
 def print_cells(cells: Sequence[Mapping[str, Any]]) -> None:
-    """Print the cells of a summary with their intervals."""
     several = len({cell["scene"] for cell in cells}) > 1
     table = Table(box=None, pad_edge=False)
     for title in [*(["scene"] if several else []), "scenario", "agent"]:

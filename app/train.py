@@ -71,7 +71,7 @@ def reconstruct(
     allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
-    """Fit Gaussians to a capture, and measure them on views that were kept apart. Ctrl-C leaves a checkpoint."""
+    """Fit Gaussians to a capture, and measure them on held-out views. Ctrl-C leaves a checkpoint."""
     let_names_lead_outside(allow_outside)
     settings = _settings(
         config, steps=steps, width_px=width, gaussians=gaussians, density=density, sh_degree=sh_degree, seed=seed,
@@ -112,7 +112,6 @@ def _settings(config: str | None, **options: Any) -> TrainingSettings:
 
 
 def _parse_held_out(text: str | None) -> dict[str, Any]:
-    """Turn "8" or "a,b" into settings."""
     if text is None:
         return {}
     if text.isdecimal():
@@ -182,7 +181,7 @@ def recolor(
     allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
-    """Solve a scene's colours for pictures; its geometry stays. The clear colours stay too, unless replaced."""
+    """Solve a scene's colors for images; its geometry stays. The clear colors stay too, unless replaced."""
     let_names_lead_outside(allow_outside)
     options = _options(
         {"width_px": width, "held_out": held_out, "polish": polish, "refine": _REFINE_STEPS * refine},

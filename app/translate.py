@@ -171,7 +171,7 @@ def transfer(
 ) -> None:
     """Make views rainy. gsrain recolor and gsrain reconstruct take DIR as --images.
 
-    DIR/clear holds the views as they were: another program may change them, and --method images takes what it made.
+    DIR/clear holds the original views: another program may change them, and --method images uses its results.
     """
     let_names_lead_outside(allow_outside)
     how, where = method or MethodOptions(), views or ViewChoiceOptions()
@@ -316,7 +316,7 @@ def train_transfer(
     allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
-    """Fine-tune the transfer on two sets of pictures that show no place twice. Ctrl-C leaves the last checkpoint."""
+    """Fine-tune the transfer on two unpaired sets of images. Ctrl-C leaves the last checkpoint."""
     let_names_lead_outside(allow_outside)
     changes = {"device": device, "steps": steps, "base": base, "clip": clip, "lpips": lpips, "start": start}
     changes |= {"seed": seed, "clear": _sources(clear), "rainy": _sources(rainy)}

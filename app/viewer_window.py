@@ -35,7 +35,6 @@ _STEP = "python"
 
 
 def main() -> None:
-    """Open the window, and exit with its exit code."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in the terminal is for the program, which then closes this
     requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
@@ -89,7 +88,6 @@ class ViewerWindow:
                 return
 
     def _begin(self) -> "Editor":
-        """Create the session of the first scene."""
         from gsrain_engine.editor.editor import Editor
         from gsrain_engine.scene.formats.scene_files import read_scene
 
@@ -174,7 +172,6 @@ def _look_from(session: "Editor", request: SetCamera) -> None:
 
 
 def _leave(session: "Editor") -> None:
-    """Close without asking."""
     session.files.give_up()
     session.is_leaving = True
 
@@ -186,7 +183,6 @@ def _is_busy(workspace: "Workspace") -> bool:
 
 
 def _in_thread(folder: Path) -> "Future[Scene]":
-    """Read a scene in a thread while the window keeps drawing."""
     from gsrain_engine.scene.formats.scene_files import read_scene
 
     reading: Future[Scene] = Future()

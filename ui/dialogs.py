@@ -246,7 +246,6 @@ class CommandPalette:
 
 
 def matches(name: str, typed: str) -> bool:
-    """Return True if the name contains every typed word."""
     return all(word in name.lower() for word in typed.lower().split())
 
 

@@ -59,7 +59,6 @@ def _item(session: Editor, action: Command) -> None:
 
 
 def _recent(session: Editor) -> None:
-    """Draw the menu of recent scenes."""
     if imgui.begin_menu("Open recent", bool(session.files.recent)):
         for path in session.files.recent:
             if imgui.menu_item(label(path.name, str(path)), "", False)[0]:
@@ -102,7 +101,6 @@ _NEW = timedelta(seconds=8)
 
 
 def status_bar(session: Editor) -> None:
-    """Draw the content of the bar."""
     state = session.shown_rainfall.state_at(session.clock.time_s)
     selected = sum(each.marks.selected.size for each in session.scene.members if each.marks.selected is not None)
     words = [session.scene.name, f"{session.clock.time_s:.1f} s", f"{state.intensity_mm_h:.1f} mm/h"]

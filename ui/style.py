@@ -14,7 +14,6 @@ _BEHIND_QUESTIONS = (0.0, 0.0, 0.0, 0.45)
 
 
 def apply_style(preferences: Preferences) -> None:
-    """Set colors, sizes and the scale of text."""
     for_screen = imgui.get_style().font_scale_dpi
     hello_imgui.apply_theme(_THEMES[preferences.theme])
     style = imgui.get_style()

@@ -216,7 +216,6 @@ class MainWindow:
             self.failure = failure
 
     def _update(self) -> None:
-        """Update once per frame, before drawing."""
         assert self._context is not None
         try:
             check_context(self._context)
@@ -332,7 +331,6 @@ def own_layout() -> Generator[Path | None]:
 
 
 def _remove_abandoned(folder: Path) -> None:
-    """Remove the copies of windows that were killed."""
     for file in folder.glob("*.ini"):
         if file.stem.isdigit() and not psutil.pid_exists(int(file.stem)):
             file.unlink(missing_ok=True)

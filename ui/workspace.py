@@ -70,7 +70,7 @@ def begin_session(scene: str | None, rain: RainSettings | None, wet: bool = Fals
 
 
 class Workspace:
-    """Content of the window after loading."""
+    """Window content after loading."""
 
     def __init__(self, session: Editor, context: moderngl.Context, backend: WindowBackend) -> None:
         self.session = session

@@ -71,11 +71,11 @@ def consistency(
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
 ) -> None:
-    """Warp neighbouring views onto each other by their depth, and compare: before a transfer, and after it.
+    """Warp neighboring views onto each other by their depth, and compare: before a transfer, and after it.
 
-    The error after should be that before: what a transfer adds differently in each view makes it grow. Reflections in
-    water move with the eye, so that errors outside the water film are told as well. Errors are the root of the mean
-    square over matched pixels, in levels of 255; "per contrast" divides each by its picture's contrast.
+    The error after should be that before: what a transfer adds differently in each view increases it. Reflections in
+    water move with the eye, so errors outside the water film are reported as well. Errors are root mean squares over
+    matched pixels, in levels of 255; "per contrast" divides each by its image's contrast.
     """
     let_names_lead_outside(allow_outside)
     _check(folders, neighbours, film, sheet_pairs)
@@ -133,7 +133,6 @@ def _check(folders: Sequence[Path], neighbours: int, film: float, sheet_pairs: i
 def _drawn(
     compared: Sequence[ViewFolder], pairs: Sequence[_Pairs], film: float, most: int
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Draw some pairs of each folder, warped, with their errors."""
     count = min(most, len(pairs[0]))
     chosen = [i * len(pairs[0]) // count for i in range(count)]
     shown = [
@@ -215,7 +214,6 @@ def _numbers(agreement: WarpAgreement | None) -> dict[str, Any]:
 def print_agreements(
     compared: Sequence[ViewFolder], results: Sequence[Sequence[PairAgreement]], console: Console
 ) -> None:
-    """Print a table of pairs and means, folder by folder."""
     with_lpips = any(row.everywhere.after.lpips is not None for rows in results for row in rows)
     names = [
         "view",

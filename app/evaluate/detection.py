@@ -153,13 +153,12 @@ def detection(
 ) -> None:
     """Measure what rain does to object detectors: confidence, boxes, classes and average precision by intensity.
 
-    Each view is shown as it was taken (where a capture has it), clear, and in rains of several seeds. What is there
-    to be found comes from the scene's actors (the street: its lead car, parked cars and trucks), from a capture's 3D
-    boxes, or from a COCO file; objects lower than 16 px or less than a quarter visible are neither asked for nor held
-    against anybody who finds them, nor are classes that a detector has no word for (a sign), which are listed apart.
-    What a data set only calls vehicle may be found as a car, truck, bus, van or trailer. With --output, what is
-    finished is kept there: the same command goes on after a stop, and more seeds, intensities or detectors only add to
-    it.
+    Each view is shown as recorded (if a capture has it), clear, and in rains of several seeds. Ground truth comes from
+    the scene's actors (the street: its lead car, parked cars and trucks), from a capture's 3D boxes, or from a COCO
+    file. Objects lower than 16 px or less than a quarter visible are ignored, and so are classes that a detector lacks
+    (a sign), which are listed separately. Objects that a data set only calls vehicle match a car, truck, bus, van or
+    trailer. With --output, finished results are stored there: the same command resumes after a stop, and more seeds,
+    intensities or detectors are only added.
     """
     let_names_lead_outside(allow_outside)
     _check_installed()
@@ -258,7 +257,6 @@ class PreparedSource:
     """Inputs of the images by name: hashes of files; for a capture, a hash of names, sizes and times."""
 
     def trials(self, intensities_mm_h: tuple[float, ...], seeds: tuple[int, ...]) -> list[Condition]:
-        """Return all conditions in which each view is shown."""
         originals = all(frame.original is not None for frame in self.frames)
         return conditions_of(intensities_mm_h, seeds, originals=originals, scene=not self.pictures.is_in_front)
 
@@ -308,7 +306,7 @@ _PACKAGES = ("gsrain", "onnxruntime", "numpy", "numba", "opencv-python-headless"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectionNumbers:
-    """All results that the command reports."""
+    """Results of the command."""
 
     rows: list[ObjectRow]
     scores: list[ScoreByIntensity]
@@ -320,7 +318,6 @@ class DetectionNumbers:
 
     @property
     def plain(self) -> dict[str, Any]:
-        """Plain values for JSON."""
         left = {name: asdict(each) for name, each in self.robustness.items()}
         return {
             "settings": self.settings,
@@ -613,7 +610,7 @@ _LEVEL = np.array([[0.0, -1, 0, 0], [0, 0, -1, 1.5], [1, 0, 0, 0], [0, 0, 0, 1]]
 
 @dataclass(frozen=True, slots=True)
 class DetectionSource:
-    """Options that select the evaluated views."""
+    """Options that select the views."""
 
     source: str | None
     capture: Path | None

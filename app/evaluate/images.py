@@ -81,9 +81,9 @@ def images(
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
 ) -> None:
-    """Measure how close pictures are to those of the same names: PSNR, SSIM and LPIPS, each with its mean and interval.
+    """Measure how close images are to those of the same names: PSNR, SSIM and LPIPS, each with its mean and interval.
 
-    PSNR in dB and SSIM (at most 1) are higher for closer pictures, LPIPS (0 for equal ones) is lower.
+    PSNR in dB and SSIM (at most 1) are higher for closer images, LPIPS (0 for equal ones) is lower.
     """
     let_names_lead_outside(allow_outside)
     check_page(report, json)
@@ -253,10 +253,10 @@ def fid(
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
 ) -> None:
-    """Compare sets of pictures as distributions: FID with KID beside it, both with intervals of 95 %.
+    """Compare sets of images as distributions: FID and KID, both with intervals of 95 %.
 
-    FID of few pictures is too high: "same" says what it would be if both sets came from one distribution. KID is
-    not, and is 0 then. Other extractors give distances under names of their own: FD- and KD-.
+    FID of few images is too high: "same" is its value if both sets came from one distribution. KID is unbiased, and is
+    0 then. Other extractors give distances with their own names: FD- and KD-.
     """
     let_names_lead_outside(allow_outside)
     names = [name.strip() for name in extractor.split(",")]

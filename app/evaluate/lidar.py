@@ -80,8 +80,9 @@ def lidar(
 ) -> None:
     """Rain on a lidar: returns kept, lost and made up, by range, over intensities and seeds.
 
-    Rain takes light on both ways (beta(R) of the haze), drops of the same field answer near the car, wet road mirrors.
-    A capture's own sweeps are taken as those of clear weather. In a scene a virtual sensor stands on the ego's roof.
+    Rain attenuates light in both directions (beta(R) of the haze), nearby drops of the same field return echoes, and a
+    wet road mirrors. A capture's own sweeps count as those of clear weather. In a scene a virtual sensor is on the
+    ego's roof.
     """
     let_names_lead_outside(allow_outside)
     intensities = _intensities(rain)
@@ -236,7 +237,7 @@ def write_lidar_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def print_lidar(by_intensity: Mapping[float, Sequence[RainRunCounts]], sensor: LidarSensor, console: Console) -> None:
-    """Print means over seeds and turns with their spread, and the shares of kept returns by range."""
+    """Print means over seeds and turns, and the shares of kept returns by range."""
     table = Table("mm/h", "beta 1/km", "wetness", "clear", "kept", "too weak", "behind a drop", "drops", box=None)
     table.add_column("noise mm")
     for intensity, runs in by_intensity.items():

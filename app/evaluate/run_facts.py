@@ -20,14 +20,13 @@ def run_provenance(inputs: Mapping[str, str], packages: Iterable[str] = ()) -> d
 
 
 def provenance_lines(facts: Mapping[str, Any]) -> dict[str, str]:
-    """Return the provenance as lines of a page, by title."""
+    """Return the provenance as lines by title."""
     versions = ", ".join(f"{name} {version}" for name, version in facts["versions"].items() if version is not None)
     hashes = {f"hash of {name}": str(value) for name, value in facts["inputs"].items()}
     return {"command": str(facts["command"]), "versions": versions, **hashes}
 
 
 def version_of(package: str) -> str | None:
-    """Return the version of a package; None if it is not installed."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:

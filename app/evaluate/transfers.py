@@ -76,10 +76,10 @@ def transfers(
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
 ) -> None:
-    """Make the same views rainy by several methods, and compare each with real rainy pictures.
+    """Make the same views rainy by several methods, and compare each with real rainy images.
 
-    FID (or its like) and KID with intervals of 95 %, whether neighbouring views still agree, seconds, and a figure.
-    Methods whose pictures stand in DIR, made in the same way, are not run again.
+    FID (or the like) and KID with intervals of 95 %, agreement of neighboring views, seconds, and a figure. Methods
+    whose images are in DIR, made with the same settings, are not run again.
     """
     let_names_lead_outside(allow_outside)
     told = with_trust(lambda: load_comparison(comparison), trust)
@@ -258,7 +258,6 @@ def print_transfers(result: ComparisonResult, console: Console) -> None:
 
 
 def _changed(method: ComparedMethod) -> str:
-    """Describe the settings that differ from the method's defaults."""
     values = msgspec.to_builtins(method, enc_hook=str)
     usual = {each.name: each.default for each in msgspec.structs.fields(method)}
     own = {key: value for key, value in values.items() if key not in ("name", "method") and value != usual[key]}

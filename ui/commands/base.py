@@ -9,7 +9,6 @@ from gsrain_engine.editor.editor import Editor
 
 
 def always(session: Editor) -> bool:
-    """Return True: for commands that are always possible."""
     return True
 
 
@@ -41,11 +40,9 @@ class Command:
         return " or ".join(map(chord_name, self.chords))
 
     def title(self, session: Editor) -> str:
-        """Return the name with its current suffix."""
         return f"{self.name} {self.more(session)}".strip() if self.more is not None else self.name
 
     def perform(self, session: Editor) -> None:
-        """Run the command, if it is possible."""
         if self.is_possible(session):
             self.run(session)
 

@@ -90,7 +90,6 @@ _BLIND = ("constant-velocity", "oracle-idm")
 
 
 def scenario_choice(session: Editor) -> None:
-    """Choose a shipped scenario, or one from a file."""
     wanted = session.drives.settings
     plain_label("Scenario", wanted.scenario.description or "What happens on the road.")
     names = wanted.scenario_names
@@ -111,12 +110,10 @@ def scenario_choice(session: Editor) -> None:
 
 
 def ask_for_scenario(session: Editor) -> None:
-    """Open the dialog for a scenario file."""
     ask_what_to_open("Open a scenario", _SCENARIOS, lambda chosen: session.drives.settings.load(chosen[0]))
 
 
 def agent_fields(wanted: DriveSetup) -> None:
-    """Choose the agent and its settings."""
     wishes, names = wanted.wishes, wanted.agent_names
     plain_label("Agent", field_info("agent", type(wishes)).help)
     present = names.index(wishes.agent) if wishes.agent in names else 0
@@ -214,7 +211,6 @@ def rollout_fields(session: Editor) -> None:
 
 
 def ask_for_rollout(session: Editor) -> None:
-    """Open the dialog for roll-out files."""
     kinds = f"{_KINDS},{ALL_FILES}"
 
     def take(chosen: list[Path]) -> None:
@@ -319,7 +315,6 @@ _USER = ("ahead_m", "left_m", "turned_deg", "speed_m_s")
 
 
 def scenario_fields(wanted: DriveSetup) -> None:
-    """Draw the scenario's fields, with a button that saves it."""
     scenario = wanted.scenario
     for name in _START:
         scenario = _field(scenario, name)
@@ -342,7 +337,6 @@ def scenario_fields(wanted: DriveSetup) -> None:
 
 
 def ask_where_to_save_scenario(wanted: DriveSetup) -> None:
-    """Open the dialog that saves the scenario."""
     ask_where_to_save("Save the scenario", "Scenario{.yaml}", lambda chosen: wanted.save(chosen[0]))
 
 

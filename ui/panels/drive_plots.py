@@ -148,7 +148,6 @@ _FEW = 3
 
 
 def curve_colors(opened: Sequence[LoadedRollout]) -> list[ImVec4]:
-    """Return a color for each roll-out, in order."""
     colors: list[ImVec4] = []
     for number, each in enumerate(opened):
         alike = sum(other.intensity_mm_h == each.intensity_mm_h for other in opened[:number])

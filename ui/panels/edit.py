@@ -102,7 +102,6 @@ _RANGES = {"opacity_below": (1.0, "%.3g"), "size_above_m": (20.0, "%.3g"), "isol
 
 
 def floater_fields(session: Editor) -> None:
-    """Edit the rules, search, delete."""
     for name, (high, written) in _RANGES.items():
         info, value = field_info(name, FloaterRules), getattr(_chosen.rules, name)
         plain_label(f"{info.title} ({info.unit})" if info.unit else info.title, info.help)
@@ -136,7 +135,6 @@ def floater_fields(session: Editor) -> None:
 
 
 def place_fields(session: Editor, member: Layer | Actor) -> None:
-    """Edit position, rotation and scale."""
     time_s = session.clock.time_s
     pose = layer_pose(session.scene, member.key, time_s)
     if pose is None:
@@ -171,7 +169,6 @@ _CLAMP = imgui.SliderFlags_.always_clamp | imgui.SliderFlags_.logarithmic
 
 
 def actor_fields(session: Editor, actor: Actor) -> None:
-    """Edit times and heading; copy, remove, follow."""
     key, start, duration = actor.key, start_of(actor), duration_of(actor)
     plain_label("Starts at (s)", "Second of the scene's clock at which its drive begins.")
     changed, typed = imgui.drag_float("##start", start, 0.02, -3600, 3600, "%.2f")

@@ -69,8 +69,6 @@ _LEVELS = {"all": logging.INFO, "warnings": logging.WARNING, "errors": logging.E
 
 
 class _LogFilter:
-    """Level and words that filter the log."""
-
     level = "all"
     words = ""
 

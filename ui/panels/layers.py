@@ -219,7 +219,6 @@ _RESET = icons_fontawesome_6.ICON_FA_ROTATE_LEFT
 
 
 def grading_fields(session: Editor, member: Layer | Actor) -> None:
-    """Draw a slider for each field, with a reset button."""
     plain_label("Opacity", f"Multiplies that of every Gaussian of {member.name}; 1 leaves it.")
     changed, value = _slider("opacity", member.opacity, 0.0, 1.0, 1.0)
     if changed:

@@ -25,7 +25,6 @@ _GRIP_PX = 8.0
 _MAX_KEYS, _MAX_POINTS = 150, 20_000
 
 _CLOSEST_S = 0.01
-"""Minimum distance of two keyframes."""
 
 _ROWS: tuple[tuple[Keyed, str], ...] = (("wind_m_s", "wind"), ("exposure_s", "exposure"))
 

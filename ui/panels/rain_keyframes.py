@@ -66,7 +66,6 @@ def add_passing_shower(session: Editor) -> None:
 
 
 def ask_for_rate_file(session: Editor) -> None:
-    """Open the dialog for a disdrometer file, which is read in the background."""
     ask_what_to_open("Import a series", SERIES_FILES, lambda paths: session.lab.read_series(paths[0]))
 
 
@@ -108,7 +107,6 @@ def _buttons(session: Editor) -> None:
 
 
 def _same_line_if_fits(label: str) -> None:
-    """Continue on the same line if the next button still fits."""
     style = imgui.get_style()
     width = imgui.calc_text_size(label, hide_text_after_double_hash=True).x + 2 * style.frame_padding.x
     right = imgui.get_window_pos().x + imgui.get_window_width() - style.window_padding.x

@@ -67,7 +67,6 @@ def _video_instead(session: Editor) -> None:
 
 
 def ask_where_to_record(session: Editor) -> None:
-    """Open the dialog for the timeline's clip."""
     kinds = _KINDS[session.recorder.settings.codec]
     ask_where_to_save("Record the timeline", kinds, lambda chosen: session.recorder.record_to(_plain(chosen[0])))
 
@@ -140,7 +139,6 @@ _PASS_HELP: dict[Pass, str] = {
 
 
 def format_fields(session: Editor) -> None:
-    """Choose format and quality."""
     wanted = session.recorder.settings
     titles = list(_FORMATS)
     plain_label("Format", "What is written: a video, or a folder of numbered frames.")
@@ -166,7 +164,6 @@ def format_fields(session: Editor) -> None:
 
 
 def size_fields(session: Editor) -> None:
-    """Choose a common size, or type another."""
     present, titles = session.recorder.settings.size_px, list(_SIZES)
     shown = next((title for title, size in _SIZES.items() if size == present), _OTHER)
     _label("size_px")
@@ -186,7 +183,6 @@ def size_fields(session: Editor) -> None:
 
 
 def camera_field(session: Editor) -> None:
-    """Choose the camera path, one camera of the rig, or several."""
     _label("cameras")
     wanted = session.recorder.settings.cameras
     shown = ", ".join(wanted) or _PATH
@@ -211,7 +207,6 @@ def camera_field(session: Editor) -> None:
 
 
 def moment_fields(session: Editor) -> None:
-    """Set the frame rate, and the time range."""
     wanted = session.recorder.settings
     _label("fps")
     changed, fps = imgui.input_float("##fps", wanted.fps, 0.0, 0.0, "%.6g")
@@ -241,13 +236,11 @@ def moment_fields(session: Editor) -> None:
 
 
 def sample_fields(session: Editor) -> None:
-    """Set the number of samples averaged per frame."""
     _count(session, "supersampling", 4, lambda n: "off" if n == 1 else f"{n} x {n} a pixel")
     _count(session, "motion_blur", 64, lambda n: "off" if n == 1 else f"{n} sub-frames")
 
 
 def pass_fields(session: Editor) -> None:
-    """Choose additional passes, and a clear twin."""
     wanted = session.recorder.settings
     for name, words in _PASS_HELP.items():
         changed, on = imgui.checkbox(name, name in wanted.passes)

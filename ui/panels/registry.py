@@ -63,7 +63,6 @@ BUILT_IN_PANELS = (
 
 
 def all_panels() -> tuple[Panel, ...]:
-    """Return our panels, then those of installed packages."""
     return (*BUILT_IN_PANELS, *installed_panels({each.title for each in BUILT_IN_PANELS}))
 
 
@@ -89,8 +88,6 @@ def installed_panels(taken: set[str]) -> tuple[Panel, ...]:
 
 
 class _Guarded:
-    """Draws a panel until it raises."""
-
     def __init__(self, extension: Extension, panel: Panel) -> None:
         self._extension = extension
         self._draw = panel.draw

@@ -255,7 +255,6 @@ _JSON = "Camera paths{.json},All files{.*}"
 
 
 def path_menu(session: Editor) -> None:
-    """Draw the button, and its menu while it is open."""
     if icon_button(
         f"Path {icons_fontawesome_6.ICON_FA_CARET_DOWN}", "path", "Files, the drive, and the path as a whole."
     ):
@@ -274,12 +273,10 @@ def path_menu(session: Editor) -> None:
 
 
 def ask_for_import(session: Editor) -> None:
-    """Open the dialog for importing a path."""
     ask_what_to_open("Import a camera path", _JSON, lambda chosen: camera_path.import_path(session, chosen[0]))
 
 
 def ask_for_export(session: Editor) -> None:
-    """Open the dialog for exporting a path."""
     ask_where_to_save("Export the camera path", _JSON, lambda chosen: camera_path.export_path(session, chosen[0]))
 
 
@@ -345,7 +342,6 @@ _ROW_RADIUS = 4.0
 
 
 def rows(session: Editor, titles_px: float, width: float) -> None:
-    """Draw all rows from the cursor down, with their titles on the left."""
     _camera(session, titles_px, width)
     ruler, weather = session.timeline.ruler, session.weather
     last_s = ruler.first_s + ruler.visible_span_s
@@ -440,7 +436,6 @@ def time_ruler(session: Editor, width: float) -> None:
 
 
 def playhead(session: Editor, corner: ImVec2, width: float, height: float, *, with_head: bool) -> None:
-    """Draw the line of the current time."""
     x = session.timeline.ruler.x(session.clock.time_s)
     if not -1 <= x <= width + 1:
         return
@@ -603,7 +598,6 @@ def typed_number(name: str, value: float, text_format: str) -> float | None:
 
 
 def switch(icon: str, name: str, help_text: str, *, is_on: bool) -> bool:
-    """Draw a toggle button."""
     color = imgui.Col_.button_active if is_on else imgui.Col_.button
     imgui.push_style_color(imgui.Col_.button, imgui.get_style_color_vec4(color))
     clicked = icon_button(icon, name, help_text)

@@ -62,7 +62,6 @@ _RECOLOR_OTHERS_HELP = "The same with pictures from a folder, such as transferre
 
 
 def reconstruct_fields(session: Editor) -> None:
-    """Choose settings, start a job, and show the job."""
     captures = session.captures
     if captures.capture is None or captures.path is None:
         return

@@ -24,7 +24,6 @@ class Tool(Protocol):
     icon: str
     """Symbol of the icon font for the toolbar."""
     key: imgui.Key | None
-    """Key that activates it."""
     help: str
     """Tooltip with its function and keys."""
 
@@ -91,7 +90,6 @@ Pixel = tuple[float, float]
 
 
 def draw_polyline(viewport: Viewport, points: Sequence[Sequence[float]], *, closed: bool = False) -> None:
-    """Draw a line through pixels."""
     on_screen: list[ImVec2Like] = [viewport.on_screen(x, y) for x, y in points]
     flags = imgui.ImDrawFlags_.closed if closed else 0
     for color, width in ((_DARK, 3.5), (_LIGHT, 1.5)):
@@ -99,7 +97,6 @@ def draw_polyline(viewport: Viewport, points: Sequence[Sequence[float]], *, clos
 
 
 def draw_rectangle(viewport: Viewport, first: Pixel, second: Pixel) -> None:
-    """Draw a rectangle between two pixels, lightly filled."""
     low, high = viewport.on_screen(*first), viewport.on_screen(*second)
     draw = imgui.get_window_draw_list()
     draw.add_rect_filled(low, high, imgui.get_color_u32(_FILL))
@@ -113,14 +110,12 @@ def draw_ring(viewport: Viewport, center: Pixel, radius_px: float) -> None:
 
 
 def draw_knob(viewport: Viewport, at: Pixel, *, is_lit: bool) -> None:
-    """Draw a draggable knob."""
     draw, center = imgui.get_window_draw_list(), viewport.on_screen(*at)
     draw.add_circle_filled(center, KNOB_PX if is_lit else KNOB_PX - 2, imgui.get_color_u32(_DARK))
     draw.add_circle_filled(center, KNOB_PX - (2 if is_lit else 3.5), imgui.get_color_u32(_LIGHT))
 
 
 def is_mouse_at(viewport: Viewport, at: Pixel | None) -> bool:
-    """Return True if the mouse is over a knob."""
     if at is None:
         return False
     x, y = viewport.mouse_px

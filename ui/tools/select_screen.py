@@ -306,7 +306,6 @@ def mode_options(session: Editor) -> None:
 
 
 def shape_options(session: Editor) -> None:
-    """Draw the settings of tools that draw a shape over the viewport."""
     options = session.selecting
     mode_options(session)
     same_line_if_fits(14)
@@ -329,7 +328,6 @@ def shape_options(session: Editor) -> None:
 
 
 def tolerance_option(session: Editor) -> None:
-    """Draw the color tolerance."""
     options = session.selecting
     imgui.set_next_item_width(9 * imgui.get_font_size())
     flags = imgui.SliderFlags_.always_clamp

@@ -152,7 +152,6 @@ class SphereTool:
 
 
 def _draw_ball(viewport: Viewport, ball: Sphere) -> None:
-    """Draw its three great circles, and a dot in the center."""
     for circle in ball.circles_m(_RING):
         pixels = [viewport.pixel(point) for point in circle]
         seen = [pixel for pixel in pixels if pixel is not None]

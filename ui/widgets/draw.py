@@ -89,7 +89,6 @@ class Viewport:
         return at.x - self.corner.x, at.y - self.corner.y
 
     def on_screen(self, x: float, y: float) -> ImVec2:
-        """Return the screen position of a pixel, for draw lists."""
         return ImVec2(self.corner.x + x, self.corner.y + y)
 
     def ray(self, x: float, y: float) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
@@ -127,7 +126,6 @@ def draw_line(
 
 
 def draw_words(viewport: Viewport, point_m: Float64[np.ndarray, "3"], words: str) -> None:
-    """Draw text next to a point."""
     pixel = viewport.pixel(point_m)
     if pixel is not None:
         at = viewport.on_screen(*pixel)
@@ -221,7 +219,6 @@ class Gizmo:
 
     @property
     def is_held(self) -> bool:
-        """True while one of its handles is dragged."""
         return self._start is not None
 
     def let_go(self) -> None:

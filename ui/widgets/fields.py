@@ -94,7 +94,6 @@ def slider(
 
 
 def integer(session: Editor, name: str) -> None:
-    """Edit an integer."""
     info = field_info(name)
     label(name)
     changed, value = imgui.input_int(f"##{name}", getattr(session.rain, name))
@@ -104,7 +103,6 @@ def integer(session: Editor, name: str) -> None:
 
 
 def choice(session: Editor, name: str) -> None:
-    """Choose one of the field's values."""
     info = field_info(name)
     label(name)
     present = info.choices.index(getattr(session.rain, name))
@@ -114,7 +112,6 @@ def choice(session: Editor, name: str) -> None:
 
 
 def toggle(session: Editor, name: str) -> None:
-    """Switch a field on or off."""
     info = field_info(name)
     changed, value = imgui.checkbox(info.title, getattr(session.rain, name))
     imgui.set_item_tooltip(info.help)
@@ -239,12 +236,10 @@ _TITLES = {"intensity_mm_h": "intensity", "wind_m_s": "wind", "exposure_s": "exp
 
 
 def keyframe_button_width() -> float:
-    """Return the width of the button, with the gap before it."""
     return imgui.get_frame_height() + imgui.get_style().item_spacing.x
 
 
 def keyframe_button(session: Editor, name: Keyed) -> None:
-    """Draw the button at the end of a field's row."""
     weather, now_s, title = session.weather, session.clock.time_s, _TITLES[name]
     is_keyed = weather.is_keyed(name)
     present = weather.key_at(now_s)
@@ -289,7 +284,6 @@ def tint_keyframed(session: Editor, name: Keyed) -> int:
 
 
 def keyframed_slider(session: Editor, name: Keyed, *, high: float) -> None:
-    """Edit a number that can have keyframes."""
     colors = tint_keyframed(session, name)
     slider(session, name, high=high, beside_px=keyframe_button_width())
     imgui.pop_style_color(colors)
@@ -311,7 +305,6 @@ _waiting: dict[str, _Waiting] = {}
 """Open dialogs by title; there is one window."""
 
 SCENE_FOLDERS = "Scene folders{.*}"
-"""File type of everything that a scene can be saved as."""
 
 
 def exported_kinds() -> str:
