@@ -174,7 +174,7 @@ def drive(
     """Test a driver in the rain: an agent sees the scene and plans, and the vehicle follows its plan.
 
     A folder gets each run as JSON lines (which the window opens), a table like the paper's, figures over time, a report
-    and a video. Without SCENARIO.yaml a car is parked in the lane of the built-in street.
+    and a video. Without SCENARIO.yaml a car is stationary in the lane of the built-in street.
     """
     asked = driver or DriverOptions()
     test = _as_asked(load_scenario(scenario or DEFAULT_SCENARIO), scene, rig, width, duration)
