@@ -1,1 +1,1 @@
-"""The program: command line and window. Nothing here that another program would import."""
+"""The `gsrain` program: command line and launch of the window. Other programs import `gsrain` instead."""

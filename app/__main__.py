@@ -6,7 +6,6 @@ from .main import run
 
 
 def main() -> None:
-    """Run the command line and leave with its exit code."""
     sys.exit(run(sys.argv[1:]))
 
 

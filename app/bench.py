@@ -1,4 +1,4 @@
-"""`gsrain bench render`: how fast this machine draws."""
+"""`gsrain bench`: timing of rendering, scene files and recoloring on this machine."""
 
 import re
 import tempfile
@@ -50,12 +50,12 @@ from .options import (
 from .progress import progress_bar
 
 _WARM_UP = 2
-"""Frames before the first that counts: kernels and shaders compile, buffers take their size."""
+"""Untimed frames before the first timed one: kernels and shaders compile, buffers reach their size."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameTimes:
-    """What the frames of one sequence took. A frame: make its rain, draw, and fetch the picture into memory."""
+    """Timings of the frames of one sequence. Each frame creates its rain, renders, and reads the image back."""
 
     scene: str
     backend: str
@@ -65,9 +65,9 @@ class FrameTimes:
     sh_degree: int
     """Highest of all layers and actors."""
     gaussians: int
-    """Those of the scene that the last frame was asked to draw; all but rain."""
+    """Gaussians of the scene submitted for the last frame, without rain."""
     splats: int
-    """Of scene and rain, drawn in the last frame."""
+    """Splats of scene and rain drawn in the last frame."""
     drops_drawn: int
     haze_drawn: int
     frames: int
@@ -75,15 +75,15 @@ class FrameTimes:
     frame_ms_min: float
     frame_ms_max: float
     ns_per_splat: float | None
-    """Median frame over splats drawn; none where nothing was drawn."""
+    """Median frame time over splats drawn; None if nothing was drawn."""
     stages_ms: dict[str, float]
-    """Medians: rain (making it, on the processor), the renderer's own stages, read."""
+    """Median times: rain (created on the CPU), the renderer's own stages, and readback."""
 
 
 def time_frames(renderer: Renderer, sequences: Sequence[FrameSequence], frames: int) -> list[FrameTimes]:
     """Render frames of several sequences and time each.
 
-    Frame by frame they take turns: what else the machine does meanwhile falls on all of them, so that they compare.
+    The sequences alternate frame by frame, so that other load on the machine affects all of them alike.
     """
     runs = [_Run(renderer, sequence, sequence.sky(renderer).color) for sequence in sequences]
     for number in range(-_WARM_UP, frames):
@@ -94,8 +94,6 @@ def time_frames(renderer: Renderer, sequences: Sequence[FrameSequence], frames: 
 
 @dataclass(slots=True)
 class _Run:
-    """One sequence while it is timed."""
-
     renderer: Renderer
     sequence: FrameSequence
     sky: Color
@@ -144,7 +142,7 @@ class _Run:
 
 
 class Line(NamedTuple):
-    """A straight line through the median frames of scenes that differ in their number of Gaussians alone."""
+    """Line through the median frame times of scenes that differ only in their number of Gaussians."""
 
     backend: str
     width: int
@@ -154,11 +152,11 @@ class Line(NamedTuple):
     slope_ns_per_gaussian: float
     intercept_ms: float
     r2: float
-    """Share of the variance that the line explains, 0 to 1."""
+    """Coefficient of determination, 0 to 1."""
 
 
 def lines_over_gaussians(rows: Iterable[FrameTimes]) -> list[Line]:
-    """Fit a line (least squares) to each back end, size and SH degree of which there are three scenes or more."""
+    """Fit a line (least squares) to each back end, size and SH degree with three or more scenes."""
     lines: list[Line] = []
     for key, group in groupby(sorted(rows, key=_kind), _kind):
         alike = list(group)
@@ -183,7 +181,7 @@ def _fitted(rows: Sequence[FrameTimes]) -> tuple[float, float, float]:
 
 
 class RainCost(NamedTuple):
-    """What rain adds to a frame, as a share of the same frame without it."""
+    """Cost of rain in a frame, as a share of the same frame without rain."""
 
     scene: str
     backend: str
@@ -194,7 +192,7 @@ class RainCost(NamedTuple):
 
 
 def rain_costs(rows: Sequence[FrameTimes]) -> list[RainCost]:
-    """Compare each rainy row with the clear one of the same scene, back end and size, where there is one."""
+    """Compare each rainy row with the clear row of the same scene, back end and size, if there is one."""
     clear = {_same(row): row.frame_ms_median for row in rows if row.intensity_mm_h == 0}
     return [
         RainCost(*_same(row), row.intensity_mm_h, row.frame_ms_median / clear[_same(row)] - 1)
@@ -211,7 +209,7 @@ _SCENES = "random-50k,random-100k,random-200k,random-400k,random-800k,random-1m,
 
 _START_S = 1.0
 
-_COLUMNS = 120  # of the table, also where output goes into a file
+_COLUMNS = 120  # table width, also if the output is a file
 
 
 def render(
@@ -228,7 +226,7 @@ def render(
     frames: Annotated[int, Parameter(help="Frames that are timed, after two that are not.")] = 20,
     json: JsonFileOrScreen = None,
 ) -> dict[str, Any]:
-    """Time frames of fixed scenes: make the rain, draw, fetch the picture. Medians, by back end, size and rain."""
+    """Time frames of fixed scenes: create rain, render, read back. Medians by back end, size and rain."""
     check_writable(json)
     if not 1 <= frames <= 10_000:
         raise ValueError(f"--frames {frames}: must be within 1..10000")
@@ -253,7 +251,6 @@ def render(
 
 
 def timed_scene(name: str) -> Scene:
-    """Open a scene, or make a random one."""
     return random_scene(name) if is_random_scene(name) else load_scene(name)
 
 
@@ -265,7 +262,7 @@ def _rainfall(intensity: str) -> RainSimulation:
 
 
 def _backends(text: str | None) -> list[Backend]:
-    """What was asked for, else what there is; auto becomes the one that it takes here."""
+    """Return the chosen back ends, or all available ones; auto is replaced by the back end that it selects here."""
     known: dict[str, Backend] = {each: each for each in get_args(Backend)}
     wanted = split_list("--backends", text) if text is not None else ["auto", "cpu", *_opengl()]
     for name in wanted:
@@ -292,7 +289,7 @@ def _opengl() -> list[str]:
 def _runs(
     scene: Scene, renderers: list[Renderer], resolutions: list[tuple[int, int]], rainfalls: list[RainSimulation]
 ) -> Iterator[tuple[Renderer, list[FrameSequence]]]:
-    """What takes turns: one scene, back end and size in all its rain."""
+    """Yield the sequences to alternate: one scene, back end and size in each rain."""
     for renderer in renderers:
         for width, height in resolutions:
             if is_random_scene(scene.name):
@@ -336,23 +333,22 @@ def _print(rows: list[FrameTimes], numbers: dict[str, Any], console: Console) ->
         )
 
 
-# § `gsrain bench loading`: how fast this machine writes and reads scenes.
+# Scene files
 
 WRITTEN = ("", ".ply", ".splat", ".spz")
-"""What scenes can be saved as; "" is a scene folder."""
+"""Suffixes of writable scene formats; "" is a scene folder."""
 
 
 def time_loading(scene: Scene, suffix: str, folder: Path, repeats: int) -> dict[str, Any]:
-    """Write a scene into an empty folder once, and read it back several times, from the system's cache.
+    """Write a scene into an empty folder once, and read it several times from the system's file cache.
 
-    `bytes_ms_min` is for the files' bytes alone, from the same cache: the least that any reader can take.
-
+    `bytes_ms_min` is the time for reading the raw bytes from the same cache, the lower bound for any reader.
     Raises `SceneFormatError` for a suffix that can't be written.
     """
     path = folder / f"scene{suffix}"
     write_ms = _ms(lambda: write_scene(scene, path))
     files = [file for file in folder.rglob("*") if file.is_file()]
-    back = read_scene(path)  # kernels are loaded, and the files are in the cache
+    back = read_scene(path)  # loads the kernels and fills the file cache
     reads = [_ms(lambda: read_scene(path)) for _ in range(repeats)]
     return {
         "scene": scene.name,
@@ -434,24 +430,23 @@ def _print_loading(rows: list[dict[str, Any]], console: Console) -> None:
     console.print(table)
 
 
-# § `gsrain bench recoloring`: how fast this machine gives scenes the colours of pictures.
+# Recoloring
 
 _DARKER = np.array([0.5, 0.55, 0.62])
-"""Share of light that the pictures keep, by channel: about what an overcast sky and wet ground leave."""
+"""Share of light per channel that the target images keep: roughly that of an overcast sky and wet ground."""
 
 _HALF_HEIGHT = 0.5
-"""From here down pictures are darker still, as wet ground is: no map of all colours alike explains them."""
+"""Below this share of the height, images are darker still, like wet ground: no global color map explains that."""
 
 _WET_SHARE = 0.6
 
 
 def time_recoloring(scene: Scene, cameras: Sequence[tuple[float, Camera]], settings: RecolorSettings) -> dict[str, Any]:
-    """Recolour a scene to darkened pictures of itself; cameras are in the world (metres), each with its moment in s.
+    """Recolor a scene to darkened images of itself; cameras are in the world (meters), each with its time in s.
 
-    Stages are setup (looking from every view), choosing (how far to trust), solving and measuring. An iteration is one
-    forward and one transposed pass over all views; PSNR is the mean over the views against the pictures.
-
-    Raises ValueError where no camera sees anything of the scene.
+    Stages are setup (rendering every view), choosing (view trust), solving and measuring. An iteration is one forward
+    and one transposed pass over all views; PSNR is the mean over the views against the target images.
+    Raises ValueError if no camera sees any of the scene.
     """
     renderer, targets = CpuRenderer(), list[TargetView]()
     for number, (time_s, camera) in enumerate(cameras):
@@ -476,7 +471,7 @@ def time_recoloring(scene: Scene, cameras: Sequence[tuple[float, Camera]], setti
 
 
 def darkened(picture: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:
-    """Return a picture (display colour) with less light, and still less in its lower half."""
+    """Return an image (display values) with less light, and even less in its lower half."""
     light = _DARKER * srgb_to_linear(np.clip(picture, 0, 1).astype(np.float64))
     light[int(_HALF_HEIGHT * len(light)) :] *= _WET_SHARE
     return np.clip(linear_to_srgb(light), 0, 1).astype(np.float32)
@@ -493,7 +488,7 @@ def recoloring(
     iterations: Annotated[int, Parameter(help="Steps of conjugate gradients.")] = 12,
     json: JsonFileOrScreen = None,
 ) -> dict[str, Any]:
-    """Time recolouring scenes to darkened pictures of themselves: looking, choosing, solving, measuring."""
+    """Time recoloring scenes to darkened images of themselves: setup, choosing, solving, measuring."""
     check_writable(json)
     if not 1 <= views <= 1000:
         raise ValueError(f"--views {views}: must be within 1..1000")
@@ -516,7 +511,7 @@ def recoloring(
 
 
 def _cameras(scene: Scene, count: int, width: int, height: int) -> list[tuple[float, Camera]]:
-    """Moments (s) and cameras (world, metres)."""
+    """Return times (s) and cameras (world, meters)."""
     if is_random_scene(scene.name):
         return [(0.0, random_scene_camera(scene, width, height))] * count
     path = default_path(scene, width, height)

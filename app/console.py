@@ -1,8 +1,8 @@
-"""The one door to the terminal: tables, lines, progress, logs and errors of all commands pass through it.
+"""Terminal output of all commands: tables, lines, progress bars, logs and errors.
 
-Names come from files, servers and other people. None of them steers the terminal, adds a line, turns the reading
-direction or is read as rich's markup, for every piece of text is escaped here, and markup is never parsed. A test
-refuses rich, the built-in `print` and the standard streams anywhere else in the program.
+Names come from files, servers and other people. All text is escaped here and never parsed as rich markup, so that a
+name can't control the terminal, add a line or change the text direction. A test rejects rich, the built-in `print` and
+the standard streams anywhere else in the program.
 """
 
 import logging
@@ -34,36 +34,36 @@ __all__ = [
 
 
 class Console(rich.console.Console):
-    """Rich's console that shows text as it is: no markup, no emoji codes, no highlights; what can't be seen escaped.
+    """Rich console that prints text literally: no markup, emoji codes or highlights; invisible characters are escaped.
 
-    Line breaks are those of a table, or of calls: one in a text is a part of some name, and escaped too.
+    Only tables and separate calls break lines; a line break within a text is escaped too.
     """
 
     def __init__(self, **options: Any) -> None:
-        """Write to standard output, or where rich's own options (`file`, `stderr`, `width`, `soft_wrap`) say."""
+        """Write to standard output, or as rich's own options (`file`, `stderr`, `width`, `soft_wrap`) set."""
         super().__init__(**{**options, "markup": False, "emoji": False, "highlight": False})
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """Turn text into what is shown: cells, titles, and lines all come by here."""
+        """Escape text; cells, titles and lines all pass through here."""
         return super().render_str(
             escape_invisible(text), **{**options, "markup": False, "emoji": False, "highlight": False}
         )
 
     def render(self, renderable: Any, options: Any = None) -> Iterable[Segment]:
-        """Render anything; what was a `Text` before it came here is escaped now."""
+        """Render anything; text that was already a `Text` is escaped now."""
         for segment in super().render(renderable, options):
             if segment.control or segment.text.isprintable():
                 yield segment
-            else:  # the line breaks of wrapped text stay
+            else:  # keep the line breaks of wrapped text
                 yield Segment("\n".join(map(escape_invisible, segment.text.split("\n"))), segment.style)
 
 
 _WIDE_COLUMNS = 100_000
-"""More than any table of names has: rich cuts what is wider than its console."""
+"""Wider than any table of names: rich truncates what is wider than its console."""
 
 
 def wide_console() -> Console:
-    """Return a console that cuts and folds nothing, however narrow the terminal is: it wraps longer lines itself."""
+    """Return a console that never truncates or folds, even in a narrow terminal, which wraps longer lines itself."""
     return Console(soft_wrap=True, width=_WIDE_COLUMNS)
 
 
@@ -72,10 +72,9 @@ def bold(text: str) -> Text:
 
 
 class WordsColumn(ProgressColumn):
-    """A column of a progress bar: what is being done, or the same words all the time."""
+    """Text column of a progress bar: a fixed text or the task's description."""
 
     def __init__(self, words: str | None = None) -> None:
-        """Show these words; without any, the task's description."""
         super().__init__()
         self._words = words
 
@@ -84,27 +83,27 @@ class WordsColumn(ProgressColumn):
 
 
 def print(*words: object, file: IO[str] | None = None) -> None:
-    """Print one line, as the built-in `print` does; what can't be seen is escaped, line breaks in names too."""
+    """Print one line, as the built-in `print` does; invisible characters and line breaks are escaped."""
     stream = sys.stdout if file is None else file
     if stream is not None:  # pyright: ignore  # it is where a shell has closed it
         stream.write(escape_invisible(" ".join(map(str, words))) + "\n")
 
 
 def print_lines(text: str, file: IO[str] | None = None) -> None:
-    """Print text that the program itself has broken into lines: a table of words, or JSON."""
+    """Print text that the program itself has broken into lines, such as JSON."""
     for line in text.removesuffix("\n").split("\n"):
         print(line, file=file)
 
 
 def use_any_encoding() -> None:
-    """Let the standard streams write letters that their encoding lacks as escapes, not fail on them."""
+    """Make the standard streams escape characters that their encoding lacks, instead of raising."""
     for stream in (sys.stdout, sys.stderr):
-        with suppress(AttributeError, ValueError):  # a stream of another kind, as in tests; or closed
+        with suppress(AttributeError, ValueError):  # another kind of stream, as in tests, or closed
             stream.reconfigure(errors="backslashreplace")  # pyright: ignore
 
 
 def console_log() -> logging.Handler:
-    """Return a handler that prints log records to standard error, each one line; tracebacks keep their lines."""
+    """Return a handler that prints log records to standard error, one line each; tracebacks keep their lines."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_OneLine())
     return handler

@@ -1,4 +1,4 @@
-"""`gsrain doctor`: what this machine has, what is missing, and how to get it."""
+"""`gsrain doctor`: available features of this machine, missing ones, and how to install them."""
 
 import importlib.util
 import shlex
@@ -31,16 +31,16 @@ from .console import print
 from .options import JsonFile, check_writable, has_display, write_numbers
 
 _FEW_SPLATS, _MANY_SPLATS = (100_000,), (1_000_000, 3_000_000)
-"""Splats whose order by depth is tested where a processor executes OpenGL, and on a GPU."""
+"""Numbers of splats for the depth sort test, on software OpenGL and on a GPU."""
 
 
 class Finding(NamedTuple):
-    """One thing that was looked for."""
+    """Result of one check."""
 
     name: str
     found: bool
     what: str
-    """What was found, or how to get it."""
+    """Description of what was found, or how to get it."""
 
 
 def doctor(*, json: JsonFile = None) -> int:
@@ -87,14 +87,14 @@ def doctor(*, json: JsonFile = None) -> int:
 
 
 def is_frozen() -> bool:
-    """Whether this is the program that PyInstaller builds: without PyAV, whose wheel holds encoders under the GPL."""
+    """Return True in the program built by PyInstaller, which lacks PyAV (its wheel holds encoders under the GPL)."""
     return getattr(sys, "frozen", False)
 
 
 def _tried(name: str, attempt: Callable[[], str], remedy: str) -> Finding:
     try:
         return Finding(name, True, attempt())
-    except Exception as error:  # a missing library fails in its own way: its words are the finding
+    except Exception as error:  # a missing library may raise anything: its message is the finding
         return Finding(name, False, f"{printable_line(error)} {remedy}".strip())
 
 
@@ -120,10 +120,10 @@ def _describe_context(source: str) -> str:
 
 
 def find_depth_order() -> list[Finding]:
-    """Test the order of splats by depth that `--backend opengl` makes on a GPU; nothing where there is no OpenGL.
+    """Test the depth sort of splats that `--backend opengl` runs on a GPU; empty without OpenGL.
 
-    A wrong order is a wrong picture, and may come from a driver as well as from here. A software rasterizer, which runs
-    threads one after another, sorts a few.
+    A wrong order gives wrong images, and may be a driver bug. Software rasterizers, which run threads one after
+    another, sort fewer splats.
     """
     from gsrain_engine.render.opengl.context import NoOpenGLError, is_software, open_context
     from gsrain_engine.render.opengl.sort import check_sort
@@ -169,7 +169,7 @@ def _threads() -> Finding:
 
         count(np.ones(8))
         name = numba.threading_layer()
-        if name == "workqueue":  # Numba's own, which aborts the process
+        if name == "workqueue":  # Numba's own layer, which aborts the process
             raise RuntimeError("libgomp is missing: two threads that draw at once would end the program.")
         return f"Numba {numba.__version__}, {name}, {numba.get_num_threads()} threads"
 
@@ -183,7 +183,7 @@ def _display() -> Finding:
 
 
 def _package(name: str, purpose: str, extra: str) -> Finding:
-    """Look for a package of an extra, by the name that pip knows it by."""
+    """Look for a package of an extra, by its name on PyPI."""
     try:
         return Finding(name, True, f"{metadata.version(name)}, for {purpose}")
     except metadata.PackageNotFoundError:
@@ -191,7 +191,7 @@ def _package(name: str, purpose: str, extra: str) -> Finding:
 
 
 def how_to_add(extra: str) -> str:
-    """Return the line that adds an extra to the environment in which this program runs, made by pip, pipx or uv."""
+    """Return the command that adds an extra to the environment of this program, made by pip, pipx or uv."""
     requirement, environment = f"'gsrain[{extra}]'", Path(sys.prefix)
     if is_frozen():
         return f"needs GSRAIN installed by pip, with {requirement}"
@@ -218,7 +218,7 @@ def _cuda() -> Finding:
 
 
 def _gsplat() -> Finding:
-    """Draws with it, as `--backend cuda` does: gsplat is installed without its kernels and compiles them itself."""
+    """Open `--backend cuda`: gsplat is installed without its kernels and compiles them itself."""
 
     def device() -> str:
         from gsrain_engine.backends import device_of, open_renderer
@@ -230,7 +230,7 @@ def _gsplat() -> Finding:
 
 
 def find_lpips() -> Finding:
-    """Look for weights of LPIPS; they are read, for a file may be damaged or hold something else."""
+    """Look for LPIPS weights and read them, since a file may be damaged or hold something else."""
     name = "LPIPS weights (a quality measure of reports)"
     from gsrain_engine.evaluation.lpips_weights import find_lpips_weights, lpips_places
 
@@ -248,7 +248,7 @@ def find_lpips() -> Finding:
 
 
 def find_inception() -> Finding:
-    """Look for Inception's weights, by which FID is defined; they are read where torch is there to hold them."""
+    """Look for Inception's weights, which define FID; they are read if torch is installed."""
 
     def file() -> str:
         from gsrain_engine.evaluation.fid_torch_features import (
@@ -268,7 +268,7 @@ def find_inception() -> Finding:
 
 
 def find_detector_file() -> Finding:
-    """Look for a detector by which the agent camera-idm sees; it is opened where onnxruntime is there to do so."""
+    """Look for the detector of the agent camera-idm; it is opened if onnxruntime is installed."""
 
     def file() -> str:
         from gsrain_engine.evaluation.detection.detector import find_detector, open_detector
@@ -283,7 +283,7 @@ def find_detector_file() -> Finding:
 
 
 def find_base_model() -> Finding:
-    """Look for SD-Turbo, which cyclegan-turbo builds on, in diffusers' layout: whole, and of the right architecture."""
+    """Look for SD-Turbo, the base of cyclegan-turbo, in diffusers' layout: complete, and of the right architecture."""
     from gsrain_engine.appearance.cyclegan_turbo.model import check_base, sd_turbo
     from gsrain_engine.appearance.cyclegan_turbo.weight_paths import check_base_complete, find_base_model
 
@@ -297,7 +297,7 @@ def find_base_model() -> Finding:
 
 
 def find_text_encoder() -> Finding:
-    """Look for what makes captions into numbers; needed once, for what it said is kept."""
+    """Look for the text encoder, needed only once, because its encoded captions are cached."""
     from gsrain_engine.appearance.cyclegan_turbo.weight_paths import (
         base_model_folders,
         captions_file,
@@ -318,7 +318,7 @@ def find_text_encoder() -> Finding:
 
 
 def find_transfer_weights() -> Finding:
-    """Look for weights that make SD-Turbo a transfer."""
+    """Look for the weights that turn SD-Turbo into a transfer."""
     from gsrain_engine.appearance.cyclegan_turbo.weight_paths import find_transfer_weights
 
     def file() -> str:
@@ -329,22 +329,21 @@ def find_transfer_weights() -> Finding:
 
 
 def find_clip_model() -> Finding:
-    """Look for the vision model by which the discriminators of a training see."""
+    """Look for the vision model behind the discriminators of transfer training."""
     from gsrain_engine.appearance.finetune.settings import find_clip
 
     return _tried("CLIP ViT-B/32 (for gsrain train-transfer)", lambda: str(find_clip()), "")
 
 
-# § What `gsrain doctor` says about the extensions of other installed packages: each is loaded as the program would.
+# Extensions of other installed packages
 
 
 def installed_extensions() -> list[Extension]:
-    """Return all that there are, kind by kind."""
     return [each for group in GROUPS for each in find_extensions(group)]
 
 
 def describe(extension: Extension) -> str:
-    """Load one, and say where it comes from. Raises ValueError, with one sentence, where it can't be used."""
+    """Load an extension as the program would, and return its origin. Raises ValueError if it is unusable."""
     _CHECKS[extension.group](extension)
     return f"{extension.place} of {extension.package} {extension.version}".rstrip()
 

@@ -1,4 +1,4 @@
-"""`gsrain drive [SCENARIO.yaml]`: a closed loop of scene, rain and driver."""
+"""`gsrain drive [SCENARIO.yaml]`: closed-loop simulation of scene, rain and agent."""
 
 import re
 import traceback
@@ -41,10 +41,10 @@ DEFAULT_SCENARIO = "stationary-lead"
 
 _LONGEST_S = 600.0
 
-# § Who drives, on the command line.
+# Agents
 
 
-@Parameter(name="*")  # its fields are options of the command, without a prefix
+@Parameter(name="*")  # fields are options of the command, without a prefix
 @dataclass(frozen=True, kw_only=True)
 class DriverOptions:
     """Options about agents."""
@@ -80,7 +80,7 @@ class DriverOptions:
     channel_order: Annotated[Literal["rgb", "bgr"], Parameter(help="Of the pictures in HUGSIM's protocol.")] = "rgb"
 
     def names(self) -> list[str]:
-        """Return who is asked for; raises ValueError where that can't be."""
+        """Return the names of the chosen agents. Raises ValueError for unknown or contradictory ones."""
         asked = list(dict.fromkeys(self.agent or []))
         if self.hugsim_dir is not None and asked not in ([], [HUGSIM]):
             raise ValueError("--hugsim-dir is for the agent hugsim alone; leave out --agent")
@@ -93,7 +93,7 @@ class DriverOptions:
         return [HUGSIM] if self.hugsim_dir is not None else asked
 
     def fitted(self, scenario: Scenario, scene: Scene) -> tuple[Scenario, Scene]:
-        """Return scenario and scene as the driver needs them: HUGSIM's clients know one rig and one vehicle."""
+        """Return scenario and scene with the rig and vehicle that HUGSIM's clients expect, if one is used."""
         if self.hugsim_dir is None:
             return scenario, scene
         from gsrain_engine.simulation.interop.hugsim_protocol import with_hugsim_rig
@@ -102,7 +102,7 @@ class DriverOptions:
 
     @contextmanager
     def opened(self) -> Generator[list[Agent]]:
-        """Open all agents for as long as the block runs; says so where one stands in for another."""
+        """Open all agents for the duration of the block; prints why a default agent was substituted."""
         with ExitStack() as stack:
             agents = [self._open(name) for name in self.names()] or [self._defaults()]
             for agent in agents:
@@ -171,10 +171,10 @@ def drive(
     backend: Annotated[Backend, Parameter(help="auto takes OpenGL on a GPU, else the processor.")] = "auto",
     json: JsonFile = None,
 ) -> None:
-    """Test a driver in the rain: it sees the scene, says where it wants to be, and is driven there.
+    """Test a driver in the rain: an agent sees the scene and plans, and the vehicle follows its plan.
 
     A folder gets each run as JSON lines (which the window opens), a table like the paper's, figures over time, a report
-    and a film. Without SCENARIO.yaml a car stands in the lane of the built-in street.
+    and a video. Without SCENARIO.yaml a car is stationary in the lane of the built-in street.
     """
     asked = driver or DriverOptions()
     test = _as_asked(load_scenario(scenario or DEFAULT_SCENARIO), scene, rig, width, duration)
@@ -207,7 +207,7 @@ def drive(
             simulation = Simulation(msgspec.structs.replace(test, rain=each), opened, agent.needs, renderer, seed)
             problem = _drive(simulation, agent)
             runs.append(_run(simulation, agent, hashed))
-            if problem is not None:  # what has been driven is written all the same
+            if problem is not None:  # results so far are written anyway
                 break
         facts = run_provenance({})  # the runs name their scene
         written = write_drives(files, runs, opened, renderer if films else None, provenance_lines(facts))
@@ -230,7 +230,7 @@ def drive(
 
 
 def _drive(simulation: Simulation, agent: Agent) -> str | None:
-    """Let an agent drive; returns why it could not go on, if that is so."""
+    """Let an agent drive; returns why it stopped early, or None."""
     scenario = simulation.scenario
     title = f"{scenario.rain.intensity_mm_h:g} mm/h, {agent.name}"
     longest, made = round(scenario.duration_s / scenario.step_s), 0
@@ -239,14 +239,14 @@ def _drive(simulation: Simulation, agent: Agent) -> str | None:
             for _ in driving.drive(simulation, agent):
                 made += 1
                 advance()
-            advance(longest - made)  # it ended before its time
+            advance(longest - made)  # ended early
         except ClientError as error:
             return str(error)
         except ValueError as error:
             return f"agent {agent.name}: {error}"
         except KeyboardInterrupt:
             return "stopped"
-        except Exception as error:  # an agent may be anybody's code
+        except Exception as error:  # an agent may be any code
             return f"agent {agent.name}: {type(error).__name__}: {error} ({_place(error)})"
     if simulation.end != "agent":
         return None
@@ -255,13 +255,11 @@ def _drive(simulation: Simulation, agent: Agent) -> str | None:
 
 
 def _place(error: Exception) -> str:
-    """Return the file and the line where something went wrong."""
     frame = traceback.extract_tb(error.__traceback__)[-1]
     return f"{Path(frame.filename).name}, line {frame.lineno}"
 
 
 def _run(simulation: Simulation, agent: Agent, hashed: str) -> ScoredRun:
-    """Measure what was driven."""
     drivable = drivable_of(simulation.scene, simulation.ground, simulation.occupied)
     rollout = msgspec.structs.replace(simulation.rollout(agent.name), scene_hash=hashed, software=software())
     return ScoredRun.of(rollout, simulation.occupied, drivable)
@@ -282,7 +280,7 @@ def _as_asked(
 def _rains(
     own: RainSettings, intensities: str | None, preset: str | None, exposure: float | None
 ) -> list[RainSettings]:
-    """Return the rains of the runs; the scenario's own one where nothing else is asked for."""
+    """Return the rain settings of the runs, by default only the scenario's own."""
     base = own
     if preset is not None:
         base = msgspec.structs.replace(load_preset(preset), intensity_mm_h=own.intensity_mm_h, seed=own.seed)
@@ -300,7 +298,7 @@ def _opened(name: str, wet: bool) -> Scene:
     scene = load_sorted_scene(name)
     if not wet:
         return scene
-    # Kernels take a second to load: only where they are needed.
+    # Loading kernels takes a second, so import them only here.
     from gsrain_engine.recolor.wet_scene import wet_scene
 
     from .progress import followed

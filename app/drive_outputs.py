@@ -1,4 +1,4 @@
-"""What `gsrain drive` writes: runs, tables, figures, films and a report."""
+"""Output files of `gsrain drive`: runs, tables, figures, videos and a report."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -22,23 +22,22 @@ from gsrain_engine.simulation.video import RolloutVideo, render_rollout_video
 from .progress import progress_bar
 
 EXPORTS = {"parquet": "pyarrow", "mcap": "mcap", "xosc": "scenariogeneration"}
-"""Other forms of a run, and the package that writes each."""
+"""Other formats of a run, and the package that writes each."""
 
 _WORD_BYTES = 90
-"""Of the name of a scenario, and of an agent, in that of a file."""
+"""Maximum length of a scenario's and of an agent's name within a file name."""
 
 
 @dataclass(frozen=True, slots=True)
 class DriveFiles:
-    """Where the files of a command go, and which."""
+    """Output folder and chosen files of a command."""
 
     folder: Path
     exports: frozenset[str]
     fps: float
-    """Frames a second of films."""
 
     def check(self) -> None:
-        """Raise ValueError for what can't be written."""
+        """Raise ValueError for unknown formats, missing packages and frame rates out of bounds."""
         unknown = sorted(self.exports - set(EXPORTS))
         if unknown:
             raise ValueError(f"--export {unknown[0]}: there is only {', '.join(EXPORTS)}")
@@ -49,12 +48,10 @@ class DriveFiles:
             raise ValueError(f"--fps {self.fps:g}: must be within 1..60")
 
     def of(self, run: ScoredRun, suffix: str) -> Path:
-        """Return the file of a run."""
         metrics = run.metrics
         return self._of(metrics.scenario, metrics.agent, metrics.intensity_mm_h, metrics.seed, suffix)
 
     def figure(self, scenario: str, agent: str) -> Path:
-        """Return the file of a figure over time."""
         return self.folder / f"{_drive_word(scenario, agent)}.png"
 
     def planned(
@@ -77,7 +74,7 @@ class DriveFiles:
 
 
 def _drive_word(scenario: str, agent: str) -> str:
-    """Return what files of an agent in a scenario begin with; what is long of either is shortened by itself."""
+    """Return the common start of the file names of an agent in a scenario; long names are shortened separately."""
     return file_word(f"{shortened(scenario, _WORD_BYTES)}_{shortened(agent, _WORD_BYTES)}", 2 * _WORD_BYTES + 1)
 
 
@@ -88,11 +85,11 @@ def write_drives(
     renderer: Renderer | None,
     settings: Mapping[str, object],
 ) -> list[str]:
-    """Write everything that came of runs in one scene; films where there is a renderer. Returns the files' names.
+    """Write all outputs of runs in one scene, with videos if there is a renderer. Returns the files' names.
 
-    `settings` are told on the report beside what the runs say themselves.
+    `settings` are listed in the report in addition to those in the runs.
     """
-    # Matplotlib loads slowly: not before the first drive.
+    # Matplotlib loads slowly: import it only after the first drive.
     from gsrain_engine.simulation.metrics.figures import kinematics_figure, write_figure
     from gsrain_engine.simulation.metrics.report import drive_report_page
 
@@ -122,7 +119,7 @@ def _write_run(files: DriveFiles, run: ScoredRun, scene: Scene, renderer: Render
     for kind in sorted(files.exports):
         _EXPORTERS[kind](files.of(run, f".{kind}"), rollout, scene)
         written.append(files.of(run, f".{kind}"))
-    if "xosc" in files.exports:  # its road, which it names
+    if "xosc" in files.exports:  # the road file that it refers to
         written.append(files.of(run, ".xodr"))
     if renderer is not None:
         film = files.of(run, ".mp4")

@@ -1,4 +1,4 @@
-"""The command line: which commands there are, and how bad input ends (one line, exit code 2)."""
+"""The command line: all commands, and error reports for bad input (one line, exit code 2)."""
 
 import logging
 import os
@@ -34,10 +34,10 @@ if TYPE_CHECKING:
 BAD_INPUT, INTERRUPTED, NOBODY_READS = 2, 130, 141
 
 _OURS = ("gsrain", "gsrain_engine", "app")
-"""Loggers whose news the command line passes on."""
+"""Loggers whose info messages the command line prints."""
 
 _HARMLESS = frozenset({"--help", "-h", "--version"})
-"""Need no working directory."""
+"""Options that need no working directory."""
 
 app = App(
     name="gsrain",
@@ -47,7 +47,7 @@ app = App(
     default_parameter=Parameter(validator=reject_non_finite, converter=parse_whole_numbers),
 )
 
-# § `gsrain [SCENE]`: the window.
+# gsrain [SCENE]
 
 
 def view(
@@ -66,14 +66,14 @@ def view(
     if scene not in (None, "street") and not Path(str(scene)).exists():
         from gsrain_engine.scene.open import load_scene
 
-        load_scene(scene)  # says what may have been meant
+        load_scene(scene)  # its error suggests similar names
     if not has_display():
         raise OSError("no display: the window can't open here; gsrain render writes pictures and videos without one")
-    from ui.window import run_window  # the GUI libraries load only for the window
+    from ui.window import run_window  # load the GUI libraries only for the window
 
     def begin() -> "Editor":
         from gsrain_engine.rain.settings import load_preset
-        from ui.workspace import begin_session  # and the engine behind the window
+        from ui.workspace import begin_session  # load the engine only after the window is open
 
         return begin_session(scene, load_preset(preset) if preset else None, wet)
 
@@ -82,7 +82,7 @@ def view(
 
 app.default(view)
 
-# Named, not imported: each loads what it needs when it runs, so that the window stands at once.
+# Import strings: each command loads its modules when it runs, so that the window opens immediately.
 COMMANDS = {
     "render": (
         "app.render:render",
@@ -143,7 +143,7 @@ for name, (function, summary) in COMMANDS.items():
 
 benchmarks = App(name="bench", help="Time this machine.")
 
-# § `gsrain bench`: all that there is to time, on two scenes.
+# gsrain bench
 
 
 def bench_all(
@@ -154,14 +154,14 @@ def bench_all(
     ] = "random-200k,street",
     json: JsonFileOrScreen = None,
 ) -> None:
-    """Time this machine: frames in rain and without, loading, recolouring. The commands time one, with options."""
+    """Time this machine: frames in rain and without, loading, recoloring. The commands time one, with options."""
     from .options import check_writable
 
     check_writable(json)
     from .bench import (
         loading,
         recoloring,
-        render,  # the engine loads only for this
+        render,  # load the engine only here
     )
 
     with redirect_stdout(table_stream(json)):
@@ -247,7 +247,7 @@ app.command(evaluations)
 def run(arguments: list[str]) -> int:
     use_any_encoding()
     logging.basicConfig(level=logging.WARNING, handlers=[console_log()])
-    for name in _OURS:  # libraries say what is of use to their makers: which fonts they have found, say
+    for name in _OURS:  # other libraries log messages for their developers, such as the fonts found
         logging.getLogger(name).setLevel(logging.INFO)
     errors = Console(stderr=True, soft_wrap=True)
     try:
@@ -266,7 +266,7 @@ def _run(arguments: list[str], errors: Console) -> int:
     if arguments[:1] == ["evaluate"]:
         add_installed_evaluations(evaluations, _OUR_EVALUATIONS, arguments[1:])
     try:
-        # In a context of its own, so that what one command allows ends with it.
+        # Run in a separate context, so that permissions of one command end with it.
         code = copy_context().run(app, arguments, exit_on_error=False, print_error=False, result_action="return_value")
     except CycloptsError as error:
         errors.print(f"gsrain: {_one_line(str(error))}")
@@ -295,20 +295,20 @@ def _has_working_directory() -> bool:
 
 
 def _nobody_reads() -> bool:
-    """Whether it was standard output whose reader has gone, as `head` goes; then nothing more is written to it."""
+    """Return True if the reader of standard output has closed it, as `head` does; silences further output."""
     try:
         poll = select.poll()
         poll.register(sys.stdout.fileno(), 0)
         is_broken = any(event & select.POLLERR for _, event in poll.poll(0))
         if is_broken:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python tries once more as it ends
-    except (AttributeError, OSError, ValueError):  # no poll, no file behind it, or a closed one
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python raises again at exit
+    except (AttributeError, OSError, ValueError):  # no poll, no file descriptor, or a closed one
         return False
     return is_broken
 
 
 def _misspelt(arguments: list[str]) -> str | None:
-    """Say which command is meant by a first word that is none, and no scene either; else nothing."""
+    """Suggest a command for a first word that is neither a command nor a scene; else None."""
     word = arguments[0] if arguments else ""
     names = [name for name in app if not name.startswith("-")]
     like = get_close_matches(word, names, 1)
@@ -321,15 +321,15 @@ def _one_line(message: str) -> str:
     return " ".join(message.split())
 
 
-# § `gsrain evaluate NAME` of other installed packages: a function with annotated parameters is a command.
+# Evaluations of other installed packages
 
 
 def add_installed_evaluations(evaluations: App, ours: frozenset[str], asked: Sequence[str]) -> None:
-    """Put the evaluations of other packages beside ours; only the one that `asked` begins with is loaded.
+    """Add the evaluations of other packages; only the one that `asked` begins with is loaded.
 
-    Where that one can't be used, running it says why.
+    If that one is unusable, running it raises the reason.
     """
-    for name in set(evaluations) - ours:  # of an earlier run
+    for name in set(evaluations) - ours:  # from an earlier run
         del evaluations[name]
     for each in find_extensions(EVALUATIONS):
         if each.name in ours:
@@ -353,4 +353,4 @@ def _function(extension: Extension) -> Callable[..., object]:
 
 
 def _listed() -> None:
-    """Stand in for what is only named in the help."""
+    """Placeholder for a command that appears only in the help."""

@@ -1,4 +1,4 @@
-"""What several commands take on the command line."""
+"""Options, output checks and prompts shared by several commands."""
 
 import json
 import math
@@ -40,15 +40,15 @@ AllowOutside = Annotated[
 ]
 
 SCREEN = Path("-")
-"""In the place of a file: standard output."""
+"""Standard output in place of a file."""
 
 _SIZE = re.compile(r"(\d+)x(\d+)")
 
 
 def reject_non_finite(_kind: Any, value: Any) -> None:
-    """Raise ValueError for NaN and infinity: no option takes them.
+    """Raise ValueError for NaN and infinity: no option accepts them.
 
-    `value` is what an option was given, or a dataclass of options.
+    `value` is an option's value or a dataclass of options.
     """
     if is_dataclass(value):
         for field in fields(value):
@@ -64,7 +64,7 @@ def reject_non_finite(_kind: Any, value: Any) -> None:
 
 
 def parse_whole_numbers(kind: Any, tokens: Sequence[Token]) -> Any:
-    """Turn words into what an option takes, as cyclopts does; but it would round 1.5 where whole numbers are wanted."""
+    """Convert words as cyclopts does, but raise ValueError for 1.5 as an integer instead of rounding."""
     for token in tokens if int in (kind, *get_args(kind)) else ():
         if "." in token.value:
             raise ValueError(f"{token.keyword} {token.value}: expected a whole number")
@@ -81,7 +81,7 @@ def parse_size(text: str, option: str = "--size") -> tuple[int, int]:
 
 
 def split_list(option: str, text: str) -> list[str]:
-    """Split at commas; what stands there twice is taken once. Raises ValueError for an empty word."""
+    """Split at commas and drop duplicates. Raises ValueError for an empty word."""
     words = list(dict.fromkeys(word.strip() for word in text.split(",")))
     if not all(words):
         raise ValueError(f"{option} {text!r}: expected values with single commas between")
@@ -89,7 +89,7 @@ def split_list(option: str, text: str) -> list[str]:
 
 
 def write_numbers(file: Path | None, numbers: Mapping[str, Any]) -> None:
-    """Write what a command reports as JSON, if it was asked to; `SCREEN` prints it."""
+    """Write the numbers of a command as JSON, if a file is set; `SCREEN` prints them."""
     if file == SCREEN:
         print_lines(json.dumps(numbers, indent=1))
     elif file is not None:
@@ -99,22 +99,22 @@ def write_numbers(file: Path | None, numbers: Mapping[str, Any]) -> None:
 
 
 def let_names_lead_outside(allowed: bool) -> None:
-    """Act on `AllowOutside`, for as long as the command runs."""
+    """Apply `AllowOutside` for the duration of the command."""
     if allowed:
-        from gsrain_engine.datasets.capture import allow_outside  # only for captures
+        from gsrain_engine.datasets.capture import allow_outside  # only needed for captures
 
         allow_outside(allowed)
 
 
 def table_stream(file: Path | None) -> TextIO:
-    """Return where tables for people go: standard output, unless that is for the numbers."""
+    """Return the stream for tables: standard output, unless the JSON numbers go there."""
     return sys.stderr if file == SCREEN else sys.stdout
 
 
-# § Options as a value of the engine: what is wrong with one is told by the option's name, not by the field's.
+# Conversion of options with errors that name the option
 
 RAIN_OPTIONS = {"intensity_mm_h": "rain", "exposure_s": "exposure"}
-"""Options of the rain by field, where they are called otherwise."""
+"""Rain options whose name differs from the field's, by field."""
 
 _Kind = TypeVar("_Kind")
 
@@ -124,9 +124,9 @@ _PLACE = re.compile(r" - at `\$.*?(\w+)(\[[^\]]*\])*`$")
 
 
 def converted_options(values: Mapping[str, Any], kind: type[_Kind], options: Mapping[str, str] | None = None) -> _Kind:
-    """Return what options give as a type that msgspec knows; raises ValueError, which names the option.
+    """Convert option values to a type known to msgspec. Raises ValueError, which names the option.
 
-    `options` are those that are not called as their field, by field, without dashes.
+    `options` maps fields to option names without dashes where the two differ.
     """
     try:
         return convert_checked(values, kind)
@@ -138,19 +138,19 @@ def converted_options(values: Mapping[str, Any], kind: type[_Kind], options: Map
 
     if place := _PLACE.search(said):
         raise ValueError(f"{named(place[1])}: {said[: place.start()]}")
-    # What a type checks by itself names the fields: "last_s must be above first_s ..."
+    # Errors of a type's own checks name the fields: "last_s must be above first_s ..."
     raise ValueError(_WORD.sub(lambda word: named(word[0]) if word[0] in values else word[0], said))
 
 
-# § Files and folders that a command writes, looked at before its work: none of it is lost to a name or a place.
+# Checks of output files and folders before long work starts
 
 PAGES = (".html", ".htm")
-"""Endings of reports."""
+"""File extensions of reports."""
 
 
 def check_scene_folder(output: Path) -> None:
-    """Raise ValueError where a scene folder can't be written: the name of a file, a folder with other things in it."""
-    from gsrain_engine.scene.formats.scene_files import names_scene_folder  # and NumPy, which no start waits for
+    """Raise ValueError if a scene folder can't be written: a file name, or a folder with other contents."""
+    from gsrain_engine.scene.formats.scene_files import names_scene_folder  # loads NumPy, which startup avoids
 
     check_writable(folders=[output])
     if not names_scene_folder(output):
@@ -161,7 +161,7 @@ def check_scene_folder(output: Path) -> None:
 
 
 def check_scene_target(output: Path) -> None:
-    """Raise ValueError where no scene can be written: as a folder, or as a file of a format that can be written."""
+    """Raise ValueError if no scene can be written there, as a folder or as a file of a writable format."""
     from gsrain_engine.scene.formats.registry import check_written_format
     from gsrain_engine.scene.formats.scene_files import names_scene_folder
 
@@ -177,10 +177,9 @@ _held = ExitStack()
 
 
 def lock_outputs(*places: Path | None, shared: bool = False) -> None:
-    """Have files and folders that a command will write for this process, until the command ends; None is passed by.
+    """Lock files and folders that a command will write, until the command ends; None is ignored.
 
-    Raises `PathInUseError`, which names the process, where another one has one of them; `shared` ones may have it
-    together.
+    Raises `PathInUseError`, which names the process, if another process holds one of them; `shared` locks may coexist.
     """
     for place in places:
         if place is not None and place != SCREEN:
@@ -188,15 +187,14 @@ def lock_outputs(*places: Path | None, shared: bool = False) -> None:
 
 
 def release_outputs() -> None:
-    """Let others have all that a command has held."""
     _held.close()
 
 
 def check_writable(*files: Path | None, folders: Iterable[Path | None] = ()) -> None:
-    """Raise ValueError for the first file or folder that could not be written; None and `SCREEN` are passed by.
+    """Raise ValueError for the first file or folder that could not be written; None and `SCREEN` are ignored.
 
-    Names are looked at (their bytes, whether two are the same), what stands at the places (a folder where a file is to
-    be, a file above), and whether the disk takes a new file there. Nothing is made.
+    Checks names (their bytes, duplicates), existing entries (a folder in place of a file, a file as a parent), and
+    whether the disk accepts a new file there. Nothing is created.
     """
     named = [path for path in files if path is not None and path != SCREEN]
     kept = [path for path in folders if path is not None]
@@ -212,23 +210,23 @@ def check_writable(*files: Path | None, folders: Iterable[Path | None] = ()) -> 
 
 
 def check_ending(option: str, path: Path | None, endings: Sequence[str]) -> None:
-    """Raise ValueError, which names the option, for a file whose name ends otherwise; None is passed by."""
+    """Raise ValueError, which names the option, for a file with another extension; None is ignored."""
     if path is not None and path.suffix.lower() not in endings:
         raise ValueError(f"{option} {path}: expected a name that ends in {_listed(endings)}")
 
 
 def check_page(report: Path | None, json: Path | None, *files: Path | None) -> None:
-    """Check a page of a run, and its numbers, which go to a file of its name where `json` names none, with `files`."""
+    """Check a report page with its numbers, which are written next to it if `json` is None, and other `files`."""
     check_ending("--report", report, PAGES)
     numbers = report.with_suffix(".json") if report is not None and json is None else json
     check_writable(report, numbers, *files)
 
 
 def check_image(option: str, path: Path | None) -> None:
-    """Raise ValueError for a picture in a format that can't be written; one without an ending becomes a PNG."""
+    """Raise ValueError for an image format that can't be written; a name without an extension becomes a PNG."""
     if path is None or path.suffix == "":
         return
-    from PIL import Image  # loads slowly, and most who load this module draw no picture
+    from PIL import Image  # loads slowly, and few commands draw images
 
     Image.init()
     known = Image.registered_extensions()
@@ -237,7 +235,7 @@ def check_image(option: str, path: Path | None) -> None:
 
 
 def report_path(output: Path, report: Path | None) -> Path:
-    """Return where the report of a run goes: as asked for, else beside its scene."""
+    """Return the path of the report of a run: as chosen, else next to its scene."""
     check_ending("--report", report, PAGES)
     return report or output.with_name(f"{shortened(output.name)}.report.html")
 
@@ -248,11 +246,11 @@ def _check_name(path: Path) -> None:
 
 
 def _check_file(path: Path) -> None:
-    place = Path(os.path.realpath(path))  # what a link leads to is replaced, not the link
+    place = Path(os.path.realpath(path))  # a link's target is replaced, not the link
     mode = _mode(place)
     if mode is not None and stat.S_ISDIR(mode):
         raise ValueError(f"{path}: can't be written, for it is a folder; expected the name of a file")
-    if mode is not None and not stat.S_ISREG(mode):  # a device or a pipe is written to as it is
+    if mode is not None and not stat.S_ISREG(mode):  # devices and pipes are written directly
         if not os.access(place, os.W_OK):
             raise ValueError(f"{path}: can't be written to (permission denied)")
         return
@@ -268,18 +266,18 @@ def _check_folder(path: Path) -> None:
 
 
 def _check_takes_files(path: Path, folder: Path) -> None:
-    """Try to make a file in the next folder above that is there."""
+    """Try to create a file in the nearest existing parent folder."""
     there = next((each for each in (folder, *folder.parents) if _mode(each) is not None), folder)
     if not stat.S_ISDIR(_mode(there) or 0):
         raise ValueError(f"{path}: can't be written, for {there} is a file")
     try:
-        tempfile.TemporaryFile(dir=there).close()  # what may be written is only known to who tries
+        tempfile.TemporaryFile(dir=there).close()  # only an attempt proves write access
     except OSError as error:
         raise ValueError(f"{path}: can't be written, for {there} takes no file ({error.strerror})") from None
 
 
 def _check_apart(files: Sequence[Path], folders: Sequence[Path]) -> None:
-    """Raise ValueError where two outputs have one place, or one lies below a file."""
+    """Raise ValueError if two outputs share a path, or one lies below a file."""
     regular = [each for each in files if stat.S_ISREG(_mode(each) or stat.S_IFREG)]
     places: dict[Path, Path] = {}
     for path in (*regular, *folders):
@@ -294,7 +292,7 @@ def _check_apart(files: Sequence[Path], folders: Sequence[Path]) -> None:
 
 
 def _mode(path: Path) -> int | None:
-    """Type and permissions of what stands there; None where nothing does, or nobody can say."""
+    """Return type and permissions of a path; None if it doesn't exist or is not accessible."""
     try:
         return path.stat().st_mode
     except (OSError, ValueError):
@@ -302,7 +300,7 @@ def _mode(path: Path) -> int | None:
 
 
 def _short(path: Path) -> str:
-    """Return a path for a sentence: one too long for a disk is too long for that too."""
+    """Return a path, shortened for an error message."""
     text = str(path)
     return text if len(text) <= 80 else f"{text[:40]}...{text[-20:]}"
 
@@ -311,15 +309,15 @@ def _listed(endings: Sequence[str]) -> str:
     return endings[0] if len(endings) == 1 else f"{', '.join(endings[:-1])} or {endings[-1]}"
 
 
-# § Whether a window can open.
+# Display
 
 
 def has_display() -> bool:
-    """Tell from the environment; systems other than Linux always have a display."""
+    """Return True if a window can open; systems other than Linux always have a display."""
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-# § Asks a person whether Python code that a file names may run; the answer is remembered by its content.
+# Permission to run Python code that a file names, remembered by content hash
 
 _Result = TypeVar("_Result")
 
@@ -334,10 +332,10 @@ Trust = Annotated[
 
 
 def with_trust(load: Callable[[], _Result], trust: bool) -> _Result:
-    """Return what `load` returns, and let a person decide where it meets Python code that nobody has allowed.
+    """Return the result of `load`, asking for permission if it meets Python code that is not trusted yet.
 
-    With `trust` such code may run this time. Else a person in a terminal is asked, and his yes is remembered for this
-    very content. Raises `UntrustedCodeError` where there is nobody to ask, or the answer is no.
+    With `trust` the code may run this time. Otherwise the program asks in the terminal, and remembers a yes for exactly
+    this content. Raises `UntrustedCodeError` without a terminal, or if the answer is no.
     """
     try:
         return load()
@@ -352,7 +350,6 @@ def with_trust(load: Callable[[], _Result], trust: bool) -> _Result:
 
 
 def _is_allowed(error: UntrustedCodeError) -> bool:
-    """Ask a person in a terminal; the default is no."""
     if not all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stderr)):  # pyright: ignore
         return False
     print(f"{error.named_by} names Python code, which would run with all your rights:", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""A progress bar with an estimate of the time left; in a file or pipe there is only how it ended."""
+"""Progress bars with an estimate of the time left; files and pipes get only the final state."""
 
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
@@ -25,9 +25,9 @@ _FIRST_TIME = "The first time on a machine, code for its processor is compiled b
 
 @contextmanager
 def progress_bar(title: str, total: float, *, draws: bool = False) -> Generator[Callable[..., None]]:
-    """Show a bar while the block runs; call what it yields with the work done (default 1). A failure takes it away.
+    """Show a bar while the block runs; call the yielded function with the work done (default 1). Errors remove the bar.
 
-    Where the block `draws`, it is said that the first time on a machine begins with compiling.
+    With `draws`, the first run on a machine prints that kernels are compiled first.
     """
     columns = [WordsColumn(), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()]
     with Progress(*columns, WordsColumn("ETA"), TimeRemainingColumn(), console=Console(stderr=True)) as bar:
@@ -41,12 +41,12 @@ def progress_bar(title: str, total: float, *, draws: bool = False) -> Generator[
         try:
             yield advance
         except BaseException:
-            bar.live.transient, bar.console.quiet = True, not bar.console.is_terminal  # one line is left: what is wrong
+            bar.live.transient, bar.console.quiet = True, not bar.console.is_terminal  # leave one line: the error
             raise
 
 
 def followed(work: Generator[Step, None, _Result]) -> _Result:
-    """Do a piece of work, show how far it is and what it does, and return what comes out."""
+    """Run a job, show its progress and current step, and return its result."""
     columns = [WordsColumn(), BarColumn(), TimeElapsedColumn(), WordsColumn("ETA"), TimeRemainingColumn()]
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:

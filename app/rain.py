@@ -1,4 +1,4 @@
-"""`gsrain calibrate FILES... -o CAL.yaml`: a rain calibration from disdrometer spectra."""
+"""`gsrain calibrate` and `gsrain disdrometer`: rain calibration from measured spectra, and a virtual disdrometer."""
 
 from dataclasses import asdict, is_dataclass
 from itertools import pairwise
@@ -28,7 +28,7 @@ from .scene import Columns, columns_of
 
 _DEFAULTS = FitOptions()
 
-_COLUMNS = 120  # of the table, also where output goes into a file
+_COLUMNS = 120  # table width, also if the output is a file
 
 
 def calibrate(
@@ -100,7 +100,7 @@ def calibrate(
 
 
 def _options(intensities: str | None, **others: float) -> FitOptions:
-    """Check the options; errors name them as they are typed."""
+    """Check the options; errors name them as typed on the command line."""
     values: dict[str, Any] = dict(others)
     if intensities is not None:
         try:
@@ -190,7 +190,7 @@ def _with_limits(value: float, limits: tuple[float, float] | None) -> str:
     return f"{value:.3g}" if limits is None else f"{value:.3g} ({limits[0]:.3g}..{limits[1]:.3g})"
 
 
-# § `gsrain disdrometer`: measures whether the simulated rain carries the water that was asked for.
+# gsrain disdrometer
 
 _ROWS_MM = np.array([0.1, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0])
 
@@ -258,7 +258,7 @@ def _rain(
 
 
 def _times(seconds: float, record: float) -> Float64[np.ndarray, " records_and_one"]:
-    """Bounds of the records; the last one is what is left."""
+    """Return the bounds of the records; the last one may be shorter."""
     for option, value in (("--seconds", seconds), ("--record", record)):
         if not 0.001 <= value <= _LONGEST_S:
             raise ValueError(f"{option} {value:g}: must be within 0.001..{_LONGEST_S:g} s")
@@ -291,7 +291,6 @@ def _disdrometer_numbers(counted: DisdrometerMeasurement) -> dict[str, Any]:
 
 
 def _spectrum(counted: DisdrometerMeasurement, edges_mm: Float64[np.ndarray, " n_and_one"]) -> dict[str, list[float]]:
-    """Drops counted, and drops in the air, by diameter."""
     drops, _ = np.histogram(counted.diameters_mm, edges_mm, weights=counted.counts.sum(axis=0).astype(float))
     in_air, _ = np.histogram(counted.diameters_mm, edges_mm, weights=counted.in_air_m3)
     return {

@@ -1,4 +1,4 @@
-"""`gsrain render SCENE -o OUT`: pictures and videos without a window."""
+"""`gsrain render SCENE -o OUT`: images and videos without a window."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -37,12 +37,13 @@ from .scene_options import Orientation, TimedPath, timed_path
 _MAX_LISTED = 6
 
 _FILE_ENDINGS = (".png", ".jpg", ".jpeg", ".exr", ".npy", ".mp4", ".webm", ".json")
-"""Of what a recording writes; all else is a folder, though its name may have dots: frames.clear, clip.depth."""
+"""Extensions of files that a recording writes; any other output is a folder, even with dots: frames.clear, clip.depth.
+"""
 
-# § The options of `gsrain render`: rain, and how a clip is recorded.
+# Options of rain and recording
 
 
-@Parameter(name="*")  # its fields are options of the command, without a prefix
+@Parameter(name="*")  # fields are options of the command, without a prefix
 @dataclass(frozen=True, kw_only=True)
 class RainOptions:
     """Rain on the command line."""
@@ -69,7 +70,7 @@ class RainOptions:
     ] = None
 
     def for_scene(self, scene: Scene) -> RainSettings:
-        """Preset, else the rain saved with the scene, else none; then what was asked for on top."""
+        """Return the preset, else the scene's saved rain, else no rain, with the given options applied."""
         if self.preset is not None:
             rain = load_preset(self.preset)
         else:
@@ -92,7 +93,7 @@ class RainOptions:
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class RecordingOptions:
-    """How a clip is recorded, on the command line."""
+    """Recording of a clip on the command line."""
 
     fps: Annotated[float, Parameter(help="Frames a second.")] = 30.0
     time: Annotated[float, Parameter(name=["--time", "--from"], help="Moment of the first frame in seconds.")] = 0.0
@@ -120,7 +121,7 @@ class RecordingOptions:
     ] = None
 
     def recording(self, output: Path, size_px: tuple[int, int] | None, *, depth: bool) -> ExportSettings:
-        """Check everything; raises `ValueError` for what is out of bounds or contradicts itself."""
+        """Check all options. Raises `ValueError` for values out of bounds or in conflict."""
         if not 0.1 <= self.fps <= 1000:
             raise ValueError(f"--fps {self.fps:g}: must be within 0.1..1000")
         passes = _words(self.passes)
@@ -230,7 +231,7 @@ def _record(
     numbers: Sequence[int],
     look: RenderMode,
 ) -> dict[str, Any]:
-    """Record frames; Ctrl-C ends it early and leaves what is there."""
+    """Record frames; Ctrl-C stops early and keeps the frames so far."""
     started, done = time.perf_counter(), 0
     first = next(iter(sequences.values()))
     state = first.rainfall.state_at(first.time_s(numbers[0]))
@@ -264,7 +265,7 @@ def _label(
 ) -> list[Path]:
     if form is None or not numbers:
         return []
-    from gsrain_engine.render.label_export import write_object_labels  # and OpenCV, which no picture needs
+    from gsrain_engine.render.label_export import write_object_labels  # loads OpenCV, which images don't need
 
     return followed(write_object_labels(renderer, form, recording, sequences, numbers))
 
@@ -276,7 +277,7 @@ def _listed(paths: list[Path]) -> str:
 
 
 def _describe(rainfall: RainSimulation, first_s: float) -> str:
-    """Say how it rains: under a weather at the first frame."""
+    """Describe the rain, for animated rain at the first frame."""
     state, rain = rainfall.state_at(first_s), rainfall.rain
     when = f"first of a weather with {len(rainfall.weather.keys):,} keys: " if rainfall.weather.keys else ""
     if state.intensity_mm_h == 0:
@@ -297,7 +298,7 @@ def _check(*, duration: float | None, frame: int | None) -> None:
 def _check_frame(
     frame: int, sequences: Mapping[str, FrameSequence], recording: ExportSettings, duration: float | None
 ) -> None:
-    """Raise ValueError for a frame after the end of the path or drive, unless a longer clip is asked for."""
+    """Raise ValueError for a frame after the end of the path or drive, unless a longer clip is set."""
     lengths = [each.length_s for each in sequences.values()]
     if any(each is None for each in lengths):
         return
@@ -311,10 +312,10 @@ def _check_frame(
 def _check_outputs(
     recording: ExportSettings, cameras: Sequence[str], labels: LabelFormat | None, json: Path | None
 ) -> None:
-    """Raise ValueError for what could not be written once it is rendered."""
+    """Raise ValueError for outputs that could not be written after rendering."""
     written = export_outputs(recording, cameras)
     if labels is not None:
-        from gsrain_engine.render.label_export import label_outputs  # and OpenCV, which no picture needs
+        from gsrain_engine.render.label_export import label_outputs  # loads OpenCV, which images don't need
 
         written += label_outputs(labels, recording, cameras)
     folders = [path for path in written if path.suffix.lower() not in _FILE_ENDINGS]
@@ -323,7 +324,7 @@ def _check_outputs(
 
 
 def _made_rainy(scene: Scene) -> Scene:
-    # Kernels take a second to load: only where they are needed.
+    # Loading kernels takes a second, so import them only here.
     from gsrain_engine.recolor.wet_scene import wet_scene
 
     return followed(wet_scene(scene))
@@ -332,9 +333,9 @@ def _made_rainy(scene: Scene) -> Scene:
 def _viewpoint(
     scene: Scene, camera: Path | None, camera_path: Path | None, recording: ExportSettings, *, is_frame: bool
 ) -> Camera | CameraPath:
-    """What the options ask for, in the world; else the scene's own path, the ego's drive, or a swing around it.
+    """Return the camera or path of the options, in the world; else the scene's path, the ego's drive, or an orbit.
 
-    A still that is no frame of a video shows a scene without path and drive from in front.
+    A single still shows a scene without path and drive from the front.
     """
     if camera is not None and camera_path is not None:
         raise ValueError("--camera and --camera-path exclude each other")
@@ -356,7 +357,7 @@ def _timing(
     recording: ExportSettings,
     speed: float | None,
 ) -> TimedPath | None:
-    """The speed of a camera path; None for anything else: a drive has its own speed, and cameras stand."""
+    """Return the timing of a camera path; None for drives, which have their own speed, and for fixed cameras."""
     is_path = camera_path is not None or scene.path is not None
     if isinstance(viewpoint, CameraPath) and is_path and not recording.cameras:
         return timed_path(viewpoint, speed, is_still=recording.is_still)
@@ -385,13 +386,13 @@ def _words(text: str) -> list[str]:
     return [word.strip() for word in text.split(",") if word.strip()]
 
 
-# § Which weather `gsrain render` takes: the scene's own, less what the options set for the whole clip.
+# Animated rain
 
 
 def rendered_weather(options: RainOptions | None, scene: Scene) -> RainKeyframes | None:
-    """Return the weather saved with a scene; --rain and --exposure replace its keys of these, --preset all of it.
+    """Return the rain keyframes saved with a scene, without those that --rain, --exposure or --preset replace.
 
-    Raises `msgspec.ValidationError` where what was saved can't be used.
+    Raises `msgspec.ValidationError` if the saved keyframes are invalid.
     """
     if scene.weather is None or (options is not None and options.preset is not None):
         return None

@@ -1,4 +1,4 @@
-"""`gsrain info SCENE|CAPTURE|FILE`: what is in a scene, a capture or a disdrometer's file."""
+"""`gsrain info`, `convert` and `street`: inspection, conversion and export of scenes."""
 
 from collections.abc import Iterator
 from dataclasses import asdict, replace
@@ -44,7 +44,7 @@ from .options import (
 from .progress import progress_bar
 from .scene_options import Orientation, count_flagged, flagged_text, names_scene, timed_path
 
-# § `gsrain info FILE` of a disdrometer's measurements, and the option that says which of a table's columns is what.
+# gsrain info
 
 Columns = Annotated[
     Path | None,
@@ -76,7 +76,7 @@ def info(
     is_scene, inner = names_scene(scene), scene_folder_of(Path(scene) / INNER_SCENE)
     if not is_scene and capture_format(scene) is not None:
         numbers = capture_info(Path(scene), check, overlay)
-        if inner is not None:  # what gsrain street writes holds a scene too
+        if inner is not None:  # the output of gsrain street also holds a scene
             numbers |= _scene_info(scene)
         write_numbers(json, numbers)
         return
@@ -92,7 +92,7 @@ def info(
 
 
 def _scene_info(scene: str) -> dict[str, Any]:
-    """Print what a scene holds; returns the printed numbers."""
+    """Print a scene's contents; returns the printed numbers."""
     opened = load_scene(scene)
     rows = [_member(each) for each in opened.members]
     numbers = {
@@ -128,7 +128,7 @@ def _member(member: Layer | Actor) -> dict[str, Any]:
 
 
 def _extent(scene: Scene) -> dict[str, Any]:
-    """Numbers of the dense core and of the shell around it, in the world (metres, z up)."""
+    """Return the extent of the dense core and of the shell around it, in the world (meters, z up)."""
     core = find_scene_core(scene)
     low, high = ([round(float(v), 3) for v in corner] for corner in (core.low, core.high))
     numbers: dict[str, Any] = {"core_m": {"minimum": low, "maximum": high}, "shell": None}
@@ -142,7 +142,7 @@ def _extent(scene: Scene) -> dict[str, Any]:
 
 def _print(scene: Scene, numbers: dict[str, Any]) -> None:
     console = wide_console()
-    up = ", ".join(f"{v + 0.0:g}" for v in scene.up)  # no -0
+    up = ", ".join(f"{v + 0.0:g}" for v in scene.up)  # avoids -0
     marks = flagged_text({kind: numbers[kind] for kind in ("deleted", "hidden")})
     size = f"{numbers['memory_bytes'] / 2**20:.1f} MiB"
     console.print(f"{scene.name}: {numbers['gaussians']:,} Gaussians{marks}, {size}")
@@ -170,11 +170,11 @@ def _print(scene: Scene, numbers: dict[str, Any]) -> None:
     console.print(table)
 
 
-# § What `gsrain info` prints about a capture, and what it checks and draws when it is asked to.
+# Captures
 
 
 def capture_info(path: Path, check: bool, overlay: Path | None) -> dict[str, Any]:
-    """Print what a capture holds; `check` reads all pictures and checks poses, `overlay` is drawn into that file.
+    """Print the contents of a capture; `check` reads all images and checks poses, `overlay` is an image to write.
 
     Returns the printed numbers. Raises `CaptureError`.
     """
@@ -204,7 +204,7 @@ def _checked(capture: Capture) -> tuple[Capture, tuple[PoseCheck, ...]]:
 
         capture = readable_images(capture, show)
         checks = check_poses(capture, lambda fraction: show(1.0 + fraction))
-        show(2.0)  # also where there is nothing to check poses by
+        show(2.0)  # also if there is nothing to check poses with
         return capture, checks
 
 
@@ -265,10 +265,10 @@ def _cameras(summary: CaptureSummary) -> Table:
     return table
 
 
-# § `gsrain convert IN OUT`: from one scene format to another.
+# gsrain convert
 
 _OWN = "own"
-"""A scene's own camera path, where a file could be named."""
+"""Value of --drive for the scene's own camera path."""
 
 
 def convert(
@@ -301,9 +301,9 @@ def convert(
     ] = None,
     json: JsonFile = None,
 ) -> None:
-    """Convert a scene. A scene folder remembers which way is up and how long a unit is.
+    """Convert a scene. A scene folder stores orientation and unit.
 
-    A single file gets all visible layers, and actors where they stand at time 0, in metres with -y up.
+    A single file gets all visible layers, and actors at their place at time 0, in meters with -y up.
     """
     if wetness is not None and not 0 <= wetness <= 1:
         raise ValueError(f"--wetness {wetness:g}: must be within 0..1")
@@ -338,17 +338,17 @@ def convert(
 
 
 def _driven(scene: Scene, drive: str, speed: float | None) -> Scene:
-    """Let an ego vehicle drive along a path, at its own times, or as fast as is asked for or assumed."""
+    """Let an ego vehicle drive along a path, at its own times, or at the given or assumed speed."""
     path = scene.path if drive == _OWN else read_camera_path(drive)
     if path is None:
-        return drive_along_own_path(scene)  # says what is missing
+        return drive_along_own_path(scene)  # raises the reason
     timing = timed_path(path, speed, scene.metres_per_unit)
     if timing.line is not None:
         print(f"{drive}: {timing.line}")
     return drive_along(scene, timing.path)
 
 
-# § `gsrain street DIR`: the built-in street as files.
+# gsrain street
 
 
 def street(
@@ -384,8 +384,8 @@ def street(
 
 
 def _photographs(scene: Scene, rig: str, moments: int, width: int) -> Iterator[CaptureFrame]:
-    """Photograph the mesh with every camera of a rig, at moments spread over the drive."""
-    from gsrain_engine.datasets.street import StreetViews  # pyrender and OpenGL load only here
+    """Render the mesh with every camera of a rig, at times spread over the drive."""
+    from gsrain_engine.datasets.street import StreetViews  # loads pyrender and OpenGL only here
     from gsrain_engine.scene.street.build import street_surfaces
 
     assert scene.ego is not None
@@ -399,12 +399,12 @@ def _photographs(scene: Scene, rig: str, moments: int, width: int) -> Iterator[C
 
 
 def columns_of(file: Path | None) -> TableColumns | None:
-    """Read what `--columns` names. Raises `ValueError` with the file and the field, `OSError`."""
+    """Read the file of `--columns`. Raises `ValueError` with the file and the field, `OSError`."""
     return None if file is None else load_columns(file)
 
 
 def disdrometer_info(file: Path, columns: Path | None) -> dict[str, Any]:
-    """Print what a disdrometer file holds; returns the numbers. Raises `ValueError`."""
+    """Print the contents of a disdrometer file; returns the numbers. Raises `ValueError`."""
     try:
         measured = open_disdrometer_file(file, columns_of(columns)).measured()
     except UnknownKindError as error:

@@ -1,4 +1,4 @@
-"""How a scene lies in the world, as a person says it: which way is up, how long a metre is."""
+"""Options and helpers about scenes: orientation, units, flagged Gaussians, and speed of camera paths."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,10 +16,10 @@ from gsrain_engine.scene.open import is_built_in_street, scene_folder_of
 from gsrain_engine.scene.scene import Actor, Layer, Scene
 
 
-@Parameter(name="*")  # its fields are options of the command, without a prefix
+@Parameter(name="*")  # fields are options of the command, without a prefix
 @dataclass(frozen=True, kw_only=True)
 class Orientation:
-    """Options about axes and units; files of Gaussians say neither."""
+    """Options about axes and units, which Gaussian files don't store."""
 
     up: Annotated[
         Axis | None,
@@ -35,15 +35,15 @@ class Orientation:
             raise ValueError(f"--metres-per-unit {self.metres_per_unit:g}: must be within 0.000001..1000000")
 
     def of(self, scene: Scene) -> Scene:
-        """Return the scene as it is said to lie; turned, it no longer knows the height of its ground."""
+        """Return the scene in the chosen orientation; rotating it drops its ground height."""
         return oriented(scene, self.up, self.metres_per_unit)
 
 
-# § What a person names on the command line: a scene, or a capture.
+# Scene or capture
 
 
 def names_scene(name: str) -> bool:
-    """Whether a name is that of a scene: what could be both, such as a folder with scene.json and pictures, is one."""
+    """Return True if a name is that of a scene; ambiguous folders, such as scene.json with images, count as scenes."""
     path = Path(name)
     return (
         is_built_in_street(name)
@@ -53,11 +53,11 @@ def names_scene(name: str) -> bool:
     )
 
 
-# § How many Gaussians of a scene are marked, for commands that count them.
+# Deleted and hidden Gaussians
 
 
 def count_flagged(members: Sequence[Layer | Actor]) -> dict[str, int]:
-    """Count what is deleted, and what is hidden but not deleted."""
+    """Count deleted Gaussians, and hidden ones that are not deleted."""
     deleted = hidden = 0
     for member in members:
         marks = member.marks
@@ -68,32 +68,32 @@ def count_flagged(members: Sequence[Layer | Actor]) -> dict[str, int]:
 
 
 def flagged_text(counts: dict[str, int]) -> str:
-    """Say so behind a number of Gaussians; nothing where none is marked."""
+    """Return the counts in parentheses, or "" if all are zero."""
     said = [f"{count:,} {kind}" for kind, count in counts.items() if count]
     return f" ({', '.join(said)})" if said else ""
 
 
-# § The speed of a camera path: as its file says, as a person asks, or, for photos without times, as one walks.
+# Speed of a camera path
 
 _LOWEST, _HIGHEST = 1e-3, 1e3
 
 
 @dataclass(frozen=True, slots=True)
 class TimedPath:
-    """A path as it is flown."""
+    """A camera path with its speed."""
 
     path: CameraPath
     line: str | None
-    """One line for people, where the speed is not the path's own."""
+    """One line for people, if the speed is not the path's own."""
     speed_m_s: float | None
-    """None where the path has times of its own."""
+    """None if the path has its own times."""
     is_assumed: bool
 
 
 def timed_path(
     path: CameraPath, speed_m_s: float | None, metres_per_unit: float = 1.0, *, is_still: bool = False
 ) -> TimedPath:
-    """Time a path: at the speed asked for, by its own times, or at walking pace; of that, a still is at rest.
+    """Time a path at the given speed, by its own times, or at walking pace; in a still the latter camera is at rest.
 
     Raises ValueError, which names the option, for a speed out of bounds.
     """

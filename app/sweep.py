@@ -1,4 +1,4 @@
-"""`gsrain sweep SWEEP.yaml`: many drives or renders, here, in shares, or on a cluster."""
+"""`gsrain sweep SWEEP.yaml`: many drives or renders, locally, in shards, or on a cluster."""
 
 import signal
 import sys
@@ -54,12 +54,11 @@ def sweep(
     trust: Trust = False,
     json: JsonFile = None,
 ) -> int:
-    """Run every combination that a sweep names. Run again, it goes on: jobs with a row are not done twice.
+    """Run every combination that a sweep names. Run again, it resumes: jobs with a row are not repeated.
 
-    Any number of such commands may work on one folder: with --shard on machines that know nothing of each other. Rows
-    say nothing of time or machine; those of equal jobs are equal to the byte. Where one fails, its row has the error.
-
-    Agents in Python files run only with --trust, or once you have said yes to their content in a terminal.
+    Any number of such commands may work on one folder, with --shard on independent machines. Rows contain neither times
+    nor machine names; equal jobs give byte-identical rows. The row of a failed job has the error. Agents in Python
+    files run only with --trust, or once you have allowed their content in a terminal.
     """
     started = time.perf_counter()
     told = load_sweep(sweep)
@@ -108,7 +107,7 @@ def _folder(name: str, sweep: Sweep, output: Path | None) -> Path:
 
 
 def _check_engine(workers: int | None, dask: str | None, resources: str) -> None:
-    """Raise ValueError for what contradicts itself, before anything is written."""
+    """Raise ValueError for options that contradict each other, before anything is written."""
     if dask is None and resources:
         raise ValueError(f"--dask-resources {resources}: expected --dask ADDRESS with it")
     if dask is not None and workers is not None:
@@ -119,7 +118,6 @@ def _check_engine(workers: int | None, dask: str | None, resources: str) -> None
 
 
 def _engine(workers: int | None, dask: str | None, resources: str, stack: ExitStack) -> Executor:
-    """Choose where to work."""
     if dask is None:
         return SerialExecutor() if workers == 0 else LocalPool(workers)
     cluster = DaskCluster(dask, _resources(resources))
@@ -142,7 +140,7 @@ def _resources(text: str) -> dict[str, float]:
 
 @contextmanager
 def _ended_gently() -> Generator[None]:
-    """Take what a batch system sends at the end of its time as Ctrl-C."""
+    """Treat SIGTERM, which batch systems send at their time limit, as Ctrl-C."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
@@ -164,7 +162,7 @@ def _count(number: int, what: str) -> str:
     return f"{number:,} {what}" if number == 1 else f"{number:,} {what}s"
 
 
-# § What `gsrain sweep` shows of the drives that it made: a row an agent and intensity.
+# Table of drives, a row per agent and intensity
 
 _COLUMNS = 160
 
@@ -176,7 +174,6 @@ _COLUMN_TITLES = {
 
 
 def print_cells(cells: Sequence[Mapping[str, Any]]) -> None:
-    """Print the cells of a summary with their intervals."""
     several = len({cell["scene"] for cell in cells}) > 1
     table = Table(box=None, pad_edge=False)
     for title in [*(["scene"] if several else []), "scenario", "agent"]:

@@ -1,4 +1,4 @@
-"""`gsrain reconstruct CAPTURE -o SCENE`: images, with lidar or COLMAP points, become Gaussians."""
+"""`gsrain reconstruct` and `gsrain recolor`: scenes from captures, and new colors from images."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -71,7 +71,7 @@ def reconstruct(
     allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
-    """Fit Gaussians to a capture, and measure them on views that were kept apart. Ctrl-C leaves a checkpoint."""
+    """Fit Gaussians to a capture, and measure them on held-out views. Ctrl-C leaves a checkpoint."""
     let_names_lead_outside(allow_outside)
     settings = _settings(
         config, steps=steps, width_px=width, gaussians=gaussians, density=density, sh_degree=sh_degree, seed=seed,
@@ -82,7 +82,7 @@ def reconstruct(
     page = report_path(output, report)
     check_writable(page, json)
     require_torch("gsrain reconstruct")
-    # torch takes two seconds to load: only now, that there is something to do.
+    # Loading torch takes two seconds, so import it only after the checks.
     from gsrain_engine.training.task import ReconstructionTask
     from gsrain_engine.training.train import reconstruct as work
 
@@ -112,7 +112,6 @@ def _settings(config: str | None, **options: Any) -> TrainingSettings:
 
 
 def _parse_held_out(text: str | None) -> dict[str, Any]:
-    """Turn "8" or "a,b" into settings."""
     if text is None:
         return {}
     if text.isdecimal():
@@ -143,7 +142,7 @@ def _print(result: Any, output: Path) -> None:
     )
 
 
-# § `gsrain recolor SCENE --images DIR -o SCENE`: a scene takes on the look of pictures.
+# gsrain recolor
 
 _REFINE_STEPS = 300
 
@@ -182,7 +181,7 @@ def recolor(
     allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
-    """Solve a scene's colours for pictures; its geometry stays. The clear colours stay too, unless replaced."""
+    """Solve a scene's colors for images; its geometry stays. The clear colors stay too, unless replaced."""
     let_names_lead_outside(allow_outside)
     options = _options(
         {"width_px": width, "held_out": held_out, "polish": polish, "refine": _REFINE_STEPS * refine},
@@ -199,7 +198,7 @@ def recolor(
     if polish or refine:
         require_torch("--polish" if polish else "--refine")
     pictures = _images(images, capture)
-    # Kernels take a second to load: only now, that there is something to do.
+    # Loading kernels takes a second, so import them only after the checks.
     from gsrain_engine.recolor.recolor import recolor_to_capture
 
     run = followed(recolor_to_capture(load_scene(scene), pictures, options))

@@ -1,4 +1,4 @@
-"""`gsrain transfer SCENE|CAPTURE -o DIR`: clear views become rainy views."""
+"""`gsrain transfer` and `gsrain train-transfer`: rainy views from clear ones, and fine-tuning of the model."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -46,13 +46,13 @@ from .options import (
 from .progress import followed, progress_bar
 from .scene_options import names_scene
 
-# § The options of `gsrain transfer`: from where views are taken, how wet, and what a learned method does.
+# Options of gsrain transfer
 
 
-@Parameter(name="*")  # its fields are options of the command, without a prefix
+@Parameter(name="*")  # fields are options of the command, without a prefix
 @dataclass(frozen=True, kw_only=True)
 class ViewChoiceOptions:
-    """Which views."""
+    """Choice of views."""
 
     views: Annotated[
         Source,
@@ -68,7 +68,7 @@ class ViewChoiceOptions:
 
     @property
     def choice(self) -> ViewChoice:
-        """The same as a value; raises ValueError, which names the option, where it is out of bounds."""
+        """Return the options as a value. Raises ValueError, which names the option, if one is out of bounds."""
         sensors = tuple(name.strip() for name in self.cameras.split(",") if name.strip())
         return converted_options(
             {"source": self.views, "count": self.count, "width_px": self.width, "sensors": sensors},
@@ -80,7 +80,7 @@ class ViewChoiceOptions:
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class MethodOptions:
-    """What becomes of them."""
+    """Transfer method and its settings."""
 
     method: Annotated[
         str,
@@ -123,7 +123,7 @@ class MethodOptions:
 
     @property
     def settings(self) -> TransferSettings:
-        """The same as a value; raises ValueError, which names the option, for what does not go."""
+        """Return the options as a value. Raises ValueError, which names the option, for invalid ones."""
         if self.no_normals and self.normals not in ("depth", "none"):
             raise ValueError(f"--no-normals and --normals {self.normals} exclude each other")
         return converted_options(
@@ -137,7 +137,7 @@ class MethodOptions:
         )  # fmt: skip
 
     def check(self) -> None:
-        """Raise ValueError for what would be found out later: a file or torch is missing."""
+        """Raise ValueError early if a file or torch is missing."""
         method = find_method(self.method)
         if method.needs is not None and getattr(self, method.needs) is None:
             raise ValueError(f"--method {self.method} needs --{method.needs}")
@@ -171,7 +171,7 @@ def transfer(
 ) -> None:
     """Make views rainy. gsrain recolor and gsrain reconstruct take DIR as --images.
 
-    DIR/clear holds the views as they were: another program may change them, and --method images takes what it made.
+    DIR/clear holds the original views: another program may change them, and --method images uses its results.
     """
     let_names_lead_outside(allow_outside)
     how, where = method or MethodOptions(), views or ViewChoiceOptions()
@@ -181,7 +181,7 @@ def transfer(
     check_writable(sheet, json, folders=[output])
     check_transferred_folder(output)
     lock_outputs(output)
-    # Kernels take a second to load: only now, that there is something to do.
+    # Loading kernels takes a second, so import them only after the checks.
     opened = source_views(source, choice, where.capture)
     model = open_transfer(how.method, settings, opened.surroundings)
     told = msgspec.to_builtins(settings, enc_hook=str) | msgspec.to_builtins(choice)
@@ -199,7 +199,7 @@ def transfer(
 
 
 def _followed(rainy: Iterator[RainyView], count: int, sheet: Path | None) -> dict[str, Any]:
-    """Make the views, with a bar; return the numbers of `--json`."""
+    """Make the views with a progress bar; returns the numbers of `--json`."""
     started, films, pictures = time.perf_counter(), list[float](), ContactSheet(count)
     made, left_out = 0, SkippedCounts()
     with progress_bar("Rainy views", count, draws=True) as advance:
@@ -227,12 +227,12 @@ _OPTIONS = {"source": "views", "width_px": "width", "side_px": "side", "tile_px"
 
 _MAX_MM_H = 100.0
 
-# § What `gsrain transfer` makes rainy: views of a scene, or the pictures of a capture.
+# Source views
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SourceViews:
-    """Views in the world, worked out when they are asked for, and what lies around them."""
+    """Views in the world, computed on demand, and their surroundings."""
 
     name: str
     views: Sequence[ClearView]
@@ -240,15 +240,15 @@ class SourceViews:
     to_world: Float64[np.ndarray, "4 4"]
     """Similarity from the units and axes of the scene or capture to the world."""
     width_px: int
-    """Of the widest picture."""
+    """Width of the widest image."""
     mask: Callable[[str], Bool[np.ndarray, "h w"] | None]
-    """By name of a view, which pixels may be learned from; None means all."""
+    """Mask of pixels to learn from, by view name; None means all."""
 
 
 def source_views(source: str, choice: ViewChoice, capture: Path | None) -> SourceViews:
-    """Open a scene or a capture; `capture` is where a scene's recorded cameras come from.
+    """Open a scene or a capture; `capture` provides a scene's recorded cameras.
 
-    Raises ValueError, which names the option, where the choice does not fit.
+    Raises ValueError, which names the option, if the choice doesn't fit.
     """
     if names_scene(source):
         return _of_scene(source, choice, capture)
@@ -282,7 +282,7 @@ def _of_capture(source: Path, choice: ViewChoice) -> SourceViews:
     return SourceViews(capture.name, views, ImageEnvironment(), views.to_world, width_px, views.mask)
 
 
-# § `gsrain train-transfer CONFIG -o FOLDER`: fine-tune CycleGAN-Turbo from clear to rainy pictures.
+# gsrain train-transfer
 
 _COLUMNS = 110
 
@@ -316,7 +316,7 @@ def train_transfer(
     allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
-    """Fine-tune the transfer on two sets of pictures that show no place twice. Ctrl-C leaves the last checkpoint."""
+    """Fine-tune the transfer on two unpaired sets of images. Ctrl-C leaves the last checkpoint."""
     let_names_lead_outside(allow_outside)
     changes = {"device": device, "steps": steps, "base": base, "clip": clip, "lpips": lpips, "start": start}
     changes |= {"seed": seed, "clear": _sources(clear), "rainy": _sources(rainy)}

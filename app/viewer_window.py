@@ -1,4 +1,4 @@
-"""The window of `gsrain.Viewer`: `python -P -m app.viewer_window BACKEND` takes requests on its standard input."""
+"""Window process of `gsrain.Viewer`: `python -P -m app.viewer_window BACKEND` reads requests from standard input."""
 
 import os
 import signal
@@ -31,48 +31,47 @@ if TYPE_CHECKING:
     from ui.workspace import Workspace
 
 _STEP = "python"
-"""Gesture of all that the program sets: one step of the history until a person does something else."""
+"""Undo gesture of all changes by the program: one undo step until the user edits something."""
 
 
 def main() -> None:
-    """Open the window, and leave with an exit code."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in the terminal is for the program, which then closes this
     requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    os.dup2(2, 1)  # what libraries print is no reply
+    os.dup2(2, 1)  # keep library output out of the replies
     sys.exit(ViewerWindow(requests, replies).run(cast(Literal["auto", "opengl", "cpu"], sys.argv[1])))
 
 
 class ViewerWindow:
-    """A window that does what a program asks for, request by request, in their order."""
+    """Window that handles requests of a program in order."""
 
     def __init__(self, requests: BinaryIO, replies: BinaryIO) -> None:
         self._requests, self._replies = requests, replies
         self._waiting: deque[Request] = deque()
         self._has_news = threading.Condition()
         self._is_alone = False
-        """Whether the program is gone."""
+        """True if the program has exited."""
         self._has_frames = False
         self._reading: Future[Scene] | None = None
         self._screenshot: Path | None = None
 
     def run(self, backend: Literal["auto", "opengl", "cpu"]) -> int:
-        """Run the window until it is closed; returns the exit code, and has told the program what went wrong."""
+        """Run the window until it is closed; returns the exit code after reporting any error to the program."""
         threading.Thread(target=self._listen, name="requests", daemon=True).start()
         try:
             if not has_display():
                 raise OSError("no display: the viewer window can't open here; gr.render needs none")
-            from ui.window import run_window  # the GUI libraries load only where there is a display
+            from ui.window import run_window  # loads the GUI libraries only with a display
 
             run_window(self._begin, backend, self._on_frame, restarts=False)
-        except Exception as error:  # whatever it is, the program gets one sentence
+        except Exception as error:  # the program gets one sentence for any error
             said = sentence_of(error) if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {error}"
             self._reply(Reply(number=0, error=f"the viewer window has ended: {' '.join(said.split())}"))
             return 1
         return 0
 
     def _listen(self) -> None:
-        """Take in requests, in a thread of its own; a window at rest wakes up for each."""
+        """Receive requests in a separate thread, waking up an idle window."""
         while True:
             request = cast(Request | None, receive(self._requests, Request))
             with self._has_news:
@@ -89,7 +88,6 @@ class ViewerWindow:
                 return
 
     def _begin(self) -> "Editor":
-        """Make the session of the first scene."""
         from gsrain_engine.editor.editor import Editor
         from gsrain_engine.scene.formats.scene_files import read_scene
 
@@ -104,7 +102,7 @@ class ViewerWindow:
         return session
 
     def _on_frame(self, workspace: "Workspace") -> None:
-        """Do what was asked for, as far as that goes in this frame."""
+        """Handle requests as far as possible in this frame."""
         self._has_frames = True
         session = workspace.session
         while self._waiting and self._do(self._waiting[0], workspace):
@@ -114,10 +112,10 @@ class ViewerWindow:
         if self._waiting or self._is_alone:
             from imgui_bundle import hello_imgui
 
-            hello_imgui.get_runner_params().fps_idling.enable_idling = False  # the next frame goes on with it
+            hello_imgui.get_runner_params().fps_idling.enable_idling = False  # the next frame continues
 
     def _do(self, request: Request, workspace: "Workspace") -> bool:
-        """Go on with a request; returns whether it is done."""
+        """Continue with a request; returns True if it is done."""
         session, had_changes = workspace.session, workspace.session.has_changes
         reply = Reply(number=request.number)
         match request:
@@ -142,7 +140,7 @@ class ViewerWindow:
                     self._screenshot = session.screenshot = Path(request.path)
                     session.problem = None
                     return False
-                if session.screenshot is not None:  # the view saves its next picture
+                if session.screenshot is not None:  # the view saves its next image
                     return False
                 self._screenshot = None
                 reply = Reply(number=request.number, error=session.problem or "")
@@ -153,7 +151,7 @@ class ViewerWindow:
             case Close():
                 _leave(session)
         if session.has_changes and not had_changes:
-            session.files.give_up()  # the program has them; a person is asked about changes of their own
+            session.files.give_up()  # the program has sent them; users are asked only about their own changes
         self._reply(reply)
         return True
 
@@ -174,19 +172,17 @@ def _look_from(session: "Editor", request: SetCamera) -> None:
 
 
 def _leave(session: "Editor") -> None:
-    """End without a question."""
     session.files.give_up()
     session.is_leaving = True
 
 
 def _is_busy(workspace: "Workspace") -> bool:
-    """Whether the viewport does not show yet what it is to show."""
+    """Return True if the viewport doesn't show the current state yet."""
     session, view = workspace.session, workspace.view
     return session.is_bringing_in or session.is_compiling or not view.is_settled or view.is_catching_up
 
 
 def _in_thread(folder: Path) -> "Future[Scene]":
-    """Read a scene while frames go on."""
     from gsrain_engine.scene.formats.scene_files import read_scene
 
     reading: Future[Scene] = Future()
@@ -194,7 +190,7 @@ def _in_thread(folder: Path) -> "Future[Scene]":
     def read() -> None:
         try:
             reading.set_result(read_scene(folder))
-        except Exception as error:  # it is told to the program
+        except Exception as error:  # reported to the program
             reading.set_exception(error)
 
     threading.Thread(target=read, name="read a scene", daemon=True).start()

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from gsrain_engine.disdrometer.measurement import DisdrometerMeasurement
 
 _FIELDS = {"intensity": "intensity_mm_h", "wind": "wind_m_s", "exposure": "exposure_s", "gusts": "gust_m_s"}
-"""Short names, which the units in the docstring go with, and the fields that they set."""
+"""Short argument names, whose units are in the docstring, and the fields that they set."""
 
 
-class Rain(ABC):  # noqa: B024  it is one so that settings count as its instances
+class Rain(ABC):  # noqa: B024  abstract, so that `RainSettings` counts as a subclass
     """Makes rain settings: `gr.Rain(intensity=8.5, wind=(2, 0), seed=1)`.
 
     What it returns is a `RainSettings` value, which counts as an instance of `Rain`. It has units in the names of its
@@ -92,10 +92,10 @@ Rain.register(RainSettings)
 
 @dataclass(frozen=True)
 class RainMeasurement:
-    """What the virtual disdrometer measured."""
+    """Result of the virtual disdrometer."""
 
     counted: "DisdrometerMeasurement"
-    """All that was counted, by drop class; `counted.spectra` is what an instrument would hand over."""
+    """Counts by drop class; `counted.spectra` is the output of a real instrument."""
 
     @property
     def rate(self) -> float:
@@ -146,7 +146,7 @@ def measure_rain(rain: RainSettings, seconds: float = 60.0, *, area: float = 0.5
 
 
 def _checked(values: dict[str, Any]) -> RainSettings:
-    """Return settings; what is wrong is reported by the short name of the argument."""
+    """Return checked settings; errors name the short argument."""
     try:
         return convert_checked(values, RainSettings)
     except ValueError as error:

@@ -258,7 +258,7 @@ def render_video(
 
 @cache
 def _shared(backend: Backend) -> Renderer:
-    """Return the renderer that the functions of this module share, opened when it is first needed."""
+    """Return the shared renderer of this module's functions, opened on first use."""
     renderer = Renderer(backend)
     atexit.register(renderer.close)
     return renderer
@@ -286,7 +286,7 @@ def _recording(
     end: float | None,
     **settings: Any,
 ) -> ExportSettings:
-    """Return checked settings of a clip; what is wrong is reported by the argument's name."""
+    """Return checked settings of a clip; errors name the argument."""
     own = None if isinstance(viewpoint, Camera) else DEFAULT_SIZE_PX
     values = {"output": output, "size_px": size or own, "fps": fps, "first_s": start, "last_s": end} | settings
     try:
@@ -299,4 +299,4 @@ def _recording(
 
 
 _ARGUMENTS = {"size_px": "size", "first_s": "start", "last_s": "end", "twin": "clear_pair"}
-"""Arguments by the field that they set, where they are called otherwise."""
+"""Argument names by field, if they differ."""

@@ -26,7 +26,7 @@ from gsrain_engine.scene.scene import Layer as Layer
 from gsrain_engine.scene.scene import Scene as Scene
 
 QUICK_VIEWS = 8
-"""Views that the built-in wet look is computed from: enough for a first look, and made in seconds."""
+"""Views that the built-in wet look is computed from: enough for a first look, within seconds."""
 _PATHS = ("weights", "base", "images", "normals_weights", "normals_checkout")
 
 

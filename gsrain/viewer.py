@@ -27,9 +27,9 @@ from .viewer_messages import Close, GetState, Reply, Request, Screenshot, SetCam
 logger = logging.getLogger("gsrain")
 
 REPLY_S = 300.0
-"""Default time for a reply in seconds: the first picture can take minutes, where kernels have to be compiled."""
+"""Default time for a reply in seconds: the first image can take minutes if kernels have to be compiled."""
 _END_S = 10.0
-"""Time for the window to end by itself; then its process is ended."""
+"""Time for the window to exit by itself, before its process is terminated."""
 
 
 class ViewerError(ConnectionError):
@@ -149,7 +149,7 @@ class Viewer:
 
     @property
     def is_open(self) -> bool:
-        """Whether the window's process runs."""
+        """True while the window's process runs."""
         return not self._ended.is_set()
 
     def wait(self, timeout: float | None = None) -> bool:
@@ -227,7 +227,7 @@ class Viewer:
     # In threads
 
     def _write(self) -> None:
-        """Do what is in the outbox, in its order; the folder of scenes goes in the end."""
+        """Run the queued requests in order; the folder of scenes is removed at the end."""
         pipe = cast(BinaryIO, self._process.stdin)
         with temporary_folder() as folder:
             while (work := self._outbox.get()) is not None:
@@ -238,11 +238,11 @@ class Viewer:
                         self._note(f"the scene can't be shown: {error}")
                 except OSError as error:
                     self._note(f"the scene can't be written for the viewer window: {error}")
-        with suppress(OSError):  # it could not take the last message
+        with suppress(OSError):  # it could not receive the last message
             pipe.close()
 
     def _read(self) -> None:
-        """Take replies until the window is gone."""
+        """Receive replies until the window has exited."""
         pipe = cast(BinaryIO, self._process.stdout)
         with pipe:
             while (reply := cast(Reply | None, receive(pipe, Reply))) is not None:
@@ -280,7 +280,7 @@ def show(scene: Scene, rain: RainSettings | None = None, *, camera: Camera | Non
 
 
 def _environment() -> dict[str, str]:
-    """Return the environment of the window, in which our packages come first, and none of the working folder."""
+    """Return the window's environment: our packages come first, and Python skips the working folder."""
     ours = str(Path(__file__).resolve().parents[1])
     path = os.pathsep.join(filter(None, [ours, os.environ.get("PYTHONPATH")]))
     return os.environ | {"PYTHONPATH": path, "PYTHONSAFEPATH": "1"}

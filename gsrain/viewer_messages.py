@@ -1,4 +1,4 @@
-"""Messages between `gr.Viewer` and its window: MessagePack, each after its length. Scenes travel as folders."""
+"""Messages between `gr.Viewer` and its window: MessagePack, each preceded by its length. Scenes are sent as folders."""
 
 import struct
 from typing import Any, BinaryIO
@@ -19,34 +19,34 @@ class SetScene(msgspec.Struct, frozen=True, kw_only=True, tag=True):
 
 
 class SetRain(msgspec.Struct, frozen=True, kw_only=True, tag=True):
-    """Let it rain so."""
+    """Set the rain."""
 
     number: int
     rain: RainSettings
 
 
 class SetCamera(msgspec.Struct, frozen=True, kw_only=True, tag=True):
-    """Look from a camera of the world: the values of a camera file."""
+    """Set the camera, in world coordinates: the values of a camera file."""
 
     number: int
     camera: dict[str, Any]
 
 
 class Screenshot(msgspec.Struct, frozen=True, kw_only=True, tag=True):
-    """Save what the viewport shows, once all that was asked for before is in it."""
+    """Save the viewport's image, once all earlier requests are visible in it."""
 
     number: int
     path: str
 
 
 class GetState(msgspec.Struct, frozen=True, kw_only=True, tag=True):
-    """Reply with rain and camera as they are now."""
+    """Request the current rain and camera."""
 
     number: int
 
 
 class Close(msgspec.Struct, frozen=True, kw_only=True, tag=True):
-    """End without a question."""
+    """Close without asking."""
 
     number: int
 
@@ -55,25 +55,25 @@ Request = SetScene | SetRain | SetCamera | Screenshot | GetState | Close
 
 
 class Reply(msgspec.Struct, frozen=True, kw_only=True):
-    """A request is done, or has failed."""
+    """Result of a request."""
 
     number: int
-    """Of the request; 0 is about the window itself, which then ends."""
+    """Number of the request; 0 is about the window itself, which then exits."""
     error: str = ""
-    """One sentence; empty where all is well."""
+    """One sentence; empty on success."""
     rain: RainSettings | None = None
     camera: dict[str, Any] | None = None
 
 
 def send(file: BinaryIO, message: Request | Reply) -> None:
-    """Write a message; raises `OSError` where the other side is gone, `ValueError` where the file is closed."""
+    """Write a message. Raises `OSError` if the receiver has exited, `ValueError` if the file is closed."""
     data = msgspec.msgpack.encode(message)
     file.write(_LENGTH.pack(len(data)) + data)
     file.flush()
 
 
 def receive(file: BinaryIO, kind: Any) -> Any:
-    """Wait for a message; None where the other side is gone. Raises `ValueError` for anything else than a message."""
+    """Wait for a message; None if the sender has exited. Raises `ValueError` for an invalid message."""
     head = file.read(_LENGTH.size)
     if len(head) < _LENGTH.size:
         return None

@@ -1,1 +1,1 @@
-"""The window's panels: read a session, draw it, call its methods. No maths, no files, no threads."""
+"""The window's panels: they read a session, draw it and call its methods. No math, no files, no threads."""

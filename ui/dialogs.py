@@ -1,4 +1,4 @@
-"""What this program is."""
+"""Dialogs: About page, keyboard page, questions, and the command palette."""
 
 from collections.abc import Callable
 from importlib.metadata import version
@@ -38,7 +38,7 @@ def about_page(session: Editor) -> None:
     imgui.end_popup()
 
 
-# § The keyboard page: what every key and mouse button does.
+# Keyboard and mouse page
 
 KEYBOARD_TITLE = "Keyboard and mouse"
 
@@ -95,13 +95,13 @@ def _group(title: str, rows: list[tuple[str, str]]) -> None:
         imgui.end_table()
 
 
-# § What the session asks: one modal window with a sentence and a button for each answer.
+# Questions of the session
 
 _WIDTH_EM = 34.0
 
 
 def draw_questions(session: Editor) -> None:
-    """Draw the present question until it is answered, and the dialog for a place where one is wanted."""
+    """Draw the current question until it is answered, and the save dialog if one is requested."""
     wanted, session.files.place_wanted = session.files.place_wanted, None
     if wanted is not None:
         ask_where_to_save("Save the scene", SCENE_FOLDERS, lambda chosen: wanted(chosen[0]))
@@ -134,7 +134,7 @@ def draw_questions(session: Editor) -> None:
 
 
 def _clicked_answer(question: Question) -> Answer | None:
-    """Draw the buttons, from the right edge on; returns the answer of this frame."""
+    """Draw the buttons, aligned right; returns the answer clicked in this frame."""
     style = imgui.get_style()
     least = 6 * imgui.get_font_size()
     widths = [
@@ -151,7 +151,7 @@ def _clicked_answer(question: Question) -> Answer | None:
             given = answer
         if n == 0:
             imgui.set_item_default_focus()
-            if imgui.is_window_appearing():  # Enter and Space act on what the cursor is on, where it is visible
+            if imgui.is_window_appearing():  # Enter and Space act on the focused button if the focus is visible
                 imgui.set_nav_cursor_visible(question.enter_answers)
         keys = {0: " (Enter)" if question.enter_answers else "", len(question.answers) - 1: " (Escape)"}.get(n, "")
         imgui.set_item_tooltip(f"{answer.help or answer.label}{keys}")
@@ -166,12 +166,12 @@ def _clicked_answer(question: Question) -> Answer | None:
 
 
 def _let_keys_choose(is_asking: bool) -> None:
-    """Let Tab and the arrows go from answer to answer while something is asked; else they are keys of the view."""
+    """Use Tab and arrows to move between answers while a question is open; otherwise they are keys of the view."""
     io, keyboard = imgui.get_io(), int(imgui.ConfigFlags_.nav_enable_keyboard)
     io.config_flags = io.config_flags | keyboard if is_asking else io.config_flags & ~keyboard
 
 
-# § The command palette: every action, tool and panel by its name, with its key.
+# Command palette
 
 PALETTE_TITLE = "Find a command"
 
@@ -187,7 +187,7 @@ class _Command(NamedTuple):
 
 
 class CommandPalette:
-    """A list that narrows while a person types; keeps what was typed and which line is chosen."""
+    """Searchable list of commands, tools and panels; stores the typed text and the active line."""
 
     def __init__(self) -> None:
         self._typed = ""
@@ -246,7 +246,6 @@ class CommandPalette:
 
 
 def matches(name: str, typed: str) -> bool:
-    """Whether every word that was typed is somewhere in the name."""
     return all(word in name.lower() for word in typed.lower().split())
 
 

@@ -1,4 +1,4 @@
-"""A window that begins again by itself: its graphics context was lost, and what was open in it was kept."""
+"""Restart of the window after its graphics context was lost, with recovered changes."""
 
 import logging
 import os
@@ -14,28 +14,28 @@ _RESTART_VARIABLES, _SCENE, _TIMES = "GSRAIN_KEPT", "GSRAIN_SCENE", "GSRAIN_REST
 _MAX_IN_A_ROW = 3
 
 _A_WHILE_S = 300.0
-"""A window that has lived so long had a driver that works."""
+"""Uptime after which a window's driver counts as working."""
 
 
 class RestartState(NamedTuple):
-    """What the window before this one has left."""
+    """State left by the previous window."""
 
     kept: Path | None = None
-    """Where its unsaved changes are kept."""
+    """Path of its unsaved changes."""
     scene: str | None = None
-    """What was open in it."""
+    """Scene that was open."""
 
 
 def restart_state() -> RestartState | None:
-    """What to go on with; None where a person has started this window. To be asked once."""
+    """Return the state to continue with, or None if the user started this window. Call it only once."""
     kept, scene = os.environ.pop(_RESTART_VARIABLES, ""), os.environ.pop(_SCENE, "")
     return RestartState(Path(kept) if kept else None, scene or None) if _TIMES in os.environ else None
 
 
 def restart_program(left: RestartState, lived_s: float) -> NoReturn:
-    """Start the program anew in the place of this process, whose window has lived so long.
+    """Replace this process by a new one, after a window that was open for `lived_s` seconds.
 
-    Raises `OSError` where that has not helped several times in a row.
+    Raises `OSError` after several restarts in a row.
     """
     times = 1 + (int(os.environ.get(_TIMES, "0")) if lived_s < _A_WHILE_S else 0)
     if times > _MAX_IN_A_ROW:
@@ -44,6 +44,6 @@ def restart_program(left: RestartState, lived_s: float) -> NoReturn:
     command = [sys.executable, *sys.orig_argv[1:]]
     logger.error("The graphics card was lost; the window begins again.")
     sys.stderr.flush()
-    if os.name == "nt":  # there, who waits for this process would not wait for one that takes its place
+    if os.name == "nt":  # on Windows, execv would return control to the parent, which waits for this process
         sys.exit(subprocess.call(command))
     os.execv(command[0], command)

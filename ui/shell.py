@@ -1,4 +1,4 @@
-"""Keys of actions and tools: they work everywhere in the window, unless a text field has them."""
+"""Window shell: key chords, menu bar, panel windows and status bar."""
 
 import logging
 from datetime import datetime, timedelta
@@ -15,7 +15,7 @@ from .widgets.text import label
 
 
 def act_on_keys(session: Editor) -> None:
-    """Do what the keys ask for that were pressed since the last frame."""
+    """Run the commands and tools of the keys pressed since the last frame, unless a text field has the focus."""
     if imgui.get_io().want_text_input:
         return
     for tool in TOOLS:
@@ -26,7 +26,7 @@ def act_on_keys(session: Editor) -> None:
             action.perform(session)
 
 
-# § The menu bar, made of the actions; and which panels are shown.
+# Menu bar
 
 MENUS = ("File", "Edit", "Select", "Scene", "Rain", "Drive", "Timeline", "View", "Help")
 
@@ -59,7 +59,6 @@ def _item(session: Editor, action: Command) -> None:
 
 
 def _recent(session: Editor) -> None:
-    """Open a scene of last time."""
     if imgui.begin_menu("Open recent", bool(session.files.recent)):
         for path in session.files.recent:
             if imgui.menu_item(label(path.name, str(path)), "", False)[0]:
@@ -82,28 +81,27 @@ def _panels() -> None:
         imgui.end_menu()
 
 
-# § The windows that panels are drawn in: shown, hidden, brought to the front.
+# Panel windows
 
 
 def panel_windows() -> list[hello_imgui.DockableWindow]:
-    """All but the picture, which is always there."""
+    """Return all windows except the viewport, which is always open."""
     windows = hello_imgui.get_runner_params().docking_params.dockable_windows
     return [each for each in windows if each.include_in_view_menu]
 
 
 def bring_to_front(window: hello_imgui.DockableWindow) -> None:
-    """Show a panel in front of those that share its place."""
+    """Show a panel in front of those docked at the same place."""
     window.is_visible = window.focus_window_at_next_frame = True
 
 
-# § The line at the bottom: scene, selection, rain, what is being done or was just done, and help on the tool in use.
+# Status bar: scene, selection, rain, current or last activity, and help on the tool
 
 _NEW = timedelta(seconds=8)
 
 
 def status_bar(session: Editor) -> None:
     """Draw the bar's content."""
-    state = session.displayed_rain.state_at(session.clock.time_s)
     selected = sum(each.marks.selected.size for each in session.scene.members if each.marks.selected is not None)
     words = [session.scene.name, f"{session.clock.time_s:.1f} s", f"{state.intensity_mm_h:.1f} mm/h"]
     if selected:
@@ -134,7 +132,7 @@ def status_bar(session: Editor) -> None:
 
 
 def _newest_record(session: Editor) -> str:
-    """Return what has just gone well, as "Exported out.ply"; what went wrong stays over the picture."""
+    """Return the latest message, such as "Exported out.ply"; errors appear over the viewport instead."""
     newest = session.log.lines[-1] if session.log.lines else None
     is_new = newest is not None and newest.level == logging.INFO and datetime.now() - newest.at < _NEW
     return newest.text if newest is not None and is_new else ""

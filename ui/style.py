@@ -1,4 +1,4 @@
-"""The look of the window: dark or light, quiet, a little room around things."""
+"""Window style: dark and light theme."""
 
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
@@ -7,19 +7,18 @@ from gsrain_engine.editor.preferences import Preferences
 _THEMES = {"dark": hello_imgui.ImGuiTheme_.darcula_darker, "light": hello_imgui.ImGuiTheme_.light_rounded}
 
 _MIN_TAB_PX = 30.0
-"""In a narrow window tabs get short before they have to be scrolled."""
+"""Tabs shrink to this width in a narrow window before they scroll."""
 
 _BEHIND_QUESTIONS = (0.0, 0.0, 0.0, 0.45)
-"""Darkens the rest of the window, in both themes: the dark one would bleach it."""
+"""Darkens the rest of the window in both themes; the dark theme's default would brighten it."""
 
 
 def apply_style(preferences: Preferences) -> None:
-    """Set colours, sizes and the scale of text."""
     for_screen = imgui.get_style().font_scale_dpi
     hello_imgui.apply_theme(_THEMES[preferences.theme])
     style = imgui.get_style()
     style.frame_rounding = style.grab_rounding = 3.0
-    style.frame_border_size = 1.0  # the light theme has none: a box without a tick would be white on white
+    style.frame_border_size = 1.0  # the light theme has none: unchecked boxes would be white on white
     style.window_rounding = 0.0
     style.popup_rounding = 4.0
     style.window_menu_button_position = imgui.Dir.none

@@ -1,4 +1,4 @@
-"""The window: hello_imgui owns it. It stands at once; what it shows is loaded behind it."""
+"""The window, run by hello_imgui. It opens immediately and loads the program in the background."""
 
 import logging
 import signal
@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-# imgui_bundle brings its own GLFW library and has to come before the glfw package.
+# imgui_bundle brings its own GLFW library and has to be imported before the glfw package.
 from imgui_bundle import ImVec2, hello_imgui, imgui, immapp, implot
 
 import glfw  # isort: skip
@@ -52,10 +52,10 @@ _SIZE = (1440, 900)
 _REQUIRED_VERSION = 430
 
 _ENDINGS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""What a machine that goes down, or the end of a person's session, sends to programs."""
+"""Signals sent to programs when the machine shuts down or the user logs out."""
 
 _DRIVER_RESTARTS_S = 5.0
-"""The longest that a window which has lost its context waits for its driver before it begins again."""
+"""Maximum time for a driver to recover before a window that lost its context restarts."""
 
 
 def run_window(
@@ -65,19 +65,18 @@ def run_window(
     *,
     restarts: bool = True,
 ) -> None:
-    """Open the window and return when it is closed; `begin` makes the session, in a thread of its own.
+    """Open the window and return when it is closed; `begin` creates the session, in a separate thread.
 
-    A window whose graphics context is lost keeps the work and, with `restarts`, begins again, in a process of its own.
-    `nearest_frame_time` is called once a frame, as soon as the session is there.
-
-    Raises `OSError` where the display can't be opened, where its driver fails, and where it can't begin again.
+    A window that loses its graphics context keeps unsaved changes and, with `restarts`, restarts in a new process.
+    `on_frame` is called once per frame, as soon as the session exists.
+    Raises `OSError` if the display can't be opened, its driver fails, or the window can't restart.
     """
     began = time.monotonic()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", glfw.GLFWError)
         if not glfw.init():
             raise OSError("the display can't be opened (DISPLAY or WAYLAND_DISPLAY names one that is not there)")
-        # hello_imgui asks for its window after this. Drivers that don't know the wish pass it over.
+        # hello_imgui creates its window after this. Drivers without support ignore the hint.
         glfw.window_hint(glfw.CONTEXT_ROBUSTNESS, glfw.LOSE_CONTEXT_ON_RESET)
     window = MainWindow(begin, backend, on_frame)
     for ending in _ENDINGS:
@@ -89,7 +88,7 @@ def run_window(
         parameters.ini_filename = str(layout or "")
         try:
             immapp.run(parameters, immapp.AddOnsParams(with_implot=False))
-        except Exception as failure:  # thrown out of a frame
+        except Exception as failure:  # raised in a frame
             window.fail(failure)
         finally:
             window.close()  # workers end, whatever has ended the window
@@ -103,7 +102,7 @@ def run_window(
 
 
 class MainWindow:
-    """An empty window that becomes a workspace."""
+    """Empty window that becomes a workspace."""
 
     def __init__(
         self,
@@ -122,7 +121,7 @@ class MainWindow:
         self._title = ""
         self._ended_by: int | None = None
         self.failure: Exception | None = None
-        """What kept the program from being loaded, or going on; the window closes over it."""
+        """Error that prevented the program from loading or continuing, and closes the window."""
 
     def parameters(self) -> hello_imgui.RunnerParams:
         escape_all_text()
@@ -139,7 +138,7 @@ class MainWindow:
         parameters.docking_params.docking_splits = _splits()
         viewport = hello_imgui.DockableWindow(VIEWPORT, "MainDockSpace", self._draw_viewport)
         viewport.can_be_closed = viewport.include_in_view_menu = False
-        # What is drawn over the picture never makes it scroll; a bar that comes and goes would change its size.
+        # Overlays never make the viewport scroll; a scroll bar that comes and goes would change its size.
         flags = imgui.WindowFlags_
         viewport.imgui_window_flags = int(flags.no_scrollbar) | int(flags.no_scroll_with_mouse)
         parameters.docking_params.dockable_windows = [viewport]
@@ -151,15 +150,15 @@ class MainWindow:
         callbacks.show_menus = lambda: self.workspace.draw_menus() if self.workspace else None
         callbacks.show_status = lambda: self.workspace.draw_status() if self.workspace else None
         callbacks.before_exit = self._end
-        # ImGui smooths its own edges: more samples a pixel would only slow down what the processor has to paint.
+        # ImGui antialiases its own edges: multisampling would only slow down software rendering.
         parameters.renderer_backend_options.open_gl_options = hello_imgui.OpenGlOptions(anti_aliasing_samples=0)
         parameters.fps_idling.enable_idling = False
-        parameters.fps_idling.fps_idle = 0.3  # a frame costs 80 ms where the processor paints it; events wake at once
+        parameters.fps_idling.fps_idle = 0.3  # 80 ms a frame in software rendering; events wake it up
         parameters.fps_idling.fps_max = 30.0
         return parameters
 
     def drop(self, paths: list[str]) -> None:
-        """Open the roll-outs that were dropped on the window; else a file or folder, of several the first."""
+        """Open the roll-outs dropped on the window; else the first file or folder."""
         if not paths or self.workspace is None:
             return
         rollouts = [Path(each) for each in paths if Path(each).suffix.lower() in ROLLOUT_SUFFIXES]
@@ -169,18 +168,18 @@ class MainWindow:
             self.workspace.session.open(paths[0])
 
     def ask_to_close(self) -> None:
-        """Leave it to the session whether the window closes: there may be unsaved changes."""
+        """Let the session decide about closing, since there may be unsaved changes."""
         if self.workspace is not None:
             glfw.set_window_should_close(glfw_utils.glfw_window_hello_imgui(), False)
-            self.workspace.session.files.keep()  # a desktop that ends a person's session waits for no answer
+            self.workspace.session.files.keep()  # a desktop that logs out doesn't wait for an answer
             self.workspace.session.request_quit()
 
     def end(self, by: int) -> None:
-        """End without a question before the next frame, for a signal; unsaved changes are kept."""
+        """Close before the next frame without asking, after a signal; unsaved changes are stored for recovery."""
         self._ended_by = by
 
     def fail(self, failure: Exception) -> None:
-        """End the window over something, and keep unsaved changes at once."""
+        """Close the window because of an error, and store unsaved changes immediately."""
         driver_failed = isinstance(failure, moderngl.Error)
         self.failure = OSError(f"the graphics driver has failed: {failure}") if driver_failed else failure
         if self._session is not None:
@@ -192,14 +191,14 @@ class MainWindow:
         return RestartState(files.recovery.autosaved_path, files.source) if files is not None else RestartState()
 
     def close(self) -> None:
-        """Stop everything behind the window. To be called once more does nothing."""
+        """Stop all background work. Further calls do nothing."""
         if self._loader.is_alive():
             self._loader.join()
         if self._session is not None:
             self._session.close()
 
     def _start(self) -> None:
-        """Set the icon, share the OpenGL context, make room for plots, take in dropped files, begin to load."""
+        """Set the icon, share the OpenGL context, create the plot context, accept dropped files, start loading."""
         set_window_icon(glfw_utils.glfw_window_hello_imgui())
         implot.create_context()
         self._context = moderngl.create_context(require=_REQUIRED_VERSION)
@@ -213,11 +212,10 @@ class MainWindow:
             from . import workspace  # noqa: F401  loads the engine, which takes a while
 
             self._session = self._begin()
-        except Exception as failure:  # whatever it is, it ends the program with a message, not the thread in silence
+        except Exception as failure:  # any error ends the program with a message, instead of silently ending the thread
             self.failure = failure
 
     def _update(self) -> None:
-        """Once a frame, before anything is drawn."""
         assert self._context is not None
         try:
             check_context(self._context)
@@ -244,7 +242,7 @@ class MainWindow:
                 hello_imgui.add_dockable_window(panel)
 
     def _give_up(self, context: moderngl.Context, failure: Exception) -> None:
-        """End the window; where its context is lost that is the reason, whatever else has failed."""
+        """Close the window because of an error; a lost context takes precedence over other errors."""
         watcher = context_monitor(context)
         is_lost = watcher is not None and watcher.is_lost()
         self.fail(DeviceLostError() if is_lost else failure)
@@ -279,44 +277,44 @@ def _splits() -> list[hello_imgui.DockingSplit]:
     return [right, right_bottom, bottom, left, left_bottom]
 
 
-# § The window's own icon, for title bars, docks and the list of windows.
+# Window icon
 
 SIZES_PX = (16, 24, 32, 48, 64, 256)
 
 _OF_WINDOWS_PX = 64
-"""Larger ones are for menus: a window would only start later."""
+"""Larger ones are for menus, and would slow down the start."""
 
 
 def set_window_icon(window: Any) -> None:
-    """Give the window its icon. Under Wayland windows have none of their own: there the desktop entry names it."""
-    import glfw  # imgui_bundle has to come before it, and pictures need neither
+    """Set the window's icon. Wayland windows have none of their own: the desktop entry names it there."""
+    import glfw  # imgui_bundle has to come before it, and images need neither
 
     if glfw.get_platform() in (glfw.PLATFORM_X11, glfw.PLATFORM_WIN32):
         icons = [(size, size, read_icon(size).tolist()) for size in SIZES_PX if size <= _OF_WINDOWS_PX]
-        glfw.set_window_icon(window, len(icons), icons)  # numbers: of Pillow's images glfw asks what is deprecated
+        glfw.set_window_icon(window, len(icons), icons)  # lists: for Pillow's images glfw calls a deprecated function
 
 
 def read_icon(size_px: int) -> UInt8[np.ndarray, "h w 4"]:
-    """The icon in one of `SIZES_PX`, as RGBA that is not premultiplied."""
+    """Return the icon in one of `SIZES_PX`, as straight RGBA."""
     with (files("app") / "icons" / f"{size_px}.png").open("rb") as file:
         return np.asarray(Image.open(file).convert("RGBA"))
 
 
-# § The window's layout: each window keeps a copy of its own; the next one gets what the last to close has left.
+# Window layout
 
 
 @contextmanager
 def own_layout() -> Generator[Path | None]:
-    """Give a file to keep the layout in while the window is open; it becomes the next window's when the block ends.
+    """Yield a layout file for the open window; afterwards it becomes the default of the next window.
 
-    Several windows never write to the same file, and what one of them leaves behind is whole. A disk that refuses
-    costs the layout, nothing else: where it takes no file there is none.
+    Each window writes its own copy, so that several windows never write to the same file. Yields None if the disk
+    accepts no file; only the layout is lost then.
     """
     shared, folder = config_folder() / "window.ini", state_folder() / "layouts"
     own = folder / f"{os.getpid()}.ini"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        own.touch()  # the window itself would end over a folder that can't be made
+        own.touch()  # the window itself would fail over a folder that can't be created
         own.unlink()
     except OSError:
         yield None
@@ -333,7 +331,6 @@ def own_layout() -> Generator[Path | None]:
 
 
 def _remove_abandoned(folder: Path) -> None:
-    """Remove the copies of windows that were killed."""
     for file in folder.glob("*.ini"):
         if file.stem.isdigit() and not psutil.pid_exists(int(file.stem)):
             file.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""A session in the window: the live view, the panels, the menus. Importing this loads the engine."""
+"""A session in the window: live view, panels and menus. Importing this loads the engine."""
 
 import logging
 import threading
@@ -38,22 +38,22 @@ _SPACES = {
 }
 
 _FOR_THREADS_S = 0.001
-"""Of a frame while threads work: an interpreter that is free for an instant is taken again before they wake."""
+"""Sleep per frame while threads work: without it they rarely get the interpreter."""
 
 _IDLE_FPS = 0.3
-"""A frame costs 80 ms where the processor paints it; events wake at once."""
+"""A frame costs 80 ms in software rendering; events wake up the window immediately."""
 
 _WATCHING_FPS = 10.0
-"""While workers work and nobody touches anything: enough for a bar that grows."""
+"""Frame rate for progress bars while workers run without user input."""
 
 _WAITING_FPS = 30.0
-"""Enough for a bar that moves: what is waited for needs the processor more."""
+"""Frame rate for an animated bar: the awaited work needs the CPU more."""
 
 
 def begin_session(scene: str | None, rain: RainSettings | None, wet: bool = False) -> Editor:
-    """Begin a session that opens a scene in the background, and makes it rainy if asked; none is the built-in street.
+    """Begin a session that opens a scene (None is the built-in street) in the background, and makes it rainy if `wet`.
 
-    After a lost graphics context it goes on with what was open.
+    After a lost graphics context it continues with the state of the previous window.
     """
     session, left = Editor(rain=rain), restart_state()
     if left is not None and left.kept is not None:
@@ -70,7 +70,7 @@ def begin_session(scene: str | None, rain: RainSettings | None, wet: bool = Fals
 
 
 class Workspace:
-    """What is drawn into the window once everything is loaded."""
+    """Window content after loading."""
 
     def __init__(self, session: Editor, context: moderngl.Context, backend: WindowBackend) -> None:
         self.session = session
@@ -94,17 +94,17 @@ class Workspace:
             )
             is_first_there = panel.side not in [each.side for each in panels[: panels.index(panel)]]
             window.focus_window_at_next_frame = is_first_there
-            window.can_be_closed = False  # a cross on each tab takes the room of two more; View > Panels hides them
+            window.can_be_closed = False  # a close button on each tab takes too much width; View > Panels hides them
             windows.append(window)
         return windows
 
     @property
     def title(self) -> str:
-        """What the window is called: the scene, with a star while it has changes that are not saved."""
+        """Title of the window: the scene, with a star if it has unsaved changes."""
         return f"GSRAIN: {self.session.scene.name}{' *' if self.session.has_changes else ''}"
 
     def update(self) -> None:
-        """Let time go by. Once a frame, before anything is drawn."""
+        """Advance time. Call it once per frame, before drawing."""
         if self.session.preferences != self._style:
             self._style = self.session.preferences
             apply_style(self._style)
@@ -117,7 +117,7 @@ class Workspace:
         session.rainy.texture = self._rainy.show(None if previewed is None else previewed.pixels)
         self._captures.update(session)
         idling = hello_imgui.get_runner_params().fps_idling
-        # What a worker says is looked at now and then: frames would take the processor from it.
+        # Poll workers at intervals: frames would take CPU time from them.
         idling.fps_idle = _WATCHING_FPS if session.running_jobs else _IDLE_FPS
         resting = not (session.clock.playing or session.is_bringing_in or session.budget.is_settling)
         resting = resting and not session.drives.mosaic.is_behind
@@ -144,7 +144,7 @@ class Workspace:
         draw_questions(self.session)
 
     def _show_new_capture(self) -> None:
-        """Bring the Capture panel to the front once one was opened: the view shows nothing of one without poses."""
+        """Bring the Capture panel to the front after opening one: the view shows nothing of a capture without poses."""
         present = self.session.captures.capture
         if present is not self._capture:
             self._capture = present
@@ -156,9 +156,9 @@ class Workspace:
             textures = self.view.draw(width, height)
             self._captures.draw_points(self.session, self.session.shot(width, height).camera)
             self._mosaic.update(self.session, self.view)
-        except DeviceLostError:  # the window ends over it before its next frame
+        except DeviceLostError:  # the window closes before its next frame
             textures = self.view.last_textures
-        except Exception as problem:  # whatever a driver or a scene does: say it once, keep picture and window
+        except Exception as problem:  # any error of a driver or a scene: report it once, keep image and window
             if str(problem) != self._last_problem:
                 self._last_problem = str(problem)
                 self.session.problem = str(problem)

@@ -1,1 +1,1 @@
-"""The commands `gsrain evaluate ...`."""
+"""Commands of `gsrain evaluate`."""

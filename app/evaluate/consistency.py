@@ -1,4 +1,4 @@
-"""`gsrain evaluate consistency`: whether neighbouring views still agree after a transfer."""
+"""`gsrain evaluate consistency`: agreement of neighboring views before and after a transfer."""
 
 import math
 import sys
@@ -71,11 +71,11 @@ def consistency(
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
 ) -> None:
-    """Warp neighbouring views onto each other by their depth, and compare: before a transfer, and after it.
+    """Warp neighboring views onto each other by their depth, and compare: before a transfer, and after it.
 
-    The error after should be that before: what a transfer adds differently in each view makes it grow. Reflections in
-    water move with the eye, so that errors outside the water film are told as well. Errors are the root of the mean
-    square over matched pixels, in levels of 255; "per contrast" divides each by its picture's contrast.
+    The error after should be that before: what a transfer adds differently in each view increases it. Reflections in
+    water move with the eye, so errors outside the water film are reported as well. Errors are root mean squares over
+    matched pixels, in levels of 255; "per contrast" divides each by its image's contrast.
     """
     let_names_lead_outside(allow_outside)
     _check(folders, neighbours, film, sheet_pairs)
@@ -114,7 +114,7 @@ def consistency(
 
 
 def _inputs(folders: Sequence[Path], lpips: str | None) -> dict[str, str]:
-    """Hashes over names, sizes and times of what is compared, and of the bytes of a file of weights."""
+    """Return hashes over names, sizes and times of the compared files, and of the bytes of a weights file."""
     found = {str(folder): input_fingerprint(folder) for folder in folders}
     return found | {f"LPIPS {lpips}": file_hash(Path(lpips))} if lpips and Path(lpips).is_file() else found
 
@@ -133,7 +133,6 @@ def _check(folders: Sequence[Path], neighbours: int, film: float, sheet_pairs: i
 def _drawn(
     compared: Sequence[ViewFolder], pairs: Sequence[_Pairs], film: float, most: int
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Some pairs of each folder, warped, with their errors."""
     count = min(most, len(pairs[0]))
     chosen = [i * len(pairs[0]) // count for i in range(count)]
     shown = [
@@ -146,12 +145,12 @@ def _drawn(
     return consistency_sheet(shown)
 
 
-# § The numbers of `gsrain evaluate consistency`: as a table for a person, and as plain values for a file.
+# Numbers as a table and as JSON
 
 _LEVELS = 255
 
 _MAX_ROWS = 40
-"""Pairs that are printed of each folder; all are in the JSON."""
+"""Maximum number of pairs printed per folder; the JSON has all."""
 
 
 def report_of(
@@ -193,7 +192,7 @@ def _means(rows: Sequence[PairAgreement]) -> tuple[WarpAgreement | None, WarpAgr
 
 
 def _numbers(agreement: WarpAgreement | None) -> dict[str, Any]:
-    """Return plain numbers of an agreement, errors in display values of 0..1; null where they are not known."""
+    """Return plain numbers of an agreement, errors in display values of 0..1; null if unknown."""
     if agreement is None:
         return {"pixels": 0}
     before = agreement.before or WarpError(math.nan, math.nan)
@@ -215,7 +214,6 @@ def _numbers(agreement: WarpAgreement | None) -> dict[str, Any]:
 def print_agreements(
     compared: Sequence[ViewFolder], results: Sequence[Sequence[PairAgreement]], console: Console
 ) -> None:
-    """Print a table of pairs and means, folder by folder."""
     with_lpips = any(row.everywhere.after.lpips is not None for rows in results for row in rows)
     names = [
         "view",
@@ -249,7 +247,7 @@ def print_agreements(
 
 
 def _worst(rows: Sequence[PairAgreement]) -> list[PairAgreement]:
-    """All pairs in their order; of many, those whose error is largest."""
+    """Return all pairs in order, or only those with the largest errors if there are many."""
     if len(rows) <= _MAX_ROWS:
         return list(rows)
     return sorted(rows, key=lambda row: -row.everywhere.after.rmse)[:_MAX_ROWS]
@@ -277,7 +275,7 @@ def _lpips(value: float | None) -> str:
     return "" if value is None else f"{value:.3f}"
 
 
-# § The page of `gsrain evaluate consistency`: errors of neighbouring views by folder and by pair.
+# HTML page
 
 _CAPTION = (
     "Root mean square errors of a neighbour warped onto the view, in levels of 255. ratio: after over before; per "

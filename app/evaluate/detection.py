@@ -1,4 +1,4 @@
-"""`gsrain evaluate detection`: what rain does to an object detector."""
+"""`gsrain evaluate detection`: effect of rain on object detectors."""
 
 import hashlib
 import json
@@ -153,13 +153,12 @@ def detection(
 ) -> None:
     """Measure what rain does to object detectors: confidence, boxes, classes and average precision by intensity.
 
-    Each view is shown as it was taken (where a capture has it), clear, and in rains of several seeds. What is there
-    to be found comes from the scene's actors (the street: its lead car, parked cars and trucks), from a capture's 3D
-    boxes, or from a COCO file; objects lower than 16 px or less than a quarter visible are neither asked for nor held
-    against anybody who finds them, nor are classes that a detector has no word for (a sign), which are listed apart.
-    What a data set only calls vehicle may be found as a car, truck, bus, van or trailer. With --output, what is
-    finished is kept there: the same command goes on after a stop, and more seeds, intensities or detectors only add to
-    it.
+    Each view is shown as recorded (if a capture has it), clear, and in rains of several seeds. Ground truth comes from
+    the scene's actors (the street: its lead car, parked cars and trucks), from a capture's 3D boxes, or from a COCO
+    file. Objects lower than 16 px or less than a quarter visible are ignored, and so are classes that a detector lacks
+    (a sign), which are listed separately. Objects that a data set only calls vehicle match a car, truck, bus, van or
+    trailer. With --output, finished results are stored there: the same command resumes after a stop, and more seeds,
+    intensities or detectors are only added.
     """
     let_names_lead_outside(allow_outside)
     _check_installed()
@@ -201,7 +200,7 @@ def detection(
 
 
 def _check_installed() -> None:
-    """Average precision comes last: who lacks what it needs is told at once."""
+    """Check for packages before the work: average precision, which needs one of them, is computed last."""
     missing = [name for name in ("onnxruntime", "pycocotools") if find_spec(name) is None]
     if missing:
         raise ValueError(f"gsrain evaluate detection needs {' and '.join(missing)}: pip install 'gsrain[evaluate]'")
@@ -242,34 +241,33 @@ def _words(text: str) -> list[str]:
     return [word.strip() for word in text.split(",") if word.strip()]
 
 
-# § What `gsrain evaluate detection` looks at: views of a scene, of a scene and its capture, or of a capture alone.
+# Evaluated views
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedSource:
-    """Views with what is to be found in them, and what makes their pictures."""
+    """Views with their ground truth, and the renderer of their images."""
 
     name: str
     pictures: ConditionRenderer
     frames: list[EvaluatedFrame]
     frame_rate: float
-    """Of a video of them."""
+    """Frame rate of a video of the views."""
     inputs: dict[str, str]
-    """What the pictures follow from, by name: hashes of files, of a capture one of names, sizes and times."""
+    """Inputs of the images by name: hashes of files; for a capture, a hash of names, sizes and times."""
 
     def trials(self, intensities_mm_h: tuple[float, ...], seeds: tuple[int, ...]) -> list[Condition]:
-        """All that each view is shown in."""
         originals = all(frame.original is not None for frame in self.frames)
         return conditions_of(intensities_mm_h, seeds, originals=originals, scene=not self.pictures.is_in_front)
 
     def judged(
         self, detectors: Sequence[Detector], trials: Sequence[Condition], memory: ResultCacheProtocol | None = None
     ) -> Iterator[EvaluatedImage]:
-        """Show each view in each trial to each detector, except what the memory knows."""
+        """Run each detector on each view in each condition, skipping results in the cache."""
         return evaluate_images(self.pictures, detectors, self.frames, trials, memory)
 
 
-# § What `gsrain evaluate detection` keeps in its folder while it runs, so that the same command goes on after a stop.
+# Cached results, for resuming
 
 
 def opened_memory(
@@ -280,7 +278,7 @@ def opened_memory(
     backend: str,
     is_wet: bool,
 ) -> ResultCache:
-    """Open the judgements in a folder, and say how many of an earlier run still hold."""
+    """Open the cached results in a folder, and report how many of an earlier run are still valid."""
     inputs = {
         "inputs": source.inputs,
         "wet": is_wet,
@@ -301,14 +299,14 @@ def opened_memory(
     return memory
 
 
-# § The numbers of `gsrain evaluate detection`: rows, scores, where they come from; on the screen and as JSON.
+# Numbers on the screen and as JSON
 
 _PACKAGES = ("gsrain", "onnxruntime", "numpy", "numba", "opencv-python-headless")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectionNumbers:
-    """Everything that the command reports."""
+    """Results of the command."""
 
     rows: list[ObjectRow]
     scores: list[ScoreByIntensity]
@@ -316,11 +314,10 @@ class DetectionNumbers:
     robustness: dict[str, Robustness]
     settings: dict[str, Any]
     not_named: dict[str, dict[str, int]]
-    """By detector and class, objects in views that it has no word for: neither found nor missed."""
+    """Number of objects by detector and class that the detector can't name; they are not scored."""
 
     @property
     def plain(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
         left = {name: asdict(each) for name, each in self.robustness.items()}
         return {
             "settings": self.settings,
@@ -340,7 +337,7 @@ def detection_numbers(
     source: PreparedSource,
     seeds: int,
 ) -> DetectionNumbers:
-    """Work out all numbers. Raises ValueError where no view shows anything that could be found."""
+    """Compute all numbers. Raises ValueError if no view shows a detectable object."""
     rows = [row for each in judgements for row in object_rows(each)]
     not_named = _not_named(judgements)
     if not rows and any(not_named.values()):
@@ -394,7 +391,7 @@ def _listed(counts: Mapping[str, int]) -> str:
 
 
 def unnamed_object_notes(numbers: DetectionNumbers) -> list[str]:
-    """Return a sentence for each detector that has no word for some of the objects."""
+    """Return a sentence for each detector that has no class for some of the objects."""
     return [
         f"Not asked of {name}, which has no word for them: {_listed(each)}."
         for name, each in numbers.not_named.items()
@@ -403,12 +400,12 @@ def unnamed_object_notes(numbers: DetectionNumbers) -> list[str]:
 
 
 def package_versions() -> dict[str, str | None]:
-    """Versions of what pictures and detections hang on."""
+    """Return versions of the packages that affect images and detections."""
     return {name: version_of(name) for name in _PACKAGES}
 
 
 def print_scores(scored: Sequence[ScoreByIntensity], console: Console) -> None:
-    """Print one line for each detector and weather: means over seeds, and the lowest and highest seed."""
+    """Print one line for each detector and condition: means over seeds, and the lowest and highest seed."""
     table = Table("detector", "picture", "mm/h", box=None)
     for title in ("objects", "confidence", "change", f"recall@{FOUND_FROM:g}", "IoU", "flips", "mAP50", "mAP"):
         table.add_column(title, justify="right")
@@ -445,10 +442,10 @@ def _sha256(file: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-# § The files of `gsrain evaluate detection`: tables, figures, the report page, the video.
+# Tables, figures, report and video
 
 _SAMPLES = 4
-"""Views that the report shows."""
+"""Number of views in the report."""
 
 _BANDS = (
     "A point is the mean over frames and seeds; a band reaches from the lowest to the highest seed. Crosses: the "
@@ -459,13 +456,13 @@ _Sheet = UInt8[np.ndarray, "h w 3"]
 
 
 class DetectionVideo:
-    """Takes judged pictures as they come: keeps what was judged and some views to show, and writes the video.
+    """Collects detection results and sample views, and writes the video.
 
-    A frame of the video is a view in all its weathers, those of the first seed.
+    A video frame shows a view in all its conditions, with the first seed.
     """
 
     def __init__(self, file: Path | None, fps: float) -> None:
-        """`file` is the video, if one is wanted."""
+        """`file` is the video to write, or None."""
         self.judgements: list[DetectionResult] = []
         self.samples: list[tuple[str, _Sheet]] = []
         self.frames = 0
@@ -474,7 +471,7 @@ class DetectionVideo:
         self._view: list[EvaluatedImage] = []
 
     def take(self, picture: EvaluatedImage) -> None:
-        """Take the next picture; those of a view come one after the other."""
+        """Add the next image; the images of a view must be consecutive."""
         self.judgements += picture.judgements.values()
         if self._view and self._view[0].frame is not picture.frame:
             self._finish_view()
@@ -503,7 +500,7 @@ class DetectionVideo:
             if self._video is None:
                 self._size = sheet.shape[:2]
                 self._video = VideoWriter(self._file, sheet.shape[1], sheet.shape[0], self._fps)
-            if sheet.shape[:2] == self._size:  # cameras of other proportions have no place in one video
+            if sheet.shape[:2] == self._size:  # a video has one size: cameras of other aspect ratios are skipped
                 self._video.write(sheet)
                 self.frames += 1
 
@@ -605,15 +602,15 @@ def _write_png(file: Path, image: UInt8[np.ndarray, "h w 3"]) -> None:
 
 
 _SLOW_FPS = 2.0
-"""Of videos whose frames lie far apart."""
+"""Frame rate of videos of frames far apart in time."""
 
 _LEVEL = np.array([[0.0, -1, 0, 0], [0, 0, -1, 1.5], [1, 0, 0, 0], [0, 0, 0, 1]])
-"""World to camera of one that looks ahead over a road, for pictures of which nobody knows where they were taken."""
+"""World-to-camera transform that looks ahead over a road, for images without poses."""
 
 
 @dataclass(frozen=True, slots=True)
 class DetectionSource:
-    """What was asked for."""
+    """Options that select the views."""
 
     source: str | None
     capture: Path | None
@@ -627,14 +624,14 @@ class DetectionSource:
 
 
 def base_rain(preset: str | None, exposure_s: float | None) -> RainSettings:
-    """Everything about the rain but its intensity and its seed."""
+    """Return the rain settings, except for intensity and seed."""
     rain = load_preset(preset) if preset is not None else RainSettings()
     values = msgspec.to_builtins(rain) | ({} if exposure_s is None else {"exposure_s": exposure_s})
     return converted_options(values, RainSettings, RAIN_OPTIONS)
 
 
 def opened_source(renderer: Renderer, asked: DetectionSource, rain: RainSettings) -> PreparedSource:
-    """Open what was named. Raises ValueError, which names the option, where something does not fit."""
+    """Open the chosen source. Raises ValueError, which names the option, for options that contradict each other."""
     if asked.source is None or names_scene(asked.source):
         return _of_scene(renderer, asked, rain)
     if asked.capture is not None:
@@ -684,13 +681,13 @@ def _of_capture(renderer: Renderer, asked: DetectionSource, rain: RainSettings) 
 
 
 def _hashes(asked: DetectionSource) -> dict[str, str]:
-    """Of what was named beside the source."""
+    """Return hashes of the inputs other than the source."""
     found = {} if asked.capture is None else {"capture": input_fingerprint(asked.capture)}
     return found if asked.truth is None else found | {"truth": file_hash(asked.truth)}
 
 
 def _of_view(view: CaptureFrame, world: Scene, capture: Capture, width_px: int) -> PlacedCamera:
-    """Camera of a taken picture in the world; of one that nobody placed, level over the road."""
+    """Return the world camera of a captured view; without poses, a level camera over the road."""
     camera = view.camera.moved(world.scene_to_world) if capture.has_poses else _level(view.camera)
     return PlacedCamera(view.name, camera, view.time_s, view.sensor).at_width(width_px)
 
@@ -700,7 +697,7 @@ def _level(camera: Camera) -> Camera:
 
 
 def _chosen(capture: Capture, asked: DetectionSource) -> Capture:
-    """The views to try: of each of the chosen cameras as many as were asked for, evenly between two moments."""
+    """Return the chosen views of each camera, evenly spaced between two times."""
     sensors = () if asked.cameras == ("all",) else asked.cameras
     there = chosen_views(capture, ViewChoice(sensors=sensors))
     low, high = asked.first_s, asked.last_s
@@ -715,7 +712,7 @@ def _chosen(capture: Capture, asked: DetectionSource) -> Capture:
 
 
 def _placed(scene: Scene, asked: DetectionSource) -> list[PlacedCamera]:
-    """Every chosen rig camera at every moment; in a scene without a rig, along its path or around it."""
+    """Return every chosen rig camera at every time; in a scene without a rig, cameras along its path or around it."""
     if not scene.rigs or scene.ego is None or not len(scene.ego.times):
         if asked.cameras:
             raise ValueError(f"--cameras: scene {scene.name!r} has no vehicle with cameras")
@@ -730,7 +727,7 @@ def _placed(scene: Scene, asked: DetectionSource) -> list[PlacedCamera]:
 
 
 def _moments(times: Float64[np.ndarray, " t"], asked: DetectionSource) -> list[float]:
-    """With two ends given, from the one to the other; else each in the middle of its share of the drive."""
+    """Return times from first to last if both are set, else the middle of each equal share of the drive."""
     low = float(times[0]) if asked.first_s is None else asked.first_s
     high = float(times[-1]) if asked.last_s is None else asked.last_s
     if asked.first_s is not None and asked.last_s is None and asked.frames == 1:
@@ -741,13 +738,13 @@ def _moments(times: Float64[np.ndarray, " t"], asked: DetectionSource) -> list[f
 
 
 def _front(scene: Scene) -> str:
-    """The camera of the first rig that looks most straight ahead."""
+    """Return the camera of the first rig that looks most straight ahead."""
     rig, cameras = next((rig, cameras) for rig, cameras in scene.rigs.items() if cameras)
     return f"{rig}/{max(cameras, key=lambda each: each.camera_to_ego[0, 2]).name}"
 
 
 def _frame_rate(placed: Sequence[PlacedCamera]) -> float:
-    """That of the moments where they lie close enough together to be a film."""
+    """Return the frame rate of the times if they are dense enough for a video."""
     times = sorted({each.time_s for each in placed})
     step = float(np.median(np.diff(times))) if len(times) > 1 else np.inf
     return float(np.clip(1 / step, _SLOW_FPS, 60.0)) if step > 0 else _SLOW_FPS

@@ -1,4 +1,4 @@
-"""`gsrain evaluate images`: PSNR, SSIM and LPIPS of pictures and those of the same names that they should be."""
+"""`gsrain evaluate images` and `fid`: PSNR, SSIM, LPIPS, FID and KID of images, and conversion of their weights."""
 
 import logging
 import math
@@ -81,9 +81,9 @@ def images(
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
 ) -> None:
-    """Measure how close pictures are to those of the same names: PSNR, SSIM and LPIPS, each with its mean and interval.
+    """Measure how close images are to those of the same names: PSNR, SSIM and LPIPS, each with its mean and interval.
 
-    PSNR in dB and SSIM (at most 1) are higher for closer pictures, LPIPS (0 for equal ones) is lower.
+    PSNR in dB and SSIM (at most 1) are higher for closer images, LPIPS (0 for equal ones) is lower.
     """
     let_names_lead_outside(allow_outside)
     check_page(report, json)
@@ -95,7 +95,7 @@ def images(
     with progress_bar("Comparing", len(pairs)) as advance:
         for a, b in pairs:
             mask = b.mask if masks is None else _mask(masks, b)
-            pictures = a.image, b.image  # each is read anew
+            pictures = a.image, b.image  # read only once
             rows.append(_compared(b.name, *pictures, mask, distance))
             hashes.append((image_hash(pictures[0]), image_hash(pictures[1])))
             shares.append(1.0 if mask is None else float(mask.mean()))
@@ -118,14 +118,14 @@ def images(
 
 
 def _inputs(hashes: Sequence[tuple[str, str]], shown: Path, truth: Path, masks: Path | None) -> dict[str, str]:
-    """Hashes of the pictures that were compared, and of the masks' names, sizes and times."""
+    """Return hashes of the compared images, and of the masks' names, sizes and times."""
     first, second = (set_hash(each) for each in zip(*hashes, strict=True))
     found = {f"pictures {shown}": first, f"truth {truth}": second}
     return found if masks is None else found | {f"masks {masks}": input_fingerprint(masks)}
 
 
 def _pairs(shown: Path, truth: Path) -> tuple[list[tuple[CaptureFrame, CaptureFrame]], int]:
-    """Return views to compare, and how many pictures have no other; two files are a pair whatever they are called."""
+    """Return pairs of views, and the number of images without a partner; two files always form a pair."""
     first, second = _views(shown), _views(truth)
     if _is_one(shown) and _is_one(truth):
         return [(first[0], second[0])], 0
@@ -134,7 +134,7 @@ def _pairs(shown: Path, truth: Path) -> tuple[list[tuple[CaptureFrame, CaptureFr
     if not pairs:
         raise ValueError(f"{shown} and {truth}: no picture of the one has the name of one of the other")
     if _is_one(shown) or _is_one(truth):
-        return pairs, 0  # one of many is asked for
+        return pairs, 0  # one image of many was chosen
     return pairs, len(first) + len(second) - 2 * len(pairs)
 
 
@@ -200,17 +200,17 @@ def _numbers(rows: Sequence[ImageComparison], shares: Sequence[float]) -> list[d
 
 
 def _finite(value: float) -> float | None:
-    """Replace infinity, the PSNR of equal pictures, which JSON lacks."""
+    """Replace infinity, the PSNR of equal images, which JSON lacks."""
     return value if math.isfinite(value) else None
 
 
-# § `gsrain evaluate fid`: how far made pictures are from real ones as distributions, and how sure that is.
+# FID and KID
 
 _FID_COLUMNS = 200
 
 _MIN_RESAMPLES, _MAX_RESAMPLES = 20, 10_000
 
-_RESAMPLES, _MANY, _MIN_DEFAULT = 200, 500, 40  # of many pictures each takes seconds, and the values vary less
+_RESAMPLES, _MANY, _MIN_DEFAULT = 200, 500, 40  # for many images each resample takes seconds, and the values vary less
 
 _CAPTION = (
     "low and high: ends of the 95 % interval over pictures drawn again. same: what the distance would be of two sets "
@@ -253,10 +253,10 @@ def fid(
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
 ) -> None:
-    """Compare sets of pictures as distributions: FID with KID beside it, both with intervals of 95 %.
+    """Compare sets of images as distributions: FID and KID, both with intervals of 95 %.
 
-    FID of few pictures is too high: "same" says what it would be if both sets came from one distribution. KID is
-    not, and is 0 then. Other extractors give distances under names of their own: FD- and KD-.
+    FID of few images is too high: "same" is its value if both sets came from one distribution. KID is unbiased, and is
+    0 then. Other extractors give distances with their own names: FD- and KD-.
     """
     let_names_lead_outside(allow_outside)
     names = [name.strip() for name in extractor.split(",")]
@@ -295,7 +295,7 @@ def _check(names: Sequence[str], weights: Path | None, resamples: int | None) ->
 
 def _opened(folder: Path) -> Capture:
     capture = open_capture(folder)
-    for problem in capture.problems if capture.has_poses else capture.problems[1:]:  # poses are of no use here
+    for problem in capture.problems if capture.has_poses else capture.problems[1:]:  # missing poses don't matter here
         _log.warning("%s: %s", folder, problem)
     return capture
 
@@ -315,7 +315,7 @@ def _rows(
     seed: int,
     hashes: dict[str, str],
 ) -> list[DistributionDistance]:
-    """Look at all sets and compare them with the first; hashes of their pixels come into `hashes`."""
+    """Extract features of all sets and compare each set with the first; adds hashes of their pixels to `hashes`."""
     with progress_bar("Looking at pictures", sum(len(capture) for _, capture in sets)) as advance:
         looked = [extract_features(str(folder), capture, extractor, cache, advance) for folder, capture in sets]
     hashes |= {each.name: set_hash(each.hashes) for each in looked}
@@ -354,7 +354,7 @@ def _print_fid(rows: Sequence[DistributionDistance], console: Console) -> None:
 
 
 def _short(folder: str) -> str:
-    """Return the end of a path, which tells sets apart in a table."""
+    """Return the end of a path, which distinguishes sets in a table."""
     return str(Path(*Path(folder).parts[-2:]))
 
 
@@ -417,7 +417,7 @@ def _kernel_table(rows: Sequence[DistributionDistance]) -> ReportTable:
     return ReportTable("Kernel distances", columns, values, caption="Expected to be 0 for sets of one distribution.")
 
 
-# § `gsrain evaluate lpips-weights` and `inception-weights`: published weights as plain arrays, checked on the way.
+# Published weights as plain arrays
 
 _Output = Annotated[Path, Parameter(name=["--output", "-o"], help="File to write: .safetensors, or .npz.")]
 
@@ -462,11 +462,11 @@ def inception_weights(
     print(f"{output}: Inception of FID, {output.stat().st_size / 1e6:.1f} MB, SHA-256 {hash_of(output)[:16]}")
 
 
-# § What `--lpips` names: a network whose weights this machine has, or a file of weights.
+# LPIPS weights by name or file
 
 
 def perceived_distance(weights: str) -> Distance:
-    """Open LPIPS of alex, vgg or a file; raises ValueError or FileNotFoundError where that can't be."""
+    """Open LPIPS of alex, vgg or a file. Raises ValueError or FileNotFoundError if that is not possible."""
     try:
         from gsrain_engine.evaluation.lpips import Lpips  # torch is an extra
         from gsrain_engine.evaluation.lpips_weights import find_lpips_weights, read_lpips_weights

@@ -1,4 +1,4 @@
-"""`gsrain evaluate lidar`: what a lidar measures in the rain that the cameras see."""
+"""`gsrain evaluate lidar`: lidar returns in rain, by intensity and range."""
 
 import csv
 import io
@@ -80,8 +80,9 @@ def lidar(
 ) -> None:
     """Rain on a lidar: returns kept, lost and made up, by range, over intensities and seeds.
 
-    Rain takes light on both ways (beta(R) of the haze), drops of the same field answer near the car, wet road mirrors.
-    A capture's own sweeps are taken as those of clear weather. In a scene a virtual sensor stands on the ego's roof.
+    Rain attenuates light in both directions (beta(R) of the haze), nearby drops of the same field return echoes, and a
+    wet road mirrors. A capture's own sweeps count as those of clear weather. In a scene a virtual sensor is on the
+    ego's roof.
     """
     let_names_lead_outside(allow_outside)
     intensities = _intensities(rain)
@@ -123,7 +124,7 @@ def lidar(
 
 
 def _inputs(source: str, sensor: str) -> dict[str, str]:
-    """Hashes of a scene's bytes, or over names, sizes and times of a capture; of a file of a sensor."""
+    """Return hashes of a scene's bytes, or of a capture's names, sizes and times, and of a sensor's file."""
     found = {source: scene_hash(source) if names_scene(source) else input_fingerprint(Path(source))}
     return found if sensor in SENSORS else found | {sensor: file_hash(Path(sensor))}
 
@@ -131,7 +132,7 @@ def _inputs(source: str, sensor: str) -> dict[str, str]:
 def _turns(
     source: str, sensor: LidarSensor, count: int, reflectance: float, full: float | None, told_range: bool
 ) -> tuple[int, Iterator[LidarTurn]]:
-    """How many turns there are, and the turns."""
+    """Return the number of turns, and the turns."""
     if names_scene(source):
         from gsrain_engine.scene.open import load_scene
 
@@ -181,7 +182,7 @@ def _sensor(name: str, range_10: float | None, least_reflectance: float | None) 
     return sensor
 
 
-# § What `gsrain evaluate lidar` tells of its runs: on the screen, as JSON, and as a table.
+# Numbers on the screen, as JSON and as CSV
 
 _FEWEST = 20
 
@@ -191,7 +192,7 @@ _COUNTED = ("clear", "kept", "dropped", "masked", "false")
 def lidar_report(
     by_intensity: Mapping[float, Sequence[RainRunCounts]], sensor: LidarSensor, **settings: Any
 ) -> dict[str, Any]:
-    """Everything as plain values: a row for each turn, intensity and seed."""
+    """Return all results as plain values: a row for each turn, intensity and seed."""
     rows = [_row(run) for runs in by_intensity.values() for run in runs]
     return {**settings, "sensor": msgspec.to_builtins(sensor), "rows": rows}
 
@@ -223,7 +224,7 @@ def _by_range(tally: ReturnCounts) -> list[dict[str, Any]]:
 
 
 def write_lidar_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write a CSV line for each run and bin of range; the last bin has no end."""
+    """Write a CSV line for each run and range bin; the last bin has no end."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["intensity_mm_h", "seed", "turn", "from_m", "to_m", *_COUNTED])
@@ -236,7 +237,7 @@ def write_lidar_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def print_lidar(by_intensity: Mapping[float, Sequence[RainRunCounts]], sensor: LidarSensor, console: Console) -> None:
-    """Print means over seeds and turns, with their spread, and the shares that are kept by range."""
+    """Print means over seeds and turns, and the shares of kept returns by range."""
     table = Table("mm/h", "beta 1/km", "wetness", "clear", "kept", "too weak", "behind a drop", "drops", box=None)
     table.add_column("noise mm")
     for intensity, runs in by_intensity.items():
@@ -266,7 +267,7 @@ def print_lidar(by_intensity: Mapping[float, Sequence[RainRunCounts]], sensor: L
 
 
 def _return_share_by_range(by_intensity: Mapping[float, Sequence[RainRunCounts]]) -> Table:
-    """Shares of the clear returns; bins that few of these are in are left out."""
+    """Return the shares of the clear returns; bins with few returns are omitted."""
     sums = {
         intensity: [np.sum([getattr(run.tally, name) for run in runs], axis=0) for name in ("kept", "clear")]
         for intensity, runs in by_intensity.items()
@@ -286,7 +287,7 @@ def _spread(counts: Sequence[int]) -> str:
     return f"{mean:,.0f}" if min(counts) == max(counts) else f"{mean:,.0f} ({min(counts):,}..{max(counts):,})"
 
 
-# § The page of `gsrain evaluate lidar`: its figure, and what is kept, lost and made up at each intensity.
+# HTML page
 
 _NOTES = (
     "False returns hang on the sensor's least reflectance near by, which makers don't state.",
@@ -297,7 +298,7 @@ _NOTES = (
 def write_lidar_page(
     file: Path, figure: Path, by_intensity: Mapping[float, Sequence[RainRunCounts]], report: Mapping[str, Any]
 ) -> None:
-    """Write the page; `report` is what `lidar_report` gives, `figure` the picture to show first."""
+    """Write the page; `report` comes from `lidar_report`, `figure` is the first image."""
     with Image.open(figure) as opened:
         pixels = np.asarray(opened.convert("RGB"))
     told = provenance_lines(report)

@@ -1,4 +1,4 @@
-"""`gsrain evaluate`: how close what we make is to what cameras see."""
+"""`gsrain evaluate streaks`: comparison of rendered rain streaks with real ones."""
 
 import logging
 import math
@@ -55,7 +55,7 @@ def streaks(
     seed: Annotated[int, Parameter(help="Same seed, same drops.")] = 0,
     json: JsonFileOrScreen = None,
 ) -> None:
-    """Measure rain streaks in the frames of a still camera, and in our rain before the same background."""
+    """Measure rain streaks in the frames of a static camera, and in our rain over the same background."""
     if not _MIN_FRAMES <= frames <= _MAX_FRAMES:
         raise ValueError(f"--frames {frames}: must be within {_MIN_FRAMES}..{_MAX_FRAMES}")
     check_writable(json)

@@ -1,4 +1,4 @@
-"""`gsrain evaluate transfers COMPARISON.yaml -o DIR`: the paper's comparison of transfers as one command."""
+"""`gsrain evaluate transfers COMPARISON.yaml -o DIR`: comparison of transfers as in the paper."""
 
 import json as json_text
 import sys
@@ -76,10 +76,10 @@ def transfers(
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
 ) -> None:
-    """Make the same views rainy by several methods, and compare each with real rainy pictures.
+    """Make the same views rainy by several methods, and compare each with real rainy images.
 
-    FID (or its like) and KID with intervals of 95 %, whether neighbouring views still agree, seconds, and a figure.
-    Methods whose pictures stand in DIR, made in the same way, are not run again.
+    FID (or the like) and KID with intervals of 95 %, agreement of neighboring views, seconds, and a figure. Methods
+    whose images are in DIR, made with the same settings, are not run again.
     """
     let_names_lead_outside(allow_outside)
     told = with_trust(lambda: load_comparison(comparison), trust)
@@ -130,7 +130,7 @@ def _opened(told: TransferComparison) -> tuple[ComparedSource, Capture]:
 
 
 def _inputs(told: TransferComparison, source: ComparedSource) -> dict[str, str]:
-    """Hash of a scene's bytes; for all else those over names, sizes and times of the files."""
+    """Return hashes of the inputs: of a scene's bytes, and of names, sizes and times of all other files."""
     is_scene = told.source is not None and names_scene(told.source)
     found = {"clear views": scene_hash(told.source) if is_scene else source.stamp}
     rainy = told.real if told.pictures is None else [Path(each.path) for each in told.pictures.rainy]
@@ -183,7 +183,7 @@ def _write(
     write_report(output / "report.html", transfers_page(result, told, facts))
 
 
-# § What `gsrain evaluate transfers` shows: a table on the screen, and a page of HTML.
+# Table and HTML page
 
 _WITHOUT_CAMERAS = "Nobody knows where these pictures were taken: whether views agree with each other is not measured."
 
@@ -213,7 +213,7 @@ def transfers_page(result: ComparisonResult, told: TransferComparison, facts: Ma
 
 
 def print_transfers(result: ComparisonResult, console: Console) -> None:
-    """Print the table, what was not run again, and what is to be said about the distances."""
+    """Print the table, the reused methods, and warnings about the distances."""
     distance = result.rows[0].distance
     kernel = f"{distance.kernel_metric} x1000"
     table = Table(
@@ -258,7 +258,6 @@ def print_transfers(result: ComparisonResult, console: Console) -> None:
 
 
 def _changed(method: ComparedMethod) -> str:
-    """Say what differs from the method's usual settings."""
     values = msgspec.to_builtins(method, enc_hook=str)
     usual = {each.name: each.default for each in msgspec.structs.fields(method)}
     own = {key: value for key, value in values.items() if key not in ("name", "method") and value != usual[key]}

@@ -1,1 +1,1 @@
-"""The commands of menus, keys and palette."""
+"""Commands of menus, keys and palette."""

@@ -1,4 +1,4 @@
-"""What a person can do, with a name and a key: menus, keys, command palette and keyboard page show the same list."""
+"""Commands with a name and keys, as listed in menus, command palette and keyboard page."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,28 +9,27 @@ from gsrain_engine.editor.editor import Editor
 
 
 def always(session: Editor) -> bool:
-    """Whether it can be done: at any time."""
     return True
 
 
 @dataclass(frozen=True)
 class Command:
-    """One thing to do."""
+    """A user command."""
 
     name: str
-    """As in menu and palette: a verb first. Unique."""
+    """Unique title in menu and palette, starting with a verb."""
     run: Callable[[Editor], None]
     menu: str = ""
-    """Title of the menu that it stands in; "" is in none, only in palette and keys."""
+    """Title of its menu; "" for commands in palette and keys only."""
     keys: int | tuple[int, ...] = ()
-    """Key chords, the first one shown; see `chord`."""
+    """Key chords, the first of which is shown; see `chord`."""
     help: str = ""
-    """One sentence, with units where there are numbers."""
+    """One sentence, with the units of any numbers."""
     is_possible: Callable[[Editor], bool] = always
     is_on: Callable[[Editor], bool] | None = None
-    """For what is switched on and off: whether it is on."""
+    """State of a toggle command."""
     more: Callable[[Editor], str] | None = None
-    """What follows the name in the menu, such as the step that undo would take back."""
+    """Suffix of the name in the menu, such as the step that undo would revert."""
 
     @property
     def chords(self) -> tuple[int, ...]:
@@ -41,16 +40,14 @@ class Command:
         return " or ".join(map(chord_name, self.chords))
 
     def title(self, session: Editor) -> str:
-        """Name with what follows it now."""
         return f"{self.name} {self.more(session)}".strip() if self.more is not None else self.name
 
     def perform(self, session: Editor) -> None:
-        """Do it, if it is possible."""
         if self.is_possible(session):
             self.run(session)
 
 
-# § Keys as numbers that Dear ImGui understands, and as words that a person reads.
+# Key chords as numbers and text
 
 _MODIFIERS = ((imgui.Key.mod_ctrl, "Ctrl"), (imgui.Key.mod_shift, "Shift"), (imgui.Key.mod_alt, "Alt"))
 
@@ -69,7 +66,7 @@ def chord(*keys: imgui.Key) -> int:
 
 
 def chord_name(keys: int) -> str:
-    """Write a chord as people do, such as "Ctrl+Shift+Z"."""
+    """Format a chord, such as "Ctrl+Shift+Z"."""
     words: list[str] = []
     for modifier, word in _MODIFIERS:
         if keys & int(modifier):

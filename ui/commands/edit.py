@@ -1,4 +1,4 @@
-"""Changing what is selected, and the layer or actor that is picked."""
+"""Commands that edit the selection and the active layer or actor, and selection commands."""
 
 from imgui_bundle import imgui
 
@@ -30,7 +30,7 @@ def _has_member(session: Editor) -> bool:
 
 
 def _delete(session: Editor) -> None:
-    if not session.timeline.takes_keys or session.timeline.key is None:  # there, Delete means the chosen camera key
+    if not session.timeline.takes_keys or session.timeline.key is None:  # else Delete is for the active camera keyframe
         session.edit("Delete the selection", delete_selected)
 
 
@@ -126,7 +126,7 @@ EDIT_ACTIONS = (
     ),
 )
 
-# § Selecting: all, none, the rest, more and less.
+# Selection
 
 _CTRL, _SHIFT, _SELECTION_KEY = imgui.Key.mod_ctrl, imgui.Key.mod_shift, imgui.Key
 

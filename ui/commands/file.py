@@ -1,4 +1,4 @@
-"""Opening and saving, and leaving."""
+"""Commands of files, undo, help, jobs and recording."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ _KEY = imgui.Key
 
 
 def _scenes() -> str:
-    """Kinds of files that a dialog offers: the ends of all scene files, those of installed packages too."""
+    """Return the file types of a dialog: extensions of all scene files, including those of installed packages."""
     ends = dict.fromkeys(Path(f"scene{suffix}").suffix for suffix in scene_suffixes())
     return f"Scenes{{{','.join(ends)}}},All files{{.*}}"
 
@@ -134,7 +134,7 @@ LEAVING_ACTIONS = (
     ),
 )
 
-# § Undo and redo.
+# Undo and redo
 
 _CTRL, _SHIFT = imgui.Key.mod_ctrl, imgui.Key.mod_shift
 
@@ -159,7 +159,7 @@ HISTORY_ACTIONS = (
     ),
 )
 
-# § Finding out what there is.
+# Help
 
 HELP_ACTIONS = (
     Command(
@@ -184,7 +184,7 @@ HELP_ACTIONS = (
     ),
 )
 
-# § Work that goes on behind the window.
+# Background jobs
 
 JOB_ACTIONS = (
     Command(
@@ -210,7 +210,7 @@ JOB_ACTIONS = (
     ),
 )
 
-# § Recording clips and stills.
+# Recording
 
 
 def _can_record(session: Editor) -> bool:

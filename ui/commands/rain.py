@@ -1,4 +1,4 @@
-"""Rain: how much, what is drawn of it, and how it changes over time."""
+"""Commands of the rain: intensity, visible parts and keyframes."""
 
 from collections.abc import Callable
 

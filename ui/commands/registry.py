@@ -1,4 +1,4 @@
-"""The one table of actions, in the order of the menus."""
+"""Table of all commands, in the order of the menus."""
 
 from .base import Command
 from .edit import EDIT_ACTIONS, SELECTION_ACTIONS
@@ -47,6 +47,6 @@ ACTION_GROUPS: tuple[tuple[Command, ...], ...] = (
     HELP_ACTIONS,
     LEAVING_ACTIONS,
 )
-"""A menu draws a line between two of them."""
+"""Groups of commands; menus draw a line between two groups."""
 
 ACTIONS = tuple(action for group in ACTION_GROUPS for action in group)

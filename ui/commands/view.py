@@ -1,4 +1,4 @@
-"""Looking at the scene: where from, when, and how it is shown."""
+"""Commands of the view, the timeline, captures and drives."""
 
 from collections.abc import Callable
 from typing import get_args
@@ -93,7 +93,7 @@ VIEW_ACTIONS = (
     Command("Navigate", _set("tool", ""), "", chord(_KEY.escape), "Put the tool away: the left button orbits again."),
 )
 
-# § Time and the camera path.
+# Time and the camera path
 
 
 def _has_path(session: Editor) -> bool:
@@ -190,7 +190,7 @@ PATH_ACTIONS = (
            "Take all keys away: riding along takes the scene's own way again.", _has_path),
 )  # fmt: skip
 
-# § Recorded drives beside the scene: opening one, and looking from its cameras.
+# Captures
 
 
 def _has_capture(session: Editor) -> bool:
@@ -287,7 +287,7 @@ CAPTURE_ACTIONS = (
     ),
 )
 
-# § Driving, and playing what was driven.
+# Drives and roll-outs
 
 
 def _plays(session: Editor) -> bool:

@@ -1,1 +1,1 @@
-"""The panels around the picture, and the table of them."""
+"""Panels around the viewport, and the table of them."""

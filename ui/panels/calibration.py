@@ -1,4 +1,4 @@
-"""The Calibration panel: what the rain is calibrated by, beside another calibration or a fit to measurements."""
+"""Calibration and Disdrometer panels: fit and comparison of rain calibrations, and a virtual disdrometer."""
 
 from pathlib import Path
 
@@ -97,7 +97,7 @@ def _fitted(session: Editor, lab: CalibrationTools, fitted: FittedCalibration) -
 
 
 def _measured(lab: CalibrationTools) -> None:
-    """Draw, for each chosen file, its drops and rain, rejected records with reasons, and how well its rates agree."""
+    """Draw the summary of each chosen file: drops, rain, rejected records with reasons, and agreement of its rates."""
     if lab.measured:
         imgui.separator_text("Measured")
     for each in lab.measured:
@@ -172,7 +172,7 @@ def _closure(curves: dict[str, CalibrationCurves]) -> None:
                 line(name, each.intensities_mm_h, each.implied_share)
 
 
-# § The Disdrometer panel, a virtual one: whether the simulated rain carries the water that was asked for.
+# Disdrometer panel: measures the simulated rain rate
 
 _STEP_MM = 0.1
 

@@ -1,4 +1,4 @@
-"""The Capture panel: a recorded drive beside the scene, its pictures, and looking from its cameras."""
+"""Capture panel: images and cameras of a recorded drive, and matching with another view."""
 
 from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 
@@ -57,7 +57,7 @@ def _head(session: Editor, capture: Capture) -> None:
     close = f"{_ICONS.ICON_FA_XMARK}###close capture"
     width = imgui.calc_text_size(_ICONS.ICON_FA_XMARK).x + 2 * imgui.get_style().frame_padding.x
     at, room = imgui.get_cursor_screen_pos(), imgui.get_content_region_avail().x - width
-    # The names of some drives are longer than the panel is wide: they end at the button.
+    # Long names of drives are clipped at the button.
     imgui.push_clip_rect(at, ImVec2(at.x + room, at.y + imgui.get_frame_height()), True)
     imgui.align_text_to_frame_padding()
     imgui.text(capture.name)
@@ -206,7 +206,8 @@ def _thumbnail(session: Editor, index: int, at: ImVec2, size: ImVec2) -> None:
         draw.add_image(imgui.ImTextureRef(texture.name), at, end)
 
 
-# § Asking for a capture: it is a folder or one file, and a dialog offers only one of both.
+# Dialogs for a capture
+# A capture is a folder or one file, and a dialog offers only one of the two.
 
 _FILES = "Captures{.json,.tfrecord,.pkl,.parquet},All files{.*}"
 
@@ -219,7 +220,7 @@ def ask_for_capture_file(session: Editor) -> None:
     ask_what_to_open("Open a capture (file)", _FILES, lambda chosen: session.captures.open(chosen[0]))
 
 
-# § Fields of the Capture panel: matching what is looked at with another view.
+# Matching with another view
 
 _AGAINST: dict[Against, str] = {
     "next": "the next view",

@@ -1,4 +1,4 @@
-"""The Display panel: how the viewport shows things."""
+"""Display panel and Timeline panel."""
 
 from imgui_bundle import ImVec2, imgui
 
@@ -12,7 +12,7 @@ from .timeline import HEIGHT_EM, keyframe_menu, keyframe_number_fields, playhead
 _STORAGES: dict[Harmonics, str] = {"single": "32 bits", "half": "16 bits", "byte": "8 bits"}
 
 _held: dict[str, float] = {}
-"""Sliders that are being dragged, by the preference they are of."""
+"""Values of sliders that are being dragged, by preference."""
 
 
 def display_panel(session: Editor) -> None:
@@ -60,7 +60,7 @@ def display_panel(session: Editor) -> None:
 
 
 def _preference(session: Editor, name: str, title: str, help_text: str, low: float, high: float, text: str) -> None:
-    """Edit a preference; it is taken when the slider is let go, so that nothing jumps under the hand."""
+    """Edit a preference; it applies when the slider is released, so that the layout doesn't change during the drag."""
     plain_label(title, help_text)
     held = _held.get(name, getattr(session.preferences, name))
     changed, value = imgui.slider_float(f"##{name}", held, low, high, text, imgui.SliderFlags_.always_clamp)
@@ -70,12 +70,12 @@ def _preference(session: Editor, name: str, title: str, help_text: str, low: flo
         session.set_preference(**{name: _held.pop(name)})
 
 
-# § The Timeline panel: time is scrubbed, camera keys are set and moved, and all that has a time is seen.
+# Timeline panel
 
 _TITLES_EM, _NUMBERS_EM = 6.5, 21.0
 
 _NARROW_EM = 50.0
-"""Below this width the numbers make room for the rows."""
+"""Width below which the numbers are hidden in favor of the rows."""
 
 
 def timeline_panel(session: Editor) -> None:
@@ -84,7 +84,7 @@ def timeline_panel(session: Editor) -> None:
     avail = imgui.get_content_region_avail()
     beside = _NUMBERS_EM * em if avail.x > _NARROW_EM * em else 0.0
     titles = _TITLES_EM * em
-    # Room for the scroll bar of the rows stays free, so that ruler and rows are equally wide.
+    # Reserve the width of the scroll bar, so that ruler and rows are equally wide.
     width = max(avail.x - beside - titles - imgui.get_style().scrollbar_size - 8, 60.0)
     timeline.ruler.width_px = width
     if not timeline.is_fitted:
@@ -128,7 +128,7 @@ def _rows(session: Editor, titles: float, width: float) -> None:
 
 
 def _wheel(session: Editor, left: float) -> None:
-    """Zoom by the wheel and pan by the middle button, over ruler and rows; Shift and the wheel scroll the rows."""
+    """Zoom with the wheel and pan with the middle button, over ruler and rows; Shift+wheel scrolls the rows."""
     io, ruler = imgui.get_io(), session.timeline.ruler
     x = imgui.get_mouse_pos().x - left
     if not imgui.is_window_hovered(imgui.HoveredFlags_.child_windows) or not 0 <= x <= ruler.width_px:

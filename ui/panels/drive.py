@@ -1,4 +1,4 @@
-"""The Drive panel: a closed-loop test through the scene as it is now, and the roll-outs that are open."""
+"""Drive panel: closed-loop test in the current scene, open roll-outs, and scenario settings."""
 
 from functools import partial
 from pathlib import Path
@@ -79,18 +79,17 @@ def _warn(words: str) -> None:
     imgui.pop_style_color()
 
 
-# § Widgets for what is driven: the scenario, who drives, in which rain.
+# Scenario, agent and rain
 
 _SCENARIOS = f"Scenarios{{.yaml,.yml,.xosc}},{ALL_FILES}"
 
 _DETECTORS = f"Detectors{{.onnx}},{ALL_FILES}"
 
 _BLIND = ("constant-velocity", "oracle-idm")
-"""Agents that look at no pictures and ask nobody."""
+"""Agents that use neither images nor a server."""
 
 
 def scenario_choice(session: Editor) -> None:
-    """Pick a shipped scenario, or one from a file."""
     wanted = session.drives.settings
     plain_label("Scenario", wanted.scenario.description or "What happens on the road.")
     names = wanted.scenario_names
@@ -111,12 +110,10 @@ def scenario_choice(session: Editor) -> None:
 
 
 def ask_for_scenario(session: Editor) -> None:
-    """Ask for a scenario's file."""
     ask_what_to_open("Open a scenario", _SCENARIOS, lambda chosen: session.drives.settings.load(chosen[0]))
 
 
 def agent_fields(wanted: DriveSetup) -> None:
-    """Pick who drives, and what it needs."""
     wishes, names = wanted.wishes, wanted.agent_names
     plain_label("Agent", field_info("agent", type(wishes)).help)
     present = names.index(wishes.agent) if wishes.agent in names else 0
@@ -161,7 +158,7 @@ def _text(wanted: DriveSetup, name: str, hint: str) -> None:
     imgui.set_item_tooltip(info.help)
 
 
-# § Widgets for the roll-outs that are open: which one plays, where the camera goes, jumps to what matters.
+# Open roll-outs
 
 _KINDS = "Roll-outs{.jsonl,.parquet}"
 
@@ -214,7 +211,6 @@ def rollout_fields(session: Editor) -> None:
 
 
 def ask_for_rollout(session: Editor) -> None:
-    """Ask for a roll-out's file."""
     kinds = f"{_KINDS},{ALL_FILES}"
 
     def take(chosen: list[Path]) -> None:
@@ -306,12 +302,12 @@ def _display_options(drives: RolloutPlayer) -> None:
     imgui.set_item_tooltip("On: the rain that was driven in. Off: the scene's own, as the Rain panel sets it.")
 
 
-# § Widgets for a scenario's own numbers: the start, each road user and what it does, the controller.
+# Scenario settings
 
 _Settings = TypeVar("_Settings", bound=msgspec.Struct)
 
 _DRAG_PX, _FASTEST = 300.0, 0.1
-"""So far one drags from end to end, and at most so much changes a pixel."""
+"""Drag distance over the whole range in pixels, and the largest change per pixel."""
 
 _START = ("speed_m_s", "left_m", "duration_s", "step_s")
 
@@ -319,7 +315,6 @@ _USER = ("ahead_m", "left_m", "turned_deg", "speed_m_s")
 
 
 def scenario_fields(wanted: DriveSetup) -> None:
-    """Draw them, with a button that saves the scenario."""
     scenario = wanted.scenario
     for name in _START:
         scenario = _field(scenario, name)
@@ -342,7 +337,6 @@ def scenario_fields(wanted: DriveSetup) -> None:
 
 
 def ask_where_to_save_scenario(wanted: DriveSetup) -> None:
-    """Ask for the scenario's file."""
     ask_where_to_save("Save the scenario", "Scenario{.yaml}", lambda chosen: wanted.save(chosen[0]))
 
 
@@ -358,7 +352,7 @@ def _user(user: ScenarioUser) -> ScenarioUser:
 
 
 def _all_fields(settings: _Settings) -> _Settings:
-    """Numbers, switches, one of a few words, and settings inside; what holds more is for the file."""
+    """Draw numbers, toggles, choices and nested settings; other values are edited in the file."""
     for name in settings.__struct_fields__:
         value = getattr(settings, name)
         if isinstance(value, msgspec.Struct):
@@ -372,7 +366,7 @@ def _all_fields(settings: _Settings) -> _Settings:
 
 
 def _field(settings: _Settings, name: str) -> _Settings:
-    """Draw a field's widget; numbers with decimals are dragged, since their bounds are far apart."""
+    """Draw a field's widget; floats are dragged, since their bounds are far apart."""
     value = getattr(settings, name)
     if not isinstance(value, float):
         return edit_field(settings, name)

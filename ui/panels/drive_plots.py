@@ -1,4 +1,7 @@
-"""The Drive plots: speed, acceleration, time to collision and gap over time; a click in one goes to its moment."""
+"""Drive plots, table of metrics, and rig camera mosaic.
+
+The plots show speed, acceleration, time to collision and gap over time; a click goes to that time.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,14 +21,14 @@ from gsrain_engine.simulation.metrics.summary import DriveMetrics
 from ..widgets.draw import BACKGROUND, OUTLINE, PLAYHEAD, color
 
 _WIDE = 1.6
-"""From so many times wider than high on, plots stand side by side."""
+"""Aspect ratio from which the plots are side by side."""
 
 _MIN_EM, _HIGHEST_EM = 8.0, 14.0
 
 _MARGIN = 0.08
 
 _RIGHT = 0.03
-"""Of the longest drive, free at its end: a collision is marked there."""
+"""Free share at the end of the time axis: a collision is marked there."""
 
 _HIT = ImVec4(0.95, 0.33, 0.28, 1.0)
 
@@ -33,13 +36,13 @@ _HIT = ImVec4(0.95, 0.33, 0.28, 1.0)
 @dataclass(frozen=True)
 class _Plot:
     field: str
-    """Of `RolloutCurves`."""
+    """Field of `RolloutCurves`."""
     title: str
     unit: str
     help: str
     low: float
     high: float
-    """What is seen at least."""
+    """Minimum range of the axis."""
 
     def of(self, curves: RolloutCurves) -> Float64[np.ndarray, " n"]:
         return getattr(curves, self.field)
@@ -134,18 +137,17 @@ def _cursor(now_s: float) -> None:
     implot.plot_inf_lines("now", np.array([now_s]), spec=spec)
 
 
-# § Colours of roll-outs in plots and lists: by their rain, from amber (dry) to violet (12 mm/h and more).
+# Colors of roll-outs by rain, from amber (dry) to violet (12 mm/h and more)
 
 _STOPS = ((0.0, (0.98, 0.74, 0.25)), (1.2, (0.45, 0.82, 0.45)), (8.5, (0.35, 0.68, 1.0)), (12.0, (0.78, 0.52, 1.0)))
 
 _DARKER = 0.72
-"""Each further one of the same rain."""
+"""Factor for each further roll-out in the same rain."""
 
 _FEW = 3
 
 
 def curve_colors(opened: Sequence[LoadedRollout]) -> list[ImVec4]:
-    """A colour for each, in their order."""
     colors: list[ImVec4] = []
     for number, each in enumerate(opened):
         alike = sum(other.intensity_mm_h == each.intensity_mm_h for other in opened[:number])
@@ -162,7 +164,7 @@ def _rain_color(intensity_mm_h: float) -> tuple[float, ...]:
     return _STOPS[-1][1]
 
 
-# § The table of metrics: a column for each roll-out that is open.
+# Table of metrics, a column per roll-out
 
 _MAX_COLUMNS = 5
 
@@ -228,13 +230,13 @@ def drive_metrics(session: Editor) -> None:
         imgui.set_item_tooltip("Planned points were not tested against the scene's background: the file has no scene.")
 
 
-# § The Rig cameras panel: what each camera of the ego vehicle sees now, side by side.
+# Rig cameras panel
 
 _GAP = 3.0
 
 
 def camera_mosaic_panel(session: Editor) -> None:
-    """Draw the panel; pictures are only drawn while it is to be seen."""
+    """Draw the panel; images are rendered only while it is visible."""
     mosaic, scene = session.drives.mosaic, session.scene
     if scene.ego is None or not scene.rigs:
         imgui.text_wrapped("This scene has no ego vehicle with cameras.")

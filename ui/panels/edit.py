@@ -1,4 +1,4 @@
-"""The Edit panel: what can be done with the selection, and with the layer or actor that is picked, by numbers."""
+"""Edit panel, floater cleanup, placement, actor motion, and the History panel."""
 
 from dataclasses import dataclass
 
@@ -85,12 +85,12 @@ def _member(session: Editor, member: Layer | Actor) -> None:
     imgui.end_disabled()
 
 
-# § Clean-up of floaters: rules, a search that selects what it finds, and what to do with it.
+# Floater cleanup
 
 
 @dataclass(slots=True)
 class _FloaterChoice:
-    """The rules that are set; they are no part of the document."""
+    """Current floater rules; they are not part of the document."""
 
     rules: FloaterRules
 
@@ -98,11 +98,10 @@ class _FloaterChoice:
 _chosen = _FloaterChoice(FloaterRules())
 
 _RANGES = {"opacity_below": (1.0, "%.3g"), "size_above_m": (20.0, "%.3g"), "isolation_above": (50.0, "%.3g x median")}
-"""Where each slider ends, and how its value is written."""
+"""Upper bound and number format of each slider."""
 
 
 def floater_fields(session: Editor) -> None:
-    """Edit the rules, search, delete."""
     for name, (high, written) in _RANGES.items():
         info, value = field_info(name, FloaterRules), getattr(_chosen.rules, name)
         plain_label(f"{info.title} ({info.unit})" if info.unit else info.title, info.help)
@@ -132,11 +131,10 @@ def floater_fields(session: Editor) -> None:
             imgui.set_item_tooltip("Delete what was found; undo brings it back.")
 
 
-# § Where a layer or an actor lies, as numbers.
+# Position, rotation and scale
 
 
 def place_fields(session: Editor, member: Layer | Actor) -> None:
-    """Edit position, turn and scale."""
     time_s = session.clock.time_s
     pose = layer_pose(session.scene, member.key, time_s)
     if pose is None:
@@ -167,11 +165,10 @@ def _place(session: Editor, member: Layer | Actor, pose: Pose) -> None:
 
 _CLAMP = imgui.SliderFlags_.always_clamp | imgui.SliderFlags_.logarithmic
 
-# § How an actor drives: when, how fast, which way it faces; and the camera that goes with it.
+# Actor motion
 
 
 def actor_fields(session: Editor, actor: Actor) -> None:
-    """Edit times and heading; copy, remove, follow."""
     key, start, duration = actor.key, start_of(actor), duration_of(actor)
     plain_label("Starts at (s)", "Second of the scene's clock at which its drive begins.")
     changed, typed = imgui.drag_float("##start", start, 0.02, -3600, 3600, "%.2f")
@@ -209,11 +206,11 @@ def actor_fields(session: Editor, actor: Actor) -> None:
 
 _ACTOR_CLAMP = imgui.SliderFlags_.always_clamp
 
-# § The History panel: every step; a click goes there.
+# History panel
 
 
 class _ScrollState:
-    """The step that the list was last scrolled to."""
+    """Step that the list was last scrolled to."""
 
     cursor = -1
 

@@ -1,4 +1,4 @@
-"""The Jobs panel: watch and cancel background work."""
+"""Jobs, Log and Statistics panels."""
 
 import logging
 import webbrowser
@@ -22,13 +22,13 @@ def jobs_panel(session: Editor) -> None:
         session.clear_jobs()
 
 
-# § One job as panels show it: how far it is, what it shows, what stops it, and what came of it.
+# One job: progress, preview, cancel button and result
 
 _HIGHEST_PREVIEW_EM = 9.0
 
 
 def job_fields(session: Editor, job: BackgroundJob, number: int) -> None:
-    """Draw a job; `number` tells it from the others of the panel."""
+    """Draw a job; `number` distinguishes it from others in the panel."""
     if job.state == "running":
         imgui.progress_bar(job.progress.fraction, (-1, 0), f"{100 * job.progress.fraction:.0f} %")
         imgui.text_wrapped(job.progress.message)
@@ -51,7 +51,7 @@ def job_fields(session: Editor, job: BackgroundJob, number: int) -> None:
 
 
 def _preview(session: Editor, job: BackgroundJob) -> None:
-    """Show the job's newest picture, as wide as the panel and not too high."""
+    """Draw the latest preview, fitted to the panel's width and limited in height."""
     if (preview := session.previews.get(job)) is None:
         return
     width = min(
@@ -61,7 +61,7 @@ def _preview(session: Editor, job: BackgroundJob) -> None:
     imgui.set_item_tooltip("What the job has just made.")
 
 
-# § The Log panel: what the program has said, newest at the bottom, narrowed by level and words.
+# Log panel
 
 _COLORS = {logging.ERROR: ImVec4(0.95, 0.45, 0.38, 1.0), logging.WARNING: ImVec4(0.9, 0.62, 0.2, 1.0)}
 
@@ -69,8 +69,6 @@ _LEVELS = {"all": logging.INFO, "warnings": logging.WARNING, "errors": logging.E
 
 
 class _LogFilter:
-    """What is shown."""
-
     level = "all"
     words = ""
 
@@ -122,7 +120,7 @@ def _line(line: LogLine, number: int) -> None:
         imgui.tree_pop()
 
 
-# § The Statistics panel: frames a second, milliseconds a stage, what was drawn.
+# Statistics panel
 
 
 def statistics_panel(session: Editor) -> None:

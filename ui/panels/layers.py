@@ -1,4 +1,4 @@
-"""The Layers panel: layers and actors as a list; shown, locked, named, ordered, copied, joined, removed."""
+"""Layers panel: visibility, locks, names, order and merging of layers and actors, and color grading."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -21,7 +21,7 @@ _ICON_EM = 1.3
 
 @dataclass(slots=True)
 class _Naming:
-    """The member that is being renamed, and what is typed."""
+    """Layer or actor being renamed, and the typed name."""
 
     key: str = ""
     typed: str = ""
@@ -30,7 +30,7 @@ class _Naming:
 
 @dataclass(slots=True)
 class _Marked:
-    """Members that are to be merged: picked with Ctrl."""
+    """Layers to merge, chosen with Ctrl."""
 
     keys: list[str] = field(default_factory=list[str])
 
@@ -213,13 +213,12 @@ def _buttons(session: Editor) -> None:
     imgui.end_disabled()
 
 
-# § Opacity and colour grading of a layer or an actor.
+# Opacity and color grading
 
 _RESET = icons_fontawesome_6.ICON_FA_ROTATE_LEFT
 
 
 def grading_fields(session: Editor, member: Layer | Actor) -> None:
-    """One slider a field, each with a button that takes it back."""
     plain_label("Opacity", f"Multiplies that of every Gaussian of {member.name}; 1 leaves it.")
     changed, value = _slider("opacity", member.opacity, 0.0, 1.0, 1.0)
     if changed:
@@ -250,7 +249,7 @@ def _grade(session: Editor, member: Layer | Actor, what: str, grading: ColorGrad
 
 
 def _slider(name: str, value: float, low: float, high: float, rest: float) -> tuple[bool, float]:
-    """Return whether it was changed, by the slider or by its reset button, and to what."""
+    """Return whether slider or reset button changed the value, and the value."""
     side = imgui.get_frame_height()
     imgui.set_next_item_width(-side - imgui.get_style().item_inner_spacing.x)
     changed, slid = imgui.slider_float(f"##{name}", value, low, high, "%.2f", imgui.SliderFlags_.always_clamp)

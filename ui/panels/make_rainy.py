@@ -1,4 +1,4 @@
-"""The panel "Make it rainy": how, from which views, one view beforehand, the job, and what came of it."""
+"""Panel "Make it rainy": method, views, preview, job and result."""
 
 from functools import partial
 from pathlib import Path
@@ -24,15 +24,15 @@ _ICONS = icons_fontawesome_6
 _WEIGHTS = f"Weights{{.pkl,.safetensors,.ckpt,.pt}},{ALL_FILES}"
 
 _PLACES = {"weights": _WEIGHTS, "images": "", "base": "", "normals_weights": _WEIGHTS, "normals_checkout": ""}
-"""Settings that are files, with their kinds, or folders."""
+"""Settings that are paths, with their file types; "" for folders."""
 
 _LABELS = {"normals_weights": "Their weights", "normals_checkout": "Its program"}
 
 _FIRST = 1
-"""So many settings of a method stand open."""
+"""Number of a method's settings that are always visible."""
 
 _HIGHEST_PREVIEW_EM = 7.0
-"""The picture in the view is the large one."""
+"""Small, since the viewport shows the preview at full size."""
 
 _MAKE_HELP = (
     "Transfer the views, then solve for the wet colours in which the scene looks like them, in the background.\n"
@@ -125,7 +125,7 @@ def _preview(session: Editor) -> None:
     imgui.set_item_tooltip(_PREVIEW_HELP if why_not is None else why_not)
     texture, stale = rainy.texture, rainy.what_is_stale(session)
     if texture is None or session.running_jobs:
-        return  # a job that runs shows its own pictures
+        return  # a running job shows its own previews
     highest = _HIGHEST_PREVIEW_EM * imgui.get_font_size()
     width = min(imgui.get_content_region_avail().x, highest * texture.width / texture.height)
     faint = (1.0, 1.0, 1.0, 1.0 if stale is None else 0.5)
@@ -162,7 +162,7 @@ def _make(session: Editor) -> None:
 
 
 def _result(session: Editor) -> None:
-    """What blends wet colours in, and what shows them beside the clear ones."""
+    """Draw the blending of wet colors, and the comparison with the clear ones."""
     if not session.scene.has_wet_colors:
         return
     imgui.separator_text("Wet colours")

@@ -1,4 +1,4 @@
-"""The Rain panel: what a person asks for."""
+"""Rain panel and Read-out panel."""
 
 from functools import cache, lru_cache
 
@@ -145,7 +145,7 @@ def _regions(session: Editor) -> None:
     fields.box(session, "haze_region")
 
 
-# § The row of the drops' colour: edited, picked from the view, or taken from the scene's sky again.
+# Drop color
 
 PICK_TOOL = "Pick sky colour"
 
@@ -178,7 +178,7 @@ def drop_color(session: Editor) -> None:
         imgui.set_tooltip("Take the mean of the scene's own sky in linear light, as at first (eq. 3).")
 
 
-# § The row of the wetness: how much of the scene's wet colours is shown, by the intensity or as a person sets it.
+# Wetness
 
 _NO_WET_COLORS = 'The scene has no wet colours yet: the panel "Make it rainy" or recolouring in Capture makes them.'
 
@@ -206,7 +206,7 @@ def wetness_fields(session: Editor) -> None:
     imgui.set_item_tooltip(help_text if has_colors else _NO_WET_COLORS)
 
 
-# § The Read-out panel: what follows from the intensity.
+# Read-out panel: quantities derived from the intensity
 
 
 def rain_properties_panel(session: Editor) -> None:

@@ -1,4 +1,4 @@
-"""The curve of the Shower panel: intensity over time with keys to drag, and the keys of wind and exposure below it."""
+"""Plot of the Shower panel: draggable keyframes of intensity over time, with those of wind and exposure below."""
 
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
@@ -25,17 +25,16 @@ _GRIP_PX = 8.0
 _MAX_KEYS, _MAX_POINTS = 150, 20_000
 
 _CLOSEST_S = 0.01
-"""Two keys never come nearer."""
 
 _ROWS: tuple[tuple[Keyed, str], ...] = (("wind_m_s", "wind"), ("exposure_s", "exposure"))
 
 
 def rain_keyframe_plot(session: Editor, width: float) -> None:
-    """Draw the plot, so many pixels wide, and act on the mouse."""
+    """Draw the plot in the given width in pixels, and handle the mouse."""
     shower, weather = session.shower, session.weather
     shower.follow(weather, weather.heaviest_mm_h(session.rain))
     fit, menu = implot.get_input_map().fit, implot.get_input_map().menu
-    implot.get_input_map().fit = implot.get_input_map().menu = imgui.MouseButton_.middle  # both are the keys' own here
+    implot.get_input_map().fit = implot.get_input_map().menu = imgui.MouseButton_.middle  # both buttons edit keyframes
     flags = implot.Flags_.no_menus | implot.Flags_.no_box_select | implot.Flags_.no_mouse_text
     flags |= implot.Flags_.no_legend | implot.Flags_.no_title
     em = imgui.get_font_size()
@@ -44,7 +43,7 @@ def rain_keyframe_plot(session: Editor, width: float) -> None:
     if implot.begin_plot("##shower", ImVec2(width, height), flags):
         _axes(session)
         _curve(session)
-        is_over_key = _keys(session)  # before the clock: where both are, the mouse takes the key
+        is_over_key = _keys(session)  # before the clock: where they overlap, the drag moves the keyframe
         _clock(session)
         if implot.is_plot_hovered() and not is_over_key and imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
             at = implot.get_plot_mouse_pos()
@@ -80,7 +79,7 @@ def _curve(session: Editor) -> None:
         at = implot.plot_to_pixels(limits.x.max, CALIBRATED_UP_TO_MM_H)
         words = "beyond calibration"
         above = at.y - imgui.get_font_size() - 2
-        y = above if above >= implot.get_plot_pos().y else at.y + 1  # a low plot has no room above the line
+        y = above if above >= implot.get_plot_pos().y else at.y + 1  # no room above the line in a low plot
         place = ImVec2(at.x - imgui.calc_text_size(words).x - 5, y)
         implot.push_plot_clip_rect()
         implot.get_plot_draw_list().add_text(place, imgui.get_color_u32(_LIMIT), words)
@@ -88,7 +87,7 @@ def _curve(session: Editor) -> None:
 
 
 def _points(session: Editor, first: float, last: float) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """The curve where it is seen: its corners, or of very many as many as there is room for."""
+    """Return the visible curve: its corners, or evenly spaced points if there are too many."""
     curve = session.weather.curves.get("intensity_mm_h")
     if curve is None:
         return np.array([first, last]), np.full(2, session.rain.intensity_mm_h)
@@ -108,7 +107,7 @@ def _clock(session: Editor) -> None:
 
 
 def _keys(session: Editor) -> bool:
-    """Draw the keys of the intensity and drag them; returns whether the mouse has one of them."""
+    """Draw the intensity keyframes and drag them; returns True if the mouse is over one."""
     shower, weather, limits = session.shower, session.weather, implot.get_plot_limits()
     times = weather.key_times["intensity_mm_h"]
     seen = range(*np.searchsorted(times, (limits.x.min, limits.x.max)).tolist())
@@ -146,7 +145,7 @@ def _keys(session: Editor) -> bool:
 
 
 def _deletes(session: Editor) -> bool:
-    """Whether the Delete key means what is under the mouse: selected Gaussians come first."""
+    """Return True if Delete was pressed and applies here: selected Gaussians take precedence."""
     selected = any(each.marks.selected is not None for each in session.scene.members)
     return imgui.is_key_pressed(imgui.Key.delete) and not selected
 
@@ -160,7 +159,7 @@ def _between(times: Float64[np.ndarray, " n"], number: int, wanted: float) -> fl
 def _row(
     session: Editor, name: Keyed, title: str, position: ImVec2, size: ImVec2, shown_s: tuple[float, float]
 ) -> None:
-    """Draw the keys of another field as diamonds on a strip under the plot; they are dragged in time."""
+    """Draw the keyframes of another field as diamonds below the plot; they are dragged in time."""
     height, draw = _ROW_EM * imgui.get_font_size(), imgui.get_window_draw_list()
     top = imgui.get_cursor_screen_pos()
     imgui.dummy(ImVec2(1, height))

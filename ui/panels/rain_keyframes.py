@@ -1,4 +1,4 @@
-"""The Shower panel: how the rain changes over time."""
+"""Shower panel: rain that changes over time, with a table of its keyframes."""
 
 from functools import lru_cache
 from typing import Literal
@@ -28,7 +28,7 @@ _WAYS: tuple[tuple[Literal["linear", "smooth"], str], ...] = (
 )
 
 _WIDE_EM, _NUMBERS_EM = 50.0, 22.0
-"""From so wide on the keys stand beside the plot, and so wide are they there."""
+"""Panel width from which the table is next to the plot, and the table's width."""
 
 SERIES_FILES = "Disdrometer files{.nc,.cdf,.dat,.txt,.csv,.log,.mis,.gz},All files{.*}"
 
@@ -55,7 +55,7 @@ def rain_keyframes_panel(session: Editor) -> None:
 
 
 def add_passing_shower(session: Editor) -> None:
-    """Let a shower pass that begins now; keys of wind and exposure stay."""
+    """Add a shower that starts now; keyframes of wind and exposure stay."""
     shower = shower_keyframes(session.clock.time_s)
     kept = session.weather.without("intensity_mm_h")
     for key in kept.keys:
@@ -66,7 +66,6 @@ def add_passing_shower(session: Editor) -> None:
 
 
 def ask_for_rate_file(session: Editor) -> None:
-    """Ask for a disdrometer file and read it in the background."""
     ask_what_to_open("Import a series", SERIES_FILES, lambda paths: session.lab.read_series(paths[0]))
 
 
@@ -108,7 +107,6 @@ def _buttons(session: Editor) -> None:
 
 
 def _same_line_if_fits(label: str) -> None:
-    """Go on in the same line if the next button still fits."""
     style = imgui.get_style()
     width = imgui.calc_text_size(label, hide_text_after_double_hash=True).x + 2 * style.frame_padding.x
     right = imgui.get_window_pos().x + imgui.get_window_width() - style.window_padding.x
@@ -128,7 +126,7 @@ def _between(session: Editor) -> None:
 
 
 def _series(session: Editor) -> None:
-    """Ask how a series that has been read is to be taken."""
+    """Draw the options for importing a disdrometer series."""
     lab, shower = session.lab, session.shower
     assert lab.series is not None
     name, reading = lab.series
@@ -163,7 +161,7 @@ def _accept_reading(reading: DisdrometerReading, speed_up: float, start_s: float
     return keyframes_from_spectra(reading, speed_up=speed_up, start_s=start_s)
 
 
-# § The keys of the weather as numbers, to be read and typed.
+# Keyframes as numbers
 
 _VISIBLE_ROWS = 8
 
@@ -177,7 +175,7 @@ _TITLES = {
 
 
 def rain_keyframe_table(session: Editor) -> None:
-    """Draw the table; a number counts when its field is left."""
+    """Draw the table; an edit applies when its field loses the focus."""
     weather = session.weather
     columns = ["time", "intensity_mm_h"]
     columns += ["wind x", "wind y"] if weather.is_keyed("wind_m_s") else []
@@ -247,9 +245,9 @@ def _number(key: RainKeyframe, name: str) -> float | None:
 
 
 def _changed(weather: RainKeyframes, key: RainKeyframe, name: str, value: float) -> RainKeyframes:
-    """Return the weather with one number of a key as it was typed, within its bounds."""
+    """Return the keyframes with one number of a keyframe changed, clamped to its bounds."""
     if name == "time":
-        for each in KEYED:  # those that are not keyed here stay out of it
+        for each in KEYED:  # fields without a keyframe here are unaffected
             weather = weather.moved_key(key.time_s, min(max(value, -1e6), 1e6), each)
         return weather
     if name == "intensity_mm_h":

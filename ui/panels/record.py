@@ -1,4 +1,4 @@
-"""The Record panel: what a clip looks like, how much it is, and the way to it."""
+"""Record panel: format, extent and start of a clip."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -54,7 +54,7 @@ def record_panel(session: Editor) -> None:
 
 
 def _video_instead(session: Editor) -> None:
-    """Say that a drive which plays is not in the clip, and how it is filmed."""
+    """Explain that a clip doesn't show the active roll-out, and offer a video of that."""
     imgui.push_style_color(imgui.Col_.text, WARNING)
     imgui.text_wrapped("A clip shows the scene with its own traffic, not the drive that plays.")
     imgui.pop_style_color()
@@ -67,7 +67,6 @@ def _video_instead(session: Editor) -> None:
 
 
 def ask_where_to_record(session: Editor) -> None:
-    """Show the dialog for the timeline's clip."""
     kinds = _KINDS[session.recorder.settings.codec]
     ask_where_to_save("Record the timeline", kinds, lambda chosen: session.recorder.record_to(_plain(chosen[0])))
 
@@ -78,12 +77,12 @@ def ask_where_to_record_still(session: Editor) -> None:
 
 
 def _plain(path: Path) -> Path:
-    """A folder is named without what the dialog's filter puts behind its name."""
+    """Remove the suffix that the dialog's filter appends to a folder's name."""
     return path.with_suffix("") if path.suffix == ".*" else path
 
 
 def _extent(session: Editor) -> bool:
-    """Say how much it is; returns whether it can begin."""
+    """Draw length and size of the clip; returns True if the recording can start."""
     extent = session.recorder.extent()
     if isinstance(extent, str):
         imgui.push_style_color(imgui.Col_.text, WARNING)
@@ -105,7 +104,7 @@ def _minutes(seconds: float) -> str:
     return f"{whole // 60}:{whole % 60:02d} min"
 
 
-# § Widgets for what a clip looks like.
+# Clip settings
 
 _FORMATS: dict[str, Codec] = {
     "MP4 (H.264)": "h264",
@@ -129,7 +128,7 @@ _OTHER = "other"
 _PATH = "the camera path"
 
 _CHECKBOX_EM = 5.2
-"""Room for a checkbox with a word beside a field."""
+"""Width of a checkbox with a word next to a field."""
 
 _PASS_HELP: dict[Pass, str] = {
     "color": "The picture.",
@@ -140,7 +139,6 @@ _PASS_HELP: dict[Pass, str] = {
 
 
 def format_fields(session: Editor) -> None:
-    """Pick what is written, and how good."""
     wanted = session.recorder.settings
     titles = list(_FORMATS)
     plain_label("Format", "What is written: a video, or a folder of numbered frames.")
@@ -166,7 +164,6 @@ def format_fields(session: Editor) -> None:
 
 
 def size_fields(session: Editor) -> None:
-    """Pick a usual size, or type another."""
     present, titles = session.recorder.settings.size_px, list(_SIZES)
     shown = next((title for title, size in _SIZES.items() if size == present), _OTHER)
     _label("size_px")
@@ -186,7 +183,6 @@ def size_fields(session: Editor) -> None:
 
 
 def camera_field(session: Editor) -> None:
-    """Pick the camera path, one camera of the rig, or several at once."""
     _label("cameras")
     wanted = session.recorder.settings.cameras
     shown = ", ".join(wanted) or _PATH
@@ -211,7 +207,6 @@ def camera_field(session: Editor) -> None:
 
 
 def moment_fields(session: Editor) -> None:
-    """Set the frame rate, and from when to when."""
     wanted = session.recorder.settings
     _label("fps")
     changed, fps = imgui.input_float("##fps", wanted.fps, 0.0, 0.0, "%.6g")
@@ -241,13 +236,11 @@ def moment_fields(session: Editor) -> None:
 
 
 def sample_fields(session: Editor) -> None:
-    """Set how many pictures a frame is the mean of."""
     _count(session, "supersampling", 4, lambda n: "off" if n == 1 else f"{n} x {n} a pixel")
     _count(session, "motion_blur", 64, lambda n: "off" if n == 1 else f"{n} sub-frames")
 
 
 def pass_fields(session: Editor) -> None:
-    """Pick what is written beside the picture, and whether there is a clear twin."""
     wanted = session.recorder.settings
     for name, words in _PASS_HELP.items():
         changed, on = imgui.checkbox(name, name in wanted.passes)

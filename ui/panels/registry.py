@@ -1,4 +1,4 @@
-"""What a panel is: a title, where it docks, and the function of the session that draws it."""
+"""Panels: their definition, the table of them, and panels of installed packages."""
 
 import logging
 from collections.abc import Callable
@@ -29,14 +29,14 @@ DockSide = Literal["left", "left bottom", "right", "right bottom", "bottom"]
 
 @dataclass(frozen=True)
 class Panel:
-    """A panel beside the viewport."""
+    """A panel next to the viewport."""
 
     title: str
     side: DockSide
     draw: Callable[[Editor], None]
 
 
-# § The one table of panels, and those of installed packages after them.
+# Table of panels
 
 BUILT_IN_PANELS = (
     Panel("Layers", "left", layers_panel),
@@ -63,19 +63,18 @@ BUILT_IN_PANELS = (
 
 
 def all_panels() -> tuple[Panel, ...]:
-    """Our panels, then those of installed packages."""
     return (*BUILT_IN_PANELS, *installed_panels({each.title for each in BUILT_IN_PANELS}))
 
 
-# § Panels of other installed packages: where one fails, it says so in its place and the window lives on.
+# Panels of other installed packages: one that fails shows its error, and the window continues
 
 logger = logging.getLogger("gsrain")
 
 
 def installed_panels(taken: set[str]) -> tuple[Panel, ...]:
-    """Return the panels of other packages; those that can't be used are left out, and named in the log.
+    """Return the panels of other packages; unusable ones are omitted and logged.
 
-    `taken` are the titles that there are already.
+    `taken` are the existing titles.
     """
     fit: list[Panel] = []
     for extension, panel in load_extensions(PANELS, Panel):
@@ -89,8 +88,6 @@ def installed_panels(taken: set[str]) -> tuple[Panel, ...]:
 
 
 class _Guarded:
-    """Draws a panel until it fails."""
-
     def __init__(self, extension: Extension, panel: Panel) -> None:
         self._extension = extension
         self._draw = panel.draw
@@ -102,7 +99,7 @@ class _Guarded:
             imgui.internal.error_recovery_store_state(before)
             try:
                 self._draw(session)
-            except Exception as error:  # it is code of others
+            except Exception as error:  # the panel is third-party code
                 _close_what_is_open(before)
                 self._failure = str(self._extension.unfit(error))
                 session.problem = self._failure
@@ -115,7 +112,7 @@ class _Guarded:
 
 
 def _close_what_is_open(before: imgui.internal.ErrorRecoveryState) -> None:
-    """End the groups, tables and popups that a panel has begun, and take back the styles that it has pushed."""
+    """Close the groups, tables and popups that a failed panel left open, and pop its styles."""
     io = imgui.get_io()
     asserted, shown = io.config_error_recovery_enable_assert, io.config_error_recovery_enable_tooltip
     io.config_error_recovery_enable_assert = io.config_error_recovery_enable_tooltip = False

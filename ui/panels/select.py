@@ -1,4 +1,4 @@
-"""The Select panel: how much is selected, more and less of it, by attribute, and sets to come back to."""
+"""Select panel: selection commands, selection by attribute range, and selection sets."""
 
 from typing import get_args
 
@@ -67,7 +67,7 @@ def _more_or_less(session: Editor, count: int) -> None:
     imgui.set_item_tooltip("Between centres, in metres. Ctrl+click to type.")
 
 
-# § Selection sets in the Select panel: save what is selected, come back to it, rename, delete.
+# Selection sets
 
 _SIGNS: dict[Mode, tuple[str, str]] = {
     "set": (icons_fontawesome_6.ICON_FA_ARROW_POINTER, "Select the Gaussians of this set."),
@@ -124,7 +124,7 @@ def _row(session: Editor, name: str, size: int) -> None:
 
 
 def _name(session: Editor, name: str) -> None:
-    """Draw the name; a double click lets it be typed."""
+    """Draw the name; a double click edits it."""
     options = session.selecting
     if options.renamed_set != name:
         imgui.align_text_to_frame_padding()
@@ -145,10 +145,10 @@ def _name(session: Editor, name: str) -> None:
         options.renamed_set = ""
 
 
-# § Selecting by a range of an attribute that is dragged over its histogram.
+# Attribute range over a histogram
 
 _SIZE = 16
-"""Any size: attributes depend on where the camera is, not on its pixels."""
+"""Any size: attributes depend on the camera's position, not on its pixels."""
 
 _HEIGHT_EM = 8.0
 
@@ -165,7 +165,7 @@ _HELP: dict[Mode, str] = {
 
 
 def attribute_range(session: Editor) -> None:
-    """Draw the choice of an attribute, its histogram, and what to do with the range."""
+    """Draw the choice of an attribute, its histogram, and the buttons that apply the range."""
     options, shot = session.selecting, session.shot(_SIZE, _SIZE)
     names = list(ATTRIBUTES)
     imgui.set_next_item_width(-1)
@@ -201,7 +201,7 @@ def _title(name: str) -> str:
 
 
 def _plot(name: str, histogram: Histogram, low: float, high: float) -> tuple[float, float]:
-    """Draw the bars with the range over them; returns the range as it was dragged."""
+    """Draw the bars with the range over them; returns the dragged range."""
     flags = implot.Flags_.no_menus | implot.Flags_.no_box_select | implot.Flags_.no_legend | implot.Flags_.no_title
     width = imgui.get_content_region_avail().x  # -1 would mean at least 200 pixels
     size = ImVec2(width, _HEIGHT_EM * imgui.get_font_size())
@@ -228,7 +228,7 @@ def _plot(name: str, histogram: Histogram, low: float, high: float) -> tuple[flo
 
 
 def _with_margin(first: float, last: float, logarithmic: bool) -> tuple[float, float]:
-    """Limits of the axis: lines at the outer edges stay whole."""
+    """Return axis limits with a margin, so that lines at the outer edges stay visible."""
     if logarithmic:
         ratio = (last / first) ** 0.02
         return first / ratio, last * ratio
@@ -244,7 +244,7 @@ def _bars(label: str, histogram: Histogram, counts: np.ndarray, color: ImVec4) -
 
 
 def _dragged(low: float, high: float, first: float, last: float) -> tuple[float, float]:
-    """Shade the range, and let it be dragged: by its lines, or anew over the bars."""
+    """Draw the range, and drag its lines or a new range."""
     low, high = min(max(low, first), last), min(max(high, first), last)
     limits = implot.get_plot_limits()
     draw = implot.get_plot_draw_list()
@@ -280,7 +280,7 @@ def _numbers(name: str, histogram: Histogram, chosen: tuple[float, float]) -> tu
     imgui.set_item_tooltip(
         "The range in the attribute's unit; Ctrl+click to type. At an outer edge of the plot it goes on without end."
     )
-    if changed:  # only then: the widget rounds to single precision
+    if changed:  # because the widget rounds to single precision
         low, high = typed_low, typed_high
     imgui.text_disabled(f"about {histogram.count_within(low, high):,} within")
     return low, high

@@ -1,4 +1,4 @@
-"""Camera keys on the timeline: a click goes there, a drag moves in time, a drag with Ctrl copies."""
+"""Timeline: camera keyframes, numbers, path menu, rows, ruler and transport bar."""
 
 from typing import get_args
 
@@ -37,11 +37,11 @@ _LEFT, _RIGHT = imgui.MouseButton_.left, imgui.MouseButton_.right
 _DRAG_PX = 3.0
 
 _APART_PX = 3.0
-"""Keys that stand closer are left out until the timeline is zoomed in: imported paths have thousands."""
+"""Minimum distance: imported paths have thousands of keyframes, so closer ones are hidden until zoomed in."""
 
 
 def camera_keyframes(session: Editor, corner: ImVec2, width: float, height: float) -> None:
-    """Draw the keys of the person's path into a row, and act on the mouse."""
+    """Draw the camera path's keyframes into a row: click goes to one, drag moves it in time, Ctrl+drag copies it."""
     path, ruler = session.scene.path, session.timeline.ruler
     if path is None:
         return
@@ -55,7 +55,7 @@ def camera_keyframes(session: Editor, corner: ImVec2, width: float, height: floa
 
 
 def keyframe_menu(session: Editor) -> None:
-    """Draw the menu that a right click on a key opened; in the window that the keys are in."""
+    """Draw the context menu of a keyframe, in the window of the keyframes."""
     if not imgui.begin_popup("key menu"):
         return
     key = camera_path.active_keyframe(session)
@@ -99,7 +99,7 @@ def _key(session: Editor, key: int, moment: float, at: ImVec2) -> None:
 
 
 def _drag(session: Editor) -> None:
-    """Go on with a drag that began on a key of this row: keys change their numbers under the hand."""
+    """Continue a drag of a keyframe in this row; keyframe numbers change during the drag."""
     timeline = session.timeline
     if timeline.drag is None or timeline.drag.in_view:
         return
@@ -122,7 +122,7 @@ def _item(name: str, help_text: str) -> bool:
     return clicked
 
 
-# § The numbers beside the timeline: those of the chosen key, else those of the whole path.
+# Numbers of the active keyframe, else of the whole path
 
 _TOO_FAST = (0.95, 0.45, 0.38, 1.0)
 
@@ -247,7 +247,7 @@ def _label(text: str, help_text: str) -> None:
     imgui.same_line(_LABEL_EM * imgui.get_font_size())
 
 
-# § What can be done with the whole camera path: from and to files, from the drive, backwards, away.
+# Camera path menu
 
 _FRAME_RATES = (10.0, 24.0, 25.0, 30.0, 50.0, 60.0)
 
@@ -255,7 +255,6 @@ _JSON = "Camera paths{.json},All files{.*}"
 
 
 def path_menu(session: Editor) -> None:
-    """Draw the button, and its menu while it is open."""
     if icon_button(
         f"Path {icons_fontawesome_6.ICON_FA_CARET_DOWN}", "path", "Files, the drive, and the path as a whole."
     ):
@@ -274,12 +273,10 @@ def path_menu(session: Editor) -> None:
 
 
 def ask_for_import(session: Editor) -> None:
-    """Show the dialog for a path to read."""
     ask_what_to_open("Import a camera path", _JSON, lambda chosen: camera_path.import_path(session, chosen[0]))
 
 
 def ask_for_export(session: Editor) -> None:
-    """Show the dialog for a path to write."""
     ask_where_to_save("Export the camera path", _JSON, lambda chosen: camera_path.export_path(session, chosen[0]))
 
 
@@ -337,7 +334,7 @@ def _menu_item(name: str, help_text: str, *, possible: bool = True) -> bool:
     return clicked
 
 
-# § The rows of the timeline: camera keys that are dragged, keys of the rain, and who is in the scene when.
+# Rows: camera keyframes, rain keyframes, and lifetimes of actors
 
 ROW_EM = 1.3
 
@@ -345,7 +342,6 @@ _ROW_RADIUS = 4.0
 
 
 def rows(session: Editor, titles_px: float, width: float) -> None:
-    """Draw all rows from the cursor on, with their titles to the left."""
     _camera(session, titles_px, width)
     ruler, weather = session.timeline.ruler, session.weather
     last_s = ruler.first_s + ruler.visible_span_s
@@ -393,7 +389,7 @@ def _row(session: Editor, row: TimelineRow, titles_px: float, width: float, *, i
 
 
 def _begin(title: str, help_text: str, titles_px: float, width: float) -> tuple[ImVec2, float]:
-    """Draw title and background of a row; what follows is clipped to its part right of the titles."""
+    """Draw title and background of a row; the rest is clipped to the part right of the titles."""
     start, height = imgui.get_cursor_screen_pos(), ROW_EM * imgui.get_font_size()
     draw, corner = imgui.get_window_draw_list(), ImVec2(start.x + titles_px, start.y)
     imgui.invisible_button(f"row {title}", ImVec2(titles_px - 4, height))
@@ -406,7 +402,7 @@ def _begin(title: str, help_text: str, titles_px: float, width: float) -> tuple[
     return corner, height
 
 
-# § The ruler of the timeline: marks in seconds, the playhead that is dragged, and the grips of what plays.
+# Ruler
 
 HEIGHT_EM = 1.7
 
@@ -423,7 +419,7 @@ _HELP = (
 
 
 def time_ruler(session: Editor, width: float) -> None:
-    """Draw the ruler at the cursor, and scrub while it is held."""
+    """Draw the ruler at the cursor, and scrub while it is dragged."""
     corner, height = imgui.get_cursor_screen_pos(), HEIGHT_EM * imgui.get_font_size()
     ruler = session.timeline.ruler
     imgui.set_next_item_allow_overlap()
@@ -440,7 +436,6 @@ def time_ruler(session: Editor, width: float) -> None:
 
 
 def playhead(session: Editor, corner: ImVec2, width: float, height: float, *, with_head: bool) -> None:
-    """Draw the line of the present moment."""
     x = session.timeline.ruler.x(session.clock.time_s)
     if not -1 <= x <= width + 1:
         return
@@ -466,7 +461,7 @@ def _marks(session: Editor, corner: ImVec2, width: float, height: float) -> None
 
 
 def _span(session: Editor, corner: ImVec2, width: float, height: float) -> None:
-    """A band over what plays, with a grip at either end."""
+    """Draw the playback range, with a handle at either end."""
     draw, ruler = imgui.get_window_draw_list(), session.timeline.ruler
     start, end = session.span_s
     low = corner.y + height
@@ -492,7 +487,7 @@ def _span(session: Editor, corner: ImVec2, width: float, height: float) -> None:
         draw.add_rect_filled(ImVec2(x - 2, top), ImVec2(x + 2, low), color(PLAYED), 1.0)
 
 
-# § The bar above the timeline: play, step, the time, keys, and what can be done with the whole path.
+# Transport bar
 
 _FA = icons_fontawesome_6
 
@@ -582,11 +577,11 @@ def _keys(session: Editor) -> None:
     imgui.end_disabled()
 
 
-# § Small buttons of the Timeline panel.
+# Small buttons
 
 
 def icon_button(icon: str, name: str, help_text: str) -> bool:
-    """Draw a button with a symbol; `name` is what tests and tools call it."""
+    """Draw a button with a symbol; `name` is its identity for tests and tools."""
     clicked = imgui.button(f"{icon}###{name}")
     if imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip | imgui.HoveredFlags_.allow_when_disabled):
         imgui.set_tooltip(help_text)
@@ -594,7 +589,7 @@ def icon_button(icon: str, name: str, help_text: str) -> bool:
 
 
 def typed_number(name: str, value: float, text_format: str) -> float | None:
-    """Draw a field for a number; returns what was typed once it is done: with Enter, or when the field is left."""
+    """Draw a number field; returns the number when Enter is pressed or the field loses the focus."""
     changed, typed = imgui.input_float(name, value, 0, 0, text_format)
     storage, item = imgui.get_state_storage(), imgui.get_item_id()
     if changed:
@@ -603,7 +598,6 @@ def typed_number(name: str, value: float, text_format: str) -> float | None:
 
 
 def switch(icon: str, name: str, help_text: str, *, is_on: bool) -> bool:
-    """Draw a button that stays lit while something is on."""
     color = imgui.Col_.button_active if is_on else imgui.Col_.button
     imgui.push_style_color(imgui.Col_.button, imgui.get_style_color_vec4(color))
     clicked = icon_button(icon, name, help_text)

@@ -1,4 +1,4 @@
-"""From the open capture to Gaussians, and from pictures to their colours: settings, and what starts the jobs."""
+"""Reconstruction of the open capture, recoloring from images, and training of the transfer."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -29,7 +29,7 @@ from .rain import WARNING
 
 @dataclass(slots=True)
 class _ReconstructionChoice:
-    """The settings of the next reconstruction; they are no part of the document."""
+    """Settings of the next reconstruction; they are not part of the document."""
 
     preset: str
     settings: TrainingSettings
@@ -44,7 +44,7 @@ _PRESETS = {
 }
 
 _NUMBERS = {"steps": 50, "width_px": 16, "gaussians": 5000, "held_out": 1}
-"""Whole numbers that are shown, each with the step of its buttons."""
+"""Integer fields, each with the step of its buttons."""
 
 _OWN_BODY: dict[str, bool | None] = {"automatic (drives only)": None, "look for it": True, "don't look": False}
 
@@ -62,7 +62,6 @@ _RECOLOR_OTHERS_HELP = "The same with pictures from a folder, such as transferre
 
 
 def reconstruct_fields(session: Editor) -> None:
-    """Choose settings, start, and follow what was started."""
     captures = session.captures
     if captures.capture is None or captures.path is None:
         return
@@ -94,7 +93,7 @@ def reconstruct_fields(session: Editor) -> None:
 
 
 def _why_not(session: Editor) -> str | None:
-    """Why nothing can be started now; None where it can."""
+    """Return why no job can start now, or None."""
     if session.running_jobs:
         return f"Wait for {session.running_jobs[0].title}, or cancel it."
     return "Wait for the scene that is being brought into the picture." if session.staged is not None else None
@@ -109,7 +108,7 @@ def _button(label: str, help_text: str, why_not: str | None) -> bool:
 
 
 def _newest(session: Editor) -> tuple[int, SceneJob] | None:
-    """Return the last of these jobs, with its place among all."""
+    """Return the last of these jobs, with its index in all jobs."""
     own = [
         (number, job)
         for number, job in enumerate(session.jobs)
@@ -176,7 +175,7 @@ def _set(name: str, value: object) -> None:
     _chosen.settings = msgspec.structs.replace(_chosen.settings, **{name: value})
 
 
-# § Train the transfer: settings, pictures and folder; while it learns its losses as curves, and samples.
+# Transfer training: settings, losses and samples
 
 _FINETUNE_PRESETS = {
     "paper": "The paper's recipe: 20,000 iterations of 512 x 512; 16 hours on a data-centre GPU.",
@@ -187,7 +186,7 @@ _CURVES = {
     "There and back": ("cycle_clear", "cycle_rainy", "identity_clear", "identity_rainy"),
     "Judges": ("gan_rainy", "gan_clear", "judge_rainy_made", "judge_rainy_real"),
 }
-"""Losses by plot: what shall fall, and what shall hold each other in balance."""
+"""Losses by plot: those to minimize, and the adversarial ones."""
 
 
 def transfer_training_fields(session: Editor) -> None:

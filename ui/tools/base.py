@@ -1,4 +1,4 @@
-"""What a tool of the viewport is: it draws over the picture and may take the left mouse button for itself."""
+"""Viewport tools: their interface, drags of the left button, and drawing helpers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -14,47 +14,49 @@ from ..widgets.draw import Viewport
 
 @runtime_checkable
 class Tool(Protocol):
-    """One tool; `session.view.tool` names the one that is in use, "" is plain navigation."""
+    """A tool that draws over the viewport and may use the left mouse button.
+
+    `session.view.tool` is the name of the active tool; "" is plain navigation.
+    """
 
     name: str
-    """As on its button and in the command palette, such as "Lasso"."""
+    """Name on its button and in the command palette, such as "Lasso"."""
     icon: str
-    """One symbol of the icon font for the tool bar."""
+    """Symbol of the icon font for the toolbar."""
     key: imgui.Key | None
-    """Picks it."""
     help: str
-    """What it does and which keys it knows, for the tooltip."""
+    """Tooltip with its function and keys."""
 
     def draw(self, session: Editor, viewport: Viewport) -> bool:
-        """Draw over the picture and act on the mouse, each frame; returns whether the left button is its own now."""
+        """Draw over the viewport and handle the mouse, each frame; returns True if the tool uses the left button."""
         ...
 
     def options(self, session: Editor) -> None:
-        """Draw its few settings into the bar above the picture."""
+        """Draw its settings into the bar above the viewport."""
         ...
 
 
-# § A drag of the left button over the picture, as the tools see it: pressed, dragged, released.
+# Drags of the left button
 
 _STILL_PX = 4.0
-"""A hand that moves less than this has clicked."""
+"""Movement up to this distance is a click."""
 
 
 @dataclass(slots=True)
 class LeftDrag:
-    """The places that the mouse has been at since the left button went down; gone when the tool is put away."""
+    """Mouse positions since the left button went down; cleared when the tool is deactivated."""
 
     points: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
     _frame: int = -1
 
     @property
     def has_moved(self) -> bool:
-        """Whether it is more than a click."""
+        """True if it is more than a click."""
         x, y = self.points[0] if self.points else (0.0, 0.0)
         return any(max(abs(u - x), abs(v - y)) > _STILL_PX for u, v in self.points)
 
     def follow(self, viewport: Viewport) -> Literal["none", "pressed", "dragged", "released"]:
-        """Look at the mouse, once a frame; `points` stay until the next press."""
+        """Read the mouse, once per frame; `points` stay until the next press."""
         if imgui.get_frame_count() > self._frame + 1:
             self.drop()
         self._frame = imgui.get_frame_count()
@@ -73,7 +75,7 @@ class LeftDrag:
         self.points = []
 
 
-# § Lines, rings and knobs of the selection tools, readable on any picture: light on dark.
+# Lines, rings and knobs of the selection tools, light on dark to be visible on any image
 
 _DARK, _LIGHT = ImVec4(0.0, 0.0, 0.0, 0.75), ImVec4(1.0, 0.85, 0.3, 1.0)
 
@@ -82,13 +84,12 @@ _FILL = ImVec4(1.0, 0.85, 0.3, 0.10)
 _FAINT = ImVec4(1.0, 0.85, 0.3, 0.55)
 
 KNOB_PX = 7.0
-"""Half the width of what can be dragged."""
+"""Half the width of a draggable knob."""
 
 Pixel = tuple[float, float]
 
 
 def draw_polyline(viewport: Viewport, points: Sequence[Sequence[float]], *, closed: bool = False) -> None:
-    """Draw a line through pixels."""
     on_screen: list[ImVec2Like] = [viewport.on_screen(x, y) for x, y in points]
     flags = imgui.ImDrawFlags_.closed if closed else 0
     for color, width in ((_DARK, 3.5), (_LIGHT, 1.5)):
@@ -96,7 +97,6 @@ def draw_polyline(viewport: Viewport, points: Sequence[Sequence[float]], *, clos
 
 
 def draw_rectangle(viewport: Viewport, first: Pixel, second: Pixel) -> None:
-    """Draw a rectangle between two pixels, lightly filled."""
     low, high = viewport.on_screen(*first), viewport.on_screen(*second)
     draw = imgui.get_window_draw_list()
     draw.add_rect_filled(low, high, imgui.get_color_u32(_FILL))
@@ -110,14 +110,12 @@ def draw_ring(viewport: Viewport, center: Pixel, radius_px: float) -> None:
 
 
 def draw_knob(viewport: Viewport, at: Pixel, *, is_lit: bool) -> None:
-    """Draw something that can be dragged."""
     draw, center = imgui.get_window_draw_list(), viewport.on_screen(*at)
     draw.add_circle_filled(center, KNOB_PX if is_lit else KNOB_PX - 2, imgui.get_color_u32(_DARK))
     draw.add_circle_filled(center, KNOB_PX - (2 if is_lit else 3.5), imgui.get_color_u32(_LIGHT))
 
 
 def is_mouse_at(viewport: Viewport, at: Pixel | None) -> bool:
-    """Whether the mouse is over a knob."""
     if at is None:
         return False
     x, y = viewport.mouse_px
@@ -125,6 +123,6 @@ def is_mouse_at(viewport: Viewport, at: Pixel | None) -> bool:
 
 
 def draw_faint_line(viewport: Viewport, first: Pixel, second: Pixel) -> None:
-    """Draw a thin line: how a shape would close."""
+    """Draw a thin line, such as the closing edge of a shape."""
     draw = imgui.get_window_draw_list()
     draw.add_line(viewport.on_screen(*first), viewport.on_screen(*second), imgui.get_color_u32(_FAINT), 1.0)

@@ -1,4 +1,4 @@
-"""The tool "Rain regions": the boxes that streaks and haze stand in, dragged by their faces."""
+"""Tools "Rain regions" and "Pick sky color": boxes of streaks and haze, and the color of drops."""
 
 from dataclasses import replace
 
@@ -38,11 +38,11 @@ _WHITE = (1.0, 1.0, 1.0, 1.0)
 _CAMERA = (0.62, 0.62, 0.66, 0.9)
 
 Face = tuple[int, bool]
-"""Axis, and whether it is its upper side."""
+"""Axis, and True for its upper side."""
 
 
 class RegionTool:
-    """Drag a dot: its face follows along its normal; the opposite face stays."""
+    """Drag a dot to move its face along the normal; the opposite face stays."""
 
     name = "Rain regions"
     icon = icons_fontawesome_6.ICON_FA_CLOUD_SHOWERS_HEAVY
@@ -55,7 +55,7 @@ class RegionTool:
         self._frozen: RenderView | None = None
 
     def draw(self, session: Editor, viewport: Viewport) -> bool:
-        """Draw the region with a dot on each face that is seen, and the same from outside; act on the mouse."""
+        """Draw the region with a dot on each visible face, and an outside view; handle the mouse."""
         box = getattr(session.rain, self._region)
         anchor = rain_anchor(session.displayed_scene, session.displayed_rain, viewport.shot)
         _edges(viewport, box, anchor, _COLORS[self._region])
@@ -89,7 +89,7 @@ class RegionTool:
                 draw_words(viewport, handle.point_m, f"{'xyz'[handle.axis]} {place:.2f} m")
 
     def _inset(self, viewport: Viewport, box: RegionBox, anchor: Float64[np.ndarray, "4 4"]) -> Viewport:
-        """The lower right corner of the picture; while a face is held it keeps its camera."""
+        """Return the inset viewport at the lower right; its camera is fixed while a face is dragged."""
         em = imgui.get_font_size()
         width, height = int(min(15 * em, 0.5 * viewport.width)), int(min(11 * em, 0.5 * viewport.height))
         corner = viewport.on_screen(viewport.width - width - 0.6 * em, viewport.height - height - 0.6 * em)
@@ -119,7 +119,7 @@ class RegionTool:
         imgui.set_item_tooltip("The region of the paper's setup.")
 
     def _drag(self, session: Editor, viewport: Viewport, inset: Viewport) -> Face | None:
-        """Let the face that is held follow the mouse; returns it."""
+        """Move the dragged face with the mouse; returns the face."""
         if self._pull is None:
             return None
         if not imgui.is_mouse_down(imgui.MouseButton_.left):
@@ -158,11 +158,11 @@ def _under_mouse(viewport: Viewport, handles: list[FaceHandle]) -> FaceHandle | 
     return handles[min(near)[1]] if near else None
 
 
-# § The tool "Pick sky colour": drops take the colour of what is clicked on, or of a rectangle.
+# Tool "Pick sky color"
 
 
 class SkyPickTool:
-    """Click, or drag from corner to corner."""
+    """Click, or drag from corner to corner; drops get the color."""
 
     name = PICK_TOOL
     icon = icons_fontawesome_6.ICON_FA_CLOUD_SUN
@@ -173,7 +173,7 @@ class SkyPickTool:
         self._drag = LeftDrag()
 
     def draw(self, session: Editor, viewport: Viewport) -> bool:
-        """Draw the rectangle, and ask for its colour when it is let go."""
+        """Draw the rectangle, and request its color on release."""
         state = self._drag.follow(viewport)
         if state in ("pressed", "dragged") and self._drag.has_moved:
             base.draw_rectangle(viewport, self._drag.points[0], self._drag.points[-1])

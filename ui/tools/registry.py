@@ -1,4 +1,4 @@
-"""The tools of the viewport: the one table of them. Another tool is another file here and another row."""
+"""Table of the viewport's tools. A new tool needs a file here and a row."""
 
 from .base import Tool
 from .rain import RegionTool, SkyPickTool

@@ -1,4 +1,4 @@
-"""Select by painting over things."""
+"""Selection tools on the screen: brush, lasso, polygon, rectangle, flood and color pick."""
 
 from typing import get_args
 
@@ -21,7 +21,7 @@ _MIN_PX, _MAX_PX = 2.0, 300.0
 
 _STEP = 1.2
 
-# § What the selection tools share: how what they find is taken, and the settings that say so.
+# Brush
 
 MODIFIERS = "Shift adds, Ctrl removes, both intersect."
 
@@ -69,11 +69,11 @@ class BrushTool:
         imgui.set_item_tooltip("Radius of the brush in pixels ([ and ]).")
 
 
-# § Select by a line drawn freely around things.
+# Lasso
 
 
 class LassoTool:
-    """Drag around what is meant."""
+    """Drag around the Gaussians to select."""
 
     name = "Lasso"
     icon = icons_fontawesome_6.ICON_FA_PENCIL
@@ -99,11 +99,11 @@ class LassoTool:
         shape_options(session)
 
 
-# § Select by corners clicked around things.
+# Polygon
 
 
 class PolygonTool:
-    """Click corners; the first one, or Enter, closes. The corners go when the tool is put away."""
+    """Click corners; the first one, or Enter, closes. Deactivating the tool clears the corners."""
 
     name = "Polygon"
     icon = icons_fontawesome_6.ICON_FA_DRAW_POLYGON
@@ -157,7 +157,7 @@ class PolygonTool:
             base.draw_knob(viewport, corner, is_lit=is_end and base.is_mouse_at(viewport, corner))
 
 
-# § Select by a rectangle drawn over the picture.
+# Rectangle
 
 
 class RectangleTool:
@@ -187,11 +187,11 @@ class RectangleTool:
         shape_options(session)
 
 
-# § Select what is like the Gaussian under the mouse: everywhere, or as far as it hangs together.
+# Flood and color pick
 
 
 class FloodTool:
-    """Click on a thing."""
+    """Click on a Gaussian to select connected ones of similar color."""
 
     name = "Flood"
     icon = icons_fontawesome_6.ICON_FA_FILL_DRIP
@@ -225,7 +225,7 @@ class FloodTool:
 
 
 class ColorPickTool:
-    """Click on a colour."""
+    """Click on a color to select it everywhere."""
 
     name = "Colour pick"
     icon = icons_fontawesome_6.ICON_FA_EYE_DROPPER
@@ -249,7 +249,7 @@ class ColorPickTool:
 
 
 def _clicked(session: Editor, viewport: Viewport) -> PickResult | None:
-    """What a click has hit that has just been let go, among what can be selected."""
+    """Return the selectable Gaussian under a finished click, or None."""
     return pick(session.scene, viewport.shot, *viewport.mouse_px, is_selectable) if is_clicked(viewport) else None
 
 
@@ -268,7 +268,7 @@ _DEPTH_HELP = (
 
 
 def mode_now(session: Editor) -> Mode:
-    """How what is found is taken: by the keys that are held, else as chosen in the bar."""
+    """Return the selection mode: from the held modifier keys, else as chosen in the bar."""
     io = imgui.get_io()
     removes = io.key_ctrl or io.key_alt
     if io.key_shift:
@@ -282,7 +282,7 @@ def take_shape(session: Editor, viewport: Viewport, pixels: np.ndarray, by: str)
 
 
 def apply_volume(session: Editor, time_s: float, volume: Volume, by: str, *, now: bool = False) -> None:
-    """Select what lies in a volume, if Enter was pressed or `now`."""
+    """Select the Gaussians in a volume, if Enter was pressed or `now`."""
     keys = (imgui.Key.enter, imgui.Key.keypad_enter)
     is_entered = not imgui.get_io().want_text_input and any(imgui.is_key_pressed(key, False) for key in keys)
     if now or is_entered:
@@ -290,7 +290,7 @@ def apply_volume(session: Editor, time_s: float, volume: Volume, by: str, *, now
 
 
 def mode_options(session: Editor) -> None:
-    """Draw the four ways to take what is found; the one that holds now is lit."""
+    """Draw the four selection modes; the current one is highlighted."""
     now = mode_now(session)
     for number, mode in enumerate(get_args(Mode)):
         if number:
@@ -306,7 +306,6 @@ def mode_options(session: Editor) -> None:
 
 
 def shape_options(session: Editor) -> None:
-    """Draw the settings of tools that draw a shape over the picture."""
     options = session.selecting
     mode_options(session)
     same_line_if_fits(14)
@@ -329,7 +328,6 @@ def shape_options(session: Editor) -> None:
 
 
 def tolerance_option(session: Editor) -> None:
-    """Draw how far colours may differ."""
     options = session.selecting
     imgui.set_next_item_width(9 * imgui.get_font_size())
     flags = imgui.SliderFlags_.always_clamp
@@ -341,7 +339,7 @@ def tolerance_option(session: Editor) -> None:
 
 
 def volume_buttons(session: Editor, volume: Volume, name: str) -> bool:
-    """Draw what can be done with a volume as it stands; returns whether it is to be taken away."""
+    """Draw the buttons of a volume; returns True if it is to be removed."""
     same_line_if_fits(11)
     if imgui.button(f"Apply##{name}"):
         apply_volume(session, session.clock.time_s, volume, name, now=True)
@@ -353,7 +351,7 @@ def volume_buttons(session: Editor, volume: Volume, name: str) -> bool:
 
 
 def same_line_if_fits(width_em: float) -> None:
-    """Go on in the same line, after a gap, if so much still fits into it; else in the next."""
+    """Continue on the same line, after a gap, if the width still fits; else on the next."""
     imgui.same_line(0, 10)
     if imgui.get_content_region_avail().x < width_em * imgui.get_font_size():
         imgui.new_line()

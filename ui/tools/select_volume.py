@@ -1,4 +1,4 @@
-"""Select by a box placed in the world."""
+"""Selection by a box or sphere in the world, and the tool "Crop"."""
 
 from dataclasses import dataclass, replace
 
@@ -19,7 +19,7 @@ _FIRST_SIZE_M = (2.0, 2.0, 2.0)
 
 
 class BoxTool:
-    """Click a surface to stand it there, drag its faces, apply."""
+    """Click a surface to place the box, drag its faces, apply."""
 
     name = "Box"
     icon = icons_fontawesome_6.ICON_FA_CUBE
@@ -75,7 +75,7 @@ class BoxTool:
             options.box = None
 
     def _place(self, session: Editor, viewport: Viewport) -> None:
-        """Stand the box on the surface under the mouse, as large as it was before."""
+        """Place the box on the surface under the mouse, in its previous size."""
         point = pick_point(session.scene, viewport.shot, *viewport.mouse_px)
         if point is not None:
             before = session.selecting.box or CropBox((0.0, 0.0, 0.0), _FIRST_SIZE_M)
@@ -88,7 +88,7 @@ def _word(text: str) -> None:
     imgui.same_line()
 
 
-# § Select by a ball placed in the world.
+# Sphere
 
 _FIRST_RADIUS_M = 1.0
 
@@ -96,7 +96,7 @@ _RING = 64
 
 
 class SphereTool:
-    """Click a surface for the centre, drag for the radius, apply."""
+    """Click a surface for the center, drag for the radius, apply."""
 
     name = "Sphere"
     icon = icons_fontawesome_6.ICON_FA_GLOBE
@@ -152,7 +152,6 @@ class SphereTool:
 
 
 def _draw_ball(viewport: Viewport, ball: Sphere) -> None:
-    """Draw its three great circles, and a dot in the middle."""
     for circle in ball.circles_m(_RING):
         pixels = [viewport.pixel(point) for point in circle]
         seen = [pixel for pixel in pixels if pixel is not None]
@@ -161,17 +160,17 @@ def _draw_ball(viewport: Viewport, ball: Sphere) -> None:
     draw_point(viewport, ball.middle, radius=4)
 
 
-# § A box of the world drawn over the picture, with a dot on each face to drag it by.
+# Box with a dot on each face
 
 Face = tuple[int, bool]
-"""Axis, and whether it is its upper side."""
+"""Axis, and True for its upper side."""
 
-# § The tool "Crop": a box whose faces are dragged; what lies outside of it is deleted.
+# Crop
 
 
 @dataclass(slots=True)
 class CropTool:
-    """A `Tool`."""
+    """Tool that deletes everything outside a box."""
 
     name: str = "Crop"
     icon: str = icons_fontawesome_6.ICON_FA_CROP_SIMPLE
@@ -241,7 +240,7 @@ _BRIGHT = (1.0, 1.0, 1.0, 1.0)
 
 
 def draw_box(viewport: Viewport, box: CropBox, held: Face | None) -> None:
-    """Draw the edges and the dots; the one that is held, or under the mouse, is bright."""
+    """Draw the edges and the dots; the dragged one, or the one under the mouse, is bright."""
     for first, second in _EDGES:
         draw_line(viewport, box.corners_m[first], box.corners_m[second])
     under = face_under_mouse(viewport, box)
@@ -251,7 +250,7 @@ def draw_box(viewport: Viewport, box: CropBox, held: Face | None) -> None:
 
 
 def face_under_mouse(viewport: Viewport, box: CropBox) -> Face | None:
-    """Whose dot the mouse is over."""
+    """Return the face of the dot under the mouse."""
     x, y = viewport.mouse_px
     for face in _FACES if viewport.hovered else ():
         pixel = viewport.pixel(box.face_m(*face))
@@ -261,5 +260,5 @@ def face_under_mouse(viewport: Viewport, box: CropBox) -> Face | None:
 
 
 def is_pressed(viewport: Viewport) -> bool:
-    """Whether the left button went down over the picture just now."""
+    """Return True if the left button was pressed over the viewport in this frame."""
     return viewport.hovered and imgui.is_mouse_clicked(imgui.MouseButton_.left)

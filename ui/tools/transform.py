@@ -1,4 +1,4 @@
-"""The tool "Move": a gizmo that moves, turns and scales what is selected, or the current layer or actor."""
+"""Tools "Move", "Level", "Set origin" and "Measure"."""
 
 from dataclasses import dataclass, field
 from typing import Literal, get_args
@@ -32,7 +32,7 @@ _VERBS: dict[Handle, tuple[str, str]] = {
 
 @dataclass(slots=True)
 class _Drag:
-    """What is being dragged, and by how much."""
+    """Target of the current drag, and its transform."""
 
     scene: Scene
     key: str | None
@@ -42,7 +42,7 @@ class _Drag:
 
 @dataclass(slots=True)
 class MoveTool:
-    """A `Tool`."""
+    """Gizmo that moves, rotates and scales the selection, or the active layer or actor."""
 
     name: str = "Move"
     icon: str = icons_fontawesome_6.ICON_FA_UP_DOWN_LEFT_RIGHT
@@ -54,13 +54,13 @@ class MoveTool:
     _frame: int = 0
 
     def draw(self, session: Editor, viewport: Viewport) -> bool:
-        """Draw the gizmo where the thing is and show the thing where the gizmo has it; one drag is one step."""
+        """Draw the gizmo and preview the transform; one drag is one undo step."""
         scene = session.scene
         was_put_away, self._frame = self._frame < imgui.get_frame_count() - 1, imgui.get_frame_count()
         if was_put_away:
             self._gizmo.let_go()
         if self._drag is not None and (was_put_away or self._drag.scene is not scene):
-            self._drag = None  # taken back by Esc, or the document went on without it
+            self._drag = None  # canceled by Esc, or the document has changed
         key, time_s = _target(session), session.clock.time_s
         middle = pivot(scene, key, time_s) if key != "" else None
         if middle is None:
@@ -97,21 +97,21 @@ class MoveTool:
 
 
 def _target(session: Editor) -> str | None:
-    """None for the selection, the key of a member, "" for nothing."""
+    """Return None for the selection, the key of a layer or actor, or "" for nothing."""
     if selected_count(session.scene):
         return None
     chosen = next((each for each in session.scene.members if each.key == session.view.member), None)
     return chosen.key if chosen is not None and chosen.visible and not chosen.locked else ""
 
 
-# § The tool "Level": which way is up, from three points of the ground or from the ground itself.
+# Level
 
 _ORDINALS = ("first", "second", "third")
 
 
 @dataclass(slots=True)
 class LevelTool:
-    """A `Tool`."""
+    """Tool that sets the up direction, from three points of the ground or from the ground itself."""
 
     name: str = "Level"
     icon: str = icons_fontawesome_6.ICON_FA_SCALE_BALANCED
@@ -157,7 +157,7 @@ class LevelTool:
         imgui.set_item_tooltip("Forget the points that were clicked.")
 
 
-# § The tool "Set origin": where the ego vehicle starts, where the world's origin lies, how high the ground is.
+# Set origin
 
 Meaning = Literal["Ego start", "World origin", "Ground height"]
 
@@ -171,7 +171,7 @@ _HELP: dict[Meaning, str] = {
 
 @dataclass(slots=True)
 class OriginTool:
-    """A `Tool`."""
+    """Tool that sets the ego vehicle's start, the world's origin, or the ground height."""
 
     name: str = "Set origin"
     icon: str = icons_fontawesome_6.ICON_FA_LOCATION_CROSSHAIRS
@@ -208,12 +208,12 @@ class OriginTool:
         imgui.new_line()
 
 
-# § The tool "Measure": the distance between two points, and the scene's metre from a length that is known.
+# Measure
 
 
 @dataclass(slots=True)
 class MeasureTool:
-    """A `Tool`."""
+    """Tool that measures the distance of two points, and scales the scene by a known length."""
 
     name: str = "Measure"
     icon: str = icons_fontawesome_6.ICON_FA_RULER
@@ -268,7 +268,7 @@ class MeasureTool:
         return distance_m(*self._points_m) if len(self._points_m) == 2 else None
 
     def _forget_other_worlds(self, scene: Scene) -> None:
-        """Points are of the world: they go where it gets other metres or another up."""
+        """Clear the points, which are in world coordinates, when the scene gets another scale or orientation."""
         present = scene.scene_to_world
         if self._scene_to_world is None or not np.array_equal(present, self._scene_to_world):
             self._points_m, self._scene_to_world = [], present

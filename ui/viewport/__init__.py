@@ -1,1 +1,1 @@
-"""The viewport: toolbar, overlays."""
+"""The viewport: toolbar and overlays."""

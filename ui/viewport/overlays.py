@@ -1,4 +1,4 @@
-"""What is drawn over the picture whatever tool is in use: the one table."""
+"""Overlays on the viewport: camera path, capture, matching, roll-out, divider and preview."""
 
 from collections.abc import Callable
 
@@ -19,13 +19,13 @@ from gsrain_engine.simulation.metrics.collisions import LONGEST_S
 from ..widgets.draw import CHOSEN, KEY, OUTLINE, PLAYHEAD, Viewport, color
 
 Overlay = Callable[[Editor, Viewport], bool]
-"""Draws into the window's draw list; returns whether the left mouse button is its own now (a handle is held)."""
+"""Draws into the window's draw list; returns True if it uses the left mouse button now (a handle is dragged)."""
 
-# § The camera path in the picture: its way, its seconds, and its keys as small cameras that are dragged.
+# Camera path
 
 
 def path_overlay(session: Editor, viewport: Viewport) -> bool:
-    """Draw the path unless it is ridden along; returns whether a key is in the hand or under it."""
+    """Draw the path, unless the camera rides along it; returns True if a keyframe is dragged or under the mouse."""
     timeline = session.timeline
     drag = timeline.drag if timeline.drag is not None and timeline.drag.in_view else None
     if not timeline.show_path or session.view.follow_path:
@@ -53,11 +53,11 @@ def path_overlay(session: Editor, viewport: Viewport) -> bool:
     return True
 
 
-# § The open capture in the picture: measured points, recorded cameras with their pictures, and the one looked from.
+# Capture
 
 
 def capture_overlay(session: Editor, viewport: Viewport) -> bool:
-    """Draw what is shown of the capture; returns whether the mouse is at one of its cameras."""
+    """Draw the visible parts of the capture; returns True if the mouse is over one of its cameras."""
     captures = session.captures
     captures.viewport_px = viewport.width, viewport.height
     if captures.capture is None:
@@ -69,7 +69,7 @@ def capture_overlay(session: Editor, viewport: Viewport) -> bool:
         low, high = viewport.corner, viewport.on_screen(viewport.width, viewport.height)
         imgui.get_window_draw_list().add_image(imgui.ImTextureRef(captures.points_texture.name), low, high)
     if here is not None:
-        return False  # pyramids that are looked through would hide what is compared
+        return False  # from inside, frustums would hide the compared images
     if not captures.show_frustums:
         return False
     length = captures.length_m(session.scene)
@@ -83,11 +83,11 @@ def capture_overlay(session: Editor, viewport: Viewport) -> bool:
     return under is not None and _act(session, under)
 
 
-# § Matching over the picture: another view warped onto this one, and where the pixel at the mouse lies in it.
+# Matching
 
 
 def matching_overlay(session: Editor, viewport: Viewport) -> bool:
-    """Draw what is matched, if that is switched on; never takes the mouse."""
+    """Draw the match with another view, if enabled; never uses the mouse."""
     matching = session.matching
     if not matching.is_on:
         return False
@@ -105,17 +105,17 @@ def matching_overlay(session: Editor, viewport: Viewport) -> bool:
     under = _match_under_the_mouse(viewport, shown, grid)
     _inset(session, viewport, shown, under)
     named = [each for each in shown.shares.items() if each[1] >= _MIN_SHARE]
-    if matching.mode != "pixels":  # what matches has its own colours, and the title tells how much it is
+    if matching.mode != "pixels":  # matches have their own colors, and the title has their share
         named = [each for each in named if each[0] != MatchOutcome.MATCHED]
     _card(viewport, _title(shown), named)
     return False
 
 
-# § A roll-out over the picture: boxes with names, the plan on the road, the driven way, figures of the moment.
+# Roll-out
 
 
 def drive_overlay(session: Editor, viewport: Viewport) -> bool:
-    """Draw the moment of the roll-out that plays; never takes the mouse."""
+    """Draw the roll-out at the current time; never uses the mouse."""
     drives = session.drives
     shown = drives.placed_in(session)
     if shown is None:
@@ -159,7 +159,7 @@ def _drag(session: Editor, viewport: Viewport) -> None:
 
 
 def _under_the_mouse(viewport: Viewport, keys: list[KeyHandle]) -> int | None:
-    """The key whose handle the mouse is at; of several, the one that is drawn last."""
+    """Return the keyframe whose handle is under the mouse; of several, the one drawn last."""
     x, y = viewport.mouse_px
     for mark in reversed(keys):
         if abs(mark.handle_px[0] - x) <= _REACH and abs(mark.handle_px[1] - y) <= _REACH:
@@ -192,7 +192,7 @@ _CAMERA = ImVec4(0.5, 0.85, 0.62, 0.9)
 _CAPTURE_HANDLE, _CAPTURE_REACH = 4.0, 9.0
 
 _IMAGES = 24
-"""So many of the nearest cameras show their pictures."""
+"""Number of nearest cameras that show their images."""
 
 
 def _recorded_image(session: Editor, viewport: Viewport, view: int) -> None:
@@ -210,7 +210,7 @@ def _recorded_image(session: Editor, viewport: Viewport, view: int) -> None:
 
 
 def _image(session: Editor, viewport: Viewport, camera: Camera, view: int, width: int, opacity: float) -> None:
-    """Draw a recorded picture where its camera saw it; in cells, since draw lists know no perspective."""
+    """Draw a recorded image in its camera's frustum; in cells, since draw lists have no perspective."""
     captures = session.captures
     if captures.pictures is None:
         return
@@ -256,13 +256,13 @@ def _act(session: Editor, frustum: Frustum) -> bool:
     return True
 
 
-# § A picture that lies somewhere in the viewport; in cells, since draw lists know no perspective.
+# Image in perspective, drawn in cells since draw lists have no perspective
 
 
 def draw_placed_image(
     viewport: Viewport, texture: int, grid: Float64[np.ndarray, "rows columns 2"], opacity: float
 ) -> None:
-    """Draw a texture (its OpenGL name) with its first row on top, so that it fills a grid of pixels of the viewport."""
+    """Draw a texture (its OpenGL name), first row on top, onto a grid of viewport pixels."""
     low, high = grid.min(axis=(0, 1)), grid.max(axis=(0, 1))
     if not (high[0] > 0 and high[1] > 0 and low[0] < viewport.width and low[1] < viewport.height):
         return
@@ -299,7 +299,7 @@ WORDS: dict[MatchOutcome, str] = {
 _CELLS = (8, 6)
 
 _MIN_SHARE = 0.005
-"""Of the picture, from which on the legend names something."""
+"""Minimum share of the image for an entry in the legend."""
 
 _LINE = ImVec4(0.35, 0.95, 0.6, 0.85)
 
@@ -328,7 +328,7 @@ def _matching_lines(viewport: Viewport, shown: MatchResult, grid: Float64[np.nda
 
 
 def _on_grid(shares: np.ndarray, grid: Float64[np.ndarray, "rows columns 2"]) -> Float64[np.ndarray, "n 2"]:
-    """Pixels of the viewport at shares of the picture; the picture's corners are those of the grid."""
+    """Return viewport pixels at relative positions of the image; the image's corners are those of the grid."""
     x, y = shares[:, :1].astype(np.float64), shares[:, 1:].astype(np.float64)
     top = (1 - x) * grid[0, 0] + x * grid[0, -1]
     bottom = (1 - x) * grid[-1, 0] + x * grid[-1, -1]
@@ -338,7 +338,7 @@ def _on_grid(shares: np.ndarray, grid: Float64[np.ndarray, "rows columns 2"]) ->
 def _match_under_the_mouse(
     viewport: Viewport, shown: MatchResult, grid: Float64[np.ndarray, "rows columns 2"]
 ) -> tuple[int, int] | None:
-    """Row and column of the matched picture under the mouse; None beside it."""
+    """Return row and column of the matched image under the mouse; None outside it."""
     if not viewport.hovered:
         return None
     height, width = shown.matched.found.outcome.shape
@@ -350,7 +350,7 @@ def _match_under_the_mouse(
 
 
 def _inset(session: Editor, viewport: Viewport, shown: MatchResult, under: tuple[int, int] | None) -> None:
-    """The other view in the corner, with a cross at what is under the mouse."""
+    """Draw the other view in the corner, with a cross at the pixel that matches the mouse position."""
     captures, other = session.captures, shown.matched.to
     if captures.pictures is None:
         return
@@ -380,7 +380,7 @@ def _inset(session: Editor, viewport: Viewport, shown: MatchResult, under: tuple
 
 
 def _card(viewport: Viewport, title: str, shares: list[tuple[MatchOutcome, float]]) -> None:
-    """The legend, in the lower right corner: tools are on the left."""
+    """Draw the legend in the lower right corner; tools are on the left."""
     draw, em = imgui.get_window_draw_list(), imgui.get_font_size()
     line = imgui.get_text_line_height() * 1.2
     rows = [f"{WORDS[each]}  {share:.0%}" for each, share in shares]
@@ -462,7 +462,7 @@ def _draw_detection(viewport: Viewport, seen: DetectionBox) -> None:
 
 
 def _figures(session: Editor, viewport: Viewport) -> None:
-    """Say how the ego vehicle drives now, at the lower edge; above it, what was hit."""
+    """Draw the ego vehicle's current state at the lower edge; above it, the collision."""
     drives = session.drives
     step, playing, shown = drives.step_now(session), drives.playing, drives.placed_in(session)
     if step is None or playing is None or shown is None:
@@ -484,7 +484,7 @@ def _figures(session: Editor, viewport: Viewport) -> None:
 
 
 def _line(viewport: Viewport, words: str, low: float, ink: ImVec4) -> float:
-    """Write a line above a height of the picture; returns the height of its upper edge."""
+    """Draw a line of text above a height of the viewport; returns the height of its upper edge."""
     size, em = imgui.calc_text_size(words), imgui.get_font_size()
     corner = viewport.on_screen((viewport.width - size.x) / 2 - 0.7 * em, low - size.y - 0.5 * em)
     end = ImVec2(corner.x + size.x + 1.4 * em, corner.y + size.y + 0.5 * em)
@@ -494,7 +494,7 @@ def _line(viewport: Viewport, words: str, low: float, ink: ImVec4) -> float:
     return low - size.y - 0.5 * em
 
 
-# § The line between two pictures: dragged to either side, centred by a double click.
+# Divider of two images
 
 _HALF_GRIP = 6.0
 
@@ -502,7 +502,7 @@ _DIVIDER_MARGIN = 8.0
 
 
 def draw_divider(session: Editor, labels: tuple[str, str], corner: ImVec2, width: int, height: int) -> None:
-    """Draw the line between what is labelled so, over the picture at a corner of the screen, and let it be moved."""
+    """Draw the draggable divider with the labels of both sides; a double click centers it."""
     view = session.view
     x = corner.x + view.divider * width
     imgui.set_cursor_screen_pos(ImVec2(x - _HALF_GRIP, corner.y))
@@ -540,13 +540,13 @@ def _label(draw: imgui.ImDrawList, text: str, at: ImVec2) -> None:
     draw.add_text(at, imgui.get_color_u32((1.0, 1.0, 1.0, 0.95)), text)
 
 
-# § A transferred view beside the live one: it stands right of the divider while it shows what the viewport shows.
+# Preview next to the live view
 
 LABELS = "now", "preview, soaked"
 
 
 def preview_side(session: Editor, corner: ImVec2, width: int, height: int) -> tuple[str, str] | None:
-    """Lay the preview over the right part of the picture; returns the labels of both sides, or None."""
+    """Draw the preview over the right part of the viewport; returns the labels of both sides, or None."""
     rainy = session.rainy
     rainy.viewport_px = width, height
     if session.view.split != "now | preview" or rainy.texture is None or not rainy.fits(session):

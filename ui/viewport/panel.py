@@ -1,4 +1,4 @@
-"""The viewport: the picture, navigation by mouse and keys, outlines of the rain regions, a small toolbar."""
+"""The viewport: image, navigation by mouse and keys, region outlines, notices, and the start page."""
 
 from collections.abc import Callable
 
@@ -15,7 +15,7 @@ from .overlays import OVERLAYS, draw_divider, preview_side
 from .toolbar import tool_bar, tool_options, view_bar
 
 TexturesOf = Callable[[int, int], list[int]]
-"""Draws the session for a size in pixels and returns the OpenGL names of its sides, from left to right."""
+"""Draws the session in a size in pixels and returns the OpenGL names of its sides, from left to right."""
 
 _OUTLINE = {"streak region": ImVec4(0.45, 0.85, 1.0, 0.9), "haze region": ImVec4(1.0, 0.8, 0.45, 0.9)}
 
@@ -108,12 +108,12 @@ def _keyboard(session: Editor) -> None:
     session.stop_riding()
     forward, right, up = (sum(axis) for axis in zip(*pressed, strict=True))
     fast = _FAST if io.key_shift else 1.0
-    # The frame in which a key went down may have begun long before: nothing moved then.
+    # The frame in which a key was pressed may have begun long before: don't move in that one.
     held_s = io.delta_time if session.navigation.is_flying else 0.0
     session.navigation.fly(fast * forward, fast * right, fast * up, held_s)
 
 
-# § What a viewport without a scene offers: the street, the scenes of last time, a file.
+# Start page without a scene
 
 _WIDTH_EM = 30.0
 
@@ -123,7 +123,7 @@ _MAX_RECENT = 6
 
 
 def empty_state(session: Editor, corner: ImVec2, width: int, height: int) -> None:
-    """Draw the offers while there is no scene and none is on its way."""
+    """Draw the offers if no scene is open or loading."""
     if session.scene.members or session.busy is not None:
         return
     wide = min(_WIDTH_EM * imgui.get_font_size(), width - 20.0)
@@ -147,7 +147,7 @@ def empty_state(session: Editor, corner: ImVec2, width: int, height: int) -> Non
     imgui.end_child()
 
 
-# § What stands over the picture while something is awaited, and quietly in a corner where something went wrong.
+# Notices
 
 _NOTICE_WIDTH_EM = 34.0
 
@@ -155,7 +155,7 @@ _MARGIN = 10.0
 
 
 def draw_notice(session: Editor, corner: ImVec2, width: int, height: int) -> None:
-    """Draw a bar that moves while a scene is opened, and say what went wrong; nothing at other times."""
+    """Draw an animated bar while a scene loads, and the last error."""
     if session.busy is not None:
         _busy(session.busy, corner, width, height)
     if session.problem is not None:

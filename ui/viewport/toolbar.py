@@ -1,4 +1,4 @@
-"""The bar of tools at the left edge of the picture."""
+"""Bars of the viewport: tools, settings of the active tool, and view options."""
 
 from typing import get_args
 
@@ -17,7 +17,7 @@ _NAVIGATE = icons_fontawesome_6.ICON_FA_ARROW_POINTER
 
 
 def tool_bar(session: Editor, corner: ImVec2, height: float) -> float:
-    """Draw the bar over the picture; a click picks a tool, a second one puts it away. Returns how far right it goes."""
+    """Draw the bar over the viewport; a click activates a tool or deactivates it. Returns its right edge."""
     side = 1.9 * imgui.get_font_size()
     columns = -(-(len(TOOLS) + 1) // max(int((height - 24) / (side + _GAP)), 1))
     imgui.set_cursor_screen_pos(ImVec2(corner.x + 8, corner.y + 8))
@@ -56,13 +56,13 @@ def _panel_color() -> tuple[float, float, float]:
     return color.x, color.y, color.z
 
 
-# § The settings of the tool in use, in a bar along the upper edge of the picture.
+# Settings of the active tool
 
 _PADDING = 5.0
 
 
 def tool_options(session: Editor, corner: ImVec2, left: float, width: float) -> None:
-    """Draw the bar over the picture, from `left` on; nothing while no tool is in use."""
+    """Draw the bar over the viewport, starting at `left`; nothing without an active tool."""
     tool = next((each for each in TOOLS if each.name == session.view.tool), None)
     if tool is None:
         return
@@ -83,7 +83,7 @@ def tool_options(session: Editor, corner: ImVec2, left: float, width: float) -> 
     imgui.pop_style_color()
 
 
-# § The bar above the picture: time, where from, what is shown.
+# View options
 
 _ICONS = icons_fontawesome_6
 

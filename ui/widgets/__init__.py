@@ -1,1 +1,1 @@
-"""Pieces that panels and tools are made of."""
+"""Widgets shared by panels and tools."""

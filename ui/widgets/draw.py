@@ -1,4 +1,4 @@
-"""Colours that the timeline and what is drawn over the picture share."""
+"""Drawing: colors, the viewport's coordinates, plots, and the transform gizmo."""
 
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -41,7 +41,7 @@ OUTLINE = ImVec4(0.0, 0.0, 0.0, 0.65)
 
 
 def color(value: ImVec4 | int) -> int:
-    """Number of a colour for draw lists; numbers of style colours (`imgui.Col_`) follow the theme."""
+    """Return the number of a color for draw lists; numbers of style colors (`imgui.Col_`) follow the theme."""
     if isinstance(value, ImVec4):
         return imgui.get_color_u32(value)
     return imgui.get_color_u32(imgui.get_style_color_vec4(value))
@@ -57,7 +57,7 @@ STRIPE = int(imgui.Col_.table_row_bg_alt)
 
 TEXT = int(imgui.Col_.text)
 
-# § Points, lines and words drawn over the picture at places of the world.
+# Points, lines and text at world positions
 
 Rgba = tuple[float, float, float, float]
 
@@ -65,23 +65,23 @@ YELLOW: Rgba = (1.0, 0.85, 0.25, 1.0)
 
 _SHADOW: Rgba = (0.0, 0.0, 0.0, 0.6)
 
-# § Where the picture is on the screen, and the way between its pixels and the world.
+# Viewport coordinates
 
 
 @dataclass(frozen=True)
 class Viewport:
-    """The picture of this frame, for tools and overlays that draw over it. Pixels count from its upper left corner."""
+    """Viewport of this frame, for tools and overlays. Pixels count from its upper left corner."""
 
     corner: ImVec2
-    """On the screen."""
+    """Screen position."""
     width: int
     height: int
     shot: RenderView
-    """What it shows: a camera of this size, in the world (metres)."""
+    """Rendered view: a camera of this size, in the world (meters)."""
     hovered: bool
-    """Whether the mouse is over the picture, and nothing else on top of it."""
+    """True if the mouse is over the viewport, with nothing on top."""
     active: bool
-    """Whether a mouse button that was pressed over the picture is still held."""
+    """True while a mouse button that was pressed over the viewport is held."""
 
     @property
     def mouse_px(self) -> tuple[float, float]:
@@ -89,24 +89,23 @@ class Viewport:
         return at.x - self.corner.x, at.y - self.corner.y
 
     def on_screen(self, x: float, y: float) -> ImVec2:
-        """Screen position of a pixel, for draw lists."""
         return ImVec2(self.corner.x + x, self.corner.y + y)
 
     def ray(self, x: float, y: float) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
-        """Eye and unit direction, in the world, of what is seen at a pixel."""
+        """Return camera position and unit direction, in the world, of the ray through a pixel."""
         camera = self.shot.camera
         sight = np.array([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0])
         direction = camera.world_to_camera[:3, :3].T @ sight
         return camera.position, direction / np.linalg.norm(direction)
 
     def pixel(self, point_m: Float64[np.ndarray, "3"]) -> tuple[float, float] | None:
-        """Pixel at which a point of the world is seen; None behind the eye."""
+        """Return the pixel of a world point; None behind the camera."""
         seen = project_point(point_m, self.shot.camera)
         return seen and (seen.x, seen.y)
 
 
 def draw_point(viewport: Viewport, point_m: Float64[np.ndarray, "3"], color: Rgba = YELLOW, radius: float = 5) -> None:
-    """Draw a dot; nothing behind the eye."""
+    """Draw a dot; nothing behind the camera."""
     pixel = viewport.pixel(point_m)
     if pixel is not None:
         draw, at = imgui.get_window_draw_list(), viewport.on_screen(*pixel)
@@ -117,7 +116,7 @@ def draw_point(viewport: Viewport, point_m: Float64[np.ndarray, "3"], color: Rgb
 def draw_line(
     viewport: Viewport, start_m: Float64[np.ndarray, "3"], end_m: Float64[np.ndarray, "3"], color: Rgba = YELLOW
 ) -> None:
-    """Draw a straight line; nothing where an end of it is behind the eye."""
+    """Draw a straight line; nothing if one end is behind the camera."""
     first, second = viewport.pixel(start_m), viewport.pixel(end_m)
     if first is not None and second is not None:
         draw = imgui.get_window_draw_list()
@@ -127,7 +126,6 @@ def draw_line(
 
 
 def draw_words(viewport: Viewport, point_m: Float64[np.ndarray, "3"], words: str) -> None:
-    """Write something beside a point."""
     pixel = viewport.pixel(point_m)
     if pixel is not None:
         at = viewport.on_screen(*pixel)
@@ -135,13 +133,13 @@ def draw_words(viewport: Viewport, point_m: Float64[np.ndarray, "3"], words: str
 
 
 def draw_hint(viewport: Viewport, words: str) -> None:
-    """Say at the lower edge of the picture what a tool waits for."""
+    """Draw a tool's hint at the lower edge of the viewport."""
     size = imgui.calc_text_size(words)
     _write(viewport.on_screen((viewport.width - size.x) / 2, viewport.height - 2.2 * size.y), words)
 
 
 def is_clicked(viewport: Viewport) -> bool:
-    """Whether the left button was pressed and let go over the picture without dragging: a drag still orbits."""
+    """Return True for a click over the viewport without dragging, which still orbits."""
     left = imgui.MouseButton_.left
     moved = imgui.get_io().mouse_drag_max_distance_sqr[left]
     return viewport.hovered and imgui.is_mouse_released(left) and moved < 16.0
@@ -154,7 +152,7 @@ def _write(at: ImVec2, words: str) -> None:
     draw.add_text(at, imgui.get_color_u32((1.0, 1.0, 1.0, 0.95)), words)
 
 
-# § Small plots in panels.
+# Plots in panels
 
 _HEIGHT_EM, _LEGEND_EM = 12.0, 4.5
 
@@ -163,9 +161,9 @@ _HEIGHT_EM, _LEGEND_EM = 12.0, 4.5
 def plot(
     title: str, x: str, y: str, *, log_x: bool = False, log_y: bool = False, legend: bool = False
 ) -> Generator[bool]:
-    """Begin a plot as wide as the panel, with what its axes show; the block draws into it when told that it is seen.
+    """Begin a plot as wide as the panel, with its axis titles; yields True if it is visible and can be drawn into.
 
-    A legend stands below it; of several plots with the same lines in the same order one legend is enough.
+    A legend is below it; plots with the same lines in the same order need only one.
     """
     flags = implot.Flags_.no_menus | implot.Flags_.no_box_select | implot.Flags_.no_mouse_text
     if not legend:
@@ -194,7 +192,7 @@ def points(label: str, x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"
     implot.plot_scatter(visible_name(label), np.ascontiguousarray(x), np.ascontiguousarray(y))
 
 
-# § Handles in the picture that a frame of the world is moved, turned or scaled with: ImGuizmo, one value a drag.
+# Transform gizmo (ImGuizmo)
 
 _GIZMO = imguizmo.im_guizmo
 
@@ -205,15 +203,15 @@ _OPERATIONS = {
 }
 
 _SIZE = 0.17
-"""Of the picture."""
+"""Share of the viewport."""
 
 _STEPS = {"translate": 0.5, "rotate": 15.0, "scale": 0.1}
-"""Metres, degrees and factors that Ctrl snaps to."""
+"""Meters, degrees and factors that Ctrl snaps to."""
 
 
 @dataclass(slots=True)
 class Gizmo:
-    """One gizmo; `name` tells it from others in the same picture."""
+    """A gizmo; `name` distinguishes it from others in the same viewport."""
 
     name: str
     _start: Float64[np.ndarray, "4 4"] | None = None
@@ -221,7 +219,6 @@ class Gizmo:
 
     @property
     def is_held(self) -> bool:
-        """Whether one of its handles is being dragged."""
         return self._start is not None
 
     def let_go(self) -> None:
@@ -230,10 +227,10 @@ class Gizmo:
     def draw(
         self, viewport: Viewport, frame: Float64[np.ndarray, "4 4"], handle: Handle
     ) -> tuple[Float64[np.ndarray, "4 4"] | None, bool]:
-        """Draw it in a frame of the world (metres) and act on the mouse, each frame.
+        """Draw the gizmo in a frame of the world (meters) and handle the mouse, each frame.
 
-        Returns the similarity of the world that the drag has come to, None while nothing is dragged; and whether the
-        left button is the gizmo's own now. The frame that is drawn follows the hand: `frame` is where a drag begins.
+        Returns the similarity of the world resulting from the drag so far, or None if nothing is dragged; and whether
+        the gizmo uses the left button now. The drawn frame follows the mouse: `frame` is the start of a drag.
         """
         start = self._start if self._start is not None else frame
         present = self._present if self._present is not None else frame
@@ -268,7 +265,7 @@ class Gizmo:
 
 @contextmanager
 def _hide_viewport_button(viewport: Viewport) -> Generator[None]:
-    """Hide the picture's own button: ImGuizmo takes no click where another item is under the mouse."""
+    """Hide the viewport's own button: ImGuizmo ignores clicks over another item."""
     context = imgui.get_current_context()
     hovered, before, active = context.hovered_id, context.hovered_id_previous_frame, context.active_id
     if viewport.hovered or viewport.active:

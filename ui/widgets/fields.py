@@ -1,4 +1,4 @@
-"""Widgets for the fields of the rain: title, unit, bounds and help come from the field's own `Meta`."""
+"""Widgets for settings (title, unit, bounds and help come from a field's `Meta`), keyframes, and file dialogs."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -16,14 +16,14 @@ from gsrain_engine.rain.settings import RainSettings, RegionBox
 from gsrain_engine.scene.formats.registry import writable_suffixes
 
 LABEL_WIDTH = 0.42
-"""Share of a panel's width that labels take; longer ones take more."""
+"""Share of a panel's width for labels; longer ones take more."""
 
 _SIDE_MARGIN_EM = 1.0
 
 
 @dataclass(frozen=True)
 class FieldInfo:
-    """What a field says about itself."""
+    """Metadata of a field."""
 
     title: str
     unit: str
@@ -33,9 +33,9 @@ class FieldInfo:
     choices: tuple[str, ...]
     multiple_of: int = 1
     none: str | None = None
-    """What it means that an optional number is not given, in a word or two; None where it has to be."""
+    """Text for an optional number that is None; None if the number is required."""
     usual: float = 0.0
-    """What an optional number is when it is given anew."""
+    """Value of an optional number when it is enabled."""
 
 
 @cache
@@ -43,7 +43,7 @@ def field_info(name: str, owner: type[msgspec.Struct] = RainSettings) -> FieldIn
     """Read the declaration of a field, of the rain or of another struct."""
     hint = get_type_hints(owner, include_extras=True)[name]
     is_optional = type(None) in get_args(hint)
-    hint = next((each for each in get_args(hint) if get_origin(each) is Annotated), hint)  # where it may be None
+    hint = next((each for each in get_args(hint) if get_origin(each) is Annotated), hint)  # if it may be None
     kind, meta = (hint.__origin__, hint.__metadata__[0]) if get_origin(hint) is Annotated else (hint, msgspec.Meta())
     extra: dict[str, Any] = meta.extra or {}
     choices = tuple(each for each in get_args(kind) if isinstance(each, str))
@@ -59,13 +59,13 @@ def field_info(name: str, owner: type[msgspec.Struct] = RainSettings) -> FieldIn
 
 
 def label(name: str) -> None:
-    """Write a field's title with its help as tooltip, and move to where its widget goes."""
+    """Draw a field's title with its help as tooltip, and move to the position of its widget."""
     info = field_info(name)
     plain_label(f"{info.title} ({info.unit})" if info.unit else info.title, info.help)
 
 
 def plain_label(text: str, help_text: str) -> None:
-    """Write a label with a tooltip, and move to where its widget goes."""
+    """Draw a label with a tooltip, and move to the position of its widget."""
     imgui.align_text_to_frame_padding()
     imgui.text(text)
     if help_text:
@@ -80,7 +80,7 @@ def plain_label(text: str, help_text: str) -> None:
 def slider(
     session: Editor, name: str, *, high: float | None = None, logarithmic: bool = False, beside_px: float = 0.0
 ) -> None:
-    """Edit a number between its bounds, as it is now; one drag is one step of undo. `beside_px` stays free."""
+    """Edit the current value of a number between its bounds; one drag is one undo step. `beside_px` stays free."""
     info = field_info(name)
     label(name)
     if beside_px:
@@ -94,7 +94,6 @@ def slider(
 
 
 def integer(session: Editor, name: str) -> None:
-    """Edit a whole number."""
     info = field_info(name)
     label(name)
     changed, value = imgui.input_int(f"##{name}", getattr(session.rain, name))
@@ -104,7 +103,6 @@ def integer(session: Editor, name: str) -> None:
 
 
 def choice(session: Editor, name: str) -> None:
-    """Pick one of the field's words."""
     info = field_info(name)
     label(name)
     present = info.choices.index(getattr(session.rain, name))
@@ -114,7 +112,6 @@ def choice(session: Editor, name: str) -> None:
 
 
 def toggle(session: Editor, name: str) -> None:
-    """Switch a field on or off."""
     info = field_info(name)
     changed, value = imgui.checkbox(info.title, getattr(session.rain, name))
     imgui.set_item_tooltip(info.help)
@@ -123,7 +120,7 @@ def toggle(session: Editor, name: str) -> None:
 
 
 def box(session: Editor, name: str) -> None:
-    """Edit the lower and upper corner of a region in metres; a corner that would turn it inside out is not taken."""
+    """Edit the lower and upper corner of a region in meters; corners that would invert it are ignored."""
     info, region = field_info(name), getattr(session.rain, name)
     for corner, words in (("minimum_m", "from"), ("maximum_m", "to")):
         plain_label(f"{words} x, y, z (m)", f"{info.help} In the ego's frame: x forward, y left, z up.")
@@ -136,12 +133,12 @@ def box(session: Editor, name: str) -> None:
 
 
 def end_gesture_when_released(session: Editor) -> None:
-    """Close the step of undo when the last widget is let go."""
+    """End the undo step when the last widget is released."""
     if imgui.is_item_deactivated():
         session.end_gesture()
 
 
-# § Widgets for the fields of any settings: what a field says about itself decides which widget it gets.
+# Fields of any settings: metadata and type select the widget
 
 _Settings = TypeVar("_Settings", bound=msgspec.Struct)
 
@@ -149,9 +146,9 @@ ALL_FILES = "All files{.*}"
 
 
 def edit_field(settings: _Settings, name: str, *, label: str | None = None, step: int = 1) -> _Settings:
-    """Draw a field's widget; returns the settings as they are now.
+    """Draw a field's widget; returns the updated settings.
 
-    `label` stands for a title that is too long for a panel; `step` is that of a whole number's buttons.
+    `label` replaces a title that is too long for a panel; `step` is the increment of an integer's buttons.
     """
     info, value = field_info(name, type(settings)), getattr(settings, name)
     if isinstance(value, bool):
@@ -179,9 +176,9 @@ def edit_field(settings: _Settings, name: str, *, label: str | None = None, step
 def path_field(
     settings: msgspec.Struct, name: str, kinds: str, take: Callable[[str], None], *, label: str | None = None
 ) -> None:
-    """Draw a file's place with a button that asks for it: `kinds` as in a file dialog, "" for a folder.
+    """Draw a path with a button that opens a dialog: `kinds` as in a file dialog, "" for a folder.
 
-    What is typed or chosen goes to `take`, a chosen one in a later frame.
+    `take` gets the typed or chosen path, a chosen one in a later frame.
     """
     info, present = field_info(name, type(settings)), getattr(settings, name)
     value = "" if present is None else str(present)
@@ -189,7 +186,7 @@ def path_field(
     beside = imgui.get_frame_height() + imgui.get_style().item_spacing.x
     imgui.set_next_item_width(-beside)
     _, typed = imgui.input_text_with_hint(f"##{name}", "none chosen", value)
-    # Letter by letter it would be missing all the time: it is taken when it has been typed.
+    # A half-typed path doesn't exist yet: accept it only after editing.
     if imgui.is_item_deactivated_after_edit():
         take(typed)
     imgui.set_item_tooltip(f"{info.help}\n{value}".strip())
@@ -204,7 +201,7 @@ def _first(chosen: Sequence[Path]) -> str:
 
 
 def _optional_toggle(name: str, info: FieldInfo, value: float | None) -> tuple[bool, float | None]:
-    """Draw whether an optional number is given, and the word for that it is not; the number's widget comes after it."""
+    """Draw the checkbox of an optional number, with the text for None if off; the number's widget comes after it."""
     changed, is_given = imgui.checkbox(f"##{name} given", value is not None)
     imgui.set_item_tooltip(f"{info.help}\nOff: {info.none}.")
     imgui.same_line()
@@ -229,7 +226,7 @@ def _with(settings: _Settings, name: str, value: Any) -> _Settings:
     return msgspec.structs.replace(settings, **{name: value})
 
 
-# § The small diamond beside a field that can have keys over time: grey without, lit with, bright at a key's own time.
+# Keyframe diamond: gray without keyframes, lit with some, bright at a keyframe's time
 
 KEYED = ImVec4(0.95, 0.66, 0.25, 1.0)
 
@@ -239,12 +236,10 @@ _TITLES = {"intensity_mm_h": "intensity", "wind_m_s": "wind", "exposure_s": "exp
 
 
 def keyframe_button_width() -> float:
-    """Room that the button takes, with the gap before it."""
     return imgui.get_frame_height() + imgui.get_style().item_spacing.x
 
 
 def keyframe_button(session: Editor, name: Keyed) -> None:
-    """Draw the button at the end of a field's row."""
     weather, now_s, title = session.weather, session.clock.time_s, _TITLES[name]
     is_keyed = weather.is_keyed(name)
     present = weather.key_at(now_s)
@@ -268,7 +263,7 @@ def keyframe_button(session: Editor, name: Keyed) -> None:
 
 
 def toggle_keyframe(session: Editor, name: Keyed) -> None:
-    """Set a field's key at the present time to its present value, or remove the one that is there."""
+    """Set a field's keyframe at the current time to its current value, or remove the one there."""
     weather, now_s, title = session.weather, session.clock.time_s, _TITLES[name]
     present = weather.key_at(now_s)
     if present is not None and getattr(present, name) is not None:
@@ -281,7 +276,7 @@ def toggle_keyframe(session: Editor, name: Keyed) -> None:
 
 
 def tint_keyframed(session: Editor, name: Keyed) -> int:
-    """Tint the frame of the next field if it has keys; returns how many colours to pop."""
+    """Tint the frame of the next field if it has keyframes; returns the number of colors to pop."""
     if not session.weather.is_keyed(name):
         return 0
     imgui.push_style_color(imgui.Col_.frame_bg, ImVec4(KEYED.x, KEYED.y, KEYED.z, 0.22))
@@ -289,14 +284,13 @@ def tint_keyframed(session: Editor, name: Keyed) -> int:
 
 
 def keyframed_slider(session: Editor, name: Keyed, *, high: float) -> None:
-    """Edit a number that can have keys."""
     colors = tint_keyframed(session, name)
     slider(session, name, high=high, beside_px=keyframe_button_width())
     imgui.pop_style_color(colors)
     keyframe_button(session, name)
 
 
-# § File dialogs: who asks says what to do with the answer, which comes in a later frame.
+# File dialogs, answered by a callback in a later frame
 
 Answer = Callable[[list[Path]], None]
 
@@ -304,23 +298,22 @@ Answer = Callable[[list[Path]], None]
 class _Waiting(NamedTuple):
     answer: Answer
     nameless: frozenset[str]
-    """What a dialog for a file to write makes of no name: the bare end of a name, as `.ply` or `.*`."""
+    """Names that a save dialog returns for an empty name: a bare suffix, such as `.ply` or `.*`."""
 
 
 _waiting: dict[str, _Waiting] = {}
-"""By the dialogs' titles; there is one window."""
+"""Open dialogs by title; there is one window."""
 
 SCENE_FOLDERS = "Scene folders{.*}"
-"""All that a scene can be saved as."""
 
 
 def exported_kinds() -> str:
-    """Kinds of single files that a scene can be exported to, each by itself; those of installed packages too."""
+    """Return the file types that a scene can be exported to, including those of installed packages."""
     return ",".join(f"{suffix.lstrip('.').upper()} files{{{suffix}}}" for suffix in writable_suffixes())
 
 
 def ask_what_to_open(title: str, kinds: str, answer: Answer, *, several: bool = False) -> None:
-    """Show a dialog for files that exist; `kinds` as in "Scenes{.ply,.spz},All files{.*}"."""
+    """Open a dialog for existing files; `kinds` as in "Scenes{.ply,.spz},All files{.*}"."""
     _waiting[title] = _Waiting(answer, frozenset())
     im_file_dialog.FileDialog.instance().open(title, title, kinds, several)
 
@@ -332,7 +325,7 @@ def ask_where_to_save(title: str, kinds: str, answer: Answer) -> None:
 
 
 def answer_dialogs(session: Editor) -> None:
-    """Act on dialogs that were closed. Once a frame."""
+    """Handle closed dialogs. Call it once per frame."""
     dialogs = im_file_dialog.FileDialog.instance()
     for title in list(_waiting):
         if not dialogs.is_done(title):
@@ -347,15 +340,15 @@ def answer_dialogs(session: Editor) -> None:
 
 
 def _meant(path: Path) -> Path:
-    """What was typed: to a name without a suffix the dialog adds that of the chosen kind, even where it is `.*`."""
+    """Return the typed path: the dialog appends the chosen type's suffix to a name without one, even `.*`."""
     return path.with_suffix("") if path.suffix == ".*" else path
 
 
-# § A button as wide as it is high, for an icon.
+# Square icon button
 
 
 def square_button(icon: str, name: str) -> bool:
-    """Draw it, in the middle of its square; returns whether it was clicked. `name` tells it from the panel's others."""
+    """Draw a centered icon button; returns True if clicked. `name` distinguishes it from others in the panel."""
     side = imgui.get_frame_height()
     imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(0, imgui.get_style().frame_padding.y))
     clicked = imgui.button(f"{icon}###{name}", ImVec2(side, side))

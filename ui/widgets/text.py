@@ -1,4 +1,4 @@
-"""Numbers with their names in two columns."""
+"""Text in the window: tables of values, and escaping of names."""
 
 import re
 from collections.abc import Callable, Iterable
@@ -24,10 +24,10 @@ def readings(table: str, rows: Iterable[tuple[str, str, str]]) -> None:
     imgui.end_table()
 
 
-# § Names as the window draws them: nothing in them is a label's id, turns the reading direction or ends the window.
+# Names from files: their text must not act as a label's id, change the text direction or crash the window
 
 _HIDDEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
-"""Controls, controls of the reading direction, and bytes that are no text, at which Dear ImGui's binding raises."""
+"""Control characters, direction controls, and bytes that are not text, for which Dear ImGui's binding raises."""
 
 _DRAWING = (
     "text", "text_wrapped", "text_disabled", "text_colored", "text_unformatted", "bullet_text", "label_text",
@@ -37,16 +37,16 @@ _DRAWING = (
     "begin_tab_item", "begin_table", "table_setup_column", "begin_child", "begin_popup", "begin_popup_modal",
     "open_popup", "is_popup_open", "push_id", "get_id", "set_clipboard_text",
 )  # fmt: skip
-"""Functions of Dear ImGui that are given text."""
+"""Functions of Dear ImGui that take text."""
 
 _ONLY_WORDS = ("separator_text", "progress_bar")
-"""Those of them whose text is no identity in any part, and hides what stands behind ## all the same."""
+"""Functions whose text has no identity, but which still hide text after ##."""
 
 
 def label(name: str, identity: str = "") -> str:
-    """Return a widget's label that shows a name; `identity` tells it from others of that name.
+    """Return a widget's label that shows a name; `identity` distinguishes equal names.
 
-    Dear ImGui hides what stands behind ## and takes what stands behind ### for the identity: in a name they are words.
+    Dear ImGui hides text after ## and uses text after ### as the identity; in a name they are plain text.
     """
     return f"{visible_name(name)}##{plain_identity(identity)}" if identity else visible_name(name)
 
@@ -56,14 +56,14 @@ def visible_name(name: str) -> str:
 
 
 def plain_identity(name: str) -> str:
-    """Return a name as the identity of a widget, behind ## or ###: different names stay different."""
+    """Return a name as the identity of a widget, after ## or ###: different names stay different."""
     return escape_invisible(name.replace("%", "%25").replace("#", "%23").replace("\\", "%5C"))
 
 
 def escape_all_text() -> None:
-    """Let every function of Dear ImGui that is given text show what can't be drawn as escapes, from now on.
+    """Make every function of Dear ImGui that takes text escape characters that can't be drawn, from now on.
 
-    No panel has to think of it: names come from files, and one that is no Unicode would end the window.
+    Panels don't have to do so: names come from files, and invalid Unicode would crash the window.
     """
     for name in _DRAWING:
         function = getattr(imgui, name)
@@ -76,7 +76,7 @@ def escape_all_text() -> None:
 def _all_words(text: str) -> str:
     """Return text of which Dear ImGui hides nothing."""
     words = text.replace("##", "# #").replace("##", "# #")
-    return f"{words} " if words.endswith("#") else words  # with the ## behind it, its last sign would be one of three
+    return f"{words} " if words.endswith("#") else words  # followed by ##, a final # would make ###
 
 
 def _escaping(function: Callable[..., Any], words: Callable[[str], str] | None = None) -> Callable[..., Any]:
