@@ -101,7 +101,7 @@ _NEW = timedelta(seconds=8)
 
 
 def status_bar(session: Editor) -> None:
-    """Draw the bar's content."""
+    state = session.displayed_rain.state_at(session.clock.time_s)
     selected = sum(each.marks.selected.size for each in session.scene.members if each.marks.selected is not None)
     words = [session.scene.name, f"{session.clock.time_s:.1f} s", f"{state.intensity_mm_h:.1f} mm/h"]
     if selected:
