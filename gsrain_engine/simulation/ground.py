@@ -320,7 +320,7 @@ def _strewn(
     reach: WorldRegion,
     cell_m: float,
 ) -> Iterator[GaussianPieces]:
-    """Distribute pieces over each Gaussian. A flat one's projected areas along the axes are its area times its normal."""
+    """Distribute pieces over each Gaussian. A flat one's projected areas along the axes are area times normal."""
     spread = axes @ axes.transpose(0, 2, 1)
     shadow = [
         2 * np.pi * opacities * np.sqrt(np.maximum(_minor(spread, *pair), 0)) for pair in ((1, 2), (0, 2), (0, 1))

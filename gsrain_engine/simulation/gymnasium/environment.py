@@ -43,7 +43,7 @@ class Reward(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     completed: Annotated[float, Meta(ge=0, title="Route completed")] = 100.0
 
     def of_step(self, before: Observation, after: Observation, vehicle: Vehicle, end: str | None) -> float:
-        """Return the reward of a step between two observations; `end` is the reason of the end, None during the drive."""
+        """Return the reward of a step between two observations; `end` is the reason of the end, None before."""
         got_on = _along(after) - _along(before)
         state = after.state
         lateral = state.speed_m_s * yaw_rate(vehicle, state)
@@ -84,8 +84,8 @@ class DriveEnvironment(gymnasium.Env[dict[str, Any], Any]):
             scenario: Shipped name, file, or `Scenario`.
             scene: Scene file or folder, "street", or `Scene`; defaults to the scenario's.
             action: Type of actions.
-            cameras: Cameras to render: rig camera names, ("front",), or ("all",). Empty by default: without images a step
-                takes one to two milliseconds at most.
+            cameras: Cameras to render: rig camera names, ("front",), or ("all",). Empty by default: without images a
+                step takes one to two milliseconds at most.
             depth: True adds depth to the observations.
             semantic: True adds semantic classes to the observations.
             intensity_mm_h: Rain intensity, 0..100; defaults to the scenario's.

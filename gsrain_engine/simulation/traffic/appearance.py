@@ -42,8 +42,7 @@ ACTOR = "actor:"
 
 
 def vehicle_model(model: str, scene: Scene) -> VehicleModel:
-    """Create a model: a built-in vehicle, optionally with a paint (saloon, van/red, truck); actor:ID of the scene; or a
-    file.
+    """Create a model: built-in vehicle, optionally with a paint (saloon, van/red, truck); actor:ID; or file.
 
     Raises ValueError, with the model's name, if it does not exist.
     """

@@ -136,7 +136,7 @@ class LanePosition:
         return LanePosition(on.along_m, on.left_m, 1 if np.cos(user.yaw_rad - heading) >= 0 else -1)
 
     def ahead(self, route: Route, distance_m: float) -> "LanePosition":
-        """Return the position after a distance in the lane, which in bends differs from the distance along the route."""
+        """Return the position after a distance in the lane; in bends it differs from the distance along the route."""
         step = self.direction * distance_m
         x, y, _ = route.at(self.along_m, self.left_m)
         for _ in range(2):
@@ -148,8 +148,9 @@ class LanePosition:
         return replace(self, along_m=self.along_m + step)
 
     def user(self, route: Route, me: RoadUser, speed_m_s: float, drift_m_s: float = 0.0) -> RoadUser:
-        """Return a road user at this position. `drift_m_s` is its lateral speed to its own left, which turns its
-        heading.
+        """Return a road user at this position.
+
+        `drift_m_s` is its lateral speed to its own left, which turns its heading.
         """
         x, y, heading = route.at(self.along_m, self.left_m)
         yaw = heading if self.direction > 0 else heading + np.pi
