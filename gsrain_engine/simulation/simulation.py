@@ -307,8 +307,8 @@ def drive_scene(
 ) -> ScoredRun:
     """Run an agent through a scene in the rain, and score the drive.
 
-    `rain` defaults to the scenario's. A named agent is opened and closed here, as is a renderer for agents with cameras.
-    Raises ValueError for an unknown agent or scenario, or if the scene lacks a recorded ego drive, a rig or a model.
+    `rain` defaults to the scenario's. A named agent is opened and closed here, as is the renderer for cameras. Raises
+    ValueError for an unknown agent or scenario, or if the scene lacks a recorded ego drive, a rig or a model.
     """
     test = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     if rain is not None:
