@@ -139,7 +139,7 @@ class OracleIDMAgent:
         )
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing."""
 
 
 class OracleLead(NamedTuple):
@@ -239,7 +239,7 @@ class CameraIDMAgent:
         return Trajectory(points, self._notes(found, watched))
 
     def close(self) -> None:
-        """Nothing is held that does not go by itself."""
+        """Do nothing: all resources are released automatically."""
 
     def _notes(self, found: list[Detection], watched: LeadState | None) -> dict[str, Any]:
         return {

@@ -72,7 +72,7 @@ _GRAVITY_M_S2 = 9.8
 
 
 def neuroncap_message(observation: Observation, rig: Rig) -> bytes:
-    """Return the body of `/infer`: images as base64 tensors, pose, bus signals, microseconds, command, calibration."""
+    """Return the `/infer` body: images as base64 tensors, pose, bus signals, microseconds, command, calibration."""
     pictures = {name: base64.b64encode(tensor_file(view.image)).decode() for name, view in observation.views.items()}
     shown = [each for each in rig.cameras if each.name in observation.views]
     message = {
