@@ -33,7 +33,6 @@ class RolloutPlayback:
             raise ValueError(f"the roll-out's scenario: {error}") from None
         self.rollout = rollout
         self.base = scene
-        """The original scene, with its own actors."""
         cameras = tuple(
             camera_of_width(each, self.scenario.picture_width_px) for each in _cameras(scene, self.scenario.rig)
         )

@@ -40,7 +40,7 @@ class UserRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class RolloutStep(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One time step with the agent's plan."""
+    """One time step with the agent's plan. Times count from the start of the scenario."""
 
     step: int
     time_s: float
@@ -58,7 +58,6 @@ class RolloutStep(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     collision: str | None = None
     """Id of the road user hit, or "background" for anything else in the scene."""
     notes: dict[str, Any] = {}
-    """Notes of the agent."""
 
 
 class UserModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -81,7 +80,6 @@ class Rollout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     seed: int
     step_s: float
     spacing_s: float
-    """Time between the points of a plan."""
     users: dict[str, UserModel]
     """All road users that ever appeared, by id."""
     end: str
@@ -89,7 +87,6 @@ class Rollout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     steps: tuple[RolloutStep, ...]
     """The first is the start; the last has no plan."""
     software: dict[str, str] = {}
-    """Software versions by package."""
 
 
 def driven_vehicle(rollout: Rollout) -> Vehicle:

@@ -195,7 +195,6 @@ class Simulation:
             raise ValueError(f"the drive is over ({self.end}); reset it")
 
     def _judge(self) -> None:
-        """Finish the drive if an end condition holds."""
         if self._hit is not None:
             self._finish("collision", None)
         elif self._completion >= 1:

@@ -23,7 +23,6 @@ class SweepRun(NamedTuple):
     done: int
     """Jobs that got a row in this run, including failed ones."""
     failed: int
-    """Failed jobs among `done`."""
 
 
 def run_sweep(jobs: Sequence[Job], engine: Executor, folder: SweepFolder) -> Generator[Progress, None, SweepRun]:

@@ -49,13 +49,10 @@ class JobResult(Struct, frozen=True, kw_only=True):
     """The result or the error of a job. All but the last two fields depend on the job alone."""
 
     id: str
-    """Job id."""
     values: dict[str, Value] = {}
     """Measured columns of the row."""
     rollout: Rollout | None = None
-    """Roll-out of a drive."""
     error: str | None = None
-    """Error message."""
     stops: bool = False
     """True if no other job can succeed either, such as on a full disk."""
     seconds: float = 0.0

@@ -92,7 +92,6 @@ class Observation:
     command: Command
     """Direction at the next intersection."""
     views: Mapping[str, CameraView]
-    """Views of the required cameras by name."""
     route: Route
     road_users: tuple[RoadUser, ...]
     """Ground-truth road users, for oracles, labels and displays. Camera agents must not use them."""
@@ -165,7 +164,7 @@ _POINTS = 6
 
 
 class ConstantVelocityAgent:
-    """Follows the route at its initial speed and never brakes; a baseline."""
+    """Follows the route at its current speed and never brakes; a baseline."""
 
     name = "constant-velocity"
     needs = SensorRequirements()

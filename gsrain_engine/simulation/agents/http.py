@@ -158,7 +158,6 @@ class HttpCalls:
         return data
 
     def _exchange(self, method: str, path: str, body: bytes | None, deadline: Deadline) -> tuple[h11.Response, bytes]:
-        """Send a request and receive the whole reply."""
         http = h11.Connection(h11.CLIENT)
         headers = [("Host", self._named), ("Accept-Encoding", "identity"), ("Connection", "close")]
         if body is not None:

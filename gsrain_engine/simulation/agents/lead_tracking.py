@@ -66,7 +66,6 @@ class Sighting:
     gap_m: float
     """Gap from the front bumper to its nearest part, along the route."""
     error_m: float
-    """Standard error of the gap."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,14 +76,11 @@ class LeadTrack:
     along_m: float
     """Position of its nearest part along the route."""
     speed_m_s: float
-    """Speed along the route."""
     place_variance_m2: float
     covariance_m2_s: float
     speed_variance_m2_s2: float
     seen: int = 1
-    """Number of sightings."""
     unseen_s: float = 0.0
-    """Time since the last sighting."""
     sure: bool = False
 
     @classmethod

@@ -89,8 +89,8 @@ def neuroncap_message(observation: Observation, rig: Rig) -> bytes:
 def can_bus(observation: Observation, rig: Rig) -> list[float]:
     """Return nuScenes' sixteen bus signals.
 
-    Position (m; z is 0 as in NeuroNCAP), orientation (wxyz), acceleration (m/s2, gravity upward), turn rates (rad/s) and
-    velocity (m/s), the last three in the ego frame.
+    Position (m; z is 0 as in NeuroNCAP), orientation (wxyz), acceleration (m/s2, gravity upward), turn rates (rad/s)
+    and     velocity (m/s), the last three in the ego frame.
     """
     state = observation.state
     turning = yaw_rate(rig.vehicle, state)

@@ -27,7 +27,6 @@ class AgentOptions:
     description: str | None = None
     """Description of the detector: a shipped name or a YAML file."""
     url: str | None = None
-    """URL of an external agent."""
 
 
 def _camera_idm(options: AgentOptions) -> Agent:
@@ -64,9 +63,8 @@ def agent_names() -> list[str]:
 def open_agent(name: str, options: AgentOptions | None = None, *, trusted_only: bool = False) -> Agent:
     """Open an agent: one of `agent_names`, or one in a Python file (`my_driver.py`).
 
-    With `trusted_only`, for names that come out of files, a Python file runs only if a person has allowed its content.
-
-    Raises ValueError for an unknown name, where what it needs is missing, and where an installed one fails.
+    With `trusted_only`, for names read from files, a Python file runs only if its content is trusted. Raises ValueError
+    for an unknown name, missing requirements, or a failing plugin.
     """
     options = options or AgentOptions()
     if agent_file(name) is not None:

@@ -110,10 +110,10 @@ class DriveEnvironment(gymnasium.Env[dict[str, Any], Any]):
         self._renderer = self._resources.enter_context(open_renderer(backend)) if draws else None
         try:
             self.simulation = Simulation(chosen, opened, needs, self._renderer if cameras else None)
+            """The simulation; its `rollout("NAME")` records the current episode."""
         except ValueError:
             self.close()
             raise
-        """The simulation; its `rollout("NAME")` records the current episode."""
         mounted = self.simulation.rig.cameras
         if draws and not mounted:
             self.close()

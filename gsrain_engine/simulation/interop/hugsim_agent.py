@@ -134,7 +134,6 @@ class HugsimAgent:
         return None if self._client is None else self._client.ended
 
     def _finish(self) -> None:
-        """End the current drive, if any."""
         drive, self._drive = self._drive, None
         try:
             if drive is not None and drive.world is not None:

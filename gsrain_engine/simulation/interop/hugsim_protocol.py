@@ -373,7 +373,7 @@ def hugsim_rig(cameras: tuple[RigCamera, ...]) -> tuple[RigCamera, ...]:
 
 
 def six_hugsim_cameras(cameras: tuple[RigCamera, ...]) -> Mapping[str, RigCamera]:
-    """Return HUGSIM's six cameras by name: the rig's, and nuScenes' for missing ones, relative to the same front camera.
+    """Return HUGSIM's six cameras by name: the rig's, and nuScenes' for missing ones, around the same front one.
 
     Raises ValueError if the rig's cameras have another size.
     """

@@ -55,12 +55,12 @@ def hugsim_scenario(values: object, path: Path) -> Scenario:
     """Convert HUGSIM's plain values to a scenario; `path` is their file.
 
     The ego vehicle is a box around the front camera (`HUGSIM_VEHICLE`), which preserves distances. `scene_name` becomes
-    the scene, to be replaced by the converted scene file. 3DRealCar models can't be read; saloons replace them. ConstantPlanner goes straight on; UnicyclePlanner follows the
-    track of the scene's actor of that id at that pace; IDM follows the route with HUGSIM's parameters (HUGSIM's own
-    stands still without an HD map).
+    the scene, to be replaced by the converted scene file. 3DRealCar models can't be read; saloons replace them.
+    ConstantPlanner goes straight on; UnicyclePlanner follows the track of the scene's actor of that id at that pace;
+    IDM follows the route with HUGSIM's parameters (HUGSIM's own stands still without an HD map).
 
-    Raises ValueError, naming the file and the value, for AttackPlanner, which is random without a seed, and for anything
-    else unsupported.
+    Raises ValueError, naming the file and the value, for AttackPlanner, which is random without a seed, and for
+    anything else unsupported.
     """
     try:
         found = convert_checked(values, _HugsimScenario)

@@ -23,10 +23,10 @@ def read_openscenario(path: Path) -> Scenario:
 
     Supported: vehicles with their boxes, initial positions (WorldPosition; RelativeLanePosition and
     RelativeObjectPosition to the ego vehicle, lanes 3.5 m wide) and speeds; one event each, of a lane change, a change
-    of speed or a trajectory with times, triggered by time, gap or time to collision; precipitation in mm/h (from 1.1 on;
-    a unitless share before) and wind; the stop time of the storyboard. The ego vehicle is the entity
-    named Ego or hero, or else the first; its actions are ignored, since the agent drives it. It starts where the
-    scene's own drive starts, and all others are placed relative to it.
+    of speed or a trajectory with times, triggered by time, gap or time to collision; precipitation in mm/h (from 1.1
+    on; a unitless share before) and wind; the stop time of the storyboard. The ego vehicle is the entity named Ego or
+    hero, or else the first; its actions are ignored, since the agent drives it. It starts at the start of the scene's
+    own drive, and all others are placed relative to it.
 
     Raises ValueError, naming the file and the element, for unsupported content that matters.
     """
@@ -154,7 +154,6 @@ class EntityContext:
     """Initial lateral offset from the ego vehicle, left positive."""
     speed_m_s: float
     start: VehicleState | None
-    """Initial world state, if known."""
     ego_name: str
     ego_start: VehicleState | None
 
@@ -473,7 +472,6 @@ def properties(element: Element) -> dict[str, str]:
 # Shared names of reader and writer
 
 EGO = "Ego"
-"""Name of the ego vehicle."""
 
 PROPERTY = "gsrain."
 """Prefix of GSRAIN's own properties."""

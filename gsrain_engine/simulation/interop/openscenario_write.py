@@ -170,14 +170,14 @@ def _box(size_lwh_m: tuple[float, float, float], ahead_m: float) -> xosc.Boundin
 
 
 def write_openscenario(path: Path, scenario: Scenario, scene: Scene) -> None:
-    """Write OpenSCENARIO XML 1.2 to `path` (.xosc) and the road next to it (.xodr). The same scenario gives the same bytes.
+    """Write OpenSCENARIO XML 1.2 to `path` (.xosc) and the road next to it (.xodr), byte-identical for equal input.
 
     Positions and headings are in the scene's world frame, meters; the ego vehicle is called Ego. Rain is written as
     precipitation in mm/h, with its visual range as fog; roads are marked wet, with unchanged friction. Road users use
-    native OpenSCENARIO elements where possible: teleports, speeds, lane changes (its cubic, for our
-    quintic), trajectories, triggers by time, gap and time to collision. Car following becomes a controller with its
-    parameters as properties. `read_openscenario` restores everything; GSRAIN's own values (model, rig, start in
-    the recorded drive) are properties named `gsrain.*`.
+    native OpenSCENARIO elements where possible: teleports, speeds, lane changes (cubic instead of quintic),
+    trajectories, triggers by time, gap and time to collision. Car following becomes a controller with its parameters as
+    properties. `read_openscenario` restores everything; GSRAIN's own values (model, rig, start in the recorded drive)
+    are properties named `gsrain.*`.
 
     Raises ValueError like `Simulation` if the scene lacks something that the scenario needs, and ModuleNotFoundError,
     with install instructions, without the package scenariogeneration.

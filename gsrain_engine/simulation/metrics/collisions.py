@@ -13,7 +13,7 @@ from ..vehicle import Vehicle, VehicleState, vehicle_box
 
 
 class Collision(NamedTuple):
-    """The first collision of a run."""
+    """The first collision of a run. Times count from the start of the scenario."""
 
     who: str
     """Id of the road user, or "background"."""

@@ -16,7 +16,7 @@ class ComfortLimits(NamedTuple):
 
     braking_m_s2: float = -4.05
     acceleration_m_s2: float = 2.40
-    """Acceleration along the heading, either sign."""
+    """Acceleration and deceleration are along the heading."""
     jerk_m_s3: float = 8.37
     """Jerk along the heading, either sign."""
     lateral_m_s2: float = 4.89

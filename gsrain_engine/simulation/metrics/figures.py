@@ -48,8 +48,8 @@ _WITHOUT_DATE: dict[str, dict[str, None]] = {"png": {}, "pdf": {"CreationDate": 
 def kinematics_figure(comparison: DriveComparison) -> Figure:
     """Draw the ego vehicle's motion over time, one color per intensity; a cross marks a collision.
 
-    Several seeds appear as the mean over the runs still driving, with its 95 % bootstrap band. Raises ValueError without
-    roll-outs.
+    Several seeds appear as the mean over the runs still driving, with its 95 % bootstrap band. Raises ValueError
+    without roll-outs.
     """
     figure = Figure(figsize=_SIZE_INCHES, layout="constrained")
     FigureCanvasAgg(figure)
@@ -317,7 +317,6 @@ def _tell_times(axes: Axes, shown: Sequence[tuple[float, Float64[np.ndarray, "4 
 
 
 def _name_users(axes: Axes, rollout: Rollout, start: VehicleState) -> None:
-    """Label each road user at its last place."""
     last: dict[str, PlanarBox] = {}
     for step in rollout.steps:
         boxes = road_user_boxes(step.road_users, rollout.users)

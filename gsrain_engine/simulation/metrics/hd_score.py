@@ -59,9 +59,9 @@ def hd_score(
 ) -> HdScore | None:
     """Score a run like HUGSIM's `score_calculator`; None if no frame has a plan of two points.
 
-    Deviations, each stricter than HUGSIM: all road users count, not only those named "car"; the background is tested as
-    in the simulation, while HUGSIM's scorer tests a slab 1.5 to 3 m above the ground. Without `occupied` the background
-    does not count.
+    Deviations, each avoiding a pitfall of HUGSIM: all road users count, not only those named "car"; the background is
+    tested as in the simulation, while HUGSIM's scorer tests a slab 1.5 to 3 m above the ground. Without `occupied` the
+    background does not count.
     """
     judge = _HdScorer(rollout, occupied, drivable)
     rows = [judge.frame(step) for step in planned_frames(rollout)]

@@ -56,7 +56,7 @@ class RoadUser:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrafficState:
-    """Input of a behavior: the states of all road users before the step."""
+    """Input of a behavior: the states of all road users before the step, and the time since the scenario began."""
 
     time_s: float
     ego: RoadUser

@@ -276,7 +276,6 @@ class Trigger:
         self._settings = settings
         self._began_nearer: bool | None = None
         self.since_s: float | None = None
-        """Trigger time."""
 
     def watch(self, me: RoadUser, around: TrafficState) -> float | None:
         """Check the trigger; returns its time, or None before it."""
