@@ -220,9 +220,7 @@ def _depth_below(
 def _summed(
     cells: Int64[np.ndarray, " n"], values: Float64[np.ndarray, " n"], shape: tuple[int, int]
 ) -> Float64[np.ndarray, "rows columns"]:
-    return (
-        np.bincount(cells, values, shape[0] * shape[1]).astype(np.float64).reshape(shape)
-    )  # bincount without values returns integers
+    return np.bincount(cells, values, shape[0] * shape[1]).astype(np.float64).reshape(shape)  # int without values
 
 
 def _smoothed(grid: Float64[np.ndarray, "rows columns"], sigma: float) -> Float64[np.ndarray, "rows columns"]:

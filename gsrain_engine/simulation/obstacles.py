@@ -109,7 +109,7 @@ class Drivable:
     def share_on_road(self, box: PlanarBox) -> Float64[np.ndarray, "2 2"]:
         """Return the share of each quarter of a box on the road, 0..1: rows front and rear, columns left and right.
 
-        HUGSIM's drivable-area compliance counts a quarter as on the road where any of its ground points is.
+        HUGSIM's drivable-area compliance counts a quarter as on the road if any of its ground points is.
         """
         return np.array([[self._share(box.part(x, y)) for y in (0, 1)] for x in (0, 1)])
 

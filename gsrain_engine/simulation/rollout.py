@@ -21,9 +21,9 @@ class EgoRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     speed_m_s: float
     steer_rad: float
     acceleration_m_s2: float
-    """Over the previous step."""
+    """Value over the previous step."""
     steer_rate_rad_s: float
-    """Over the previous step."""
+    """Value over the previous step."""
     yaw_rate_rad_s: float
     """Computed from speed, steering and wheelbase."""
 

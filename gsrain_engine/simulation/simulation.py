@@ -256,7 +256,7 @@ class _SimulationMoment:
     time_s: float
     state: VehicleState
     control: Control
-    """Over the previous step."""
+    """Control over the previous step."""
 
 
 def _with_seed(scenario: Scenario, seed: int) -> Scenario:

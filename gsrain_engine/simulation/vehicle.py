@@ -66,9 +66,9 @@ class VehicleState:
     yaw_rad: float
     """Counterclockwise from the world's x axis; not wrapped."""
     speed_m_s: float = 0.0
-    """Along its heading; 0 or more."""
+    """Speed along the heading; 0 or more."""
     steer_rad: float = 0.0
-    """Of the front wheels, left positive."""
+    """Front wheels, left positive."""
 
     def to_world(self, points: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
         """Transform points from the vehicle's frame (x forward, y left) to the world."""
@@ -97,7 +97,7 @@ class Control(NamedTuple):
     acceleration_m_s2: float
     """Negative values brake."""
     steer_rate_rad_s: float
-    """Of the front wheels, left positive."""
+    """Front wheels, left positive."""
 
 
 # Kinematic bicycle model

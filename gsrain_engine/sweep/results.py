@@ -131,7 +131,6 @@ def indented_json(value: Any) -> bytes:
 
 
 # Summary
-# Collision rates and means at each intensity, with 95 % intervals.
 
 MEASURED: dict[str, str] = {
     "min_ttc_s": "min TTC (s)",

@@ -173,7 +173,6 @@ def _as_lead(user: RoadUser, path: LanePath, vehicle: Vehicle) -> LeadVehicle | 
 
 
 # Camera agent
-# Detector, lane assignment, distance from the ground plane, tracking filter, IDM.
 
 _MIN_CONFIDENCE = 0.1
 """Minimum confidence of detections. Those from here to `lead_tracking.MIN_CONFIDENCE` only extend a known lead.

@@ -24,7 +24,6 @@ class LeadVehicle:
 
 
 # Track of one road user
-# An alpha-beta filter over sightings.
 
 _ACCELERATION_M_S2 = 4.0
 """Standard deviation of a lead's acceleration; makes braking with 8 m/s2 rare but possible."""
@@ -55,7 +54,6 @@ _SURE = 0.6
 """Confidence that suffices for one sighting; less confident ones must be seen twice."""
 
 # Sightings
-# Gap and lane membership from a detection box.
 
 
 @dataclass(frozen=True, slots=True)

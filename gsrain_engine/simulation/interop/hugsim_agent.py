@@ -175,7 +175,6 @@ class _HugsimDrive:
 
 
 # Plan conversion
-# Different axes and a different reference point of the vehicle.
 
 _SAME_PLACE_M = 0.05
 

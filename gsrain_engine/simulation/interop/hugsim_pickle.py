@@ -44,7 +44,6 @@ def old_pickle(value: Any) -> memoryview:
 
 
 # NumPy arrays
-# Rebuilt from shape, type and bytes.
 
 _DTYPES = {f"{kind}{size}" for kind in "iu" for size in (1, 2, 4, 8)} | {"f2", "f4", "f8"}
 

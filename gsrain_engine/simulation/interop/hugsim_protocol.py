@@ -40,7 +40,7 @@ class Timeouts:
     """Deadline for a client, with a check that it still runs."""
 
     def __init__(self, seconds: float, ended: Callable[[], str | None]) -> None:
-        """Start the deadline; `ended` returns the way the client ended, as a clause, or None."""
+        """Start the deadline; `ended` returns a clause on the client's end, or None while it runs."""
         self.deadline, self._ended = Deadline(seconds), ended
 
     def check(self, done: str) -> None:

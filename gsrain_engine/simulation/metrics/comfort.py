@@ -78,7 +78,7 @@ def executed_motion(rollout: Rollout) -> Motion:
 def comfort_executed(rollout: Rollout, limits: ComfortLimits = PAPER) -> float | None:
     """Return the share of driven steps in which all values are within the limits, 0..1; None without a step.
 
-    S = 1/F sum_i s_i (paper, equation of S); which motion the paper means is open, see `comfort_planned` for the other
+    S = 1/F sum_i s_i (paper, equation of S); the paper leaves the motion open, see `comfort_planned` for the other
     reading. F is the number of driven steps.
     """
     fine = executed_motion(rollout).comfortable(limits)
@@ -126,7 +126,7 @@ def comfort_planned(rollout: Rollout, limits: ComfortLimits = PAPER, reading: Pl
     """Return the share of frames whose plan is comfortable throughout, 0..1; None without a frame.
 
     The time between points is the plan's spacing (0.5 s). HUGSIM took 0.25 s until November 2025, which doubles
-    every rate and makes most plans uncomfortable: scores from before are not comparable.
+    every rate and makes most plans uncomfortable: earlier scores are not comparable.
     """
     fine = [
         is_plan_comfortable(with_start(step, poses), rollout.spacing_s, limits)

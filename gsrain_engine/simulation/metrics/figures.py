@@ -30,7 +30,6 @@ _WIDEST, _THINNEST = 3.0, 1.5
 _CLEAR, _GRID = "#d9822b", "#9aa3ad"
 
 # Curves over time
-# Values per run, and means with bands over the seeds of one intensity.
 
 Quantity = Literal["speed_m_s", "acceleration_m_s2", "ttc_s", "gap_m"]
 
@@ -192,7 +191,6 @@ def _interval(values: Sequence[float]) -> MeanInterval:
 
 
 # Bird's-eye views
-# Ego vehicle, road users, plans and collisions.
 
 _WIDTH_IN, _TALLEST_IN = 13.0, 7.0
 

@@ -232,7 +232,6 @@ def _by_weather(runs: list[ScoredRun]) -> tuple[IntensityRuns, ...]:
 
 
 # CSV
-# One row per run, one column per metric.
 
 
 def write_metrics_csv(path: Path, metrics: Sequence[DriveMetrics]) -> None:

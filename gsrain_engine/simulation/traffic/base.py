@@ -27,7 +27,7 @@ class RoadUser:
     yaw_rad: float
     """Counterclockwise from the world's x axis."""
     speed_m_s: float = 0.0
-    """Along its heading."""
+    """Speed along the heading."""
     z_m: float = 0.0
     """Height of the bottom face."""
 
