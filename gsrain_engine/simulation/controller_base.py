@@ -1,4 +1,4 @@
-"""What turns a plan into controls."""
+"""Controllers: protocol, settings, pure pursuit and preparation of plans for tracking."""
 
 from typing import Annotated, Literal, NamedTuple, Protocol, runtime_checkable
 
@@ -13,27 +13,27 @@ from .vehicle import Control, Vehicle, VehicleState
 
 @runtime_checkable
 class Controller(Protocol):
-    """Follows a plan. The same states and plans give the same controls, on any machine: nothing goes by the clock."""
+    """Turns plans into controls. Deterministic: the same states and plans give the same controls on any machine."""
 
     def reset(self) -> None:
-        """Forget what it knows of the drive before."""
+        """Forget the previous drive."""
         ...
 
     def control(
         self, vehicle: Vehicle, state: VehicleState, plan: Float64[np.ndarray, "n 2"], spacing_s: float
     ) -> Control:
-        """Return what to do now to be at `plan[k]` (k + 1) spacings from now.
+        """Return the control that leads to `plan[k]` in (k + 1) spacings from now.
 
-        `plan` is in the vehicle's present frame (x forward, y left, metres), n >= 1.
+        `plan` is in the vehicle's current frame (x forward, y left, meters), n >= 1.
         """
         ...
 
 
-# § Which controller steers, and how hard it may.
+# Settings
 
 
 class ControllerSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What turns plans into controls."""
+    """Choice of a controller and its limits."""
 
     kind: Annotated[
         Literal["ilqr", "pure-pursuit"],
@@ -65,23 +65,23 @@ class ControllerSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     ] = 3.0
 
 
-# § Pure pursuit: steer for a point ahead on the plan, and take the speed that the plan has.
+# Pure pursuit
 
 _SHORTEST_M, _AHEAD_S = 4.0, 1.0
-"""The point that is steered for is so far ahead, or so many seconds at the present speed."""
+"""Look-ahead distance: the larger of a minimum in m and a time in s at the current speed."""
 
 _SETTLE_S = 0.5
-"""Time in which the steering is to reach what it should be."""
+"""Time to reach the target steering angle."""
 
 _SPEED_POINTS = 2
-"""The acceleration is the one that leads to the plan's second point: one second ahead, so that noise matters less."""
+"""Index of the plan point that sets the acceleration: one second ahead reduces noise."""
 
 
 class PurePursuit:
-    """Steers along the arc through the rear axle and a point ahead on the plan (Coulter 1992)."""
+    """Steers along the arc through the rear axle and a look-ahead point on the plan (Coulter 1992)."""
 
     def reset(self) -> None:
-        """Forget nothing: there is nothing that it remembers."""
+        """Do nothing: the controller has no state."""
 
     def control(
         self, vehicle: Vehicle, state: VehicleState, plan: Float64[np.ndarray, "n 2"], spacing_s: float
@@ -99,25 +99,25 @@ class PurePursuit:
         return Control(acceleration, (steer - state.steer_rad) / _SETTLE_S)
 
 
-# § What of a plan a vehicle can keep to that can't brake as hard as the plan does.
+# Reachable plans
 
 
 class ReachablePlan(NamedTuple):
-    """Points of a plan, none of them nearer than full braking leads."""
+    """Plan points that full braking can reach without overshoot."""
 
     points: Float64[np.ndarray, "n 2"]
     full_braking: bool
-    """Whether even the last point is nearer: then nothing is left to weigh."""
+    """True if even the last point is nearer than full braking allows."""
 
 
 def make_reachable(
     plan: Float64[np.ndarray, "n 2"], speed_m_s: float, braking_m_s2: float, spacing_s: float
 ) -> ReachablePlan:
-    """Move what is too near on along the plan's own line, and straight on beyond its end.
+    """Move points that are too near forward along the plan's line, and straight on beyond its end.
 
-    A tracker that is told to be where it has already driven past comes nearer to it by turning round: a driver who
-    asks for a full stop at once would be steered off the road. A plan that stays within 0.1 m of the vehicle is such a
-    stop, with noise. `plan` is in the vehicle's frame (x forward, y left).
+    A tracker turns around toward points that it has already passed, so a plan for an immediate stop would steer the
+    vehicle off the road. A plan within 0.1 m of the vehicle is such a stop, with noise. `plan` is in the vehicle's
+    frame (x forward, y left).
     """
     if np.linalg.norm(plan, axis=1).max() < SHORTEST_M:
         plan = np.zeros_like(plan)
@@ -133,19 +133,19 @@ def make_reachable(
     return ReachablePlan(np.where(near[:, None], moved, plan), bool(near[-1]))
 
 
-# § What a tracker is to follow: a plan's points with the headings that they are to be passed with.
+# Reference states
 
 HeadingReference = Literal["tangent", "hugsim"]
 
 SHORTEST_M = 0.1
-"""Between closer points a plan has no direction: it jitters around a place where it wants to stand."""
+"""Minimum distance between points that define a direction; closer points are jitter around a stop."""
 
 
 def tracked_states(plan: Float64[np.ndarray, "n 2"], reference: HeadingReference) -> Float64[np.ndarray, "points 5"]:
-    """Return the present state and those at the points of a plan: x, y, heading, 0, 0.
+    """Return the current state and the states at the points of a plan: x, y, heading, 0, 0.
 
-    Vehicle frame (x forward, y left, metres), headings in radians, left positive; speed and steering are not asked
-    for. The first is the vehicle itself: the origin.
+    Vehicle frame (x forward, y left, meters), headings in radians, left positive; speed and steering have no reference.
+    The first row is the vehicle itself at the origin.
     """
     states = np.zeros((len(plan) + 1, 5))
     states[1:, :2] = plan
@@ -155,9 +155,9 @@ def tracked_states(plan: Float64[np.ndarray, "n 2"], reference: HeadingReference
 
 
 def directions(steps: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
-    """Return where steps lead, unwrapped, radians from x.
+    """Return the directions of steps, unwrapped, radians from x.
 
-    Where the plan stands or turns back it is the direction before, and x itself where there is none.
+    Where the plan stops or reverses, the previous direction holds, initially x.
     """
     found = np.empty(len(steps))
     before = 0.0
@@ -170,17 +170,17 @@ def directions(steps: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
 
 
 def _tangents(steps: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
-    """Headings at the points: half way between the steps before and after; at the last as if it went on turning."""
+    """Return headings at the points: halfway between the adjacent steps; the last extrapolates the turn."""
     found = directions(steps)
     turns = np.diff(found) if len(found) > 1 else np.zeros(1)
     return found + 0.5 * (np.concatenate([turns, turns[-1:]]) if len(found) > 1 else turns)
 
 
 def _swapped(steps: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
-    """HUGSIM's published heading: arctan2(forward, right) folded into +-90 degrees, right positive.
+    """Return HUGSIM's published heading: arctan2(forward, right) folded into +-90 degrees, right positive.
 
-    Of a straight plan this is 90 degrees and not 0 (its pull request 57 mends it). Its sign is that of the sideways
-    step, so that a hair to the left and to the right want opposite things.
+    For a straight plan it is 90 degrees instead of 0 (fixed by HUGSIM's pull request 57). Its sign is that of the
+    lateral step, so tiny deviations to the left and right give opposite headings.
     """
     right = np.arctan2(steps[:, 0], -steps[:, 1])
     right = np.where(right > np.pi / 2, right - np.pi, right)

@@ -1,4 +1,4 @@
-"""The controllers that a scenario may name."""
+"""iLQR trajectory tracker and the table of controllers."""
 
 from collections.abc import Callable
 from typing import no_type_check
@@ -11,29 +11,28 @@ from .controller_base import Controller, ControllerSettings, PurePursuit, make_r
 from .geometry import wrap_angle
 from .vehicle import Control, Vehicle, VehicleState
 
-# § The iLQR tracker: finds the inputs that keep a bicycle nearest to a plan, by repeated linear-quadratic regulation.
+# iLQR tracker
 
 
 class ILQRTracker:
-    """nuPlan's tracker (Karnchanachari et al. 2024; iLQR: Li and Todorov 2004), which HUGSIM steers with.
+    """nuPlan's tracker (Karnchanachari et al. 2024; iLQR: Li and Todorov 2004), also used by HUGSIM.
 
-    It minimizes squared errors of place and heading (10 times) at the plan's points, and squared accelerations and
-    steering rates (10 times), over the bicycle in steps of the plan's spacing; deviations from the iterate before are
-    penalized as a trust region. Only the first input is used. The search ends by its own convergence or after a count
-    of iterations: nuPlan's limit of 50 ms by the clock would make results depend on the machine.
+    It minimizes squared errors of position and heading (10 times) at the plan's points, and squared accelerations and
+    steering rates (10 times), over the bicycle in steps of the plan's spacing; deviations from the previous
+    iterate are penalized as a trust region. Only the first input is used. The search ends on convergence or after a
+    number of iterations: nuPlan's wall-clock limit of 50 ms would make results depend on the machine.
 
-    With the heading reference "hugsim" all else is as published. With "tangent" two things are mended. The steps are
-    taken by the midpoint: Euler's, half a second long, drive a circle of 20 m at 5 m/s 0.65 m too far inside. And a
-    plan that stops sooner than the vehicle can is braked for along its own line: the published tracker comes nearer to
-    points that it has passed by steering away as far as it can.
+    With the heading reference "hugsim" everything is as published. "tangent" fixes two defects. Steps use the midpoint
+    rule: Euler steps of half a second drive a circle of 20 m at 5 m/s 0.65 m too far inside. And for a plan that stops
+    sooner than the vehicle can, the vehicle brakes along the plan's line: the published tracker approaches points that
+    it has passed by steering away as far as possible.
     """
 
     def __init__(self, settings: ControllerSettings) -> None:
-        """Take limits, iterations and the heading that is wanted from a scenario's settings."""
         self._settings = settings
 
     def reset(self) -> None:
-        """Forget nothing: each search starts from its plan."""
+        """Do nothing: each search starts from its plan."""
 
     def control(
         self, vehicle: Vehicle, state: VehicleState, plan: Float64[np.ndarray, "n 2"], spacing_s: float
@@ -88,23 +87,18 @@ def open_controller(settings: ControllerSettings) -> Controller:
     return _CONTROLLERS[settings.kind](settings)
 
 
-# § The inner loops of the iLQR tracker: how the bicycle moves in its time grid, and the step back through the
-# horizon.
-#
-# States are x, y, heading, speed, steering angle of the front wheels; inputs are acceleration and steering rate.
-# Small
-# matrices are multiplied by plain loops, so that results don't depend on which BLAS is installed. `at` is the part of
-# a
-# step at which speed, steering and heading are taken: 0 is Euler's rule (nuPlan's), which cuts corners, 0.5 the
-# midpoint.
+# iLQR kernels
+# States are x, y, heading, speed, steering angle of the front wheels; inputs are acceleration and steering rate. Plain
+# loops multiply small matrices, so that results do not depend on the installed BLAS. `at` is the fraction of a step at
+# which speed, steering and heading are evaluated: 0 is Euler's rule (nuPlan's), which cuts corners, 0.5 the midpoint.
 
 STATES, INPUTS = 5, 2
 
 _WEIGHTS = np.array([1, 1, 10, 0, 0, 1, 10, *[1] * STATES, *[1] * INPUTS], np.float64)
-"""Of errors of x, y, heading, speed, steering; of acceleration and steering rate; of the trust region."""
+"""Weights of errors of x, y, heading, speed, steering; of acceleration and steering rate; of the trust region."""
 
 _TOLERANCE = 1e-6
-"""A smaller change of all inputs together ends the search."""
+"""The search ends when the norm of the input change is smaller."""
 
 
 def _first(inputs: Float64[np.ndarray, "n 2"]) -> Control:
@@ -112,7 +106,7 @@ def _first(inputs: Float64[np.ndarray, "n 2"]) -> Control:
 
 
 _SLOWEST_M_S = 0.01
-"""The slowest speed to linearize at: at a standstill steering would seem to be without any effect."""
+"""Minimum speed for linearization; at standstill steering would have no effect."""
 
 
 @numba.njit(cache=True)
@@ -124,9 +118,9 @@ def wrap_angle_kernel(angle):
 @numba.njit(cache=True)
 @no_type_check
 def step_state(state, control, dt, at, wheelbase, limits, after):
-    """Write the state after a time; `control` is cut to what `limits` allow.
+    """Write the next state to `after`; `control` is clipped to `limits` in place.
 
-    `limits`: most braking, most acceleration, most steering rate, most steering angle.
+    `limits`: maximum braking, acceleration, steering rate, steering angle.
     """
     control[0] = min(max(control[0], -limits[0]), limits[1])
     control[1] = min(max(control[1], -limits[2]), limits[2])
@@ -144,7 +138,7 @@ def step_state(state, control, dt, at, wheelbase, limits, after):
 @numba.njit(cache=True)
 @no_type_check
 def linearize_dynamics(state, control, dt, at, wheelbase, slope, effect):
-    """Write the derivatives of `moved` by the state, (5, 5), and by the control within its limits, (5, 2)."""
+    """Write the derivatives of `step_state` by state, (5, 5), and by control within its limits, (5, 2)."""
     speed, steer = state[3] + at * control[0] * dt, state[4] + at * control[1] * dt
     if abs(speed) < _SLOWEST_M_S:
         speed = -_SLOWEST_M_S if speed < 0 else _SLOWEST_M_S
@@ -169,7 +163,7 @@ def linearize_dynamics(state, control, dt, at, wheelbase, slope, effect):
 @numba.njit(cache=True)
 @no_type_check
 def roll_out(start, controls, dt, at, wheelbase, limits, states):
-    """Write the states that controls lead to, the start first; `controls` are cut to what is allowed."""
+    """Write the states that controls lead to, starting with `start`; `controls` are clipped to the limits."""
     states[0] = start
     for k in range(len(controls)):
         step_state(states[k], controls[k], dt, at, wheelbase, limits, states[k + 1])
@@ -178,10 +172,10 @@ def roll_out(start, controls, dt, at, wheelbase, limits, states):
 @numba.njit(cache=True)
 @no_type_check
 def solve_lqr_policy(states, controls, wanted, dt, at, wheelbase, weights, gains, offsets):
-    """Write the best linear answer to deviations, by dynamic programming from the horizon back.
+    """Write the optimal linear policy for deviations, by dynamic programming backward from the horizon.
 
-    `weights`: of state errors (5), inputs (2), deviations of states (5) and of inputs (2) from the present iterate; the
-    last two are the trust region. The answer is `gains[k] @ deviation + offsets[k]`.
+    `weights`: of state errors (5), inputs (2), deviations of states (5) and of inputs (2) from the current iterate; the
+    last two are the trust region. The policy is `gains[k] @ deviation + offsets[k]`.
     """
     count = len(controls)
     value, slope_of_value = np.zeros((STATES, STATES)), np.zeros(STATES)
@@ -201,7 +195,7 @@ def solve_lqr_policy(states, controls, wanted, dt, at, wheelbase, weights, gains
 @numba.njit(cache=True)
 @no_type_check
 def forward_pass(states, controls, dt, at, wheelbase, limits, gains, offsets, better):
-    """Write the controls that an answer to deviations leads to, from the same start."""
+    """Write the controls of a policy, from the same start."""
     now, deviation, after = states[0].copy(), np.zeros(STATES), np.empty(STATES)
     for k in range(len(controls)):
         for i in range(INPUTS):
@@ -216,7 +210,7 @@ def forward_pass(states, controls, dt, at, wheelbase, limits, gains, offsets, be
 @numba.njit(cache=True)
 @no_type_check
 def _add_error(state, wanted, weights, slope_of_value):
-    """Add the slope of a moment's tracking cost."""
+    """Add the gradient of one step's tracking cost."""
     for i in range(STATES):
         error = state[i] - wanted[i]
         slope_of_value[i] += weights[i] * (wrap_angle_kernel(error) if i == 2 else error)
@@ -225,7 +219,6 @@ def _add_error(state, wanted, weights, slope_of_value):
 @numba.njit(cache=True)
 @no_type_check
 def _product(left, right):
-    """Multiply two small matrices."""
     out = np.zeros((left.shape[0], right.shape[1]))
     for i in range(left.shape[0]):
         for m in range(left.shape[1]):
@@ -237,7 +230,7 @@ def _product(left, right):
 @numba.njit(cache=True)
 @no_type_check
 def _answer(value, slope_of_value, slope, effect, control, weights, gain, offset):
-    """Minimize a step's cost and the value after it over the inputs."""
+    """Minimize one step's cost plus the following value over the inputs."""
     pulled = _product(effect.T, value)  # (2, 5)
     square = _product(pulled, effect)
     a, b, d = square[0, 0] + weights[5] + weights[12], square[0, 1], square[1, 1] + weights[6] + weights[13]
@@ -257,7 +250,7 @@ def _answer(value, slope_of_value, slope, effect, control, weights, gain, offset
 @numba.njit(cache=True)
 @no_type_check
 def _before(value, slope_of_value, slope, effect, gain, offset, control, weights):
-    """Return value and slope one step earlier, the tracking error of that moment aside."""
+    """Return value and gradient one step earlier, without that step's tracking error."""
     closed = slope + _product(effect, gain)
     earlier = _product(closed.T, _product(value, closed))
     earlier_slope, reached = np.zeros(STATES), slope_of_value.copy()
@@ -277,7 +270,7 @@ def _before(value, slope_of_value, slope, effect, gain, offset, control, weights
     return earlier, earlier_slope
 
 
-# § Where the iLQR tracker's search begins: the inputs that a plan itself seems to have been driven with.
+# Initial guess of the iLQR tracker
 
 _JERK_PENALTY, _CURVATURE_RATE_PENALTY, _CURVATURE_PENALTY = 1e-4, 1e-2, 1e-10
 
@@ -287,12 +280,12 @@ _SPEED_GAIN, _STEER_GAIN = 0.5, 0.05
 def first_inputs(
     states: Float64[np.ndarray, "points 5"], speed_m_s: float, steer_rad: float, wheelbase_m: float, dt_s: float
 ) -> Float64[np.ndarray, "n 2"]:
-    """Return accelerations and steering rates that lead about along given poses, from a given speed and steering.
+    """Return accelerations and steering rates that approximately follow given poses from a given speed and steering.
 
     Speeds and curvatures are fitted to the poses by least squares (nuPlan's tracker: penalties 1e-4 on the change of
-    acceleration, 1e-2 on the change of curvature), and the first inputs are corrected by 0.5 and 0.05 times what speed
-    and steering are off. nuPlan's correction of a lateral error (gain 0.1, 15 m ahead) has nothing to correct here:
-    plans begin at the vehicle.
+    acceleration, 1e-2 on the change of curvature), and the first inputs are corrected by 0.5 and 0.05 times the errors
+    of speed and steering. nuPlan's lateral error correction (gain 0.1, 15 m ahead) is not needed, because plans start
+    at the vehicle.
     """
     speeds = _fitted_speeds(states, dt_s)
     steers = np.arctan(wheelbase_m * _fitted_curvatures(states, speeds, dt_s))
@@ -305,10 +298,10 @@ def first_inputs(
 
 
 def _fitted_speeds(states: Float64[np.ndarray, "points 5"], dt_s: float) -> Float64[np.ndarray, " n"]:
-    """Speeds whose Euler steps along the headings come nearest to the poses."""
+    """Return the speeds whose Euler steps along the headings fit the poses best."""
     headings, count = states[:-1, 2], len(states) - 1
     steps = np.diff(states[:, :2], axis=0)
-    # Of unknown first speed and accelerations; each step's measurement is its length along its heading.
+    # Unknowns are the first speed and the accelerations; each step's measurement is its length along its heading.
     forward = steps[:, 0] * np.cos(headings) + steps[:, 1] * np.sin(headings)
     matrix = np.tril(np.full((count, count), dt_s**2))
     matrix[:, 0] = dt_s
@@ -320,13 +313,13 @@ def _fitted_speeds(states: Float64[np.ndarray, "points 5"], dt_s: float) -> Floa
 def _fitted_curvatures(
     states: Float64[np.ndarray, "points 5"], speeds: Float64[np.ndarray, " n"], dt_s: float
 ) -> Float64[np.ndarray, " n"]:
-    """Curvatures whose Euler steps at given speeds come nearest to the turns between the poses."""
+    """Return the curvatures whose Euler steps at given speeds fit the turns between the poses best."""
     turns = wrap_angle(np.diff(states[:, 2]))
     count = len(turns)
     matrix = np.tril(np.full((count, count), dt_s**2)) * speeds[:, None]
     matrix[:, 0] = speeds * dt_s
     penalties = np.full(count, _CURVATURE_RATE_PENALTY)
-    penalties[0] = _CURVATURE_PENALTY  # so that a standstill has an answer too
+    penalties[0] = _CURVATURE_PENALTY  # keeps the system solvable at standstill
     fitted = _regularized_least_squares(matrix, turns, np.diag(penalties))
     return fitted[0] + dt_s * np.concatenate([[0.0], np.cumsum(fitted[1:])])
 

@@ -1,4 +1,4 @@
-"""Angles that differ by whole turns, as one."""
+"""Plane geometry: wrapped angles and rectangles on the ground. World frame, meters."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,32 +12,32 @@ _Angle = TypeVar("_Angle", float, Float64[np.ndarray, " n"])
 
 
 def wrap_angle(angle_rad: _Angle) -> _Angle:
-    """Return the same angle, or angles, within [-pi, pi): of a difference, the shorter way round."""
+    """Wrap angles to [-pi, pi)."""
     return (angle_rad + np.pi) % (2 * np.pi) - np.pi
 
 
 def wrap_degrees(angle_deg: float) -> float:
-    """Return the same angle within [-180, 180) degrees."""
+    """Wrap an angle to [-180, 180) degrees."""
     return (angle_deg + 180.0) % 360.0 - 180.0
 
 
-# § Boxes on the ground as seen from above, and whether they touch. World frame, metres.
+# Rectangles
 
 
 @dataclass(frozen=True)
 class PlanarBox:
-    """A rectangle on the ground, around its middle."""
+    """A rectangle on the ground, given by its center."""
 
     x_m: float
     y_m: float
     yaw_rad: float
-    """Of its length, counter-clockwise from the world's x."""
+    """Direction of the length, counterclockwise from the world's x axis."""
     length_m: float
     width_m: float
 
     @cached_property
     def corners(self) -> Float64[np.ndarray, "4 2"]:
-        """Front left, rear left, rear right, front right."""
+        """Corners: front left, rear left, rear right, front right."""
         half = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * (self.length_m / 2, self.width_m / 2)
         cosine, sine = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
         return half @ np.array([[cosine, sine], [-sine, cosine]]) + (self.x_m, self.y_m)
@@ -47,7 +47,7 @@ class PlanarBox:
         return shapely.Polygon(self.corners)
 
     def lattice(self, step_m: float) -> Float64[np.ndarray, "n 2"]:
-        """Return places all over the rectangle, its edges among them, at most so far apart along each side."""
+        """Return a grid of points over the rectangle including its edges, spaced at most `step_m` along each side."""
         along, across = (
             np.linspace(-side / 2, side / 2, int(np.ceil(side / step_m)) + 1) for side in (self.length_m, self.width_m)
         )
@@ -57,14 +57,14 @@ class PlanarBox:
         return np.stack([x.ravel(), y.ravel()], axis=1)
 
     def part(self, rear: int, right: int) -> "PlanarBox":
-        """Return a quarter of the rectangle: the front (0) or rear (1), left (0) or right (1) one."""
+        """Return a quarter of the rectangle: front (0) or rear (1), left (0) or right (1)."""
         forward, left = (0.5 - rear) * self.length_m / 2, (0.5 - right) * self.width_m / 2
         cosine, sine = float(np.cos(self.yaw_rad)), float(np.sin(self.yaw_rad))
         x, y = self.x_m + cosine * forward - sine * left, self.y_m + sine * forward + cosine * left
         return PlanarBox(x, y, self.yaw_rad, self.length_m / 2, self.width_m / 2)
 
     def touches(self, other: "PlanarBox") -> bool:
-        """Whether two rectangles overlap or share a point."""
+        """Return whether two rectangles overlap or share a point."""
         reach = np.hypot(self.length_m, self.width_m) + np.hypot(other.length_m, other.width_m)
         if np.hypot(self.x_m - other.x_m, self.y_m - other.y_m) > reach / 2:
             return False

@@ -1,4 +1,7 @@
-"""How high the ground is. World frame, metres."""
+"""Ground of a scene: height grids, road surface fitting, and small pieces of the solid background.
+
+World frame, meters.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,30 +16,30 @@ from ..scene.geometry import matrices_from_quaternions
 from ..scene.scene import Scene
 
 SENSOR_HEIGHT_M = 1.5
-"""Height of the rig frame's origin above the road where nothing tells it (paper, sec. on rain regions)."""
+"""Height of the rig frame's origin above the road if the scene does not state it (paper, sec. on rain regions)."""
 
 _LOWEST_RIG_M, _HIGHEST_RIG_M = -0.5, 4.0
-"""A stated ground is believed where the rig frame's origin is so far above it."""
+"""Plausible range of the rig origin's height above a stated ground."""
 
-# § Heights over a grid of the world's x and y, asked for one place at a time or for many.
+# Height grid
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeightGrid:
-    """Heights at the middles of cells, blended between them; beyond the grid the nearest cell's."""
+    """Heights at cell centers, bilinearly interpolated and clamped at the border."""
 
     corner_m: tuple[float, float]
-    """x and y of the middle of the first cell."""
+    """x and y of the center of the first cell."""
     cell_m: float
     heights_m: Float64[np.ndarray, "rows columns"]
-    """Rows along y."""
+    """Rows run along y."""
 
     @staticmethod
     def level(height_m: float) -> "HeightGrid":
         return HeightGrid((0.0, 0.0), 1.0, np.full((1, 1), float(height_m)))
 
     def at(self, x_m: float, y_m: float) -> float:
-        """Height at a place, without the cost of arrays."""
+        """Return the height at a point, without array overhead."""
         rows, columns = self.heights_m.shape
         u = min(max((x_m - self.corner_m[0]) / self.cell_m, 0.0), columns - 1.0)
         v = min(max((y_m - self.corner_m[1]) / self.cell_m, 0.0), rows - 1.0)
@@ -60,14 +63,14 @@ class HeightGrid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoadSurface:
-    """The ground as a height over each place; a vehicle on it stands upright, whatever the slope."""
+    """Ground as a height field; vehicles on it stay upright on any slope."""
 
     grid: HeightGrid
     rig_height_m: float = SENSOR_HEIGHT_M
-    """Of the rig frame's origin above it, along the recorded drive."""
+    """Height of the rig frame's origin above it along the recorded drive."""
 
     def height_m(self, x_m: float, y_m: float) -> float:
-        """Height at a place; beyond what is known that of the nearest place."""
+        """Return the height at a point; outside the grid that of the nearest cell."""
         return self.grid.at(x_m, y_m)
 
     def heights_m(self, places: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
@@ -76,11 +79,11 @@ class RoadSurface:
 
 @scene_cache(maxsize=2)
 def road_surface_of(scene: Scene) -> RoadSurface:
-    """Find the ground of a scene; the last two scenes' are kept.
+    """Estimate the road surface of a scene; caches two scenes.
 
-    It lies below the recorded drive: as far as the scene states for where the drive begins, else as far as most of what
-    lies flat under it; and it follows what lies flat beside it. Without a drive it is level, at the stated height or
-    that of the origin.
+    Its depth below the recorded drive is the one that the scene states for the start of the drive, else the most
+    frequent depth of flat parts below it; its shape follows flat parts around the drive. Without a drive it is level,
+    at the stated height or at 0.
     """
     drive = recorded_ego_positions(scene)
     if not len(drive):
@@ -91,41 +94,40 @@ def road_surface_of(scene: Scene) -> RoadSurface:
     return RoadSurface(*find_road_surface(scene, drive, below, SENSOR_HEIGHT_M))
 
 
-# § Finds the ground along a recorded drive in the scene itself. World frame, metres.
+# Road surface from the recorded drive
 
 _UNDER_M = 2.5
-"""How far beside the drive something lies under it."""
+"""Lateral distance from the drive within which parts count as below it."""
 
 _CELL_M, _MAX_CELLS = 0.5, 1500
-"""Cells, and how many there are at most on a side: of a larger scene they are larger."""
+"""Cell size, and maximum number of cells per side; larger scenes get larger cells."""
 
 _DEEPEST_M, _HIGHEST_M = 4.0, 0.5
-"""The rig frame's origin is at most so far above the ground, and so far below."""
+"""Search range of the ground: depth below and height above the rig frame's origin."""
 
 _BIN_M = 0.05
 
 _MIN_M2 = 2.0
-"""What lies flat under the drive must cover so much to tell how far below it the ground is."""
+"""Minimum flat area needed to estimate the depth."""
 
 _PASSES = ((8.0, 0.8, 4), (4.0, 0.4, 4), (2.0, 0.2, 3), (1.0, 0.12, 2))
-"""Smoothing, band around the surface (both in metres), and how often: from the lie of the land to the lane."""
+"""Smoothing and band width (both in meters) and number of iterations, from coarse to fine."""
 
 _ABOVE_COUNTS = 0.25
-"""Weight of what is over the surface, relative to what is under it: all sorts of things stand on the ground."""
+"""Weight of parts above the surface relative to parts below it, because objects stand on the ground."""
 
 _ENOUGH = 0.05
-"""Share of a cell that must be covered for half of what is found in it to be believed."""
+"""Cell coverage at which the update has half its weight."""
 
 
 def find_road_surface(
     scene: Scene, drive: Float64[np.ndarray, "n 3"], below_m: float | None, else_m: float
 ) -> tuple[HeightGrid, float]:
-    """Find the ground around a drive, and how far it lies below the rig frame's origin.
+    """Fit the ground around a drive; returns it and its depth below the rig frame's origin.
 
-    `below_m` is how far, where that is known; `else_m` where nothing lies under the drive. The surface starts parallel
-    to the drive and moves, again and again, to the smoothed mean of what lies in a band around it, while smoothing and
-    band narrow: so it follows slopes and passes under cars and bushes. Where nothing lies it keeps what was found at
-    the larger scales.
+    `below_m` is the depth if known; `else_m` the default if nothing flat lies below the drive. The surface starts
+    parallel to the drive and moves iteratively to the smoothed mean of parts in a band around it, while smoothing and
+    band narrow. It thus follows slopes and passes under cars and bushes. Empty areas keep the coarser result.
     """
     spot = np.array([LATERAL_EXTENT_M, LATERAL_EXTENT_M, 0.0])
     reach = WorldRegion(
@@ -154,11 +156,11 @@ def find_road_surface(
     return HeightGrid(grid.corner_m, grid.cell_m, level.reshape(rows, columns)), below_m
 
 
-# § A scene's solid background in small pieces, each with the area that it shows from the side and from above.
+# Regions
 
 
 class HeightSlab(NamedTuple):
-    """What is between two heights above the ground."""
+    """The space between two heights above the ground."""
 
     ground: HeightGrid
     low_m: float
@@ -169,7 +171,7 @@ class HeightSlab(NamedTuple):
 
 
 class WorldRegion(NamedTuple):
-    """The part of the world that matters: a box, and in it, where there is one, a slab over the ground."""
+    """A box in the world, optionally limited to a slab above the ground."""
 
     low: Float64[np.ndarray, "3"]
     high: Float64[np.ndarray, "3"]
@@ -177,7 +179,7 @@ class WorldRegion(NamedTuple):
 
 
 def _followed(drive: Float64[np.ndarray, "n 3"], reach: WorldRegion) -> HeightGrid:
-    """Return a surface as high as the drive beside it, smooth where the drive bends or ends."""
+    """Return a surface at the height of the nearest point of the drive, smoothed."""
     low, high = reach.low[:2], reach.high[:2]
     cell = max(_CELL_M, float((high - low).max()) / _MAX_CELLS)
     columns, rows = (np.ceil((high - low) / cell).astype(int) + 1).tolist()
@@ -189,7 +191,7 @@ def _followed(drive: Float64[np.ndarray, "n 3"], reach: WorldRegion) -> HeightGr
 
 
 def _dense(drive: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "m 3"]:
-    """Return the drive with a place at least every half a metre."""
+    """Return the drive resampled to at most half a meter."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(drive[:, :2], axis=0), axis=1))])
     steps = np.linspace(0.0, along[-1], int(along[-1] / _CELL_M) + 2)
     return np.stack([np.interp(steps, along, drive[:, axis]) for axis in range(3)], axis=1)
@@ -201,7 +203,7 @@ def _depth_below(
     top_m2: Float64[np.ndarray, " m"],
     else_m: float,
 ) -> float:
-    """How far below the drive most of what lies flat under it is."""
+    """Return the most frequent depth of flat parts below the drive."""
     way = _dense(drive)
     away, nearest = scipy.spatial.KDTree(way[:, :2]).query(places[:, :2])
     under = np.asarray(away) < _UNDER_M
@@ -218,29 +220,29 @@ def _depth_below(
 def _summed(
     cells: Int64[np.ndarray, " n"], values: Float64[np.ndarray, " n"], shape: tuple[int, int]
 ) -> Float64[np.ndarray, "rows columns"]:
-    return np.bincount(cells, values, shape[0] * shape[1]).astype(np.float64).reshape(shape)  # of no values: integers
+    return np.bincount(cells, values, shape[0] * shape[1]).astype(np.float64).reshape(shape)  # int without values
 
 
 def _smoothed(grid: Float64[np.ndarray, "rows columns"], sigma: float) -> Float64[np.ndarray, "rows columns"]:
     return scipy.ndimage.gaussian_filter(grid, sigma, mode="nearest", truncate=2.5)
 
 
-# § Where the recorded drive went. World frame, metres.
+# Recorded drive
 
 LATERAL_EXTENT_M = 40.0
-"""How far beside the recorded drive the ground, the road and what stands there are known."""
+"""Lateral distance from the recorded drive within which ground, road and obstacles are known."""
 
 
 def recorded_ego_positions(scene: Scene) -> Float64[np.ndarray, "n 3"]:
-    """Return the places of the rig frame's origin, sample by sample; none where the scene has no ego vehicle."""
+    """Return the sampled positions of the rig frame's origin; empty if the scene has no ego vehicle."""
     poses = [] if scene.ego is None else [scene.ego_to_world(float(t)) for t in scene.ego.times]
     return np.array([pose[:3, 3] for pose in poses if pose is not None]).reshape(-1, 3)
 
 
 def recorded_extent(scene: Scene) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
-    """Return the corners of the box around the recorded drive, and around what is known beside it.
+    """Return the corners of the box around the recorded drive and its known surroundings.
 
-    Without a drive it is that around the origin. Heights are the drive's own.
+    Without a drive it surrounds the origin. Heights are those of the drive.
     """
     drive = recorded_ego_positions(scene)
     if not len(drive):
@@ -250,33 +252,33 @@ def recorded_extent(scene: Scene) -> tuple[Float64[np.ndarray, "3"], Float64[np.
 
 
 SOLID = 0.5
-"""Opacity from which a Gaussian can be driven into or upon: haze and most floaters of a capture have less."""
+"""Minimum opacity of solid Gaussians; haze and most floaters of a capture have less."""
 
 _CHUNK = 1 << 15
 
 _COUNTS = ((1, 0.0, 0.5), (16, 0.5, 1.5), (64, 1.5, 4.0), (256, 4.0, np.inf))
-"""How many pieces a Gaussian falls into whose largest standard deviation is from so many cells to so many."""
+"""Number of pieces per Gaussian, with the range of its largest standard deviation in cells."""
 
 _DRAWS = np.clip(np.random.default_rng(0).standard_normal((256, 3)), -2, 2)
-"""Places in a Gaussian, in standard deviations; beyond two there is hardly anything to be seen."""
+"""Sample offsets in standard deviations, truncated at two."""
 
 
 class GaussianPieces(NamedTuple):
-    """Pieces of Gaussians. World frame: metres, z up."""
+    """Pieces of Gaussians. World frame: meters, z up."""
 
     places: Float64[np.ndarray, "n 3"]
     side_m2: Float64[np.ndarray, " n"]
-    """What each covers of a view from the side: from where it shows most."""
+    """Projected area of each from the side, in the direction where it is largest."""
     top_m2: Float64[np.ndarray, " n"]
-    """What each covers of a view from above."""
+    """Projected area of each from above."""
 
 
 def gaussian_pieces(
     scene: Scene, reach: WorldRegion, cell_m: float, names: frozenset[str] | None = None
 ) -> GaussianPieces:
-    """Take apart what stands still and can be seen of a scene, sky aside, so that no piece is much larger than a cell.
+    """Split the visible static Gaussians of a scene, without sky, into pieces not much larger than a cell.
 
-    What is hidden or deleted does not count. `names` takes these layers only.
+    Hidden and deleted Gaussians are excluded. `names` restricts the layers.
     """
     pieces = [GaussianPieces(np.zeros((0, 3)), np.zeros(0), np.zeros(0))]
     for layer in scene.layers:
@@ -316,7 +318,7 @@ def _strewn(
     reach: WorldRegion,
     cell_m: float,
 ) -> Iterator[GaussianPieces]:
-    """Strew pieces over each Gaussian. A flat one's shadows along the axes are its area times its normal."""
+    """Distribute pieces over each Gaussian. A flat one's projected areas along the axes are area times normal."""
     spread = axes @ axes.transpose(0, 2, 1)
     shadow = [
         2 * np.pi * opacities * np.sqrt(np.maximum(_minor(spread, *pair), 0)) for pair in ((1, 2), (0, 2), (0, 1))

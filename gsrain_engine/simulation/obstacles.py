@@ -1,4 +1,4 @@
-"""What of a scene's background can be driven into: pillars of space that something solid stands in. World, metres."""
+"""Obstacles and drivable area: occupied cells of the background and road cells. World frame, meters."""
 
 from dataclasses import dataclass
 
@@ -11,23 +11,25 @@ from .geometry import PlanarBox
 from .ground import GaussianPieces, HeightSlab, RoadSurface, WorldRegion, gaussian_pieces, recorded_extent
 
 LOW_M, HIGH_M = 0.3, 1.5
-"""Heights above the ground between which a car's body is: kerbs are lower, crowns of trees and signs higher."""
+"""Height range of a car's body above the ground: curbs are lower, tree crowns and signs higher."""
 
 CELL_M = 0.1
 
 POST_M = 0.08
-"""Something is in the way if it shows from the side what a post of this width does over the whole height, and does so
-within three cells by three: thin posts are found, single Gaussians that float about are not."""
+"""A 3x3 block of cells is occupied if its side area reaches that of a post of this width over the whole height range.
+
+This finds thin posts and ignores single floaters.
+"""
 
 _SHIFT = np.int64(1) << 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OccupiedSpace:
-    """The cells, seen from above, in which something stands at the height of a car's body."""
+    """Top-down grid cells occupied at the height of a car's body."""
 
     keys: Int64[np.ndarray, " n"]
-    """Of the cells, rising: the number of the cell along x times 2^32 plus that along y."""
+    """Sorted cell keys: the cell index along x times 2^32 plus the index along y."""
 
     @property
     def places(self) -> Float64[np.ndarray, "n 2"]:
@@ -38,16 +40,16 @@ class OccupiedSpace:
         return bool(self.holds(box.lattice(0.7 * CELL_M)).any())
 
     def holds(self, places: Float64[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
-        """Which places lie in one of them."""
+        """Return the places that lie in occupied cells."""
         return holds_cells(self.keys, cell_keys(places, CELL_M))
 
 
 @scene_cache(maxsize=2)
 def occupied_space_of(scene: Scene, ground: RoadSurface) -> OccupiedSpace:
-    """Find what stands in a scene, its actors aside, as far beside its drive as the ground is known; keeps two scenes'.
+    """Find the static obstacles of a scene within the known ground around its drive; caches two scenes.
 
-    The areas that solid Gaussians between knee and roof show from the side are added up in cells, so it does not matter
-    of how many a thing is made (HUGSIM counts Gaussians: more than a hundred of opacity over 0.8).
+    Cells sum the side areas of solid Gaussians in the height range, so the number of Gaussians per object does not
+    matter (HUGSIM counts Gaussians: more than a hundred of opacity over 0.8).
     """
     low, high = recorded_extent(scene)
     low[2], high[2] = ground.grid.heights_m.min() + LOW_M, ground.grid.heights_m.max() + HIGH_M
@@ -58,20 +60,20 @@ def occupied_space_of(scene: Scene, ground: RoadSurface) -> OccupiedSpace:
 
 
 def cell_keys(places: Float64[np.ndarray, "n 2"], cell_m: float) -> Int64[np.ndarray, " n"]:
-    """Number the square cells of the plane: rising with x, then with y."""
+    """Return the keys of square cells in the plane, ascending with x, then with y."""
     x, y = np.floor(places / cell_m).astype(np.int64).T
     return x * _SHIFT + y
 
 
 def holds_cells(keys: Int64[np.ndarray, " n"], wanted: Int64[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
-    """Which numbers of cells are among others, which rise."""
+    """Return which of the `wanted` keys occur in the sorted `keys`."""
     if not len(keys):
         return np.zeros(len(wanted), np.bool_)
     return keys[np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)] == wanted
 
 
 def _around(keys: Int64[np.ndarray, " n"], values: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-    """Sum what is in each cell and its eight neighbours."""
+    """Sum the values of each cell and its eight neighbors."""
     total = np.zeros(len(keys))
     for x in (-1, 0, 1):
         for y in (-1, 0, 1):
@@ -81,33 +83,33 @@ def _around(keys: Int64[np.ndarray, " n"], values: Float64[np.ndarray, " n"]) ->
     return total
 
 
-# § Where the road is: the ground that a vehicle may stand on. World frame, metres.
+# Drivable area
 
 ROAD_LAYERS = frozenset({"road", "ground"})
-"""Layers of these names are road, and nothing else is where a scene has one."""
+"""Names of road layers; if a scene has one, nothing else is road."""
 
 _CELL_M = 0.25
 
 _FLAT_M = 0.08
-"""Without such a layer: what lies flat within so much of the ground is taken for road; kerbs are higher."""
+"""Without a road layer, flat parts within this height of the ground are road; curbs are higher."""
 
 _COVERED = 0.3
-"""Share of a cell, seen from above, from which it is covered."""
+"""Minimum top-down coverage of a covered cell."""
 
 _STEP_M = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drivable:
-    """The cells of the ground that are road."""
+    """Ground cells that are road."""
 
     keys: Int64[np.ndarray, " n"]
-    """See `cell_keys`; rising."""
+    """Sorted `cell_keys`."""
 
     def share_on_road(self, box: PlanarBox) -> Float64[np.ndarray, "2 2"]:
-        """Return how much of each quarter of a box is on the road, 0..1: front then rear, left then right.
+        """Return the share of each quarter of a box on the road, 0..1: rows front and rear, columns left and right.
 
-        HUGSIM's drivable-area compliance counts a quarter as on the road where any of its ground points is.
+        HUGSIM's drivable-area compliance counts a quarter as on the road if any of its ground points is.
         """
         return np.array([[self._share(box.part(x, y)) for y in (0, 1)] for x in (0, 1)])
 
@@ -117,10 +119,9 @@ class Drivable:
 
 @scene_cache(maxsize=2)
 def drivable_of(scene: Scene, ground: RoadSurface, occupied: OccupiedSpace) -> Drivable:
-    """Find the road of a scene as far beside its drive as the ground is known; keeps the last two scenes'.
+    """Find the road of a scene within the known ground around its drive; caches two scenes.
 
-    Layers called "road" or "ground" are it. Where there are none it is what lies flat on the ground and has nothing
-    standing on it.
+    The road is the layers called "road" or "ground". Without them it is the flat, unoccupied part of the ground.
     """
     low, high = recorded_extent(scene)
     low[2], high[2] = ground.grid.heights_m.min() - 1, ground.grid.heights_m.max() + 1

@@ -1,4 +1,4 @@
-"""A roll-out as it is played: everybody at any moment, between its steps too. World frame, metres."""
+"""Playback of a roll-out with interpolation between steps. World frame, meters."""
 
 from bisect import bisect_right
 
@@ -20,12 +20,12 @@ from .vehicle import VehicleState
 
 
 class RolloutPlayback:
-    """A roll-out in the scene that it was driven in. Times are seconds since the scenario began."""
+    """A roll-out in its scene. Times are seconds since the scenario began."""
 
     def __init__(self, rollout: Rollout, scene: Scene) -> None:
-        """Put a roll-out into a scene.
+        """Combine a roll-out and its scene.
 
-        Raises ValueError where the scene lacks what the scenario shows, or the roll-out's scenario can't be read.
+        Raises ValueError if the scene lacks a required model, or the roll-out's scenario can't be read.
         """
         try:
             self.scenario = msgspec.convert(rollout.scenario, Scenario)
@@ -33,7 +33,6 @@ class RolloutPlayback:
             raise ValueError(f"the roll-out's scenario: {error}") from None
         self.rollout = rollout
         self.base = scene
-        """The scene as it was given, with its own actors."""
         cameras = tuple(
             camera_of_width(each, self.scenario.picture_width_px) for each in _cameras(scene, self.scenario.rig)
         )
@@ -46,7 +45,7 @@ class RolloutPlayback:
         return self._times[-1]
 
     def step(self, time_s: float) -> RolloutStep:
-        """Return the step that a moment belongs to: the last one that has begun."""
+        """Return the last step that has begun at a time."""
         return self.rollout.steps[max(bisect_right(self._times, time_s) - 1, 0)]
 
     def state(self, time_s: float) -> VehicleState:
@@ -58,7 +57,7 @@ class RolloutPlayback:
         )  # fmt: skip
 
     def users(self, time_s: float) -> tuple[RoadUser, ...]:
-        """Return who is there at a moment; who comes or goes in a step is there until the step has passed."""
+        """Return the road users at a time; each that appears or disappears in a step is present until the step ends."""
         before, after, part = self._around(time_s)
         later = {user.id: user for user in after.road_users}
         users: list[RoadUser] = []
@@ -82,11 +81,11 @@ class RolloutPlayback:
         return self._road.at(self.rig_to_world(time_s), self.users(time_s))
 
     def scene_time_s(self, time_s: float) -> float:
-        """Return the scene's own time of a moment, by which its rain falls."""
+        """Return the scene time, which drives the rain."""
         return self.scenario.start_s + time_s
 
     def _around(self, time_s: float) -> tuple[RolloutStep, RolloutStep, float]:
-        """Steps before and after a moment, and how far it is from the one to the other, 0..1."""
+        """Return the steps before and after a time, and the fraction between them, 0..1."""
         lower = max(bisect_right(self._times, time_s) - 1, 0)
         upper = min(lower + 1, len(self._times) - 1)
         span = self._times[upper] - self._times[lower]
@@ -95,7 +94,7 @@ class RolloutPlayback:
 
 
 def _cameras(scene: Scene, rig: str | None) -> tuple[RigCamera, ...]:
-    """Return the rig that was driven with; the scene's first where it was made for the drive alone."""
+    """Return the cameras of the rig used; of the scene's first rig if the scene lacks it."""
     return rig_cameras(scene, rig if rig in scene.rigs else None)
 
 
@@ -104,5 +103,5 @@ def _mixed(before: float, after: float, part: float) -> float:
 
 
 def _turned(before: float, after: float, part: float) -> float:
-    """Between two angles, the shorter way."""
+    """Interpolate between two angles, the shorter way."""
     return before + part * wrap_angle(after - before)

@@ -1,4 +1,4 @@
-"""What happened in a drive, moment by moment, as plain values."""
+"""Roll-out of a closed-loop drive, step by step, as plain values."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,11 +8,11 @@ import msgspec
 from .vehicle import Vehicle
 
 BACKGROUND = "background"
-"""What was hit where it is no road user."""
+"""Value of `RolloutStep.collision` for a hit that is not a road user."""
 
 
 class EgoRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The ego vehicle at a moment: the middle of its rear axle, on the ground. World frame."""
+    """Ego state at one step: center of the rear axle on the ground. World frame."""
 
     x_m: float
     y_m: float
@@ -21,15 +21,15 @@ class EgoRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     speed_m_s: float
     steer_rad: float
     acceleration_m_s2: float
-    """Over the step before."""
+    """Value over the previous step."""
     steer_rate_rad_s: float
-    """Over the step before."""
+    """Value over the previous step."""
     yaw_rate_rad_s: float
-    """From speed, steering and wheelbase."""
+    """Computed from speed, steering and wheelbase."""
 
 
 class UserRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A road user at a moment: its bottom centre. World frame."""
+    """Road user state at one step: center of the bottom face. World frame."""
 
     id: str
     x_m: float
@@ -40,65 +40,59 @@ class UserRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class RolloutStep(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A moment, with what was planned in it."""
+    """One time step with the agent's plan. Times count from the start of the scenario."""
 
     step: int
     time_s: float
-    """Since the scenario began."""
     ego: EgoRecord
     road_users: tuple[UserRecord, ...]
     plan: tuple[tuple[float, float], ...] = ()
-    """Points of the plan made now, in the vehicle's present frame (x forward, y left, metres), `spacing_s` apart; empty
-    at the end of a drive."""
+    """Points of the current plan in the vehicle's current frame (x forward, y left, meters), `spacing_s` apart.
+
+    Empty at the end of a drive.
+    """
     route_left_m: float
     """Distance of the rear axle from the route, left positive."""
     route_completion: float
-    """Share of the route ahead of the start that is behind the vehicle now, 0..1."""
+    """Driven share of the route ahead of the start, 0..1."""
     collision: str | None = None
-    """Id of the road user that is touched, "background" for anything else in the scene."""
+    """Id of the road user hit, or "background" for anything else in the scene."""
     notes: dict[str, Any] = {}
-    """What the agent wants on record."""
 
 
 class UserModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What does not change about a road user."""
+    """Constant properties of a road user."""
 
     class_name: str
     size_lwh_m: tuple[float, float, float]
 
 
 class Rollout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A finished drive. Deterministic: nothing of it depends on the machine's speed or the date."""
+    """A finished drive. Deterministic: independent of the machine's speed and the date."""
 
     version: int = 1
     scenario: dict[str, Any]
-    """As it was run, plain values (`Scenario`)."""
+    """The `Scenario` as plain values."""
     scene: str
-    """Name of the scene."""
     scene_hash: str = ""
-    """Of what there is in it to be seen and driven into."""
+    """Hash of the scene's visible and solid content."""
     agent: str
     seed: int
     step_s: float
     spacing_s: float
-    """Time between the points of a plan."""
     users: dict[str, UserModel]
-    """By id: everybody who was ever there."""
+    """All road users that ever appeared, by id."""
     end: str
-    """Why it ended: "collision", "completed", "off route", "time", "agent", "stopped"."""
+    """Reason of the end: "collision", "completed", "off route", "time", "agent", "stopped"."""
     steps: tuple[RolloutStep, ...]
-    """The start first; the last has no plan."""
+    """The first is the start; the last has no plan."""
     software: dict[str, str] = {}
-    """Versions of what ran."""
-
-
-# § The ego vehicle of a finished drive.
 
 
 def driven_vehicle(rollout: Rollout) -> Vehicle:
-    """Return the vehicle that a roll-out states, the default one where it states none.
+    """Return the vehicle of a roll-out, or the default one.
 
-    Raises ValueError for one that can't be read.
+    Raises ValueError if it can't be read.
     """
     try:
         return msgspec.convert(rollout.scenario.get("vehicle", {}), Vehicle)
@@ -106,7 +100,7 @@ def driven_vehicle(rollout: Rollout) -> Vehicle:
         raise ValueError(f"the roll-out's scenario.vehicle: {error}") from None
 
 
-# § What a roll-out says about the test that it is of: scenario, weather, vehicle.
+# Run settings
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,14 +108,13 @@ class RunSetting:
     """The parts of a scenario that metrics and tables need."""
 
     scenario: str
-    """Its name."""
     description: str
     intensity_mm_h: float
     vehicle: Vehicle
 
 
 def run_setting(rollout: Rollout) -> RunSetting:
-    """Read them from a roll-out; what it does not state has its default, no rain and the default vehicle.
+    """Read the settings from a roll-out; missing ones default to no rain and the default vehicle.
 
     Raises ValueError for a vehicle that can't be read.
     """
@@ -132,5 +125,5 @@ def run_setting(rollout: Rollout) -> RunSetting:
 
 
 def planned_frames(rollout: Rollout) -> tuple[RolloutStep, ...]:
-    """Return the moments in which a plan was made: the paper's F frames."""
+    """Return the steps with a plan: the paper's F frames."""
     return tuple(each for each in rollout.steps if each.plan)

@@ -1,4 +1,4 @@
-"""Roll-out files of every form that can be read back, by the ending of their names."""
+"""Roll-out files: JSON lines and Parquet."""
 
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,9 @@ ROLLOUT_SUFFIXES = (".jsonl", ".parquet")
 
 
 def read_any_rollout(path: Path) -> Rollout:
-    """Read a roll-out from JSON lines, or from Parquet where the name ends so.
+    """Read a roll-out from Parquet or JSON lines, by file suffix.
 
-    Raises ValueError, with the file, for what is none, and where a library is missing that reads it.
+    Raises ValueError, naming the file, for an invalid file or a missing library.
     """
     if path.suffix.lower() != ".parquet":
         return read_rollout(path)
@@ -27,18 +27,19 @@ def read_any_rollout(path: Path) -> Rollout:
         raise ValueError(f"{path}: {error}") from None
 
 
-# § Roll-outs as files: JSON lines, what is the same for the whole drive first, then one line a moment.
+# JSON lines
+# The first line is the header, followed by one line per step.
 
 _MAX_JSON_BYTES = 1 << 30
 
 _VERSION = 1
 
 _MOMENTS = "moments"
-"""How many lines follow the first: a file that is torn between two lines shows it by nothing else."""
+"""Number of step lines, to detect files truncated between two lines."""
 
 
 def write_rollout(path: Path | str, rollout: Rollout) -> None:
-    """Write a roll-out; the file is whole or not there at all. The same roll-out gives the same bytes."""
+    """Write a roll-out atomically. The same roll-out gives the same bytes."""
     header = msgspec.structs.asdict(rollout)
     header[_MOMENTS] = len(header.pop("steps"))
     with whole_file(Path(path)) as beside, beside.open("wb") as file:
@@ -49,7 +50,7 @@ def write_rollout(path: Path | str, rollout: Rollout) -> None:
 def read_rollout(path: Path | str) -> Rollout:
     """Read a roll-out.
 
-    Raises ValueError, with the file and the line, for what is none, for a torn file, and for one of a newer version.
+    Raises ValueError, naming the file and line, for an invalid or truncated file or one of a newer version.
     """
     path = Path(path)
     first, *rest = read_whole(path, _MAX_JSON_BYTES).splitlines() or [b""]
@@ -69,7 +70,7 @@ def read_rollout(path: Path | str) -> Rollout:
 
 
 def check_users(path: Path, rollout: Rollout) -> None:
-    """Raise ValueError where a moment has somebody in it whom the roll-out does not describe."""
+    """Raise ValueError if a step has a road user that `users` does not list."""
     for step in rollout.steps:
         for user in step.road_users:
             if user.id not in rollout.users:
@@ -100,10 +101,11 @@ def _step(path: Path, number: int, line: bytes) -> RolloutStep:
         raise ValueError(f"{path}: line {number}: {printable_line(error)}") from None
 
 
-# § Roll-outs as Parquet, one row a moment: for pandas, polars and DuckDB, and back without loss.
+# Parquet
+# One row per step, for pandas, polars and DuckDB; lossless.
 
 _HEADER = b"gsrain.rollout"
-"""Key of the file's metadata: what is the same for the whole drive, as JSON."""
+"""Metadata key of the header as JSON."""
 
 _PARQUET_VERSION = 1
 
@@ -115,11 +117,11 @@ _OF_EGO = tuple(EgoRecord.__struct_fields__)
 
 
 def write_rollout_parquet(path: Path, rollout: Rollout) -> None:
-    """Write a roll-out; the file is whole or not there at all. The same roll-out gives the same bytes.
+    """Write a roll-out to Parquet atomically. The same roll-out gives the same bytes.
 
     Columns: step, time_s, ego_* (one each of `EgoRecord`), route_left_m, route_completion, collision, plan (list of x
-    and y), road_users (list of records), notes (JSON). Raises ImportError, with what to install, where pyarrow is
-    missing.
+    and y), road_users (list of records), notes (JSON). Raises ImportError with install
+    instructions if pyarrow is missing.
     """
     arrow, parquet = _pyarrow()
     header = msgspec.structs.asdict(rollout)
@@ -131,10 +133,9 @@ def write_rollout_parquet(path: Path, rollout: Rollout) -> None:
 
 
 def read_rollout_parquet(path: Path) -> Rollout:
-    """Read a roll-out that `write_rollout_parquet` has written.
+    """Read a roll-out written by `write_rollout_parquet`.
 
-    Raises ValueError, with the file, for what is none, and for one of a newer version; ImportError where pyarrow is
-    missing.
+    Raises ValueError, naming the file, for an invalid file or a newer version, and ImportError if pyarrow is missing.
     """
     _pyarrow()
     header, rows = _header_and_rows(path)
@@ -159,13 +160,13 @@ def read_rollout_parquet(path: Path) -> Rollout:
 
 def _header_and_rows(path: Path) -> tuple[bytes, list[dict[str, Any]]]:
     arrow, parquet = _pyarrow()
-    check_file(path)  # what keeps it from being opened is no damage
+    check_file(path)  # an unreadable path is not reported as damage
     try:
         with parquet.ParquetFile(path) as file:
             _check_size(file.metadata)
             header = (file.metadata.metadata or {}).get(_HEADER)
             rows = [] if header is None else file.read().to_pylist()
-    except (arrow.ArrowException, OSError, OverflowError, ValueError) as error:  # damage comes as any of them
+    except (arrow.ArrowException, OSError, OverflowError, ValueError) as error:  # any of these for damaged files
         raise ValueError(f"{path}: not a Parquet file of a roll-out: {printable_line(error)}") from None
     if header is None:
         raise ValueError(f"{path}: a Parquet file, but not of a roll-out: its metadata has no {_HEADER.decode()}")
@@ -173,9 +174,9 @@ def _header_and_rows(path: Path) -> tuple[bytes, list[dict[str, Any]]]:
 
 
 def _check_size(metadata: Any) -> None:
-    """Raise ValueError before columns are unpacked that are larger than a roll-out's, however small the file.
+    """Raise ValueError for a file that unpacks to more than a roll-out can hold, however small the file.
 
-    Nothing is asked of single columns: Arrow ends the whole process over damage there.
+    Does not access single columns: Arrow aborts the process on damage there.
     """
     size = sum(metadata.row_group(i).total_byte_size for i in range(metadata.num_row_groups))
     if metadata.num_rows > _MAX_ROWS or size > _MAX_PARQUET_BYTES:

@@ -1,4 +1,4 @@
-"""The way that the ego vehicle is to take: a line on the ground, by distance. World frame, metres."""
+"""The ego vehicle's route: a polyline on the ground by arc length. World frame, meters."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,27 +12,27 @@ from .ground import recorded_ego_positions
 
 
 class RouteCoordinates(NamedTuple):
-    """Where something is in relation to a route."""
+    """Position relative to a route."""
 
     along_m: float
-    """Distance from the route's start to the nearest point on it; negative before, beyond its length after."""
+    """Distance from the route's start to the nearest point; negative before the start, beyond the length after the end.
+    """
     left_m: float
     """Distance from the route, left positive."""
 
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """A line of two points or more, none doubled; straight on before its first and after its last."""
+    """A polyline of at least two distinct points, extended straight at both ends."""
 
     points: Float64[np.ndarray, "n 2"]
 
     @property
     def length_m(self) -> float:
-        """From the first point to the last."""
         return float(self._along[-1])
 
     def at(self, along_m: float, left_m: float = 0.0) -> tuple[float, float, float]:
-        """Return x, y and heading at a distance from the start, so far to the left."""
+        """Return x, y and heading at a distance from the start, offset to the left."""
         i = int(np.clip(np.searchsorted(self._along, along_m, side="right") - 1, 0, len(self.points) - 2))
         step = self.points[i + 1] - self.points[i]
         forward = step / np.linalg.norm(step)
@@ -55,7 +55,7 @@ class Route:
         return RouteCoordinates(float(self._along[i] + reach[i]), distance if left >= 0 else -distance)
 
     def ahead(self, along_m: float, reach_m: float, step_m: float = 1.0) -> Float64[np.ndarray, "m 2"]:
-        """Return points from a distance on, evenly spaced."""
+        """Return evenly spaced points from a distance on."""
         return np.array([self.at(along_m + s)[:2] for s in np.arange(0.0, reach_m + step_m / 2, step_m)])
 
     @cached_property
@@ -64,13 +64,13 @@ class Route:
 
 
 _STEP_M = 0.5
-"""Closer samples of a recorded drive say more of its noise than of its way."""
+"""Minimum spacing; closer samples of a recorded drive mostly show noise."""
 
 
 def recorded_route(scene: Scene) -> Route:
-    """Return the way that the scene's ego vehicle has taken.
+    """Return the route of the scene's ego vehicle.
 
-    Raises ValueError where the scene has none, or where it stood still.
+    Raises ValueError if the scene has no ego vehicle or it does not move.
     """
     if scene.ego is None:
         raise ValueError(

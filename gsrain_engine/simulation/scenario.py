@@ -1,4 +1,4 @@
-"""A scenario: where the drive begins, who else is on the road, what the weather is, and when it ends."""
+"""Scenario settings (start, road users, weather, end), initial poses, and traffic."""
 
 from typing import Annotated, Literal
 
@@ -21,11 +21,11 @@ from .vehicle import Vehicle, VehicleState
 _Side = Annotated[float, Meta(gt=0, le=100)]
 
 _RESERVED_IDS = (EGO, BACKGROUND)
-"""Ids by which roll-outs mean something else."""
+"""Ids that roll-outs reserve."""
 
 
 class ScenarioUser(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A road user that a scenario puts on the road; its place is measured along the ego vehicle's route."""
+    """A road user of a scenario; its place is measured along the ego vehicle's route."""
 
     id: Annotated[str, Meta(min_length=1, title="Name")]
     model: Annotated[
@@ -66,7 +66,7 @@ class ScenarioUser(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 
 class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One closed-loop test. Times are seconds since it began unless they say otherwise."""
+    """One closed-loop test. Times are seconds since its start unless stated otherwise."""
 
     name: Annotated[str, Meta(min_length=1, title="Name")]
     description: str = ""
@@ -119,13 +119,14 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             raise ValueError(f"a road user can't be called {taken!r}: roll-outs mean something else by it")
 
 
-# § Where everybody is when a scenario begins. World frame, metres.
+# Initial poses
+# World frame, meters.
 
 
 def start_along_m(scenario: Scenario, scene: Scene, route: Route) -> float:
-    """Return how far along the route the ego vehicle starts.
+    """Return the ego vehicle's start position along the route.
 
-    Raises ValueError where the scene has no ego vehicle at that time, or its drive is over by then.
+    Raises ValueError if the scene has no ego vehicle at that time, or its drive is over by then.
     """
     last_s = scene.ego.times[-1] if scene.ego is not None and len(scene.ego.times) else np.inf
     if not scenario.start_s <= last_s:
@@ -138,13 +139,13 @@ def start_along_m(scenario: Scenario, scene: Scene, route: Route) -> float:
 
 
 def start_state(scenario: Scenario, scene: Scene, route: Route) -> VehicleState:
-    """Return the ego vehicle as it starts; raises ValueError as `start_along_m` does."""
+    """Return the initial state of the ego vehicle; raises ValueError like `start_along_m`."""
     x, y, heading = route.at(start_along_m(scenario, scene, route), scenario.left_m)
     return VehicleState(x, y, heading + float(np.radians(scenario.turned_deg)), scenario.speed_m_s)
 
 
 def start_place(user: ScenarioUser, scenario: Scenario, scene: Scene, route: Route) -> tuple[float, float, float]:
-    """Return x, y and heading of a road user's middle where the scenario puts it; raises as the others do."""
+    """Return x, y and heading of a road user's center at the start; raises ValueError like `start_along_m`."""
     ahead = scenario.vehicle.middle_m + user.ahead_m
     if user.placed == "straight":
         ego = start_state(scenario, scene, route)
@@ -155,23 +156,23 @@ def start_place(user: ScenarioUser, scenario: Scenario, scene: Scene, route: Rou
     return float(x), float(y), heading + float(np.radians(user.turned_deg))
 
 
-# § Everybody else on the road during a drive: put in place, and moved on step by step.
+# Traffic
 
 
 class Traffic:
-    """The scenario's road users, and those of the scene's own actors that it keeps."""
+    """The scenario's road users and the scene's own actors that it keeps, advanced step by step."""
 
     def __init__(self, scenario: Scenario, scene: Scene, route: Route, ground: RoadSurface) -> None:
         self._scenario, self._scene, self._route, self._ground = scenario, scene, route, ground
         self.looks: dict[str, VehicleModel] = {
             user.id: vehicle_model(user.model, scene) for user in scenario.road_users
         }
-        """Of the scenario's own road users, by id."""
+        """Models of the scenario's own road users, by id."""
         self._kept = _remaining_actors(scenario, scene)
         self._rules: dict[str, Behavior] = {}
         self._present: dict[str, RoadUser | None] = {}
         self.everybody: tuple[RoadUser, ...] = ()
-        """Each road user that was ever there, as it came."""
+        """All road users that ever appeared, each in its first state."""
         self.reset()
 
     def reset(self) -> None:
@@ -188,11 +189,11 @@ class Traffic:
 
     @property
     def users(self) -> tuple[RoadUser, ...]:
-        """Who is there now."""
+        """Road users that are present."""
         return tuple(user for user in self._present.values() if user is not None)
 
     def advance(self, time_s: float, ego: RoadUser, dt_s: float) -> None:
-        """Move everybody on, each as all others were before."""
+        """Advance all road users simultaneously, each based on the previous states of the others."""
         before = self._present
         self._present = {}
         for id, rule in self._rules.items():
@@ -202,13 +203,13 @@ class Traffic:
         self._meet()
 
     def _placed(self, user: ScenarioUser) -> RoadUser:
-        """Put a road user where the scenario says, measured from the ego vehicle's middle at the start."""
+        """Return a road user at its initial place, measured from the ego vehicle's center."""
         x, y, yaw = start_place(user, self._scenario, self._scene, self._route)
         size = user.size_lwh_m or self.looks[user.id].size_lwh_m
         return RoadUser(user.id, user.class_name, size, x, y, yaw, user.speed_m_s)
 
     def _grounded(self, user: RoadUser, id: str) -> RoadUser:
-        """Stand a road user on the ground; a recorded one stays at its own height."""
+        """Place a road user on the ground; a recorded one keeps its own height."""
         return user if id not in self.looks else user.moved(z_m=self._ground.height_m(user.x_m, user.y_m))
 
     def _meet(self) -> None:

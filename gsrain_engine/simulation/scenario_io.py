@@ -1,4 +1,4 @@
-"""Scenario files of every kind that can be read: ours, HUGSIM's, OpenSCENARIO XML."""
+"""Scenario files: loading (YAML, HUGSIM, OpenSCENARIO XML), saving, and relative file names."""
 
 import os
 from collections.abc import Callable
@@ -29,7 +29,7 @@ def scenario_names() -> list[str]:
 
 
 def load_scenario(name: str | Path) -> Scenario:
-    """Load a shipped scenario by name, or a scenario file by path: ours, HUGSIM's, or OpenSCENARIO XML.
+    """Load a shipped scenario by name, or a scenario file by path: GSRAIN's, HUGSIM's, or OpenSCENARIO XML.
 
     Raises ValueError with the file, the field and what is allowed.
     """
@@ -39,9 +39,9 @@ def load_scenario(name: str | Path) -> Scenario:
 
 
 def read_scenario(path: Path) -> Scenario:
-    """Read a file: `.xosc` is OpenSCENARIO XML, all else YAML, which shows by its keys whether it is HUGSIM's.
+    """Read a file: `.xosc` is OpenSCENARIO XML, anything else YAML, whose keys identify HUGSIM scenarios.
 
-    Files that it names are looked for in its own folder first, then in the working folder. Raises ValueError with the
+    File names are resolved against the scenario's folder first, then the working folder. Raises ValueError with the
     file, the field and what is allowed.
     """
     return resolve_file_names(_read(path), path.parent)
@@ -60,13 +60,14 @@ def _read(path: Path) -> Scenario:
     return hugsim_scenario(values, path)
 
 
-# § Scenarios into YAML files: what differs from the defaults, so that a file says what its test is about.
+# Saving
+# Only values that differ from the defaults are written.
 
 
 def save_scenario(scenario: Scenario, path: Path) -> None:
-    """Write a scenario, whole or not at all; `load_scenario` gives back the same value.
+    """Write a scenario atomically; `load_scenario` restores the same value.
 
-    Files that it names count from the written file's folder. Raises OSError.
+    File names become relative to the written file's folder. Raises OSError.
     """
     told = _plain_settings(relative_file_names(scenario, path.parent))
     text = yaml.safe_dump(told, sort_keys=False, default_flow_style=None, allow_unicode=True, width=120)
@@ -75,7 +76,7 @@ def save_scenario(scenario: Scenario, path: Path) -> None:
 
 
 def _plain_settings(settings: msgspec.Struct) -> dict[str, Any]:
-    """Fields that are not at their defaults; what a kind of settings is called stands first."""
+    """Return the fields that differ from their defaults, after the tag of a tagged struct."""
     tag = settings.__struct_config__.tag_field
     told: dict[str, Any] = {} if tag is None else {tag: settings.__struct_config__.tag}
     for field in msgspec.structs.fields(settings):
@@ -95,21 +96,21 @@ def _plain(value: object) -> Any:
     return msgspec.to_builtins(value)
 
 
-# § Files that a scenario names: in its own file, names count from that file's folder.
+# Relative file names
 
 _Rename = Callable[[str], str]
 
 
 def resolve_file_names(scenario: Scenario, folder: Path) -> Scenario:
-    """Return a scenario whose file is in a folder with its names as they count from the working folder.
+    """Return a scenario with file names resolved against the folder of its file.
 
-    A name counts from the scenario's folder; where nothing stands there it stays what it is.
+    Names without a file in that folder stay unchanged.
     """
     return _renamed(scenario, partial(resolve_from_folder, folder))
 
 
 def relative_file_names(scenario: Scenario, folder: Path) -> Scenario:
-    """Return a scenario as it stands in a file of a folder: names that count from the working folder count from it."""
+    """Return a scenario with existing relative file names made relative to `folder`."""
 
     def there(name: str) -> str:
         return os.path.relpath(name, folder) if not Path(name).is_absolute() and Path(name).exists() else name

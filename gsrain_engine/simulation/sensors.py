@@ -1,4 +1,4 @@
-"""What the cameras of the ego vehicle see: the scene in its rain, in which the vehicle's own motion is felt."""
+"""Simulated sensors: camera views of the scene in rain from the moving ego vehicle, and semantic labels."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,12 +19,12 @@ from .agents.base import CameraView, SensorRequirements, front_camera
 
 
 class RigRenderer:
-    """Draws for the cameras that an agent needs. One rain falls through a whole drive."""
+    """Renders the cameras that an agent needs. One rain simulation spans the whole drive."""
 
     def __init__(
         self, renderer: Renderer, rain: RainSettings, cameras: Sequence[RigCamera], needs: SensorRequirements
     ) -> None:
-        """Draw with a renderer, which stays open for as long as this is used."""
+        """Use a renderer that must stay open as long as this object is in use."""
         self._renderer, self._cameras, self._needs = renderer, cameras, needs
         self._rainfall = RainSimulation.start(rain)
         self._sky: SkyColor | None = None
@@ -37,11 +37,11 @@ class RigRenderer:
         yaw_rate_rad_s: float,
         time_s: float,
     ) -> dict[str, CameraView]:
-        """Draw a moment, at a time of the scene. `velocity_m_s` is the rig origin's, in the world."""
+        """Render the cameras at a scene time. `velocity_m_s` is the velocity of the rig origin in the world."""
         views: dict[str, CameraView] = {}
         for mounted in self._cameras:
             camera = placed_camera(mounted, rig_to_world)
-            if self._sky is None:  # taken once, so that all cameras and moments agree
+            if self._sky is None:  # computed once, so that all cameras and frames agree
                 self._sky = sky_color(self._renderer, scene, camera)
             arm = camera.position - rig_to_world[:3, 3]
             velocity = velocity_m_s + yaw_rate_rad_s * np.array([-arm[1], arm[0], 0.0])
@@ -65,9 +65,9 @@ class RigRenderer:
 
 
 def rig_cameras(scene: Scene, name: str | None) -> tuple[RigCamera, ...]:
-    """Return the cameras of a scene's rig; without a name of its first one, none where it has no rig.
+    """Return the cameras of a scene's rig; by default of the first one, empty if it has no rig.
 
-    Raises ValueError for a rig that it does not have.
+    Raises ValueError for an unknown rig.
     """
     if name is None:
         return next(iter(scene.rigs.values()), ())
@@ -79,7 +79,7 @@ def rig_cameras(scene: Scene, name: str | None) -> tuple[RigCamera, ...]:
 def needed_cameras(cameras: Sequence[RigCamera], needs: SensorRequirements) -> tuple[RigCamera, ...]:
     """Return the cameras that an agent needs, in the order of the rig.
 
-    Raises ValueError for a name that the rig does not have, and where there are no cameras at all.
+    Raises ValueError for an unknown camera name, or if the rig has no cameras.
     """
     names = set(needs.cameras)
     if names and not cameras:
@@ -96,7 +96,7 @@ def needed_cameras(cameras: Sequence[RigCamera], needs: SensorRequirements) -> t
 
 
 def camera_of_width(camera: RigCamera, width_px: int) -> RigCamera:
-    """Return a camera that shows the same in another size; the height is rounded to a whole, even number."""
+    """Return a camera with the same field of view at another width; the height is rounded to an even number."""
     scale = width_px / camera.width
     height = 2 * round(camera.height * scale / 2)
     return replace(
@@ -106,7 +106,7 @@ def camera_of_width(camera: RigCamera, width_px: int) -> RigCamera:
 
 
 def placed_camera(mounted: RigCamera, rig_to_world: Float64[np.ndarray, "4 4"]) -> Camera:
-    """Return a rig's camera in the world, metres."""
+    """Return the world pose of a rig camera, meters."""
     world_to_camera = np.linalg.inv(rig_to_world @ mounted.camera_to_ego)
     return Camera(
         mounted.width, mounted.height, mounted.fx, mounted.fy, mounted.cx, mounted.cy, world_to_camera,
@@ -114,7 +114,8 @@ def placed_camera(mounted: RigCamera, rig_to_world: Float64[np.ndarray, "4 4"]) 
     )  # fmt: skip
 
 
-# § Semantic classes of what a scene shows, as Cityscapes' training ids: what HUGSIM and most drivers speak.
+# Semantic classes
+# Cityscapes training ids, which HUGSIM and most driving agents use.
 
 UNKNOWN = 255
 
@@ -127,11 +128,11 @@ _OF_LAYER = {
     "road": 0, "ground": 0, "pavements": 1, "sidewalk": 1, "houses": 2, "buildings": 2, "surroundings": 2,
     "furniture": 5, "trees": 8, "vegetation": 8, "sky": 10, "parked cars": 13, "parked trucks": 14,
 }  # fmt: skip
-"""Names of layers that say what they show; those of the built-in street among them."""
+"""Layer names with a known class, including those of the built-in street."""
 
 
 def semantic_ids(scene: Scene) -> UInt8[np.ndarray, " members_and_nothing"]:
-    """Return the semantic id of each label of `draw_labels`; the first, for pixels that show nothing, is sky."""
+    """Return the semantic id of each label of `draw_labels`; the first, for pixels without content, is sky."""
     ids = [_OF_LAYER["sky"]]
     for member in scene.members:
         if isinstance(member, Actor):

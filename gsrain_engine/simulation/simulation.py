@@ -1,4 +1,4 @@
-"""The loop of a drive: observe, plan, steer, move everybody, look what was hit. Deterministic, step by step."""
+"""Closed-loop simulation: observe, plan, control, step traffic, detect collisions. Deterministic."""
 
 import logging
 from collections.abc import Iterator, Sequence
@@ -49,7 +49,7 @@ _SEEDS = 2**32
 
 
 class Simulation:
-    """One scenario in one scene, to be driven through by one agent, as often as wanted."""
+    """One scenario in one scene, for one agent, for any number of drives."""
 
     def __init__(
         self,
@@ -59,11 +59,10 @@ class Simulation:
         renderer: Renderer | None = None,
         seed: int | None = None,
     ) -> None:
-        """Make ready. `renderer` is needed where an agent needs cameras; it stays open for as long as this is used.
+        """Prepare the simulation. `renderer` is required if the agent needs cameras, and must stay open meanwhile.
 
-        `seed` is that of the rain; none takes the scenario's. A scenario of the built-in street in another scene is
-        told of in the log: it stays what it is in the roll-out. Raises ValueError where the scene lacks what the
-        scenario needs: a drive, a rig, a model.
+        `seed` is the rain seed; None takes the scenario's. A scenario of the built-in street in another scene logs a
+        warning. Raises ValueError if the scene lacks a drive, a rig or a model that the scenario needs.
         """
         if scenario.scene == STREET != scene.name:
             logger.warning("scenario %s is made for the built-in street, and is driven in scene %r", scenario.name,
@@ -92,11 +91,11 @@ class Simulation:
                 "be driven"
             )
         self.end: str | None = None
-        """Why the drive is over; none while it goes on."""
+        """Reason of the end; None during the drive."""
         self._steps: list[RolloutStep] = []
 
     def reset(self, seed: int | None = None) -> Observation:
-        """Begin the drive anew; with other drops where a seed is given."""
+        """Restart the drive, with other drops if a seed is given."""
         if seed is not None:
             self.scenario = _with_seed(self.scenario, seed)
         self._controller.reset()
@@ -110,13 +109,13 @@ class Simulation:
 
     @property
     def seed(self) -> int:
-        """Of the rain of this drive."""
+        """Seed of the rain of this drive."""
         return self.scenario.rain.seed
 
     def step(self, plan: Trajectory | None) -> None:
-        """Follow a plan for one step; without one, or with an empty one, the drive is over.
+        """Follow a plan for one step; None or an empty plan ends the drive.
 
-        Raises ValueError for a plan that is none, and where the drive is over already.
+        Raises ValueError for an invalid plan, or after the end of the drive.
         """
         self._check_goes_on()
         if plan is None or not len(plan.points):
@@ -131,7 +130,7 @@ class Simulation:
         self.advance(control, plan)
 
     def advance(self, control: Control, plan: Trajectory | None = None) -> None:
-        """Move everybody on by one step under a control; `plan` is what it comes from, for the record."""
+        """Advance all vehicles by one step under a control; `plan` is only recorded."""
         self._check_goes_on()
         before, dt = self._moment, self.scenario.step_s
         self._record(plan)
@@ -142,7 +141,7 @@ class Simulation:
         self._judge()
 
     def observation(self) -> Observation:
-        """Show the present moment, with the pictures that the agent needs."""
+        """Return the current observation, with the images that the agent needs."""
         moment, state = self._moment, self._moment.state
         height = self.ground.height_m(state.x_m, state.y_m)
         views = {} if self._pictures is None else self.render_cameras(self._pictures)
@@ -152,7 +151,7 @@ class Simulation:
         )  # fmt: skip
 
     def render_cameras(self, pictures: RigRenderer) -> dict[str, CameraView]:
-        """Draw the present moment for cameras of the rig, those of another than the agent too."""
+        """Render the current state for any cameras of the rig."""
         state = self._moment.state
         velocity = state.speed_m_s * np.array([np.cos(state.yaw_rad), np.sin(state.yaw_rad), 0.0])
         time_s = self.scenario.start_s + self._moment.time_s
@@ -161,17 +160,17 @@ class Simulation:
 
     @property
     def scene_now(self) -> Scene:
-        """The scene with everybody where they are now."""
+        """The scene with all road users in their current places."""
         return self._road.at(self.rig_to_world, self._traffic.users)
 
     @property
     def rig_to_world(self) -> Float64[np.ndarray, "4 4"]:
-        """Pose of the ego vehicle's rig (x forward, y left, z up, above the rear axle) now. World: metres."""
+        """Current pose of the ego vehicle's rig (x forward, y left, z up, above the rear axle). World frame, meters."""
         state = self._moment.state
         return state.rig_to_world(self.ground.height_m(state.x_m, state.y_m) + self.rig.height_m)
 
     def rollout(self, agent: str) -> Rollout:
-        """Return what has happened so far; of a drive that is not over, as one that was stopped."""
+        """Return the roll-out so far; an unfinished drive has the end "stopped"."""
         steps, end = list(self._steps), self.end or "stopped"
         if not steps or steps[-1].step != self._moment.step:
             steps.append(self._recorded(None))
@@ -196,7 +195,6 @@ class Simulation:
             raise ValueError(f"the drive is over ({self.end}); reset it")
 
     def _judge(self) -> None:
-        """Say whether the drive is over at the present moment, and why."""
         if self._hit is not None:
             self._finish("collision", None)
         elif self._completion >= 1:
@@ -258,11 +256,11 @@ class _SimulationMoment:
     time_s: float
     state: VehicleState
     control: Control
-    """Over the step before."""
+    """Control over the previous step."""
 
 
 def _with_seed(scenario: Scenario, seed: int) -> Scenario:
-    """Return a scenario in whose rain other drops fall; raises ValueError for a seed that there is not."""
+    """Return a scenario with another rain seed; raises ValueError if it is out of range."""
     if not 0 <= seed < _SEEDS:
         raise ValueError(f"seed {seed}: must be within 0..{_SEEDS - 1}")
     return msgspec.structs.replace(scenario, rain=msgspec.structs.replace(scenario.rain, seed=seed))
@@ -272,13 +270,13 @@ def _plain(value: object) -> dict[str, Any]:
     return msgspec.json.decode(msgspec.json.encode(value))
 
 
-# § Drives an agent through a scenario, from its start to its end.
+# Running an agent
 
 
 def drive(simulation: Simulation, agent: Agent) -> Iterator[Observation]:
-    """Let an agent drive; yields each observation that it has answered. `simulation.rollout` has what happened.
+    """Run an agent; yields each observation after the agent has planned on it.
 
-    Stop taking observations to stop the drive. What an agent raises comes through; the drive then ends as it stands.
+    Closing the iterator stops the drive. Exceptions of the agent propagate. `simulation.rollout` returns the record.
     """
     observation = simulation.reset()
     agent.reset(simulation.seed, simulation.rig)
@@ -291,7 +289,7 @@ def drive(simulation: Simulation, agent: Agent) -> Iterator[Observation]:
 
 
 def run_drive(simulation: Simulation, agent: Agent) -> Rollout:
-    """Let an agent drive to the end, and return what happened. What it raises comes through."""
+    """Run an agent to the end and return the roll-out. Exceptions of the agent propagate."""
     for _ in drive(simulation, agent):
         pass
     return simulation.rollout(agent.name)
@@ -306,11 +304,10 @@ def drive_scene(
     options: AgentOptions | None = None,
     backend: Backend = "auto",
 ) -> ScoredRun:
-    """Let an agent drive through a scene in the rain, and measure the drive.
+    """Run an agent through a scene in the rain, and score the drive.
 
-    `rain` of None is the scenario's. An agent given by its name is opened and closed here, and so is a renderer where
-    the agent needs cameras. Raises ValueError for an unknown agent or scenario, and where the scene lacks what the
-    scenario needs: a recorded drive of its ego vehicle, a rig, a model.
+    `rain` defaults to the scenario's. A named agent is opened and closed here, as is the renderer for cameras. Raises
+    ValueError for an unknown agent or scenario, or if the scene lacks a recorded ego drive, a rig or a model.
     """
     test = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     if rain is not None:
@@ -326,7 +323,7 @@ def drive_scene(
         return ScoredRun.of(rollout, simulation.occupied, drivable)
 
 
-# § What the ego vehicle touches at a moment of a drive: a road user, or what stands in the scene.
+# Collision detection
 
 
 def find_collision(
@@ -337,10 +334,10 @@ def find_collision(
     occupied: OccupiedSpace,
     since_s: float,
 ) -> str | None:
-    """Return the id of the road user that is hit, "background" for anything else; None while the way is free.
+    """Return the id of the road user hit, "background" for other obstacles, or None.
 
-    `since_s` is how long ago it was looked before, 0 at the start: what a fast vehicle has driven through since then is
-    hit too. Who is above or below the vehicle is not.
+    `since_s` is the time since the previous check, 0 at the start: obstacles that a fast vehicle has passed through
+    since then count as hit. Road users above or below the vehicle do not.
     """
     box = vehicle_box(vehicle, state)
     foot = ground.height_m(box.x_m, box.y_m)
@@ -354,20 +351,20 @@ def find_collision(
 
 
 def _without_gap(box: PlanarBox, gone_m: float) -> PlanarBox:
-    """Return the vehicle's box, so much longer behind that none is left to where it was before a way."""
+    """Extend the vehicle's box backward to its previous position after driving `gone_m`."""
     more = max(gone_m - box.length_m, 0.0)
     x, y = box.x_m - more / 2 * np.cos(box.yaw_rad), box.y_m - more / 2 * np.sin(box.yaw_rad)
     return PlanarBox(float(x), float(y), box.yaw_rad, box.length_m + more, box.width_m)
 
 
-# § The scene with everybody where they are at a moment of a drive.
+# Scene with road users
 
 
 class RoadScene:
-    """A scene whose actors are the scenario's road users."""
+    """A scene with the scenario's road users as its actors."""
 
     def __init__(self, scene: Scene, looks: dict[str, VehicleModel]) -> None:
-        """Show road users by their looks; who has none is an actor of the scene."""
+        """Use models by road user id; road users without a model are actors of the scene."""
         self.scene = scene
         self._world_to_scene = np.linalg.inv(scene.scene_to_world)
         unit = 1 / scene.metres_per_unit
@@ -375,7 +372,7 @@ class RoadScene:
         self._recorded = {actor.id: actor for actor in scene.actors}
 
     def at(self, rig_to_world: Float64[np.ndarray, "4 4"], users: tuple[RoadUser, ...]) -> Scene:
-        """Return the scene with the ego vehicle's rig and road users in their places, at any time."""
+        """Return the scene with the ego vehicle's rig and road users in their places, valid at any time."""
         actors = tuple(self._actor(user) for user in users)
         return replace(self.scene, actors=actors, ego=PoseTrack.standing(self._world_to_scene @ rig_to_world))
 

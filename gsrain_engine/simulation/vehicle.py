@@ -1,4 +1,4 @@
-"""The ego vehicle: its size and what it can do."""
+"""The ego vehicle: dimensions, state, kinematic bicycle model and bounding box. World frame, meters, z up."""
 
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
@@ -12,10 +12,9 @@ from .geometry import PlanarBox
 
 
 class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A car as its driver's model sees it. Frame: x forward, y left, z up, origin on the ground below the rear axle.
+    """Dimensions and limits of a car. Frame: x forward, y left, z up, origin on the ground below the rear axle.
 
-    The defaults are a middle-class car; the wheelbase, the steering and the acceleration that a driver may ask for are
-    those of HUGSIM's controller.
+    The defaults are a mid-size car; wheelbase, steering and acceleration limits are those of HUGSIM's controller.
     """
 
     length_m: Annotated[float, Meta(gt=0, le=30, title="Length", extra={"unit": "m"})] = 4.6
@@ -43,44 +42,44 @@ class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     @property
     def middle_m(self) -> float:
-        """From the rear axle forward to the middle of the body."""
+        """Distance from the rear axle forward to the center of the body."""
         return self.length_m / 2 - self.rear_overhang_m
 
     @property
     def front_m(self) -> float:
-        """From the rear axle forward to the front bumper."""
+        """Distance from the rear axle forward to the front bumper."""
         return self.length_m - self.rear_overhang_m
 
 
 HUGSIM_VEHICLE = Vehicle(length_m=3.0, width_m=1.6, height_m=1.5, wheelbase_m=2.7, rear_overhang_m=1.5)
-"""HUGSIM's ego: its box (w 1.6, h 1.5, l 3.0) stands around the point that it steers, a front camera."""
+"""HUGSIM's ego: a box (w 1.6, h 1.5, l 3.0) centered on the point that it steers, a front camera."""
 
-# § How the ego vehicle moves at a moment, and what its driver asks of it. World frame: metres, z up.
+# State and control
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleState:
-    """Pose and speed of a vehicle, at the middle of its rear axle."""
+    """Pose and speed of a vehicle at the center of its rear axle."""
 
     x_m: float
     y_m: float
     yaw_rad: float
-    """Counter-clockwise from the world's x; not wrapped."""
+    """Counterclockwise from the world's x axis; not wrapped."""
     speed_m_s: float = 0.0
-    """Along its heading; 0 or more."""
+    """Speed along the heading; 0 or more."""
     steer_rad: float = 0.0
-    """Of the front wheels, left positive."""
+    """Front wheels, left positive."""
 
     def to_world(self, points: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
-        """Take points in the vehicle's frame (x forward, y left) to the world."""
+        """Transform points from the vehicle's frame (x forward, y left) to the world."""
         return points @ self._turn.T + (self.x_m, self.y_m)
 
     def from_world(self, points: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
-        """Take points in the world to the vehicle's frame (x forward, y left)."""
+        """Transform points from the world to the vehicle's frame (x forward, y left)."""
         return (points - (self.x_m, self.y_m)) @ self._turn
 
     def rig_to_world(self, height_m: float) -> Float64[np.ndarray, "4 4"]:
-        """Return the pose of a rig (x forward, y left, z up) at a height above the vehicle's point, in the world."""
+        """Return the pose of a rig (x forward, y left, z up) in the world, at a height above the vehicle's origin."""
         matrix = np.eye(4)
         matrix[:2, :2] = self._turn
         matrix[:3, 3] = self.x_m, self.y_m, height_m
@@ -93,19 +92,19 @@ class VehicleState:
 
 
 class Control(NamedTuple):
-    """What a vehicle is asked to do until the next moment."""
+    """Control input of a vehicle for one step."""
 
     acceleration_m_s2: float
-    """Below 0 brakes."""
+    """Negative values brake."""
     steer_rate_rad_s: float
-    """Of the front wheels, left positive."""
+    """Front wheels, left positive."""
 
 
-# § The kinematic bicycle model: how a vehicle moves on under a control, within its limits.
+# Kinematic bicycle model
 
 
 def limit_control(vehicle: Vehicle, state: VehicleState, control: Control, dt_s: float) -> Control:
-    """Return what of a control a vehicle can do: within its limits, and no further than to standstill."""
+    """Clip a control to the vehicle's limits and to standstill."""
     low = max(-vehicle.most_braking_m_s2, -state.speed_m_s / dt_s)
     high = min(vehicle.most_acceleration_m_s2, (vehicle.top_speed_m_s - state.speed_m_s) / dt_s)
     most = vehicle.most_steer_rate_rad_s
@@ -115,17 +114,17 @@ def limit_control(vehicle: Vehicle, state: VehicleState, control: Control, dt_s:
 
 
 def step_bicycle(vehicle: Vehicle, state: VehicleState, control: Control, dt_s: float) -> VehicleState:
-    """Return where a vehicle is after a time under a constant control, and how fast.
+    """Return the state after a time step under a constant control.
 
-    The rear axle's middle follows its heading, which turns by v tan(steer) / wheelbase (Rajamani 2012, sec. 2.2, with
-    the reference at the rear axle). Speed and steering are taken at the middle of the step: exact for straight lines
-    under constant acceleration and for circles at constant speed, of second order else.
+    The center of the rear axle follows its heading, which turns by v tan(steer) / wheelbase (Rajamani 2012, sec. 2.2,
+    with the reference at the rear axle). Speed and steering are taken at the midpoint of the step: exact for straight
+    lines under constant acceleration and for circles at constant speed, second order otherwise.
     """
     control = limit_control(vehicle, state, control, dt_s)
     speed = state.speed_m_s + 0.5 * control.acceleration_m_s2 * dt_s
     steer = state.steer_rad + 0.5 * control.steer_rate_rad_s * dt_s
     turn = speed * np.tan(steer) / vehicle.wheelbase_m * dt_s
-    # The chord of an arc: its length over the arc's is sin(half) / half.
+    # The chord of an arc has sin(half) / half of the arc's length.
     distance = speed * dt_s * float(np.sinc(turn / (2 * np.pi)))
     heading = state.yaw_rad + 0.5 * turn
     return VehicleState(
@@ -138,15 +137,15 @@ def step_bicycle(vehicle: Vehicle, state: VehicleState, control: Control, dt_s: 
 
 
 def yaw_rate(vehicle: Vehicle, state: VehicleState) -> float:
-    """Return how fast a vehicle turns to the left, rad/s: v tan(steer) / wheelbase."""
+    """Return the yaw rate, rad/s, left positive: v tan(steer) / wheelbase."""
     return float(state.speed_m_s * np.tan(state.steer_rad) / vehicle.wheelbase_m)
 
 
-# § Where the ego vehicle's body is, which its states do not say: they are those of its rear axle.
+# Bounding box
 
 
 def vehicle_box(vehicle: Vehicle, state: VehicleState) -> PlanarBox:
-    """Return the box on the ground that a vehicle takes up. World frame, metres."""
+    """Return the bounding box of a vehicle on the ground. World frame, meters."""
     x = state.x_m + vehicle.middle_m * np.cos(state.yaw_rad)
     y = state.y_m + vehicle.middle_m * np.sin(state.yaw_rad)
     return PlanarBox(float(x), float(y), state.yaw_rad, vehicle.length_m, vehicle.width_m)

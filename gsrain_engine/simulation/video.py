@@ -1,4 +1,4 @@
-"""A drive as a video: what the front camera sees, the plan on the road, figures of the moment, and all from above."""
+"""Video of a roll-out: front camera, plan on the road, status line and top view."""
 
 from collections.abc import Iterator
 from functools import cached_property
@@ -38,16 +38,17 @@ RgbImage = UInt8[np.ndarray, "h w 3"]
 _PAPER, _INK, _FAINT, _SOLID = (18, 20, 24), (232, 234, 238), (128, 134, 144), (92, 98, 108)
 
 _EGO, _PLAN, _USER, _HIT = (86, 180, 233), (0, 214, 160), (230, 159, 0), (255, 70, 70)
-"""Told apart with any colour vision (Okabe and Ito 2008)."""
+"""Distinguishable with any color vision (Okabe and Ito 2008)."""
 
 _BEHIND_M, _AHEAD_M, _ACROSS_M = 12.0, 68.0, 14.0
-"""What is shown from above: so far behind the ego vehicle, ahead of it, and across in all."""
+"""Extent of the top view: behind and ahead of the ego vehicle, and total width."""
 
 _COLUMNS, _END = (0.015, 0.14, 0.36, 0.46, 0.57, 0.7, 0.86), 5
-"""Where the figures of the moment stand, in shares of the width; from the sixth on, in the end, how the drive ended."""
+"""Horizontal positions of status values, as shares of the width; from the sixth on replaced at the end by its reason.
+"""
 
 _LETTER, _SMALLEST_PX = 1 / 52, 11
-"""Size of the figures' letters, as a share of the width that holds all figures in one line; they stay legible."""
+"""Letter size of status values as a share of the width that holds them in one line, and the minimum in pixels."""
 
 _ENDS = {"time": "time is up", "completed": "end of the route", "agent": "the agent gave up"}
 
@@ -56,16 +57,16 @@ _NEAR_M = 0.3
 _DOT_M = 0.14
 
 _SURE = 0.3
-"""Detections that an agent is less sure of are left out."""
+"""Minimum confidence of detections that are drawn."""
 
 
 class RolloutVideo:
-    """Pictures of a played roll-out, all of one size. The same roll-out gives the same bytes."""
+    """Video frames of a roll-out, all of one size. The same roll-out gives the same bytes."""
 
     def __init__(self, played: RolloutPlayback, renderer: Renderer) -> None:
-        """Look from the camera of the rig that looks most straight ahead.
+        """Use the rig camera that faces forward most.
 
-        Raises ValueError where the scene has no rig.
+        Raises ValueError if the scene has no rig.
         """
         if not played.rig.cameras:
             raise ValueError(f"scene {played.rollout.scene!r} has no rig whose front camera could film the drive")
@@ -76,13 +77,13 @@ class RolloutVideo:
         self._sky = sky_color(renderer, start, placed_camera(self._mounted, played.rig_to_world(0.0)))
 
     def pictures(self, fps: float) -> Iterator[RgbImage]:
-        """Yield the pictures of the whole drive; the last moment is held for a second."""
+        """Yield all frames of the drive; the last one is held for a second."""
         moments = [*np.arange(0.0, self._played.end_s, 1 / fps), *[self._played.end_s] * (1 + round(fps))]
         for time_s in moments:
             yield self.picture(float(time_s))
 
     def count(self, fps: float) -> int:
-        """How many pictures that is."""
+        """Return the number of frames."""
         return len(np.arange(0.0, self._played.end_s, 1 / fps)) + 1 + round(fps)
 
     def picture(self, time_s: float) -> RgbImage:
@@ -93,7 +94,7 @@ class RolloutVideo:
         return np.ascontiguousarray(whole[: whole.shape[0] // 2 * 2])
 
     def _camera_panel(self, time_s: float) -> RgbImage:
-        """Draw what the camera sees, with the plan on the road and what the agent has detected in its last picture."""
+        """Draw the camera image with the plan and the agent's latest detections."""
         played, rig = self._played, self._played.rig_to_world(time_s)
         camera, state = placed_camera(self._mounted, rig), played.state(time_s)
         velocity = state.speed_m_s * rig[:3, 0]
@@ -141,7 +142,7 @@ class RolloutVideo:
         return np.asarray(strip)
 
     def _above(self, time_s: float, width: int) -> RgbImage:
-        """Draw everybody from above; the ego vehicle drives to the right."""
+        """Draw the top view; the ego vehicle drives to the right."""
         played, state, step = self._played, self._played.state(time_s), self._played.step(time_s)
         plan = _TopView(width, (state.x_m, state.y_m, state.yaw_rad))
         plan.specks(self._solid)
@@ -164,18 +165,18 @@ class RolloutVideo:
 
     @cached_property
     def _route(self) -> Float64[np.ndarray, "n 2"]:
-        """The way that was driven, each metre or so."""
+        """Driven path, one point per step."""
         return np.array([(each.ego.x_m, each.ego.y_m) for each in self._played.rollout.steps])
 
     @cached_property
     def _solid(self) -> Float64[np.ndarray, "n 2"]:
-        """What stands beside the road and could be hit."""
+        """Centers of occupied cells."""
         base = self._played.base
         return occupied_space_of(base, road_surface_of(base)).places
 
 
 class ReadoutSlot(NamedTuple):
-    """Where a figure of the moment stands."""
+    """Position of a status value."""
 
     line: int
     left_px: float
@@ -183,7 +184,7 @@ class ReadoutSlot(NamedTuple):
 
 
 def figure_slots(width: int) -> list[ReadoutSlot]:
-    """Where the figures stand in a film of a width in pixels: in one line, or in as many as a narrow one needs."""
+    """Return positions of status values for a frame width in pixels: one line, or more in a narrow frame."""
     whole = max(width, _SMALLEST_PX / _LETTER)
     slots: list[ReadoutSlot] = []
     line, first = 0, _COLUMNS[0]
@@ -195,7 +196,7 @@ def figure_slots(width: int) -> list[ReadoutSlot]:
 
 
 def _fitted(draw: ImageDraw.ImageDraw, word: str, room_px: float, font: ImageFont.FreeTypeFont) -> str:
-    """Shorten what would run into the next figure."""
+    """Shorten text that would overlap the next value."""
     if draw.textlength(word, font) <= room_px:
         return word
     while word and draw.textlength(f"{word}\u2026", font) > room_px:
@@ -204,7 +205,7 @@ def _fitted(draw: ImageDraw.ImageDraw, word: str, room_px: float, font: ImageFon
 
 
 class _NotedDetection(msgspec.Struct):
-    """A detection as camera-idm's notes have it."""
+    """A detection in the notes of camera-idm."""
 
     class_name: str = msgspec.field(name="class")
     confidence: float
@@ -212,7 +213,7 @@ class _NotedDetection(msgspec.Struct):
 
 
 def _noted(step: RolloutStep) -> list[Detection]:
-    """Return what the agent has put on record of its detections; none where it keeps no such record."""
+    """Return the detections in the agent's notes; empty if it records none."""
     try:
         noted = msgspec.convert(step.notes.get("detections", []), list[_NotedDetection])
     except msgspec.ValidationError:
@@ -221,7 +222,7 @@ def _noted(step: RolloutStep) -> list[Detection]:
 
 
 class _TopView:
-    """A drawing from above in the frame of the ego vehicle."""
+    """Top-view drawing in the frame of the ego vehicle."""
 
     def __init__(self, width: int, pose: tuple[float, float, float]) -> None:
         self._scale = width / (_BEHIND_M + _AHEAD_M)
@@ -238,7 +239,7 @@ class _TopView:
         cv2.polylines(self.picture, [corners], True, color, 1, cv2.LINE_AA, 4)
 
     def specks(self, points: Float64[np.ndarray, "n 2"]) -> None:
-        """Set single pixels, however many there are."""
+        """Draw single pixels."""
         x, y = (self._pixels(points) // 16).T
         height, width = self.picture.shape[:2]
         inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
@@ -250,7 +251,7 @@ class _TopView:
             cv2.circle(self.picture, (int(x), int(y)), radius, color, cv2.FILLED, cv2.LINE_AA, 4)
 
     def scale_bar(self) -> None:
-        """Ten metres, in the lower right corner."""
+        """Draw a bar of ten meters in the lower right corner."""
         height, width = self.picture.shape[:2]
         right, y, size = width - 12, height - 12, max(9, round(width / 80))
         cv2.line(self.picture, (right - round(10 * self._scale), y), (right, y), _FAINT, 1)
@@ -265,7 +266,7 @@ class _TopView:
 
 
 def _draw_plan(picture: RgbImage, camera: Camera, points: Float64[np.ndarray, "n 2"], height_m: float) -> None:
-    """Draw planned points as a line with dots, as large as they would be on the road."""
+    """Draw planned points as a line with dots, in perspective on the road."""
     if len(points) < 1:
         return
     pixels, depth = _projected(camera, _resampled(points), height_m)
@@ -280,7 +281,7 @@ def _draw_plan(picture: RgbImage, camera: Camera, points: Float64[np.ndarray, "n
 
 
 def _resampled(points: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "m 2"]:
-    """Points every half metre, so that a line that begins behind the camera is cut near to it."""
+    """Resample to half a meter, so that a line from behind the camera is clipped near it."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     at = np.append(np.arange(0.0, along[-1], 0.5), along[-1])
     return np.stack([np.interp(at, along, points[:, axis]) for axis in range(2)], axis=1)
@@ -289,7 +290,7 @@ def _resampled(points: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "m 2"]
 def _projected(
     camera: Camera, points: Float64[np.ndarray, "n 2"], height_m: float
 ) -> tuple[Float64[np.ndarray, "n 2"], Float64[np.ndarray, " n"]]:
-    """Pixels of points on the ground, and their depth in metres."""
+    """Return pixels of points on the ground, and their depth in meters."""
     places = np.column_stack([points, np.full(len(points), height_m)])
     local = places @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
     depth = local[:, 2]
@@ -298,30 +299,30 @@ def _projected(
 
 
 def _fixed(pixel: Float64[np.ndarray, "2"]) -> tuple[int, int]:
-    """Sixteenths of a pixel as OpenCV takes them, kept within what it can draw."""
+    """Return OpenCV's fixed-point coordinates (sixteenths of a pixel), clipped to its range."""
     x, y = np.clip(np.round(16 * (pixel - 0.5)), -(2**20), 2**20)
     return int(x), int(y)
 
 
 def _font(size: int) -> ImageFont.FreeTypeFont:
-    import matplotlib as mpl  # whose font it is; the window loads this module at its start
+    import matplotlib as mpl  # provides the font; imported here because the window loads this module at startup
 
     return ImageFont.truetype(Path(mpl.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", size)
 
 
-# § A drive's video, written into a file.
+# Video file
 
 _PREVIEW_PX = 320
 
 
 def render_rollout_video(path: Path, video: RolloutVideo, fps: float) -> Iterator[Progress]:
-    """Write a video with so many frames a second; yields after each frame.
+    """Write a video with `fps` frames per second; yields progress after each frame.
 
-    Where a caller stops, what was written can be played.
+    If the caller stops early, the written part is playable.
 
     Raises:
-        ValueError: For a suffix that is no video's.
-        OSError: When the file can't be written.
+        ValueError: For an unknown video suffix.
+        OSError: If the file can't be written.
     """
     pictures, count = video.pictures(fps), video.count(fps)
     first = next(pictures)

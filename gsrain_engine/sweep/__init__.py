@@ -1,1 +1,1 @@
-"""Many runs: every combination of scenes, scenarios, intensities, seeds and agents."""
+"""Sweeps: runs for every combination of scenes, scenarios, intensities, seeds and agents."""

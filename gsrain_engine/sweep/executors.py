@@ -1,4 +1,7 @@
-"""Where the jobs of a sweep are done: the same outcomes come from every engine, in another order."""
+"""Executors that run the jobs of a sweep: serial, local process pool, Dask cluster.
+
+All executors produce the same results, in different orders.
+"""
 
 import multiprocessing
 import os
@@ -19,53 +22,53 @@ if TYPE_CHECKING:
     from distributed import Client
 
 Work = Callable[[Job], JobResult]
-"""Does a job and never raises; it survives pickling. `work.do` is the one that sweeps use."""
+"""Runs a job and never raises; must be picklable. Sweeps use `worker.run_job`."""
 
 MAX_RETRIES = 2
-"""Of a job whose worker died."""
+"""Maximum number of retries of a job whose worker died."""
 
 
 @runtime_checkable
 class Executor(Protocol):
-    """Something with workers."""
+    """Runs the jobs of a sweep on workers."""
 
     @property
     def workers(self) -> int:
-        """How many jobs are done at a time."""
+        """Number of jobs that run at the same time."""
         ...
 
     def outcomes(self, work: Work, jobs: Sequence[Job]) -> Iterator[JobResult]:
-        """Do jobs; yields what came of each, once, as it comes. Closing the iterator stops all that is under way."""
+        """Run jobs and yield each result as it arrives. Closing the iterator stops all running jobs."""
         ...
 
 
 class SerialExecutor:
-    """Does one job after the other in this process: for debuggers, and to compare with."""
+    """Runs jobs one by one in this process, for debugging and as a reference."""
 
     workers = 1
 
     def outcomes(self, work: Work, jobs: Sequence[Job]) -> Iterator[JobResult]:
-        """Do jobs in their order."""
         with closing(worker_cache()):
             for job in jobs:
                 yield work(job)
 
 
-# § Workers on this machine: processes that get jobs one by one. One that dies is replaced, and its job done again.
+# Local process pool
+# Workers get jobs one by one; one that dies is replaced, and its job is retried.
 
 
 class LocalPool:
-    """A pool of processes. It holds none between sweeps."""
+    """A pool of processes that live only as long as a sweep."""
 
     def __init__(self, workers: int | None = None, retries: int = MAX_RETRIES) -> None:
-        """Use so many workers; none takes half of the cores, at least one. Raises ValueError below one."""
+        """Use `workers` processes; None means half of the cores, at least one. Raises ValueError below one."""
         if workers is not None and workers < 1:
             raise ValueError(f"a pool has at least one worker, got {workers}")
         self.workers = workers or max(1, _cores() // 2)
         self._retries = retries
 
     def outcomes(self, work: Work, jobs: Sequence[Job]) -> Iterator[JobResult]:
-        """Do jobs; each worker stays with a scene for as long as there are jobs of it."""
+        """Run jobs; a worker prefers jobs of the scene that it has open."""
         threads = max(1, _cores() // self.workers)
         with closing(_PoolWorkers(work, jobs, threads, self._retries)) as crew:
             for _ in range(min(self.workers, len(jobs))):
@@ -74,14 +77,14 @@ class LocalPool:
                 yield from crew.finished()
 
 
-# § A process of the local pool, which does one job after the other.
+# Worker process
 
 
 class PoolWorker:
-    """A process, and the job that it has."""
+    """A process and its current job."""
 
     def __init__(self, work: Work, threads: int) -> None:
-        """Start it; compiled kernels use so many threads in it. It is given jobs before it is up."""
+        """Start the process with `threads` threads for compiled kernels. It accepts jobs before it is ready."""
         context = multiprocessing.get_context("spawn")
         self.messages, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(theirs, work), daemon=True)
@@ -97,7 +100,7 @@ class PoolWorker:
 
     @property
     def job(self) -> Job:
-        """What it was given last."""
+        """The most recent job."""
         assert self._job is not None
         return self._job
 
@@ -110,18 +113,18 @@ class PoolWorker:
         return self._process.exitcode
 
     def begin(self, job: Job) -> None:
-        """Give it a job. That it died meanwhile shows when the outcome is asked for."""
+        """Send a job. If the process has died, `outcome` reports it."""
         self._job = job
         with suppress(OSError):
             self.messages.send(job)
 
     def outcome(self) -> JobResult | None:
-        """Return what came of its job; None when it died over it."""
+        """Return the result of the job, or None if the process died."""
         try:
             return receive_message(self.messages, _MAX_OUTCOME_BYTES)
         except (EOFError, OSError) as error:
             if not isinstance(error, EOFError | ConnectionError):
-                self._process.kill()  # it has more to say than an outcome has, and would wait to be heard
+                self._process.kill()  # the result exceeds the limit, and the process would block on sending
             self._process.join()
             return None
 
@@ -132,7 +135,7 @@ class PoolWorker:
 
 
 class _PoolWorkers:
-    """The workers of one sweep, and the jobs that wait for them."""
+    """The workers of one sweep and the queue of jobs."""
 
     def __init__(self, work: Work, jobs: Sequence[Job], threads: int, retries: int) -> None:
         self._work, self._threads, self._retries = work, threads, retries
@@ -142,11 +145,11 @@ class _PoolWorkers:
 
     @property
     def is_busy(self) -> bool:
-        """Whether any job is under way."""
+        """True while any job is running."""
         return bool(self._busy)
 
     def employ(self, worker: PoolWorker | None = None) -> None:
-        """Give a worker, or a new one, its next job; without a job there is no worker."""
+        """Assign the next job to a worker or to a new one; closes the worker if no job is left."""
         if not self._waiting:
             if worker is not None:
                 worker.close()
@@ -157,7 +160,7 @@ class _PoolWorkers:
         worker.begin(next_job(self._waiting, worker.scene, taken))
 
     def finished(self) -> Iterator[JobResult]:
-        """Wait until something comes in; yields it once its worker has its next job."""
+        """Wait for results; yields each after its worker got the next job."""
         ready: list[Connection] = wait([each.messages for each in self._busy.values()])  # pyright: ignore
         for messages in ready:
             worker = self._busy.pop(messages)
@@ -176,7 +179,7 @@ class _PoolWorkers:
             worker.close()
 
     def _buried(self, worker: PoolWorker) -> JobResult | None:
-        """Put the job of a worker that died back in front; its outcome where that has happened too often."""
+        """Requeue the job of a dead worker first; return a failed result once the retries are used up."""
         job = worker.job
         self._deaths[job.id] += 1
         if self._deaths[job.id] <= self._retries:
@@ -186,7 +189,7 @@ class _PoolWorkers:
 
 
 def next_job(waiting: list[Job], own: str | None, taken: set[str | None]) -> Job:
-    """Take out the first job of a worker's own scene, else of a scene that nobody works on, else the first."""
+    """Remove and return the first job of a worker's own scene, else of a scene no worker has, else the first."""
     mine = (place for place, job in enumerate(waiting) if job.scene == own)
     free = (place for place, job in enumerate(waiting) if job.scene not in taken)
     return waiting.pop(next(mine, next(free, 0)))
@@ -207,7 +210,7 @@ _THREADS = "NUMBA_NUM_THREADS"
 
 
 def _serve(messages: Connection, work: Work) -> None:
-    """Do jobs in the new process, for as long as there is somebody who gives some."""
+    """Run jobs in the worker process until the pipe closes."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     with suppress(EOFError, OSError):
         while True:
@@ -215,7 +218,7 @@ def _serve(messages: Connection, work: Work) -> None:
 
 
 def _end_with_parent() -> None:
-    """Leave at once when the sweep is gone, killed perhaps: nobody would take what comes out."""
+    """Exit when the parent process ends, also if it was killed."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])
@@ -224,7 +227,7 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def _without_interrupts() -> Generator[None]:
-    """Start processes that pass Ctrl-C by: it means this one, which ends them."""
+    """Start processes that ignore Ctrl-C; the parent handles it and ends them."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -237,7 +240,7 @@ def _without_interrupts() -> Generator[None]:
 
 @contextmanager
 def _threads(count: int) -> Generator[None]:
-    """Start processes in which compiled kernels use so many threads, where nothing else was set."""
+    """Start processes whose compiled kernels use `count` threads, unless the environment sets a number."""
     if _THREADS in os.environ:
         yield
         return
@@ -248,18 +251,18 @@ def _threads(count: int) -> Generator[None]:
         del os.environ[_THREADS]
 
 
-# § Workers of a Dask cluster: on this machine, in a lab, or behind a batch system.
+# Dask cluster
 
 _ANSWERS_WITHIN_S = 20
 
 
 class DaskCluster:
-    """The workers behind a scheduler. Each needs this program in this version, and sees scenes under the same names."""
+    """The workers of a Dask scheduler. Each needs the same program version and the same scene paths."""
 
     def __init__(self, address: str, resources: Mapping[str, float] | None = None) -> None:
-        """Connect to a scheduler, such as tcp://host:8786; `resources` is what a job takes, such as {"GPU": 1}.
+        """Connect to a scheduler, such as tcp://host:8786; `resources` is what a job needs, such as {"GPU": 1}.
 
-        Raises ValueError where none answers, or Dask is missing.
+        Raises ValueError if no scheduler answers or Dask is missing.
         """
         self._client = _client(address)
         self._resources = dict(resources or {})
@@ -273,9 +276,9 @@ class DaskCluster:
         self._client.close()
 
     def outcomes(self, work: Work, jobs: Sequence[Job]) -> Iterator[JobResult]:
-        """Do jobs, those of a scene before those of the next. The scheduler gives a dead worker's jobs to others.
+        """Run jobs, scene by scene. The scheduler reassigns the jobs of dead workers.
 
-        Raises ConnectionError when the scheduler is gone.
+        Raises ConnectionError if the scheduler disappears.
         """
         from distributed import CancelledError, KilledWorker, as_completed
 
@@ -293,8 +296,8 @@ class DaskCluster:
             self._client.cancel(list(futures))
 
     def _submitted(self, work: Work, jobs: Sequence[Job]) -> dict[Any, str]:
-        """Hand all jobs over; returns the id of each future's job."""
-        sweep = uuid4().hex[:8]  # the scheduler remembers results by key, those of other sweeps too
+        """Submit all jobs; returns the job id of each future."""
+        sweep = uuid4().hex[:8]  # the scheduler caches results by key, across sweeps
         return {
             self._client.submit(
                 work,

@@ -1,4 +1,4 @@
-"""From a sweep to its jobs, in the order in which they are best run: all of a scene before those of the next."""
+"""Expansion of a sweep into jobs, shards of a sweep, and software versions."""
 
 import hashlib
 import re
@@ -24,27 +24,27 @@ from ..simulation.scenario import Scenario
 from ..simulation.scenario_io import load_scenario
 from .settings import AgentChoice, DriveSweep, RenderSweep, Sweep, apply_jitter, seeds_of
 
-# § One piece of a sweep: everything that its result depends on, and nothing else.
+# Jobs
+# A job holds everything its result depends on, and nothing else.
 
 
 class _Content(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What jobs of all kinds depend on."""
+    """Fields shared by jobs of all kinds."""
 
     program: str
-    """Version of the program."""
     scene: str
-    """As it was named; it stands in roll-outs."""
+    """Scene name as given; copied to roll-outs."""
     scene_hash: str
     files: dict[str, str] = {}
-    """Hashes of all other files that it reads, by the names under which it reads them."""
+    """Hashes of all other input files, by file name."""
     packages: dict[str, str] = {}
-    """Versions of other packages whose agent, scene formats or decoders it uses, by their names."""
+    """Versions of the plugin packages that provide the agent, scene formats or decoders, by package name."""
     seed: int
     backend: Backend
 
     @property
     def id(self) -> str:
-        """Hash of the content (20 hex digits): equal for equal jobs, on every machine."""
+        """Hash of the content (20 hex digits), equal for equal jobs on every machine."""
         return hashlib.sha256(msgspec.json.encode(self, order="sorted")).hexdigest()[:_DIGITS]
 
 
@@ -52,18 +52,18 @@ class DriveJob(_Content, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     """A closed-loop drive."""
 
     scenario: Scenario
-    """As it is run: with its rain, its scene, and where its seed has it begin."""
+    """The scenario with this job's rain, scene and jittered start."""
     agent: AgentChoice
 
     @property
     def title(self) -> str:
-        """What a person reads about it."""
+        """Title for logs and progress messages."""
         rain = self.scenario.rain.intensity_mm_h
         return f"{self.scenario.name}, {rain:g} mm/h, seed {self.seed}, {self.agent.title}"
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """What its row says about it."""
+        """Values for the parameter columns of the row."""
         return {
             **_shared(self, "drive"),
             "scenario": self.scenario.name,
@@ -74,7 +74,7 @@ class DriveJob(_Content, frozen=True, kw_only=True, forbid_unknown_fields=True, 
 
 
 class RenderJob(_Content, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="render"):
-    """A clip, or frames, with their labels."""
+    """A rendered video or image sequence with labels."""
 
     rain: RainSettings
     recording: ExportSettings
@@ -82,12 +82,12 @@ class RenderJob(_Content, frozen=True, kw_only=True, forbid_unknown_fields=True,
 
     @property
     def title(self) -> str:
-        """What a person reads about it."""
+        """Title for logs and progress messages."""
         return f"{self.scene}, {self.rain.intensity_mm_h:g} mm/h, seed {self.seed}"
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """What its row says about it."""
+        """Values for the parameter columns of the row."""
         return {**_shared(self, "render"), "intensity_mm_h": self.rain.intensity_mm_h, "labels": self.labels}
 
 
@@ -95,9 +95,9 @@ Job = DriveJob | RenderJob
 
 
 def jobs_of(sweep: Sweep) -> list[Job]:
-    """Return every combination that a sweep asks for, each once. Reads all files that jobs depend on, to hash them.
+    """Return all combinations of a sweep without duplicates, sorted by scene. Reads and hashes all input files.
 
-    Raises ValueError for a scenario, agent or scene that is not there, and OSError for a file that can't be read.
+    Raises ValueError for a missing scenario, agent or scene, and OSError for an unreadable file.
     """
     jobs = _drives(sweep) if isinstance(sweep, DriveSweep) else _renders(sweep)
     jobs.sort(key=lambda job: job.scene)
@@ -141,7 +141,7 @@ def _drive(
 
 
 def _complete(agent: AgentChoice) -> AgentChoice:
-    """Name the detector that an agent would find by itself: the result depends on it."""
+    """Fill in the default detector, because the result depends on it."""
     if agent.name != "camera-idm" or agent.detector is not None:
         return agent
     try:
@@ -151,9 +151,9 @@ def _complete(agent: AgentChoice) -> AgentChoice:
 
 
 def _packages(scenes: list[str], agent: AgentChoice | None = None) -> dict[str, str]:
-    """Return versions of the packages that read these files of Gaussians, that the agent comes from, that add decoders.
+    """Return versions of the plugins for these scene formats, the agent and the decoders.
 
-    Which decoder a detector takes shows only when it is opened: all of them count.
+    All decoders count, because a detector selects its decoder only when it is opened.
     """
     used = [each for each in find_extensions(SCENE_FORMATS) if any(_has_suffix(name, each.name) for name in scenes)]
     if agent is not None:
@@ -196,12 +196,12 @@ def _renders(sweep: RenderSweep) -> list[Job]:
         )
         for scene in sweep.scenes
         for intensity in sweep.intensities_mm_h
-        for seed in seeds_of(sweep)[: None if intensity > 0 else 1]  # without drops all seeds show the same
+        for seed in seeds_of(sweep)[: None if intensity > 0 else 1]  # without rain all seeds are identical
     ]
 
 
 class _Hashes:
-    """Each file is read once."""
+    """Scene and file hashes; each file is read once."""
 
     def __init__(self) -> None:
         self._scenes: dict[str, str] = {}
@@ -213,7 +213,7 @@ class _Hashes:
         return self._scenes[name]
 
     def files(self, names: list[str | None]) -> dict[str, str]:
-        """Hash what names a file; shipped calibrations, models and descriptions belong to the program's version."""
+        """Hash existing files; shipped calibrations, models and descriptions are covered by the program version."""
         found = [name for name in dict.fromkeys(names) if name and name not in calibration_names()]
         found = [name for name in found if Path(name).is_file()]
         for name in found:
@@ -258,20 +258,21 @@ def _shared(job: _Content, kind: str) -> dict[str, Any]:
     }
 
 
-# § A share of a sweep, for machines that know nothing of each other, such as the tasks of a SLURM array.
+# Shards
+# For independent machines such as the tasks of a SLURM array.
 
 _FORM = re.compile(r"(\d+)/(\d+)")
 
 
 class Shard(NamedTuple):
-    """The i-th of n shares, counted from 1."""
+    """The i-th of n shards, counted from 1."""
 
     place: int
     shares: int
 
     @staticmethod
     def parse(text: str) -> "Shard":
-        """Read "i/n"; raises ValueError where it is none, or i is not within 1..n."""
+        """Parse "i/n"; raises ValueError if malformed or if i is not within 1..n."""
         match = _FORM.fullmatch(text.strip())
         if match is None:
             raise ValueError(
@@ -283,7 +284,7 @@ class Shard(NamedTuple):
         return Shard(place, shares)
 
     def of(self, jobs: Sequence[Job]) -> list[Job]:
-        """Return this share of the jobs, in their order: every n-th by id, so that each share is a fair mixture."""
+        """Return the jobs of this shard in their order: every n-th by id, so that shards are balanced."""
         ids = sorted(job.id for job in jobs)
         own = set(ids[self.place - 1 :: self.shares])
         return [job for job in jobs if job.id in own]
@@ -292,7 +293,7 @@ class Shard(NamedTuple):
         return f"{self.place}/{self.shares}"
 
 
-# § What runs a sweep: versions of the program and of what it computes with.
+# Software versions
 
 _COMPUTED_WITH = ("numpy", "onnxruntime", "scipy", "shapely")
 
@@ -302,7 +303,7 @@ def program_version() -> str:
 
 
 def software() -> dict[str, str]:
-    """Return versions by package, of those that are installed: other ones may round in another way."""
+    """Return versions of installed packages that affect rounding, by package name."""
     found = {"gsrain": program_version()}
     for name in _COMPUTED_WITH:
         try:

@@ -1,4 +1,4 @@
-"""The rows of a sweep as one table, with what they say together: files beside the rows."""
+"""Tables, summary figures and HTML report of a sweep."""
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path, PurePath
@@ -35,10 +35,10 @@ from .settings import Sweep
 
 
 def write_tables(folder: SweepFolder, sweep: Sweep, jobs: Sequence[Job]) -> dict[str, Any]:
-    """Merge the rows that stand there into table.parquet, table.csv, summary.json, figures and report.html.
+    """Merge the existing rows into table.parquet, table.csv, summary.json, figures and report.html.
 
-    Everything but the report is the same bytes for the same rows. Returns the summary as plain values. Raises
-    ValueError where no row stands there, OSError where something can't be written.
+    All files except the report are byte-identical for the same rows. Returns the summary as plain values. Raises
+    ValueError if there are no rows, and OSError if a file can't be written.
     """
     found = folder.read(jobs)
     rows = [found[job.id] for job in jobs if job.id in found]
@@ -74,7 +74,7 @@ def _numbers(
 
 
 def _errors(failed: Iterable[Row]) -> dict[str, int]:
-    """Count each error's jobs, the most frequent first."""
+    """Count jobs by error message, most frequent first."""
     counts: dict[str, int] = {}
     for row in failed:
         counts[str(row["error"])] = counts.get(str(row["error"]), 0) + 1
@@ -82,7 +82,7 @@ def _errors(failed: Iterable[Row]) -> dict[str, int]:
 
 
 def _written_figures(folder: Path, scenarios: Sequence[Sequence[SummaryCell]]) -> list[ReportFigure]:
-    """Draw each scenario into a file of its name and its scene's; those of equal names are numbered."""
+    """Write one PNG per scenario and scene; equal names get a number."""
     caption = "Bands: 95 %, over the seeds; of collisions Wilson's interval, of means a bootstrap."
     figures: list[ReportFigure] = []
     names: list[str] = []
@@ -98,12 +98,13 @@ def _written_figures(folder: Path, scenarios: Sequence[Sequence[SummaryCell]]) -
     return figures
 
 
-# § Collisions, time to collision, planned collisions and comfort against the intensity of rain, with their bands.
+# Scenario figures
+# Collisions, time to collision, planned collisions and comfort against rain intensity, with 95 % bands.
 
 _PANEL_IN, _DPI = (4.4, 3.3), 120
 
 _ASIDE, _ALL_ASIDE = 0.012, 0.06
-"""Of the widest intensity: how far curves stand from each other, and all of them together at most."""
+"""Horizontal offset between curves, and the maximum of all offsets together, as a share of the highest intensity."""
 
 _LEGEND_COLUMNS, _LEGEND_LINE_IN = 4, 0.2
 
@@ -121,9 +122,9 @@ _PANELS: tuple[tuple[str, Callable[[SummaryCell], MeanInterval95 | None]], ...] 
 
 
 def scenario_figure(cells: Sequence[SummaryCell]) -> UInt8[np.ndarray, "h w 3"]:
-    """Draw what the agents did in one scenario of one scene: a panel a measure, a curve an agent.
+    """Draw the results of all agents in one scenario: a panel per measure, a curve per agent.
 
-    The same cells give the same bytes. Bands are the 95 % intervals of the cells; the first panel's are Wilson's.
+    The same cells give byte-identical images. Bands are the cells' 95 % intervals; the first panel's are Wilson's.
     """
     rows, columns = 2, len(_PANELS) // 2
     agents = list(dict.fromkeys(cell.agent for cell in cells))
@@ -132,7 +133,7 @@ def scenario_figure(cells: Sequence[SummaryCell]) -> UInt8[np.ndarray, "h w 3"]:
     figure = Figure(figsize=size, layout="constrained", dpi=_DPI)
     panels: list[Axes] = list(np.ravel(figure.subplots(rows, columns, sharex=True)))
     styles = series_styles(len(agents))
-    # else equal curves would hide each other
+    # keep equal curves distinguishable
     aside = min(_ASIDE, _ALL_ASIDE / len(agents)) * max(cell.intensity_mm_h for cell in cells)
     for number, (panel, (title, value)) in enumerate(zip(panels, _PANELS, strict=True)):
         for place, agent in enumerate(agents):
@@ -183,12 +184,12 @@ def _dress(panel: Axes, title: str, cells: Sequence[SummaryCell], *, is_lowest: 
         panel.set_xlabel("rainfall intensity (mm/h)")
 
 
-# § The page of a sweep: its figures, and what they show as tables.
+# Report page
 
 _MAX_ERRORS = 20
 
 _BANDED = 1
-"""Of the measured columns so many have room for their intervals; summary.json has all."""
+"""Number of measured columns shown with intervals; summary.json has all."""
 
 _CHANGED = ("min_ttc_s", "planned_point_collision_rate", "comfort_executed")
 
@@ -201,7 +202,7 @@ def sweep_report_page(
     cells: Sequence[SummaryCell],
     figures: Sequence[ReportFigure],
 ) -> RunReport:
-    """Lay out the page of a sweep; `numbers` is its summary, `figures` those of its scenarios."""
+    """Return the report page of a sweep; `numbers` is its summary, `figures` one per scenario."""
     notes = [f"{count} of {numbers['rows']} failed: {error}" for error, count in list(numbers["errors"].items())]
     if numbers["rows"] < numbers["jobs"]:
         notes.insert(0, f"{numbers['jobs'] - numbers['rows']} of {numbers['jobs']} jobs have not been done yet.")
@@ -233,7 +234,7 @@ def _tables(cells: Sequence[SummaryCell]) -> tuple[ReportTable, ...]:
 
 
 def scenario_table(cells: Sequence[SummaryCell]) -> ReportTable:
-    """Lay the cells of one scenario in one scene out as a table: a row an agent and intensity."""
+    """Return the table of one scenario in one scene: a row per agent and intensity."""
     banded, plain = list(MEASURED)[:_BANDED], list(MEASURED)[_BANDED:]
     failed = any(cell.failed for cell in cells)
     columns = (
@@ -260,7 +261,7 @@ def scenario_table(cells: Sequence[SummaryCell]) -> ReportTable:
 
 
 def change_table(cells: Sequence[SummaryCell]) -> ReportTable:
-    """Lay out what rain changes in one scenario, seed by seed: a row an agent and intensity above the lowest."""
+    """Return the paired differences caused by rain: a row per agent and intensity above the lowest."""
     columns = ("agent", "R (mm/h)", "pairs", *(each for name in _CHANGED for each in (MEASURED[name], "95 %")))
     changed = [cell for cell in cells if cell.changes]
     rows = tuple(

@@ -1,4 +1,7 @@
-"""The row of a job: its parameters and what came of it, with nothing in it of time or machine."""
+"""Result rows of a sweep, their summary with confidence intervals, and the sweep folder.
+
+Rows depend only on the job: they hold neither times nor machine names.
+"""
 
 import errno
 import io
@@ -26,7 +29,7 @@ from .worker import JobResult, Value
 Row = dict[str, Value]
 
 _MAX_ROWS = 10_000_000
-"""Of a file; a job's has one."""
+"""Limit per file; the file of one job has one row."""
 
 FINISHED, FAILED = "finished", "failed"
 
@@ -48,9 +51,9 @@ _TYPES: dict[type, type] = {
 
 
 def columns_of(kind: str) -> dict[str, type]:
-    """Return names and types of the columns of "drive" or "render" rows, in their order; all but the first may be None.
+    """Return names and types of the columns of "drive" or "render" rows in order; all but the first may be None.
 
-    What is measured of a drive are the fields of `DriveMetrics`.
+    Measured columns of drives are the fields of `DriveMetrics`.
     """
     if kind == "render":
         return _RENDER
@@ -59,7 +62,7 @@ def columns_of(kind: str) -> dict[str, type]:
 
 
 def row_of(job: Job, outcome: JobResult) -> Row:
-    """Join a job and its outcome. What the job says goes before what was measured."""
+    """Merge job parameters and results into a row; parameters take precedence."""
     told: Mapping[str, Any] = {**outcome.values, **job.parameters}
     told = {**told, "status": FINISHED if outcome.error is None else FAILED, "error": outcome.error}
     kind = "drive" if isinstance(job, DriveJob) else "render"
@@ -67,7 +70,7 @@ def row_of(job: Job, outcome: JobResult) -> Row:
 
 
 def rows_parquet(rows: Sequence[Row], kind: str) -> bytes:
-    """Return rows as a Parquet file; the same rows give the same bytes."""
+    """Return rows as the bytes of a Parquet file; the same rows give the same bytes."""
     arrow, files = parquet_modules()
     table = arrow.Table.from_pylist(list(rows), schema=_schema(kind))
     sink = io.BytesIO()
@@ -76,19 +79,19 @@ def rows_parquet(rows: Sequence[Row], kind: str) -> bytes:
 
 
 def rows_in(data: bytes) -> list[Row]:
-    """Read a Parquet file of rows. Raises ValueError for what is none."""
+    """Read rows from the bytes of a Parquet file. Raises ValueError for anything else."""
     arrow, files = parquet_modules()
     try:
         with files.ParquetFile(io.BytesIO(data)) as file:
             if file.metadata.num_rows > _MAX_ROWS:
                 raise ValueError(f"{file.metadata.num_rows} rows")
             return file.read().to_pylist()
-    except (arrow.ArrowException, OSError, OverflowError, ValueError) as error:  # damage comes as any of them
+    except (arrow.ArrowException, OSError, OverflowError, ValueError) as error:  # any of these for damaged files
         raise ValueError(f"no Parquet file: {printable_line(error)}") from None
 
 
 def rows_csv(rows: Sequence[Row], kind: str) -> str:
-    """Return rows as CSV: nothing where there is no value, true and false for what is one or the other."""
+    """Return rows as CSV; None is empty, booleans are true and false."""
     lines = [",".join(columns_of(kind))]
     lines += [",".join(map(_cell, (row.get(name) for name in columns_of(kind)))) for row in rows]
     return "\n".join(lines) + "\n"
@@ -110,13 +113,13 @@ def _schema(kind: str) -> Any:
 
 
 def _plain(kind: inspect.Type) -> type:
-    """Type of a column: that which stands in it where it is not None."""
+    """Return the column type of a field, without None."""
     choices = kind.types if isinstance(kind, inspect.UnionType) else (kind,)
     return next(_TYPES[type(each)] for each in choices if type(each) in _TYPES)
 
 
 def parquet_modules() -> tuple[Any, Any]:
-    """The package, and its module of Parquet files; loaded where a row is written or read."""
+    """Import pyarrow and its Parquet module on first use."""
     try:
         return import_module("pyarrow"), import_module("pyarrow.parquet")
     except ModuleNotFoundError:
@@ -124,11 +127,10 @@ def parquet_modules() -> tuple[Any, Any]:
 
 
 def indented_json(value: Any) -> bytes:
-    """Return plain values as indented JSON."""
     return msgspec.json.format(msgspec.json.encode(value), indent=1) + b"\n"
 
 
-# § What the rows of a sweep say together: at each intensity the share of collisions, and means, with their bands.
+# Summary
 
 MEASURED: dict[str, str] = {
     "min_ttc_s": "min TTC (s)",
@@ -138,21 +140,21 @@ MEASURED: dict[str, str] = {
     "comfort_planned": "S planned",
     "route_completion": "route",
 }
-"""Columns whose means are told, and what tables call them."""
+"""Summarized columns and their titles in tables."""
 
 
 class MeanInterval95(Struct, frozen=True):
-    """A mean with the ends between which it lies with 95 %."""
+    """A mean with its 95 % interval."""
 
     mean: float
     low: float
     high: float
     count: int
-    """Runs that it is of; those that have no value are left out."""
+    """Number of runs with a value."""
 
 
 class CurveGroup(NamedTuple):
-    """What a curve is of."""
+    """The combination that a curve shows."""
 
     scene: str
     scenario: str
@@ -167,15 +169,16 @@ class SummaryCell(Struct, frozen=True, kw_only=True):
     agent: str
     intensity_mm_h: float
     runs: int
-    """Finished ones: those that failed tell nothing."""
+    """Number of finished runs, without failed ones."""
     failed: int
     collisions: int
     collision_rate: MeanInterval95 | None
-    """Share of the runs, with Wilson's interval (Wilson 1927)."""
+    """Share of the runs with a collision, with Wilson's interval (Wilson 1927)."""
     means: dict[str, MeanInterval95]
-    """Of the columns in `MEASURED`, over the seeds, with bootstrap bands. Without a column that no run has."""
+    """Means over the seeds of the columns in `MEASURED`, with bootstrap intervals; columns without values are left out.
+    """
     changes: dict[str, MeanInterval95]
-    """The same of the differences from the lowest intensity, seed by seed: what rain does to one and the same drive."""
+    """Like `means`, for paired differences from the lowest intensity with the same seed: the effect of rain."""
 
     @property
     def group(self) -> CurveGroup:
@@ -183,7 +186,7 @@ class SummaryCell(Struct, frozen=True, kw_only=True):
 
 
 def summarized(rows: Iterable[Row]) -> list[SummaryCell]:
-    """Summarize the rows of drives, in the order of their parameters."""
+    """Summarize the rows of drives, sorted by parameters."""
     told = sorted(rows, key=lambda row: (*_group(row), _number(row["intensity_mm_h"]), _number(row["seed"])))
     cells: list[SummaryCell] = []
     for group in dict.fromkeys(map(_group, told)):
@@ -195,7 +198,7 @@ def summarized(rows: Iterable[Row]) -> list[SummaryCell]:
 
 
 def by_scenario(cells: Iterable[SummaryCell]) -> list[list[SummaryCell]]:
-    """Return the cells of each scenario in each scene, in their order."""
+    """Group cells by scene and scenario, in order."""
     cells = list(cells)
     places = list(dict.fromkeys((cell.scene, cell.scenario) for cell in cells))
     return [[cell for cell in cells if (cell.scene, cell.scenario) == place] for place in places]
@@ -242,16 +245,17 @@ def _number(value: object) -> float:
     return float(value)
 
 
-# § The folder of a sweep: a row and a roll-out a job, each whole or not there; any number of sweeps may write to it.
+# Sweep folder
+# Holds a row and a roll-out per job, each written atomically; several sweeps may write to it at once.
 
 _SUFFIX = ".parquet"
 
 
 class SweepFolder:
-    """Rows by the ids of their jobs. A row is written last: where it stands, everything else of its job does."""
+    """Rows by job id. A row is written last, so an existing row implies that all other outputs exist."""
 
     def __init__(self, path: Path) -> None:
-        """Use a folder, which is made when something is written."""
+        """Use a folder, which is created on the first write."""
         self.path = path
         self.rows = path / "rows"
         self.rollouts = path / "rollouts"
@@ -259,9 +263,9 @@ class SweepFolder:
         self.log = path / "log.jsonl"
 
     def describe(self, sweep: Sweep, jobs: Iterable[Job]) -> None:
-        """Write down what is run: sweep.json, and jobs.jsonl with all that each id stands for.
+        """Write sweep.json, and jobs.jsonl with the job of each id.
 
-        Raises ValueError where rows can't be written later: no job is to be done in vain.
+        Raises ValueError before any job runs if rows can't be written later.
         """
         parquet_modules()
         self.path.mkdir(parents=True, exist_ok=True)
@@ -272,7 +276,7 @@ class SweepFolder:
             beside.write_bytes(b"".join(line + b"\n" for _, line in lines))
 
     def keep(self, job: Job, outcome: JobResult) -> Row:
-        """Write what came of a job, and say so in the log; raises OSError, and then nothing half stands there."""
+        """Write a job's row and roll-out and log it; raises OSError and then leaves no partial file."""
         row = row_of(job, outcome)
         if outcome.rollout is not None:
             self.rollouts.mkdir(parents=True, exist_ok=True)
@@ -284,7 +288,7 @@ class SweepFolder:
         return row
 
     def read(self, jobs: Iterable[Job]) -> dict[str, Row]:
-        """Return the rows that stand there, by the ids of their jobs. A damaged one counts as missing."""
+        """Return the existing rows by job id. A damaged row counts as missing."""
         found: dict[str, Row] = {}
         for job in jobs:
             row = self._row(job.id)
@@ -293,14 +297,14 @@ class SweepFolder:
         return found
 
     def to_do(self, jobs: Sequence[Job], *, retry_failed: bool = False) -> list[Job]:
-        """Return the jobs without a row, in their order; those whose row tells of a failure too, if asked for."""
+        """Return the jobs without a row, in order; includes failed jobs if `retry_failed`."""
         rows = self.read(jobs)
         return [
             job for job in jobs if job.id not in rows or (retry_failed and rows[job.id]["status"] != FINISHED)
         ]  # fmt: skip
 
     def others(self, jobs: Sequence[Job]) -> int:
-        """Count rows of other jobs: of other settings, scenes or versions."""
+        """Count rows that belong to other jobs (other settings, scenes or versions)."""
         own = {f"{job.id}{_SUFFIX}" for job in jobs}
         return sum(file.name not in own for file in self.rows.glob(f"[!.]*{_SUFFIX}"))
 
@@ -313,7 +317,7 @@ class SweepFolder:
         return row if row.get("id") == id and "status" in row else None
 
     def _note(self, job: Job, outcome: JobResult) -> None:
-        """Add a line to the log: everything about the job that differs from machine to machine."""
+        """Append a log line with everything that differs between machines."""
         line = {
             "at": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
             "id": job.id,
@@ -322,9 +326,9 @@ class SweepFolder:
             "worker": outcome.worker,
             "error": outcome.error,
         }
-        with self.log.open("ab+", buffering=0) as file:  # one write a line: those of several sweeps don't mix
+        with self.log.open("ab+", buffering=0) as file:  # one write per line keeps lines of concurrent sweeps apart
             told = msgspec.json.encode(line) + b"\n"
             if file.seek(0, os.SEEK_END) and (file.seek(-1, os.SEEK_END), file.read(1))[1] != b"\n":
-                told = b"\n" + told  # behind a line that a full disk has torn
+                told = b"\n" + told  # the last line was cut off by a full disk
             if file.write(told) != len(told):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.log))

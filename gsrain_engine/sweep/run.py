@@ -1,4 +1,4 @@
-"""A sweep from its jobs to its rows: what is done stays done, wherever it is stopped."""
+"""Running a sweep, resumable after any interruption."""
 
 from collections.abc import Generator, Sequence
 from contextlib import closing
@@ -18,22 +18,21 @@ from .worker import JobResult, run_job
 
 
 class SweepRun(NamedTuple):
-    """What a run of a sweep has done."""
+    """Counts of a sweep run."""
 
     done: int
-    """Jobs that have got a row now, failed ones among them."""
+    """Jobs that got a row in this run, including failed ones."""
     failed: int
-    """Of these."""
 
 
 def run_sweep(jobs: Sequence[Job], engine: Executor, folder: SweepFolder) -> Generator[Progress, None, SweepRun]:
-    """Do jobs and write a row for each, as it comes; yields after each.
+    """Run jobs and write each row as it arrives; yields progress after each.
 
-    Closing the generator, or an error, stops what is under way; every row that was written stays.
+    Closing the generator, or an error, stops running jobs; written rows stay.
 
     Raises:
-        UntrustedCodeError: Before anything runs, for agents' Python files that no person has allowed.
-        OSError: When a row can't be written, or a worker says that nothing can be.
+        UntrustedCodeError: Before anything runs, if an agent's Python file is not trusted.
+        OSError: If a row can't be written, or a worker reports that no further job can succeed.
     """
     by_id = {job.id: job for job in jobs}
     done = failed = 0
@@ -60,7 +59,7 @@ def run_sweep(jobs: Sequence[Job], engine: Executor, folder: SweepFolder) -> Gen
 
 
 def agent_codes(jobs: Sequence[Job]) -> list[Code]:
-    """Read the Python files that jobs name as agents, each once; raises ValueError where one is not there."""
+    """Read the Python files that jobs use as agents, without duplicates; raises ValueError for a missing file."""
     names = {job.agent.name.rpartition(".py")[0] + ".py" for job in jobs if _has_own_agent(job)}
     return [code for name in sorted(names) if (code := agent_code(name)) is not None]
 
@@ -80,24 +79,23 @@ def _stopped(folder: SweepFolder, reason: str, done: int) -> str:
     return f"{folder.path}: stopped after {done} rows: {reason}; what was written is whole, run it again to go on"
 
 
-# § A sweep from its settings to its tables, in one call.
+# Run and report
 
 
 def run_sweep_and_report(
     sweep: Sweep, folder: Path, engine: Executor | None = None
 ) -> Generator[Progress, None, dict[str, Any]]:
-    """Do what a sweep still lacks in a folder, and write its tables, figures and report; yields after each job.
+    """Run the missing jobs of a sweep and write tables, figures and report; yields progress after each job.
 
-    Rows that stand there are kept: stopped or extended, it goes on. Without an engine, half of this machine's cores
-    work.
+    Existing rows are kept, so a stopped or extended sweep continues. Without `engine`, half of the cores are used.
 
     Returns:
         The numbers of `summary.json`.
 
     Raises:
-        ValueError: For settings of which there are no jobs, and `UntrustedCodeError` for agents in Python files that
-            no person has allowed: `trusted_code.remember` allows them.
-        OSError: When a row can't be written.
+        ValueError: If the settings give no valid jobs; `UntrustedCodeError` for agents in Python files that are not
+            trusted (`trusted_code.remember` trusts them).
+        OSError: If a row can't be written.
     """
     kept, jobs = SweepFolder(folder), jobs_of(sweep)
     kept.describe(sweep, jobs)

@@ -1,4 +1,4 @@
-"""What a sweep runs: every combination of scenes, scenarios, intensities, seeds and agents; one value, a YAML file."""
+"""Sweep settings, their YAML files, and the jitter of initial conditions."""
 
 import zlib
 from pathlib import Path
@@ -23,7 +23,7 @@ from ..simulation.scenario_io import scenario_names
 _FOLDER = "sweeps"
 
 _FILES = ("scenarios", "scenes", "agents", "name", "detector", "description", "calibration")
-"""Fields that name files; `name` is an agent's."""
+"""Fields that hold file names; `name` is an agent's."""
 
 Intensity = Annotated[float, Meta(ge=0, le=100)]
 
@@ -33,7 +33,7 @@ Seeds = Annotated[int, Meta(ge=1, le=100_000)] | Annotated[tuple[Seed, ...], Met
 
 
 class AgentChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """An agent with what it takes."""
+    """An agent with its options."""
 
     name: Annotated[str, Meta(min_length=1, title="Name", description="Of those of gsrain drive --agent.")]
     label: Annotated[str | None, Meta(title="Label", description="What tables call it; none: name and detector.")] = (
@@ -52,11 +52,12 @@ class AgentChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         )
 
 
-# § How far a seed varies where and how fast a drive begins: what makes its runs differ without any rain.
+# Jitter
+# Seeds vary initial positions and speeds, so that runs differ even without rain.
 
 
 class Jitter(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Standard deviations of normal laws that are cut at twice of them."""
+    """Standard deviations of normal distributions truncated at two sigma."""
 
     ego_speed_m_s: Annotated[float, Meta(ge=0, le=10, title="Ego's speed", extra={"unit": "m/s"})] = 0.0
     ahead_m: Annotated[
@@ -71,7 +72,7 @@ class Jitter(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="drive"):
-    """Closed-loop drives. A seed means the same at every intensity, so that results can be compared in pairs."""
+    """Closed-loop drives. A seed has the same effect at every intensity, so that results form pairs."""
 
     scenarios: Annotated[
         tuple[str, ...], Meta(min_length=1, title="Scenarios", description="Shipped names, or scenario files.")
@@ -97,7 +98,7 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
 
 
 class RenderSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="render"):
-    """Clips or frames with labels: a data set. The labels of a view are the same at every intensity."""
+    """Videos or images with labels, as a data set. Labels are the same at every intensity."""
 
     recording: Annotated[
         ExportSettings,
@@ -124,7 +125,7 @@ Sweep = DriveSweep | RenderSweep
 
 
 def seeds_of(sweep: Sweep) -> tuple[int, ...]:
-    """Return the seeds of a sweep, each once."""
+    """Return the seeds of a sweep without duplicates."""
     return tuple(range(sweep.seeds)) if isinstance(sweep.seeds, int) else tuple(dict.fromkeys(sweep.seeds))
 
 
@@ -135,8 +136,8 @@ def sweep_names() -> list[str]:
 def load_sweep(name: str | Path) -> Sweep:
     """Load a shipped sweep by name, or a sweep file by path.
 
-    Files that it names are looked for in its own folder first, then in the working folder; `output` counts from the
-    latter. Raises ValueError with the file, the field and what is allowed.
+    File names are resolved against the folder of the sweep file first, then the working folder; `output` only against
+    the latter. Raises ValueError with the file, the field and what is allowed.
     """
     known = {STREET, *scenario_names(), *agent_names(), *description_names(), *calibration_names()}
     values = load_config(_FOLDER, name, object, "sweep", _FILES, known)
@@ -152,9 +153,9 @@ _FASTEST_M_S = 60.0
 
 
 def apply_jitter(scenario: Scenario, jitter: Jitter, seed: int) -> Scenario:
-    """Return a scenario as a seed begins it. Seed 0 is the scenario as it was written.
+    """Return a scenario with the initial conditions of a seed. Seed 0 leaves it unchanged.
 
-    Neither the rain nor the agent takes part: drives of one seed begin alike at every intensity, for every agent.
+    The result depends on neither rain nor agent: drives of one seed start alike at every intensity.
     """
     if seed == 0:
         return scenario
@@ -173,7 +174,7 @@ def apply_jitter(scenario: Scenario, jitter: Jitter, seed: int) -> Scenario:
 
 
 class _JitterDraw:
-    """Every call takes one number, used or not: to change one deviation leaves what the others give."""
+    """Draws a random number per call even if sigma is 0, so that one deviation does not affect the others."""
 
     def __init__(self, random: np.random.Generator) -> None:
         self._random = random

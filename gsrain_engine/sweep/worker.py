@@ -1,4 +1,4 @@
-"""What a worker does with a job, wherever it runs: it answers, whatever happens."""
+"""Worker side of a sweep: runs one job and always returns a `JobResult`, also on failure."""
 
 import errno
 import hashlib
@@ -38,36 +38,33 @@ from .settings import AgentChoice
 _FULL = {errno.ENOSPC, errno.EDQUOT}
 
 _ONE_AT_A_TIME = threading.Lock()
-"""Compiled kernels use all threads of a process: two jobs in one would only wait for each other."""
+"""Compiled kernels use all threads of a process, so concurrent jobs in one process bring no gain."""
 
-# § What came of a job.
+# Job results
 
 Value = str | float | int | bool | None
 
 
 class JobResult(Struct, frozen=True, kw_only=True):
-    """A result, or why there is none. All but the last two fields follow from the job alone."""
+    """The result or the error of a job. All but the last two fields depend on the job alone."""
 
     id: str
-    """Of the job."""
     values: dict[str, Value] = {}
-    """What was measured: columns of its row."""
+    """Measured columns of the row."""
     rollout: Rollout | None = None
-    """Of a drive."""
     error: str | None = None
-    """Why it failed, as a sentence."""
     stops: bool = False
-    """Whether nothing else would come out of the other jobs either, such as on a full disk."""
+    """True if no other job can succeed either, such as on a full disk."""
     seconds: float = 0.0
-    """For the log."""
+    """Run time, for the log."""
     worker: str = ""
-    """Who did it, for the log."""
+    """Host and process id, for the log."""
 
 
 def run_job(job: Job, clips: Path, trusted: Collection[str] = ()) -> JobResult:
-    """Do a job; what it raises becomes the outcome's error.
+    """Run a job; exceptions become the error of the result.
 
-    `clips` is where clips go; `trusted` are digests of the agents' code that a person has allowed.
+    `clips` is the folder for videos; `trusted` holds digests of trusted agent code.
     """
     started = time.perf_counter()
     with _ONE_AT_A_TIME:
@@ -105,19 +102,19 @@ def _is_full(error: BaseException | None) -> bool:
     return False
 
 
-# § What a worker keeps from job to job: the scene that it has opened, and the renderer.
+# Worker cache
 
 
 class MismatchError(ValueError):
-    """What a worker has is not what the sweep was made of: that says nothing about the job."""
+    """The worker's program or files differ from the sweep's; the job itself may be fine."""
 
 
 _SCENES = 2
-"""So many stay open; jobs come sorted by scene."""
+"""Number of scenes kept open; jobs are sorted by scene."""
 
 
 class WorkerCache:
-    """Scenes and renderers, opened when they are first asked for."""
+    """Scenes and renderers, opened on first use."""
 
     def __init__(self) -> None:
         self._scenes: OrderedDict[tuple[str, str], Scene] = OrderedDict()
@@ -125,9 +122,9 @@ class WorkerCache:
         self._stack = ExitStack()
 
     def scene(self, name: str, content: str) -> Scene:
-        """Return a scene, which holds what its hash says.
+        """Return a scene after checking its hash.
 
-        Raises MismatchError where it holds something else by now.
+        Raises MismatchError if the scene has changed.
         """
         key = name, content
         if key not in self._scenes:
@@ -141,7 +138,7 @@ class WorkerCache:
         return self._scenes[key]
 
     def check_files(self, hashes: Mapping[str, str]) -> None:
-        """Raise MismatchError for a file that is not here, or holds something else than its hash says."""
+        """Raise MismatchError for a missing or changed file."""
         for name, content in hashes.items():
             path = Path(name)
             found = file_hash(path) if path.is_file() else "not there"
@@ -149,13 +146,12 @@ class WorkerCache:
                 raise MismatchError(f"{name} is not what it was when the sweep began ({found}, not {content})")
 
     def renderer(self, backend: Backend) -> Renderer:
-        """Return a renderer, which stays open until `close`."""
         if backend not in self._renderers:
             self._renderers[backend] = self._stack.enter_context(open_renderer(backend))
         return self._renderers[backend]
 
     def close(self) -> None:
-        """Let go of everything; it may be used again."""
+        """Release scenes and renderers; the cache stays usable."""
         self._scenes.clear()
         self._renderers.clear()
         self._stack.close()
@@ -165,17 +161,17 @@ _HERE = threading.local()
 
 
 def worker_cache() -> WorkerCache:
-    """Return that of this thread: what draws belongs to the thread that opened it."""
+    """Return this thread's cache; a renderer belongs to the thread that opened it."""
     if not hasattr(_HERE, "bench"):
         _HERE.bench = WorkerCache()
     return _HERE.bench
 
 
-# § Does a drive of a sweep: what its row and its roll-out hold.
+# Drive jobs
 
 
 def run_drive_job(job: DriveJob, bench: WorkerCache) -> JobResult:
-    """Drive from start to end. Raises whatever the scenario, the scene or the agent has against it."""
+    """Run a closed-loop drive and measure it. Raises errors of the scenario, the scene or the agent."""
     scene = bench.scene(job.scene, job.scene_hash)
     agent = open_agent(job.agent.name, _options(job.agent), trusted_only=True)
     try:
@@ -186,7 +182,7 @@ def run_drive_job(job: DriveJob, bench: WorkerCache) -> JobResult:
         metrics = measure_drive(rollout, simulation.occupied, drivable)
     finally:
         agent.close()
-    msgspec.json.encode(rollout)  # what an agent notes down may be anything: here it is this job's fault
+    msgspec.json.encode(rollout)  # agent notes may not be serializable; fail in this job rather than later
     return JobResult(id=job.id, values=msgspec.to_builtins(metrics), rollout=rollout)
 
 
@@ -199,13 +195,13 @@ def _options(choice: AgentChoice) -> AgentOptions:
     return AgentOptions(detector=detector, description=choice.description, url=choice.url)
 
 
-# § Does a clip of a sweep: pictures, labels, and the row that says what they show.
+# Render jobs
 
 
 def run_render_job(job: RenderJob, bench: WorkerCache, clips: Path) -> JobResult:
-    """Record into a folder of the job's id, which appears whole; one that stands is an equal one and stays.
+    """Render into a folder named by the job id, created atomically; an existing folder is kept as equal.
 
-    Raises ValueError for what contradicts itself or the scene lacks, OSError where it can't be written.
+    Raises ValueError for contradictory settings or missing scene parts, and OSError if writing fails.
     """
     scene = bench.scene(job.scene, job.scene_hash)
     place = clips / job.id
@@ -216,7 +212,7 @@ def run_render_job(job: RenderJob, bench: WorkerCache, clips: Path) -> JobResult
             with whole_folder(place, shared=True) as beside:
                 _record(job, scene, bench, beside)
         except OSError:
-            if not place.is_dir():  # else another sweep has put the same clip there meanwhile
+            if not place.is_dir():  # otherwise another sweep wrote the same clip
                 raise
     return JobResult(id=job.id, values={**values, "clip": f"{clips.name}/{job.id}", "clip_hash": _hash(place)})
 
@@ -235,7 +231,7 @@ def _record(job: RenderJob, scene: Scene, bench: WorkerCache, folder: Path) -> N
 
 
 def _values(job: RenderJob, scene: Scene) -> dict[str, Value]:
-    """What can be said about it without its pictures."""
+    """Return the row values that need no rendering."""
     sequences = export_sequences(
         job.recording, scene, RainSimulation.start(job.rain), _viewpoint(job, scene), in_scene_time=True
     )
@@ -251,7 +247,7 @@ def _values(job: RenderJob, scene: Scene) -> dict[str, Value]:
 
 
 def _viewpoint(job: RenderJob, scene: Scene) -> Camera | CameraPath:
-    """The path that was made for the scene, else that of the camera which looks most straight ahead."""
+    """Return the scene's camera path, else that of the rig camera that faces forward most."""
     if scene.path is not None:
         return scene.path.moved(scene.scene_to_world)
     mounted = [camera for rig in scene.rigs.values() for camera in rig]

@@ -1,4 +1,4 @@
-"""The agent that lives behind HTTP, in NeuroNCAP's form: UniAD and VAD as its model nodes, or a person's own."""
+"""HTTP agent in NeuroNCAP's protocol, for its UniAD and VAD model nodes or custom servers."""
 
 import time
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ from .base import FARTHEST_M, Observation, Rig, SensorRequirements, Trajectory
 from .neuroncap import neuroncap_message
 
 ALIVE_WAIT_S, ANSWER_WAIT_S = 120.0, 60.0
-"""For the server to come up, and for each answer."""
+"""Timeouts for the server to start, and for each reply."""
 
 _TRY_S, _PAUSE_S = 5.0, 0.5
 
@@ -24,7 +24,7 @@ _MAX_OBJECTS = 100
 
 
 class _Objects(msgspec.Struct, frozen=True):
-    """What the stack saw, for the record: boxes x, y, length, width, yaw in the ego frame, with classes and scores."""
+    """Detections of the stack, for the record: boxes x, y, length, width, yaw in the ego frame, classes, scores."""
 
     objects_in_bev: list[list[float]] | None = None
     object_classes: list[str] | None = None
@@ -37,23 +37,23 @@ class _Reply(msgspec.Struct, frozen=True):
 
 
 class HttpAgent:
-    """Asks a server: `GET /alive` until it is there, `POST /reset` for a new drive, `POST /infer` for each plan.
+    """Queries a server: `GET /alive` until it responds, `POST /reset` for a new drive, `POST /infer` for each plan.
 
-    Its trajectory is x forward, y left, in metres, 0.5 s apart, of the rear axle: what a plan is here. Model nodes take
-    pictures in nuScenes' own size and names: drive with the rig `nuscenes`, 1600 px wide, and steps of 0.5 s.
+    Trajectories are x forward, y left, in meters, 0.5 s apart, of the rear axle, like `Trajectory`. Model nodes expect
+    nuScenes' image size and camera names: use the rig `nuscenes`, 1600 px wide, and steps of 0.5 s.
     """
 
     name = "http"
     needs = SensorRequirements(("all",))
 
     def __init__(self, url: str, alive_wait_s: float = ALIVE_WAIT_S, answer_wait_s: float = ANSWER_WAIT_S) -> None:
-        """Make ready to ask the server at `url` (http://HOST:PORT). Raises ValueError where that is no address."""
+        """Prepare queries to the server at `url` (http://HOST:PORT). Raises ValueError for an invalid address."""
         self._calls = HttpCalls(url)
         self._alive_wait_s, self._answer_wait_s = alive_wait_s, answer_wait_s
         self._rig: Rig | None = None
 
     def reset(self, seed: int, rig: Rig) -> None:
-        """Begin a drive. Raises ClientError where the server does not come up or refuses."""
+        """Start a drive. Raises ClientError if the server does not start or refuses."""
         until = time.monotonic() + self._alive_wait_s
         while True:
             try:
@@ -67,18 +67,18 @@ class HttpAgent:
         self._rig = rig
 
     def plan(self, observation: Observation) -> Trajectory:
-        """Return what the server plans. Raises ClientError where it does not answer, or with what is no plan."""
+        """Return the server's plan. Raises ClientError for a missing or invalid reply."""
         if self._rig is None:
             raise ClientError("there is no drive: reset the agent first")
         data = self._calls.post("/infer", neuroncap_message(observation, self._rig), self._answer_wait_s)
         return read_plan(data, self._calls.url)
 
     def close(self) -> None:
-        """Nothing is held: the server waits for its next `/reset`."""
+        """Do nothing: the server waits for the next `/reset`."""
 
 
 def read_plan(data: bytes, url: str) -> Trajectory:
-    """Read what the server at `url` answers to `/infer`. Raises ClientError where it is no plan."""
+    """Parse a server's reply to `/infer`. Raises ClientError for an invalid plan."""
     try:
         reply = msgspec.json.decode(data, type=_Reply)
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as problem:
@@ -87,7 +87,7 @@ def read_plan(data: bytes, url: str) -> Trajectory:
 
 
 def _notes(seen: _Objects | None) -> dict[str, Any]:
-    """What the stack saw, as plain values; nothing where it does not say."""
+    """Return the stack's detections as plain values; empty if there are none."""
     if seen is None or not seen.objects_in_bev:
         return {}
     return {
@@ -97,10 +97,11 @@ def _notes(seen: _Objects | None) -> dict[str, Any]:
     }
 
 
-# § Calls to one server: JSON there and back, with one end to how long it may take and how much may come in all.
+# HTTP calls
+# One deadline and one size limit apply to a whole call.
 
 _MAX_BYTES = 8 << 20
-"""Of all that a server sends: its answer, and whatever comes before and around it."""
+"""Maximum size of everything that a server sends, including headers."""
 
 _PORTS = {"http": 80, "https": 443}
 
@@ -110,10 +111,10 @@ _FAILURE_CHARACTERS = 200
 
 
 class HttpCalls:
-    """Knows where a server is. A connection a call; no redirects are followed, no proxies asked."""
+    """HTTP client of one server, with a connection per call; no redirects, no proxies."""
 
     def __init__(self, url: str) -> None:
-        """Take the address apart. Raises ValueError where it is none."""
+        """Parse the address. Raises ValueError if it is invalid."""
         try:
             parts = urlsplit(url)
             host, port = parts.hostname, parts.port
@@ -128,13 +129,13 @@ class HttpCalls:
         self._named = parts.netloc.rpartition("@")[2]
 
     def get(self, path: str, within_s: float) -> bytes:
-        """Ask for something; returns the body of a reply with status 200."""
+        """Send a GET request; returns the body of a reply with status 200."""
         return self._call("GET", path, None, within_s)
 
     def post(self, path: str, body: bytes, within_s: float) -> bytes:
-        """Send JSON; returns the body of a reply with status 200.
+        """Send a POST request with JSON; returns the body of a reply with status 200.
 
-        Raises ClientError where nobody answers, too late, too much, less than announced, or with another status.
+        Raises ClientError for a missing, late, too long or truncated reply, or another status.
         """
         return self._call("POST", path, body, within_s)
 
@@ -157,7 +158,6 @@ class HttpCalls:
         return data
 
     def _exchange(self, method: str, path: str, body: bytes | None, deadline: Deadline) -> tuple[h11.Response, bytes]:
-        """Send a request and take in the whole reply."""
         http = h11.Connection(h11.CLIENT)
         headers = [("Host", self._named), ("Accept-Encoding", "identity"), ("Connection", "close")]
         if body is not None:
@@ -185,7 +185,7 @@ class HttpCalls:
 
 
 def _events(http: h11.Connection, wire: ServerConnection, deadline: Deadline) -> Iterator[h11.Event]:
-    """Yield what comes, up to the end of the message; each piece, however small, is under the deadline."""
+    """Yield events up to the end of the message; each read is under the deadline."""
     while True:
         deadline.check()
         event = http.next_event()
@@ -203,28 +203,28 @@ def _events(http: h11.Connection, wire: ServerConnection, deadline: Deadline) ->
 
 
 def _check_length(reply: h11.Response, name: str) -> None:
-    """Refuse at once what is announced as more than may come. Raises `TooLargeError`."""
+    """Raise `TooLargeError` if the announced length exceeds the limit."""
     for header, value in reply.headers:
         if header == b"content-length":
             ByteBudget(_MAX_BYTES, name).spend(int(value))
 
 
-# § What went wrong with an agent that lives in another program.
+# Errors
 
 
 class ClientError(ValueError):
-    """The other program is gone, silent, or answers what is no plan: the drive can't go on."""
+    """The external agent has ended, does not respond, or returned an invalid plan, so the drive can't continue."""
 
 
-# § What other programs answer as a plan, checked before anything is steered by it.
+# Plan validation
 
 _MAX_POINTS = 1000
 
 
 def plan_points(value: Any, who: str) -> Float64[np.ndarray, "n 2"]:
-    """Return a plan: an array (N, 2) of any numbers, or a list of pairs, finite and near.
+    """Return a plan from a numeric array (N, 2) or a list of pairs, finite and within reach.
 
-    Raises ClientError, with what `who` has sent instead.
+    Raises ClientError that describes the invalid data of `who`.
     """
     if isinstance(value, list):
         rows: list[Any] = value

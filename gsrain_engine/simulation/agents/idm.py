@@ -1,4 +1,4 @@
-"""Speeds along the route: comfortable behind a lead, as hard on the brake as it takes where comfort is not enough."""
+"""IDM agents: longitudinal planner with emergency braking, oracle agent, and camera agent."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,42 +18,42 @@ _POINTS = 6
 _SUBSTEPS = 10
 
 _STANDS_M_S = 0.1
-"""Slower is standing."""
+"""Speed below which a vehicle counts as standing."""
 
 
 @dataclass(frozen=True, slots=True)
 class IDMPlanner:
-    """The intelligent driver model (Treiber, Hennecke and Helbing 2000) with emergency braking.
+    """The Intelligent Driver Model (Treiber, Hennecke and Helbing 2000) with emergency braking.
 
-    Gaps are about those of its paper (2 m and 1.6 s); it accelerates and brakes more briskly than there (0.73 and
-    1.67 m/s2), as in town, and within the limits of nuPlan's comfort metric (2.40 and 4.05 m/s2).
+    Gaps are close to those of its paper (2 m and 1.6 s); it accelerates and brakes harder than there (0.73 and 1.67
+    m/s2), as in urban traffic, and within the limits of nuPlan's comfort metric (2.40 and 4.05 m/s2).
     """
 
     cruise_m_s: float
-    """Speed on a free road."""
+    """Desired speed on a free road."""
     standstill_gap_m: float = 2.0
     time_gap_s: float = 1.5
     acceleration_m_s2: float = 1.5
     braking_m_s2: float = 2.0
     max_comfortable_m_s2: float = 3.0
-    """The model alone does not brake harder."""
+    """Maximum braking of the model without emergency."""
     hard_m_s2: float = 8.0
-    """What the brakes can do."""
+    """Maximum emergency braking."""
     hard_reserve: float = 1.25
-    """An emergency brakes so many times harder than a stop short of the lead takes: the gap may be overestimated."""
+    """Factor on the braking needed to stop short of the lead, because the gap may be overestimated."""
     hard_gap_m: float = 1.0
-    """What an emergency stop leaves."""
+    """Gap left by an emergency stop."""
     hard_time_s: float = 0.8
-    """Nearer in time, only full braking is left. The model stops with twice that to spare."""
+    """Time gap below which the vehicle brakes fully. The model stops with twice that margin."""
     creep_m: float = 1.5
-    """Who stands behind somebody who stands does not set off for less than this much room more."""
+    """Additional gap needed to set off behind a standing vehicle."""
 
     def points(self, path: LanePath, lead: LeadVehicle | None) -> Float64[np.ndarray, "6 2"]:
-        """Return where to be 0.5 s, 1 s, ..., 3 s from now, in the vehicle's frame (x forward, y left)."""
+        """Return the positions 0.5 s, 1 s, ..., 3 s from now, in the vehicle's frame (x forward, y left)."""
         return path.points(self.distances(path.state.speed_m_s, lead))
 
     def distances(self, speed_m_s: float, lead: LeadVehicle | None) -> Float64[np.ndarray, "6"]:
-        """Return the way made 0.5 s, 1 s, ..., 3 s from now; the lead keeps its speed. Never falls."""
+        """Return the distances covered 0.5 s, 1 s, ..., 3 s from now, non-decreasing; the lead keeps its speed."""
         step_s = SPACING_S / _SUBSTEPS
         speed, way = max(speed_m_s, 0.0), 0.0
         ways: list[float] = []
@@ -71,7 +71,7 @@ class IDMPlanner:
         return np.array(ways)
 
     def acceleration(self, speed_m_s: float, lead: LeadVehicle | None) -> float:
-        """Return the acceleration (m/s2) that a speed and a lead ask for at a moment."""
+        """Return the acceleration (m/s2) for a speed and a lead."""
         free = self.acceleration_m_s2 * (1 - (speed_m_s / self.cruise_m_s) ** 4)
         if lead is None:
             return max(free, -self.max_comfortable_m_s2)
@@ -81,7 +81,7 @@ class IDMPlanner:
         return min(self._follow(speed_m_s, lead, free), -self._hard(speed_m_s, lead))
 
     def _follow(self, speed_m_s: float, lead: LeadVehicle, free_m_s2: float) -> float:
-        """The model: the gap that is wanted grows with the speed and with the speed of closing in."""
+        """Return the IDM acceleration; the desired gap grows with the speed and the closing speed."""
         closing = speed_m_s - lead.speed_m_s
         moving = speed_m_s * closing / (2 * np.sqrt(self.acceleration_m_s2 * self.braking_m_s2))
         wanted = self.standstill_gap_m + max(0.0, speed_m_s * self.time_gap_s + float(moving))
@@ -89,7 +89,7 @@ class IDMPlanner:
         return max(free_m_s2 - self.acceleration_m_s2 * share * share, -self.max_comfortable_m_s2)
 
     def _hard(self, speed_m_s: float, lead: LeadVehicle) -> float:
-        """Braking that an emergency takes; minus infinity where there is none."""
+        """Return emergency braking; minus infinity without an emergency."""
         closing = speed_m_s - lead.speed_m_s
         if closing <= 0:
             return -np.inf
@@ -100,18 +100,19 @@ class IDMPlanner:
 
 
 def cruise_speed(first_m_s: float) -> float:
-    """Return the speed of a free road for a drive that begins at a speed: that one, from standstill 10 m/s."""
+    """Return the desired speed for an initial speed: the same, or 10 m/s from standstill."""
     return first_m_s if first_m_s >= 1.0 else 10.0
 
 
-# § A driver that knows where everybody is: what is lost against it, perception has lost.
+# Oracle agent
+# Its ground-truth perception isolates the losses of camera perception.
 
 _FORESIGHT_S = 1.5
-"""Who will be in the lane so soon, going on sideways as now, counts as there: a lane change takes twice as long."""
+"""Prediction time of lane changes at constant lateral speed; a lane change takes twice as long."""
 
 
 class OracleIDMAgent:
-    """Follows its lane by the intelligent driver model, with the simulator's own knowledge of all road users."""
+    """Follows its lane by the IDM, with ground truth of all road users."""
 
     name = "oracle-idm"
     needs = SensorRequirements()
@@ -124,7 +125,7 @@ class OracleIDMAgent:
         self._planner, self._vehicle = None, rig.vehicle
 
     def plan(self, observation: Observation) -> Trajectory:
-        """Return points along the route, behind whoever is ahead in the lane."""
+        """Return a plan along the route behind the lead."""
         if self._planner is None:
             cruise = cruise_speed(observation.state.speed_m_s)
             self._planner = IDMPlanner(cruise, hard_m_s2=self._vehicle.most_braking_m_s2)
@@ -138,20 +139,20 @@ class OracleIDMAgent:
         )
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing."""
 
 
 class OracleLead(NamedTuple):
-    """Who is ahead in the lane."""
+    """Ground-truth lead in the lane."""
 
     id: str
     lead: LeadVehicle
 
 
 def find_oracle_lead(users: Sequence[RoadUser], path: LanePath, vehicle: Vehicle) -> OracleLead | None:
-    """Return the nearest road user ahead that is in the vehicle's lane, or moves into it; none where the lane is free.
+    """Return the nearest road user ahead that is in the vehicle's lane or moves into it; None if the lane is free.
 
-    Also the truth that a camera's lead is compared with.
+    Also the ground truth for leads from cameras.
     """
     found = [OracleLead(user.id, lead) for user in users if (lead := _as_lead(user, path, vehicle)) is not None]
     return min(found, key=lambda each: each.lead.gap_m, default=None)
@@ -171,33 +172,35 @@ def _as_lead(user: RoadUser, path: LanePath, vehicle: Vehicle) -> LeadVehicle | 
     return LeadVehicle(gap, user.speed_m_s * float(np.cos(turned)))
 
 
-# § A driver that sees with one camera: detector, lane, distance from the ground, filter, intelligent driver model.
+# Camera agent
 
 _MIN_CONFIDENCE = 0.1
-"""Less confident detections are not looked at. Those from here to `lead_track.LEAST_CONFIDENCE` keep a lead in view
-that is known already, as ByteTrack's do (Zhang et al. 2022): rain lowers confidence sooner than it hides a car."""
+"""Minimum confidence of detections. Those from here to `lead_tracking.MIN_CONFIDENCE` only extend a known lead.
+
+ByteTrack does the same (Zhang et al. 2022): rain lowers confidence before it hides a car.
+"""
 
 _DIGITS = 3
 
 
 @runtime_checkable
 class ObjectDetector(Protocol):
-    """Finds objects in a picture; `evaluate.detection.detector.Detector` does."""
+    """Object detector for images, such as `evaluation.detection.detector.Detector`."""
 
     @property
     def name(self) -> str:
-        """What records call it."""
+        """Name in roll-outs."""
         ...
 
     def detect(self, image: UInt8[np.ndarray, "h w 3"]) -> list[Detection]:
-        """Return what is in a picture (RGB)."""
+        """Return the detections in an image (RGB)."""
         ...
 
 
 class CameraIDMAgent:
-    """Follows its lane by the intelligent driver model, with what a detector finds in the front camera's pictures.
+    """Follows its lane by the IDM, with detections in the front camera's images.
 
-    It looks at pictures, its own state and the route; never at the observation's road users.
+    It uses images, its own state and the route, but never the observation's road users.
     """
 
     name = "camera-idm"
@@ -214,10 +217,10 @@ class CameraIDMAgent:
         self._watch, self._time_s = LeadTracker(), 0.0
 
     def plan(self, observation: Observation) -> Trajectory:
-        """Return points along the route, behind whoever is seen ahead in the lane.
+        """Return a plan along the route behind the tracked lead.
 
-        The plan's notes hold the detector's name, what it found of road users (`detections`), and the `lead`: its gap
-        and speed as filtered, its gap as measured now, None where it was missed.
+        The notes hold the detector's name, its road users (`detections`), and the `lead`: filtered gap and speed, and
+        the measured gap, None if the lead was missed.
         """
         state = observation.state
         if self._planner is None:
@@ -235,7 +238,7 @@ class CameraIDMAgent:
         return Trajectory(points, self._notes(found, watched))
 
     def close(self) -> None:
-        """Nothing is held that does not go by itself."""
+        """Do nothing: all resources are released automatically."""
 
     def _notes(self, found: list[Detection], watched: LeadState | None) -> dict[str, Any]:
         return {

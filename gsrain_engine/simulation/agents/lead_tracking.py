@@ -1,4 +1,4 @@
-"""Whoever drives or stands ahead in the lane, as far as a planner needs to know."""
+"""Lead vehicle tracking: sightings from camera detections, and an alpha-beta filter per track."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -15,74 +15,75 @@ from .base import LanePath, PathCoordinates, half_corridor_m
 
 @dataclass(frozen=True, slots=True)
 class LeadVehicle:
-    """What is ahead in the lane at a moment."""
+    """State of the lead vehicle in the lane."""
 
     gap_m: float
-    """From the front bumper to the nearest of it, along the route; 0 or less where they touch."""
+    """Gap from the front bumper to its nearest part, along the route; 0 or less if they touch."""
     speed_m_s: float
-    """Its own speed along the route; below 0 it comes nearer by itself."""
+    """Its speed along the route; negative when oncoming."""
 
 
-# § What is believed of one road user in the lane, from sightings over time: an alpha-beta filter.
+# Track of one road user
 
 _ACCELERATION_M_S2 = 4.0
-"""Standard deviation of what a lead does to its speed: so that braking with 8 m/s2 is rare, not unheard of."""
+"""Standard deviation of a lead's acceleration; makes braking with 8 m/s2 rare but possible."""
 
 _GATE = 3.0
-"""Standard deviations; what lies farther from where somebody was expected is somebody else."""
+"""Gate in standard deviations; sightings farther from the prediction belong to another road user."""
 
 _GATE_M = 1.5
-"""Room in addition, for detectors whose boxes jump."""
+"""Additional gate width, for detectors with unsteady boxes."""
 
 _COAST_S, _NEAR_COAST_S = 1.0, 30.0
 
 _NEAR_M, _STANDS_M_S = 6.0, 0.5
-"""Without sightings somebody is believed for a second: longer than wipers and gusts of rain take. Detectors lose who is
-so near that it leaves the picture below; if it drives on, it is seen again, and if not, setting off would hit it: until
-then it is taken to stand where it stood, for half a minute at most."""
+"""Distance and speed below which a lost road user is kept for up to half a minute as standing.
+
+Other tracks last one second without sightings, longer than wipers and gusts of rain take. Detectors lose vehicles so
+near that they leave the image at the bottom; one that drives on is detected again, and setting off behind one that
+stays would hit it.
+"""
 
 MIN_CONFIDENCE = 0.3
-"""Less confident sightings begin nothing and confirm nothing; they keep in view who is known. Detectors of COCO find
-the most, at few false alarms, from 0.25 to 0.4 on."""
+"""Minimum confidence to start or confirm a track; less confident sightings only extend tracks.
+
+COCO detectors find most objects with few false alarms at 0.25 to 0.4.
+"""
 
 _SURE = 0.6
-"""Confidence that is enough to act on a first sight; the less confident must be seen twice."""
+"""Confidence that suffices for one sighting; less confident ones must be seen twice."""
 
-# § What a box in a camera's picture says about the lane ahead: how far away, and whether in the way.
+# Sightings
 
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """A road user in the lane ahead, as one picture shows it."""
+    """A road user in the lane ahead, from one image."""
 
     detection: Detection
     gap_m: float
-    """From the front bumper to the nearest of it, along the route."""
+    """Gap from the front bumper to its nearest part, along the route."""
     error_m: float
-    """Standard error of the gap."""
 
 
 @dataclass(frozen=True, slots=True)
 class LeadTrack:
-    """Somebody in the lane. Its place is counted along the route, in which the own motion is known and cancels."""
+    """A tracked road user in the lane. Positions along the route cancel the ego motion."""
 
     class_name: str
     along_m: float
-    """Nearest of it, on the route."""
+    """Position of its nearest part along the route."""
     speed_m_s: float
-    """Along the route."""
     place_variance_m2: float
     covariance_m2_s: float
     speed_variance_m2_s2: float
     seen: int = 1
-    """Sightings."""
     unseen_s: float = 0.0
-    """Since the last one."""
     sure: bool = False
 
     @classmethod
     def begun(cls, sighting: Sighting, front_along_m: float, own_speed_m_s: float) -> "LeadTrack":
-        """Return what is believed on first sight: that it is about as fast as the own vehicle, or slower, or stands."""
+        """Start a track: its prior speed ranges from standing to about the ego speed."""
         half = 0.5 * own_speed_m_s
         return cls(
             sighting.detection.class_name, front_along_m + sighting.gap_m, half, sighting.error_m**2, 0.0,
@@ -90,7 +91,7 @@ class LeadTrack:
         )  # fmt: skip
 
     def later(self, dt_s: float) -> "LeadTrack":
-        """Return what is believed a time later, at constant speed."""
+        """Predict the track at constant speed."""
         q = (_ACCELERATION_M_S2 * dt_s) ** 2
         lost_standing = self.unseen_s > 0 and abs(self.speed_m_s) < _STANDS_M_S
         speed = 0.0 if lost_standing else self.speed_m_s
@@ -107,11 +108,11 @@ class LeadTrack:
         )
 
     def updated(self, sighting: Sighting, front_along_m: float) -> "LeadTrack":
-        """Return what is believed after a sighting of it.
+        """Update the track with a sighting.
 
-        Gains are the best for the errors (Kalman's, for constant speed): alpha corrects the place, beta over the time
-        between sightings the speed. With equal errors they settle at Kalata's (1984); with a fixed pair near and far
-        could not both be right, for the error of a distance grows with its square.
+        Gains are optimal for the errors (Kalman's, for constant speed): alpha corrects the position, beta over the time
+        between sightings the speed. With equal errors they converge to Kalata's (1984); a fixed pair can't fit both
+        near and far, because the error of a distance grows with its square.
         """
         surprise = front_along_m + sighting.gap_m - self.along_m
         total = self.place_variance_m2 + sighting.error_m**2
@@ -130,43 +131,44 @@ class LeadTrack:
         )
 
     def distance(self, sighting: Sighting, front_along_m: float) -> float | None:
-        """Return how far from the expected place a sighting is (m); none where it is too far to be the same."""
+        """Return the distance of a sighting from the prediction (m); None outside the gate."""
         away = abs(front_along_m + sighting.gap_m - self.along_m)
         return away if away <= _GATE_M + _GATE * np.sqrt(self.place_variance_m2 + sighting.error_m**2) else None
 
     def believed(self, front_along_m: float) -> bool:
-        """Whether it is still taken to be there. The unsure one that is missed once was none."""
+        """Return whether the track is still valid. A tentative track ends with its first miss."""
         if not self.sure:
             return self.unseen_s == 0
         near = self.along_m - front_along_m < _NEAR_M
         return self.unseen_s <= (_NEAR_COAST_S if near else _COAST_S) + 1e-9
 
 
-# § Keeps track of everybody who was seen in the lane ahead, and says who leads.
+# Lead tracker
 
 _DOUBLE_M = 4.0
-"""Boxes of one thing (car and truck, the whole and its cab) lie so near to each other: they begin nothing new."""
+"""Distance within which boxes are duplicates of one object (car and truck, whole and cab) and start no track."""
 
 
 class LeadState(NamedTuple):
-    """Who leads, and what it was last seen as."""
+    """The lead and its latest sighting."""
 
     lead: LeadVehicle
     track: LeadTrack
     sighting: Sighting | None
-    """Of this moment; none where it was missed."""
+    """Sighting of the current image; None if missed."""
 
 
 class LeadTracker:
-    """Remembers from moment to moment. The same sightings give the same answer."""
+    """Tracks road users over time. Deterministic."""
 
     def __init__(self) -> None:
         self._tracks: list[tuple[LeadTrack, Sighting | None]] = []
 
     def look(self, seen: Sequence[Sighting], front_along_m: float, speed_m_s: float, dt_s: float) -> LeadState | None:
-        """Take in what is seen a time after the last look; `front_along_m` is the front bumper's place on the route.
+        """Update all tracks with the sightings after `dt_s`.
 
-        Returns the nearest one that is sure to be there; none where the lane is free.
+        `front_along_m` is the position of the front bumper along the route. Returns the nearest confirmed track; None
+        if the lane is free.
         """
         left = list(seen)
         tracks: list[tuple[LeadTrack, Sighting | None]] = []
@@ -192,45 +194,47 @@ class LeadTracker:
 
 
 def _nearest(track: LeadTrack, seen: Sequence[Sighting], front_along_m: float) -> Sighting | None:
-    """The sighting that lies nearest to where somebody was expected, if near enough."""
+    """Return the sighting nearest to a prediction, or None outside the gate."""
     near = [(away, each) for each in seen if (away := track.distance(each, front_along_m)) is not None]
     return min(near, key=lambda each: each[0])[1] if near else None
 
 
 WIDTHS_M = {"car": 1.8, "truck": 2.5, "bus": 2.5, "train": 2.9, "motorcycle": 0.8, "bicycle": 0.6, "person": 0.5}
-"""Who may be in the way, and how wide it is seen from behind."""
+"""Road user classes, with their assumed width seen from behind."""
 
 OVERHANGS_M = {"car": 0.8, "truck": 1.0, "bus": 2.0, "train": 1.0}
-"""From the rear bumper to where the tyres touch the road: a box ends at the tyres. Others end where they stand."""
+"""Distance from the rear bumper to the tires' contact, where boxes end at the bottom. Zero for other classes."""
 
 _OTHER_WORDS = {"rider": "person", "cyclist": "bicycle", "motorcyclist": "motorcycle"}
 
 _EDGE = 0.03
-"""Share of the picture: a box that ends so near to its edge may be cut off by it."""
+"""Margin as a share of the image; a box that ends closer to the edge may be truncated."""
 
 _BOX_ERROR = 0.002
-"""Standard error of a box's edge from picture to picture, as a share of the picture's width (1.6 px in 800)."""
+"""Standard error of a box edge between images, as a share of the image width (1.6 px in 800)."""
 
 _MIN_ERROR_M = 0.3
 
 _WIDTH_ERROR = 0.1
-"""Of a width that is only assumed. The gap is taken to be shorter by as much: cars of unusual width, and boxes that do
-not reach around all of a car that fills the picture, must not be hit."""
+"""Relative error of an assumed width; the gap is shortened accordingly.
+
+This avoids hitting cars of unusual width, and cars that fill the image and exceed their boxes.
+"""
 
 _FARTHEST_M = 80.0
-"""Beyond it the lower edge of a box is nearer to the horizon than its error."""
+"""Maximum distance; beyond it the lower box edge is closer to the horizon than its error."""
 
 
 def sightings(
     detections: Iterable[Detection], camera: Camera, height_m: float, path: LanePath, vehicle: Vehicle
 ) -> list[Sighting]:
-    """Return who is in the lane ahead; the ground is level, at a height in the world."""
+    """Return the sightings in the lane ahead, on level ground at a height in the world."""
     found = (_sighting(each, camera, height_m, path, vehicle) for each in detections)
     return [each for each in found if each is not None]
 
 
 def road_user_class(detection: Detection) -> str | None:
-    """Return the class of COCO that a detection falls into; none where it is nobody on the road."""
+    """Return the COCO class of a detection; None if it is not a road user."""
     name = coco_class(detection.class_name)
     name = _OTHER_WORDS.get(name, name)
     return name if name in WIDTHS_M else None
@@ -248,7 +252,7 @@ def _sighting(
     depth = _depth_of_ground(camera, middle, bottom, above)
     cut_below = bottom > (1 - _EDGE) * camera.height
     overhang, error = OVERHANGS_M.get(name, 0.0), 0.0
-    if cut_below:  # the ground below it is not in the picture: it is nearer than what the edge shows
+    if cut_below:  # the contact point is outside the image, so it is nearer than the edge suggests
         by_width = camera.fx * WIDTHS_M[name] / max(right - left, 1.0)
         if by_width < depth:
             error = _WIDTH_ERROR * by_width
@@ -258,7 +262,7 @@ def _sighting(
     place = _placed(camera, middle, depth, path)
     width = min((right - left) * depth / camera.fx, WIDTHS_M[name])
     if (left < _EDGE * camera.width) != (right > (1 - _EDGE) * camera.width):
-        # Cut off at one side: its middle lies farther out than that of the box, which alone must be in the way.
+        # Truncated on one side: its center lies farther out than the box, whose center alone must be in the lane.
         width = 0.0
     if abs(place.left_m) - width / 2 > half_corridor_m(vehicle):
         return None
@@ -268,13 +272,13 @@ def _sighting(
 
 
 def _depth_of_ground(camera: Camera, u: float, v: float, above_m: float) -> float:
-    """Distance along the optical axis at which the ray through a pixel meets the ground; infinite above the horizon."""
+    """Return the depth at which the ray through a pixel meets the ground; infinite above the horizon."""
     down = -float(camera.camera_to_world[2, :3] @ _ray(camera, u, v))
     return above_m / down if down > 0 else np.inf
 
 
 def _placed(camera: Camera, u: float, depth_m: float, path: LanePath) -> PathCoordinates:
-    """Where a column of the picture is on the path, at a distance along the optical axis."""
+    """Return the path position of an image column at a depth."""
     x, y, _ = camera.position + depth_m * (camera.camera_to_world[:3, :3] @ _ray(camera, u, camera.cy))
     return path.place(float(x), float(y))
 

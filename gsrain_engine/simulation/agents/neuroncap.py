@@ -1,4 +1,4 @@
-"""NeuroNCAP's baseline (Ljungbergh et al. 2024): on as fast as now, and a full stop where anybody is in the way."""
+"""NeuroNCAP: its baseline agent (Ljungbergh et al. 2024) and the `/infer` messages of its model nodes."""
 
 import base64
 import io
@@ -29,11 +29,11 @@ _STOP = np.zeros((6, 2))
 
 
 class NeuroNCAPBaselineAgent:
-    """Keeps its speed along the route until the middle of somebody is in the corridor ahead; then it wants to stand.
+    """Keeps its speed along the route until the center of a road user is in the corridor ahead, then stops.
 
-    The corridor is straight, 5 m wide, and reaches from 2 m ahead of the rear axle two seconds of driving further; from
-    the first stop on it keeps the length that it then had. It takes road users from the simulator, as the original
-    takes them from the model under test.
+    The corridor is straight, 5 m wide, and starts 2 m ahead of the rear axle; its length is two seconds of driving and
+    stays fixed from the first stop on. Road users come from the simulator; in the original they come from the model
+    under test.
     """
 
     name = "neuroncap-baseline"
@@ -48,7 +48,7 @@ class NeuroNCAPBaselineAgent:
         self._length_m = None
 
     def plan(self, observation: Observation) -> Trajectory:
-        """Return points along the route, or six times the present place."""
+        """Return points along the route, or six times the current position."""
         state = observation.state
         length = _AHEAD_S * state.speed_m_s if self._length_m is None else self._length_m
         middles = np.array([(user.x_m, user.y_m) for user in observation.road_users]).reshape(-1, 2)
@@ -61,19 +61,18 @@ class NeuroNCAPBaselineAgent:
         return Trajectory(_STOP.copy(), {"in_corridor": blocking})
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing."""
 
 
-# § What NeuroNCAP's model nodes are asked with: `/infer`'s JSON, named and framed as NeuroNCAP sends it.
-#
-# Ego frame: x forward, y left, z up, below the rear axle on the road, as nuScenes has it. Fields: neuro-ncap's
+# `/infer` messages
+# Ego frame: x forward, y left, z up, below the rear axle on the road, as in nuScenes. Fields follow neuro-ncap's
 # `ModelInput` and the `InferenceInputs` of its UniAD node.
 
 _GRAVITY_M_S2 = 9.8
 
 
 def neuroncap_message(observation: Observation, rig: Rig) -> bytes:
-    """Return `/infer`'s body: pictures as tensors in base64, pose, bus signals, microseconds, command, calibration."""
+    """Return the `/infer` body: images as base64 tensors, pose, bus signals, microseconds, command, calibration."""
     pictures = {name: base64.b64encode(tensor_file(view.image)).decode() for name, view in observation.views.items()}
     shown = [each for each in rig.cameras if each.name in observation.views]
     message = {
@@ -90,8 +89,8 @@ def neuroncap_message(observation: Observation, rig: Rig) -> bytes:
 def can_bus(observation: Observation, rig: Rig) -> list[float]:
     """Return nuScenes' sixteen bus signals.
 
-    Place (m; 0 high, as NeuroNCAP's), orientation (wxyz), acceleration (m/s2, gravity upward), turn rates (rad/s) and
-    velocity (m/s), the last three in the ego frame.
+    Position (m; z is 0 as in NeuroNCAP), orientation (wxyz), acceleration (m/s2, gravity upward), turn rates (rad/s)
+    and     velocity (m/s), the last three in the ego frame.
     """
     state = observation.state
     turning = yaw_rate(rig.vehicle, state)
@@ -116,15 +115,13 @@ def _calibration(cameras: list[RigCamera], rig: Rig) -> dict[str, Any]:
     }
 
 
-# § Pictures as PyTorch keeps tensors in files, written without PyTorch: what NeuroNCAP's model nodes read.
-#
-# A zip archive, nothing in it compressed: a pickle that says how to rebuild the tensor, and its bytes ("zip-based"
-# format
-# of `torch.save`, since PyTorch 1.6).
+# PyTorch tensor files, written without PyTorch
+# An uncompressed zip archive with a pickle that rebuilds the tensor and its bytes (zip-based format of `torch.save`
+# since PyTorch 1.6).
 
 
 def tensor_file(image: UInt8[np.ndarray, "h w c"]) -> bytes:
-    """Return what `torch.load` reads as a tensor (H, W, C) of bytes; the same picture gives the same bytes."""
+    """Return the file of a byte tensor (H, W, C) for `torch.load`; the same image gives the same bytes."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
         for name, data in (
@@ -137,7 +134,7 @@ def tensor_file(image: UInt8[np.ndarray, "h w c"]) -> bytes:
 
 
 def _rebuilding(shape: tuple[int, ...]) -> bytes:
-    """Pickle, by hand, the call that makes a contiguous tensor on the CPU from storage 0."""
+    """Return a hand-written pickle of the call that builds a contiguous CPU tensor from storage 0."""
     height, width, channels = shape
     count = height * width * channels
     storage = b"(" + _text("storage") + b"ctorch\nByteStorage\n" + _text("0") + _text("cpu") + _number(count) + b"t"

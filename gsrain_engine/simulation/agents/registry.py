@@ -1,4 +1,4 @@
-"""Which agents there are: the shipped ones and those of installed packages, by name."""
+"""Registry of agents: shipped ones, those of installed packages, and those in Python files."""
 
 import importlib.util
 import inspect
@@ -20,18 +20,17 @@ from .neuroncap import NeuroNCAPBaselineAgent
 
 @dataclass(frozen=True, slots=True)
 class AgentOptions:
-    """What a person may give an agent."""
+    """Options of agents."""
 
     detector: Path | None = None
     """ONNX file of a detector."""
     description: str | None = None
-    """How the detector is used: a shipped name or a YAML file."""
+    """Description of the detector: a shipped name or a YAML file."""
     url: str | None = None
-    """Where an agent listens that runs elsewhere."""
 
 
 def _camera_idm(options: AgentOptions) -> Agent:
-    # onnxruntime is heavy, and an extra: only where somebody sees.
+    # onnxruntime is heavy and optional; import it only for camera agents
     from ...evaluation.detection.detector import open_detector
     from .idm import CameraIDMAgent
 
@@ -57,16 +56,15 @@ _SHIPPED: dict[str, Callable[[AgentOptions], Agent]] = {
 
 
 def agent_names() -> list[str]:
-    """Names of all agents, the shipped ones first."""
+    """Return the names of all agents, shipped ones first."""
     return [*_SHIPPED, *(each.name for each in find_extensions(AGENTS) if each.name not in _SHIPPED)]
 
 
 def open_agent(name: str, options: AgentOptions | None = None, *, trusted_only: bool = False) -> Agent:
-    """Make an agent ready: one of `agent_names`, or the one in a file of one's own (`my_driver.py`).
+    """Open an agent: one of `agent_names`, or one in a Python file (`my_driver.py`).
 
-    With `trusted_only`, for names that come out of files, a Python file runs only if a person has allowed its content.
-
-    Raises ValueError for an unknown name, where what it needs is missing, and where an installed one fails.
+    With `trusted_only`, for names read from files, a Python file runs only if its content is trusted. Raises ValueError
+    for an unknown name, missing requirements, or a failing plugin.
     """
     options = options or AgentOptions()
     if agent_file(name) is not None:
@@ -79,9 +77,9 @@ def open_agent(name: str, options: AgentOptions | None = None, *, trusted_only: 
 
 
 def default_agent(options: AgentOptions) -> tuple[str, str | None]:
-    """Return who drives where nobody is named: camera-idm; or oracle-idm, with a sentence that says why no camera can.
+    """Return the default agent: camera-idm, or oracle-idm with the reason why camera-idm is unavailable.
 
-    A detector that is there but can't be opened is no reason: opening the agent says what is wrong with it.
+    A detector that exists but can't be opened is no such reason: opening the agent reports its error.
     """
     if options.detector is not None:
         return "camera-idm", None
@@ -98,11 +96,11 @@ _INSTEAD = "oracle-idm drives instead of camera-idm"
 
 
 def _installed(extension: Extension, options: AgentOptions) -> Agent:
-    """Make an agent of another package; whatever fails in there, the sentence names the package."""
+    """Create an agent of an installed package; errors name the package."""
     maker = extension.load_callable()
     try:
         agent = maker(options)
-    except Exception as error:  # it is code of others: its words are the reason
+    except Exception as error:  # third-party code may raise anything
         raise extension.unfit(error) from error
     if not isinstance(agent, Agent):
         raise extension.unfit(
@@ -112,7 +110,8 @@ def _installed(extension: Extension, options: AgentOptions) -> Agent:
     return agent
 
 
-# § An agent from a Python file of one's own: `my_driver.py`, or `my_driver.py:NAME` for one of several in it.
+# Agents in Python files
+# `my_driver.py`, or `my_driver.py:NAME` to select one of several.
 
 _SUFFIX = ".py"
 
@@ -120,15 +119,15 @@ _METHODS = ("reset", "plan", "close")
 
 
 def agent_file(name: str) -> Path | None:
-    """Return the file that an agent's name means; None where it is the name of a known one."""
+    """Return the file of an agent name; None for a registered name."""
     place = name.rpartition(":")[0] if ":" in name and not name.endswith(_SUFFIX) else name
     return Path(place) if place.endswith(_SUFFIX) else None
 
 
 def agent_code(name: str) -> Code | None:
-    """Read the file that an agent's name means, with what it imports near it; None where it is the name of a known one.
+    """Read the file of an agent name with its local imports; None for a registered name.
 
-    Raises ValueError where there is no such file.
+    Raises ValueError if the file does not exist.
     """
     path = agent_file(name)
     if path is None:
@@ -139,11 +138,11 @@ def agent_code(name: str) -> Code | None:
 
 
 def agent_in_file(name: str, options: Any, *, trusted_only: bool = False) -> Agent:
-    """Run a person's file and make the agent in it.
+    """Run a Python file and create its agent.
 
     `FILE.py` has one class with the methods of an agent; `FILE.py:NAME` names a class, or a function that returns an
-    agent. `options` (`AgentOptions`) are given to what takes an argument. With `trusted_only`, for names out of files,
-    nothing runs that no person has allowed. Raises ValueError in one sentence.
+    agent. `options` (`AgentOptions`) are passed if the class or function takes an argument. With `trusted_only`, for
+    names read from files, only trusted code runs. Raises ValueError with one sentence.
     """
     path = agent_file(name)
     assert path is not None
@@ -152,7 +151,7 @@ def agent_in_file(name: str, options: Any, *, trusted_only: bool = False) -> Age
     maker = _named(module, name, wanted) if wanted else _only_class(module, name)
     try:
         agent = maker(options) if _takes_one(maker) else maker()
-    except Exception as error:  # it is code of others: its words are the reason
+    except Exception as error:  # third-party code may raise anything
         raise ValueError(f"agent {name}: {error or type(error).__name__}") from error
     if not isinstance(agent, Agent):
         raise ValueError(f"agent {name}: {_missing(agent)}")
@@ -166,7 +165,7 @@ def _module(path: Path, name: str, trusted_only: bool) -> ModuleType:
     if trusted_only:
         check_trusted(f"agent {name}", [code])
     elif folder not in sys.path:
-        sys.path.insert(0, folder)  # whatever is near it can be imported, as when Python runs it
+        sys.path.insert(0, folder)  # allows imports from the same folder, as when Python runs the file
     try:
         return run_main(code, f"gsrain_agent_{path.stem}")
     except Exception as error:
@@ -174,7 +173,7 @@ def _module(path: Path, name: str, trusted_only: bool) -> ModuleType:
 
 
 def _where(error: BaseException, path: Path) -> str:
-    """Return the last line of the person's own file that an error passed, as "line 12: "."""
+    """Return the last line of the agent's own file in a traceback, as "line 12: "."""
     line = getattr(error, "lineno", None) if isinstance(error, SyntaxError) else None
     trace = error.__traceback__
     while trace is not None:
@@ -203,7 +202,7 @@ def _named(module: ModuleType, name: str, wanted: str) -> Any:
 
 
 def _takes_one(maker: Any) -> bool:
-    """Whether something must be given to a class or function, or may be as its first argument without a name."""
+    """Return whether a class or function takes a positional argument."""
     try:
         parameters = inspect.signature(maker).parameters.values()
     except (TypeError, ValueError):

@@ -1,4 +1,4 @@
-"""The closed loop as gymnasium environments; the import registers `gsrain/Drive-v0` and `gsrain/DrivePlan-v0`."""
+"""Closed-loop Gymnasium environments; the import registers `gsrain/Drive-v0` and `gsrain/DrivePlan-v0`."""
 
 from .registration import register_environments
 

@@ -1,4 +1,4 @@
-"""A drive through a rainy scene as a gymnasium environment: for learners, and for whoever wants to hold the wheel."""
+"""Gymnasium environment of a drive through a rainy scene, and its reward."""
 
 from contextlib import ExitStack
 from pathlib import Path
@@ -25,15 +25,15 @@ _FRONT = SensorRequirements(("front",))
 
 _LARGEST_SEED = 2**32
 
-# § What a learner is paid for: getting on, smoothly, without hitting anything.
+# Reward
 
 
 class Reward(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Weights of the reward of a step.
 
-    reward = progress * (metres got on along the route) - discomfort * (a^2 + (v * yaw rate)^2) * step, with the
-    longitudinal acceleration a over the step and the lateral one v * yaw rate at its end, in m/s2; and once, at the
-    end, what the end is worth. A drive that runs out of time is worth what it has got until then.
+    reward = progress * (meters along the route) - discomfort * (a^2 + (v * yaw rate)^2) * step, with the
+    longitudinal acceleration a over the step and the lateral one v * yaw rate at its end, in m/s2; plus a
+    terminal reward for a collision, leaving the route or completing it. A timeout has no terminal reward.
     """
 
     progress: Annotated[float, Meta(ge=0, title="Progress", extra={"unit": "1/m"})] = 1.0
@@ -43,7 +43,7 @@ class Reward(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     completed: Annotated[float, Meta(ge=0, title="Route completed")] = 100.0
 
     def of_step(self, before: Observation, after: Observation, vehicle: Vehicle, end: str | None) -> float:
-        """Return the reward of a step between two moments; `end` is why the drive is over, none while it goes on."""
+        """Return the reward of a step between two observations; `end` is the reason of the end, None before."""
         got_on = _along(after) - _along(before)
         state = after.state
         lateral = state.speed_m_s * yaw_rate(vehicle, state)
@@ -54,12 +54,12 @@ class Reward(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class DriveEnvironment(gymnasium.Env[dict[str, Any], Any]):
-    """A scenario to drive through. `gsrain/Drive-v0` takes controls, `gsrain/DrivePlan-v0` plans; see `actions`.
+    """A scenario to drive through. `gsrain/Drive-v0` takes controls, `gsrain/DrivePlan-v0` takes plans.
 
-    The seed of `reset` is that of the rain: the same seed and actions give the same observations. Without one, drops
-    fall elsewhere in each episode. A collision, the end of the route and more than `leave_m` beside it terminate;
-    the scenario's longest duration truncates. For several at once in processes of their own (`gymnasium.make_vec`,
-    "async") give `vector_kwargs={"context": "spawn"}`: threads of the kernels don't live through a fork.
+    The seed of `reset` is the rain seed: the same seed and actions give the same observations. Without a seed, each
+    episode has other drops. A collision, the end of the route and leaving it by more than `leave_m` terminate; the
+    scenario's maximum duration truncates. Vector environments in subprocesses (`gymnasium.make_vec`, "async") need
+    `vector_kwargs={"context": "spawn"}`, because kernel threads do not survive a fork.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 4}  # noqa: RUF012
@@ -78,22 +78,22 @@ class DriveEnvironment(gymnasium.Env[dict[str, Any], Any]):
         backend: Backend = "auto",
         render_mode: str | None = None,
     ) -> None:
-        """Make ready to drive.
+        """Create the environment.
 
         Args:
-            scenario: A shipped one by name, a file, or one as a value.
-            scene: A scene's file or folder, "street", or one as a value; none takes the scenario's.
-            action: What an action is.
-            cameras: Of which pictures are drawn: names of the rig's, ("front",), or ("all",). None are by default:
-                without pictures a step takes less than a millisecond or two.
-            depth: Whether their depth is observed as well.
-            semantic: Whether their classes are observed as well.
-            intensity_mm_h: Of the rain, 0..100; none takes the scenario's.
-            reward: What is paid for what.
-            backend: What draws.
-            render_mode: "rgb_array" lets `render` show what the front camera sees.
+            scenario: Shipped name, file, or `Scenario`.
+            scene: Scene file or folder, "street", or `Scene`; defaults to the scenario's.
+            action: Type of actions.
+            cameras: Cameras to render: rig camera names, ("front",), or ("all",). Empty by default: without images a
+                step takes one to two milliseconds at most.
+            depth: True adds depth to the observations.
+            semantic: True adds semantic classes to the observations.
+            intensity_mm_h: Rain intensity, 0..100; defaults to the scenario's.
+            reward: Reward weights.
+            backend: Render back end.
+            render_mode: "rgb_array" enables `render`, which returns the front camera image.
 
-        Raises ValueError where scenario, scene or cameras don't fit.
+        Raises ValueError if scenario, scene and cameras do not match.
         """
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode {render_mode!r}: only 'rgb_array' can be had")
@@ -110,10 +110,10 @@ class DriveEnvironment(gymnasium.Env[dict[str, Any], Any]):
         self._renderer = self._resources.enter_context(open_renderer(backend)) if draws else None
         try:
             self.simulation = Simulation(chosen, opened, needs, self._renderer if cameras else None)
+            """The simulation; its `rollout("NAME")` records the current episode."""
         except ValueError:
             self.close()
             raise
-        """The drive itself; its `rollout("NAME")` is the record of the present episode."""
         mounted = self.simulation.rig.cameras
         if draws and not mounted:
             self.close()
@@ -126,7 +126,7 @@ class DriveEnvironment(gymnasium.Env[dict[str, Any], Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin an episode; there are no options."""
+        """Start an episode; there are no options."""
         super().reset(seed=seed)
         drops = int(self.np_random.integers(_LARGEST_SEED)) if seed is None else seed % _LARGEST_SEED
         self._front = None
@@ -134,7 +134,7 @@ class DriveEnvironment(gymnasium.Env[dict[str, Any], Any]):
         return observation_values(self._now, self.simulation.scenario.vehicle), self._info(self._now)
 
     def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Drive on for one step.
+        """Advance by one step.
 
         Raises ValueError before `reset`, after the end, and for actions that are not finite or of another shape.
         """
@@ -162,7 +162,7 @@ class DriveEnvironment(gymnasium.Env[dict[str, Any], Any]):
         )
 
     def render(self) -> UInt8[np.ndarray, "h w 3"] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Return what the front camera sees now; None without the render mode "rgb_array", or before `reset`."""
+        """Return the current front camera image; None without the render mode "rgb_array", or before `reset`."""
         now, simulation = self._now, self.simulation
         if self._renderer is None or self.render_mode is None or now is None:
             return None
@@ -174,7 +174,7 @@ class DriveEnvironment(gymnasium.Env[dict[str, Any], Any]):
         return simulation.render_cameras(self._front)[front.name].image
 
     def close(self) -> None:
-        """Let go of the renderer; it is not used again."""
+        """Release the renderer."""
         self._resources.close()
 
     def _info(self, observation: Observation) -> dict[str, Any]:

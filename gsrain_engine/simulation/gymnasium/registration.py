@@ -1,6 +1,9 @@
-"""Makes the environments known to gymnasium; imports nothing else, for it may be called by the import of gymnasium."""
+"""Registration of the environments with Gymnasium.
 
-# Not `import gymnasium`: versions that load plug-ins do so before that module is whole.
+Imports nothing else, because the import of gymnasium may call it.
+"""
+
+# Not `import gymnasium`: versions that load plugins do so before that module is complete.
 from gymnasium.envs.registration import register, registry
 
 CONTROL_ID, PLAN_ID = "gsrain/Drive-v0", "gsrain/DrivePlan-v0"
@@ -9,7 +12,7 @@ _CREATOR = "gsrain_engine.simulation.gymnasium.environment:DriveEnvironment"
 
 
 def register_environments() -> None:
-    """Register both, by what an action is: acceleration and steering rate, or the points of a plan."""
+    """Register both environments: controls (acceleration and steering rate) or plan points as actions."""
     for id, action in ((CONTROL_ID, "control"), (PLAN_ID, "plan")):
         if id not in registry:
             register(id=id, entry_point=_CREATOR, kwargs={"action": action})

@@ -1,4 +1,4 @@
-"""What a learner may do in a step: turn pedals and wheel, or say where it wants to be."""
+"""Action and observation spaces of the Gymnasium environments."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -14,21 +14,21 @@ from ..traffic.base import RoadUser
 from ..vehicle import Control, Vehicle, VehicleState, yaw_rate
 
 PLAN_POINTS = 6
-"""Points of a plan, 0.5 s apart: three seconds, as UniAD's."""
+"""Number of points of a plan, 0.5 s apart: three seconds, as in UniAD."""
 
 _REACH_M = 200.0
 
 
 def control_space() -> spaces.Box:
-    """Return the space of controls: acceleration and steering rate as shares of what the vehicle can do.
+    """Return the space of controls: acceleration and steering rate as shares of the vehicle's limits.
 
-    Shape (2,), -1..1: full braking to full acceleration, and the steering rate to the right to that to the left.
+    Shape (2,), -1..1: from full braking to full acceleration, and from full rate right to full rate left.
     """
     return spaces.Box(-1.0, 1.0, (2,), np.float32)
 
 
 def plan_space() -> spaces.Box:
-    """Return the space of plans: points in the vehicle's frame, (6, 2) metres (x forward, y left), 0.5 s apart."""
+    """Return the space of plans: points in the vehicle's frame, (6, 2) meters (x forward, y left), 0.5 s apart."""
     return spaces.Box(-_REACH_M, _REACH_M, (PLAN_POINTS, 2), np.float32)
 
 
@@ -38,7 +38,7 @@ def control_of(action: Float64[np.ndarray, "2"], vehicle: Vehicle) -> Control:
     return Control(pedal * most, wheel * vehicle.most_steer_rate_rad_s)
 
 
-# § What a learner sees: the observation of a drive as a gymnasium space of plain arrays.
+# Observations
 
 ROUTE_POINTS, ROUTE_STEP_M = 30, 2.0
 
@@ -57,12 +57,12 @@ def observation_space(cameras: Sequence[RigCamera], needs: SensorRequirements) -
     ego: (7,) speed m/s, acceleration m/s2, steering rad, steering rate rad/s, yaw rate rad/s, distance left of the
         route m, heading left of the route's rad.
     command: 0 right, 1 left, 2 straight.
-    route: (30, 2) points of the way to take, 2 m apart, from 2 m ahead on, in the vehicle's frame (x forward, y left).
-    road_users: (16, 7) the nearest first: x and y of the middle and heading in the vehicle's frame, length, width,
-        height, speed; zeros where there is nobody. Ground truth: leave it away where cameras are to be tested.
-    road_user_count: how many of its rows are somebody.
+    route: (30, 2) points of the route, 2 m apart, from 2 m ahead on, in the vehicle's frame (x forward, y left).
+    road_users: (16, 7) nearest first: x and y of the center and heading in the vehicle's frame, length, width,
+        height, speed; zeros in unused rows. Ground truth: ignore it when testing cameras.
+    road_user_count: number of used rows of `road_users`.
     rgb, depth, semantic: by camera (h, w, 3) uint8; (h, w) float32 m, 0 where there is nothing; (h, w) uint8 of
-        Cityscapes' training ids. Each only where it was asked for.
+        Cityscapes' training ids. Each only if requested.
     """
     room: dict[str, spaces.Space[Any]] = {
         "ego": spaces.Box(-_EGO, _EGO, dtype=np.float32),
@@ -81,7 +81,7 @@ def observation_space(cameras: Sequence[RigCamera], needs: SensorRequirements) -
 
 
 def observation_values(observation: Observation, vehicle: Vehicle) -> dict[str, Any]:
-    """Return an observation as values of the space; what is beyond its bounds is cut to them."""
+    """Return an observation as values of the space, clipped to its bounds."""
     state = observation.state
     count, users = _road_users(state, observation.road_users)
     found: dict[str, Any] = {
@@ -118,7 +118,7 @@ def _route(observation: Observation) -> Float64[np.ndarray, "n 2"]:
 
 
 def _road_users(state: VehicleState, users: Sequence[RoadUser]) -> tuple[int, Float32[np.ndarray, "users 7"]]:
-    """The nearest road users, and how many they are."""
+    """Return the number of road users and the rows of the nearest."""
     rows = np.zeros((MAX_ROAD_USERS, len(_USER)), np.float32)
     if not users:
         return 0, rows

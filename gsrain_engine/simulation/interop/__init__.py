@@ -1,1 +1,1 @@
-"""Other programs: HUGSIM, OpenSCENARIO, OpenDRIVE, MCAP."""
+"""Interoperation with other programs: HUGSIM, OpenSCENARIO, OpenDRIVE, MCAP."""

@@ -1,4 +1,4 @@
-"""The agent that is somebody else: a driving stack that speaks HUGSIM's protocol, in a process of its own."""
+"""HUGSIM agent: runs an external driving stack that uses HUGSIM's protocol, in its own process."""
 
 import logging
 import os
@@ -33,22 +33,22 @@ from .hugsim_protocol import (
 _log = logging.getLogger(__name__)
 
 FIRST_WAIT_S, LATER_WAIT_S = 120.0, 60.0
-"""For the first plan, before which models are loaded, and for each one after."""
+"""Timeouts for the first plan, which includes model loading, and for later ones."""
 
 _LEAVE_WAIT_S = 100.0
-"""HUGSIM waits as long for its client, which writes a video, once it has said that the drive is over."""
+"""Wait for the client, which writes a video, after "Done"; same as in HUGSIM."""
 
 _SHORT_S = 2.0
-"""To say so to a client that has given up and is likely to be gone."""
+"""Timeout of "Done" for a client that has failed."""
 
 
 class HugsimAgent:
-    """Lets a HUGSIM client (UniAD_SIM, VAD_SIM, NAVSIM's LTF, or a person's own) drive, unchanged.
+    """Lets an unmodified HUGSIM client (UniAD_SIM, VAD_SIM, NAVSIM's LTF, or a custom one) drive.
 
-    Per step it is sent `(obs, info)` through `obs_pipe` and answers through `plan_pipe`; "Done" tells it that the drive
-    is over, upon which HUGSIM's clients end: each drive takes a new one. Drive in `with_hugsim_rig`, where HUGSIM's
-    point of reference, the front camera, is ours too; with any other vehicle and rig `ego_pos` is still the front
-    camera's place, `ego_box` the body's, and plans are turned into those of the rear axle (`to_vehicle_frame`).
+    Per step the client receives `(obs, info)` through `obs_pipe` and replies through `plan_pipe`; "Done" ends the drive
+    and HUGSIM's clients, so each drive needs a new one. Use `with_hugsim_rig`, which makes HUGSIM's reference point,
+    the front camera, the vehicle's; with any other vehicle and rig `ego_pos` is still the front camera's position,
+    `ego_box` the body's, and plans are converted to the rear axle (`to_vehicle_frame`).
     """
 
     name = "hugsim"
@@ -64,10 +64,10 @@ class HugsimAgent:
         first_wait_s: float = FIRST_WAIT_S,
         later_wait_s: float = LATER_WAIT_S,
     ) -> None:
-        """Make ready to drive by the pipes in `folder`; without a command a person starts the client.
+        """Use the pipes in `folder`; without a command the user starts the client.
 
-        `semantic` and `depth` are sent too when asked for: no known client reads them, and labels take several times
-        as long to draw as pictures. Raises ClientError where there can be no pipes.
+        `semantic` and `depth` are optional: no known client reads them, and labels take several times as long to render
+        as images. Raises ClientError if the pipes can't be created.
         """
         self.folder = folder.absolute()
         self._command, self._semantic, self._depth = client_command, semantic, depth
@@ -79,18 +79,18 @@ class HugsimAgent:
 
     @property
     def needs(self) -> SensorRequirements:
-        """All cameras of the rig, and what is to be sent beside their pictures."""
+        """All cameras of the rig and the optional outputs."""
         return SensorRequirements(("all",), self._depth, self._semantic)
 
     @property
     def invitation(self) -> str:
-        """What a person is told who starts the client."""
+        """Message for the user who starts the client."""
         return f"waiting for a HUGSIM client at {self.folder} ({OBSERVATIONS}, {PLANS})"
 
     def reset(self, seed: int, rig: Rig) -> None:
-        """Begin a drive with a new client.
+        """Start a drive with a new client.
 
-        Raises ValueError for a rig that is not HUGSIM's, ClientError where the client can't be started.
+        Raises ValueError for a rig that is not HUGSIM's, ClientError if the client can't be started.
         """
         self._finish()
         self._drive = _HugsimDrive(rig)
@@ -100,9 +100,9 @@ class HugsimAgent:
             _log.info("%s", self.invitation)
 
     def plan(self, observation: Observation) -> Trajectory:
-        """Return what the client plans; no points where it gives up.
+        """Return the client's plan; without points if it gives up.
 
-        Raises ClientError where it is gone, silent, or answers what is no plan; the drive with it is over then.
+        Raises ClientError, which ends the drive, if it has ended, does not respond, or sends an invalid plan.
         """
         drive = self._drive
         if drive is None:
@@ -111,7 +111,7 @@ class HugsimAgent:
         try:
             self._pipes.send(self._message(drive, observation), patience)
             points = read_reply(self._pipes.receive(patience, MAX_BYTES))
-        except BaseException:  # a person's Ctrl+C too: nobody waits for what hangs
+        except BaseException:  # Ctrl+C too: do not leave a hanging client
             self._break_off()
             raise
         if points is None:
@@ -121,7 +121,7 @@ class HugsimAgent:
         return Trajectory(to_vehicle_frame(points, (float(x), float(y))))
 
     def close(self) -> None:
-        """Say "Done" to the client, and wait until one that was started here has left."""
+        """Send "Done", and wait until a client started by this agent has ended."""
         self._finish()
 
     def _message(self, drive: "_HugsimDrive", observation: Observation) -> memoryview:
@@ -134,7 +134,6 @@ class HugsimAgent:
         return None if self._client is None else self._client.ended
 
     def _finish(self) -> None:
-        """End the drive under way, if there is one."""
         drive, self._drive = self._drive, None
         try:
             if drive is not None and drive.world is not None:
@@ -145,7 +144,7 @@ class HugsimAgent:
             self._break_off()
 
     def _say_done(self, drive: "_HugsimDrive") -> bool:
-        """Tell the client that the drive is over; returns whether it is going to leave."""
+        """Send "Done"; returns whether the client is going to end."""
         try:
             wait = _SHORT_S if drive.given_up else self._later_wait_s
             self._pipes.send(old_pickle("Done"), Timeouts(wait, self._ended))
@@ -156,7 +155,7 @@ class HugsimAgent:
         return True
 
     def _break_off(self) -> None:
-        """Let go of the drive, and of a client that was started here and still runs."""
+        """Drop the drive, and stop a client started by this agent."""
         self._drive = None
         if self._client is not None:
             self._client.stop()
@@ -164,18 +163,18 @@ class HugsimAgent:
 
 
 class _HugsimDrive:
-    """What belongs to one drive."""
+    """State of one drive."""
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
         self.cameras = six_hugsim_cameras(rig.cameras)
         self.params = camera_params(self.cameras, rig)
         self.world: HugsimWorld | None = None
-        """Known from the first observation on."""
+        """Set at the first observation."""
         self.given_up = False
 
 
-# § From a HUGSIM plan to ours: other axes, and another point of the vehicle.
+# Plan conversion
 
 _SAME_PLACE_M = 0.05
 
@@ -183,15 +182,14 @@ _SAME_PLACE_M = 0.05
 def to_vehicle_frame(
     plan: Float64[np.ndarray, "n 2"], front_m: tuple[float, float]
 ) -> Float64[np.ndarray, "n 2"]:  # fmt: skip
-    """Return where the rear axle is to be (x forward, y left), for a plan of the front camera (x right, y forward).
+    """Convert a plan of the front camera (x right, y forward) to one of the rear axle (x forward, y left).
 
-    HUGSIM's point of reference is the front camera, `front_m` (forward, left) of our rear axle; both plans begin at
-    their own point. Behind a front that moves on straight from point to point the rear axle follows on a tractrix: the
+    HUGSIM's reference point is the front camera, `front_m` (forward, left) of the rear axle; each plan starts at its
+    own reference point. While the front moves in straight segments, the rear axle follows a tractrix: the
     angle d between heading and motion shrinks as tan(d / 2) exp(-length / wheelbase), with the camera's distance ahead
-    of the axle for the wheelbase. Where the camera stands above the axle, as in HUGSIM's own setting, points stay as
-    they are.
+    of the axle as the wheelbase. If the camera is above the axle, as in HUGSIM's own setup, points keep their values.
     """
-    forward = plan[:, ::-1] * (1.0, -1.0) + 0.0  # not -0
+    forward = plan[:, ::-1] * (1.0, -1.0) + 0.0  # avoids -0
     ahead, left = front_m
     if ahead < _SAME_PLACE_M:
         return np.ascontiguousarray(forward)
@@ -212,22 +210,22 @@ def to_vehicle_frame(
     return np.array(rear)
 
 
-# § The other half of a HUGSIM drive as a process of our own: started, watched, and seen out.
+# Client process
 
 OUTPUT = "output.txt"
-"""What the client prints, in the folder of the pipes, as HUGSIM keeps it."""
+"""Output file of the client, in the folder of the pipes as in HUGSIM."""
 
 _TAIL_BYTES = 2000
 
 
 class ClientProcess:
-    """A client started with a command line: the folder of the pipes takes the place of {folder}, else comes last.
+    """A client started with a command line: the folder of the pipes replaces {folder}, or is appended.
 
     HUGSIM's `zsh SCRIPT CUDA_ID OUTPUT_DIR` is written "zsh SCRIPT CUDA_ID".
     """
 
     def __init__(self, command: str, folder: Path) -> None:
-        """Start it, in a session of its own. Raises ClientError where it can't be."""
+        """Start the client in its own session. Raises ClientError on failure."""
         try:
             words = shlex.split(command)
         except ValueError as problem:
@@ -247,7 +245,7 @@ class ClientProcess:
 
     @property
     def ended(self) -> str | None:
-        """How it ended, as a clause with its last words; none while it runs."""
+        """Return the way it ended, as a clause with its last output; None while it runs."""
         code = self._process.poll()
         if code is None:
             return None
@@ -257,7 +255,7 @@ class ClientProcess:
         return f"ended {how}{said}"
 
     def wait(self, within_s: float) -> bool:
-        """Whether it has ended of itself, within a time."""
+        """Return whether it ended by itself within a time."""
         try:
             self._process.wait(within_s)
         except subprocess.TimeoutExpired:
@@ -265,7 +263,7 @@ class ClientProcess:
         return True
 
     def stop(self, within_s: float = 5.0) -> None:
-        """End it and what it has started, if it still runs: asked first, forced after a time."""
+        """Stop it and its children: terminate first, kill after a time."""
         if self._process.poll() is not None:
             return
         for each in (signal.SIGTERM, signal.SIGKILL):

@@ -1,7 +1,7 @@
-"""Pickles that any NumPy can read: their streams name `numpy` and nothing inside it.
+"""Safe pickles for HUGSIM clients: writing for any NumPy version, and reading without running code.
 
-NumPy 2 pickles its arrays by a name in `numpy._core`, which NumPy 1 has not: a client that runs UniAD's numpy 1.22
-could not read a single message.
+NumPy 2 pickles arrays by a name in `numpy._core`, which NumPy 1 lacks, for example UniAD's numpy 1.22; written
+pickles therefore use only names in `numpy`.
 """
 
 import io
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 _PROTOCOL = 4
-"""Python 3.4's: of all that clients run."""
+"""Pickle protocol of Python 3.4, which all clients support."""
 
 
 class _OldPickler(pickle.Pickler):
@@ -24,7 +24,7 @@ class _OldPickler(pickle.Pickler):
         if isinstance(obj, np.ndarray):
             if obj.dtype.hasobject:
                 raise TypeError(f"an array of {obj.dtype} has no bytes to send")
-            # A bytearray, not bytes: an array made of it can be written to.
+            # A bytearray, not bytes, so that the array is writable.
             array: np.ndarray = np.ascontiguousarray(obj)
             return np.ndarray, (obj.shape, array.dtype.str, bytearray(array.data.cast("B") if array.size else b""))
         if isinstance(obj, np.generic):
@@ -34,7 +34,7 @@ class _OldPickler(pickle.Pickler):
 
 
 def old_pickle(value: Any) -> memoryview:
-    """Pickle plain values, NumPy arrays and NumPy scalars among them; scalars arrive as Python's own.
+    """Pickle plain values, NumPy arrays and NumPy scalars; scalars arrive as Python numbers.
 
     Raises TypeError for an array of objects.
     """
@@ -43,7 +43,7 @@ def old_pickle(value: Any) -> memoryview:
     return stream.getbuffer()
 
 
-# § NumPy arrays of numbers out of somebody's pickle, put together by ourselves from shape, type and bytes.
+# NumPy arrays
 
 _DTYPES = {f"{kind}{size}" for kind in "iu" for size in (1, 2, 4, 8)} | {"f2", "f4", "f8"}
 
@@ -51,7 +51,7 @@ _MAX_ITEMS, _MAX_AXES = 1_000_000, 8
 
 
 class PickledType:
-    """Stands for `numpy.dtype`."""
+    """Stand-in for `numpy.dtype`."""
 
     __slots__ = ("_order", "_spec")
 
@@ -62,7 +62,7 @@ class PickledType:
         self._order = text(state[1])
 
     def real(self) -> np.dtype[Any]:
-        """Return the type; raises ValueError for one that is not of numbers."""
+        """Return the type; raises ValueError for non-numeric types."""
         spec = self._spec.lstrip("<>=|")
         if spec not in _DTYPES:
             raise ValueError(f"it holds an array of {self._spec[:20]}, not of numbers")
@@ -71,7 +71,7 @@ class PickledType:
 
 
 class PickledArray:
-    """Stands for `numpy.ndarray`: in the making while the stream is read, looked at only afterwards."""
+    """Stand-in for `numpy.ndarray`, evaluated after the stream has been read."""
 
     __slots__ = ("_dtype", "_fortran", "_raw", "_shape")
 
@@ -82,7 +82,7 @@ class PickledArray:
         self._shape, self._dtype, self._fortran, self._raw = state[-4:]
 
     def real(self) -> np.ndarray:
-        """Return the array; raises ValueError where shape, type and bytes don't fit together."""
+        """Return the array; raises ValueError if shape, type and bytes do not match."""
         if not isinstance(self._raw, bytes | bytearray):
             raise ValueError("it holds an array without bytes")
         dtype = (self._dtype if isinstance(self._dtype, PickledType) else PickledType(self._dtype)).real()
@@ -94,7 +94,7 @@ class PickledArray:
 
 
 def checked_shape(shape: Any) -> tuple[int, ...]:
-    """Return a shape that memory has room for; raises ValueError for any other."""
+    """Return a shape that fits into memory; raises ValueError for any other."""
     if len(shape) > _MAX_AXES:
         raise ValueError(f"it holds an array of {len(shape)} axes")
     sides = tuple(index(each) for each in shape)
@@ -104,7 +104,7 @@ def checked_shape(shape: Any) -> tuple[int, ...]:
 
 
 def text(value: Any) -> str:
-    """Return a word as it is; raises ValueError for anything else."""
+    """Return a string unchanged; raises ValueError for anything else."""
     if not isinstance(value, str):
         raise ValueError("it has something else where a word belongs")
     return value
@@ -139,13 +139,11 @@ NUMPY_NAMES = {
         )
     },
 }
-"""What NumPy's pickles call, by module and name: those of NumPy 1 and 2, of all protocols."""
+"""Names that NumPy's pickles call, by module and name, for NumPy 1 and 2 and all protocols."""
 
-# § PyTorch tensors on the CPU out of somebody's pickle, without PyTorch: VAD's client answers with one.
-#
-# Such a pickle holds the tensor's storage as a file of `torch.save` in its old form: five pickles, then how many
-# numbers
-# there are (64 bits), then they.
+# PyTorch tensors
+# Read without PyTorch, for VAD's client. A pickle holds the storage in the legacy `torch.save` format: five pickles,
+# the number of values (64 bits), then the values.
 
 _STORAGES = {
     "torch FloatStorage": "<f4", "torch DoubleStorage": "<f8", "torch HalfStorage": "<f2", "torch LongStorage": "<i8",
@@ -153,20 +151,20 @@ _STORAGES = {
 }  # fmt: skip
 
 _PICKLES = 5
-"""A magic number, the protocol, the machine, the storage's description, its keys."""
+"""Pickles before the values: magic number, protocol, machine, storage description, storage keys."""
 
 
 class PickledTensor:
-    """Stands for `torch.Tensor`: a storage and how to walk through it, looked at when the stream was read."""
+    """Stand-in for `torch.Tensor`: a storage with strides, evaluated after the stream has been read."""
 
     __slots__ = ("_first", "_raw", "_shape", "_steps")
 
     def __init__(self, raw: Any, first: Any = 0, shape: Any = (), steps: Any = (), *_: Any) -> None:
-        """Take what the pickle says; `raw` is the storage's file."""
+        """Store the pickle's values; `raw` is the storage file."""
         self._raw, self._first, self._shape, self._steps = raw, first, shape, steps
 
     def real(self) -> np.ndarray:
-        """Return the tensor as an array; raises ValueError where it does not fit into its storage."""
+        """Return the tensor as an array; raises ValueError if it does not fit into its storage."""
         values = _storage_values(self._raw)
         shape, steps = checked_shape(self._shape), checked_shape(self._steps)
         if len(shape) != len(steps):
@@ -182,7 +180,7 @@ class PickledTensor:
 
 
 def _storage_values(raw: Any) -> np.ndarray:
-    """Return all numbers of a storage, from its file; nothing in it is run."""
+    """Return all values of a storage file without running anything in it."""
     if not isinstance(raw, bytes | bytearray):
         raise ValueError("it holds a tensor without a storage")
     stream, kinds = io.BytesIO(raw), set[str]()
@@ -205,7 +203,7 @@ def _storage(raw: Any) -> Any:
 
 
 def _hooks(*_: Any) -> None:
-    """What is to be called when gradients flow: none do."""
+    """Ignore backward hooks."""
 
 
 TORCH_NAMES = {
@@ -213,14 +211,11 @@ TORCH_NAMES = {
     ("torch.storage", "_load_from_bytes"): _storage,
     ("collections", "OrderedDict"): _hooks,
 }
-"""What pickles of tensors call, by module and name."""
+"""Names that tensor pickles call, by module and name."""
 
-# § Reads pickles from strangers: numbers, lists, NumPy arrays and PyTorch tensors of numbers come out, and nothing
-# runs.
-#
-# A pickle is a program; what it calls is looked up here in a short list of stand-ins, none of which is NumPy's,
-# PyTorch's
-# or Python's own.
+# Unpickler for untrusted data
+# A pickle is a program; names that it calls resolve only to a short list of stand-ins, never to NumPy, PyTorch or
+# Python functions.
 
 _MAX_MEMOS = 100_000
 
@@ -233,18 +228,18 @@ EMPTY_LIST LIST APPEND APPENDS EMPTY_TUPLE TUPLE TUPLE1 TUPLE2 TUPLE3 GLOBAL STA
 """
 
 _OPCODES = frozenset(_STEPS.split())
-"""What arrays and lists of numbers are made of. Dictionaries and sets are not: a key that is nested deeply enough
-overflows the stack when it is hashed."""
+"""Opcodes for arrays and lists of numbers. Dictionaries and sets are excluded, because hashing a deeply nested key
+overflows the stack."""
 
 
 def read_plain_pickle(data: bytes) -> Any:
-    """Unpickle plain values, and arrays and tensors of numbers, the latter as arrays.
+    """Unpickle plain values, arrays, and tensors (as arrays) of numbers.
 
-    Raises ValueError, with what is wrong in a clause, for anything else; nothing that a pickle names is ever called.
+    Raises ValueError with the reason for anything else; functions named in the pickle are never called.
     """
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of escapes that are none, in texts of protocol 0
+            warnings.simplefilter("ignore")  # invalid escapes in protocol 0 strings
             _check_steps(data)
             return _plain(_PlainUnpickler(io.BytesIO(data)).load())
     except (pickle.UnpicklingError, ValueError) as problem:
@@ -261,7 +256,7 @@ class _PlainUnpickler(pickle.Unpickler):
 
 
 def _check_steps(data: bytes) -> None:
-    """Walk through a stream without doing what it says: lengths that lie and huge memos end here, not in memory."""
+    """Scan a stream without executing it; rejects false lengths and huge memos before they use memory."""
     last = 0
     for opcode, argument, place in pickletools.genops(data):
         if opcode.name not in _OPCODES:
@@ -274,7 +269,7 @@ def _check_steps(data: bytes) -> None:
 
 
 class _Named:
-    """What a name in a pickle stands for: it can be called, and can't be changed."""
+    """Immutable, callable stand-in for a name in a pickle."""
 
     __slots__ = ("_make",)
 
@@ -289,7 +284,7 @@ class _Named:
 
 
 def _bytes_of(word: Any, *_: Any) -> bytes:
-    """Bytes as Python 2's protocols write them: `_codecs.encode(text, "latin1")`."""
+    """Decode bytes as Python 2's protocols write them: `_codecs.encode(text, "latin1")`."""
     return text(word).encode("latin1")
 
 
@@ -311,7 +306,7 @@ _STAND_INS = {name: _Named(make) for name, make in _NAMES.items()}
 
 
 def _plain(value: Any) -> Any:
-    """Turn stand-ins into what they stand for, at the top and in sequences: a message of ours goes no deeper."""
+    """Replace stand-ins by their values, at the top level and in sequences; plans are not nested deeper."""
     if isinstance(value, PickledArray | PickledTensor):
         return _checked(value)
     if isinstance(value, list | tuple):

@@ -1,6 +1,6 @@
-"""HUGSIM's two named pipes, `obs_pipe` and `plan_pipe`, with a watch over who is at their other ends.
+"""HUGSIM's protocol: named pipes, observation and plan messages, its world frame, and its camera rig.
 
-A message has neither length nor version: whoever writes opens, writes and closes, whoever reads does so to the end.
+A message on `obs_pipe` or `plan_pipe` has neither length nor version: it ends when the writer closes the pipe.
 """
 
 import errno
@@ -31,20 +31,20 @@ OBSERVATIONS, PLANS = "obs_pipe", "plan_pipe"
 _LONGEST_PAUSE_S = 0.02
 
 _MOMENTS = 25
-"""Pauses in which a client that has let go of a pipe may end: why it did is told then."""
+"""Number of polls to wait for a client that closed a pipe to end, so that the error names the reason."""
 
 _ROOM_BYTES = 1 << 20
 
 
 class Timeouts:
-    """How long to wait for a client, and whether there still is one to wait for."""
+    """Deadline for a client, with a check that it still runs."""
 
     def __init__(self, seconds: float, ended: Callable[[], str | None]) -> None:
-        """Begin to wait now; `ended` says how the client ended, in a clause, none while it runs or is not known."""
+        """Start the deadline; `ended` returns a clause on the client's end, or None while it runs."""
         self.deadline, self._ended = Deadline(seconds), ended
 
     def check(self, done: str) -> None:
-        """Raise ClientError where it makes no sense to wait on until it has `done` something."""
+        """Raise ClientError if the deadline has passed or the client ended before it has `done` something."""
         ended = self._ended()
         if ended is not None:
             raise ClientError(f"the client {ended} before it had {done}")
@@ -52,11 +52,11 @@ class Timeouts:
             raise self.late(done)
 
     def late(self, done: str) -> ClientError:
-        """Return the error of a client that has not `done` something in time, however much of it has come."""
+        """Return the error of a client that has not `done` something in time, even partially."""
         return ClientError(f"the client has not {done} within {self.deadline.seconds:g} s")
 
     def failed(self, done: str, why: str) -> ClientError:
-        """Return the error of a client that has left a pipe: that it ended, if that is why, else `why`."""
+        """Return the error of a client that closed a pipe: its end if it has ended, else `why`."""
         for _ in range(_MOMENTS):
             try:
                 self.check(done)
@@ -67,10 +67,10 @@ class Timeouts:
 
 
 class Pipes:
-    """The pipes in a folder; made where they are missing, since either side may come first."""
+    """The pipes in a folder; created if missing, since either side may start first."""
 
     def __init__(self, folder: Path) -> None:
-        """Make ready. Raises ClientError where there can be no pipes."""
+        """Create missing pipes. Raises ClientError if that fails."""
         if not hasattr(os, "mkfifo"):
             raise ClientError("this system has no named pipes, by which HUGSIM's clients are spoken to")
         folder.mkdir(parents=True, exist_ok=True)
@@ -85,9 +85,9 @@ class Pipes:
                 raise ClientError(f"no pipe can be made: {problem}") from None
 
     def send(self, message: memoryview | bytes, patience: Timeouts) -> None:
-        """Write a message for the client; done when it has taken all but what a pipe holds.
+        """Write a message to the client; returns when all but one pipe buffer has been read.
 
-        Raises ClientError where it does not come for it, leaves in the midst of it, or ends.
+        Raises ClientError if the client does not read, stops reading midway, or ends.
         """
         pipe = self._reached(patience)
         try:
@@ -105,7 +105,7 @@ class Pipes:
     def receive(self, patience: Timeouts, most_bytes: int) -> bytes:
         """Read the client's reply to its end.
 
-        Raises ClientError where none comes, where it is longer than allowed, or where the client ends.
+        Raises ClientError if no reply comes, if it is too long, or if the client ends.
         """
         try:
             pipe = open_pipe(self._plans, os.O_RDONLY)
@@ -125,7 +125,7 @@ class Pipes:
         return reply
 
     def _reached(self, patience: Timeouts) -> int:
-        """Open for writing once there is somebody who reads; there is no way to be told, so it is tried."""
+        """Open for writing once there is a reader, by polling."""
         pause = 0.0005
         while True:
             try:
@@ -139,8 +139,8 @@ class Pipes:
 
 
 def _widen(pipe: int) -> None:
-    """Let the pipe hold more at once, where the system can: a message is megabytes."""
-    import fcntl  # Windows has none: there is no way here on it, but this file can be read
+    """Enlarge the pipe buffer if supported; a message is megabytes."""
+    import fcntl  # not on Windows, where this module must still import
 
     resize = getattr(fcntl, "F_SETPIPE_SZ", None)
     if resize is not None:
@@ -150,25 +150,26 @@ def _widen(pipe: int) -> None:
             return
 
 
-# § What a HUGSIM client is sent for an observation: `(obs, info)`, named and shaped as HUGSIM's env has them.
+# Observation messages
+# `(obs, info)`, named and shaped as in HUGSIM's environment.
 
 ChannelOrder = Literal["rgb", "bgr"]
 
 _UNKNOWN = 19
-"""The class after Cityscapes' last: HUGSIM's scenes know twenty."""
+"""The class after Cityscapes' last; HUGSIM's scenes have twenty."""
 
 _ROUTE_SHARE = 0.9
-"""HUGSIM's route is complete at nine tenths."""
+"""Route share that HUGSIM counts as complete."""
 
 
 def hugsim_obs(
     views: Mapping[str, CameraView], cameras: Mapping[str, RigCamera], channels: ChannelOrder, semantic: bool,
     depth: bool,
 ) -> dict[str, dict[str, np.ndarray]]:  # fmt: skip
-    """Return `obs`: rgb, semantic and depth (metres) by camera; all zeros for a camera that nothing was drawn for.
+    """Return `obs`: rgb, semantic and depth (meters) by camera; zeros for cameras without an image.
 
-    What is not sent is an empty dictionary, so that a client that wants it after all stops at a missing name and not
-    at a picture that is not one.
+    Outputs that are not sent are empty dictionaries, so that a client that needs them fails with a missing key instead
+    of using an invalid image.
     """
     rgb: dict[str, np.ndarray] = {}
     semantics: dict[str, np.ndarray] = {}
@@ -185,50 +186,49 @@ def hugsim_obs(
     return {"rgb": rgb, "semantic": semantics, "depth": depths}
 
 
-# § HUGSIM's world: the axes of the front camera where the drive begins (x right, y down, z forward), in metres.
-#
-# From our world (z up) to there. HUGSIM takes the first recorded front camera as it is mounted; ours is levelled, so
-# that
-# y is straight down and the ego vehicle keeps its x-z plane: its boxes and poses assume as much.
+# HUGSIM's world frame
+# Axes of the front camera at the start (x right, y down, z forward), meters. HUGSIM uses the first recorded front
+# camera as mounted; here it is leveled, so that y is straight down and the ego vehicle stays in its x-z plane, as
+# HUGSIM's boxes and poses assume.
 
 Box = list[float]
-"""z, -x, -y, width, length, height, yaw: middle in axes x forward, y left, z up, yaw left positive (HUGSIM's "IMU")."""
+"""z, -x, -y, width, length, height, yaw: center in axes x forward, y left, z up, yaw left positive (HUGSIM's "IMU")."""
 
 
 @dataclass(frozen=True, slots=True)
 class HugsimWorld:
-    """Where HUGSIM's world lies in ours."""
+    """Pose of HUGSIM's world in the simulation's world (z up)."""
 
     x_m: float
     y_m: float
     z_m: float
-    """The front camera's place when the drive begins."""
+    """Position of the front camera at the start."""
     yaw_rad: float
-    """The vehicle's heading then."""
+    """Heading of the vehicle at the start."""
 
     @classmethod
     def from_observation(cls, rig: Rig, observation: Observation) -> "HugsimWorld":
-        """Put the world's origin into the front camera as it stands at an observation."""
+        """Create the world with its origin at the front camera of an observation."""
         x, y, z = _front_camera(rig, observation)
         return cls(x, y, z, observation.state.yaw_rad)
 
     def place(self, x_m: float, y_m: float, z_m: float) -> Float64[np.ndarray, "3"]:
-        """Take a place in our world to HUGSIM's."""
+        """Transform a position to HUGSIM's world."""
         cosine, sine = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
         forward = cosine * (x_m - self.x_m) + sine * (y_m - self.y_m)
         left = cosine * (y_m - self.y_m) - sine * (x_m - self.x_m)
         return np.array([-left, self.z_m - z_m, forward])
 
     def yaw(self, yaw_rad: float) -> float:
-        """Take a heading (left positive) to an angle about y down (right positive), -pi..pi."""
+        """Transform a heading (left positive) to an angle about y down (right positive), -pi..pi."""
         return wrap_to_pi(self.yaw_rad - yaw_rad)
 
     def ego_place(self, rig: Rig, observation: Observation) -> Float64[np.ndarray, "3"]:
-        """Return where the front camera is: HUGSIM's point of reference of the ego vehicle."""
+        """Return the position of the front camera, HUGSIM's reference point of the ego vehicle."""
         return self.place(*_front_camera(rig, observation))
 
     def ego_box(self, rig: Rig, observation: Observation) -> Box:
-        """Return the ego vehicle's box: around its body's middle, at the front camera's height."""
+        """Return the ego vehicle's box: around the center of its body, at the front camera's height."""
         state, vehicle = observation.state, rig.vehicle
         x, y = state.to_world(np.array([[vehicle.middle_m, 0.0]]))[0]
         middle = self.place(float(x), float(y), _front_camera(rig, observation)[2])
@@ -236,9 +236,9 @@ class HugsimWorld:
         return [*_forward_left_up(middle), *size, -self.yaw(state.yaw_rad)]
 
     def object_box(self, user: RoadUser) -> Box:
-        """Return a road user's box: its bottom's middle, and its heading as HUGSIM writes it, -yaw - pi/2.
+        """Return a road user's box: bottom center, and heading in HUGSIM's form, -yaw - pi/2.
 
-        HUGSIM's models look along their own x, a quarter turn right of forward: `yaw` is that of the model, -pi..pi.
+        HUGSIM's models face their own x axis, a quarter turn right of forward: `yaw` is that of the model, -pi..pi.
         """
         bottom = self.place(user.x_m, user.y_m, user.z_m)
         length, width, height = user.size_lwh
@@ -251,9 +251,9 @@ def hugsim_info(
 ) -> dict[str, Any]:
     """Return `info`; `cameras` are `cam_params`.
 
-    Angles are radians, right positive, but for the boxes' yaw. Two differences, for the client's good: `ego_rot` stays
-    (0, yaw, 0) beyond a quarter turn, where HUGSIM's three angles fold over to another triple of the same rotation; and
-    every message has `rc` and `collision`, which HUGSIM leaves out of a drive's first.
+    Angles are radians, right positive, but for the boxes' yaw. Two deliberate differences: `ego_rot` stays
+    (0, yaw, 0) beyond a quarter turn, where HUGSIM's three angles switch to another triple of the same rotation; and
+    every message has `rc` and `collision`, which HUGSIM omits in the first message of a drive.
     """
     state = observation.state
     yaw = world.yaw(state.yaw_rad)
@@ -276,10 +276,10 @@ def hugsim_info(
 
 
 def camera_params(cameras: Mapping[str, RigCamera], rig: Rig) -> dict[str, dict[str, Any]]:
-    """Return `cam_params`: intrinsics, and poses of the vehicle (v2c) and the lidar (l2c) in each camera (4x4, metres).
+    """Return `cam_params`: intrinsics, and poses of the vehicle (v2c) and the lidar (l2c) in each camera (4x4, meters).
 
     The vehicle's frame is nuScenes' (x forward, y left, z up, below the rear axle on the road), the lidar's is x right,
-    y forward, z up. The fields of view stand for the focal lengths, W / (2 tan(fovx / 2)), wherever cx and cy are.
+    y forward, z up. The fields of view encode the focal lengths, W / (2 tan(fovx / 2)), regardless of cx and cy.
     """
     vehicle_to_rig = np.eye(4)
     vehicle_to_rig[2, 3] = -rig.height_m
@@ -303,16 +303,16 @@ def _ordered(image: UInt8[np.ndarray, "h w 3"], channels: ChannelOrder) -> UInt8
     return image if channels == "rgb" else np.ascontiguousarray(image[..., ::-1])
 
 
-# § What a HUGSIM client answers: points of a plan, or nothing.
+# Replies
 
 MAX_BYTES = 1 << 20
-"""A plan of six points is 200 bytes."""
+"""Maximum size of a reply; a plan of six points has 200 bytes."""
 
 
 def read_reply(data: bytes) -> Float64[np.ndarray, "n 2"] | None:
-    """Return a plan's points (x right, y forward, metres, 0.5 s apart), none where the client gives up.
+    """Return a plan's points (x right, y forward, meters, 0.5 s apart); None if the client gives up.
 
-    Arrays of any numbers and lists of pairs are taken. Raises ClientError for anything else; nothing in it is run.
+    Accepts numeric arrays and lists of pairs. Raises ClientError for anything else; runs no code of the pickle.
     """
     try:
         value = read_plain_pickle(data)
@@ -335,13 +335,14 @@ def _forward_left_up(place: Float64[np.ndarray, "3"]) -> tuple[float, float, flo
     return float(place[2]), -float(place[0]), -float(place[1])
 
 
-# § How HUGSIM sets a drive up: six cameras of 800 x 450 with nuScenes' names, the ego box around the front one.
+# HUGSIM rig
+# Six cameras of 800 x 450 with nuScenes' names; the ego box is centered on the front camera.
 
 CAMERA_NAMES = ("CAM_FRONT", "CAM_FRONT_LEFT", "CAM_FRONT_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_BACK_RIGHT")
-"""UniAD's and VAD's clients need all six, LTF's the three in front."""
+"""UniAD's and VAD's clients need all six, LTF's the three front ones."""
 
 WIDTH_PX, HEIGHT_PX = 800, 450
-"""Clients resize to 1600 x 900 and double the intrinsics, or say 1920 x 1080: no other size is right for them."""
+"""Clients resize to 1600 x 900 and double the intrinsics, or assume 1920 x 1080; they support no other size."""
 
 RIG = "hugsim"
 
@@ -349,9 +350,9 @@ RIG = "hugsim"
 def with_hugsim_rig(scenario: Scenario, scene: Scene) -> tuple[Scenario, Scene]:
     """Return a scenario and its scene with HUGSIM's vehicle and a rig "hugsim" for its clients.
 
-    HUGSIM steers the point that carries the front camera, with the ego box around it. So does this: the rig is moved
-    back until its front camera stands above the vehicle's point of reference, and plans need no turning into another
-    point's. Raises ValueError where the scene has no rig with a front camera.
+    HUGSIM steers the position of the front camera, at the center of the ego box. This moves the rig back until its
+    front camera is above the vehicle's reference point, so that plans need no conversion. Raises ValueError if the
+    scene has no rig with a front camera.
     """
     rig = hugsim_rig(_best_rig(scenario.rig, scene))
     scenario = msgspec.structs.replace(scenario, vehicle=HUGSIM_VEHICLE, rig=RIG, picture_width_px=WIDTH_PX)
@@ -359,9 +360,9 @@ def with_hugsim_rig(scenario: Scenario, scene: Scene) -> tuple[Scenario, Scene]:
 
 
 def hugsim_rig(cameras: tuple[RigCamera, ...]) -> tuple[RigCamera, ...]:
-    """Return those cameras of a rig that HUGSIM's clients know, in their size, the front one above the origin.
+    """Return the cameras of a rig that HUGSIM's clients use, at their size, with the front one above the origin.
 
-    A picture that is higher than 16 : 9 is cut evenly at top and bottom, one that is lower shows more.
+    Images taller than 16:9 are cropped evenly at top and bottom; wider ones show more.
     """
     known = _by_name(cameras)
     if CAMERA_NAMES[0] not in known:
@@ -372,9 +373,9 @@ def hugsim_rig(cameras: tuple[RigCamera, ...]) -> tuple[RigCamera, ...]:
 
 
 def six_hugsim_cameras(cameras: tuple[RigCamera, ...]) -> Mapping[str, RigCamera]:
-    """Return HUGSIM's six cameras by name: the rig's own, and for those it lacks nuScenes', around the same front one.
+    """Return HUGSIM's six cameras by name: the rig's, and nuScenes' for missing ones, around the same front one.
 
-    Raises ValueError where the rig's are of another size.
+    Raises ValueError if the rig's cameras have another size.
     """
     own = {each.name: each for each in cameras if each.name in CAMERA_NAMES}
     front = CAMERA_NAMES[0]
@@ -398,7 +399,7 @@ def _best_rig(name: str | None, scene: Scene) -> tuple[RigCamera, ...]:
 
 
 def _by_name(cameras: tuple[RigCamera, ...]) -> dict[str, RigCamera]:
-    """Cameras by nuScenes' names; FRONT_LEFT counts as CAM_FRONT_LEFT."""
+    """Return cameras by nuScenes' names; FRONT_LEFT counts as CAM_FRONT_LEFT."""
     named = {f"CAM_{each.name.upper().removeprefix('CAM_')}": each for each in cameras}
     return {name: named[name] for name in CAMERA_NAMES if name in named}
 

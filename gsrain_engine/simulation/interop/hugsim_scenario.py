@@ -1,4 +1,4 @@
-"""HUGSIM's scenario files (YAML), as far as they can be driven here."""
+"""Import of HUGSIM's scenario files (YAML)."""
 
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from ..scenario import Scenario, ScenarioUser
 from ..vehicle import HUGSIM_VEHICLE
 
 _MAX_STEPS, _STEP_S = 400, 0.25
-"""HUGSIM's own limits."""
+"""HUGSIM's maximum number of steps and step size."""
 
 _IDM = {
     "desired_speed_m_s": 30.0, "least_gap_m": 5.0, "headway_s": 2.0, "acceleration_m_s2": 2.0,
@@ -21,13 +21,13 @@ _IDM = {
 
 
 class _Row(msgspec.Struct, frozen=True, array_like=True):
-    """A background vehicle. World: axes of the first front camera (x right, y down, z forward), metres, radians."""
+    """A background vehicle. World: axes of the first front camera (x right, y down, z forward), meters, radians."""
 
     right_m: float
     forward_m: float
     height_m: float
     yaw_rad: float
-    """It moves by (-sin, cos) of it in (right, forward): left positive, whatever HUGSIM's comment says."""
+    """Motion is (-sin, cos) of it in (right, forward): left positive, contrary to HUGSIM's comment."""
     speed_m_s: float
     model: str
     planner: str
@@ -41,27 +41,26 @@ class _HugsimScenario(msgspec.Struct, frozen=True, kw_only=True):
     start_euler: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Degrees about the axes above, the second one to the right."""
     start_ab: tuple[float, float] = (0.0, 0.0)
-    """Right and forward of the first front camera, metres."""
+    """Position right and forward of the first front camera, meters."""
     start_velo: float = 0.0
     start_steer: float = 0.0
 
 
 def is_hugsim_scenario(values: object) -> bool:
-    """Whether what a YAML file holds is a scenario of HUGSIM's."""
+    """Return whether the values of a YAML file are a HUGSIM scenario."""
     return isinstance(values, dict) and {"plan_list", "scene_name"} <= {str(key) for key in values}
 
 
 def hugsim_scenario(values: object, path: Path) -> Scenario:
-    """Return the scenario that HUGSIM's plain values describe; `path` is where they stand.
+    """Convert HUGSIM's plain values to a scenario; `path` is their file.
 
-    Its ego vehicle is a box around the front camera, and so is the one here (`HUGSIM_VEHICLE`): distances stay what
-    they are. `scene_name` becomes the scene, to be replaced by the file that the scene was converted to. 3DRealCar
-    models can't be read: a saloon stands in for each. ConstantPlanner goes straight on; UnicyclePlanner follows the
-    track of the scene's actor of that id at that pace; IDM follows the route with HUGSIM's parameters (HUGSIM's own
-    stands still where it has no HD map).
+    The ego vehicle is a box around the front camera (`HUGSIM_VEHICLE`), which preserves distances. `scene_name` becomes
+    the scene, to be replaced by the converted scene file. 3DRealCar models can't be read; saloons replace them.
+    ConstantPlanner goes straight on; UnicyclePlanner follows the track of the scene's actor of that id at that pace;
+    IDM follows the route with HUGSIM's parameters (HUGSIM's own stands still without an HD map).
 
-    Raises ValueError, with the file and what is meant, for AttackPlanner, which draws lots without a seed, and for
-    what else there is not.
+    Raises ValueError, naming the file and the value, for AttackPlanner, which is random without a seed, and for
+    anything else unsupported.
     """
     try:
         found = convert_checked(values, _HugsimScenario)

@@ -1,4 +1,4 @@
-"""Roll-outs as MCAP files that Foxglove opens: frames, boxes, planned points, numbers to plot, camera pictures."""
+"""MCAP export of roll-outs for Foxglove: frames, boxes, planned points, plots and camera images."""
 
 import base64
 from collections.abc import Iterable, Iterator, Sequence
@@ -26,29 +26,28 @@ _LIBRARY = "gsrain"
 
 
 class CameraImage(NamedTuple):
-    """What a camera of the rig saw at a moment."""
+    """Image of a rig camera at one step."""
 
     step: int
     name: str
-    """Of the camera; it is a frame and a topic."""
+    """Camera name, used as frame and topic."""
     image: UInt8[np.ndarray, "h w 3"]
-    """RGB, as a screen shows it."""
+    """RGB, display-referred."""
     camera: Camera
-    """In the world."""
+    """World frame."""
 
 
 def write_rollout_mcap(
     path: Path, rollout: Rollout, route: Route | None = None, pictures: Iterable[CameraImage] = ()
 ) -> None:
-    """Write a roll-out for Foxglove; the file is whole or not there at all, and the same input gives the same bytes.
+    """Write a roll-out for Foxglove atomically; the same input gives the same bytes.
 
     Times are those of the simulation, from 0. Topics: /tf, /ego/pose, /ego/box, /ego/motion (speed, acceleration, TTC,
     gap and more), /road_users, /plan, /route, /log and for each camera /camera/NAME/image and /camera/NAME/calibration.
-    The file's metadata say what was driven. `pictures` come in the order of steps and are taken as they are needed, so
-    that they may be drawn on the way.
+    The file's metadata describe the drive. `pictures` are in the order of steps and are consumed lazily, so that they
+    can be rendered on demand.
 
-    Raises ImportError, with what to install, where mcap is missing; ValueError for a picture of a step that there is
-    not.
+    Raises ImportError with install instructions if mcap is missing, and ValueError for an image without a step.
     """
     try:
         from mcap.writer import CompressionType, Writer
@@ -61,14 +60,13 @@ def write_rollout_mcap(
         writer.finish()
 
 
-# § Moments of a roll-out as Foxglove messages: poses, boxes, planned points, numbers, pictures. World: metres, z up.
+# Messages
+# World frame: meters, z up.
 
 Message = dict[str, Any]
 
-# § JSON Schemas of the Foxglove messages that roll-outs are exported as, so far as they are written.
-#
-# Source: the schemas that Foxglove publishes for its messages (github.com/foxglove/foxglove-sdk, schemas/jsonschema);
-# their optional fields are left out.
+# Foxglove JSON schemas
+# Source: github.com/foxglove/foxglove-sdk, schemas/jsonschema, without optional fields.
 
 Schema = dict[str, Any]
 
@@ -163,10 +161,9 @@ class _McapWriter:
 
 
 WORLD, EGO = "world", "ego"
-"""Frames: the scene's world, and the ego vehicle's (x forward, y left, z up, origin below its rear axle)."""
+"""Frames: the scene's world, and the ego vehicle (x forward, y left, z up, origin below its rear axle)."""
 
 INFORMATION, ERROR = 2, 4
-"""Levels of a log message."""
 
 _JPEG_QUALITY = 90
 
@@ -188,7 +185,7 @@ def nanoseconds_of(time_s: float) -> int:
 
 
 def ego_transform(step: RolloutStep) -> Message:
-    """Return where the ego vehicle's frame is."""
+    """Return the transform of the ego vehicle's frame."""
     ego = step.ego
     return {
         "timestamp": timestamp_of(step.time_s), "parent_frame_id": WORLD, "child_frame_id": EGO,
@@ -202,7 +199,7 @@ def ego_pose_in_world(step: RolloutStep) -> Message:
 
 
 def ego_box_update(step: RolloutStep, vehicle: Vehicle) -> Message:
-    """Return the ego vehicle's box; red where it has hit something."""
+    """Return the ego vehicle's box, red after a collision."""
     position = _vector(vehicle.middle_m, 0.0, vehicle.height_m / 2)
     cube = {
         "pose": {"position": position, "orientation": _turn(0.0)},
@@ -213,14 +210,14 @@ def ego_box_update(step: RolloutStep, vehicle: Vehicle) -> Message:
 
 
 def road_users_update(step: RolloutStep, users: dict[str, UserModel], gone: Sequence[str]) -> Message:
-    """Return the boxes and names of the road users; `gone` are those who are there no more."""
+    """Return the boxes and names of the road users; `gone` are the ids of those that disappeared."""
     entities = [_road_user(step, user, users[user.id]) for user in step.road_users]
     deletions = [{"timestamp": timestamp_of(step.time_s), "type": 0, "id": name} for name in gone]
     return {"deletions": deletions, "entities": entities}
 
 
 def plan_update(step: RolloutStep) -> Message:
-    """Return the planned points as dots on a line, just above the ground; without a plan what was drawn is deleted."""
+    """Return the planned points as dots on a line just above the ground; without a plan, deletes them."""
     if not step.plan:
         return {"deletions": [{"timestamp": timestamp_of(step.time_s), "type": 0, "id": "plan"}], "entities": []}
     state = VehicleState(step.ego.x_m, step.ego.y_m, step.ego.yaw_rad)
@@ -237,7 +234,7 @@ def plan_update(step: RolloutStep) -> Message:
 
 
 def route_update(step: RolloutStep, points: Float64[np.ndarray, "n 2"]) -> Message:
-    """Return the way to take, at the height of the ground below the vehicle."""
+    """Return the route, at the ground height of the vehicle."""
     height = step.ego.z_m + _ABOVE_GROUND_M / 2
     line = _line([_vector(float(x), float(y), height) for x, y in points], 0.08, _ROUTE_COLOR)
     return _update(_entity(step, "route", WORLD, lines=[line]))
@@ -248,7 +245,7 @@ def log_message(time_s: float, level: int, text: str) -> Message:
 
 
 def camera_transform(time_s: float, name: str, camera: Camera) -> Message:
-    """Return where a camera's frame is (x right, y down, z forward)."""
+    """Return the transform of a camera's frame (x right, y down, z forward)."""
     to_world = np.linalg.inv(camera.world_to_camera)
     x, y, z, w = (float(each) for each in Rotation.from_matrix(to_world[:3, :3]).as_quat())
     return {
@@ -270,7 +267,7 @@ def camera_calibration(time_s: float, name: str, camera: Camera) -> Message:
 
 
 def compressed_image(time_s: float, name: str, image: UInt8[np.ndarray, "h w 3"]) -> Message:
-    """Return a picture (RGB) as a JPEG."""
+    """Return an image (RGB) as a JPEG."""
     _, encoded = cv2.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     data = base64.b64encode(encoded.tobytes()).decode()
     return {"timestamp": timestamp_of(time_s), "frame_id": name, "data": data, "format": "jpeg"}
@@ -454,7 +451,7 @@ MOTION = _object(
     timestamp=_TIME, speed_m_s=_NUMBER, acceleration_m_s2=_NUMBER, steer_rad=_NUMBER, yaw_rate_rad_s=_NUMBER,
     ttc_s=_NUMBER, route_left_m=_NUMBER, route_completion=_NUMBER, intensity_mm_h=_NUMBER,
 )  # fmt: skip
-"""Ours: numbers for plots."""
+"""GSRAIN's own schema: values for plots."""
 
 MOTION["properties"]["gap_m"] = _NUMBER
-"""To who is ahead; left out where nobody is."""
+"""Gap to the lead; omitted without one."""

@@ -1,4 +1,4 @@
-"""The road that a scenario takes place on, as OpenDRIVE: lanes along the recorded route, for tools that want a map."""
+"""OpenDRIVE export: lanes along the recorded route, for tools that need a map."""
 
 import datetime
 from xml.etree import ElementTree
@@ -16,7 +16,7 @@ from .openscenario_read import LANE_M
 _DATE = datetime.datetime(2000, 1, 1)
 
 _BEFORE_M, _BEHIND_M = 60.0, 200.0
-"""The road begins and ends so far before and after the recorded drive, straight on."""
+"""Straight extension of the road before and after the recorded drive."""
 
 _STEP_M = 5.0
 
@@ -24,10 +24,10 @@ _TOLERANCE_M = 0.01
 
 
 def road_xml(scenario: Scenario, scene: Scene) -> str:
-    """Return a road of four lanes as text: the recorded route is the middle of lane -2, traffic drives on the right.
+    """Return a road of four lanes as text: the recorded route is the center of lane -2, with right-hand traffic.
 
-    The route becomes parametric cubics (Hermite) within centimetres of it, with one tangent where two meet; long ones
-    where it is straight. Its height is left out.
+    The route becomes parametric cubics (Hermite) within centimeters of it, with continuous tangents; long ones where it
+    is straight. Height is omitted.
     """
     route = recorded_route(scene)
     alongs = np.arange(-_BEFORE_M, route.length_m + _BEHIND_M + _STEP_M / 2, _STEP_M)
@@ -52,7 +52,7 @@ def road_xml(scenario: Scenario, scene: Scene) -> str:
 
 
 def _plan(points: Float64[np.ndarray, "n 2"]) -> xodr.PlanView:
-    """The reference line: a cubic between each two points."""
+    """Return the reference line: a cubic between each pair of points."""
     kept = _simplified_points(points)
     slopes, plan = np.gradient(points, _STEP_M, axis=0)[kept], xodr.PlanView()
     for start, end, leave, arrive in zip(points[kept], points[kept[1:]], slopes, slopes[1:], strict=False):
@@ -67,6 +67,6 @@ def _plan(points: Float64[np.ndarray, "n 2"]) -> xodr.PlanView:
 
 
 def _simplified_points(points: Float64[np.ndarray, "n 2"]) -> Int64[np.ndarray, " m"]:
-    """Numbers of the points that say where the line goes: all in bends, hardly any where it is straight."""
+    """Return the indices of points that define the shape: all in bends, few where it is straight."""
     line = np.asarray(shapely.LineString(points).simplify(_TOLERANCE_M).coords)
     return np.array([int(np.argmin(np.linalg.norm(points - each, axis=1))) for each in line])

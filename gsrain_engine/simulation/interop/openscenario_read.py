@@ -1,4 +1,4 @@
-"""OpenSCENARIO XML files, as far as they can be driven without a map."""
+"""Import of OpenSCENARIO XML files, as far as they need no map."""
 
 import math
 import re
@@ -21,14 +21,14 @@ from ..vehicle import Vehicle, VehicleState
 def read_openscenario(path: Path) -> Scenario:
     """Read an OpenSCENARIO XML file, version 1.0 to 1.3.
 
-    Taken are: vehicles with their boxes, first positions (WorldPosition; RelativeLanePosition and
+    Supported: vehicles with their boxes, initial positions (WorldPosition; RelativeLanePosition and
     RelativeObjectPosition to the ego vehicle, lanes 3.5 m wide) and speeds; one event each, of a lane change, a change
-    of speed or a trajectory with times, set off by time, gap or time to collision; precipitation in mm/h (from 1.1 on:
-    before it was a share without a unit) and wind; the time at which the storyboard stops. The ego vehicle is the one
-    called Ego, or hero, or else the first; what it is told to do is left to the driver under test. It starts where the
-    scene's own drive starts: all others are placed around it.
+    of speed or a trajectory with times, triggered by time, gap or time to collision; precipitation in mm/h (from 1.1
+    on; a unitless share before) and wind; the stop time of the storyboard. The ego vehicle is the entity named Ego or
+    hero, or else the first; its actions are ignored, since the agent drives it. It starts at the start of the scene's
+    own drive, and all others are placed relative to it.
 
-    Raises ValueError, with the file and the element, for what else matters and can't be taken.
+    Raises ValueError, naming the file and the element, for unsupported content that matters.
     """
     root = read_xml(path)
     objects = {each.get("name", ""): each for each in root.iterfind("Entities/ScenarioObject")}
@@ -67,15 +67,15 @@ def read_openscenario(path: Path) -> Scenario:
         raise ValueError(f"{path}: {error}") from None
 
 
-# § Where entities of an OpenSCENARIO file begin, as seen from the ego vehicle.
+# Initial states
 
 
 @dataclass(frozen=True, slots=True)
 class InitialState:
-    """How an entity begins."""
+    """Initial state of an entity."""
 
     position: Element
-    """The position that it is teleported to."""
+    """Position of its teleport action."""
     speed_m_s: float
 
 
@@ -90,7 +90,7 @@ def _user(
 ) -> dict[str, Any]:
     box = box_of(path, entity)
     where = placed(path, name, begun[name], ego_name, begun[ego_name])
-    # Both are placed by their points of reference, and ours by their middles.
+    # OpenSCENARIO places both by reference points, scenarios by centers.
     turned, ahead = np.radians(where["turned_deg"]), 0.0 if box is None else box[1]
     where["ahead_m"] += ahead * float(np.cos(turned)) - vehicle.middle_m
     where["left_m"] += ahead * float(np.sin(turned))
@@ -132,7 +132,7 @@ def _duration(path: Path, root: Element) -> dict[str, float]:
     return {} if end is None else {"duration_s": number(path, end, "value")}
 
 
-# § What entities of an OpenSCENARIO file do, as behaviours.
+# Behaviors
 
 _IMMEDIATE_M_S2 = 20.0
 
@@ -147,20 +147,19 @@ _CONDITIONS = ("SimulationTimeCondition", "RelativeDistanceCondition", "TimeToCo
 
 @dataclass(frozen=True, slots=True)
 class EntityContext:
-    """Who acts."""
+    """The entity of an action."""
 
     name: str
     left_m: float
-    """Of the ego vehicle, where it begins."""
+    """Initial lateral offset from the ego vehicle, left positive."""
     speed_m_s: float
     start: VehicleState | None
-    """Where it begins in the world, if that is known."""
     ego_name: str
     ego_start: VehicleState | None
 
 
 def events_of(root: Element, name: str) -> list[tuple[Element, list[Element]]]:
-    """Return the events of an entity, each with the triggers that it waits for: its act's and its own."""
+    """Return the events of an entity, each with the triggers of its act and its own."""
     found: list[tuple[Element, list[Element]]] = []
     for act in root.iter("Act"):
         for group in act.iter("ManeuverGroup"):
@@ -171,9 +170,9 @@ def events_of(root: Element, name: str) -> list[tuple[Element, list[Element]]]:
 
 
 def behavior_of(path: Path, root: Element, actor: EntityContext) -> dict[str, Any]:
-    """Return what an entity does as the plain values of a behaviour.
+    """Return an entity's behavior as plain values.
 
-    Raises ValueError, with the file, the entity and the action, for more than one event and for what has no behaviour.
+    Raises ValueError, naming the file, entity and action, for several events or an action without a behavior.
     """
     where = f"{path}: {actor.name}"
     events = events_of(root, actor.name)
@@ -237,7 +236,7 @@ def _new_speed(path: Path, where: str, speed: Element, actor: EntityContext) -> 
 
 
 def _trigger(path: Path, where: str, triggers: list[Element]) -> dict[str, float]:
-    """Return what sets an event off; times of its act and its own both have to pass."""
+    """Return the trigger of an event; times of its act and its own both have to pass."""
     after, others = 0.0, list[dict[str, float]]()
     if any(len(trigger.findall("ConditionGroup")) > 1 for trigger in triggers):
         raise ValueError(f"{where}: waits for one of several groups of conditions: only one group can be taken")
@@ -261,7 +260,7 @@ def _trigger(path: Path, where: str, triggers: list[Element]) -> dict[str, float
 
 
 def _track(path: Path, follow: Element, actor: EntityContext) -> dict[str, Any]:
-    """Return the points of a trajectory from where its entity begins, ahead and left as the ego vehicle stands."""
+    """Return the points of a trajectory from its entity's start, ahead and left in the ego vehicle's initial axes."""
     points: list[dict[str, float]] = []
     for vertex in follow.iter("Vertex"):
         position = vertex.find("Position/*")
@@ -279,7 +278,7 @@ def _track(path: Path, follow: Element, actor: EntityContext) -> dict[str, Any]:
     return {"kind": "track", "points": points}
 
 
-# § Vehicles and people of an OpenSCENARIO file, as we have them.
+# Vehicles and pedestrians
 
 _MODELS = {"car": "saloon", "van": "van", "truck": "truck", "bus": "truck", "semitrailer": "truck"}
 
@@ -287,7 +286,7 @@ _CLASSES = {"van": "car", "semitrailer": "truck", "motorbike": "motorcycle"}
 
 
 def model_and_class_of(path: Path, name: str, entity: Element) -> dict[str, str]:
-    """Return model and class of an entity; raises ValueError where nothing here looks like it."""
+    """Return model and class of an entity; raises ValueError without a matching model."""
     vehicle = entity.find("Vehicle")
     if vehicle is not None:
         category = vehicle.get("vehicleCategory", "car")
@@ -308,14 +307,14 @@ def own_properties(entity: Element) -> dict[str, str]:
 
 
 def controller_behavior(entity: Element) -> dict[str, Any] | None:
-    """Return the behaviour that stands in a controller's properties; None where there is none."""
+    """Return the behavior in a controller's properties, or None."""
     found = entity.find("ObjectController/Controller")
     values = {} if found is None else properties(found)
     return dict(values) if "kind" in values else None
 
 
 def box_of(path: Path, entity: Element) -> tuple[tuple[float, float, float], float] | None:
-    """Return length, width and height of an entity, and how far its middle is ahead of its point of reference."""
+    """Return length, width and height of an entity, and the forward offset of its center from its reference point."""
     size, middle = entity.find("*/BoundingBox/Dimensions"), entity.find("*/BoundingBox/Center")
     if size is None or middle is None:
         return None
@@ -324,7 +323,7 @@ def box_of(path: Path, entity: Element) -> tuple[tuple[float, float, float], flo
 
 
 def ego_vehicle(path: Path, entity: Element) -> Vehicle:
-    """Return the ego vehicle; what it does not say, or says beyond all bounds, is a middle-class car's."""
+    """Return the ego vehicle; missing or implausible values default to a mid-size car's."""
     box, performance = box_of(path, entity), entity.find("Vehicle/Performance")
     plain: dict[str, Any] = {}
     if box is not None:
@@ -346,9 +345,9 @@ def ego_vehicle(path: Path, entity: Element) -> Vehicle:
 
 
 def initial_states(path: Path, root: Element) -> dict[str, InitialState]:
-    """Find the entities' first positions and speeds, by name.
+    """Return the entities' initial positions and speeds, by name.
 
-    Raises ValueError, with the file and the entity, for a speed that is not absolute.
+    Raises ValueError, naming the file and the entity, for a speed that is not absolute.
     """
     found: dict[str, InitialState] = {}
     for private in root.iterfind("Storyboard/Init/Actions/Private"):
@@ -365,7 +364,7 @@ def initial_states(path: Path, root: Element) -> dict[str, InitialState]:
 
 
 def world_state(path: Path, position: Element) -> VehicleState | None:
-    """Return the pose of a WorldPosition; None for positions of other kinds, which need a map."""
+    """Return the pose of a WorldPosition; None for other kinds of positions, which need a map."""
     if position.tag != "WorldPosition":
         return None
     heading = number(path, position, "h") if "h" in position.attrib else 0.0
@@ -373,9 +372,9 @@ def world_state(path: Path, position: Element) -> VehicleState | None:
 
 
 def placed(path: Path, name: str, beginning: InitialState, ego_name: str, ego: InitialState) -> dict[str, Any]:
-    """Return the fields of a `ScenarioUser` for where its point of reference is, from the ego vehicle's.
+    """Return the `ScenarioUser` fields for its reference point relative to the ego vehicle's.
 
-    Raises ValueError, with the file and the entity, for positions that need a map.
+    Raises ValueError, naming the file and the entity, for positions that need a map.
     """
     position = beginning.position
     if position.tag == "WorldPosition":
@@ -407,10 +406,11 @@ def _fields(kind: str, ahead_m: float, left_m: float, turned_rad: float) -> dict
     return {"placed": kind, "ahead_m": ahead_m, "left_m": left_m, "turned_deg": round(degrees, 6)}
 
 
-# § OpenSCENARIO files as XML trees: read without trusting them, parameters put in.
+# XML parsing
+# For untrusted files, with parameters substituted.
 
 _MAX_VALUE = 1e9
-"""No length, time, speed or angle of a scenario is more; products of such numbers are finite."""
+"""Maximum of any length, time, speed or angle; keeps products finite."""
 
 _PARAMETER = re.compile(r"\$(\w+)")
 
@@ -421,17 +421,17 @@ class _NoDocumentType(ElementTree.TreeBuilder):
 
 
 def read_xml(path: Path) -> Element:
-    """Read a file; returns its root `OpenSCENARIO` with all `$parameters` replaced by what they are declared as.
+    """Read a file; returns its root `OpenSCENARIO` with all `$parameters` replaced by their declared values.
 
-    A file with a document type is refused, so no entities are there to expand and nothing else is opened. Raises
-    ValueError with the file and what is wrong.
+    Files with a document type are rejected, so no entities are expanded and no other files opened. Raises ValueError
+    with the file and the reason.
     """
     data = read_whole(path)
     parser = ElementTree.XMLParser(target=_NoDocumentType())
     try:
         parser.feed(data)
         root: Element = parser.close()
-    except (ElementTree.ParseError, ValueError, LookupError) as error:  # LookupError: an encoding that is none
+    except (ElementTree.ParseError, ValueError, LookupError) as error:  # LookupError: unknown encoding
         raise ValueError(f"{path}: {printable_line(error)}") from None
     if root.tag != "OpenSCENARIO" or root.find("Storyboard") is None:
         raise ValueError(f"{path}: not an OpenSCENARIO scenario: there is no Storyboard in it")
@@ -451,7 +451,7 @@ def _put_in(path: Path, element: Element, name: str, value: str, declared: dict[
 
 
 def number(path: Path, element: Element, name: str) -> float:
-    """Return an attribute as a number; raises ValueError with the file, the element and what stands there."""
+    """Return an attribute as a number; raises ValueError with the file, the element and the value."""
     value = element.get(name)
     try:
         found = float(value or "")
@@ -464,23 +464,22 @@ def number(path: Path, element: Element, name: str) -> float:
 
 
 def properties(element: Element) -> dict[str, str]:
-    """Return what stands in an element's own `Properties`."""
+    """Return the values of an element's own `Properties`."""
     found = element.find("Properties")
     return {} if found is None else {each.get("name", ""): each.get("value", "") for each in found.findall("Property")}
 
 
-# § Names that the reader and the writer of OpenSCENARIO files agree on.
+# Shared names of reader and writer
 
 EGO = "Ego"
-"""The ego vehicle."""
 
 PROPERTY = "gsrain."
-"""Begins the names of properties that only concern us."""
+"""Prefix of GSRAIN's own properties."""
 
 OWN_FIELDS = (
     "name", "scene", "rig", "start_s", "ahead_m", "left_m", "turned_deg", "step_s", "leave_m", "picture_width_px",
 )  # fmt: skip
-"""Fields of a scenario that OpenSCENARIO has no word for."""
+"""Scenario fields without an OpenSCENARIO equivalent."""
 
 LANE_M = 3.5
-"""Width of a lane: that of the road that is written beside a scenario, and of lanes in files that are read."""
+"""Lane width, of the written road and of lanes in files that are read."""

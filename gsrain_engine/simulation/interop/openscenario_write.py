@@ -1,4 +1,4 @@
-"""A whole scenario as an OpenSCENARIO document."""
+"""Export of scenarios as OpenSCENARIO XML with an OpenDRIVE road."""
 
 import datetime
 import importlib.util
@@ -30,11 +30,11 @@ from .openscenario_read import EGO, LANE_M, OWN_FIELDS, PROPERTY
 _MINOR = 2
 
 _DATE = datetime.datetime(2000, 1, 1)
-"""Files don't say when they were written: the same scenario is the same bytes."""
+"""Fixed date, so that the same scenario gives the same bytes."""
 
 
 def document_xml(scenario: Scenario, scene: Scene, road_file: str) -> str:
-    """Return the document as text; `road_file` is the OpenDRIVE file that it refers to."""
+    """Return the document as text; `road_file` is the referenced OpenDRIVE file."""
     route, ground = recorded_route(scene), road_surface_of(scene)
     traffic = Traffic(scenario, scene, route, ground)
     state = start_state(scenario, scene, route)
@@ -66,7 +66,7 @@ def _kind(user: ScenarioUser) -> str:
 
 
 def _add(entities: xosc.Entities, there: RoadUser, user: ScenarioUser | None) -> None:
-    """Add a road user: one of the scenario's, or an actor of the scene that it keeps."""
+    """Add a road user of the scenario, or an actor of the scene that it keeps."""
     if there.id == EGO:
         raise ValueError(f"road user {EGO!r}: in OpenSCENARIO files that is the ego vehicle's name")
     properties = {"kept": "true"} if user is None else {"model": user.model}
@@ -75,17 +75,18 @@ def _add(entities: xosc.Entities, there: RoadUser, user: ScenarioUser | None) ->
     entities.add_scenario_object(there.id, entity, follows)
 
 
-# § What road users of a scenario do, in the words of OpenSCENARIO.
+# Maneuvers
 
 Place = tuple[float, float, float, float]
-"""x, y, z and heading in the world."""
+"""World x, y, z and heading."""
 
-# § Where road users go that follow tracks: sampled step by step, for trajectories.
+# Recorded paths
+# Sampled at every step, for trajectories.
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedPath:
-    """Places of a road user and their times, seconds since the scenario began; the first is where it comes."""
+    """Poses of a road user and their times in seconds since the scenario began; the first is where it appears."""
 
     times_s: list[float] = field(default_factory=list[float])
     places: list[Place] = field(default_factory=list[Place])
@@ -120,7 +121,7 @@ def _text(scenario: Scenario, entities: xosc.Entities, board: xosc.StoryBoard, r
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, "unicode") + "\n"
 
 
-# § Vehicles and people of a scenario in the words of OpenSCENARIO.
+# Entities
 
 _CATEGORIES = {"car": "car", "truck": "truck", "bus": "bus", "motorcycle": "motorbike", "bicycle": "bicycle"}
 
@@ -128,7 +129,7 @@ _WHEEL_M = 0.65
 
 
 def ego_entity(vehicle: Vehicle) -> xosc.Vehicle:
-    """Return the ego vehicle: its point of reference is below the rear axle, here as there."""
+    """Return the ego vehicle; its reference point is below the rear axle in both formats."""
     track = round(0.85 * vehicle.width_m, 6)
     return xosc.Vehicle(
         "ego vehicle",
@@ -145,7 +146,7 @@ def ego_entity(vehicle: Vehicle) -> xosc.Vehicle:
 def user_entity(
     class_name: str, size_lwh_m: tuple[float, float, float], properties: Mapping[str, str]
 ) -> xosc.Vehicle | xosc.Pedestrian:
-    """Return a road user; its point of reference is below its middle."""
+    """Return a road user; its reference point is below its center."""
     kind, box = coco_class(class_name), _box(size_lwh_m, 0.0)
     if kind == "person":
         entity = xosc.Pedestrian(class_name, 75.0, words.PedestrianCategory.pedestrian, box)
@@ -165,21 +166,21 @@ def _box(size_lwh_m: tuple[float, float, float], ahead_m: float) -> xosc.Boundin
     return xosc.BoundingBox(width, length, height, round(ahead_m, 6), 0.0, round(height / 2, 6))
 
 
-# § Writes a scenario down as OpenSCENARIO XML 1.2, with the road that it takes place on as OpenDRIVE beside it.
+# Writing
 
 
 def write_openscenario(path: Path, scenario: Scenario, scene: Scene) -> None:
-    """Write `path` (.xosc), and beside it the road of the same name (.xodr). The same scenario gives the same bytes.
+    """Write OpenSCENARIO XML 1.2 to `path` (.xosc) and the road next to it (.xodr), byte-identical for equal input.
 
-    Places and headings are those in the world of the scene, metres; the ego vehicle is called Ego. Rain stands in the
-    file as precipitation in mm/h, with its visual range as fog; wet roads are marked, not made slippery. What
-    OpenSCENARIO can say about road users is said in its own words: teleports, speeds, lane changes (its cubic, for our
-    quintic), trajectories, triggers by time, gap and time to collision. Car following becomes a controller with its
-    parameters as properties. `read_openscenario` reads all of it back; what only concerns us (model, rig, start in the
-    recorded drive) stands in properties called `gsrain.*`.
+    Positions and headings are in the scene's world frame, meters; the ego vehicle is called Ego. Rain is written as
+    precipitation in mm/h, with its visual range as fog; roads are marked wet, with unchanged friction. Road users use
+    native OpenSCENARIO elements where possible: teleports, speeds, lane changes (cubic instead of quintic),
+    trajectories, triggers by time, gap and time to collision. Car following becomes a controller with its parameters as
+    properties. `read_openscenario` restores everything; GSRAIN's own values (model, rig, start in the recorded drive)
+    are properties named `gsrain.*`.
 
-    Raises ValueError as a simulation does where the scene lacks what the scenario needs, and ModuleNotFoundError, with
-    what to install, without the package scenariogeneration.
+    Raises ValueError like `Simulation` if the scene lacks something that the scenario needs, and ModuleNotFoundError,
+    with install instructions, without the package scenariogeneration.
     """
     if importlib.util.find_spec("scenariogeneration") is None:
         raise ModuleNotFoundError(
@@ -195,9 +196,9 @@ def write_openscenario(path: Path, scenario: Scenario, scene: Scene) -> None:
 
 
 def maneuver(user: ScenarioUser, gap_m: float) -> xosc.Maneuver | None:
-    """Return what a road user does once it is set off; none where it does nothing of the kind.
+    """Return the maneuver of a triggered road user; None for other behaviors.
 
-    `gap_m` is the gap between it and the ego vehicle at the start: whether a gap has to shrink or to grow.
+    `gap_m` is its initial gap to the ego vehicle, which decides whether the trigger is a shrinking or growing gap.
     """
     behaviour = user.behaviour
     if isinstance(behaviour, CutIn):
@@ -209,7 +210,7 @@ def maneuver(user: ScenarioUser, gap_m: float) -> xosc.Maneuver | None:
 
 
 def trajectory(id: str, times_s: Sequence[float], places: Sequence[Place]) -> xosc.Maneuver:
-    """Return a way that is followed by the clock, from the start on."""
+    """Return a trajectory that is followed by time from the start."""
     way = xosc.Trajectory(f"{id} way", False)
     way.add_shape(xosc.Polyline(list(times_s), [position(place) for place in places]))
     follow = xosc.FollowTrajectoryAction(way, words.FollowingMode.position, words.ReferenceContext.absolute, 1, 0)
@@ -217,13 +218,13 @@ def trajectory(id: str, times_s: Sequence[float], places: Sequence[Place]) -> xo
 
 
 def position(place: Place) -> xosc.WorldPosition:
-    """Return a place in the world, to the micrometre and the nanoradian."""
+    """Return a world position, to the micrometer and the nanoradian."""
     x, y, z = (round(each, 6) for each in place[:3])
     return xosc.WorldPosition(x, y, z, round(place[3], 9), 0, 0)
 
 
 def controller(user: ScenarioUser) -> xosc.Controller:
-    """Return what stands for a behaviour that OpenSCENARIO has no action for: its name and its parameters."""
+    """Return a controller with name and parameters, for a behavior without an OpenSCENARIO action."""
     values = msgspec.to_builtins(user.behaviour)
     properties = xosc.Properties()
     for name, value in values.items():
@@ -283,7 +284,7 @@ def _maneuver(id: str, actions: list[tuple[str, Any]], trigger: Any) -> xosc.Man
 
 
 def record_paths(scenario: Scenario, traffic: Traffic, ego: RoadUser) -> dict[str, RecordedPath]:
-    """Move everybody through the scenario around an ego vehicle that stands, and note where they are."""
+    """Simulate all road users around a standing ego vehicle and record their poses."""
     found: dict[str, RecordedPath] = {}
     for step in range(round(scenario.duration_s / scenario.step_s) + 1):
         time_s = step * scenario.step_s
@@ -295,14 +296,14 @@ def record_paths(scenario: Scenario, traffic: Traffic, ego: RoadUser) -> dict[st
     return found
 
 
-# § A scenario's rain in the words of OpenSCENARIO.
+# Weather
 
 
 def environment_of(rain: RainSettings) -> xosc.EnvironmentAction:
-    """Return the action that makes the weather: precipitation in mm/h, fog of the rain's visual range, wind, wetness.
+    """Return the weather action: precipitation in mm/h, fog of the rain's visual range, wind, wetness.
 
-    The visual range is the meteorological optical range ln(20) / beta of the rain's own extinction. Friction stays 1:
-    no vehicle here slips.
+    The visual range is the meteorological optical range ln(20) / beta of the rain's own extinction. Friction stays 1,
+    because vehicles do not slip in the simulation.
     """
     intensity = rain.intensity_mm_h
     kind = words.PrecipitationType.rain if intensity > 0 else words.PrecipitationType.dry
@@ -326,7 +327,8 @@ def _wetness(intensity_mm_h: float) -> Any:
     return words.Wetness.wetWithPuddles if soaks else words.Wetness.moist
 
 
-# § Enumerated words of OpenSCENARIO; scenariogeneration declares them as another type than its own classes take.
+# Enumerations
+# scenariogeneration declares them as another type than its own classes accept.
 
 words: Any = xosc
 """`words.Rule.lessOrEqual`, `words.PrecipitationType.rain`, ..."""

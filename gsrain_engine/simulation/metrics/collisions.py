@@ -1,4 +1,4 @@
-"""What the ego vehicle really drove into."""
+"""Collision metrics: executed collisions, planned collisions, and time to collision."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Literal, NamedTuple, Protocol, runtime_checkable
@@ -13,22 +13,21 @@ from ..vehicle import Vehicle, VehicleState, vehicle_box
 
 
 class Collision(NamedTuple):
-    """The first touch of a run."""
+    """The first collision of a run. Times count from the start of the scenario."""
 
     who: str
-    """Id of the road user, "background" for anything else."""
+    """Id of the road user, or "background"."""
     time_s: float
-    """Since the scenario began."""
     speed_m_s: float
-    """Of the ego vehicle, at the first moment at which they touch."""
+    """Ego speed at the first step with contact."""
     closing_speed_m_s: float
-    """How fast it came nearer along its own heading: less than its speed where the other drives on ahead."""
+    """Closing speed along the ego heading: less than the ego speed if the other drives on ahead."""
 
 
 def first_collision(rollout: Rollout) -> Collision | None:
-    """Return the first touch of the vehicle's box on the ground with another's or the background; None without one.
+    """Return the first contact of the ego box with another box or the background; None without one.
 
-    The boxes are those of the simulation, judged at every step, so that times are multiples of it.
+    Boxes are those of the simulation, tested at every step, so that times are multiples of the step.
     """
     for step in rollout.steps:
         if step.collision is not None:
@@ -38,26 +37,27 @@ def first_collision(rollout: Rollout) -> Collision | None:
     return None
 
 
-# § Whether what was planned would have hit something: the paper's rate by planned point, and HUGSIM's by frame.
+# Planned collisions
+# The paper's rate by planned point, and HUGSIM's by frame.
 
 
 @runtime_checkable
 class CollisionSpace(Protocol):
-    """What stands in the scene beside the road users, such as `OccupiedSpace`."""
+    """Static obstacles, such as `OccupiedSpace`."""
 
     def touches(self, box: PlanarBox) -> bool:
-        """Whether a box on the ground would hit it."""
+        """Return whether a box on the ground hits an obstacle."""
         ...
 
 
 class PlannedCollisions(NamedTuple):
-    """c_ij of a run: frame by frame, whether each planned point hits something."""
+    """c_ij of a run: for each frame and planned point, whether it collides."""
 
     frames: tuple[tuple[bool, ...], ...]
 
     @property
     def points_per_frame(self) -> int:
-        """N of the paper; the largest where plans differ in length, 0 without any."""
+        """N of the paper: the maximum if plans differ in length, 0 without plans."""
         return max((len(each) for each in self.frames), default=0)
 
     @property
@@ -76,20 +76,21 @@ class PlannedCollisions(NamedTuple):
         return sum(frames) / len(frames) if frames else None
 
 
-# § Where a plan wants the vehicle to be, with headings. World frame: metres, radians.
+# Planned poses
+# World frame: meters, radians.
 
 PlanReading = Literal["all", "hugsim"]
-"""Which points of a plan count. `all`: all of them; the last has the heading with which it is reached. `hugsim`: all
-but the last, which has no next point to take its heading from: UniAD's six points become five, the paper's N."""
+"""Points of a plan that count. `all`: all of them; the last has the heading of the segment before it. `hugsim`: all
+but the last, which has no next point for its heading: UniAD's six points become five, the paper's N."""
 
 
 def planned_collisions(
     rollout: Rollout, occupied: CollisionSpace | None = None, reading: PlanReading = "all"
 ) -> PlannedCollisions:
-    """Put the vehicle's box at every planned point and see whether it touches anybody or anything.
+    """Test the vehicle's box at every planned point for collisions.
 
-    Point j of a frame is compared with where the road users really were (j + 1) times the plan's spacing later; beyond
-    the end of the run with where they were last. `occupied` adds the background; without it only road users count.
+    Point j of a frame is tested against the actual places of the road users (j + 1) spacings later; after the end of
+    the run against their last places. `occupied` adds the background; without it only road users count.
     Sources: the paper's equation of C and its c_ij; futures after HUGSIM's `score_calculator`, see `future_times_s`.
     """
     vehicle, traffic = run_setting(rollout).vehicle, LoggedTraffic(rollout)
@@ -102,10 +103,10 @@ def planned_collisions(
 
 
 def future_times_s(rollout: Rollout, step: RolloutStep, count: int, reading: PlanReading) -> Float64[np.ndarray, " n"]:
-    """Return the times of a plan's points, at which others are looked up.
+    """Return the times of a plan's points at which road users are looked up.
 
-    HUGSIM goes through the log in steps of the plan's spacing, and beyond its end uses the last that it has met: up to
-    one spacing before the end of the run, where `all` uses the end itself.
+    HUGSIM reads the log in steps of the plan's spacing and beyond the end uses the last step that it read, up to one
+    spacing before the end of the run; `all` uses the end itself.
     """
     times = step.time_s + rollout.spacing_s * np.arange(1, count + 1)
     if reading == "hugsim":
@@ -114,11 +115,12 @@ def future_times_s(rollout: Rollout, step: RolloutStep, count: int, reading: Pla
     return times
 
 
-# § Where the other road users of a roll-out really were, at any time of it. World frame, metres.
+# Logged traffic
+# World frame, meters.
 
 
 class LoggedTraffic:
-    """Boxes of the road users over the time of a roll-out."""
+    """Boxes of the road users at any time of a roll-out."""
 
     def __init__(self, rollout: Rollout) -> None:
         self._times = np.array([each.time_s for each in rollout.steps])
@@ -127,10 +129,10 @@ class LoggedTraffic:
         self._known: dict[float, tuple[PlanarBox, ...]] = {}
 
     def at(self, time_s: float) -> tuple[PlanarBox, ...]:
-        """Return who was there at a time: between two moments in between, after the last where it was then.
+        """Return the boxes at a time, interpolated between steps and constant after the last.
 
-        HUGSIM looks up futures in the same way (its steps of 0.25 s meet the 0.5 s of a plan), and uses the last moment
-        for what lies beyond the end of the run.
+        HUGSIM looks up futures in the same way (its steps of 0.25 s match the 0.5 s of a plan), with the last step for
+        times beyond the end of the run.
         """
         key = round(float(np.clip(time_s, self._times[0], self._times[-1])), 9)
         if key not in self._known:
@@ -157,7 +159,7 @@ def pose_hits(
     traffic: LoggedTraffic,
     occupied: CollisionSpace | None,
 ) -> Iterator[bool]:
-    """Yield whether the vehicle would touch anybody, or the background, with its rear axle at each pose and time."""
+    """Yield, for each rear-axle pose and time, whether the vehicle hits a road user or the background."""
     for pose, time_s in zip(poses, times_s, strict=True):
         box = ego_box(vehicle, pose)
         touched = any(box.touches(other) for other in traffic.at(float(time_s)))
@@ -165,28 +167,28 @@ def pose_hits(
 
 
 STANDING_M = 1.0
-"""A plan that ends nearer than this to the vehicle has the vehicle's heading throughout (HUGSIM's scorer)."""
+"""If a plan ends nearer than this to the vehicle, all its points have the vehicle's heading (HUGSIM's scorer)."""
 
 _APART_M = 0.01
-"""Points nearer than this to each other have no direction."""
+"""Minimum distance between points that define a direction."""
 
 
 def ego_pose(ego: EgoRecord) -> Float64[np.ndarray, "3"]:
-    """Return x, y and heading of the rear axle at a moment."""
+    """Return x, y and heading of the rear axle."""
     return np.array([ego.x_m, ego.y_m, ego.yaw_rad])
 
 
 def ego_box(vehicle: Vehicle, pose: Float64[np.ndarray, "3"]) -> PlanarBox:
-    """Return the box on the ground that the vehicle takes up with its rear axle at a pose."""
+    """Return the vehicle's bounding box for a rear-axle pose."""
     return vehicle_box(vehicle, VehicleState(*(float(each) for each in pose)))
 
 
 def planned_poses(step: RolloutStep, reading: PlanReading = "all") -> Float64[np.ndarray, "n 3"]:
-    """Return x, y and heading of the rear axle at each planned point; n is 0 where there is no plan.
+    """Return x, y and heading of the rear axle at each planned point; n is 0 without a plan.
 
-    A point's heading is the direction to the next point, which is HUGSIM's finite difference. Under `hugsim` two points
-    in one place have heading 0 in the world, as there; under `all` they keep the heading before. The rule for plans
-    that stand (`STANDING_M`) holds in both.
+    A point's heading is the direction to the next point, HUGSIM's finite difference. With `hugsim`, coincident points
+    have world heading 0, as in HUGSIM; with `all`, they keep the previous heading. The rule for standing plans
+    (`STANDING_M`) applies to both.
     """
     start = ego_pose(step.ego)
     points = VehicleState(*start).to_world(np.array(step.plan, np.float64).reshape(-1, 2))
@@ -197,7 +199,7 @@ def planned_poses(step: RolloutStep, reading: PlanReading = "all") -> Float64[np
 
 
 def with_start(step: RolloutStep, poses: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n+1 3"]:
-    """Return planned poses after the pose of the vehicle itself."""
+    """Return the vehicle's current pose followed by the planned poses."""
     return np.concatenate([ego_pose(step.ego)[None], poses])
 
 
@@ -219,34 +221,35 @@ def _with_directions(points: Float64[np.ndarray, "n 2"], yaw_rad: float) -> Floa
     return np.column_stack([points, np.array(headings)]) if len(points) else np.zeros((0, 3))
 
 
-# § Time to collision with who is ahead, and the gap to it, at every moment of a run (the paper's TTC).
+# Time to collision and gaps
+# The paper's TTC at every step.
 
 LONGEST_S = 10.0
-"""No time to collision is longer: the paper's "no collision risk"."""
+"""Upper limit of the time to collision: the paper's "no collision risk"."""
 
 Distance = Literal["bumper", "center"]
-"""d_x of the paper, which does not define it. `bumper`: from the front bumper to the nearest part of the other that
-lies in the lane; `center`: from middle to middle, along the heading."""
+"""d_x of the paper, which does not define it. `bumper`: from the front bumper to the nearest part of the other vehicle
+in the lane; `center`: between centers along the heading."""
 
 _LANE_M = 1000.0
 
 
 class RoadUserAhead(NamedTuple):
-    """Somebody in the way, from the ego vehicle."""
+    """A road user in the ego vehicle's swept lane."""
 
     gap_m: float
-    """From the front bumper to its nearest part within the swept lane; 0 or less where they overlap."""
+    """Gap from the front bumper to its nearest part within the swept lane; 0 or less if they overlap."""
     center_m: float
-    """From middle to middle along the ego vehicle's heading."""
+    """Center-to-center distance along the ego heading."""
     speed_m_s: float
-    """Its speed along the ego vehicle's heading; below 0 it comes towards it."""
+    """Its speed along the ego heading; negative when oncoming."""
 
 
 def road_users_ahead(rollout: Rollout, step: RolloutStep, vehicle: Vehicle) -> list[RoadUserAhead]:
-    """Return who is in the ego vehicle's way at a moment, and not behind it.
+    """Return the road users in the ego vehicle's swept lane and not behind it.
 
-    The way is the lane that the vehicle would sweep straight on: as wide as itself, along its heading. Who is beside it
-    is not in the way; who overlaps the vehicle's box is, with a gap of 0.
+    The swept lane is straight, along the heading, and as wide as the vehicle. Road users beside it do not count; those
+    that overlap the vehicle's box do, with a gap of 0.
     """
     own = ego_box(vehicle, ego_pose(step.ego))
     lane = shapely.box(-vehicle.length_m / 2, -vehicle.width_m / 2, _LANE_M, vehicle.width_m / 2)
@@ -263,18 +266,18 @@ def road_users_ahead(rollout: Rollout, step: RolloutStep, vehicle: Vehicle) -> l
 
 
 def gaps_m(rollout: Rollout) -> Float64[np.ndarray, " n"]:
-    """Return the bumper gap to the nearest who is ahead at every moment, metres; infinite where nobody is."""
+    """Return the bumper gap to the nearest road user ahead at every step, meters; infinite without one."""
     vehicle = run_setting(rollout).vehicle
     leads = [road_users_ahead(rollout, step, vehicle) for step in rollout.steps]
     return np.array([min((each.gap_m for each in ahead), default=np.inf) for ahead in leads])
 
 
 def times_to_collision_s(rollout: Rollout, distance: Distance = "bumper") -> Float64[np.ndarray, " n"]:
-    """Return the time to collision at every moment, seconds, 0..10.
+    """Return the time to collision at every step, seconds, 0..10.
 
-    TTC = min(d_x / (v_SUT - v_BV), 10), the least over who is ahead (paper, equation of TTC); v_BV is the other's speed
-    along the ego vehicle's heading. It is 10 where nobody is ahead or the other is not slower, and 0 where they overlap
-    or where anything was hit. The background counts only when it is hit.
+    TTC = min(d_x / (v_SUT - v_BV), 10), the minimum over road users ahead (paper, equation of TTC); v_BV is the other's
+    speed along the ego heading. It is 10 if nobody ahead is slower, and 0 on overlap or any collision. The background
+    counts only when it is hit.
     """
     vehicle = run_setting(rollout).vehicle
     return np.array([_time_s(step, road_users_ahead(rollout, step, vehicle), distance) for step in rollout.steps])
@@ -292,7 +295,7 @@ def _time_s(step: RolloutStep, leads: list[RoadUserAhead], distance: Distance) -
 
 
 def _in_frame_of(own: PlanarBox, other: PlanarBox) -> PlanarBox:
-    """Return a box in the frame of another (x forward, y left, around its middle)."""
+    """Return a box in the frame of another (x forward, y left, origin at its center)."""
     away = np.array([other.x_m - own.x_m, other.y_m - own.y_m])
     cosine, sine = np.cos(own.yaw_rad), np.sin(own.yaw_rad)
     x, y = float(away @ (cosine, sine)), float(away @ (-sine, cosine))
@@ -303,7 +306,7 @@ _SAME_S = 1e-6
 
 
 def road_user_boxes(records: Sequence[UserRecord], users: Mapping[str, UserModel]) -> tuple[PlanarBox, ...]:
-    """Return the boxes on the ground of road users at a moment, in their order."""
+    """Return the ground boxes of road users, in order."""
     return tuple(
         PlanarBox(each.x_m, each.y_m, each.yaw_rad, users[each.id].size_lwh_m[0], users[each.id].size_lwh_m[1])
         for each in records

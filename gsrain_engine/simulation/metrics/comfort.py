@@ -1,4 +1,4 @@
-"""Comfort of the ride as it was driven: the paper's S, read as a measure of the executed motion."""
+"""Comfort metrics (the paper's S) of executed and planned motion."""
 
 from typing import NamedTuple
 
@@ -8,23 +8,23 @@ from jaxtyping import Bool, Float64
 from ..rollout import Rollout, planned_frames
 from .collisions import PlanReading, planned_poses, with_start
 
-# § Within what a ride is comfortable: the paper's table of thresholds, and nuPlan's reading of them.
+# Limits
 
 
 class ComfortLimits(NamedTuple):
-    """Largest values of the motion; equal is still comfortable."""
+    """Inclusive upper limits of comfortable motion."""
 
     braking_m_s2: float = -4.05
     acceleration_m_s2: float = 2.40
-    """Both along the heading."""
+    """Acceleration and deceleration are along the heading."""
     jerk_m_s3: float = 8.37
-    """Along the heading, either sign."""
+    """Jerk along the heading, either sign."""
     lateral_m_s2: float = 4.89
     """Acceleration across the heading, either sign."""
     yaw_rate_rad_s: float = 0.95
     yaw_acceleration_rad_s2: float = 1.93
     whole_jerk_m_s3: float = float("inf")
-    """Length of the jerk along and across the heading together."""
+    """Norm of the jerk along and across the heading."""
 
 
 PAPER = ComfortLimits()
@@ -33,7 +33,7 @@ bound of the acceleration with 4.89 by mistake; this is the corrected one."""
 
 
 class Motion(NamedTuple):
-    """How a vehicle moves, value by value of a frame or a plan; NaN where a value is not known."""
+    """Motion of a vehicle per frame or plan point; NaN where unknown."""
 
     acceleration_m_s2: Float64[np.ndarray, " n"]
     jerk_m_s3: Float64[np.ndarray, " n"]
@@ -43,7 +43,7 @@ class Motion(NamedTuple):
     yaw_acceleration_rad_s2: Float64[np.ndarray, " n"]
 
     def comfortable(self, limits: ComfortLimits = PAPER) -> Bool[np.ndarray, " n"]:
-        """Return where all values are within the limits; what is not known counts as within."""
+        """Return where all values are within the limits; unknown values count as within."""
         over = (
             limits.braking_m_s2 - self.acceleration_m_s2,
             self.acceleration_m_s2 - limits.acceleration_m_s2,
@@ -57,11 +57,11 @@ class Motion(NamedTuple):
 
 
 def executed_motion(rollout: Rollout) -> Motion:
-    """Return the motion over each step of a run, one value a step that was driven.
+    """Return the motion of a run, one value per driven step.
 
-    Acceleration is that over the step, jerk its change from the step before; acceleration across the heading (speed
-    times yaw rate) and yaw rate are those at the step's end, the lateral jerk and the yaw acceleration their change
-    over it. The first step has no jerk.
+    Acceleration is that over the step, jerk its change from the previous step; lateral acceleration (speed times yaw
+    rate) and yaw rate are those at the step's end, lateral jerk and yaw acceleration their change over it. The first
+    step has no jerk.
     """
     dt = rollout.step_s
     egos = [each.ego for each in rollout.steps]
@@ -78,7 +78,7 @@ def executed_motion(rollout: Rollout) -> Motion:
 def comfort_executed(rollout: Rollout, limits: ComfortLimits = PAPER) -> float | None:
     """Return the share of driven steps in which all values are within the limits, 0..1; None without a step.
 
-    S = 1/F sum_i s_i (paper, equation of S); which motion the paper means is open, see `comfort_planned` for the other
+    S = 1/F sum_i s_i (paper, equation of S); the paper leaves the motion open, see `comfort_planned` for the other
     reading. F is the number of driven steps.
     """
     fine = executed_motion(rollout).comfortable(limits)
@@ -91,17 +91,18 @@ NUPLAN = ComfortLimits(jerk_m_s3=4.13, whole_jerk_m_s3=8.37)
 """nuPlan's: 8.37 bounds the length of the jerk, 4.13 its part along the heading. (nuPlan also smooths with a
 Savitzky-Golay filter at 10 Hz; plans and steps here are too coarse for that.)"""
 
-# § Comfort of the ride as it was planned: HUGSIM's reading, which is what its scores contain.
+# Planned comfort
+# HUGSIM's definition, used in its scores.
 
 _FEWEST = 4
-"""Fewer poses than this have no jerk; they count as comfortable."""
+"""Minimum number of poses for a jerk; shorter plans count as comfortable."""
 
 
 def planned_motion(poses: Float64[np.ndarray, "n 3"], spacing_s: float) -> Motion:
-    """Return the motion along poses (x, y, heading) that are so far apart in time, by finite differences.
+    """Return the motion along poses (x, y, heading) at a time spacing, by finite differences.
 
-    As HUGSIM's scorer: the speed is the distance between poses over the time, whatever the heading; the acceleration
-    across the heading is identically zero. Missing values at the end repeat the last one. Needs 4 poses.
+    As in HUGSIM's scorer: the speed is the distance between poses over time, regardless of heading; the lateral
+    acceleration is identically zero. Missing values at the end repeat the last one. Needs 4 poses.
     """
     speed = np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1) / spacing_s
     turn = np.diff(poses[:, 2])
@@ -117,15 +118,15 @@ def planned_motion(poses: Float64[np.ndarray, "n 3"], spacing_s: float) -> Motio
 
 
 def is_plan_comfortable(poses: Float64[np.ndarray, "n 3"], spacing_s: float, limits: ComfortLimits = PAPER) -> bool:
-    """Whether a plan stays within the limits throughout; `poses` begin with the vehicle's own. Fewer than 4 do."""
+    """Return whether a plan stays within the limits; `poses` start with the vehicle's own. True below 4 poses."""
     return len(poses) < _FEWEST or bool(planned_motion(poses, spacing_s).comfortable(limits).all())
 
 
 def comfort_planned(rollout: Rollout, limits: ComfortLimits = PAPER, reading: PlanReading = "hugsim") -> float | None:
     """Return the share of frames whose plan is comfortable throughout, 0..1; None without a frame.
 
-    The time between points is the plan's own spacing (0.5 s). HUGSIM took 0.25 s until November 2025, which doubles
-    every rate and makes most plans uncomfortable: scores from before are not comparable.
+    The time between points is the plan's spacing (0.5 s). HUGSIM took 0.25 s until November 2025, which doubles
+    every rate and makes most plans uncomfortable: earlier scores are not comparable.
     """
     fine = [
         is_plan_comfortable(with_start(step, poses), rollout.spacing_s, limits)

@@ -1,4 +1,4 @@
-"""Speed, acceleration, time to collision and gap over time, all intensities in one figure: the paper's kinematics."""
+"""Figures of drives: kinematics over time by rain intensity, and bird's-eye views."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,7 +29,7 @@ _WIDEST, _THINNEST = 3.0, 1.5
 
 _CLEAR, _GRID = "#d9822b", "#9aa3ad"
 
-# § Numbers of runs over time: of each run, and over the seeds of one weather as a mean with its band.
+# Curves over time
 
 Quantity = Literal["speed_m_s", "acceleration_m_s2", "ttc_s", "gap_m"]
 
@@ -41,14 +41,14 @@ _TITLES: dict[Quantity, str] = {
 }
 
 _WITHOUT_DATE: dict[str, dict[str, None]] = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
-"""Kinds of figures, and what to leave out of each so that the same runs give the same bytes."""
+"""File formats, with the metadata to omit for reproducible bytes."""
 
 
 def kinematics_figure(comparison: DriveComparison) -> Figure:
-    """Draw the ego vehicle's motion over time, one colour an intensity; a cross is a collision.
+    """Draw the ego vehicle's motion over time, one color per intensity; a cross marks a collision.
 
-    Several seeds are their mean over the runs that still go on, with the band of its 95 % bootstrap interval. Needs the
-    roll-outs of the runs; raises ValueError without.
+    Several seeds appear as the mean over the runs still driving, with its 95 % bootstrap band. Raises ValueError
+    without roll-outs.
     """
     figure = Figure(figsize=_SIZE_INCHES, layout="constrained")
     FigureCanvasAgg(figure)
@@ -69,7 +69,7 @@ def kinematics_figure(comparison: DriveComparison) -> Figure:
 
 
 def rain_colors(intensities_mm_h: list[float]) -> dict[float, tuple[float, ...] | str]:
-    """Return a colour for each intensity: the clear one apart, rain the darker the heavier it is."""
+    """Return a color for each intensity: a separate one for clear weather, darker ones for heavier rain."""
     rainy = sorted({each for each in intensities_mm_h if each > 0})
     shades = np.linspace(0.42, 1.0, len(rainy)) if len(rainy) > 1 else np.full(len(rainy), 0.8)
     blue = colormaps["Blues"]
@@ -77,9 +77,9 @@ def rain_colors(intensities_mm_h: list[float]) -> dict[float, tuple[float, ...] 
 
 
 def write_figure(path: Path, figure: Figure) -> None:
-    """Write a figure as PNG, PDF or SVG by the name's ending, whole or not at all; the same figure, the same bytes.
+    """Write a figure as PNG, PDF or SVG by suffix, atomically; the same figure gives the same bytes.
 
-    Raises ValueError for another ending.
+    Raises ValueError for another suffix.
     """
     kind = path.suffix.removeprefix(".").lower()
     if kind not in _WITHOUT_DATE:
@@ -90,7 +90,7 @@ def write_figure(path: Path, figure: Figure) -> None:
 
 
 def _widths(count: int) -> list[float]:
-    """Of lines from below to above: where they coincide all are seen."""
+    """Return line widths from bottom to top, so that coinciding lines stay visible."""
     return [float(each) for each in np.linspace(_WIDEST, _THINNEST, count)] if count > 1 else [_THINNEST]
 
 
@@ -142,18 +142,18 @@ def _dress(panel: Axes, quantity: Quantity, title: str) -> None:
 
 
 class CurveBand(NamedTuple):
-    """A number over time, NaN where it is not known."""
+    """Mean and band over time, NaN where unknown."""
 
     times_s: Float64[np.ndarray, " n"]
     mean: Float64[np.ndarray, " n"]
-    """Over the runs that go on at that time."""
+    """Mean over the runs still driving at that time."""
     low: Float64[np.ndarray, " n"]
-    """Ends of its 95 % bootstrap interval."""
+    """Lower end of the 95 % bootstrap interval."""
     high: Float64[np.ndarray, " n"]
 
 
 def curve_over_time(rollout: Rollout, quantity: Quantity) -> Float64[np.ndarray, " n"]:
-    """Return a number of a run at its moments; the acceleration is that over the step before, NaN is none."""
+    """Return a quantity of a run at its steps, NaN where undefined; the acceleration is that of the previous step."""
     if quantity == "ttc_s":
         return times_to_collision_s(rollout)
     if quantity == "gap_m":
@@ -161,14 +161,14 @@ def curve_over_time(rollout: Rollout, quantity: Quantity) -> Float64[np.ndarray,
         return np.where(np.isfinite(gaps), gaps, np.nan)
     values = np.array([getattr(each.ego, quantity) for each in rollout.steps], np.float64)
     if quantity == "acceleration_m_s2":
-        values[0] = np.nan  # there is no step before
+        values[0] = np.nan  # no previous step
     return values
 
 
 def curve_band(weather: IntensityRuns, quantity: Quantity) -> CurveBand:
-    """Return a number's mean and band over the runs of one weather, at the times of the longest.
+    """Return a quantity's mean and band over the runs of one intensity, at the times of the longest run.
 
-    Of one run the band is the run itself. Raises ValueError where no run has its roll-out, and for steps that differ.
+    For one run the band is the run itself. Raises ValueError without roll-outs, or if steps differ.
     """
     rollouts = [run.rollout for run in weather.runs if run.rollout is not None]
     if not rollouts:
@@ -190,7 +190,7 @@ def _interval(values: Sequence[float]) -> MeanInterval:
     return mean_interval(values) if values else MeanInterval(np.nan, np.nan, np.nan)
 
 
-# § Runs from above: where the ego vehicle and the others went, what was planned, and where they met.
+# Bird's-eye views
 
 _WIDTH_IN, _TALLEST_IN = 13.0, 7.0
 
@@ -204,8 +204,8 @@ _MARGIN_M, _MIN_SIDE_M, _BETWEEN_TIMES_M = 4.0, 5.0, 3.0
 def birds_eye_sheet(rollouts: Sequence[Rollout], route: Route | None = None) -> Figure:
     """Draw runs below each other on one scale, each in the frame of its start (ahead to the right, left up).
 
-    Boxes and plans are those of every second; boxes grow darker with time. `route` is drawn where it is known. Raises
-    ValueError without a run.
+    Boxes and plans are drawn once per second; boxes darken with time. `route` is optional. Raises ValueError without
+    runs.
     """
     if not rollouts:
         raise ValueError("no run to be drawn from above")
@@ -296,7 +296,7 @@ def _box(axes: Axes, corners: Float64[np.ndarray, "4 2"], color: str, weight: fl
 
 
 def _tell_times(axes: Axes, shown: Sequence[tuple[float, Float64[np.ndarray, "4 2"]]]) -> None:
-    """Write the time below the ego vehicle's boxes, where there is room for it."""
+    """Label the ego vehicle's boxes with times, where there is room."""
     last = -np.inf
     for time_s, corners in shown:
         x, y = float(corners[:, 0].mean()), float(corners[:, 1].min())
@@ -315,7 +315,6 @@ def _tell_times(axes: Axes, shown: Sequence[tuple[float, Float64[np.ndarray, "4 
 
 
 def _name_users(axes: Axes, rollout: Rollout, start: VehicleState) -> None:
-    """Write each road user's name above where it was last."""
     last: dict[str, PlanarBox] = {}
     for step in rollout.steps:
         boxes = road_user_boxes(step.road_users, rollout.users)
@@ -338,7 +337,7 @@ def _mark_collision(axes: Axes, rollout: Rollout, start: VehicleState) -> str:
 
 
 def _touch(rollout: Rollout, step: RolloutStep) -> Float64[np.ndarray, "2"]:
-    """Return where two boxes overlap; the vehicle's front where it is the background, or it has passed already."""
+    """Return the center of the overlap of two boxes; the vehicle's front for the background or without overlap."""
     own = _own_box(rollout, step)
     for record, box in zip(step.road_users, road_user_boxes(step.road_users, rollout.users), strict=True):
         if record.id == step.collision and own.touches(box):

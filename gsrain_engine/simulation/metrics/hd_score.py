@@ -1,4 +1,4 @@
-"""HUGSIM's HD-score of a run and the parts that it is made of."""
+"""HUGSIM's HD-score and its components."""
 
 from typing import Protocol, runtime_checkable
 
@@ -19,37 +19,37 @@ _LOOK_AHEAD_S = (0.5, 1.0)
 _FEWEST_POINTS = 2
 
 _WHOLE_ROUTE = 0.9
-"""Share of the route that counts as all of it."""
+"""Route share that counts as complete."""
 
 
 @runtime_checkable
 class DrivableArea(Protocol):
-    """Where there is road, such as `Drivable`."""
+    """Drivable area, such as `Drivable`."""
 
     def share_on_road(self, box: PlanarBox) -> Float64[np.ndarray, "2 2"]:
-        """How much of each quarter of a box, front and rear by left and right, is on the road, 0..1."""
+        """Return the share of each quarter of a box (front and rear by left and right) on the road, 0..1."""
         ...
 
 
 class HdScore(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The parts, each the mean over frames, 0..1, higher is better."""
+    """Components, each the mean over frames, 0..1, higher is better."""
 
     frames: int
-    """Scored: those whose plan has two points or more, the last of which does not count."""
+    """Number of scored frames: plans of at least two points, the last of which does not count."""
     nc: float
-    """No collision: 1 where no planned pose, nor the present one, hits anybody or anything."""
+    """No collision: 1 if neither the planned poses nor the current one collide."""
     dac: float | None
-    """Drivable area compliance: 0 where any pose has less than 0.3 of its footprint's quarters on the road, 0.5 below
-    0.5 (which four quarters can't reach), else 1. None where the road is not known; the score takes it as 1 then."""
+    """Drivable area compliance: 0 if any pose has less than 0.3 of its footprint's quarters on the road, 0.5 below
+    0.5 (which four quarters can't reach), else 1. None if the road is unknown; the score then uses 1."""
     ttc: float
-    """1 where nothing is hit either with all poses moved on by what their speed makes in 0.5 s and in 1 s."""
+    """Time to collision: 1 if also the poses advanced at their speed by 0.5 s and 1 s do not collide."""
     c: float
-    """Comfort of the plan, all values within the paper's thresholds."""
+    """Comfort: 1 if all values of the plan are within the paper's limits."""
     pdms: float
     """nc dac (5 ttc + 2 c) / 7 of each frame."""
     rc: float
-    """Route completion: 1 from 0.9 of the route on. HUGSIM counts recorded poses from the start of the recording; here
-    it is distance, from where the scenario begins."""
+    """Route completion: 1 from 0.9 of the route on. HUGSIM counts recorded poses from the start of the recording; this
+    counts distance from the start of the scenario."""
     hdscore: float
     """pdms times rc."""
 
@@ -57,11 +57,11 @@ class HdScore(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 def hd_score(
     rollout: Rollout, occupied: CollisionSpace | None = None, drivable: DrivableArea | None = None
 ) -> HdScore | None:
-    """Score a run as HUGSIM's `score_calculator` does; None where no frame has a plan of two points.
+    """Score a run like HUGSIM's `score_calculator`; None if no frame has a plan of two points.
 
-    Deviations, each of them on the safe side of a trap there: all road users count, not only those named "car"; the
-    background is tested as the simulation tests it, where HUGSIM's scorer looks at a slab 1.5 to 3 m above the ground.
-    Without `occupied` the background does not count at all.
+    Deviations, each avoiding a pitfall of HUGSIM: all road users count, not only those named "car"; the background is
+    tested as in the simulation, while HUGSIM's scorer tests a slab 1.5 to 3 m above the ground. Without `occupied` the
+    background does not count.
     """
     judge = _HdScorer(rollout, occupied, drivable)
     rows = [judge.frame(step) for step in planned_frames(rollout)]
@@ -99,7 +99,7 @@ class _HdScorer:
         return any(pose_hits(self._vehicle, poses, times, self._traffic, self._occupied))
 
     def _moved_on(self, poses: Float64[np.ndarray, "n 3"], time_s: float) -> Float64[np.ndarray, "n 3"]:
-        """Move poses on at the speed with which they are reached; the first at that of the second."""
+        """Advance poses at the speed of the segment before each; the first at that of the second."""
         velocity = np.diff(poses[:, :2], axis=0) / self._spacing_s
         moved = poses.copy()
         moved[:, :2] += time_s * np.concatenate([velocity[:1], velocity])

@@ -1,4 +1,4 @@
-"""The report of drives as one page: results, motion over time, each run from above, and how it was made."""
+"""HTML report of drives: results, motion over time, bird's-eye views, and settings."""
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
@@ -31,9 +31,9 @@ def drive_report_page(
     settings: Mapping[str, object] | None = None,
     notes: tuple[str, ...] = (),
 ) -> RunReport:
-    """Make the page of runs. `routes` are by the scene's name; `settings` come before what the runs say themselves.
+    """Build the report page of runs. `routes` are by scene name; `settings` precede the facts of the runs.
 
-    Runs without a roll-out are in the tables only. Write it with `write_report`.
+    Runs without a roll-out appear only in tables. Write it with `write_report`.
     """
     comparisons = compare_drives(runs)
     table = results_table(comparisons)
@@ -58,7 +58,7 @@ def _headlines(runs: Sequence[ScoredRun]) -> dict[str, str]:
 
 
 def _figures(comparison: DriveComparison, route: Route | None) -> list[ReportFigure]:
-    """Over time, and from above the first run of each weather, so far as there are roll-outs."""
+    """Draw figures over time, and the bird's-eye view of the first run of each intensity, given roll-outs."""
     figures: list[ReportFigure] = []
     if all(run.rollout is not None for run in comparison.runs):
         figures.append(ReportFigure(comparison.title, figure_pixels(kinematics_figure(comparison)), _OVER_TIME))
@@ -99,7 +99,7 @@ def _cell(value: str | float | None, key: str) -> str | float | None:
 
 
 def _facts(runs: Sequence[ScoredRun], rollouts: Sequence[Rollout]) -> dict[str, object]:
-    """What the runs say of themselves: scenes, seeds, steps, hashes, versions."""
+    """Collect facts of the runs: scenes, seeds, steps, hashes, versions."""
     versions = {name: metadata.version(name) for name in _PACKAGES}
     for rollout in rollouts:
         versions.update(rollout.software)
@@ -117,7 +117,7 @@ def _facts(runs: Sequence[ScoredRun], rollouts: Sequence[Rollout]) -> dict[str, 
 
 
 def rollout_hash(rollout: Rollout) -> str:
-    """SHA-256 of everything in a roll-out; the same run has the same everywhere."""
+    """Return the SHA-256 of a roll-out, equal for equal runs on every machine."""
     return hashlib.sha256(msgspec.json.encode(rollout, order="sorted")).hexdigest()
 
 

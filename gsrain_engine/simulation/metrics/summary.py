@@ -1,4 +1,4 @@
-"""All metrics of one run in one value: what `gsrain drive --json` writes and what a sweep keeps of each run."""
+"""Metrics of drives: one summary per run, comparisons across rain intensities, CSV and result tables."""
 
 import csv
 import textwrap
@@ -24,7 +24,7 @@ Share = Annotated[float, Meta(ge=0, le=1)]
 
 
 class DriveMetrics(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Metrics of a run; None where nothing can be measured. Names with `hugsim` leave out each plan's last point."""
+    """Metrics of a run; None where undefined. Names with `hugsim` omit each plan's last point."""
 
     scenario: str
     scene: str
@@ -32,29 +32,29 @@ class DriveMetrics(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     intensity_mm_h: float
     seed: int
     steps: int
-    """Driven: one less than there are moments."""
+    """Number of driven steps, one less than recorded steps."""
     frames: int
-    """F: moments with a plan."""
+    """F: steps with a plan."""
     planned_points: int
     """N: points of a plan."""
     duration_s: float
     end: str
-    """Why it ended: "collision", "completed", "off route", "time", "agent", "stopped"."""
+    """Reason of the end: "collision", "completed", "off route", "time", "agent", "stopped"."""
     collision: bool
     collided_with: str | None
     """Id of the road user, or "background"."""
     collision_time_s: float | None
     collision_speed_m_s: float | None
-    """Of the ego vehicle."""
+    """Ego speed."""
     collision_closing_speed_m_s: float | None
     min_ttc_s: Annotated[float, Meta(ge=0, le=10)]
-    """Least time to collision, from the bumper gap."""
+    """Minimum time to collision, from the bumper gap."""
     min_ttc_time_s: float
-    """When it was."""
+    """Time of the minimum."""
     min_ttc_center_s: Annotated[float, Meta(ge=0, le=10)]
-    """The same, from middle to middle."""
+    """Minimum time to collision, from the center distance."""
     min_gap_m: float | None
-    """Least bumper gap to anybody ahead in the lane; None where nobody ever was."""
+    """Minimum bumper gap to road users ahead in the lane; None without any."""
     planned_point_collision_rate: Share | None
     """The paper's C, of all planned points."""
     planned_point_collision_rate_hugsim: Share | None
@@ -62,23 +62,23 @@ class DriveMetrics(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """Share of frames with any planned point that collides."""
     planned_frame_collision_rate_hugsim: Share | None
     comfort_executed: Share | None
-    """The paper's S, of the motion as driven."""
+    """The paper's S of the executed motion."""
     comfort_executed_nuplan: Share | None
-    """With nuPlan's limits of the jerk."""
+    """The same with nuPlan's jerk limits."""
     comfort_planned: Share | None
-    """The paper's S, of the plans: HUGSIM's comfort."""
+    """The paper's S of the plans: HUGSIM's comfort."""
     comfort_planned_nuplan: Share | None
     route_completion: Share
-    """Share of the route ahead of the start that was driven."""
+    """Driven share of the route ahead of the start."""
     distance_m: float
     mean_speed_m_s: float
-    """Distance over duration; 0 where nothing was driven."""
+    """Distance over duration; 0 without motion."""
     hardest_braking_m_s2: float
     """Largest deceleration of a step, 0 or more."""
     with_background: bool
-    """Whether planned points were tested against the background too."""
+    """True if planned points were also tested against the background."""
     nc: Share | None
-    """This and the next six: see `HdScore`."""
+    """This field and the next six: see `HdScore`."""
     dac: Share | None
     ttc: Share | None
     c: Share | None
@@ -88,16 +88,16 @@ class DriveMetrics(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     @property
     def collided(self) -> bool:
-        """Whether the ego vehicle hit a road user or the background."""
+        """True if the ego vehicle hit a road user or the background."""
         return self.collision
 
 
 def measure_drive(
     rollout: Rollout, occupied: CollisionSpace | None = None, drivable: DrivableArea | None = None
 ) -> DriveMetrics:
-    """Measure a run. `occupied` and `drivable` are of the world that it was driven in; without them they don't count.
+    """Measure a run. `occupied` and `drivable` describe its world; without them they are not scored.
 
-    Raises ValueError for a roll-out whose vehicle can't be read.
+    Raises ValueError if the roll-out's vehicle can't be read.
     """
     setting, hit = run_setting(rollout), first_collision(rollout)
     times, gaps = times_to_collision_s(rollout), gaps_m(rollout)
@@ -151,7 +151,7 @@ def _parts(score: HdScore | None) -> dict[str, Any]:
     return {name: None if score is None else getattr(score, name) for name in names}
 
 
-# § Runs side by side: by scenario and agent, in rows by rain intensity, with what varies between seeds.
+# Comparison across rain intensities
 
 
 class ScoredRun(NamedTuple):
@@ -159,7 +159,7 @@ class ScoredRun(NamedTuple):
 
     metrics: DriveMetrics
     rollout: Rollout | None = None
-    """What figures over time need; tables do without."""
+    """Required for figures over time, not for tables."""
 
     @classmethod
     def of(
@@ -169,7 +169,7 @@ class ScoredRun(NamedTuple):
         return cls(measure_drive(rollout, occupied, drivable), rollout)
 
     def save(self, path: Path | str) -> None:
-        """Write the roll-out as JSON lines, which the window plays; raises `ValueError` where there is none."""
+        """Write the roll-out as JSON lines, which the editor plays; raises `ValueError` without a roll-out."""
         if self.rollout is None:
             raise ValueError(f"{path}: this run has metrics but no roll-out to be written")
         write_rollout(Path(path), self.rollout)
@@ -177,20 +177,20 @@ class ScoredRun(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class IntensityRuns:
-    """The runs of one scenario and agent in rain of one intensity."""
+    """The runs of one scenario and agent at one rain intensity."""
 
     intensity_mm_h: float
     runs: tuple[ScoredRun, ...]
-    """By seed."""
+    """Runs sorted by seed."""
 
     @property
     def collisions(self) -> int:
         return sum(run.metrics.collision for run in self.runs)
 
     def mean(self, metric: str, without_collision: bool = False) -> MeanInterval | None:
-        """Return a metric's mean over the runs that have it, with its 95 % bootstrap interval; None where none has.
+        """Return a metric's mean over the runs with a value, with its 95 % bootstrap interval; None without values.
 
-        `metric` is a field of `DriveMetrics`. Of one run the interval is the value itself.
+        `metric` is a field of `DriveMetrics`. For one run the interval is the value itself.
         """
         metrics = [each.metrics for each in self.runs if not (without_collision and each.metrics.collision)]
         values = [float(value) for each in metrics if (value := getattr(each, metric)) is not None]
@@ -199,13 +199,13 @@ class IntensityRuns:
 
 @dataclass(frozen=True, slots=True)
 class DriveComparison:
-    """One scenario driven by one agent, in several weathers."""
+    """One scenario and agent at several rain intensities."""
 
     scenario: str
     agent: str
     scene: str
     weathers: tuple[IntensityRuns, ...]
-    """By intensity, the clear one first."""
+    """Sorted by intensity, clear weather first."""
 
     @property
     def title(self) -> str:
@@ -217,7 +217,7 @@ class DriveComparison:
 
 
 def compare_drives(runs: Iterable[ScoredRun]) -> tuple[DriveComparison, ...]:
-    """Group runs by scenario, agent and scene, as they first come; in each by intensity, then by seed."""
+    """Group runs by scenario, agent and scene in order of appearance, then by intensity and seed."""
     groups: dict[tuple[str, str, str], list[ScoredRun]] = {}
     for run in runs:
         groups.setdefault((run.metrics.scenario, run.metrics.agent, run.metrics.scene), []).append(run)
@@ -231,11 +231,11 @@ def _by_weather(runs: list[ScoredRun]) -> tuple[IntensityRuns, ...]:
     return tuple(IntensityRuns(intensity, tuple(own)) for intensity, own in by_intensity.items())
 
 
-# § Metrics of runs as CSV: one row a run, one column a metric.
+# CSV
 
 
 def write_metrics_csv(path: Path, metrics: Sequence[DriveMetrics]) -> None:
-    """Write all metrics, whole or not at all; what could not be measured is empty, numbers are not rounded."""
+    """Write all metrics atomically; undefined values are empty, numbers are not rounded."""
     with whole_file(path) as beside, beside.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.DictWriter(stream, list(DriveMetrics.__struct_fields__), lineterminator="\n")
         writer.writeheader()
@@ -246,20 +246,21 @@ def _cell(value: object) -> object:
     return str(value).lower() if isinstance(value, bool) else value
 
 
-# § The table of results, as in the paper: one row a scenario, agent and intensity, with the definitions below it.
+# Results table
+# As in the paper: one row per scenario, agent and intensity, followed by definitions.
 
 NOT_MEASURED = "--"
-"""What the paper prints for C and S after a collision: such runs end early, and their rates are of other roads."""
+"""The paper's entry for C and S after a collision: such runs end early, so their rates cover different roads."""
 
 
 @dataclass(frozen=True, slots=True)
 class ResultsTable:
-    """Words for every cell; numbers are in `DriveMetrics`."""
+    """Text of every cell; `DriveMetrics` holds the numbers."""
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     definitions: tuple[str, ...]
-    """A sentence for each column that needs one."""
+    """Definitions of columns."""
 
     @property
     def markdown(self) -> str:
@@ -270,7 +271,7 @@ class ResultsTable:
 
     @property
     def text(self) -> str:
-        """The table and its definitions, in columns of characters."""
+        """Return the table and its definitions as plain text."""
         lines = [self.columns, *(tuple(map(escape_invisible, row)) for row in self.rows)]
         widths = [max(len(line[i]) for line in lines) for i in range(len(self.columns))]
         is_word = [each in _WORDS for each in self.columns]
@@ -286,7 +287,7 @@ class ResultsTable:
 
 
 _NARROWEST = 80
-"""Characters in a line of the definitions, where the table has not more."""
+"""Minimum line width of the definitions in characters."""
 
 _WORDS = ("Scenario", "Agent")
 
@@ -296,7 +297,7 @@ _FRAMES = "C (frames)"
 
 
 def results_table(comparisons: Sequence[DriveComparison]) -> ResultsTable:
-    """Make the table. Rows of several seeds have means, with 95 % bootstrap intervals in brackets."""
+    """Build the table. Rows of several seeds show means with 95 % bootstrap intervals in brackets."""
     has_seeds = any(len(weather.runs) > 1 for each in comparisons for weather in each.weathers)
     columns = (*_WORDS, "R (mm/h)", "Coll.", "Min. TTC (s)", _C, _FRAMES, _S_PLANNED, _S_EXECUTED)
     rows = [

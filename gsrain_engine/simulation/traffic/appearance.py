@@ -1,4 +1,4 @@
-"""What a road user looks like."""
+"""Appearance of road users: built-in vehicles, actors of the scene, and files of Gaussians."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -18,33 +18,33 @@ from ...scene.street.trucks import build_truck
 
 
 class VehicleModel(NamedTuple):
-    """A model, and the size of what it shows."""
+    """Gaussians of a road user with their size."""
 
     gaussians: Gaussians
-    """In the object frame (x forward, y left, z up, origin at the bottom centre), metres."""
+    """Object frame (x forward, y left, z up, origin at the bottom center), meters."""
     size_lwh_m: tuple[float, float, float]
 
 
 def scale_gaussians(gaussians: Gaussians, times: float) -> Gaussians:
-    """Return Gaussians so many times larger, around the origin of their frame."""
+    """Return Gaussians scaled around the origin of their frame."""
     if times == 1:
         return gaussians
     by = np.float32(times)
     return replace(gaussians, means=gaussians.means * by, scales=gaussians.scales * by)
 
 
-# § What road users of a scenario look like, by the name of a model.
+# Models by name
 
 __all__ = ["VehicleModel", "scale_gaussians", "vehicle_model"]
 
 ACTOR = "actor:"
-"""How the name of a model begins that is one of the scene's actors; its id follows."""
+"""Prefix of models that are actors of the scene; the actor id follows."""
 
 
 def vehicle_model(model: str, scene: Scene) -> VehicleModel:
-    """Make a model: a built-in vehicle, also with a paint (saloon, van/red, truck); actor:ID of the scene; or a file.
+    """Create a model: built-in vehicle, optionally with a paint (saloon, van/red, truck); actor:ID; or file.
 
-    Raises ValueError, with the model's name, for what there is not.
+    Raises ValueError, with the model's name, if it does not exist.
     """
     built_in = built_in_vehicle(model)
     if built_in is not None:
@@ -68,22 +68,22 @@ def _actor_look(id: str, scene: Scene) -> VehicleModel:
     raise ValueError(f"model {ACTOR}{id}: scene {scene.name!r} has no such actor")
 
 
-# § Files of Gaussians as road users.
+# Models from files
 
 _SHARE = 0.995
-"""Share of the opacity along each axis that a model's box holds: captures have strays."""
+"""Share of the opacity inside a model's box along each axis; excludes stray Gaussians of captures."""
 
 _OPAQUE = 0.2
-"""Fainter Gaussians say nothing about a model's size."""
+"""Minimum opacity of Gaussians that count for a model's size."""
 
 _MIN_M, _MAX_M = 0.1, 30.0
 
 
 def model_of_file(path: Path) -> VehicleModel:
-    """Read a model in metres (x forward, y left, z up), stand it on the ground, and give it a soft shadow there.
+    """Read a model in meters (x forward, y left, z up), stand it on the ground, and give it a soft shadow there.
 
-    Its box is where nearly all of what is opaque in it lies; the middle of its foot becomes the origin. The last few
-    files are kept as long as they do not change. Raises ValueError for what can't be a road user.
+    Its box contains nearly all opaque Gaussians; the center of its bottom becomes the origin. The last few files are
+    cached until they change. Raises ValueError for unsuitable files.
     """
     known = path.stat()
     return _read(path, known.st_mtime_ns, known.st_size)
@@ -111,7 +111,7 @@ def _shadow(length: float, width: float) -> Gaussians:
     return quads_to_gaussians(vehicle_shadow(length, width), Daylight.over(StreetParameters()))
 
 
-# § Vehicles that the program brings along: the street's cars and its lorry, in paints of one's choice.
+# Built-in vehicles
 
 TRUCK = "truck"
 
@@ -126,7 +126,7 @@ PAINTS: dict[str, Color] = {
     "white": (0.62, 0.62, 0.61),
     "yellow": (0.42, 0.24, 0.02),
 }
-"""Linear albedo by name; the first is that of a car which names none."""
+"""Linear albedo by paint name; the first is the default."""
 
 _BOX, _SIGN = (0.62, 0.62, 0.60), (0.03, 0.10, 0.30)
 
@@ -134,15 +134,15 @@ _SHAPES: dict[str, CarShape] = {shape: shape for shape in CAR_FORMS}
 
 
 def vehicle_names() -> tuple[str, ...]:
-    """Names of the built-in vehicles; "/" and the name of a paint may follow."""
+    """Return names of the built-in vehicles; "/" and a paint name may follow."""
     return (*_SHAPES, TRUCK)
 
 
 @lru_cache(maxsize=64)
 def built_in_vehicle(name: str) -> VehicleModel | None:
-    """Make a built-in vehicle with its shadow on the ground, lit by the street's sun; None where there is none.
+    """Create a built-in vehicle with its shadow on the ground, lit by the street's sun; None for an unknown name.
 
-    Raises ValueError for a paint that there is not. The last 64 are kept: a sweep makes each of them once.
+    Raises ValueError for an unknown paint. Caches 64 vehicles.
     """
     kind, _, paint = name.partition("/")
     if kind not in vehicle_names():

@@ -1,4 +1,4 @@
-"""All behaviours that a scenario may name, by their `kind`."""
+"""Behaviors of road users by `kind`: IDM, brake, constant velocity, stationary, cut-in."""
 
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,13 +12,13 @@ from .tracks import Replay, ScriptedTrack
 if TYPE_CHECKING:
     from ...scene.scene import Scene
 
-# § The Intelligent Driver Model: follows its lane, and whoever is ahead in it.
+# Intelligent Driver Model
 
 
 class IntelligentDriver(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="idm"
 ):
-    """Drives along the route in its own lane as Treiber, Hennecke and Helbing (2000) have it.
+    """Drives along the route in its own lane by the IDM (Treiber, Hennecke and Helbing 2000).
 
     The defaults are Treiber and Kesting's for city traffic (2013, table 11.2). HUGSIM's are 30 m/s, 5 m, 2 s, 2 m/s2
     and 4 m/s2.
@@ -37,13 +37,12 @@ class IntelligentDriver(
     most_braking_m_s2: Annotated[float, Meta(gt=0, le=20, title="Most braking", extra={"unit": "m/s2"})] = 8.0
 
     def begin(self, scene: "Scene", start_s: float) -> Behavior:
-        """Make the rule for one run, which begins at a time of the scene."""
         return _IDMBehavior(self)
 
     def acceleration(self, speed_m_s: float, gap_m: float | None, closing_m_s: float = 0.0) -> float:
-        """Return what the model asks for (its eq. 2 and 3), no harder than the hardest braking; no gap is a free road.
+        """Return the IDM acceleration (eq. 2 and 3), limited by maximum braking; a gap of None is a free road.
 
-        `closing_m_s` is one's own speed less that of who is ahead.
+        `closing_m_s` is the own speed minus that of the leader.
         """
         free = 1 - (speed_m_s / self.desired_speed_m_s) ** self.exponent
         if gap_m is None:
@@ -54,11 +53,11 @@ class IntelligentDriver(
         return max(asked, -self.most_braking_m_s2)
 
 
-# § What sets a road user's manoeuvre off.
+# Triggers
 
 
 class Triggered(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Exactly one of three things sets it off; the others are left out."""
+    """Trigger of a maneuver: exactly one of three conditions is set."""
 
     after_s: (
         Annotated[float, Meta(ge=0, title="After", description="Since the scenario began.", extra={"unit": "s"})] | None
@@ -86,11 +85,11 @@ class Triggered(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
             raise ValueError("exactly one of `after_s`, `gap_m` and `time_to_collision_s` sets it off")
 
 
-# § A road user that brakes: the test of a lead vehicle that slows down.
+# Braking lead
 
 
 class Brake(Triggered, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="brake"):
-    """Keeps its lane and speed until it is set off, then brakes at a rate; it stays as slow as it gets.
+    """Keeps its lane and speed until triggered, then brakes at a constant rate and keeps the final speed.
 
     Euro NCAP's braking lead vehicle brakes at 2 or 6 m/s2 to a standstill (AEB car-to-car protocol, CCRb).
     """
@@ -99,44 +98,41 @@ class Brake(Triggered, frozen=True, kw_only=True, forbid_unknown_fields=True, ta
     to_speed_m_s: Annotated[float, Meta(ge=0, le=60, title="Speed after", extra={"unit": "m/s"})] = 0.0
 
     def begin(self, scene: "Scene", start_s: float) -> Behavior:
-        """Make the rule for one run, which begins at a time of the scene."""
         return _BrakeBehavior(self)
 
 
-# § A road user that goes straight on at its speed.
+# Constant velocity
 
 
 class ConstantVelocity(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="constant-velocity"
 ):
-    """Straight on, at the speed that it begins with; 0 m/s stands still."""
+    """Drives straight on at its initial speed; 0 m/s stands still."""
 
     def begin(self, scene: "Scene", start_s: float) -> Behavior:
-        """Make the rule for one run, which begins at a time of the scene."""
         return _ConstantVelocityBehavior()
 
 
-# § A road user that stands still.
+# Stationary
 
 
 class Stationary(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="stationary"
 ):
-    """Stands where it is placed, whatever speed it is given."""
+    """Stands at its initial place, ignoring its speed."""
 
     def begin(self, scene: "Scene", start_s: float) -> Behavior:
-        """Make the rule for one run, which begins at a time of the scene."""
         return _StationaryBehavior()
 
 
-# § A road user that changes into the ego vehicle's lane.
+# Cut-in
 
 
 class CutIn(Triggered, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="cut-in"):
-    """Keeps its lane and speed until it is set off, then moves across along a quintic polynomial.
+    """Keeps its lane and speed until triggered, then changes lanes along a quintic polynomial.
 
-    With u the share of the time that has passed, it has gone 10 u^3 - 15 u^4 + 6 u^5 of the way across: there is no
-    lateral speed nor acceleration at either end (the minimum-jerk profile, Flash and Hogan 1985).
+    At the fraction u of the duration, the lateral share is 10 u^3 - 15 u^4 + 6 u^5, without lateral speed or
+    acceleration at either end (the minimum-jerk profile, Flash and Hogan 1985).
     """
 
     duration_s: Annotated[float, Meta(gt=0, le=60, title="Duration", extra={"unit": "s"})] = 3.0
@@ -166,12 +162,11 @@ class CutIn(Triggered, frozen=True, kw_only=True, forbid_unknown_fields=True, ta
     ] = 2.0
 
     def begin(self, scene: "Scene", start_s: float) -> Behavior:
-        """Make the rule for one run, which begins at a time of the scene."""
         return _CutInBehavior(self)
 
 
 BehaviorSettings = ConstantVelocity | Stationary | IntelligentDriver | CutIn | Brake | ScriptedTrack | Replay
-"""Settings of one of them; `begin(scene, start_s)` makes the rule itself."""
+"""Settings of a behavior; `begin(scene, start_s)` creates the `Behavior` of one run."""
 
 
 class _IDMBehavior:
@@ -234,12 +229,12 @@ class _StationaryBehavior:
 
 
 def quintic(share: float) -> float:
-    """Return how much of the way is behind after a share (0..1) of the time: 10 u^3 - 15 u^4 + 6 u^5."""
+    """Return the covered share at a fraction of the time, 0..1: 10 u^3 - 15 u^4 + 6 u^5."""
     return share**3 * (10 + share * (6 * share - 15))
 
 
 def quintic_rate(share: float) -> float:
-    """Return its derivative, 30 u^2 (1 - u)^2."""
+    """Return the derivative of `quintic`, 30 u^2 (1 - u)^2."""
     return 30 * (share * (1 - share)) ** 2
 
 
@@ -249,7 +244,7 @@ class _CutInBehavior:
         self._place: LanePosition | None = None
         self._from_left_m = 0.0
         self._speed_m_s = 0.0
-        """Along the road; the road user's own is that along its heading."""
+        """Speed along the road; that of the road user is along its heading."""
 
     def start(self, placed: RoadUser) -> RoadUser | None:
         self._speed_m_s = placed.speed_m_s
@@ -275,16 +270,15 @@ class _CutInBehavior:
 
 
 class Trigger:
-    """Watches for the moment that a manoeuvre begins."""
+    """Detects the start of a maneuver."""
 
     def __init__(self, settings: Triggered) -> None:
         self._settings = settings
         self._began_nearer: bool | None = None
         self.since_s: float | None = None
-        """When it went off."""
 
     def watch(self, me: RoadUser, around: TrafficState) -> float | None:
-        """Look at a moment; returns when it went off, None while it has not."""
+        """Check the trigger; returns its time, or None before it."""
         if self.since_s is None and self._goes_off(me, around):
             self.since_s = around.time_s
         return self.since_s

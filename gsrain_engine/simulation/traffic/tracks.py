@@ -1,4 +1,4 @@
-"""A road user that does again what was recorded: an actor of the scene on its own track."""
+"""Behaviors along given tracks: recorded actors, replays of roll-outs, and scripted tracks."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -18,7 +18,7 @@ from ..vehicle import VehicleState, vehicle_box
 from .base import EGO, Behavior, LanePosition, RoadUser, TimeParametrizedBehavior, TrafficState
 
 _STEP_S = 0.05
-"""Half the time over which a speed is taken: tracks are linear between samples, mostly 100 ms apart."""
+"""Half the interval for speed estimates; tracks are linear between samples, mostly 100 ms apart."""
 
 
 class RecordedTrack:
@@ -28,14 +28,14 @@ class RecordedTrack:
         self._scene, self._actor, self._start_s = scene, actor, start_s
 
     def start(self, placed: RoadUser) -> RoadUser | None:
-        """Return where it was recorded at the beginning, wherever it is placed."""
+        """Return the recorded initial state, ignoring `placed`."""
         return self.at(0.0)
 
     def next(self, me: RoadUser | None, around: TrafficState, dt_s: float) -> RoadUser | None:
         return self.at(around.time_s + dt_s)
 
     def at(self, time_s: float) -> RoadUser | None:
-        """Return where it was recorded, so long after the scenario began; None while it was not there."""
+        """Return the recorded state at a time since the scenario began; None if absent."""
         pose = self._pose(time_s)
         if pose is None:
             return None
@@ -48,7 +48,7 @@ class RecordedTrack:
         return RoadUser(self._actor.id, self._actor.class_name, (length, width, height), x, y, yaw, max(speed, 0.0), z)
 
     def _speed(self, time_s: float, forward: Float64[np.ndarray, "2"]) -> float:
-        """Speed along a direction: between places shortly before and after, as far as the track reaches."""
+        """Return the speed along a direction by a central difference, one-sided at the ends of the track."""
         first, last = self._actor.track.times[[0, -1]] - self._start_s
         begin, end = max(time_s - _STEP_S, float(first)), min(time_s + _STEP_S, float(last))
         before, after = self._pose(begin), self._pose(end)
@@ -65,11 +65,11 @@ class RecordedTrack:
         return None if way is None else self._scene.scene_to_world @ way
 
 
-# § A road user that does again what one did in a roll-out.
+# Replay of a roll-out
 
 
 class Replay(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="replay"):
-    """Moves as one road user of a finished drive did, or as its ego vehicle; linear between its moments."""
+    """Replays a road user, or the ego vehicle, of a finished drive; linear between steps."""
 
     rollout: Annotated[str, Meta(min_length=1, title="Roll-out", description="A roll-out file (JSON lines).")]
     user: Annotated[
@@ -77,7 +77,7 @@ class Replay(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     ]
 
     def begin(self, scene: "Scene", start_s: float) -> Behavior:
-        """Make the rule for one run; raises ValueError where there is no such file or nobody of that name in it."""
+        """Create the behavior of one run; raises ValueError for a missing file or an unknown id."""
         path = Path(self.rollout)
         if not path.is_file():
             raise ValueError(f"{path}: no such roll-out")
@@ -88,7 +88,7 @@ class Replay(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 def _moments(rollout: Rollout, user: str) -> Float64[np.ndarray, "n 5"]:
-    """Time, x, y, heading and speed of a road user's middle, moment by moment; NaN while it is not there."""
+    """Return time, x, y, heading and speed of a road user's center at each step; NaN while absent."""
     rows: list[tuple[float, ...]] = []
     absent = (float("nan"),) * 4
     vehicle = driven_vehicle(rollout)
@@ -109,7 +109,7 @@ class _ReplayBehavior(TimeParametrizedBehavior):
         self._moments = moments
 
     def _at(self, me: RoadUser, time_s: float) -> RoadUser | None:
-        """Where it was at a time; after the roll-out's end it stands where it ended."""
+        """Return the state at a time; after the end of the roll-out it stands at the last place."""
         times = self._moments[:, 0]
         later = int(np.searchsorted(times, time_s - 1e-9))
         if later >= len(times):
@@ -131,11 +131,11 @@ def _moved(me: RoadUser, moment: Float64[np.ndarray, "5"]) -> RoadUser | None:
     return me.moved(x_m=x, y_m=y, yaw_rad=yaw, speed_m_s=speed)
 
 
-# § A road user on a track: an actor's of the scene, or places and times that the scenario lists.
+# Scripted tracks
 
 
 class TrackPoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A place at a time, from where the road user begins."""
+    """A time and a position relative to the initial place."""
 
     time_s: Annotated[
         float, Meta(gt=0, le=1e6, title="Time", description="Since the scenario began.", extra={"unit": "s"})
@@ -149,7 +149,7 @@ class TrackPoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 class ScriptedTrack(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="track"
 ):
-    """Follows a track: of an actor, where and when it was recorded; or through points, smoothly, and then stands.
+    """Follows the recorded track of an actor, or points with smooth interpolation, then stands.
 
     Between points positions are monotone cubics of time (PCHIP: Fritsch and Butland 1984), so nothing overshoots.
     """
@@ -168,7 +168,7 @@ class ScriptedTrack(
             raise ValueError("`points` must be in the order of their times, which are later than 0 s")
 
     def begin(self, scene: "Scene", start_s: float) -> Behavior:
-        """Make the rule for one run; raises ValueError where the scene has no such actor."""
+        """Create the behavior of one run; raises ValueError if the scene has no such actor."""
         if self.actor is None:
             return _WaypointBehavior(self.points)
         for actor in scene.actors:
