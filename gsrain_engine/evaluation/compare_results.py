@@ -1,4 +1,4 @@
-"""How well each method's views agree with each other, over the same pairs of views."""
+"""Settings and results of a comparison of rain translators: view agreement, table rows, Markdown and CSV."""
 
 import csv
 import io
@@ -25,10 +25,10 @@ from .fid import DistributionDistance
 
 
 class ComparisonPairs:
-    """The pairs of neighbouring views that all methods are measured on."""
+    """The pairs of neighboring views that all methods are measured on."""
 
     def __init__(self, folders: Sequence[Path], neighbours: int) -> None:
-        """Find the pairs in the first folder that has the most views; raises `CaptureError` for a broken folder."""
+        """Find the pairs in the first folder with the most views; raises `CaptureError` for a broken folder."""
         opened = [open_view_folder(folder) for folder in folders]
         fullest = max(opened, key=lambda each: len(each.views))
         names = _names(fullest)
@@ -37,8 +37,8 @@ class ComparisonPairs:
     def agreement(self, folder: Path) -> tuple[int, WarpAgreement | None, WarpAgreement | None]:
         """Return the number of pairs, and their pooled agreement everywhere and outside the water film.
 
-        See `warp_error`: display values of 0..1, 0 is best, and a ratio of 1 changes nothing. Pairs of which a view is
-        missing are left out; None where none is left, or nobody knows the film.
+        See `warp_error`: display values of 0..1, 0 is best, and a ratio of 1 means no change. Pairs with a missing view
+        are omitted; None if no pair remains or the film is unknown.
         """
         compared = open_view_folder(folder)
         index = {name: i for i, name in enumerate(_names(compared))}
@@ -52,7 +52,7 @@ def _names(compared: ViewFolder) -> list[str]:
     return [view.clear.name for view in compared.views]
 
 
-# § The rows of a comparison: as Markdown for a paper or an issue, as CSV, and as plain values.
+# Comparison table
 
 Value = str | int | float | None
 
@@ -63,28 +63,28 @@ _LEVELS = 255
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ComparedRow:
-    """What is known of one method."""
+    """Results of one method."""
 
     name: str
     method: str
     distance: DistributionDistance
     pairs: int = 0
     everywhere: WarpAgreement | None = None
-    """Of neighbouring views; None where nobody knows where they were taken, or none show the same place."""
+    """Of neighboring views; None if their cameras are unknown or no views overlap."""
     outside_film: WarpAgreement | None = None
     seconds: float | None = None
-    """Of its transfer, when it ran."""
+    """Duration of its transfer, if it ran."""
 
     @property
     def values(self) -> dict[str, Value]:
         """Return the table's columns, units in the names.
 
-        The Frechet distance (>= 0, 0 is best) is called FID of Inception's features alone, else FD- and the
-        extractor; the kernel distance (0 is best) KID or KD-, times 1000. "low" and "high" are ends of their 95 %
-        intervals, "same" what the Frechet distance would be of two sets so large of one distribution. Errors are the
-        root of the mean square between neighbouring views warped onto each other, in levels of 255 (0 is best), and
-        "ratio" after over before (1 changes nothing), also "per contrast", for a transfer that greys everything lowers
-        errors, and outside the water film ("dry"). Sources: `evaluate.distribution` and `evaluate.consistency`.
+        The Frechet distance (>= 0, 0 is best) is named FID for Inception's features alone, else FD- and the extractor;
+        the kernel distance (0 is best) KID or KD-, times 1000. "low" and "high" are ends of their 95 % intervals,
+        "same" the expected Frechet distance of two equally large sets from one distribution. Errors are the root mean
+        square between neighboring views warped onto each other, in levels of 255 (0 is best), and "ratio" after over
+        before (1 means no change); "per contrast" divides by contrast, since a transfer that grays everything lowers
+        errors; "dry" is outside the water film. Sources: `distribution_distance` and `agreements`.
         """
         distance, kernel = self.distance, f"{self.distance.kernel_metric} x1000"
         low, high = (_KERNEL_SCALE * each for each in distance.kernel_interval)
@@ -110,7 +110,7 @@ class ComparedRow:
 
 
 def markdown_table(rows: Sequence[ComparedRow]) -> str:
-    """Write a table in Markdown: intervals in brackets behind their values, the best distance in bold."""
+    """Write a table in Markdown: intervals in brackets after their values, the best distance in bold."""
     distance = rows[0].distance
     kernel = f"{distance.kernel_metric} x1000"
     titles = ["method", "N", f"{distance.metric} [95 %]", "same", f"{kernel} [95 %]", "error before", "error after",
@@ -136,7 +136,7 @@ def markdown_table(rows: Sequence[ComparedRow]) -> str:
 
 
 def comparison_csv(rows: Sequence[ComparedRow]) -> str:
-    """Write all columns as CSV, in full precision; what is not known is empty."""
+    """Write all columns as CSV, in full precision; unknown values are empty."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(rows[0].values)
@@ -145,7 +145,7 @@ def comparison_csv(rows: Sequence[ComparedRow]) -> str:
 
 
 def plain_row(row: ComparedRow) -> dict[str, Any]:
-    """Return a row for JSON, with its extractor and what is to be said about it."""
+    """Return a row for JSON, with its extractor and warnings."""
     distance = row.distance
     return {
         "name": row.name,
@@ -205,16 +205,17 @@ def _line(cells: Sequence[str]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-# § What is compared with what: one value, which is a YAML file.
+# Comparison settings
+# Also the schema of the YAML file.
 
 CLEAR = "clear"
-"""The method that changes nothing: how far clear pictures are from rainy ones."""
+"""The method that changes nothing: baseline distance of clear images to rainy ones."""
 
 SHIPPED = "comparisons"
-"""Folder of sample_configs with the comparisons that the program ships."""
+"""Folder of sample_configs with the shipped comparisons."""
 
 DEFAULT_WIDTH_PX = 512
-"""Of all pictures where nothing is said: the paper's."""
+"""Default width of all images: the paper's."""
 
 _FILES = (
     *("source", "capture", "real", "path", "extractor_weights"),
@@ -226,7 +227,7 @@ _FIELDS = TransferSettings.__struct_fields__
 
 
 class ComparedMethod(TransferSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One row: a transfer with its settings under a name; settings that its method does not take change nothing."""
+    """One row: a transfer with its settings under a name; settings that its method does not use have no effect."""
 
     name: Annotated[
         str,
@@ -246,10 +247,10 @@ class ComparedMethod(TransferSettings, frozen=True, kw_only=True, forbid_unknown
 
 
 class TransferComparison(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Views, real rainy pictures, and methods that make the views rainy.
+    """Views, real rainy images, and methods that make the views rainy.
 
-    Views are those of `source`, then `real` says what is rainy, or those of `pictures`: the part of them that its
-    training has never seen, clear and rainy.
+    Views come from `source`, with rainy images from `real`, or from `pictures`: clear and rainy images of its held-out
+    test part.
     """
 
     methods: Annotated[tuple[ComparedMethod, ...], Meta(min_length=1, title="Methods")]
@@ -282,11 +283,11 @@ class TransferComparison(Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     @property
     def width_px(self) -> int:
-        """Of all pictures that are compared, at most."""
+        """Maximum width of all compared images."""
         return self.views.width_px or DEFAULT_WIDTH_PX
 
     def only(self, names: tuple[str, ...]) -> "TransferComparison":
-        """Keep the methods of these names; raises ValueError for a name that there is not."""
+        """Keep the methods of these names; raises ValueError for an unknown name."""
         there = {each.name: each for each in self.methods}
         for name in names:
             if name not in there:
@@ -297,9 +298,8 @@ class TransferComparison(Struct, frozen=True, kw_only=True, forbid_unknown_field
 def load_comparison(name: str | Path) -> TransferComparison:
     """Read a comparison from a file, or a shipped one by its name.
 
-    Files that it names are looked for in its own folder first, then in the working folder. Raises ValueError, which
-    names the file, the field, and what would be right; `UntrustedCodeError` where it names a program that no person has
-    allowed to run.
+    Files that it names are searched in its own folder first, then in the working folder. Raises ValueError with the
+    file, the field and the expected value; `UntrustedCodeError` if it names a program that the user has not trusted.
     """
     values = load_values(SHIPPED, name, "comparison", _FILES, {STREET})
     try:
@@ -315,7 +315,7 @@ def load_comparison(name: str | Path) -> TransferComparison:
 
 
 def _path(kind: type, value: object) -> Path:
-    """Make paths of text, which msgspec leaves to its user."""
+    """Convert text to paths, which msgspec does not."""
     if kind is not Path or not isinstance(value, str):
         raise ValueError(f"Expected `path`, got `{type(value).__name__}`")
     return Path(value)
@@ -333,7 +333,7 @@ def _problem(comparison: TransferComparison) -> str | None:
     for i, each in enumerate(comparison.methods):
         if each.method not in known:
             return f"no method {each.method!r}, only {', '.join(known)} - at `$.methods[{i}].method`"
-        if each.name.lower() in taken:  # folders of such names are one on some disks
+        if each.name.lower() in taken:  # some disks ignore case in folder names
             return f"{each.name!r} is there twice - at `$.methods[{i}].name`"
         taken.add(each.name.lower())
     return None

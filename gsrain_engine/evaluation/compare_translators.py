@@ -1,4 +1,4 @@
-"""A comparison from its settings to its table: transfers, features, distances, agreement, figure."""
+"""Run of a comparison of rain translators: transfers, features, distances, view agreement and figure."""
 
 import json
 import time
@@ -42,31 +42,31 @@ from .fid_features import Extractor
 from .input_fingerprint import input_fingerprint
 
 _TRANSFERS, _FEATURES = 0.8, 0.9
-"""Shares of the progress at which a part is done; learned transfers take most of the time."""
+"""Shares of the progress at which transfers and features are done; learned transfers take most of the time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparisonResult:
-    """What came of a comparison."""
+    """Results of a comparison."""
 
     rows: tuple[ComparedRow, ...]
     figure: UInt8[np.ndarray, "h w 3"]
     shown: tuple[str, ...]
-    """Names of the views on the figure."""
+    """Names of the views in the figure."""
     kept: tuple[str, ...]
-    """Methods whose pictures stood from an earlier run."""
+    """Methods whose images were reused from an earlier run."""
     has_cameras: bool
-    """Whether neighbouring views could be compared."""
+    """True if neighboring views could be compared."""
     notes: tuple[str, ...] = ()
-    """What the methods could not do, a sentence each."""
+    """Limitations of the methods, a sentence each."""
 
 
-# § What all methods of a comparison start from: clear views, and real rainy pictures to be compared with.
+# Comparison inputs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparedSource:
-    """Clear views in the world, worked out when they are asked for."""
+    """Clear views in the world, computed on demand."""
 
     name: str
     views: Sequence[ClearView]
@@ -74,11 +74,11 @@ class ComparedSource:
     to_world: Float64[np.ndarray, "4 4"]
     """Similarity from the units and axes of the scene or capture to the world."""
     mask: Callable[[str], Bool[np.ndarray, "h w"] | None]
-    """By name of a view, which of its pixels may be learned from; None means all."""
+    """Mask of valid pixels by view name; None means all."""
     has_cameras: bool
-    """Whether it is known where the views were taken: only then can they be compared with each other."""
+    """True if the view poses are known, as comparing views with each other requires."""
     stamp: str
-    """Changes with the files that the views come from."""
+    """Changes with the files of the views."""
 
 
 def run_comparison(
@@ -89,18 +89,18 @@ def run_comparison(
     cache: FeatureCache | None,
     output: Path,
 ) -> Generator[Progress, None, ComparisonResult]:
-    """Make what is missing, and compare. Stopped anywhere and run again, it goes on with the next method.
+    """Create missing results and compare. A stopped run resumes with the next method.
 
     Args:
-        comparison: What is compared; `check_methods` has passed it.
+        comparison: Comparison that passed `check_methods`.
         source: Clear views.
-        real: Rainy pictures that cameras took.
-        extractor: What looks at them.
-        cache: Where features are kept.
-        output: Folder, in which each method has one of its name.
+        real: Rainy photographs.
+        extractor: Feature extractor.
+        cache: Feature cache.
+        output: Folder with one subfolder per method.
 
     Raises:
-        ValueError: Where a transfer or a picture fails, with the method's row; before anything else for too few views.
+        ValueError: If a transfer or an image fails, with the method's row; immediately for too few views.
     """
     for name, count in ((source.name, len(source.views)), (real.name, len(real))):
         if count < MIN_IMAGES:
@@ -111,7 +111,7 @@ def run_comparison(
         for made in method_folder(method, source, comparison, output):
             if isinstance(made, MethodFolder):
                 folders.append(made)
-                if number == 0 and method.method != "images":  # which may lack some views
+                if number == 0 and method.method != "images":  # a folder of images may lack views
                     choose_figure_views(folders, comparison.shown, comparison.columns)
                 continue
             share = (number + made / len(source.views)) / len(comparison.methods)
@@ -125,27 +125,28 @@ def run_comparison(
     return ComparisonResult(tuple(rows), figure, tuple(names), kept, source.has_cameras, notes)
 
 
-# § The transferred pictures of each method, a folder each; one that stands and was made the same way is kept.
+# Method folders
+# A folder of transferred images per method; an existing one with the same record is reused.
 
 
 @dataclass(frozen=True, slots=True)
 class MethodFolder:
-    """Where the pictures of a method lie."""
+    """Folder with the images of a method."""
 
     method: ComparedMethod
     folder: Path
     seconds: float | None
-    """That its transfer took when it ran, model loading included; None where it was stopped before that was written."""
+    """Duration of its transfer, including model loading; None if it was stopped before this was written."""
     was_reused: bool
-    """Whether it stood there from an earlier run."""
+    """True if it existed from an earlier run."""
     notes: tuple[str, ...] = ()
-    """What its transfer could not do, a sentence each."""
+    """Limitations of its transfer, a sentence each."""
 
 
 def _looked(
     folders: Sequence[MethodFolder], real: Capture, extractor: Extractor, cache: FeatureCache | None
 ) -> Generator[Progress, None, list[ImageSetFeatures]]:
-    """Features of the real pictures, then of each method's."""
+    """Features of the real images, then of each method's."""
     looked: list[ImageSetFeatures] = []
     for number, each in enumerate([None, *folders]):
         name = "real" if each is None else each.method.name
@@ -187,7 +188,7 @@ _FILES = ("weights", "base", "images", "normals_weights", "normals_checkout")
 
 
 class IdentityTransfer:
-    """A `Transfer` that leaves views as they are."""
+    """A `Transfer` that leaves views unchanged."""
 
     name = CLEAR
 
@@ -197,7 +198,7 @@ class IdentityTransfer:
 
 
 def check_methods(comparison: TransferComparison, output: Path) -> None:
-    """Raise ValueError, with the method's row, for what a transfer would miss only later. Learned ones need torch."""
+    """Check inputs early; raises ValueError with the method's row. Learned methods need torch."""
     for each in comparison.methods:
         row = f"method {each.name!r}"
         check_transferred_folder(output / each.name)
@@ -218,7 +219,7 @@ def check_methods(comparison: TransferComparison, output: Path) -> None:
 
 
 def _check_learned(method: ComparedMethod) -> None:
-    """Raise for files that are found missing only when the model is opened."""
+    """Check files that are otherwise only opened with the model."""
     weights = method.weights or find_transfer_weights()
     if method.normals in WEIGHTS and method.normals_weights is None:
         raise ValueError(f"normals {method.normals} need normals_weights: {WEIGHTS[method.normals]}")
@@ -229,12 +230,12 @@ def _check_learned(method: ComparedMethod) -> None:
     except FileNotFoundError:
         from ..appearance.cyclegan_turbo.weights import open_weights  # torch is an extra
 
-        if open_weights(weights).random_base_seed is None:  # a test's need no SD-Turbo
+        if open_weights(weights).random_base_seed is None:  # test weights need no SD-Turbo
             raise
 
 
 def record_of(method: ComparedMethod, source: ComparedSource, comparison: TransferComparison) -> TransferRecord:
-    """Return how a method's folder is made: the same record, the same pictures."""
+    """Return the record of a method's folder: equal records give equal images."""
     told: dict[str, Any] = msgspec.to_builtins(method.settings, enc_hook=str)
     whole = msgspec.to_builtins(comparison, enc_hook=str)
     told |= {part: whole[part] for part in ("source", "capture", "pictures", "views")} | {"stamp": source.stamp}
@@ -248,9 +249,9 @@ def record_of(method: ComparedMethod, source: ComparedSource, comparison: Transf
 def method_folder(
     method: ComparedMethod, source: ComparedSource, comparison: TransferComparison, output: Path
 ) -> Iterator[MethodFolder | int]:
-    """Make a method's folder, or find it made: yields numbers of views done, and in the end the folder.
+    """Create or reuse a method's folder: yields the number of finished views, finally the folder.
 
-    Raises what the transfer raises, with the method's row before it.
+    Raises the transfer's errors with the method's row as a prefix.
     """
     folder, record = output / method.name, record_of(method, source, comparison)
     if _stands(folder, record):
@@ -295,7 +296,7 @@ def _read_seconds(folder: Path) -> float | None:
 
 
 def capture_source(capture: Capture, width_px: int, source_stamp: str) -> ComparedSource:
-    """Take the pictures of a capture; wider ones are made `width_px` wide."""
+    """Use the images of a capture; wider ones are downscaled to `width_px`."""
     views = capture_views(capture, width_px)
     return ComparedSource(
         capture.name, views, ImageEnvironment(), views.to_world, views.mask, capture.has_poses, source_stamp
@@ -303,10 +304,10 @@ def capture_source(capture: Capture, width_px: int, source_stamp: str) -> Compar
 
 
 def held_out_images(settings: ImageSettings, width_px: int) -> tuple[ComparedSource, Capture]:
-    """Return the clear and the rainy pictures that a training with these settings never sees.
+    """Return the clear and the rainy images that a training with these settings holds out.
 
-    They are whole, not framed as for the training: extractors stretch them as the paper's training does. Raises
-    `CaptureError` where a source can't be read, and ValueError where nothing is held out.
+    They are not cropped as in training: extractors resize them without keeping proportions, as the paper does. Raises
+    `CaptureError` for an unreadable source, and ValueError if nothing is held out.
     """
     split = open_images(msgspec.structs.replace(settings, guide="none"))
     if not split.test.source or not split.test.target:
@@ -319,17 +320,16 @@ def held_out_images(settings: ImageSettings, width_px: int) -> tuple[ComparedSou
 
 
 def real_images(folders: Sequence[Path], width_px: int) -> Capture:
-    """Return the pictures of some folders or captures, of no larger width than the transferred ones.
+    """Return the images of some folders or captures, at most as wide as the transferred ones.
 
-    Pictures that were made smaller once more than others look different to an extractor. Raises `CaptureError` where
-    one can't be read.
+    An additional downscaling would change an extractor's features. Raises `CaptureError` if one can't be read.
     """
     captures = [open_capture(folder) for folder in folders]
     return _narrowed(replace(captures[0], views=tuple(view for each in captures for view in each)), width_px)
 
 
 def _alone(name: str, pictures: Sequence[DatasetImage]) -> Capture:
-    """Pictures of several sources, which know nothing of each other."""
+    """A capture of unrelated images from several sources."""
     views = tuple(replace(each.view, name=flat_name(each.name), sensor="") for each in pictures)
     return Capture(name, views, is_metric=False, has_poses=False)
 
@@ -338,7 +338,8 @@ def _narrowed(capture: Capture, width_px: int) -> Capture:
     return replace(capture, views=tuple(undistort_frame(view, min(width_px, view.camera.width)) for view in capture))
 
 
-# § The figure of a comparison: a row each method, a column each view, as papers show their methods.
+# Comparison figure
+# One row per method, one column per view.
 
 _CELL_PX, _GAP_PX, _TEXT_PX = 360, 8, 18
 
@@ -348,9 +349,9 @@ _Pixels = UInt8[np.ndarray, "_ _ 3"]
 
 
 def choose_figure_views(folders: Sequence[MethodFolder], names: Sequence[str], columns: int) -> list[str]:
-    """Choose the figure's views: those named, or `columns` evenly out of those of the method that has the most.
+    """Choose the figure's views: the named ones, or `columns` evenly spaced ones of the method with the most.
 
-    Raises ValueError for a name that there is not.
+    Raises ValueError for an unknown name.
     """
     there = max(([view.clear.name for view in read_transferred(each.folder)] for each in folders), key=len)
     if not names:
@@ -362,7 +363,7 @@ def choose_figure_views(folders: Sequence[MethodFolder], names: Sequence[str], c
 
 
 def comparison_figure(folders: Sequence[MethodFolder], names: Sequence[str]) -> UInt8[np.ndarray, "h w 3"]:
-    """Draw the views of these names as each method made them; a view that a method lacks stays empty."""
+    """Draw the named views of each method; a missing view stays empty."""
     rows = [(each.method.name, _images(each, names)) for each in folders]
     ratios = [one.shape[0] / one.shape[1] for _, pictures in rows for one in pictures if one is not None]
     tall = round(_CELL_PX * max(ratios, default=0.5))
@@ -405,7 +406,7 @@ def _sized(picture: _Pixels) -> _Pixels:
 
 
 def _fitting(draw: ImageDraw.ImageDraw, font: ImageFont.ImageFont | ImageFont.FreeTypeFont, name: str) -> str:
-    """Cut the front off a name that is wider than its column: names of a drive differ at their ends."""
+    """Truncate the start of a name wider than its column: frame names of a drive differ at their ends."""
     cut = name
     while draw.textlength(cut, font) > _CELL_PX and len(cut) > 2:
         cut = f"…{cut[2:]}"

@@ -1,4 +1,4 @@
-"""What consistency is measured on: folders of a transfer, or any capture of pictures with cameras and depth."""
+"""Multi-view consistency: warping error between neighboring views before and after a transfer."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -27,30 +27,30 @@ class ViewFolder:
 
     folder: Path
     views: Sequence[RainyView]
-    """Each read when it is asked for."""
+    """Each is read on access."""
     has_clear: bool
-    """Whether the pictures before their transfer are there."""
+    """True if the images before their transfer are available."""
     method: str = ""
-    """How they were made, where that is known."""
+    """Transfer method, if known."""
     settings: dict[str, Any] | None = None
 
     @property
     def title(self) -> str:
-        """Name for tables and pictures."""
+        """Name for tables and images."""
         return f"{self.folder.name} ({self.method})" if self.method else self.folder.name
 
     @property
     def has_poses(self) -> bool:
-        """Whether it is known where any of the views was taken."""
+        """True if the camera pose of any view is known."""
         return any(self.views[i].clear.has_pose for i in range(len(self.views)))
 
     def chosen(self, count: int) -> list[tuple[int, int]]:
-        """Pair each view with the `count` others that show most of it."""
+        """Pair each view with the `count` others that overlap it most."""
         clear = CachedViews(len(self.views), lambda i: self.views[i].clear)
         return [(i, j) for i, others in enumerate(rank_neighbors(clear, count)) for j in others]
 
     def alike(self, other: "ViewFolder", pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-        """Find another folder's pairs in this one by their names; raises ValueError for a view that is not there."""
+        """Find another folder's pairs in this one by view name; raises ValueError for a missing view."""
         if other is self:
             return list(pairs)
         mine = {self.views[i].clear.name: i for i in range(len(self.views))}
@@ -62,10 +62,9 @@ class ViewFolder:
 
 
 def open_view_folder(folder: Path, width_px: int | None = None) -> ViewFolder:
-    """Open what `gsrain transfer` has written, or a capture whose pictures are compared as they are.
+    """Open the output of `gsrain transfer`, or a capture whose images are compared directly.
 
-    Wider pictures of a capture are made `width_px` wide (default 960). Raises `CaptureError` where neither
-    can be read.
+    Wider images of a capture are downscaled to `width_px` (default 960). Raises `CaptureError` if neither can be read.
     """
     if is_transferred_folder(folder):
         transferred = read_transferred(folder)
@@ -79,7 +78,7 @@ def open_view_folder(folder: Path, width_px: int | None = None) -> ViewFolder:
 
 
 class _RecentViews(Sequence[RainyView]):
-    """Holds the last few views that were asked for: a view is in several pairs."""
+    """Caches the most recently used views, since each view is in several pairs."""
 
     def __init__(self, views: Sequence[RainyView]) -> None:
         self._views = views
@@ -93,7 +92,7 @@ class _RecentViews(Sequence[RainyView]):
 
 
 class _CaptureImages(Sequence[RainyView]):
-    """Pictures of a capture in the place of transferred ones."""
+    """Images of a capture in place of transferred ones."""
 
     def __init__(self, views: Sequence[Any]) -> None:
         self._views = views
@@ -106,30 +105,30 @@ class _CaptureImages(Sequence[RainyView]):
         return RainyView(clear, clear.image)
 
 
-# § Neighbouring views in pairs: each is warped onto the other, before its transfer and after it, and compared.
+# Pairs of neighboring views
 
 FILM_SHARE = 0.05
-"""Share of mirrored light from which on a pixel counts as water film."""
+"""Share of mirrored light from which a pixel counts as water film."""
 
 MIN_PIXELS = 256
-"""Pairs that share less than this say nothing."""
+"""Pairs with fewer common pixels are skipped."""
 
-# § How much a view differs from another one that was warped onto it: the error that is compared before and after.
+# Warping error
 
 
 @dataclass(frozen=True, slots=True)
 class WarpError:
-    """What is left when one view is laid over the other; display values of 0..1."""
+    """Remaining difference after warping one view onto the other; display values of 0..1."""
 
     rmse: float
     contrast: float
-    """Standard deviation of the picture over the same pixels: a transfer that greys everything lowers both."""
+    """Standard deviation of the image over the same pixels: a transfer that grays everything lowers both."""
     lpips: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class WarpAgreement:
-    """Two views over the pixels that are compared."""
+    """Two views over the compared pixels."""
 
     pixels: int
     after: WarpError
@@ -137,19 +136,19 @@ class WarpAgreement:
 
     @property
     def ratio(self) -> float:
-        """Error after the transfer over that before; NaN where there is no before, or no error in it."""
+        """Error after the transfer over that before; NaN if that is unknown or 0."""
         return _over(self.after.rmse, self.before.rmse) if self.before is not None else nan
 
     @property
     def contrast_ratio(self) -> float:
-        """The same of errors in shares of each picture's contrast."""
+        """The same ratio with each error divided by its image's contrast."""
         if self.before is None:
             return nan
         return _over(_over(self.after.rmse, self.after.contrast), _over(self.before.rmse, self.before.contrast))
 
     @property
     def lpips_ratio(self) -> float:
-        """LPIPS after the transfer over that before; NaN where it is not known."""
+        """LPIPS after the transfer over that before; NaN if unknown."""
         if self.before is None or self.before.lpips is None or self.after.lpips is None:
             return nan
         return _over(self.after.lpips, self.before.lpips)
@@ -157,34 +156,34 @@ class WarpAgreement:
 
 @dataclass(frozen=True, slots=True)
 class PairAgreement:
-    """How well a view agrees with a neighbour."""
+    """Agreement of a view with a neighbor."""
 
     of: str
     to: str
-    """The neighbour, which is warped onto the view."""
+    """The neighbor, which is warped onto the view."""
     matched_share: float
-    """Share of the view's pixels that the neighbour shows too."""
+    """Share of the view's pixels that are visible in the neighbor."""
     everywhere: WarpAgreement
     outside_film: WarpAgreement | None
-    """Where neither mirrors: reflections move with the eye, and rightly differ. None where nobody knows the film."""
+    """Over pixels without view-dependent reflections in either view; None if the film is unknown."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WarpedPair:
-    """A view and a neighbour warped onto it: what is measured, and what a sheet shows."""
+    """A view and a neighbor warped onto it, for measurement and for the sheet."""
 
     of: RainyView
     to: RainyView
     found: Correspondence
     before: Float32[np.ndarray, "h w 3"]
-    """The neighbour's clear picture, from here."""
+    """The neighbor's clear image, warped onto the view."""
     after: Float32[np.ndarray, "h w 3"]
     dry: Bool[np.ndarray, "h w"] | None
-    """Matched pixels outside the water film; None where the film is not known."""
+    """Matched pixels outside the water film; None if the film is unknown."""
 
 
 def warped_pair(of: RainyView, to: RainyView, film_share: float = FILM_SHARE) -> WarpedPair:
-    """Warp a neighbour onto a view; pixels of which more than `film_share` is mirrored, here or there, are wet."""
+    """Warp a neighbor onto a view; pixels with more than `film_share` mirrored light in either view are wet."""
     found = correspondence(of.clear, to.clear)
     dry: Mask | None = None
     if of.film is not None and to.film is not None:
@@ -198,7 +197,7 @@ Image = Float32[np.ndarray, "h w 3"]
 Mask = Bool[np.ndarray, "h w"]
 
 Perceived = Callable[[Image, Image, Mask], float]
-"""A distance of two pictures of values 0..1 over a mask, such as `Lpips.distance`."""
+"""A distance of two images (0..1) over a mask, such as `Lpips.distance`."""
 
 
 def agreements(
@@ -209,13 +208,13 @@ def agreements(
     film_share: float = FILM_SHARE,
     perceived: Perceived | None = None,
 ) -> Iterator[PairAgreement]:
-    """Compare pairs of views (of, to), one by one; those that share next to nothing are passed by.
+    """Compare pairs of views (of, to), one by one; pairs with almost no overlap are skipped.
 
     Args:
-        views: May be lazy; a view is asked for once for each pair that it is in.
+        views: May be lazy; a view is read once for each of its pairs.
         pairs: Indices.
-        has_clear: Whether the clear pictures are known; else there is no before.
-        film_share: From which on a pixel counts as water film.
+        has_clear: True if the clear images are known; without them `before` is None.
+        film_share: Share of mirrored light from which a pixel counts as water film.
         perceived: A second distance, such as LPIPS.
     """
     for i, j in pairs:
@@ -240,7 +239,7 @@ def _agreement(pair: WarpedPair, mask: Mask, has_clear: bool, perceived: Perceiv
 
 
 def warp_error(view: Image, other: Image, mask: Mask, perceived: Perceived | None = None) -> WarpError:
-    """Compare a view with another one, warped onto it, over the pixels of a mask; raises ValueError for none.
+    """Compare a view with another one, warped onto it, over the pixels of a mask; raises ValueError for an empty one.
 
     Root mean squared difference in display values of 0..1, over all channels: 0 (the views agree) to 1, lower is
     better. The warping error of video work (Lai et al. 2018), as a root and by depth instead of flow.
@@ -254,7 +253,7 @@ def warp_error(view: Image, other: Image, mask: Mask, perceived: Perceived | Non
 
 
 def pool_errors(agreements: Iterable[WarpAgreement]) -> WarpAgreement | None:
-    """Mean over pairs, each pixel counting alike: the root of the mean square; LPIPS is averaged. None for no pair."""
+    """Pool pairs with equal weight per pixel: root mean square, and mean LPIPS; None without pairs."""
     every = list(agreements)
     if not every:
         return None

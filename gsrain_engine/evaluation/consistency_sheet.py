@@ -1,4 +1,4 @@
-"""A picture to judge consistency by: a view, its neighbour warped onto it, and where they differ."""
+"""Consistency sheet: images of a view, its warped neighbor and their difference."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -28,7 +28,7 @@ _SHADES = 256
 
 
 class SheetPair(NamedTuple):
-    """A pair as one transfer made it."""
+    """One transfer's version of a pair."""
 
     title: str
     """Of the folder."""
@@ -45,10 +45,10 @@ class _SheetStyle(NamedTuple):
 
 
 def consistency_sheet(pairs: Sequence[Sequence[SheetPair]]) -> UInt8[np.ndarray, "h w 3"]:
-    """Draw pairs below each other: first the clear pictures, then the same pair as each transfer made it.
+    """Draw pairs below each other: first the clear images, then the same pair for each transfer.
 
-    Beside each view stands the neighbour as it is seen from there, dark where it has no match, and the error, from
-    none (black) to a quarter of full scale (white); unmatched pixels are grey, those of the water film blue.
+    Next to each view are the neighbor warped onto it, dark without a match, and the error, from none (black) to a
+    quarter of full scale (white); unmatched pixels are gray, those of the water film blue.
     """
     looks = [_looks(shown) for shown in pairs]
     blocks = [_block(shown[0].pair, own) for shown, own in zip(pairs, looks, strict=True)]
@@ -73,7 +73,7 @@ def _looks(shown: Sequence[SheetPair]) -> list[_SheetStyle]:
 
 
 def _block(pair: WarpedPair, looks: Sequence[_SheetStyle]) -> Image.Image:
-    """One pair: a line of text, then a row of three pictures for each look, with a line of its own."""
+    """One pair: a line of text, then a captioned row of three images for each variant."""
     height, width = pair.of.image.shape[:2]
     tall = max(round(_CELL_PX * height / width), 1)
     line = _TEXT_PX + _GAP_PX

@@ -1,4 +1,4 @@
-"""Two sets of pictures compared as distributions: FID or its like, KID, how sure they are, and what few pictures do."""
+"""FID and KID: distances of two image sets as distributions, with confidence intervals and small-sample warnings."""
 
 import hashlib
 import os
@@ -17,12 +17,12 @@ from ..scene.files import whole_file
 from .fid_features import Extractor
 
 MIN_IMAGES = 4
-"""Fewer of a set tell nothing, and resamples of them are all alike."""
+"""Smaller sets are meaningless, and their resamples are almost all alike."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageSetFeatures:
-    """Features of a set of pictures, and hashes of their pixels."""
+    """Features of a set of images, and hashes of their pixels."""
 
     name: str
     features: Float32[np.ndarray, "n d"]
@@ -32,17 +32,17 @@ class ImageSetFeatures:
         return len(self.hashes)
 
 
-# § How far a distance would vary with other pictures: confidence intervals by resampling pictures.
+# Confidence intervals
 
 
 class Interval(NamedTuple):
-    """The ends between which a value lies with `CONFIDENCE`."""
+    """Ends of an interval with probability `CONFIDENCE`."""
 
     low: float
     high: float
 
 
-# § KID: the kernel distance of two sets of features, without the bias that the Frechet distance has of few pictures.
+# Resampling of distances
 
 Features = Float[np.ndarray, "_ d"]
 
@@ -57,14 +57,14 @@ def frechet_interval(
     advance: Advance = lambda: None,
     value: float | None = None,
 ) -> Interval:
-    """Return how far the Frechet distance varies between sets of pictures as large as these.
+    """Return the confidence interval of the Frechet distance for image sets of these sizes.
 
-    Pictures of each set are drawn again with repeats (Efron 1979). Resamples hold fewer different pictures and so their
-    distances are too high, as those of few pictures are; that shift is taken out: the interval is the value plus the
-    quantiles of the resampled distances around their mean. It tells nothing of how far the value itself is too high for
-    want of pictures: `small_samples` does. Of few pictures it is rather too wide (of 32 with 64 features by half); of
-    pictures that are alike, such as neighbouring frames of a drive, too narrow, for it takes them for independent.
-    `advance` is called after each resample. `value` is the distance itself, where it is known.
+    Bootstrap: images of each set are drawn with replacement (Efron 1979). Resamples contain fewer different images,
+    which raises their distances; this shift is removed: the interval is the value plus the quantiles of the resampled
+    distances around their mean. It does not cover the small-sample bias of the value itself, see `same_distribution`.
+    For few images it is too wide (for 32 with 64 features by half); for similar images, such as neighboring frames of a
+    drive, too narrow, since it assumes independence. `advance` is called after each resample. `value` is the distance
+    itself, if known.
     """
     value = frechet_distance(real, fake) if value is None else value
     points = reduce_dimension(real, fake)
@@ -80,19 +80,19 @@ def frechet_interval(
 def kernel_interval(
     real: Features, fake: Features, resamples: int, seed: int, shared: Bool[np.ndarray, "_ _"] | None = None
 ) -> Interval:
-    """Return how far KID varies between sets of pictures as large as these; nothing is shifted, for it has no bias.
+    """Return the confidence interval of KID for image sets of these sizes; KID is unbiased, so nothing is shifted.
 
-    Pictures are taken for independent, as in `frechet_interval`; `shared` is that of `weighted_distances`.
+    Images are assumed independent, as in `frechet_interval`; `shared` is that of `weighted_distances`.
     """
     return kernel_estimate(real, fake, resamples, seed, shared)[1]
 
 
-# § What the Frechet distance is for want of pictures alone: its value where both sets come from one distribution.
+# Small-sample bias of the Frechet distance
 
 
 @dataclass(frozen=True, slots=True)
 class SameDistribution:
-    """Frechet distances of sets of one distribution, as large as those that were compared."""
+    """Frechet distances between sets of one distribution with the sizes of the compared sets."""
 
     mean: float
     interval: Interval
@@ -100,7 +100,7 @@ class SameDistribution:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DistributionDistance:
-    """How far two sets of pictures are from each other, by one extractor."""
+    """Distance of two sets of images for one extractor."""
 
     metric: str
     """FID, or FD- and a name."""
@@ -113,21 +113,22 @@ class DistributionDistance:
     real_pictures: int
     fake_pictures: int
     shared_pictures: int
-    """Pictures that are in both sets, pixel by pixel."""
+    """Images in both sets, with identical pixels."""
     frechet: float
     frechet_interval: Interval
     kernel: float
     kernel_interval: Interval
     same: SameDistribution
-    """What the Frechet distance would be for want of pictures alone."""
+    """Expected Frechet distance from small samples alone."""
     warnings: tuple[str, ...]
 
 
-# § Features that were worked out before, kept by what is in the picture and what looked at it.
+# Feature cache
+# Keyed by image content and extractor.
 
 
 class FeatureCache:
-    """A folder with one small file a picture and extractor; it may be removed at any time."""
+    """A folder with one small file per image and extractor; it may be deleted at any time."""
 
     def __init__(self, folder: Path | None = None) -> None:
         own = os.environ.get(PLACE)
@@ -137,7 +138,7 @@ class FeatureCache:
     def features(
         self, extractor: Extractor, image: UInt8[np.ndarray, "h w 3"], digest: str
     ) -> Float32[np.ndarray, " d"]:
-        """Return what an extractor says of a picture with that `image_hash`, from the folder where it is there."""
+        """Return an extractor's features of an image with that `image_hash`, from the cache if present."""
         if extractor.key is None:
             return extractor(image)
         file = self._folder / extractor.key / digest[:2] / f"{digest}.npy"
@@ -158,9 +159,9 @@ def extract_features(
     cache: FeatureCache | None,
     advance: Callable[[], None] = lambda: None,
 ) -> ImageSetFeatures:
-    """Look at all pictures of a capture, which a person knows by `name`; without a cache, anew each time.
+    """Extract features of all images of a capture, displayed as `name`; without a cache, anew each time.
 
-    Raises `CaptureError` for a broken picture, and ValueError for too few.
+    Raises `CaptureError` for a broken image, and ValueError for too few.
     """
     if len(capture) < MIN_IMAGES:
         raise ValueError(f"{name}: {len(capture)} pictures; a distribution takes at least {MIN_IMAGES}")
@@ -183,7 +184,7 @@ def distribution_distance(
     seed: int = 0,
     advance: Callable[[], None] = lambda: None,
 ) -> DistributionDistance:
-    """Compare two sets; the same inputs give the same numbers. `advance` is called 2 `resamples` times."""
+    """Compare two sets, deterministically. `advance` is called 2 `resamples` times."""
     pairs = _shared(real.hashes, fake.hashes)
     value = frechet_distance(real.features, fake.features)
     same = same_distribution(real.features, fake.features, resamples, seed, advance)
@@ -223,15 +224,15 @@ def _shared(real: Sequence[str], fake: Sequence[str]) -> Bool[np.ndarray, "n m"]
     return np.array(real)[:, None] == np.array(fake)[None, :]
 
 
-# § The Frechet distance of two sets of features, exact for any number of pictures.
+# Frechet distance
 
 FeatureTable = Float[np.ndarray, "_ _"]
-"""One row a picture."""
+"""One row per image."""
 
 FeatureCounts = Int64[np.ndarray, " _"]
 
 _MANY = 256
-"""From so many pictures and features on the faster way pays."""
+"""Minimum number of images and features for the faster method."""
 
 _TOLERANCE = 5e-7
 
@@ -245,15 +246,14 @@ def frechet_distance(
 
     |m1 - m2|^2 + tr(S1 + S2 - 2 (S1^1/2 S2 S1^1/2)^1/2) (Dowson and Landau 1982; Heusel et al. 2017, eq. 6), with the
     covariances over n - 1; 0 (equal) to infinity, in squared units of the features. With Inception's features it is
-    FID. Lower is better; of few pictures it is too high (see `small_samples`). `counts` says how often each picture
-    of each set counts (as if it were there so often); without them once.
+    FID. Lower is better; for few images it is too high (see `same_distribution`). `counts` is the multiplicity of each
+    image in each set, 1 by default.
 
-    In float64 and without the root of a matrix: with A and B the centred features over sqrt(n - 1), the trace of
-    the root is the sum of the singular values of A B^T, whose eigenvalues with their transpose are those of S1 S2. It
-    stays exact where fewer pictures than features leave both covariances singular; scipy's sqrtm then does not.
-    Of many pictures the squares of these values are found instead, several times faster, where that is known to change
-    the distance by less than a millionth of itself.
-    Raises ValueError for fewer than two pictures, other numbers of features, or values that are not finite.
+    In float64 and without a matrix square root: with A and B the centered features over sqrt(n - 1), the trace of the
+    root is the sum of the singular values of A B^T, whose squares are the eigenvalues of S1 S2. It stays exact if fewer
+    images than features leave both covariances singular, unlike scipy's sqrtm. For many images the squared values are
+    computed instead, several times faster, if that provably changes the distance by less than a millionth of itself.
+    Raises ValueError for fewer than two images, different numbers of features, or values that are not finite.
     """
     _check(real, fake)
     told = counts or (np.ones(len(real), np.int64), np.ones(len(fake), np.int64))
@@ -270,18 +270,18 @@ def frechet_distance(
 
 
 def nuclear_norm(left: Float64[np.ndarray, "n d"], right: Float64[np.ndarray, "m d"]) -> tuple[float, float]:
-    """Return the sum of the singular values of left right^T, and how far it may be off.
+    """Return the sum of the singular values of left right^T, and its error estimate.
 
-    They are the roots of the eigenvalues of a symmetric matrix, as small as the least of n, m and d allows. Rounding
-    moves each of these by about 2^-52 times the norms that went in, and so the root of a small one most; roundings are
-    taken for independent of each other. Of covariances that fall off steeply the true error is smaller by far.
+    They are the square roots of the eigenvalues of a symmetric matrix whose size is the smallest of n, m and d.
+    Rounding shifts each eigenvalue by about 2^-52 times the norms of the factors, which affects the roots of small ones
+    most; rounding errors are assumed independent. For steeply decaying covariances the true error is much smaller.
     """
     n, m, d = len(left), len(right), left.shape[1]
     if d < min(n, m):
         gram = left.T @ left
         try:
             root = np.linalg.cholesky(gram)
-        except np.linalg.LinAlgError:  # singular: the roots of nothing are not known well enough
+        except np.linalg.LinAlgError:  # singular: the roots are too imprecise
             return 0.0, np.inf
         other = right.T @ right
         squared, size = root.T @ other @ root, float(np.linalg.norm(gram) * np.linalg.norm(other))
@@ -299,9 +299,9 @@ def nuclear_norm(left: Float64[np.ndarray, "n d"], right: Float64[np.ndarray, "m
 def reduce_dimension(
     real: FeatureTable, fake: FeatureTable
 ) -> tuple[Float64[np.ndarray, "n r"], Float64[np.ndarray, "m r"]]:
-    """Return the same points in fewer coordinates, which no distance notices: at most one a picture, not one a feature.
+    """Return the same points in fewer coordinates, at most one per image, with unchanged distances.
 
-    What resamples pictures many times starts from here.
+    Speeds up repeated resampling.
     """
     points = np.concatenate((real, fake)).astype(np.float64)
     points -= points.mean(axis=0)
@@ -313,7 +313,7 @@ def reduce_dimension(
 def _moments(
     features: FeatureTable, counts: FeatureCounts
 ) -> tuple[Float64[np.ndarray, " d"], Float64[np.ndarray, "k d"]]:
-    """Mean, and a root of the covariance: the centred rows of those that count at all, weighted."""
+    """Mean, and a root of the covariance: weighted, centered rows with nonzero count."""
     counted = np.flatnonzero(counts)
     rows = features[counted].astype(np.float64)
     if (counts == 1).all():
@@ -328,7 +328,7 @@ def _moments(
 
 
 def _small_root(root: Float64[np.ndarray, "n d"]) -> Float64[np.ndarray, "_ d"]:
-    """Of more pictures than features, as many rows as features with the same covariance."""
+    """Reduce a root with more images than features to as many rows as features, with the same covariance."""
     if len(root) <= root.shape[1]:
         return root
     return np.asarray(np.linalg.qr(root, mode="r"))
@@ -356,12 +356,11 @@ def weighted_distances(
 ) -> Float64[np.ndarray, " k"]:
     """Unbiased squared maximum mean discrepancies of two sets of features, with the kernel (x.y / d + 1)^3.
 
-    Pictures count as often as each column of weights says. Binkowski et al. 2018 ("Demystifying MMD GANs", sec. 4);
-    without a unit; the expectation is 0 for sets of one distribution at any number of pictures, and above 0 for others;
-    single values may lie below 0. Lower is better. A picture is never paired with itself, however often it counts.
-
-    `shared` marks pairs (real, fake) that are one and the same picture: they count no more than a picture with itself
-    does within a set. Raises ValueError for fewer than two pictures.
+    Each column of weights holds the multiplicities of the images. Binkowski et al. 2018 ("Demystifying MMD GANs", sec.
+    4); unitless; the expectation is 0 for sets of one distribution at any number of images, and above 0 for others;
+    single values may be negative. Lower is better. An image is never paired with itself, regardless of its
+    multiplicity. `shared` marks pairs (real, fake) of the same image, which are excluded in the same way. Raises
+    ValueError for fewer than two images.
     """
     if min(len(real), len(fake)) < 2:
         raise ValueError(f"{len(real)} real and {len(fake)} fake pictures: KID takes at least two of each")
@@ -379,7 +378,7 @@ def _kernel(rows: Float64[np.ndarray, "_ d"], columns: Float64[np.ndarray, "_ d"
 
 
 def _within(features: Features, weights: Float64[np.ndarray, "_ k"]) -> Float64[np.ndarray, " k"]:
-    """Mean over pairs of one set: those below the diagonal twice, those with themselves not at all."""
+    """Mean over pairs of one set: pairs below the diagonal count twice, the diagonal is excluded."""
     total = np.zeros(weights.shape[1])
     points = features.astype(np.float64)
     for start in range(0, len(points), _BLOCK_ROWS):
@@ -422,7 +421,7 @@ CONFIDENCE = 0.95
 def kernel_estimate(
     real: Features, fake: Features, resamples: int, seed: int, shared: Bool[np.ndarray, "_ _"] | None = None
 ) -> tuple[float, Interval]:
-    """Return KID with its `kernel_interval`; kernels are made once for both."""
+    """Return KID with its `kernel_interval`; kernels are computed once for both."""
     weights = [np.ones((len(each), 1 + resamples)) for each in (real, fake)]
     for k, chosen in enumerate(_drawn(len(real), len(fake), resamples, seed)):
         for own, drawn in zip(weights, chosen, strict=True):
@@ -445,7 +444,7 @@ def _counts(drawn: Int64[np.ndarray, " n"], pictures: int) -> Int64[np.ndarray, 
 def _drawn(
     real: int, fake: int, resamples: int, seed: int
 ) -> Iterator[tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " m"]]]:
-    """Yield numbers of pictures, with repeats; at least two different ones of each set, as every distance needs."""
+    """Yield image indices drawn with replacement, at least two different ones per set, as distances require."""
     random = np.random.default_rng(seed)
     for _ in range(resamples):
         yield _some(random, real), _some(random, fake)
@@ -459,18 +458,18 @@ def _some(random: np.random.Generator, count: int) -> Int64[np.ndarray, " n"]:
 
 
 NOTABLE_SHARE = 0.1
-"""From this share of a distance on, what it owes to few pictures is worth a warning."""
+"""Share of a distance from which its small-sample bias triggers a warning."""
 
 
 def same_distribution(
     real: Features, fake: Features, splits: int, seed: int, advance: Advance = lambda: None
 ) -> SameDistribution:
-    """Estimate the Frechet distance that two sets of one distribution would have at these numbers of pictures.
+    """Estimate the Frechet distance of two sets of these sizes from one distribution.
 
-    The mean of each set is taken out (and what that takes off its spread put back), all pictures are mixed, dealt out
-    at random into sets of the same sizes, and compared. Of N pictures with d features it is about as large as the
-    spread of the features itself until N is many times d: at N = 32 FID is mostly this. It is exact where both sets
-    have one covariance, else that of their mixture. `advance` is called after each split.
+    The mean of each set is removed (with a correction of the spread), all images are mixed, split at random into sets
+    of the same sizes, and compared. For N images with d features the result is about the spread of the features until N
+    is many times d: at N = 32 it dominates FID. It is exact if both sets have the same covariance, otherwise it applies
+    to their mixture. `advance` is called after each split.
     """
     random = np.random.default_rng(seed)
     points = np.concatenate([_centered(each) for each in reduce_dimension(real, fake)])
@@ -486,7 +485,7 @@ def same_distribution(
 def small_sample_warning(
     extractor: Extractor, value: float, counts: tuple[int, int], same: SameDistribution
 ) -> str | None:
-    """Return one sentence where the number of pictures says more than the pictures do; None where it does not."""
+    """Return a one-sentence warning if the sample size dominates the distance, else None."""
     if same.mean < NOTABLE_SHARE * value:
         return None
     said = (
@@ -504,18 +503,18 @@ def _centered(points: Float64[np.ndarray, "n r"]) -> Float64[np.ndarray, "n r"]:
 
 
 PLACE = "GSRAIN_FEATURE_CACHE"
-"""Environment variable with the folder in which features are kept."""
+"""Environment variable with the folder of the feature cache."""
 
 
 def image_hash(image: UInt8[np.ndarray, "h w 3"]) -> str:
-    """Return a hash of the pixels (SHA-256): the same for the same picture under any name and in any lossless file."""
+    """Return a SHA-256 hash of the pixels, independent of file name and lossless format."""
     found = hashlib.sha256(np.array(image.shape, np.int64).tobytes())
     found.update(image.tobytes())
     return found.hexdigest()
 
 
 def _read(file: Path, features: int) -> Float32[np.ndarray, " d"] | None:
-    """Read kept features; None where there are none, or the file is damaged."""
+    """Read cached features; None if missing or damaged."""
     try:
         with open_file(file) as stream:
             kept = np.load(stream, allow_pickle=False)

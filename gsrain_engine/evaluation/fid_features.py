@@ -1,4 +1,4 @@
-"""What turns a picture into features, under the name that its distance may carry: only Inception's is FID."""
+"""Feature extractors for image distances, with weight-free cell statistics; only Inception's distance is named FID."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,57 +11,58 @@ from PIL import Image
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Extractor:
-    """Features of one picture at a time, so that they don't depend on what else is looked at."""
+    """Features of one image at a time, independent of other images."""
 
     metric: str
-    """What the Frechet distance of these features is called: FID, or "FD-" and a name."""
+    """Name of the Frechet distance of these features: FID, or "FD-" and a name."""
     described: str
-    """Network, weights with their hash, and size of its input."""
+    """Network, weights with their hash, and input size."""
     features: int
-    """Numbers a picture."""
+    """Number of features per image."""
     key: str | None
-    """Tells features of this extractor from those of others; None where they are not worth keeping."""
+    """Identifies this extractor's features in the cache; None if they are not worth caching."""
     function: Callable[[UInt8[np.ndarray, "h w 3"]], Float32[np.ndarray, " d"]]
 
     @property
     def kernel_metric(self) -> str:
-        """What the kernel distance of these features is called: KID of Inception's alone, else "KD-" and the name."""
+        """Name of the kernel distance of these features: KID for Inception's alone, else "KD-" and the name."""
         return "KID" if self.metric == "FID" else self.metric.replace("FD-", "KD-", 1)
 
     def __call__(self, image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, " d"]:
-        """Return the features of a picture in display values."""
+        """Return the features of an image in display values."""
         return self.function(image)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExtractorChoice:
-    """Which extractor, and where its weights come from."""
+    """Choice of extractor and of its weights."""
 
     name: str = "inception"
     weights: Path | None = None
-    """A file; None looks where this machine keeps weights."""
+    """A file; None searches this machine's folders for weights."""
     device: str = "cpu"
-    """As torch calls it: cpu, cuda."""
+    """Torch device: cpu, cuda."""
     allows_torchscript: bool = False
-    """Whether a TorchScript file of Inception may be run: it is a program, not only numbers."""
+    """Allow running a TorchScript file of Inception, which contains code, not only numbers."""
 
 
-# § Brings a picture to the size that a network takes, as clean-fid does: filtered, in float, without rounding.
+# Resizing as in clean-fid
 
 
 def resized(image: UInt8[np.ndarray, "h w 3"], width: int, height: int) -> Float32[np.ndarray, "hr wr 3"]:
-    """Return display values of 0..255 at another size; proportions are not kept, as FID does not keep them.
+    """Return display values of 0..255 at another size; proportions are not kept, as in FID.
 
-    Pillow's bicubic filter, each channel as float32, widened where the picture shrinks (so that nothing aliases), and
-    cut to 0..255: what Parmar et al. 2022 ("On aliased resizing and surprising subtleties in GAN evaluation") call
-    clean. The libraries' quick resizing skips pixels, which alone moves FID by several units.
+    Pillow's bicubic filter on each channel as float32, antialiased when downscaling, clipped to 0..255: the clean
+    resizing of Parmar et al. 2022 ("On aliased resizing and surprising subtleties in GAN evaluation"). Libraries' fast
+    resizing skips pixels, which alone shifts FID by several units.
     """
     channels = [Image.fromarray(np.ascontiguousarray(image[..., c], np.float32)) for c in range(3)]
     sized = [np.asarray(channel.resize((width, height), Image.Resampling.BICUBIC)) for channel in channels]
     return np.clip(np.stack(sized, axis=2), 0, 255).astype(np.float32)
 
 
-# § Plain numbers of a picture's sixteen cells, which need no weights: the features of "FD-pixels16".
+# Cell statistics
+# The features of "FD-pixels16", without network weights.
 
 CELLS = 4
 
@@ -73,11 +74,11 @@ FEATURES = CELLS * CELLS * PER_CELL
 
 
 def cell_statistics(image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, " d"]:
-    """Return 160 numbers: colour, its spread, and edges by direction, of each of 4 x 4 cells.
+    """Return 160 numbers: mean color, its spread, and edges by direction, of each of 4 x 4 cells.
 
-    Of the picture at 128 x 128 (`resized`), in display values of 0..1: means and deviations of the three channels, and
-    the mean square gradient of their mean along four directions (0, 45, 90, 135 degrees), as roots. It sees brightness,
-    colour, contrast and texture, and nothing of what is shown: for tests, and where there are no weights.
+    Computed on the image at 128 x 128 (`resized`), in display values of 0..1: means and deviations of the three
+    channels, and the root mean square gradient of their mean along four directions (0, 45, 90, 135 degrees). They cover
+    brightness, color, contrast and texture but no content: for tests, and if no weights are available.
     """
     values = resized(image, SIZE_PX, SIZE_PX).astype(np.float64) / 255
     across, down = np.gradient(values.mean(axis=2), axis=(1, 0))

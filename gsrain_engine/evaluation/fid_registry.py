@@ -1,4 +1,4 @@
-"""The table of extractors, by the names that `--extractor` takes."""
+"""Registry of feature extractors by their `--extractor` names."""
 
 from collections.abc import Callable
 
@@ -6,10 +6,10 @@ from .fid_features import FEATURES, SIZE_PX, Extractor, ExtractorChoice, cell_st
 
 
 def open_extractor(choice: ExtractorChoice) -> Extractor:
-    """Make an extractor ready.
+    """Open an extractor.
 
-    Raises ValueError for an unknown name or weights of something else, FileNotFoundError, with how to get them, where
-    there are no weights, and ModuleNotFoundError where torch is missing that it needs.
+    Raises ValueError for an unknown name or unsuitable weights, FileNotFoundError with download instructions if weights
+    are missing, and ModuleNotFoundError if it needs torch and torch is missing.
     """
     if choice.name not in EXTRACTORS:
         raise ValueError(f"extractor {choice.name!r}: expected one of {', '.join(EXTRACTORS)}")

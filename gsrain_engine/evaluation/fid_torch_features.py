@@ -1,4 +1,4 @@
-"""The extractor of FID: Inception, in torch."""
+"""The Inception extractor of FID in torch, with its weight files."""
 
 import os
 import zipfile
@@ -20,18 +20,17 @@ from .networks import build_with_weights
 torch: Any = import_module("torch")
 
 _SHORT, _KEY = 8, 16
-"""Digits of a hash that a person reads, and that tell kept features apart."""
+"""Digits of a hash in descriptions and in cache keys."""
 
 
 def open_inception(choice: ExtractorChoice) -> Extractor:
-    """Return "FID": the 2048 features of Inception before its classes, of pictures at 299x299 (`resized`).
+    """Return "FID": the 2048 features of Inception before its classifier, of images at 299x299 (`resized`).
 
     Weights are those of pytorch-fid (.pth, or converted to .safetensors or .npz) in our own network, or NVIDIA's
-    TorchScript, which clean-fid takes; both stem from one TensorFlow file. A TorchScript file brings its own program,
-    which torch.jit.load runs: torch keeps it from files and processes, but it may use up memory or time, and gives
-    whatever it gives. It is only run where `allows_torchscript` says so; plain arrays are the better choice.
-
-    Raises ValueError for another file, and FileNotFoundError, with how to get one.
+    TorchScript, as in clean-fid; both derive from one TensorFlow file. A TorchScript file contains a program that
+    torch.jit.load runs: it has no access to files and processes, but may exhaust memory or time, and its output is not
+    checked. It runs only if `allows_torchscript` is set; plain arrays are safer. Raises ValueError for another file,
+    and FileNotFoundError with download instructions.
     """
     check_device(choice.device)
     file = choice.weights or inception_weights_file()
@@ -58,7 +57,7 @@ def open_inception(choice: ExtractorChoice) -> Extractor:
 
 
 def check_device(device: str) -> None:
-    """Raise ValueError where torch can't compute on a device."""
+    """Raise ValueError if torch can't use a device."""
     if device != "cpu" and not torch.cuda.is_available():
         raise ValueError(f"device {device}: torch sees no CUDA device")
 
@@ -84,7 +83,7 @@ def _torchscript_layers(file: Path) -> "_Scaled":
 
 
 class _Scaled:
-    """The layers of NVIDIA's file behind TensorFlow's scaling, as clean-fid calls them."""
+    """The layers of NVIDIA's file after TensorFlow's scaling, called as in clean-fid."""
 
     def __init__(self, layers: Any) -> None:
         self._layers = layers
@@ -96,7 +95,7 @@ class _Scaled:
         return self._layers((pictures - 128) / 128)
 
 
-# § Weights of Inception: where they are looked for, and whether they are the right ones.
+# Inception weights
 
 INCEPTION_PLACE = "GSRAIN_INCEPTION_WEIGHTS"
 """Environment variable with a file of Inception's weights, or a folder with one."""
@@ -104,7 +103,7 @@ INCEPTION_PLACE = "GSRAIN_INCEPTION_WEIGHTS"
 INCEPTION_CLASSES = 1008
 
 _PUBLISHED = "6726825d"
-"""What the SHA-256 of pytorch-fid's file starts with, as its name says."""
+"""First digits of the SHA-256 of pytorch-fid's file, as in its name."""
 
 _HOW_INCEPTION = (
     f"set {INCEPTION_PLACE} to pt_inception-2015-12-05-6726825d.pth (of pytorch-fid's release fid_weights), or choose "
@@ -113,7 +112,7 @@ _HOW_INCEPTION = (
 
 
 def inception_weights_file() -> Path:
-    """Return the file of Inception's weights on this machine; raises FileNotFoundError, with how to get one."""
+    """Return this machine's Inception weights file; raises FileNotFoundError with download instructions."""
     own = os.environ.get(INCEPTION_PLACE)
     place = Path(own) if own else platformdirs.user_data_path("gsrain", appauthor=False) / "inception"
     if place.is_file():
@@ -126,12 +125,12 @@ def inception_weights_file() -> Path:
 
 
 def is_published_inception(digest: str) -> bool:
-    """Whether a file's SHA-256 is that which pytorch-fid's file has in its name."""
+    """Return whether a SHA-256 matches the one in the name of pytorch-fid's file."""
     return digest.startswith(_PUBLISHED)
 
 
 def is_torchscript(file: Path) -> bool:
-    """Whether a file is TorchScript, told by the names in its archive: nothing in it is run."""
+    """Return whether a file is TorchScript, from the names in its archive, without running it."""
     try:
         stream = open_file(file)
     except OSError:
@@ -144,15 +143,15 @@ def is_torchscript(file: Path) -> bool:
 
 
 def inception_weights(file: Path) -> dict[str, np.ndarray]:
-    """Read Inception's weights by the names of `inception.Inception`; raises as `matched_inception` does."""
+    """Read Inception's weights by the names of `networks.Inception`; raises as `matched_inception` does."""
     return matched_inception(read_arrays(file), str(file))
 
 
 def matched_inception(arrays: Mapping[str, np.ndarray], source: str) -> dict[str, np.ndarray]:
-    """Return exactly the arrays that Inception takes, each of the right shape.
+    """Return exactly the arrays that Inception requires, with checked shapes.
 
-    Raises ValueError, which names the source, for something else; ImageNet weights of torchvision, which have the same
-    names and shapes and give other features, are told by their classes.
+    Raises ValueError with the source for other content; torchvision's ImageNet weights, which have the same names and
+    shapes but different features, are detected by their number of classes.
     """
     from .networks import (
         Inception,

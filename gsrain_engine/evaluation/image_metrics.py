@@ -1,4 +1,4 @@
-"""The affine map of colour between two pictures of the same thing."""
+"""Image metrics: PSNR, SSIM, affine color fits, and confidence intervals of means and shares."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -8,13 +8,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64
 
 _PRIOR_WEIGHT = 1e-3
-"""Tikhonov pull towards no change, in squared colour a pixel: what a picture without contrast can't tell."""
+"""Tikhonov weight toward the identity, in squared color per pixel, for images without contrast."""
 
 
 def fitted_affine(
     rendered: Float[np.ndarray, "h w 3"], truth: Float[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "h w"]
 ) -> Float64[np.ndarray, "3 4"]:
-    """Map of colour that takes rendered pixels nearest to true ones, by least squares; no change without pixels."""
+    """Least-squares affine color map from rendered to true pixels; the identity without pixels."""
     identity = np.eye(3, 4)
     there = rendered[mask].astype(np.float64)
     basis = np.concatenate([there, np.ones((len(there), 1))], axis=1)
@@ -24,11 +24,11 @@ def fitted_affine(
 
 
 def with_affine(picture: Float[np.ndarray, "h w 3"], affine: Float64[np.ndarray, "3 4"]) -> Float[np.ndarray, "h w 3"]:
-    """Map a picture's display colours; the result is cut to 0..1."""
+    """Map an image's display colors; the result is clipped to 0..1."""
     return np.clip(picture @ affine[:, :3].T + affine[:, 3], 0, 1).astype(picture.dtype)
 
 
-# § How close a picture is to another: PSNR and SSIM of float images, with masks.
+# PSNR and SSIM
 
 WINDOW_PX = 11
 
@@ -40,10 +40,10 @@ C1, C2 = 0.01**2, 0.03**2
 HALF_WINDOW_PX = WINDOW_PX // 2
 
 MIN_WEIGHT = 1e-8
-"""Where the mask leaves less of a window than this there is nothing to compare."""
+"""Minimum window weight within the mask for a comparison."""
 
 _BAND_ROWS = 32
-"""SSIM goes down the picture in bands of so many rows, whose intermediate results stay in the processor's cache."""
+"""Rows per band: SSIM runs in bands whose intermediate results fit into the CPU cache."""
 
 Image = Float[np.ndarray, "h w 3"]
 
@@ -66,7 +66,7 @@ def check_pair(first: tuple[int, ...], second: tuple[int, ...], mask: tuple[int,
 
 
 def _size(shape: tuple[int, ...]) -> str:
-    """Width and height as people write them, and how many channels where they are not three."""
+    """Width and height for messages, and the number of channels unless three."""
     if len(shape) < 2:
         return f"a row of {shape[0]}" if shape else "a number"
     channels = "" if shape[2:] in ((), (3,)) else f" with {shape[2]} channels"
@@ -77,7 +77,7 @@ def psnr(rendered: Image, truth: Image, mask: Mask | None = None) -> float:
     """Peak signal-to-noise ratio, 10 log10(1 / mean squared difference) in dB, of values of 0..1.
 
     From 0 (black against white) to infinity (equal); higher is better. Over the pixels of the mask and all channels.
-    Raises ValueError for other shapes and for a mask without a pixel.
+    Raises ValueError for different shapes and for an empty mask.
     """
     check_pair(rendered.shape, truth.shape, None if mask is None else mask.shape)
     squares = (rendered.astype(np.float64) - truth) ** 2
@@ -89,9 +89,9 @@ def psnr(rendered: Image, truth: Image, mask: Mask | None = None) -> float:
 
 
 def ssim(rendered: Image, truth: Image, mask: Mask | None = None) -> float:
-    """Structural similarity of values of 0..1: the mean of `ssim_map` over its pixels, those of the mask.
+    """Structural similarity of values of 0..1: the mean of `ssim_map` over the pixels of the mask.
 
-    Wang et al. 2004, eq. 13; without a unit, from -1 to 1 (equal); higher is better.
+    Wang et al. 2004, eq. 13; unitless, from -1 to 1 (equal); higher is better.
     """
     similarity = ssim_map(rendered, truth, mask)
     if mask is None:
@@ -103,11 +103,11 @@ def ssim(rendered: Image, truth: Image, mask: Mask | None = None) -> float:
 
 
 def ssim_map(rendered: Image, truth: Image, mask: Mask | None = None) -> Float64[np.ndarray, "hv wv 3"]:
-    """Structural similarity around each pixel (Wang et al. 2004, eq. 13), of each channel by itself.
+    """Structural similarity around each pixel (Wang et al. 2004, eq. 13), for each channel.
 
-    Windows that would reach over the edge are left out, as in the paper: the map is 10 px smaller than the picture.
-    Pixels outside the mask have no weight in any window. Raises ValueError for other shapes and for pictures smaller
-    than the window.
+    Windows that cross the edge are excluded, as in the paper: the map is 10 px smaller than the image. Pixels outside
+    the mask have no weight in any window. Raises ValueError for different shapes and for images smaller than the
+    window.
     """
     check_pair(rendered.shape, truth.shape, None if mask is None else mask.shape)
     if min(rendered.shape[:2]) < WINDOW_PX:
@@ -143,7 +143,7 @@ def _valid(values: np.ndarray) -> np.ndarray:
     return values[HALF_WINDOW_PX:-HALF_WINDOW_PX, HALF_WINDOW_PX:-HALF_WINDOW_PX]
 
 
-# § The mean of a measure over pictures, and how far it would vary with other pictures.
+# Confidence interval of a mean
 
 CONFIDENCE = 0.95
 
@@ -151,7 +151,7 @@ _RESAMPLES = 2000
 
 
 class MeanInterval(NamedTuple):
-    """A mean, and the ends between which means of as many such pictures lie with `CONFIDENCE`."""
+    """A mean, and its interval with probability `CONFIDENCE` over sets of the same size."""
 
     mean: float
     low: float
@@ -161,9 +161,9 @@ class MeanInterval(NamedTuple):
 def mean_interval(values: Sequence[float], seed: int = 0) -> MeanInterval:
     """Return the mean and its percentile bootstrap (Efron 1979), in the unit of the values.
 
-    The same values and seed give the same ends. Values that are infinite, as the PSNR of equal pictures, stay so in the
-    mean. Neighbouring frames of one drive are more alike than pictures drawn at random: of these it is too narrow.
-    Raises ValueError without a value.
+    Deterministic for given values and seed. Infinite values, as the PSNR of equal images, make the mean infinite. For
+    neighboring frames of one drive, which are not independent, the interval is too narrow. Raises ValueError without
+    values.
     """
     if not values:
         raise ValueError("a mean takes at least one value")
@@ -175,16 +175,16 @@ def mean_interval(values: Sequence[float], seed: int = 0) -> MeanInterval:
     return MeanInterval(float(array.mean()), float(low), float(high))
 
 
-# § How far a share that was counted, such as collisions of runs, may be from the true one.
+# Confidence interval of a share
 
 _Z95 = 1.959963984540054
-"""Of the normal law: 95 % lie within so many standard deviations."""
+"""Standard deviations that contain 95 % of a normal distribution."""
 
 
 def wilson_interval(hits: int, of: int) -> tuple[float, float]:
-    """Return the ends of the 95 % confidence interval of hits / of (Wilson 1927); 0..1 where nothing was counted.
+    """Return the ends of the 95 % confidence interval of hits / of (Wilson 1927); 0..1 without trials.
 
-    Holds for independent trials; it is right for few of them, and for none or all that hit.
+    For independent trials; also valid for few trials and for shares of 0 or 1.
     """
     if not of:
         return 0.0, 1.0

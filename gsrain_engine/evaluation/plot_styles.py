@@ -1,4 +1,4 @@
-"""Styles of the curves in a figure: any number of them, each unlike the others; and legends that hold them all."""
+"""Plot styles: distinct curve styles for any number of series, and legends of matching size."""
 
 from collections.abc import Sequence
 from math import ceil
@@ -18,27 +18,27 @@ _MARKERS = ("o", "s", "^", "D", "v", "P")
 _COLORS = 10
 
 _LINES_PER_IN = 5.4
-"""Of a legend in 8 points."""
+"""Legend lines per inch at 8 points."""
 
 _LEGEND_IN = 2.1
-"""Width of a column of a legend in 8 points."""
+"""Width in inches of a legend column at 8 points."""
 
 Color = tuple[float, ...]
 
 
 class SeriesStyle(NamedTuple):
-    """Looks of one curve."""
+    """Style of one curve."""
 
     color: Color
     line: str | tuple[int, tuple[float, ...]]
-    """A dash pattern as Matplotlib's `linestyle` takes it; its format strings know no patterns of one's own."""
+    """A dash pattern as in Matplotlib's `linestyle`; format strings do not support custom patterns."""
     marker: str
     band: float
-    """Opacity of the band around it: many bands over each other would hide the curves."""
+    """Opacity of the band around it; lower for many curves, so that bands do not hide them."""
 
 
 def series_styles(count: int) -> list[SeriesStyle]:
-    """Return styles of `count` curves: ten colors, then those in the next dashes and markers; the first 300 differ."""
+    """Return styles of `count` curves: ten colors, repeated with other dashes and markers; the first 300 differ."""
     colors = matplotlib.colormaps["tab10"]
     styles: list[SeriesStyle] = []
     for place in range(count):
@@ -49,18 +49,18 @@ def series_styles(count: int) -> list[SeriesStyle]:
 
 
 def shades(count: int, low: float = 0.3, high: float = 1.0, colormap: str = "Blues") -> list[Color]:
-    """Return `count` colors from light to dark, for curves with an order."""
+    """Return `count` colors from light to dark, for ordered curves."""
     where = np.linspace(low, high, count) if count > 1 else np.array([(low + high) / 2])
     return [tuple(matplotlib.colormaps[colormap](each)) for each in where]
 
 
 def legend_columns(entries: int, height_in: float) -> int:
-    """Return into how many columns a legend in 8 points goes on a height in inches."""
+    """Return the number of columns of a legend in 8 points for a height in inches."""
     return max(1, ceil(entries / max(1, int(height_in * _LINES_PER_IN))))
 
 
 def legend_width_in(entries: int, height_in: float) -> float:
-    """Return about how wide such a legend is, in inches."""
+    """Return the approximate width of such a legend, in inches."""
     return _LEGEND_IN * legend_columns(entries, height_in)
 
 

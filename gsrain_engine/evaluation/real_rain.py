@@ -1,4 +1,4 @@
-"""Our rain beside real rain: the same statistics of real frames and of our rain before their background."""
+"""Comparison of simulated and real rain by streak and residual statistics over the same background."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -29,42 +29,42 @@ _SKY_PERCENTILE = 90
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameStatistics:
-    """What was measured in one run of frames."""
+    """Statistics of one sequence of frames."""
 
     exposure_s: float | None
-    """Shutter time that was rendered with; none for real frames, which don't tell it."""
+    """Simulated shutter time; None for real frames, whose shutter time is unknown."""
     residual: ResidualStatistics
     streak: StreakStatistics
-    """Before the dark band of backgrounds."""
+    """In front of the dark band of backgrounds."""
     by_background: tuple[StreakStatistics, ...]
-    """Before each band of BANDS."""
+    """In front of each band of BANDS."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RealRainComparison:
-    """One real sequence, and our rain before its background."""
+    """One real sequence, and simulated rain in front of its background."""
 
     sequence: str
     labelled_mm_h: float
-    """Of the real rain, as the data set says."""
+    """Labeled rain rate of the real sequence."""
     rendered_mm_h: float
-    """Of ours."""
+    """Rain rate of the simulation."""
     window: Window
     sky_levels: float
-    """Display level of the drops' light: the brightest tenth of what is above the horizon begins there."""
+    """Display level of the drops' light: the 90th percentile above the horizon."""
     real: FrameStatistics
     ours: tuple[FrameStatistics, ...]
     """One for each exposure."""
 
 
 def above_horizon(sequence: RainSequence) -> Window:
-    """Return the part of a level camera's picture where no wet road moves."""
+    """Return the part above the horizon of a level camera's image, without moving reflections of a wet road."""
     camera = sequence.camera
     return 0, 0, camera.width, int(np.clip(camera.cy, 1, camera.height))
 
 
 def evenly_chosen(sequence: RainSequence, count: int, most_apart_s: float = 0.2) -> list[int]:
-    """Choose frames around the middle of a sequence, as far apart as they may be: light and wind change slowly."""
+    """Choose frames around the middle of a sequence, at most `most_apart_s` apart: light and wind change slowly."""
     spacing = (sequence.times_s[-1] - sequence.times_s[0]) / max(len(sequence) - 1, 1)
     step = max(min(len(sequence) // count, int(most_apart_s / spacing + 0.5)), 1) if spacing > 0 else 1
     kept = min(count, len(sequence))
@@ -75,11 +75,11 @@ def evenly_chosen(sequence: RainSequence, count: int, most_apart_s: float = 0.2)
 def compare_with_real_rain(
     sequence: RainSequence, rain: RainSettings, exposures_s: Sequence[float], numbers: Sequence[int], window: Window
 ) -> RealRainComparison:
-    """Measure some frames of a sequence, and our rain at each exposure in front of their temporal median.
+    """Measure frames of a sequence, and simulated rain at each exposure in front of their temporal median.
 
-    Ours has the sequence's camera, moments, background and noise; its haze is left out, for how far the background is
-    nobody measured. Pixels that move in the real frames count in neither. Raises ValueError for a window that leaves
-    the picture, and as `residuals` does.
+    The simulation uses the sequence's camera, times, background and noise, without haze, since the distance of the
+    background is unknown. Pixels that move in the real frames are excluded from both. Raises ValueError for a window
+    outside the image, and as `median_residuals` does.
     """
     x, y, width, height = window
     camera = sequence.camera

@@ -1,4 +1,4 @@
-"""HTML page of a run: its results first, its settings last."""
+"""HTML report of a run: figures, curves, images, tables and settings."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -23,14 +23,14 @@ from .report_charts import (
 from .templates import rendered
 
 MAX_IMAGES = 24
-"""Of more views the best, the worst and those evenly between are shown; the table has them all."""
+"""Maximum number of shown views: the best, the worst and evenly spaced ones between; the table lists all."""
 
-# § What came of a run: figures, curves, pictures, timings.
+# Report contents
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReportCurve:
-    """A number as it changed over a run."""
+    """A value over the course of a run."""
 
     name: str
     """Such as "loss" or "held-out PSNR"."""
@@ -40,23 +40,23 @@ class ReportCurve:
     """Since the start."""
     unit: str = ""
     is_logarithmic: bool = False
-    """Whether the vertical axis is."""
+    """Use a logarithmic vertical axis."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReportFigure:
-    """A drawing or a picture with what it shows."""
+    """A drawing or an image with a caption."""
 
     title: str
     pixels: UInt8[np.ndarray, "h w 3"]
     caption: str = ""
     is_photograph: bool = False
-    """Whether it may be kept as a JPEG; drawings are kept as they are."""
+    """Allow JPEG compression; drawings are stored losslessly."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReportTable:
-    """Numbers in rows; a person can sort them by each column."""
+    """Numbers in rows, sortable by each column."""
 
     title: str
     columns: tuple[str, ...]
@@ -64,11 +64,11 @@ class ReportTable:
     decimals: int = 3
     caption: str = ""
     definitions: tuple[str, ...] = ()
-    """What the columns mean, a sentence each, below the table."""
+    """Definitions of the columns, a sentence each, below the table."""
 
     @property
     def kinds(self) -> list[str]:
-        """Of each column: "word" where it holds any, else "number"."""
+        """Kind of each column: "word" if any cell is text, else "number"."""
         return [
             "word" if any(isinstance(row[i], str) for row in self.rows) else "number" for i in range(len(self.columns))
         ]
@@ -76,33 +76,33 @@ class ReportTable:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunReport:
-    """Everything that the page of a run shows."""
+    """Content of a run's page."""
 
     title: str
     settings: Mapping[str, object]
-    """By name with unit, in the order in which they are shown."""
+    """By name with unit, in display order."""
     curves: tuple[ReportCurve, ...] = ()
     comparisons: tuple[ImageComparison, ...] = ()
-    """Views that the run did not learn from; pictures where `held_out` is False."""
+    """Held-out views, or other images if `held_out` is False."""
     timings: Mapping[str, float] = field(default_factory=dict[str, float])
     """Seconds of each part of the run."""
     headlines: Mapping[str, str] = field(default_factory=dict[str, str])
-    """Figures to show first beside the means over the views, such as {"Gaussians": "212,400"}."""
+    """Figures to show first, next to the means over the views, such as {"Gaussians": "212,400"}."""
     problems: tuple[str, ...] = ()
-    """What was left out of the capture and why."""
+    """Parts of the capture that were skipped, with reasons."""
     machine: Mapping[str, object] = field(default_factory=describe_machine)
-    """What it ran on."""
+    """Description of the machine."""
     notes: tuple[str, ...] = ()
-    """What a reader of the figures should know, a sentence each."""
+    """Remarks for readers of the figures, a sentence each."""
     held_out: bool = True
-    """Whether the comparisons are of such views; else they are called pictures."""
+    """True if the comparisons are held-out views; otherwise they are labeled as images."""
     figures: tuple[ReportFigure, ...] = ()
     """Shown first."""
     tables: tuple[ReportTable, ...] = ()
 
 
 def report_page(report: RunReport) -> str:
-    """Return the whole page, the same bytes for the same run: it has no date. All text in it is escaped."""
+    """Return the whole page, byte-identical for the same run: it has no date. All text is escaped."""
     return rendered(
         "report.html",
         report=report,
@@ -159,7 +159,7 @@ def _error(comparison: ImageComparison) -> float:
 
 
 def _charts(curve: ReportCurve) -> Mapping[str, object]:
-    """A curve over steps and, where its times are known, over time."""
+    """A curve over steps and, if its times are known, over time."""
 
     def over(values: Float64[np.ndarray, " n"], unit: str) -> Markup:
         return svg_chart(values, curve.values, unit, curve.name, curve.is_logarithmic)
@@ -184,16 +184,14 @@ def _mean(values: Iterable[float]) -> float:
     return float(np.mean(known)) if known else float("nan")
 
 
-# § The page of a run as a file that needs nothing beside it.
+# Report file
 
 
 def write_report(file: Path, report: RunReport) -> None:
-    """Write a page of HTML with its style, curves and pictures inside; the file appears whole or not at all.
+    """Write a self-contained HTML page with style, curves and images, atomically.
 
-    Missing parents are made.
+    Missing parent folders are created.
     """
-    # Jinja loads slowly, and most runs write no page
-
     page = report_page(report)
     file.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(file) as beside:

@@ -1,4 +1,4 @@
-"""Curves as SVG, in the colours of the page that they stand in."""
+"""Images and charts of reports: SVG curves, image comparisons, and data URIs."""
 
 import base64
 from collections.abc import Callable, Iterator
@@ -17,7 +17,7 @@ WIDTH, HEIGHT = 520, 260
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 14, 14, 40
 
 _POINTS = 240
-"""More points than this are drawn as the mean and the span of groups of neighbours."""
+"""Larger numbers of points are grouped and drawn as mean and range."""
 
 _STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
 
@@ -25,7 +25,7 @@ _STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
 def svg_chart(
     x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"], x_title: str, y_title: str, is_logarithmic: bool = False
 ) -> Markup:
-    """Draw y over x as an SVG element; points that are not finite are left out, as are those <= 0 on a log axis."""
+    """Draw y over x as an SVG element without non-finite points, and without values <= 0 on a log axis."""
     shown = np.isfinite(x) & np.isfinite(y) & ((y > 0) | (not is_logarithmic))
     x, y = x[shown], y[shown]
     if len(x) == 0:
@@ -36,7 +36,7 @@ def svg_chart(
     else:
         y_ticks = list(axis_ticks(y.min(), y.max(), 5))
     low, high = min(y.min(), *y_ticks), max(y.max(), *y_ticks)
-    margin = 0.0 if high > low else max(abs(low), 1.0) / 2  # a level line runs through the middle
+    margin = 0.0 if high > low else max(abs(low), 1.0) / 2  # centers a constant line
     across = _Axis(float(x.min()), float(x.max()), _LEFT, WIDTH - _RIGHT)
     upward = _Axis(float(low - margin), float(high + margin), HEIGHT - _BOTTOM, _TOP)
     groups = np.array_split(np.arange(len(x)), min(len(x), _POINTS))
@@ -61,7 +61,7 @@ def svg_chart(
 
 
 def axis_ticks(low: float, high: float, wanted: int) -> Iterator[float]:
-    """Yield round numbers within a range, about as many as wanted and at least one."""
+    """Yield round numbers within a range, about `wanted` and at least one."""
     if high <= low:
         yield low
         return
@@ -73,7 +73,7 @@ def axis_ticks(low: float, high: float, wanted: int) -> Iterator[float]:
 
 
 def _decade_ticks(low: float, high: float) -> list[float]:
-    """Return 1, 2 and 5 of each power of ten within a range and its rounding outwards; of many, only the powers."""
+    """Return 1, 2 and 5 times each power of ten within a range; only the powers for a wide range."""
     powers = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
     several = [10.0**power * each for power in powers for each in ((1, 2, 5) if len(powers) <= 4 else (1,))]
     return [each for each in several if low * 0.999 <= each <= high * 1.001] or [low, high]
@@ -100,25 +100,25 @@ def _points(pairs: list[tuple[float, float]]) -> str:
     return " ".join(f"{a},{b}" for a, b in pairs)
 
 
-# § A render beside the truth: small pictures, where they differ, and by how much.
+# Image comparison
 
 WIDEST_PX = 640
 
 Image = Float[np.ndarray, "h w 3"]
 
 Distance = Callable[[Image, Image, Bool[np.ndarray, "h w"] | None], float]
-"""Such as `Lpips.distance`: of a render, the truth, and a mask."""
+"""Distance of a render and the ground truth over a mask, such as `Lpips.distance`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageComparison:
-    """One view. The pictures are at most 640 px wide, the figures are those of the full size."""
+    """Comparison of one view: images at most 640 px wide, metrics at full size."""
 
     name: str
     rendered: UInt8[np.ndarray, "h w 3"]
     truth: UInt8[np.ndarray, "h w 3"]
     error: Float32[np.ndarray, "h w"]
-    """Mean absolute difference of the channels, 0..1; NaN where the mask leaves the pixel out."""
+    """Mean absolute difference of the channels, 0..1; NaN outside the mask."""
     psnr_db: float
     ssim: float
     lpips: float | None = None
@@ -132,7 +132,7 @@ class ImageComparison:
         mask: Bool[np.ndarray, "h w"] | None = None,
         lpips: Distance | None = None,
     ) -> "ImageComparison":
-        """Compare a render with the truth, values of 0..1, over the pixels of the mask."""
+        """Compare a render with the ground truth, values of 0..1, over the pixels of the mask."""
         error = np.abs(rendered.astype(np.float32) - truth.astype(np.float32)).mean(axis=2)
         small = _small(error)
         if mask is not None:
@@ -161,10 +161,10 @@ def _bytes(image: Image) -> UInt8[np.ndarray, "hs ws 3"]:
     return np.rint(np.clip(_small(image.astype(np.float32)), 0, 1) * 255).astype(np.uint8)
 
 
-# § Pictures inside a page: data URIs of photographs and of error maps, and the colours that errors are shown in.
+# Data URIs and the error color scale
 
 LARGEST_ERROR = 0.25
-"""Errors are shown from 0 to here (of 1), on one scale in all reports, so that pages can be compared."""
+"""Upper end of the error color scale (of 1), the same in all reports for comparability."""
 
 _JPEG_QUALITY = 88
 
@@ -174,17 +174,17 @@ _SHADES = 256
 
 
 def jpeg_data_uri(image: UInt8[np.ndarray, "h w 3"]) -> str:
-    """Return a picture as the data URI of a JPEG."""
+    """Return an image as the data URI of a JPEG."""
     return _data_uri(image, ".jpg", "image/jpeg", [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
 
 
 def png_data_uri(image: UInt8[np.ndarray, "h w 3"]) -> str:
-    """Return a drawing as the data URI of a PNG, without loss."""
+    """Return a drawing as the data URI of a PNG, lossless."""
     return _data_uri(image, ".png", "image/png", [])
 
 
 def error_map_uri(error: Float32[np.ndarray, "h w"]) -> str:
-    """Return the colours of an error map as a data URI; grey where it is NaN."""
+    """Return the colors of an error map as a data URI; gray for NaN."""
     shares = np.nan_to_num(np.clip(error / LARGEST_ERROR, 0, 1))
     colors = _shades()[np.rint(shares * (_SHADES - 1)).astype(int)]
     colors[np.isnan(error)] = _LEFT_OUT
@@ -192,12 +192,12 @@ def error_map_uri(error: Float32[np.ndarray, "h w"]) -> str:
 
 
 def color_bar_uri() -> str:
-    """Return the colours from no error to the largest, left to right, as a data URI."""
+    """Return the color scale from no error to the largest, left to right, as a data URI."""
     return _data_uri(_shades()[None], ".png", "image/png", [])
 
 
 def _shades() -> UInt8[np.ndarray, "shades 3"]:
-    from matplotlib import colormaps  # loads slowly, and most who load this module write no page
+    from matplotlib import colormaps  # slow to import, and rarely needed
 
     colors = colormaps["magma"](np.linspace(0, 1, _SHADES))
     return np.rint(255 * np.asarray(colors)[:, :3]).astype(np.uint8)

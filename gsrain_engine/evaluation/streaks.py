@@ -1,8 +1,8 @@
-"""Single rain streaks in the frames of a camera that stands still: where, how long, how wide, how bright.
+"""Rain streaks in frames of a static camera: detection, geometry, brightness, statistics, and simulated frames.
 
-A streak is found as a line: the residual (frame minus temporal median) is averaged along short lines of twelve
-directions, the best direction is compared with its noise, and what stands out is split into connected components. Each
-is then measured in the residual itself by its moments: its angle, and length, width and rise of the box that has them.
+The residual (frame minus temporal median) is averaged along short lines of twelve directions, the best direction is
+compared with its noise, and significant pixels form connected components. Moments of each component in the residual
+give the angle, and the length, width and rise of the box with the same moments.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,7 +22,7 @@ from ..scene.geometry import linear_to_srgb, srgb_to_linear
 from ..scene.scene import Scene
 
 LINE_PX = 15
-"""Length of the lines that streaks are sought with."""
+"""Length of the lines of the streak detector."""
 
 FALL_BY_DIAMETER_S = 0.3e-3
 """D/V of the drops that make visible streaks."""
@@ -32,7 +32,7 @@ _DIRECTIONS = 12
 _ACROSS_SIGMA_PX = 1.0
 
 _EDGE_Z, _PEAK_Z = 4.0, 7.0
-"""A component is where a line stands out by so many standard deviations of its noise, and somewhere by so many."""
+"""Thresholds on the line response in standard deviations of its noise: for a component's pixels, and for its peak."""
 
 _MIN_ELONGATION = 3.0
 
@@ -47,20 +47,20 @@ _MAD_TO_SIGMA = 1.4826
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StreakTable:
-    """Streaks, one a row; those that the picture's edge cuts off are left out. Levels are grey levels of 255."""
+    """Streaks, one per row, without those cut off by the image edge. Levels are gray levels of 255."""
 
     frame: Int64[np.ndarray, " n"]
     center_px: Float64[np.ndarray, "n 2"]
-    """x to the right, y down; the first pixel's centre is (0, 0)."""
+    """x to the right, y down; the center of the first pixel is (0, 0)."""
     angle_deg: Float64[np.ndarray, " n"]
-    """From the vertical, within -90..90; positive where the lower end is farther right."""
+    """From the vertical, within -90..90; positive if the lower end is farther right."""
     length_px: Float64[np.ndarray, " n"]
     width_px: Float64[np.ndarray, " n"]
     rise_levels: Float64[np.ndarray, " n"]
     """Over the background, averaged over length and width."""
     background_levels: Float64[np.ndarray, " n"]
     coverage_px2: Float64[np.ndarray, " n"]
-    """Integral of alpha over the streak, if light adds linearly: a drop's cross-section in the picture."""
+    """Integral of alpha over the streak for linear light: a drop's cross-section in the image."""
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -75,11 +75,11 @@ class StreakTable:
 
     @property
     def exposure_s(self) -> Float64[np.ndarray, " n"]:
-        """Shutter time that a streak tells by itself, at any distance and however blurred.
+        """Shutter time estimated from a single streak, independent of distance and blur.
 
         Its coverage C is pi/4 (f D/d)^2 and its length L is f V T/d, so T = (D/V) sqrt(pi L^2 / (4 C)). D/V, the time
-        that a drop takes to fall by its own diameter, hardly depends on D: 0.25-0.38 ms for 1-3 mm (Atlas et al.,
-        1973). A blur adds as much to the square of the length as to that of the width; it is taken off.
+        in which a drop falls its own diameter, hardly depends on D: 0.25-0.38 ms for 1-3 mm (Atlas et al., 1973). Blur
+        adds equally to the squared length and the squared width and is subtracted.
         """
         squared = np.maximum(self.length_px**2 - self.width_px**2, 0)
         return FALL_BY_DIAMETER_S * np.sqrt(np.pi / 4 * squared / self.coverage_px2)
@@ -94,28 +94,28 @@ class _Box(NamedTuple):
     rise_levels: float
 
 
-# § What moves before a camera that stands still: frames minus their temporal median, and statistics of that.
+# Temporal-median residuals
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MedianResiduals:
-    """Grey levels (0-255) of a camera that stands still."""
+    """Gray levels (0-255) of a static camera."""
 
     median: UInt8[np.ndarray, "h w"]
     """Of each pixel over time."""
     values: Float32[np.ndarray, "t h w"]
-    """Frame minus median, after the frame's own common shift (automatic exposure) is taken out."""
+    """Frame minus median, without the frame's common offset (automatic exposure)."""
     sigma: Float32[np.ndarray, "h w"]
-    """Typical deviation around each pixel, 1.4826 times the median of |value|: noise, as rain is in few frames."""
+    """Typical deviation around each pixel, 1.4826 times the median of |value|: noise, since rain is in few frames."""
     still: Bool[np.ndarray, "h w"]
-    """Where nothing but noise and rain moves."""
+    """Mask of pixels where only noise and rain change."""
 
 
 def find_streaks(found: MedianResiduals, drop_levels: float, *, darker: bool = False) -> StreakTable:
     """Find and measure bright streaks; `drop_levels` is the display level of a drop's own light, about that of the sky.
 
-    `darker` seeks streaks below the background instead: before dark backgrounds rain makes none, so their number says
-    how many of the bright ones are not rain.
+    `darker` detects streaks below the background instead: rain causes none in front of dark backgrounds, so their
+    number estimates the false positives among bright ones.
     """
     sign = -1.0 if darker else 1.0
     rows = [row for number in range(len(found.values)) for row in _in_frame(found, number, sign, drop_levels)]
@@ -128,7 +128,7 @@ def find_streaks(found: MedianResiduals, drop_levels: float, *, darker: bool = F
 def coverage(
     background_levels: Float32[np.ndarray, "*n"], rise_levels: Float32[np.ndarray, "*n"], drop_levels: float
 ) -> Float32[np.ndarray, "*n"]:
-    """Alpha that lifts a background so far where light adds linearly: (dec(B + r) - dec(B)) / (dec(S) - dec(B))."""
+    """Alpha that raises a background by `rise_levels` in linear light: (dec(B + r) - dec(B)) / (dec(S) - dec(B))."""
     before = srgb_to_linear(background_levels / 255)
     light = float(srgb_to_linear(np.array([drop_levels / 255]))[0])
     after = srgb_to_linear((background_levels + rise_levels) / 255)
@@ -165,7 +165,7 @@ def _in_frame(found: MedianResiduals, number: int, sign: float, drop_levels: flo
 
 
 def _core(response: Float32[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """What is connected to the peak above a share of it: lines that merely cross a bright streak stand out as well."""
+    """Connected region around the peak above a share of it: lines that cross a bright streak also respond."""
     _, pieces = cv2.connectedComponents((response > _CORE_SHARE * response.max()).astype(np.uint8), connectivity=8)
     return pieces == pieces.flat[int(response.argmax())]
 
@@ -176,7 +176,7 @@ def _grown(own: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
 
 
 def _line_response(values: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """Largest over the directions of the mean along a short line."""
+    """Largest mean along a short line over all directions."""
     best = np.full(values.shape, -np.inf, np.float32)
     for kernel in _line_kernels():
         np.maximum(best, cv2.filter2D(values, -1, kernel), out=best)
@@ -196,7 +196,7 @@ def _line_kernels() -> tuple[Float32[np.ndarray, "k k"], ...]:
 
 
 def _box(values: Float32[np.ndarray, "h w"], own: Bool[np.ndarray, "h w"]) -> _Box | None:
-    """Centre x and y, angle, length, width and rise of the box with the moments of some pixels; None for noise."""
+    """Box with the moments of some pixels; None for noise."""
     y, x = np.nonzero(own)
     weights = values[own].astype(np.float64)
     total = float(weights.sum())
@@ -214,16 +214,16 @@ def _box(values: Float32[np.ndarray, "h w"], own: Bool[np.ndarray, "h w"]) -> _B
     return _Box(cx, cy, float(angle), float(length), float(width), total / float(length * width))
 
 
-# § Streaks in numbers: how many, and quantiles and histograms of their angle, length, width, rise and exposure.
+# Streak statistics
 
 DARK_BAND = (32.0, 64.0)
-"""Backgrounds before which single streaks are compared: above what a camera's tone curve crushes to black, and dark."""
+"""Background levels for streak comparisons: dark, but above a camera's crushed blacks."""
 
 BANDS = ((0.0, 16.0), (16.0, 32.0), DARK_BAND, (64.0, 96.0), (96.0, 140.0))
-"""Backgrounds before which streaks are looked at by brightness, to see how light adds."""
+"""Background levels by brightness, to test how light adds."""
 
 STEEP_DEG = 45.0
-"""Lines that lean more are branches or ripples, not rain."""
+"""Lines with a larger angle are branches or ripples, not rain."""
 
 LENGTH_EDGES_PX = (0, 10, 20, 30, 40, 60, 80, 120, 160, 240, 1e4)
 
@@ -232,20 +232,20 @@ ANGLE_EDGES_DEG = tuple(range(-45, 46, 5))
 _QUANTILES = (10, 50, 90)
 
 Quantiles = tuple[float, float, float]
-"""The values that 10, 50 and 90 % lie below; NaN where there is no streak."""
+"""The 10, 50 and 90 % quantiles; NaN without streaks."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StreakStatistics:
-    """Over the streaks before backgrounds of one band of grey levels; where nothing else moves."""
+    """Statistics of the streaks in front of one band of background levels, where nothing else moves."""
 
     band_levels: tuple[float, float]
-    """Backgrounds counted in, up to but without the second."""
+    """Range of background levels, the end excluded."""
     streaks: int
     darker: int
-    """Found by the same search turned round, below the background: about as many of the streaks are not rain."""
+    """Number of streaks below the background: an estimate of the false positives among `streaks`."""
     megapixels: float
-    """Searched: pixels of the band times frames."""
+    """Searched megapixels: pixels of the band times frames."""
     per_megapixel: float
     angle_deg: Quantiles
     length_px: Quantiles
@@ -253,7 +253,7 @@ class StreakStatistics:
     rise_levels: Quantiles
     opacity: Quantiles
     exposure_s: Quantiles
-    """That the streaks tell by themselves (see StreakTable)."""
+    """Estimated from the streaks, see `StreakTable.exposure_s`."""
     length_histogram: tuple[int, ...]
     """Counts between LENGTH_EDGES_PX."""
     angle_histogram: tuple[int, ...]
@@ -263,7 +263,7 @@ class StreakStatistics:
 def streak_statistics(
     bright: StreakTable, darker: StreakTable, found: MedianResiduals, band: tuple[float, float] = DARK_BAND
 ) -> StreakStatistics:
-    """Summarize what `find_streaks` found in residuals, once bright and once `darker`."""
+    """Summarize the output of `find_streaks` on residuals, bright and `darker`."""
     low, high = band
     chosen, control = _within(bright, band), len(_within(darker, band))
     pixels = int(np.count_nonzero(found.still & (found.median >= low) & (found.median < high)))
@@ -298,19 +298,19 @@ def _quantiles(values: Float64[np.ndarray, " n"]) -> Quantiles:
 
 
 VISIBLE_LEVELS = 8
-"""A pixel counts as changed where it differs from its median by more grey levels than this."""
+"""A pixel counts as changed if it differs from its median by more gray levels than this."""
 
 RESTLESS_LEVELS = 4.5
-"""Where the typical deviation is larger, something moves in most frames: leaves, water, people. Rain is in few."""
+"""Larger typical deviations mean motion in most frames: leaves, water, people. Rain is in few."""
 
-_MIN_SIGMA = 0.5  # of a level: a grey value is a whole number
+_MIN_SIGMA = 0.5  # of a level: gray values are integers
 
 _RESTLESS_MARGIN_PX = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResidualStatistics:
-    """Over all frames of the still pixels; shares are of those pixels, levels are grey levels of 255."""
+    """Statistics over all frames of the still pixels; shares refer to them, levels are gray levels of 255."""
 
     frames: int
     still_share: float
@@ -321,20 +321,20 @@ class ResidualStatistics:
     """Median over the still pixels of their typical deviation."""
     std_levels: float
     share_above: float
-    """More than VISIBLE_LEVELS over the median."""
+    """More than VISIBLE_LEVELS above the median."""
     share_below: float
-    """As much under the median: before a dark background no rain does this."""
+    """More than VISIBLE_LEVELS below the median: rain in front of a dark background never causes this."""
 
 
 def median_residuals(frames: UInt8[np.ndarray, "t h w"]) -> MedianResiduals:
-    """Take the temporal median from grey frames. Raises ValueError for fewer than 5 frames: their median holds rain."""
+    """Subtract the temporal median from gray frames; raises ValueError for fewer than 5, too few to remove rain."""
     if len(frames) < 5:
         raise ValueError(f"{len(frames)} frames: a temporal median free of rain takes at least 5")
     middle = len(frames) // 2
     median = np.partition(frames, middle, axis=0)[middle]
     values = frames.astype(np.float32) - median
     values -= np.median(values.reshape(len(values), -1), axis=1).astype(np.float32)[:, None, None]
-    # Grey levels are whole numbers: only neighbours together tell a deviation to better than 1.5 levels.
+    # Gray levels are integers: only averaging over neighbors resolves deviations better than 1.5 levels.
     sigma = cv2.blur(_MAD_TO_SIGMA * np.partition(np.abs(values), middle, axis=0)[middle], (7, 7)).astype(np.float32)
     restless = (sigma > RESTLESS_LEVELS).astype(np.uint8)
     around = np.ones((2 * _RESTLESS_MARGIN_PX + 1,) * 2, np.uint8)
@@ -343,7 +343,7 @@ def median_residuals(frames: UInt8[np.ndarray, "t h w"]) -> MedianResiduals:
 
 
 def residual_statistics(found: MedianResiduals) -> ResidualStatistics:
-    """Summarize residuals. Raises ValueError where no pixel is still."""
+    """Summarize residuals; raises ValueError if no pixel is still."""
     if not found.still.any():
         raise ValueError("no pixel stands still in these frames: choose another window")
     values = found.values[:, found.still]
@@ -358,16 +358,16 @@ def residual_statistics(found: MedianResiduals) -> ResidualStatistics:
     )
 
 
-# § Our rain in front of a photograph: what a renderer would give if the scene behind the rain were that picture.
+# Simulated rain in front of a photograph
 
 Window = tuple[int, int, int, int]
-"""Left, top, width, height of a part of a picture, in pixels."""
+"""Left, top, width, height of a part of an image, in pixels."""
 
 _NO_SCENE = Scene("no scene", (), up=(0.0, 0.0, 1.0))
 
 
 def cropped_camera(camera: Camera, window: Window) -> Camera:
-    """Return the camera that sees only a window of this one's picture."""
+    """Return the camera of a window of this one's image."""
     x, y, width, height = window
     return replace(camera, cx=camera.cx - x, cy=camera.cy - y, width=width, height=height)
 
@@ -380,11 +380,11 @@ def render_rain_frames(
     times_s: Sequence[float],
     drop_levels: float,
 ) -> Iterator[UInt8[np.ndarray, "h w"]]:
-    """Render grey frames of a camera that stands still (world: metres, z up) before a background behind all rain.
+    """Render gray frames of a static camera (world: meters, z up) with a background behind all rain.
 
-    `drop_levels` is a drop's display level (0-255). With W the rain's share of a pixel as the renderer composites it,
-    B the background and S the drop's light: enc((1 - W) dec(B) + W S), or mixed as display values where the rain says
-    so; then white noise of the given standard deviation, seeded by the rain's seed, and whole grey levels.
+    `drop_levels` is a drop's display level (0-255). With W the rain's share of a pixel as the renderer composites it, B
+    the background and S the drop's light: enc((1 - W) dec(B) + W S), or a mix of display values, as set in the rain;
+    then white noise of the given standard deviation, seeded by the rain's seed, and rounding to gray levels.
     """
     shot = RenderView(camera)
     display, drop = background.astype(np.float32) / 255, drop_levels / 255

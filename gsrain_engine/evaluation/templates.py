@@ -1,4 +1,4 @@
-"""Templates of pages and charts, filled by Jinja."""
+"""Jinja templates of pages and charts."""
 
 from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
@@ -7,7 +7,7 @@ from ..safe_io.text_files import escape_invisible
 
 
 def rendered(template: str, **values: object) -> Markup:
-    """Fill a template of this folder; all values are escaped, and what can't be seen in them is written out."""
+    """Fill a template of this folder; all values are escaped, and invisible characters are written out."""
     return Markup(_TEMPLATES.get_template(template).render(values))
 
 

@@ -1,4 +1,4 @@
-"""A recolouring as a least-squares problem: unknown harmonics of what any view sees, their prior, and the views."""
+"""The recoloring least-squares problem: unknown harmonics, color prior, views, and robust weights."""
 
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
@@ -16,23 +16,23 @@ from .views import NO_CHANGE, ViewAffine, ViewObservation, view_affines
 _HALF = np.float32(0.5)
 
 _FROZEN = np.float32(1e9)
-"""Pull that keeps a harmonic where it is."""
+"""Prior weight that keeps a harmonic unchanged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProblemView:
-    """A view with its splats among the unknowns."""
+    """A view with the indices of its splats among the unknowns."""
 
     seen: ViewObservation
     indices: Int64[np.ndarray, " m"]
     basis: Float32[np.ndarray, "m k"]
 
     def picture(self, sh: Float32[np.ndarray, "n k 3"]) -> Float32[np.ndarray, "h w 3"]:
-        """Premultiplied picture of harmonics, in the linear model."""
+        """Premultiplied image of the harmonics in the linear model."""
         return self.seen.weights.blend(_HALF + evaluate_colors(sh, self.indices, self.basis))
 
     def rendered(self, sh: Float32[np.ndarray, "n k 3"]) -> Float32[np.ndarray, "h w 3"]:
-        """Picture as renderers show it, no splat's colour below 0, over what is there; what isn't is the target's."""
+        """Image as renderers show it, splat colors clipped at 0; the target fills the remaining transparency."""
         colors = np.maximum(_HALF + evaluate_colors(sh, self.indices, self.basis), np.float32(0))
         over = (1 - self.seen.alpha[..., None]) * self.seen.target.image
         return np.clip(self.seen.weights.blend(colors) + over, 0, 1)
@@ -40,67 +40,67 @@ class ProblemView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Colours, and what was found out about the views on the way."""
+    """Solved colors with the view parameters estimated along with them."""
 
     sh: Float32[np.ndarray, "n k 3"]
     affines: tuple[ViewAffine, ...]
-    """What each picture's own exposure and white balance is."""
+    """Exposure and white balance of each image."""
     trust: Float64[np.ndarray, " v"]
-    """How far each view agrees with the others, 0 to 1."""
+    """Agreement of each view with the others, 0 to 1."""
 
 
-# § What a person can choose about a recolouring.
+# Settings
 
 
 class RecolorSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How colours are solved for."""
+    """Settings of the color solver."""
 
     iterations: Annotated[int, Meta(ge=1, le=200, title="Iterations")] = 12
-    """Steps of conjugate gradients in all."""
+    """Conjugate-gradient steps in total."""
     rounds: Annotated[int, Meta(ge=1, le=10, title="Rounds")] = 2
-    """Times that exposures and trust are worked out anew; the iterations are shared out among them."""
+    """Number of times that exposures and trust are re-estimated; the iterations are divided among them."""
     sh_degree: Annotated[int, Meta(ge=0, le=3, title="Degree of harmonics")] = 3
-    """Highest degree that is solved for; a scene's own degree is never exceeded."""
+    """Highest degree that is solved for; never above the scene's own degree."""
     tikhonov: Annotated[float, Meta(ge=1e-6, le=1e6)] | None = None
-    """Pull towards the mapped clear colours: evidence with which a Gaussian goes half the way; none has it chosen by
-    views that are left out for a moment."""
+    """Prior weight of the mapped clear colors: the evidence at which a Gaussian moves halfway; None selects it by
+    cross-validation."""
     directional: Annotated[float, Meta(ge=0, le=1e3, title="Pull on directions")] = 4.0
-    """How much stronger the pull is on each harmonic above degree 0."""
+    """Factor of the prior weight on each harmonic above degree 0."""
     per_view: Annotated[float, Meta(ge=0, le=10, title="Pull by views")] = 0.1
-    """Further pull on harmonics above degree 0, as a share of one view's evidence: that can't tell directions."""
+    """Extra prior weight above degree 0 as a share of one view's evidence, since one view can't separate directions."""
     exposure: bool = True
-    """Whether each picture has an exposure and white balance of its own."""
+    """Estimate an exposure and white balance for each image."""
     robust: bool = True
-    """Whether pictures and pixels that disagree with the others count less."""
+    """Reduce the weight of images and pixels that disagree with the others."""
     memory_mb: Annotated[float, Meta(ge=0, title="Memory", extra={"unit": "MB"})] = 4096.0
-    """Room for stored weights; views beyond it walk their tiles anew each time. With 0 solving for the street, 24 views
-    640 px wide, took seven times as long, all of it 1.2 times the processor's time, and 0.73 of the memory."""
+    """Limit for stored weights; views beyond it recompute their tiles on each use. With 0, solving the street with 24
+    views of 640 px took 7 times as long in total, 1.2 times the CPU time, and 0.73 of the memory."""
 
     @property
     def iterations_by_round(self) -> list[int]:
-        """Iterations of each round: as even as can be, the last ones longer."""
+        """Iterations of each round, as even as possible, the last ones longer."""
         rounds = min(self.rounds, self.iterations)
         return [self.iterations * (i + 1) // rounds - self.iterations * i // rounds for i in range(rounds)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColorProblem:
-    """Unknowns are the Gaussians that any view sees, in the order of all members' Gaussians."""
+    """Unknowns are the Gaussians visible in any view, in the order of all members' Gaussians."""
 
     rows: Int64[np.ndarray, " n"]
     """Row of each unknown among the Gaussians of all members."""
     views: tuple[ProblemView, ...]
     held_out: tuple[ProblemView, ...]
-    """Views that have no say."""
+    """Views that are not fitted."""
     prior: Float32[np.ndarray, "n k 3"]
     one_view: Float32[np.ndarray, " n"]
     """Mean evidence (sum of squared weights) of each Gaussian in one view."""
 
     def prior_weights(self, settings: RecolorSettings) -> Float32[np.ndarray, "n k 1"]:
-        """Pull towards the prior by evidence.
+        """Weight of the prior, in units of evidence.
 
-        Above degree 0 the evidence of one view adds its share: however many pixels a single view has of a Gaussian, it
-        shows it from one side.
+        Above degree 0 a share of one view's evidence is added: a single view shows a Gaussian from one direction,
+        regardless of its number of pixels.
         """
         tikhonov = TIKHONOV if settings.tikhonov is None else settings.tikhonov
         pull = np.full((*self.prior.shape[:2], 1), tikhonov, np.float32)
@@ -109,10 +109,10 @@ class ColorProblem:
         return pull
 
     def solve(self, settings: RecolorSettings) -> Generator[SolverStep, None, Solution]:
-        """Solve for colours; exposures are found first, trust is worked out anew before each round.
+        """Solve for colors; exposures are estimated first, trust before each round.
 
         Yields:
-            The solver's steps; their `change` is from the prior.
+            The solver's steps; their `change` is relative to the prior.
         """
         sh = self.prior
         affines, pull = (NO_CHANGE,) * len(self.views), self.prior_weights(settings)
@@ -132,7 +132,7 @@ class ColorProblem:
         return solution
 
     def first_targets(self, settings: RecolorSettings) -> list[ColorTarget]:
-        """What the views say while their exposures are taken for equal, and nothing has been solved for."""
+        """Targets of the views before the first solve, with identity exposures."""
         beginning = Solution(self.prior, (NO_CHANGE,) * len(self.views), np.ones(len(self.views)))
         pictures = [view.picture(self.prior) for view in self.views]
         return self._weighed(beginning, pictures, settings, is_first=True)[1]
@@ -141,7 +141,7 @@ class ColorProblem:
         self, solution: Solution, pictures: Sequence[Float32[np.ndarray, "_ _ 3"]], settings: RecolorSettings,
         *, is_first: bool,
     ) -> tuple[Solution, list[ColorTarget]]:  # fmt: skip
-        """Work out trust from the pictures of the colours so far, and with it what is wanted."""
+        """Compute trust from the images of the current colors, and the targets weighted by it."""
         affines, trust = solution.affines, solution.trust
         counted = [view.seen.counted for view in self.views]
         residuals = [
@@ -152,7 +152,7 @@ class ColorProblem:
         if settings.robust:
             spreads = [error_scale(residual, own) for residual, own in zip(residuals, counted, strict=True)]
             trust = irls_view_weights(spreads)
-            # Before colours have been solved for, a pixel far off is only one that has changed.
+            # Before the first solve, a large error only marks a changed pixel.
             typical = 1e6 if is_first else float(np.median(spreads))
             by_pixel = [
                 np.float32(of_view) * own * irls_pixel_weights(residual, typical)
@@ -177,17 +177,17 @@ def _affines(views: Sequence[ProblemView], count: int) -> tuple[ViewAffine, ...]
     return tuple(view_affines(seen, evidence, [view.indices for view in views], count))
 
 
-# § What happens to colours on average, by kind of surface: the guess for Gaussians that no view shows well.
+# Color prior
 
 SURFACES = ("sky", "ground", "other")
-"""Kinds of surface, each with a change of its own."""
+"""Kinds of surface, each with its own map."""
 
 _FEWEST_PIXELS = 200.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColorPrior:
-    """An affine map of display colour a kind of surface: new = matrix @ old + offset."""
+    """Affine map of display color for each kind of surface: new = matrix @ old + offset."""
 
     matrices: Float64[np.ndarray, "3 3 3"]
     offsets: Float64[np.ndarray, "3 3"]
@@ -195,12 +195,12 @@ class ColorPrior:
     def of_sh(
         self, sh: Float32[np.ndarray, "n k 3"], shares: Float32[np.ndarray, "n 3"]
     ) -> Float32[np.ndarray, "n k 3"]:
-        """Change harmonics; `shares` (sky, ground, other; sum 1) says what each Gaussian is."""
+        """Map harmonics; `shares` (sky, ground, other; sum 1) classifies each Gaussian."""
         changed = np.zeros_like(sh)
         for surface in range(len(SURFACES)):
             matrix, offset = self.matrices[surface].astype(np.float32), self.offsets[surface]
             moved = sh @ matrix.T
-            # Colour is 0.5 + C0 sh[0] + ...: the 0.5 goes through the map as well.
+            # Color is 0.5 + C0 sh[0] + ...: the 0.5 is mapped as well.
             moved[:, 0] += ((matrix.sum(axis=1) * 0.5 + offset - 0.5) / SH_C0).astype(np.float32)
             changed += shares[:, surface, None, None] * moved
         return changed
@@ -208,7 +208,7 @@ class ColorPrior:
     def of_colors(
         self, colors: Float32[np.ndarray, "p 3"], shares: Float32[np.ndarray, "p 3"]
     ) -> Float32[np.ndarray, "p 3"]:
-        """Change display colours; `shares` (sky, ground, other) need not add up to 1."""
+        """Map display colors; `shares` (sky, ground, other) need not add up to 1."""
         changed = np.zeros_like(colors)
         total = np.maximum(shares.sum(axis=1), np.float32(1e-6))
         for surface in range(len(SURFACES)):
@@ -222,9 +222,9 @@ def fit_color_prior(
     changed: Sequence[Float32[np.ndarray, "_ 3"]],
     shares: Sequence[Float32[np.ndarray, "_ 3"]],
 ) -> ColorPrior:
-    """Fit the maps to pixels (display colours, one entry a view) by least squares, weighted by the pixels' `shares`.
+    """Fit the maps to pixels (display colors, one entry per view) by least squares, weighted by the pixels' `shares`.
 
-    A kind of surface with too few pixels gets the map of all pixels together.
+    A kind of surface with too few pixels gets the map of all pixels.
     """
     x = np.concatenate([np.concatenate(list(clear)), np.ones((sum(map(len, clear)), 1), np.float32)], axis=1)
     y = np.concatenate(list(changed))
@@ -240,7 +240,7 @@ def fit_color_prior(
 def _fit(
     x: Float32[np.ndarray, "p 4"], y: Float32[np.ndarray, "p 3"], weights: Float[np.ndarray, " p"]
 ) -> Float64[np.ndarray, "4 3"]:
-    """Weighted ridge regression towards darker grey, so that one-coloured surfaces give a tame map."""
+    """Weighted ridge regression toward 0.7 times the identity, for stable maps of uniformly colored surfaces."""
     weighted = x.astype(np.float64) * weights[:, None]
     total = max(float(weights.sum()), 1e-9)
     tame = np.vstack([0.7 * np.eye(3), np.zeros(3)])
@@ -248,13 +248,13 @@ def _fit(
     return np.linalg.solve(weighted.T @ x + ridge, weighted.T @ y + ridge @ tame)
 
 
-# § How strongly to pull towards the mapped clear colours: what explains views best that were left out for a moment.
+# Choice of the prior weight
 
 STRENGTHS = (300.0, 30.0, 3.0, 0.3)
-"""Pulls that are tried, in evidence of a Gaussian (squared weights, summed over pixels and views)."""
+"""Prior weights to try, in evidence of a Gaussian (squared weights, summed over pixels and views)."""
 
 _SPARED = 4
-"""Every so-many-th view is left out."""
+"""Every Nth view is left out for validation."""
 
 _MAX_VIEWS = 16
 
@@ -262,11 +262,11 @@ _ITERATIONS = 4
 
 
 def choose_prior_weight(problem: ColorProblem, settings: RecolorSettings) -> Generator[SolverStep, None, float]:
-    """Try pulls, the strongest first, as long as views that were left out become clearer.
+    """Try prior weights, the strongest first, while the error of validation views decreases.
 
-    A scene whose geometry is right gains with hardly any pull. One that is not would paint its errors into colours
-    that fit the given views alone: there the mapped clear colours know more. With fewer than `_SPARED` views it can't
-    be told, and a middling pull is taken. Yields the solver's steps.
+    A scene with accurate geometry needs little prior. Inaccurate geometry would bake its errors into colors that fit
+    only the given views. With fewer than `_SPARED` views no validation is possible and a medium weight is returned.
+    Yields the solver's steps.
     """
     views = problem.views[:: -(-len(problem.views) // _MAX_VIEWS)]
     spared = views[_SPARED // 2 :: _SPARED]
@@ -290,33 +290,33 @@ def choose_prior_weight(problem: ColorProblem, settings: RecolorSettings) -> Gen
 
 
 def _error(view: ProblemView, sh: np.ndarray) -> float:
-    """Mean squared error of a view; 0 where no pixel counts."""
+    """Mean squared error of a view; 0 without valid pixels."""
     counted = view.seen.counted
     difference = (view.rendered(sh) - view.seen.target.image)[counted]
     return float(np.mean(difference**2)) if counted.any() else 0.0
 
 
-# § How far pictures can be trusted that disagree with the others: weights of iteratively reweighted least squares.
+# Robust weights (IRLS)
 
 VIEW_LIMIT = 2.0
-"""A view whose typical error is up to so many times the median view's counts in full."""
+"""A view counts fully up to this multiple of the median view's typical error."""
 
 PIXEL_LIMIT = 6.0
-"""Errors beyond so many standard deviations count no longer by their square."""
+"""Number of standard deviations beyond which the error of a pixel is no longer squared."""
 
 MIN_SPREAD = 1 / 255
-"""What eight bits can't tell is no disagreement."""
+"""Smallest standard deviation: 8-bit quantization is no disagreement."""
 
 _QUANTILE, _NORMAL = 0.9, 1.645
-"""Errors are told by the largest tenth: half the pixels of a road or a wall are explained at once, and say nothing
-about how far the others may be off. Of a normal distribution that is so many standard deviations."""
+"""Quantile of the absolute error that estimates the spread, and its value in standard deviations of a normal
+distribution. A high quantile is used because half the pixels of a road or wall are fitted immediately."""
 
 _SPACING_PX = 3
-"""Every third pixel each way says enough about a quantile."""
+"""Subsampling step; every third pixel in each direction suffices for a quantile."""
 
 
 def error_scale(residual: Float32[np.ndarray, "h w 3"], counted: Bool[np.ndarray, "h w"]) -> float:
-    """Typical error of a picture: the standard deviation that its quantiles tell; 0 where no pixel is counted."""
+    """Typical error of an image: standard deviation estimated from a quantile; 0 without valid pixels."""
     some = residual[::_SPACING_PX, ::_SPACING_PX][counted[::_SPACING_PX, ::_SPACING_PX]]
     return float(np.quantile(np.abs(some), _QUANTILE)) / _NORMAL if some.size else 0.0
 
@@ -324,8 +324,7 @@ def error_scale(residual: Float32[np.ndarray, "h w 3"], counted: Bool[np.ndarray
 def irls_view_weights(spreads: Sequence[float]) -> Float64[np.ndarray, " v"]:
     """Trust in each view by its spread: 1 up to the limit, then falling with the fourth power.
 
-    The error such a view adds to the sum of squares falls the further off it is (a redescending influence, as that of
-    Geman and McClure 1985): a picture that shows something else altogether has no say.
+    The influence redescends (as in Geman and McClure 1985), so an image of something else has almost no effect.
     """
     scaled = np.maximum(np.asarray(spreads, np.float64), MIN_SPREAD)
     limit = VIEW_LIMIT * np.median(scaled)
@@ -333,9 +332,9 @@ def irls_view_weights(spreads: Sequence[float]) -> Float64[np.ndarray, " v"]:
 
 
 def irls_pixel_weights(residual: Float32[np.ndarray, "h w 3"], typical: float) -> Float32[np.ndarray, "h w"]:
-    """Trust in each pixel by its error, all channels together (Huber 1964): 1 up to the limit, then falling.
+    """Trust in each pixel by its error over all channels (Huber 1964): 1 up to the limit, then falling.
 
-    `typical` is the standard deviation of a channel in a view that agrees.
+    `typical` is the standard deviation of a channel in a consistent view.
     """
     limit = np.float32(PIXEL_LIMIT * np.sqrt(3) * max(typical, MIN_SPREAD))
     length = np.sqrt(np.einsum("hwc,hwc->hw", residual, residual))

@@ -1,4 +1,4 @@
-"""A scene becomes rainy: its views are transferred, and its colours are solved for so that it looks like them."""
+"""Wet colors for a scene from transferred views."""
 
 from collections.abc import Generator, Sequence
 
@@ -11,34 +11,34 @@ from .result import with_colors
 from .views import TargetView, thumbnail
 
 QUICK = RecolorSettings(iterations=10, rounds=1, sh_degree=1, tikhonov=0.3, exposure=False, robust=False)
-"""For transfers whose views agree with each other; degree 1 is all that a wet road needs."""
+"""For transfers with consistent views; degree 1 suffices for a wet road."""
 
 _VIEWS_DONE = 0.7
-"""Share of the whole time, measured on the built-in street with the wet look."""
+"""Share of the total time, measured on the built-in street with the wet look."""
 
 
 def rainy_scene(
     scene: Scene, views: Sequence[ClearView], transfer: Transfer, settings: RecolorSettings = QUICK
 ) -> Generator[Progress, None, Scene]:
-    """Give a scene wet colours; its geometry and its clear colours stay as they are.
+    """Give a scene wet colors; its geometry and clear colors are unchanged.
 
-    It can be stopped at every step, and has written nothing then. The previews are small pictures of the view that was
-    made rainy last, and then of how the first of them looks with the colours so far.
+    It may be stopped at every step without having written anything. Previews are thumbnails of the latest transferred
+    view, then of the first view with the current colors.
 
     Args:
-        scene: What is to become rainy.
-        views: Views of it, which may be worked out when they are asked for.
-        transfer: What makes a view rainy; soaked, since wetness then blends between clear and wet colours.
-        settings: How colours are solved for.
+        scene: Scene to recolor.
+        views: Its views; may be lazy.
+        transfer: Transfer that makes a view rainy; fully wet, since wetness then blends between clear and wet colors.
+        settings: Settings of the color solver.
 
     Yields:
-        How far it has come.
+        Progress.
 
     Returns:
-        The scene with wet colours.
+        The scene with wet colors.
 
     Raises:
-        ValueError: When there is no view, or none shows anything of the scene.
+        ValueError: Without views, or if none shows anything of the scene.
     """
     if not len(views):
         raise ValueError("a scene needs at least one view to become rainy")

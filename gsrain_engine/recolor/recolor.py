@@ -1,4 +1,4 @@
-"""Recolours a scene to pictures: from views to new harmonics of each layer and actor, step by step."""
+"""Recoloring of a scene to images: solving, optional refinement, scores and report."""
 
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
@@ -33,38 +33,38 @@ from .result import RecolorMember, scene_members
 from .views import TargetView, ViewObservation, ground_height_m, observe_view, surface_shares, target_views, thumbnail
 
 _SETUP_DONE, _CHOSEN_DONE, _SOLVED_DONE = 0.4, 0.55, 0.96
-"""Shares of the whole time, measured on the built-in street with 30 views."""
+"""Shares of the total time, measured on the built-in street with 30 views."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecolorViewReport:
-    """What came of one view."""
+    """Scores of one view."""
 
     name: str
     is_held_out: bool
     trust: float
-    """How far it agrees with the others, 0 to 1; 1 where it had no say."""
+    """Agreement with the others, 0 to 1; 1 for held-out views."""
     psnr_clear_db: float
-    """Of the scene as it was, against the picture."""
+    """Of the original scene, against the image."""
     psnr_mapped_db: float
-    """Of the clear colours after the best global map."""
+    """Of the clear colors after the best global map."""
     psnr_db: float
 
 
-# § Sets a recolouring up: looks at the scene from every view, maps its clear colours, and lists the unknowns.
+# Problem inputs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProblemInputs:
-    """A problem, and what else its solution needs to become a scene's colours."""
+    """A problem, with the data that turns its solution into a scene's colors."""
 
     problem: ColorProblem
     members: tuple[RecolorMember, ...]
     prior: dict[str, Float32[np.ndarray, "_ _ 3"]]
-    """Mapped clear harmonics by the keys of members."""
+    """Mapped clear harmonics by member key."""
 
     def colors(self, sh: Float32[np.ndarray, "n k 3"]) -> dict[str, Float32[np.ndarray, "_ _ 3"]]:
-        """Harmonics of every member: solved ones where a view sees the Gaussian, else the mapped clear ones."""
+        """Harmonics of every member: solved where a view shows the Gaussian, else the mapped clear ones."""
         result: dict[str, Float32[np.ndarray, "_ _ 3"]] = {}
         for member in self.members:
             first, last = np.searchsorted(self.problem.rows, [member.rows.start, member.rows.stop])
@@ -76,7 +76,7 @@ class ProblemInputs:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecolorResult:
-    """New colours of a scene, and how close they come."""
+    """New colors of a scene and their scores."""
 
     views: tuple[RecolorViewReport, ...]
     setup: ProblemInputs
@@ -84,13 +84,13 @@ class RecolorResult:
     seconds: dict[str, float]
     """By stage."""
     lengths: tuple[float, ...]
-    """Of the preconditioned residual after each step, compared with the start of its round."""
+    """Norm of the preconditioned residual after each step, relative to the start of its round."""
     pull: float
-    """Towards the mapped clear colours, given or chosen."""
+    """Weight of the mapped clear colors, given or selected."""
 
     @property
     def colors(self) -> dict[str, Float32[np.ndarray, "_ _ 3"]]:
-        """New harmonics by the keys of members."""
+        """New harmonics by member key."""
         return self.setup.colors(self.solution.sh)
 
     @property
@@ -99,25 +99,25 @@ class RecolorResult:
         return sum(view.seen.weights.nbytes for view in (*problem.views, *problem.held_out)) / 1e6
 
     def with_solution(self, solution: Solution) -> "RecolorResult":
-        """Return the same with other colours, measured anew."""
+        """Return a copy with other colors and new scores."""
         return replace(self, solution=solution, views=_reports(self.setup, solution))
 
     @property
     def measured(self) -> list[RecolorViewReport]:
-        """The held-out views; all of them where none was held out."""
+        """The held-out views; all views if none was held out."""
         return [view for view in self.views if view.is_held_out] or list(self.views)
 
 
 def recolor_scene(
     scene: Scene, targets: Sequence[TargetView], held_out: Sequence[TargetView], settings: RecolorSettings
 ) -> Generator[Progress, None, RecolorResult]:
-    """Solve the colours of a scene for pictures; its geometry and its clear colours stay as they are.
+    """Solve the colors of a scene for images; its geometry and clear colors are unchanged.
 
-    It can be stopped at every step: nothing is written anywhere. Stored weights are held within `settings.memory_mb`;
-    the pictures and five times the harmonics of what the views see come on top.
+    It may be stopped at every step; nothing is written. Stored weights stay within `settings.memory_mb`; the images and
+    five times the harmonics of the visible Gaussians need additional memory.
 
     Raises:
-        ValueError: When there is no picture, or none shows anything of the scene.
+        ValueError: Without images, or if none shows anything of the scene.
     """
     started = perf_counter()
     setup = yield from subprogress(prepare_problem(scene, targets, held_out, settings), 0.0, _SETUP_DONE)
@@ -142,7 +142,7 @@ def recolor_scene(
 def _chosen(setup: ProblemInputs, settings: RecolorSettings) -> Generator[Progress, None, float]:
     trials, done = choose_prior_weight(setup.problem, settings), 0
     while True:
-        share = 1 - 0.9**done  # how many there will be shows only on the way
+        share = 1 - 0.9**done  # the number of trials is not known in advance
         yield Progress(_SETUP_DONE + (_CHOSEN_DONE - _SETUP_DONE) * share, "Choosing how far to trust the pictures")
         try:
             next(trials)
@@ -189,50 +189,50 @@ def _report(
     return RecolorViewReport(seen.target.name, is_held_out, trust, *figures)
 
 
-# § A whole recolouring: a scene and a capture in, the scene with wet colours out, with the figures and the report.
+# Recoloring a scene to a capture
 
 _READ_DONE = 0.05
 
 _COMPARED = 6
-"""Views that the report shows, at most."""
+"""Maximum number of views in the report."""
 
 _Result = TypeVar("_Result")
 
 
 class RecolorOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What to do beside solving."""
+    """Options of a recoloring besides those of the solver."""
 
     width_px: Annotated[int, Meta(ge=16, le=16384, title="Width of pictures", extra={"unit": "px"})] = 960
-    """Wider pictures are made smaller; others stay as they are."""
+    """Wider images are downscaled; others are unchanged."""
     held_out: Annotated[int, Meta(ge=0, title="Held out")] = 8
-    """Every so-many-th view has no say and measures the result; 0 for none."""
+    """Hold out every Nth view to measure the result; 0 for none."""
     polish: Annotated[int, Meta(ge=0, le=100_000, title="Polish steps")] = 0
-    """Steps of absolute differences and D-SSIM after least squares, on colours alone."""
+    """Steps of L1 and D-SSIM after least squares, on colors alone."""
     refine: Annotated[int, Meta(ge=0, le=100_000, title="Refine steps")] = 0
-    """Steps in which all parameters move."""
+    """Steps that train all parameters."""
     replace_clear: bool = False
-    """Whether the new colours take the place of the clear ones, instead of standing beside them as wet ones."""
+    """Replace the clear colors instead of adding wet colors."""
     colors: RecolorSettings = msgspec.field(default_factory=RecolorSettings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecolorRun:
-    """What came of it."""
+    """Result of a recoloring with its report."""
 
     scene: Scene
     recolored: RecolorResult
     report: RunReport
     numbers: dict[str, Any]
-    """What `--json` holds."""
+    """Content of the `--json` output."""
 
 
 def recolor_to_capture(
     scene: Scene, capture: Capture, options: RecolorOptions
 ) -> Generator[Progress, None, RecolorRun]:
-    """Recolour a scene to the pictures of a capture, whose cameras are in the scene's own units and axes.
+    """Recolor a scene to the images of a capture, whose cameras are in the scene's own units and axes.
 
-    It can be stopped at every step, and has written nothing then. Raises `CaptureError` for a picture that can't be
-    read, and ValueError where the cameras are not known or see nothing of the scene.
+    It may be stopped at every step without having written anything. Raises `CaptureError` for an unreadable image, and
+    ValueError if the cameras are unknown or show nothing of the scene.
     """
     if not capture.has_poses:
         raise ValueError(f"{capture.name}: has pictures, but not where their cameras stood; name them with --capture")
@@ -316,7 +316,7 @@ def _numbers(scene: Scene, recolored: RecolorResult) -> dict[str, Any]:
 
 
 def _mean(figures: list[float]) -> float | None:
-    """Mean of what is finite, rounded; None where nothing is."""
+    """Mean of the finite values, rounded; None without any."""
     finite = [figure for figure in figures if np.isfinite(figure)]
     return round(float(np.mean(finite)), 3) if finite else None
 
@@ -354,19 +354,19 @@ def _comparison(view: ProblemView, solution: Solution) -> ImageComparison:
 
 
 _VIEWS_DONE = 0.6
-"""Share of the set-up that looking takes, measured on the built-in street."""
+"""Share of the set-up spent on rendering views, measured on the built-in street."""
 
 _SPACING_PX = 3
-"""Every third pixel each way is enough for a map of twelve numbers a surface."""
+"""Subsampling step; every third pixel in each direction suffices for maps of twelve numbers."""
 
 
 def prepare_problem(
     scene: Scene, targets: Sequence[TargetView], held_out: Sequence[TargetView], settings: RecolorSettings
 ) -> Generator[Progress, None, ProblemInputs]:
-    """Set up the recolouring of a scene to pictures; the progress is that of the set-up alone.
+    """Set up the recoloring of a scene to images; progress covers the set-up alone.
 
     Raises:
-        ValueError: When there is no picture, or none shows anything of the scene.
+        ValueError: Without images, or if none shows anything of the scene.
     """
     if not targets:
         raise ValueError("recolouring needs at least one picture to recolour to")
@@ -391,10 +391,10 @@ def prepare_observations(
     taught: int,
     settings: RecolorSettings,
 ) -> ProblemInputs:
-    """Set up for views that have been looked at; those after the first so many have no say.
+    """Set up a problem from observed views; those after the first `taught` are held out.
 
     Raises:
-        ValueError: When none of those that have a say shows anything of the scene.
+        ValueError: If none of the fitted views shows anything of the scene.
     """
     if not any(len(view.splats) and view.counted.any() for view in views[:taught]):
         raise ValueError(f"none of the {taught} cameras sees anything of the scene {scene.name!r}")
@@ -407,7 +407,7 @@ def prepare_observations(
 
 
 def _color_change(views: Sequence[ViewObservation], *, robust: bool) -> ColorPrior:
-    """Fit the maps of colour to all views; once more with less say for those that the first ones fail."""
+    """Fit the color maps to all views, then refit with less weight on views with large errors."""
     some = [slice(None, None, _SPACING_PX)] * 2
     clear = [view.clear[*some].reshape(-1, 3) for view in views]
     wanted = [view.target.image[*some].reshape(-1, 3) for view in views]

@@ -1,4 +1,4 @@
-"""After colours: all parameters of a recoloured scene move a little towards the pictures (torch)."""
+"""Refinement of a recolored scene with torch: training of all parameters, and photometric steps on colors alone."""
 
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ RATES = {
     "means": 1.6e-5, "log_scales": 1e-3, "quaternions": 2e-4, "opacity_logits": 5e-3, "sh_dc": 2.5e-3,
     "sh_rest": 2.5e-3 / 20,
 }  # fmt: skip
-"""A tenth to a fifth of 3DGS's for the geometry, which is right already; that of means times the scene's size."""
+"""A tenth to a fifth of the 3DGS rates for the geometry, which is already accurate; means scale with the scene size."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +41,7 @@ class _TrainedMember:
 
     def activated(self, view: ProblemView) -> tuple[Tensor, ...]:
         """Means, scales, quaternions, opacities and colours in the world, without what is left out."""
-        own, kept = self.parameters, self._drawn()
+        own, kept = self.parameters, self._kept()
         scale = float(np.cbrt(np.linalg.det(self.part.to_world[:3, :3])))
         turn = quaternions_from_matrices(self.part.to_world[:3, :3] / scale)
         matrix = torch.as_tensor(self.part.to_world, dtype=torch.float32)
@@ -60,7 +60,7 @@ class _TrainedMember:
         return torch.from_numpy((~self.part.left_out).indices.astype(np.int64))
 
     def _colors(self, view: ProblemView) -> Tensor:
-        """Display colours; directions count as fixed, a step turns them by next to nothing."""
+        """Display colors; view directions count as fixed, since a step barely changes them."""
         means = self.parameters.tensors["means"].detach().numpy()
         g = self.part.gaussians
         now = self.part._replace(gaussians=Gaussians(means, g.scales, g.quaternions, g.opacities, g.sh))
@@ -73,9 +73,9 @@ def refine(
     members: dict[str, Gaussians], views: Sequence[ProblemView], solution: Solution, steps: int, size_m: float,
     seed: int = 0,
 ) -> Generator[Progress, None, dict[str, Gaussians]]:  # fmt: skip
-    """Train all parameters of members (recoloured Gaussians by key) on the views, one a step.
+    """Train all parameters of members (recolored Gaussians by key) on the views, one per step.
 
-    No Gaussian is added or taken away, so that clear colours keep their owners. `size_m` is how large the scene is.
+    The number of Gaussians is unchanged, so that clear colors remain assigned. `size_m` is the size of the scene.
     """
     trained = {key: SplatParameters.from_gaussians(each, each.sh_degree) for key, each in members.items()}
     chosen = np.flatnonzero(solution.trust > 0.1)
@@ -112,24 +112,24 @@ def _product(turn: np.ndarray) -> Tensor:
     return torch.tensor([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
 
 
-# § After least squares: a few steps for what the eye sees, absolute differences and structure (torch).
+# Photometric refinement of colors
 
 D_SSIM_SHARE = 0.2
 """Of the loss, as in 3DGS (Kerbl et al. 2023, eq. 7)."""
 
 RATE, DIRECTIONAL_RATE = 2.5e-3, 2.5e-3 / 20
-"""Of degree 0, and of what is above (3DGS)."""
+"""For degree 0, and for higher degrees (3DGS)."""
 
 
 def photometric_refine(
     problem: ColorProblem, solution: Solution, steps: int, sh_degree: int = 3, seed: int = 0
 ) -> Generator[SolverStep, None, Float32[np.ndarray, "n k 3"]]:
-    """Go on from a solution by Adam, a view a step, with the stored weights: nothing is rasterized anew.
+    """Continue from a solution by Adam, one view per step, with the stored weights and without rasterization.
 
-    Unlike least squares it knows that renderers cut colours below 0. Trust in views and their exposures stay.
+    Unlike least squares it models the renderers' clipping of colors at 0. Trust and exposures of views are unchanged.
 
     Yields:
-        The loss, and the change from the prior so far.
+        The loss, and the current change from the prior.
 
     Returns:
         The harmonics.
@@ -160,7 +160,7 @@ def _descend(
     view: ProblemView, solution: Solution, index: int, sh: Float32[np.ndarray, "n k 3"],
     gradient: Float32[np.ndarray, "n k 3"],
 ) -> float:  # fmt: skip
-    """Add one view's gradient by the harmonics; return its loss."""
+    """Add one view's gradient with respect to the harmonics; return its loss."""
     seen = view.seen
     colors = np.float32(0.5) + evaluate_colors(sh, view.indices, view.basis)
     image = torch.from_numpy(seen.weights.blend(np.maximum(colors, np.float32(0)))).requires_grad_()

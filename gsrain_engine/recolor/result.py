@@ -1,4 +1,4 @@
-"""The file a recolouring writes: new spherical harmonics a layer and actor, and nothing else (.npz, no pickle)."""
+"""Results of a recoloring: their file (.npz without pickles), wet colors on a scene, and its list of members."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ _VERSION = 1
 
 
 def write_recolored(path: Path, colors: Mapping[str, Float32[np.ndarray, "_ _ 3"]]) -> None:
-    """Write harmonics by name (`layers/NAME`, `actors/ID`), whole or not at all."""
+    """Write harmonics by name (`layers/NAME`, `actors/ID`) atomically."""
     path.parent.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, Any] = {"version": np.array(_VERSION), "names": np.array(list(colors), dtype=np.str_)}
     arrays |= {f"sh_{i}": sh for i, sh in enumerate(colors.values())}
@@ -30,7 +30,7 @@ def read_recolored(path: Path | str) -> dict[str, Float32[np.ndarray, "_ _ 3"]]:
     """Read harmonics by name (`layers/NAME`, `actors/ID`).
 
     Raises:
-        SceneFormatError: When the file holds something else.
+        SceneFormatError: If the file has other content.
     """
     try:
         file = read_archive(Path(path))
@@ -48,13 +48,13 @@ def read_recolored(path: Path | str) -> dict[str, Float32[np.ndarray, "_ _ 3"]]:
     return colors
 
 
-# § Wet colours, as a recolouring has found them, on the members of a scene.
+# Wet colors on a scene
 
 
 def with_colors(scene: Scene, colors: Mapping[str, Float32[np.ndarray, "_ _ 3"]]) -> Scene:
-    """Return the scene with wet colours, by `layers/NAME` and `actors/ID`; what is not named keeps what it has.
+    """Return the scene with wet colors by `layers/NAME` and `actors/ID`; other members are unchanged.
 
-    Colours are of all of a member's Gaussians, or of those that are not deleted: files know no others.
+    Colors cover all of a member's Gaussians, or only those not deleted, as in files.
     """
     for key, sh in colors.items():
         member = scene.member(key)
@@ -67,7 +67,7 @@ def with_colors(scene: Scene, colors: Mapping[str, Float32[np.ndarray, "_ _ 3"]]
     return scene
 
 
-# § Everything in a scene that has colours of its own, as one list of Gaussians that counts through.
+# Members with colors, as one list of Gaussians with consecutive rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +87,7 @@ class RecolorMember:
 
 
 def scene_members(scene: Scene) -> list[RecolorMember]:
-    """Layers first, then actors, in the scene's order, hidden ones too."""
+    """Layers first, then actors, in the scene's order, including hidden ones."""
     members: list[RecolorMember] = []
     first = 0
     for each in scene.members:
@@ -99,17 +99,17 @@ def scene_members(scene: Scene) -> list[RecolorMember]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VisibleMembers:
-    """The members that stand in the scene at one time, ready to be drawn."""
+    """The members present in the scene at one time, ready to render."""
 
     members: list[RecolorMember]
     parts: list[DrawItem]
     rows: Int64[np.ndarray, " n"]
-    """Row among all members of each Gaussian of `parts`, counted through."""
+    """Row among all members of each Gaussian of `parts`, in order."""
     is_sky: Bool[np.ndarray, " n"]
 
 
 def visible_members(scene: Scene, members: list[RecolorMember], time_s: float) -> VisibleMembers:
-    """Pick what can be seen at a time, with its way to the world; grading comes on top of colours that are solved."""
+    """Select the members visible at a time, with their transforms; grading applies after the solved colors."""
     placed = [
         (member, part._replace(colors=None))
         for member, shown in zip(members, scene.members, strict=True)
@@ -125,7 +125,7 @@ def visible_members(scene: Scene, members: list[RecolorMember], time_s: float) -
 
 
 def world_heights(scene: Scene, member: RecolorMember) -> Float32[np.ndarray, " n"]:
-    """World z of a layer's Gaussians in metres; for an actor, z above its own bottom, as if it stood at height 0."""
+    """World z of a layer's Gaussians in meters; for an actor, height above its own bottom."""
     shown = scene.member(member.key)
     if isinstance(shown, Layer):
         to_world = scene.scene_to_world @ shown.to_scene

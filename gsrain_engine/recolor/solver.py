@@ -1,4 +1,4 @@
-"""New colours for fixed geometry: linear least squares in the spherical harmonics, by conjugate gradients."""
+"""Color solver for fixed geometry: linear least squares in the spherical harmonics, by conjugate gradients."""
 
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
@@ -12,18 +12,18 @@ from numba.core import types
 from numba.extending import intrinsic
 
 TIKHONOV = 0.3
-"""Pull towards the prior: a Gaussian whose squared weights sum to this over all views goes half the way, if alone."""
+"""Prior weight: a Gaussian whose squared weights sum to this over all views moves halfway, if alone."""
 
 DIRECTIONAL_TIKHONOV = 4.0
-"""How much stronger the pull is on harmonics above degree 0: few views say little about directions."""
+"""Factor of the prior weight above degree 0: few views carry little information about directions."""
 
 
 @runtime_checkable
 class WeightOperator(Protocol):
-    """Blending weights of one view as a linear operator W on the colours of its splats."""
+    """Blending weights of one view as a linear operator W on the colors of its splats."""
 
     def blend(self, colors: Float32[np.ndarray, "m 3"], /) -> Float32[np.ndarray, "h w 3"]:
-        """W times colours: the premultiplied image."""
+        """W times colors: the premultiplied image."""
         ...
 
     def accumulate(self, image: Float32[np.ndarray, "h w 3"], /) -> Float32[np.ndarray, "m 3"]:
@@ -33,7 +33,7 @@ class WeightOperator(Protocol):
     def normal(
         self, colors: Float32[np.ndarray, "m 3"], trust: Float32[np.ndarray, "h w"], /
     ) -> Float32[np.ndarray, "m 3"]:
-        """W transposed times trust times W times colours."""
+        """W transposed times trust times W times colors."""
         ...
 
     def squared_sums(self, trust: Float32[np.ndarray, "h w"], /) -> Float32[np.ndarray, " m"]:
@@ -43,26 +43,26 @@ class WeightOperator(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColorTarget:
-    """What one view says about the colours."""
+    """Data term of one view."""
 
     weights: WeightOperator
     indices: Int64[np.ndarray, " m"]
     """Row of each of the view's splats among all unknowns."""
     basis: Float32[np.ndarray, "m k"]
-    """Harmonics that each splat is seen through; 0 forbids one."""
+    """Harmonics in each splat's view direction; 0 disables one."""
     residual: Float32[np.ndarray, "h w 3"]
-    """Premultiplied image that is wanted, minus what the colours so far give."""
+    """Premultiplied target image minus the image of the current colors."""
     trust: Float32[np.ndarray, "h w"]
-    """How much each pixel counts, 0 to 1."""
+    """Weight of each pixel, 0 to 1."""
 
 
 class SolverStep(NamedTuple):
-    """Where a solver stands after an iteration."""
+    """State of the solver after an iteration."""
 
     length: float
-    """Of the preconditioned residual, compared with the start: in (0, 1] as a rule."""
+    """Norm of the preconditioned residual relative to the start; usually in (0, 1]."""
     change: Float32[np.ndarray, "n k 3"]
-    """Of the harmonics so far; the solver goes on writing into it."""
+    """Current change of the harmonics; the solver overwrites it in later iterations."""
 
 
 def solve_colors(
@@ -77,15 +77,15 @@ def solve_colors(
     It minimizes the sum over views of |sqrt(trust) (W d - residual)|^2, plus pull |d + offset|^2.
 
     Preconditioned conjugate gradients on the normal equations (Hestenes and Stiefel 1952) with the exact diagonal as
-    Jacobi preconditioner; W of each view is used forth and back once an iteration. The model is linear: the
-    max(0, .) that a renderer puts on a splat's colour is left out.
+    Jacobi preconditioner; each iteration applies W of each view and its transpose once. The model is linear: it omits
+    the renderer's max(0, .) on splat colors.
 
     Args:
         targets: The views.
-        count: How many Gaussians there are unknowns of.
-        iterations: How many at most; it ends sooner where nothing is left to be explained.
-        pull: Of each Gaussian, or of all alike.
-        offset: How far the harmonics are from their prior to begin with; none where they stand on it.
+        count: Number of unknown Gaussians.
+        iterations: Maximum number; it stops earlier at convergence.
+        pull: Prior weight of each Gaussian, or one for all.
+        offset: Initial difference of the harmonics from their prior; None for zero.
 
     Yields:
         The state after each iteration.
@@ -152,7 +152,7 @@ def add_colors_transposed(
     basis: Float32[np.ndarray, "m k"],
     colors: Float32[np.ndarray, "m 3"],
 ) -> None:
-    """Transpose of `evaluate_colors`, added in place. A view sees each Gaussian once: no two rows meet."""
+    """Transpose of `evaluate_colors`, added in place; parallel over rows, since indices are unique within a view."""
     for n in numba.prange(len(indices)):
         row = sh[indices[n]]
         for k in range(basis.shape[1]):
@@ -162,13 +162,13 @@ def add_colors_transposed(
 
 
 _CHUNKS = 64
-"""Sums are taken over so many chunks, then over those in order: the same bytes at any number of threads."""
+"""Sums run over this number of chunks in order: byte-identical for any number of threads."""
 
 
 @numba.njit(parallel=True, cache=True)
 @no_type_check
 def _condition(remainder, diagonal, turn, direction):
-    """Make direction = remainder / diagonal + turn * direction; return remainder . (remainder / diagonal)."""
+    """Compute direction = remainder / diagonal + turn * direction; return remainder . (remainder / diagonal)."""
     n, k = remainder.shape[:2]
     sums = np.zeros(_CHUNKS)
     for chunk in numba.prange(_CHUNKS):
@@ -227,10 +227,11 @@ def _advance(change, remainder, direction, image, step):
                 remainder[i, j, channel] -= step * image[i, j, channel]
 
 
-# § Eight weights at a time inside compiled code: what LLVM does not turn into SIMD by itself, written as vectors.
+# SIMD intrinsics
+# Eight weights at a time, for loops that LLVM does not vectorize by itself.
 
 LANES = 8
-"""Pixels of a piece, one below the other."""
+"""Pixels per piece, in vertical order."""
 
 _FLOATS = ir.VectorType(ir.FloatType(), LANES)
 
@@ -241,7 +242,7 @@ _CONTRACT = ("contract",)
 
 @intrinsic
 def add_piece(typing: Any, weights: Any, piece: Any, red: Any, green: Any, blue: Any, canvas: Any, place: Any) -> Any:
-    """Add weights[piece, :] times (red, green, blue) to canvas[place], whose line has LANES reds, greens and blues."""
+    """Add weights[piece, :] times (red, green, blue) to canvas[place], whose row has LANES reds, greens and blues."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         weights, piece, red, green, blue, canvas, place = arguments
@@ -258,7 +259,7 @@ def add_piece(typing: Any, weights: Any, piece: Any, red: Any, green: Any, blue:
 
 @intrinsic
 def sum_piece(typing: Any, weights: Any, piece: Any, canvas: Any, place: Any, lanes: Any) -> Any:
-    """Add weights[piece, :] times canvas[place] to `lanes`, lane by lane and colour by colour."""
+    """Add weights[piece, :] times canvas[place] to `lanes`, per lane and channel."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         weights, piece, canvas, place, lanes = arguments
@@ -282,7 +283,7 @@ def _data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
 
 
 def _weights(context: Any, builder: Any, kind: Any, weights: Any, piece: Any) -> Any:
-    """Load a row of uint16 and make it float32."""
+    """Load a row of uint16 as float32."""
     first = builder.gep(_data(context, builder, kind, weights), [builder.mul(piece, ir.Constant(piece.type, LANES))])
     return builder.uitofp(builder.load(builder.bitcast(first, _SHORTS.as_pointer()), align=2), _FLOATS)
 

@@ -1,4 +1,4 @@
-"""Views that a scene is recoloured to: what each shows of the scene now, and what it ought to show."""
+"""Views for recoloring: target images, observations of the scene, exposure maps, and ground detection."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -19,42 +19,42 @@ from .result import RecolorMember, VisibleMembers, scene_members, visible_member
 from .weights import LazyWeights, StoredWeights, weights_of
 
 _UNSEEN_WEIGHT_PX = 0.5
-"""A Gaussian seen with less than this in all counts as ground or not by its height rather than by the views."""
+"""Total weight in pixels below which a Gaussian's surface kind follows from its height instead of the views."""
 
 _GROUND_HEIGHT_M = 0.3
 
 _SOLID = 0.3
-"""Share of a pixel that must not be sky for its depth to be told."""
+"""Share of a pixel that must not be sky for its depth to be valid."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetView:
-    """A picture that the scene ought to look like."""
+    """A target image for the scene."""
 
     name: str
     camera: Camera
-    """In the world (metres, z up)."""
+    """In the world (meters, z up)."""
     time_s: float
     image: Float32[np.ndarray, "h w 3"]
-    """Display colour."""
+    """Display color."""
     mask: Bool[np.ndarray, "h w"] | None = None
-    """Which pixels count; None means all."""
+    """Mask of valid pixels; None means all."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewObservation:
-    """One view of the scene: what it is made of, and how it looks when clear."""
+    """One view of the scene: its splats, weights and clear appearance."""
 
     target: TargetView
     visible: VisibleMembers
     weights: StoredWeights | LazyWeights
     splats: Int64[np.ndarray, " m"]
-    """Index of each splat that has weight, counted through the visible parts."""
+    """Index of each splat with nonzero weight, consecutive over the visible parts."""
     clear: Float32[np.ndarray, "h w 3"]
-    """Display colour, over what is there."""
+    """Display color, divided by alpha."""
     alpha: Float32[np.ndarray, "h w"]
     depth: Float32[np.ndarray, "h w"]
-    """Metres along the view axis; 0 where nothing but sky is."""
+    """Meters along the view axis; 0 where only sky is visible."""
     surfaces: Float32[np.ndarray, "h w 3"]
     """Shares of sky, ground and other, weighted by alpha."""
 
@@ -65,12 +65,12 @@ class ViewObservation:
 
     @property
     def counted(self) -> Bool[np.ndarray, "h w"]:
-        """Which pixels say anything about the scene."""
+        """Mask of the pixels that show the scene."""
         there = self.alpha > _SOLID
         return there if self.target.mask is None else there & self.target.mask
 
     def basis(self, k: int) -> Float32[np.ndarray, "m k"]:
-        """First k harmonics that each splat is seen through; 0 beyond those that its member has."""
+        """First k harmonics in each splat's view direction; 0 above its member's degree."""
         basis = harmonics(view_directions(self.visible.parts, self.target.camera, self.splats), k)
         own = np.concatenate([np.full(len(m.gaussians), m.gaussians.sh.shape[1]) for m in self.visible.members])
         basis[np.arange(k) >= own[self.splats][:, None]] = 0
@@ -78,9 +78,9 @@ class ViewObservation:
 
 
 def target_views(scene: Scene, capture: Capture, width_px: int) -> Iterator[TargetView]:
-    """Read a capture's pictures, straightened and at most so many pixels wide, one by one.
+    """Yield a capture's images one by one, undistorted and at most `width_px` wide.
 
-    Its cameras are in the scene's own units and axes. Raises `CaptureError` for a picture that can't be read.
+    Its cameras are in the scene's own units and axes. Raises `CaptureError` for an unreadable image.
     """
     for view in capture:
         ready = undistort_frame(view, min(width_px, view.camera.width))
@@ -91,7 +91,7 @@ def target_views(scene: Scene, capture: Capture, width_px: int) -> Iterator[Targ
 def observe_view(
     scene: Scene, members: list[RecolorMember], target: TargetView, ground_m: float, most_bytes: float = np.inf
 ) -> ViewObservation:
-    """Look at the scene as it is from where a picture was taken; weights are stored if they fit into `most_bytes`."""
+    """Render the current scene from a target's camera; weights are stored if they fit into `most_bytes`."""
     visible = visible_members(scene, members, target.time_s)
     view = color_operator(visible.parts, target.camera)
     weights = weights_of(view, most_bytes)
@@ -111,14 +111,14 @@ def observe_view(
 
 
 def up_facing(depth: Float32[np.ndarray, "h w"], camera: Camera) -> Float32[np.ndarray, "h w"]:
-    """World-up component of surface normals that depth tells."""
+    """World-up component of the surface normals estimated from depth."""
     return np.ascontiguousarray(normals_from_depth(depth, camera)[..., 2])
 
 
 def surface_shares(
     scene: Scene, members: Sequence[RecolorMember], views: Sequence[ViewObservation], ground_m: float
 ) -> list[Float32[np.ndarray, "_ 3"]]:
-    """What kind of surface each Gaussian is: as the views show it, and by its height where they hardly do."""
+    """Surface kind of each Gaussian: from the views, or from its height if hardly visible."""
     seen = np.zeros((sum(len(member.gaussians) for member in members), 3), np.float32)
     for view in views:
         seen[view.rows] += view.weights.accumulate(view.surfaces)
@@ -136,26 +136,27 @@ def surface_shares(
     return shares
 
 
-# § What a picture's own exposure and white balance did to it: an affine map of colour a view, the mean of all fixed.
+# Exposure and white balance
+# Affine color map per view, with their median fixed.
 
 PRIOR_WEIGHT = 1e-3
-"""Tikhonov pull towards no change, in squared colour: what a picture without contrast can't tell."""
+"""Tikhonov weight toward the identity, in squared color, for images without contrast."""
 
 SWEEPS = 6
-"""Rounds over all views; each takes the others' newest maps."""
+"""Rounds over all views; each uses the other views' latest maps."""
 
 _MIN_PX = 1.0
-"""A Gaussian that a view, or all others together, see less of than this says nothing about exposures."""
+"""Minimum weight in pixels, in a view and in all others together, of a Gaussian that constrains exposures."""
 
 _MIDDLE = 0.5
 
 _GAIN_LIMITS = 0.2, 5.0
-"""So that a map can always be undone: a black picture has no gain."""
+"""Bounds that keep a map invertible: a black image has no gain."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewAffine:
-    """Picture = gains * (colour of the scene - 1/2) + 1/2 + offsets, channel by channel, in display colour."""
+    """Per-channel map in display color: image = gains * (scene color - 1/2) + 1/2 + offsets."""
 
     gains: Float64[np.ndarray, "3"]
     offsets: Float64[np.ndarray, "3"]
@@ -174,16 +175,16 @@ def view_affines(
     indices: Sequence[Int64[np.ndarray, " _"]],
     count: int,
 ) -> list[ViewAffine]:
-    """Find the maps by comparing what several views see of the same Gaussians.
+    """Estimate the maps by comparing the same Gaussians across views.
 
-    Each view's Gaussians are compared with the mean of what all *other* views make of them, weighted by what both see:
-    so that a view can't agree with itself, and colours needn't be known. What depends on direction counts as noise.
+    Each view's Gaussians are compared with the mean over all *other* views, weighted by visibility in both: a view
+    can't agree with itself, and the colors need not be known. View-dependent color counts as noise.
 
     Args:
-        seen: For each view, what each splat gathers of the picture: the sum of weight * colour.
+        seen: For each view, the sum of weight * color of each splat over the image.
         evidence: For each view, the sum of each splat's weights in pixels.
         indices: Row of each splat among all Gaussians.
-        count: How many Gaussians there are.
+        count: Number of Gaussians.
     """
     kept = [np.flatnonzero(each >= _MIN_PX) for each in evidence]
     means = [own[rows] / each[rows, None] for own, each, rows in zip(seen, evidence, kept, strict=True)]
@@ -207,7 +208,7 @@ def view_affines(
 def _fitted(
     scene: Float32[np.ndarray, "p 3"], picture: Float32[np.ndarray, "p 3"], trust: Float32[np.ndarray, " p"]
 ) -> ViewAffine:
-    """Fit the map that takes the scene's colours to the picture's, by weighted ridge regression towards no change."""
+    """Fit the map from scene colors to image colors by weighted ridge regression toward the identity."""
     x, change = scene - np.float32(_MIDDLE), picture - scene
     total = float(trust.sum(dtype=np.float64))
     pull = PRIOR_WEIGHT * total + 1e-9
@@ -221,26 +222,26 @@ def _fitted(
 
 
 def _gauge_fixed(affines: Sequence[ViewAffine]) -> list[ViewAffine]:
-    """Make the middle of all maps no change: else the scene could darken and every picture brighten, unseen.
+    """Normalize the median map to the identity: a darker scene with brighter images would otherwise fit equally well.
 
-    The same change of the scene's colours is taken out of each, on its scene's side: A_v becomes A_v M^-1. The middle
-    is the median, so that one picture of something else does not move it.
+    The same change of scene colors is removed from each map: A_v becomes A_v M^-1. The median is robust against a
+    single image of something else.
     """
     gain = np.median([each.gains for each in affines], axis=0)
     offset = np.median([each.offsets for each in affines], axis=0)
     return [ViewAffine(each.gains / gain, each.offsets - each.gains / gain * offset) for each in affines]
 
 
-# § How high the ground of a scene is, in the world (metres, z up).
+# Ground height
 
 _LOW_SHARE = 0.05
-"""A street's scene is mostly ground at its lowest; stray Gaussians below it are fewer than this share."""
+"""Quantile for the ground: the lowest part of a street is mostly ground, with fewer stray Gaussians below it."""
 
 
 def ground_height_m(scene: Scene) -> float:
-    """World height of the ground: what the scene says, else the lowest twentieth of its half-opaque Gaussians.
+    """Height of the ground in meters in the world (z up): the scene's own value, else a low quantile.
 
-    0 for a scene that holds none.
+    The quantile is the lowest twentieth of the Gaussians with opacity above 0.5; 0 without any.
     """
     if scene.ground_m is not None:
         return scene.ground_m
@@ -253,24 +254,24 @@ def ground_height_m(scene: Scene) -> float:
     return float(np.quantile(found, _LOW_SHARE)) if len(found) else 0.0
 
 
-# § Which pixels of a view show ground: what faces up, at the ground's height.
+# Ground pixels
 
 _FACING_UP = (0.6, 0.9)
-"""Upward parts of normals from which surfaces may be ground, and from which they are."""
+"""Upward components of normals from which surfaces may be ground, and certainly are."""
 
 _BAND_M = (0.25, 0.6)
-"""Heights over the ground up to which they are, and from which they aren't."""
+"""Heights above the ground up to which pixels certainly are ground, and from which they are not."""
 
 
 def ground_share(
     depth: Float32[np.ndarray, "h w"], upness: Float32[np.ndarray, "h w"], camera: Camera, ground_m: float
 ) -> Float32[np.ndarray, "h w"]:
-    """How much each pixel shows of the ground, 0 to 1.
+    """Share of ground in each pixel, 0 to 1.
 
     Args:
-        depth: Along the view axis in metres, 0 where unknown.
-        upness: World-up part of the unit normal, -1..1.
-        camera: In the world (metres, z up).
+        depth: Along the view axis in meters, 0 where unknown.
+        upness: World-up component of the unit normal, -1..1.
+        camera: In the world (meters, z up).
         ground_m: Height of the ground in the world.
     """
     heights = world_points(depth, camera)[..., 2] - ground_m
@@ -279,18 +280,18 @@ def ground_share(
 
 
 def _rising(low: float, high: float, x: Float64[np.ndarray, "h w"]) -> Float64[np.ndarray, "h w"]:
-    """Go smoothly from 0 at `low` to 1 at `high`."""
+    """Rise smoothly from 0 at `low` to 1 at `high`."""
     t = np.clip((x - low) / (high - low), 0, 1)
     return t * t * (3 - 2 * t)
 
 
-# § Pictures of the work while it goes on.
+# Progress thumbnails
 
 _WIDTH_PX = 320
 
 
 def thumbnail(picture: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "_ _ 3"]:
-    """Return a picture (display colour) at most 320 pixels wide, for a panel to show."""
+    """Return an image (display color) downscaled to at most 320 pixels in width."""
     shrink = min(1.0, _WIDTH_PX / picture.shape[1])
     small = cv2.resize(picture, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
     return np.rint(np.clip(small, 0, 1) * np.float32(255)).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Blending weights of one view, stored: with geometry fixed, W is a matrix that is worked out once."""
+"""Blending weights of one view for fixed geometry: stored as a sparse matrix, or recomputed on each use."""
 
 from dataclasses import dataclass
 from typing import no_type_check
@@ -13,10 +13,10 @@ from ..render.cpu.tiles import TILE
 from .solver import LANES, add_piece, sum_piece
 
 STEP = np.float32(1 / 65535)
-"""Weights are kept as multiples of this."""
+"""Weights are stored as multiples of this."""
 
 MIN_PIECE = 8
-"""Smaller weights (0.03 % of all light on the built-in street, a fifth of their number) are left out."""
+"""Smaller weights (0.03 % of all light on the built-in street, a fifth of their number) are dropped."""
 
 _PIECES = TILE * TILE // LANES
 
@@ -25,22 +25,22 @@ _PIECES = TILE * TILE // LANES
 class StoredWeights:
     """W of one view as a matrix in memory, tile by tile, nearest splat first.
 
-    A pair is a splat that adds to a tile. Only splats, pairs and pieces with a weight of `MIN_PIECE` are kept: what
-    lies behind opaque surfaces costs nothing any more.
+    A pair is a splat that contributes to a tile. Only splats, pairs and pieces with a weight of at least `MIN_PIECE`
+    are stored: occluded splats cost nothing.
     """
 
     width: int
     height: int
     rows: Int64[np.ndarray, " m"]
-    """Which row of the view's splats each of the m splats kept here is, rising."""
+    """Row in the view's splats of each of the m stored splats, ascending."""
     pair_starts: Int64[np.ndarray, " tiles_and_one"]
-    """Where each tile's pairs start."""
+    """Index of each tile's first pair."""
     splats: Int64[np.ndarray, " pairs"]
-    """Splat of each pair, counted among `rows`."""
+    """Splat of each pair, as an index into `rows`."""
     piece_starts: Int64[np.ndarray, " pairs_and_one"]
-    """Where each pair's pieces start."""
+    """Index of each pair's first piece."""
     places: UInt8[np.ndarray, " pieces"]
-    """Which piece of the tile each is, column by column."""
+    """Position of each piece in its tile, column by column."""
     weights: UInt16[np.ndarray, "pieces 8"]
     """In units of `STEP`."""
 
@@ -55,7 +55,7 @@ class StoredWeights:
         return image
 
     def accumulate(self, image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "m 3"]:
-        """W transposed times an image: what each splat gathers from it."""
+        """W transposed times an image: the weighted sum of its pixels for each splat."""
         by_pair = np.empty((len(self.splats), 3), np.float32)
         _gather(self.pair_starts, self.piece_starts, self.places, self.weights, image, by_pair)
         return self._by_splat(by_pair)
@@ -63,7 +63,7 @@ class StoredWeights:
     def normal(
         self, colors: Float32[np.ndarray, "m 3"], trust: Float32[np.ndarray, "h w"]
     ) -> Float32[np.ndarray, "m 3"]:
-        """W transposed times trust times W times colours, tile by tile: the weights come from memory once."""
+        """W transposed times trust times W times colors, tile by tile: weights are read from memory once."""
         by_pair = np.empty((len(self.splats), 3), np.float32)
         _normal(self.pair_starts, self.splats, self.piece_starts, self.places, self.weights, colors, trust, by_pair)
         return self._by_splat(by_pair)
@@ -81,7 +81,7 @@ class StoredWeights:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LazyWeights:
-    """The same operator without storing W: for views that memory has no room for; each use walks the tiles anew."""
+    """The same operator without storing W, for views beyond the memory limit; each use recomputes the tiles."""
 
     view: ColorOperator
 
@@ -108,19 +108,19 @@ class LazyWeights:
         return self.view.accumulate(self.view.blend(colors) * trust[..., None])
 
     def squared_sums(self, trust: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, " m"]:
-        """Diagonal of W transposed times trust times W, as if each splat were trusted evenly with its own mean."""
+        """Diagonal of W transposed times trust times W, with trust averaged over each splat."""
         trusted = self.view.accumulate(np.dstack([trust, np.ones_like(trust), trust]))
         return self.view.squared_sums() * trusted[:, 0] / np.maximum(trusted[:, 1], np.float32(1e-12))
 
 
 def weights_of(view: ColorOperator, most_bytes: float = np.inf) -> StoredWeights | LazyWeights:
-    """Store a view's weights where they fit into so many bytes; else walk its tiles each time."""
+    """Store a view's weights if they fit into `most_bytes`; else recompute them on each use."""
     stored = stored_weights(view, most_bytes)
     return LazyWeights(view) if stored is None else stored
 
 
 def stored_weights(view: ColorOperator, most_bytes: float = np.inf) -> StoredWeights | None:
-    """Work out the weights of a view; None where they would take more than `most_bytes`."""
+    """Compute the weights of a view; None if they would exceed `most_bytes`."""
     tiles, shapes = view.tiles, view.splats.shapes
     counts = np.zeros(len(tiles.members) + 1, np.int64)
     where = (shapes, tiles.starts, tiles.members, tiles.width, tiles.height, counts[1:])
@@ -146,7 +146,7 @@ def stored_weights(view: ColorOperator, most_bytes: float = np.inf) -> StoredWei
 @numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _walk(shapes, tile_starts, members, width, height, counts, starts, places, weights):
-    """Composite without colours: count each pair's pieces, or write them where `starts` says."""
+    """Composite without colors: count each pair's pieces, or write them at `starts`."""
     columns = (width + TILE - 1) // TILE
     rows = (len(tile_starts) - 1) // columns
     for place in numba.prange(len(tile_starts) - 1):
@@ -181,7 +181,7 @@ def _walk(shapes, tile_starts, members, width, height, counts, starts, places, w
 @numba.njit(error_model="numpy", fastmath=FAST)
 @no_type_check
 def _weigh(shape, u, x0, y0, line, steps):
-    """Weights of a splat in one column of a tile, as compositing has them, in units of `STEP`."""
+    """Weights of a splat in one column of a tile, as in compositing, in units of `STEP`."""
     dx = np.float32(u) + (x0 - shape[0])
     peak = shape[5] + shape[3] * dx * dx
     start = y0 - (shape[1] + shape[2] * dx)
@@ -197,7 +197,7 @@ def _weigh(shape, u, x0, y0, line, steps):
 @numba.njit(error_model="numpy", fastmath=FAST)
 @no_type_check
 def _blend_tile(tile, pair_starts, splats, piece_starts, places, weights, colors, canvas):
-    """Write a tile's picture, a line a piece: first all reds, then greens and blues."""
+    """Write a tile's image, one row per piece: first all reds, then greens and blues."""
     canvas[:] = 0
     for k in range(pair_starts[tile], pair_starts[tile + 1]):
         n = splats[k]

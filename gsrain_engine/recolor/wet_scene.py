@@ -1,4 +1,4 @@
-"""A scene gets the wet look in a few seconds: few small views of it, without any weights."""
+"""Quick wet look for a scene from a few small views, without network weights."""
 
 from collections.abc import Generator
 
@@ -14,7 +14,7 @@ VIEWS = 8
 
 
 def wet_scene(scene: Scene, settings: WetSettings | None = None) -> Generator[Progress, None, Scene]:
-    """Give a scene the wet colours of a quick look: from `VIEWS` views of 480 x 320 pixels.
+    """Give a scene wet colors from `VIEWS` views of 480 x 320 pixels.
 
     Yields and raises as `rainy_scene` does.
     """

@@ -1,4 +1,4 @@
-"""What a training learns from: pictures without distortion at three sizes, with what is known about their pixels."""
+"""Training views: undistorted images at three sizes, with masks, depth and sky."""
 
 from dataclasses import dataclass, replace
 
@@ -12,7 +12,7 @@ from ..scene.camera import Camera
 from .settings import LEVELS
 
 _SMALLEST_PX = 48
-"""Pictures are not halved below this: nothing could be told from them."""
+"""Images are not halved below this side length."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,20 +22,20 @@ class PyramidLevel:
     camera: Camera
     image: UInt8[np.ndarray, "h w 3"]
     mask: Bool[np.ndarray, "h w"] | None
-    """Pixels that are learned from; None means all."""
+    """Pixels used for training; None means all."""
     depth: Float32[np.ndarray, "h w"] | None
-    """Along the view axis; 0 where it was not measured."""
+    """Along the view axis; 0 where unmeasured."""
     sky: Bool[np.ndarray, "h w"] | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingView:
-    """One view at all its sizes: whole, a half, a quarter."""
+    """One view at all its sizes: full, half and quarter."""
 
     name: str
     time_s: float
     seen: Bool[np.ndarray, "h w"] | None
-    """Which pixels it can be measured by: those that the lens saw and the data set lets count; None means all."""
+    """Pixels used for evaluation: visible to the lens and allowed by the dataset; None means all."""
     levels: tuple[PyramidLevel, ...]
 
     @classmethod
@@ -46,7 +46,7 @@ class TrainingView:
         learned: Bool[np.ndarray, "h w"] | None,
         sky: Bool[np.ndarray, "h w"] | None,
     ) -> "TrainingView":
-        """Keep a view without distortion in memory, with what was measured and found in it."""
+        """Build the image pyramid of an undistorted view."""
         levels = [PyramidLevel(view.camera, view.image, learned, depth, sky)]
         while len(levels) < LEVELS:
             last = levels[-1]
@@ -56,7 +56,7 @@ class TrainingView:
 
 
 def training_views(capture: Capture, width_px: int) -> list[CaptureFrame]:
-    """Views without distortion, at most so wide, with their picture and mask in memory."""
+    """Undistorted views at most `width_px` wide, with image and mask in memory."""
     views: list[CaptureFrame] = []
     for view in capture:
         straight = undistort_frame(view, min(width_px, view.camera.width))
@@ -65,7 +65,7 @@ def training_views(capture: Capture, width_px: int) -> list[CaptureFrame]:
 
 
 def half_size(level: PyramidLevel) -> PyramidLevel:
-    """Return the view at half the size: pixels are averaged, depth is the nearest of four, masks need all four."""
+    """Return the view at half size: colors are averaged, depth is the nearest of four, masks need all four pixels."""
     height, width = level.camera.height // 2, level.camera.width // 2
     camera = replace(
         level.camera, width=width, height=height, fx=level.camera.fx / 2, fy=level.camera.fy / 2,

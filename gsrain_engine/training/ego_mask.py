@@ -1,4 +1,4 @@
-"""Finds the ego's own body in pictures of a drive: what stays in its place although the world moves past."""
+"""Detection of the ego vehicle's own body in the images of a drive: pixels that stay fixed while the world moves."""
 
 import logging
 from collections.abc import Sequence
@@ -15,34 +15,36 @@ from ..scene.camera import Camera
 logger = logging.getLogger("gsrain")
 
 _WIDTH = 240
-"""The search is done in pictures of this width."""
+"""Images are searched at this width."""
 
 _FRAMES, _OTHERS = 8, 8
-"""So many pictures of a camera are looked at, each beside so many others, the nearest in time."""
+"""Number of images examined per camera, and number of nearest images in time that each is compared with."""
 
 _MIN_FRAMES = 3
 
 _CLIP = 0.1
-"""A pixel's evidence is at most this difference of colour (0..1)."""
+"""Largest color difference (0..1) that counts as evidence for a pixel."""
 
 _PRIOR = 0.02
-"""Evidence, a pixel, below which it is taken for the world."""
+"""Evidence per pixel below which it counts as part of the world."""
 
 _EDGE, _SLOPE, _STEEPEST = 20.0, 0.15, 4
-"""Weights of an edge that stays under the contour and of its ups and downs; steepest way, in pixels a column."""
+"""Weights of a static edge under the contour and of the contour's slope; largest slope in pixels per column."""
 
 _LOWEST_PART = 0.55
-"""Only the lower part of a picture is searched: there the road is near and moves."""
+"""Share of the height above the search region: only the lower part of an image shows nearby, moving road."""
 
 _MIN_GAIN = 0.01
-"""Mean evidence that the region must have over the prior, in colour."""
+"""Mean color evidence above the prior that the region must have."""
 
 _PROPORTIONS = 0.05
-"""Pictures of a camera whose sides' ratio is so far from the middle one's were turned or cut: they are not compared."""
+"""Images whose aspect ratio differs by more than this share from the camera's median were rotated or cropped and are
+excluded.
+"""
 
 
 class _SmallImage:
-    """One picture, small: its colours, its edges, and where its pixels lie in the world."""
+    """A downscaled image with its colors, edges and the world positions of its pixels."""
 
     def __init__(self, view: CaptureFrame, depth: Float32[np.ndarray, "h w"], size: tuple[int, int]) -> None:
         width, height = size
@@ -53,12 +55,12 @@ class _SmallImage:
         gray = color.mean(axis=2)
         edges = [cv2.Sobel(gray, cv2.CV_32F, 1, 0) / 8, cv2.Sobel(gray, cv2.CV_32F, 0, 1) / 8]
         self.channels = np.dstack([color, *edges])
-        """Red, green, blue; change of brightness a pixel, across and down."""
+        """Red, green, blue; brightness gradient per pixel, horizontally and vertically."""
         self.depth = cv2.resize(depth, (width, height), interpolation=cv2.INTER_NEAREST)
         self.places = self.camera.position + self.depth[..., None] * pixel_rays(self.camera)
 
     def difference_to(self, other: "_SmallImage") -> Float32[np.ndarray, "h w 2"]:
-        """How differently another picture shows the places of this one's pixels, see `_difference`; inf if not."""
+        """Difference to another image at this one's pixels in world space, see `_difference`; inf if not visible."""
         local = self.places @ other.camera.world_to_camera[:3, :3].T + other.camera.world_to_camera[:3, 3]
         z = np.where((local[..., 2] > 0.3) & (self.depth > 0), local[..., 2], np.inf)
         u = local[..., 0] / z * other.camera.fx + other.camera.cx - 0.5
@@ -70,7 +72,7 @@ class _SmallImage:
 
 
 def _difference(one: Float32[np.ndarray, "h w 5"], other: Float32[np.ndarray, "h w 5"]) -> Float32[np.ndarray, "h w 2"]:
-    """Of colour (mean of the three), and of edges (length)."""
+    """Color difference (mean of three channels) and edge difference (length)."""
     apart = np.abs(one - other)
     return np.stack([apart[..., :3].mean(axis=2), np.hypot(apart[..., 3], apart[..., 4])], axis=-1)
 
@@ -78,16 +80,16 @@ def _difference(one: Float32[np.ndarray, "h w 5"], other: Float32[np.ndarray, "h
 def ego_masks(
     views: Sequence[CaptureFrame], depths: Sequence[Float32[np.ndarray, "_ _"]]
 ) -> dict[str, Bool[np.ndarray, "_ _"]]:
-    """By sensor, which pixels show the world, in cameras that have a part of the ego's body at their lower edge.
+    """Masks of the pixels that show the world, by sensor, for cameras with part of the ego's body at the lower edge.
 
-    Two explanations of each pixel compete: it belongs to the ego, so that all pictures of the camera are alike there,
-    or to the surface whose depth is given, so that all pictures which see that place are. The contour that separates
-    both best, along edges that stay, is found by dynamic programming from column to column; a camera without clear
-    evidence has no mask, and neither has one that stood still.
+    Two explanations of each pixel compete: it belongs to the ego, so all images of the camera are alike there, or it
+    belongs to the surface at the given depth, so all images of that place are alike. Dynamic programming over the
+    columns finds the contour along static edges that best separates both. Cameras without clear evidence, and cameras
+    that did not move, get no mask.
 
     Args:
-        views: Without distortion. Their sizes may differ by a few pixels, as they do after undistortion by one camera a
-            picture; those with other proportions than most of their sensor's are not looked at.
+        views: Undistorted. Sizes may differ by a few pixels, as after per-image undistortion; images with an unusual
+            aspect ratio for their sensor are ignored.
         depths: Of the static scene, completed down to the lower edge (`completed_depth`).
     """
     found: dict[str, Bool[np.ndarray, "_ _"]] = {}
@@ -108,9 +110,9 @@ def ego_masks(
 def mask_ego_vehicle(
     views: Sequence[CaptureFrame], depths: Sequence[Float32[np.ndarray, "_ _"]]
 ) -> tuple[list[CaptureFrame], dict[str, float]]:
-    """Take the ego's own body out of the views' masks, where `ego_masks` finds one; the log says in which cameras.
+    """Exclude the ego's own body, where `ego_masks` finds one, from the views' masks and log the cameras.
 
-    Returns the views, and by sensor the share (0..1) of its pictures that the body covers.
+    Returns the views, and by sensor the share (0..1) of its images that the body covers.
     """
     masks = ego_masks(views, depths)
     shares = {sensor: 1 - float(mask.mean()) for sensor, mask in masks.items()}
@@ -124,7 +126,7 @@ def mask_ego_vehicle(
 
 
 def _alike(views: Sequence[CaptureFrame], sensor: str) -> list[int]:
-    """Rows of a sensor's views that have the proportions of its middle one, but for a few pixels."""
+    """Indices of a sensor's views whose aspect ratio is close to the sensor's median."""
     rows = [row for row, view in enumerate(views) if view.sensor == sensor]
     ratios = [views[row].camera.height / views[row].camera.width for row in rows]
     middle = sorted(ratios)[len(ratios) // 2]
@@ -132,9 +134,9 @@ def _alike(views: Sequence[CaptureFrame], sensor: str) -> list[int]:
 
 
 def _evidence(own: Sequence[_SmallImage]) -> Float32[np.ndarray, "h w 2"]:
-    """By how much the world explains colour and edges of a pixel worse than the ego does, 0 where neither is better.
+    """Excess error of the world explanation over the ego explanation, for color and edges; 0 where neither is better.
 
-    The world need not explain it in all other pictures: there, the ego may hide it.
+    The lower quartile over other images is used, since the ego may occlude the place in some of them.
     """
     middle = np.median([each.channels for each in own], axis=0).astype(np.float32)
     total = np.zeros((*own[0].depth.shape, 2), np.float32)
@@ -152,7 +154,7 @@ def _evidence(own: Sequence[_SmallImage]) -> Float32[np.ndarray, "h w 2"]:
 
 
 def _contour(evidence: Float32[np.ndarray, "h w 2"]) -> Float64[np.ndarray, " w"] | None:
-    """First row of the ego in each column (the height where it is not in it); None without enough evidence."""
+    """First row of the ego in each column (the height where it is absent); None without enough evidence."""
     color, edges = evidence[..., 0], np.maximum(evidence[..., 1], 0)
     height, width = color.shape
     gain = np.zeros((height + 1, width))
@@ -178,7 +180,7 @@ def _contour(evidence: Float32[np.ndarray, "h w 2"]) -> Float64[np.ndarray, " w"
 
 
 def _above(rows: Float64[np.ndarray, " w"], small: Camera, camera: Camera) -> Bool[np.ndarray, "h w"]:
-    """Pixels above a contour that was found in a smaller picture, with a margin of one of its pixels."""
+    """Mask of the pixels above a contour found in a smaller image, with a margin of one of its pixels."""
     scale = camera.width / small.width
     columns = (np.arange(camera.width) + 0.5) / scale - 0.5
     first = np.interp(columns, np.arange(len(rows)), np.where(rows < small.height, rows - 1, small.height)) * scale

@@ -1,4 +1,4 @@
-"""Views that training never sees: which they are, and how close renders come to them."""
+"""Held-out views: selection, render scores and training curves."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from ..evaluation.image_metrics import fitted_affine, psnr, ssim, with_affine
 
 @runtime_checkable
 class PerceptualMetric(Protocol):
-    """A learned distance of pictures: LPIPS."""
+    """A learned image distance such as LPIPS."""
 
     def distance(
         self,
@@ -20,29 +20,28 @@ class PerceptualMetric(Protocol):
         truth: Float32[np.ndarray, "h w 3"],
         mask: Bool[np.ndarray, "h w"] | None = None,
     ) -> float:
-        """Distance of two pictures of 0..1 over the pixels of a mask; 0 for equal ones."""
+        """Distance of two images (0..1) over the pixels of a mask; 0 for equal ones."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class RenderScore:
-    """How close one render is to its photograph."""
+    """Similarity of one render to its ground truth."""
 
     name: str
     psnr_db: float
-    """As rendered, over all pixels that count."""
+    """As rendered, over all valid pixels."""
     ssim: float
     psnr_exposed_db: float
-    """Over the right half only, after an affine map of colour that was fitted on the left half: what remains when the
-    picture's own exposure is not held against the scene."""
+    """Over the right half, after an affine color map fitted on the left half: independent of the image's exposure."""
     lpips: float | None = None
     """As rendered; None without weights."""
 
 
 def validation_indices(names: Sequence[str], every: int, named: Sequence[str] = ()) -> list[int]:
-    """Which views are kept for measuring: the named ones, else every so-many-th, from the middle of the first stretch.
+    """Indices of the held-out views: the named ones, else every `every`-th from the middle of the first interval.
 
-    Raises ValueError for a name that no view has, and where nothing would be left to learn from.
+    Raises ValueError for an unknown name, and if no training view would remain.
     """
     if named:
         missing = sorted(set(named) - set(names))
@@ -63,7 +62,7 @@ def score(
     mask: Bool[np.ndarray, "h w"] | None,
     perceived: PerceptualMetric | None = None,
 ) -> RenderScore:
-    """Measure a render against a photograph, over the pixels of a mask."""
+    """Measure a render against its ground truth over the pixels of a mask."""
     rendered, truth = np.clip(rendered, 0, 1), image.astype(np.float32) / 255
     whole = np.ones(image.shape[:2], bool) if mask is None else mask
     middle = image.shape[1] // 2
@@ -80,27 +79,27 @@ def score(
 
 
 def mean_of(scores: Sequence[RenderScore], field: str) -> float | None:
-    """Mean of one figure over views; None where there is none."""
+    """Mean of one score over views; None if no view has it."""
     values = [getattr(each, field) for each in scores if getattr(each, field) is not None]
     return float(np.mean(values)) if values else None
 
 
-# § How a training went: loss and number of Gaussians by step, held-out quality now and then.
+# Training curves
 
 
 @dataclass(eq=False)
 class TrainingCurves:
-    """Grows while the training runs."""
+    """Loss and number of Gaussians by step, and the periodic held-out PSNR."""
 
     losses: list[float] = field(default_factory=list[float])
     counts: list[int] = field(default_factory=list[int])
     """Gaussians after each step."""
     seconds: list[float] = field(default_factory=list[float])
-    """Since the training began, at the end of each step."""
+    """Since the start of training, at the end of each step."""
     measured_steps: list[int] = field(default_factory=list[int])
-    """How many steps were done when held-out views were looked at."""
+    """Number of steps done at each held-out evaluation."""
     measured_db: list[float] = field(default_factory=list[float])
-    """Their mean PSNR, as rendered."""
+    """Mean PSNR of the held-out views, as rendered."""
 
     def add(self, loss: float, count: int, seconds: float) -> None:
         self.losses.append(loss)
@@ -108,12 +107,12 @@ class TrainingCurves:
         self.seconds.append(seconds)
 
     def measured(self, steps: int, psnr_db: float) -> None:
-        """Take in a look at the held-out views."""
+        """Add one held-out evaluation."""
         self.measured_steps.append(steps)
         self.measured_db.append(psnr_db)
 
     def recent_loss(self, steps: int = 50) -> float:
-        """Mean loss of the last steps: single ones differ as their views do."""
+        """Mean loss of the last steps; single losses vary with their views."""
         return float(np.mean(self.losses[-steps:])) if self.losses else float("nan")
 
     def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
@@ -121,7 +120,7 @@ class TrainingCurves:
 
     @classmethod
     def restored(cls, arrays: Mapping[str, Shaped[np.ndarray, "..."]]) -> "TrainingCurves":
-        """Return what `state` was taken of."""
+        """Restore the curves from `state`."""
         curves = cls()
         for name, values in vars(curves).items():
             kind = int if name in ("counts", "measured_steps") else float

@@ -1,4 +1,4 @@
-"""The room between cameras and what they see: it is empty, so no Gaussian of the static scene may stand in it."""
+"""Free-space carving: removes Gaussians of the static scene between the cameras and the surfaces they observe."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,35 +19,35 @@ from .surfels import LONGEST
 torch: Any = import_module("torch")
 
 _ROWS, _COLUMNS = 48, 80
-"""Cells that each picture is divided into."""
+"""Grid cells per image."""
 
 _WINDOW = 5
-"""The nearest point in so many cells, each way, limits the free room; where there is none, none is known to be free."""
+"""Side in cells of the window whose nearest point limits the free space; without points nothing is known to be free."""
 
 _NEAR_SHARE = 0.03
-"""Free all around the way of the cameras, over the median depth: less than they are above the road."""
+"""Radius of free space around the camera trajectory over the median depth; below the cameras' height above the road."""
 
 _LEEWAY = 3.0
-"""So many times longer than at first Gaussians may become: what is far away and even is drawn well by large ones."""
+"""Factor by which Gaussians may exceed the initial length limit: large Gaussians suit distant uniform areas."""
 
 _EVERY = 25
-"""Steps between two clearances; shorter than any density control's own rhythm, and a part of it."""
+"""Steps between two clearances; shorter than the interval of any density control, and a divisor of it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FreeSpaceCarving:
-    """How far each camera sees freely, by cells of its picture."""
+    """Free depth in front of each camera, by image cell."""
 
     poses: Float32[np.ndarray, "v 3 4"]
     """World to camera."""
     lenses: Float32[np.ndarray, "v 4"]
-    """Focal lengths and centre in cells: across, down, column, row."""
+    """Focal lengths and principal point in cells: fx, fy, cx, cy."""
     limits: Float32[np.ndarray, "v rows columns"]
-    """Depth along the view axis up to which there is nothing; 0 where nothing is known."""
+    """Depth along the view axis up to which space is empty; 0 where unknown."""
     way: Float32[np.ndarray, "p 3"]
-    """Where the cameras went."""
+    """Positions along the camera trajectory."""
     near: float
-    """Distance to that way within which there is nothing."""
+    """Distance to the trajectory within which space is empty."""
 
     @classmethod
     def of(
@@ -57,13 +57,13 @@ class FreeSpaceCarving:
         way: Float64[np.ndarray, "p 3"],
         share: float,
     ) -> "FreeSpaceCarving | None":
-        """Take a share of the depth of each picture for free; None where no picture has any depth.
+        """Treat a share of each image's depth as free space; None if no image has any depth.
 
         Args:
-            cameras: Without distortion.
-            depths: What was measured of the static scene in each picture, 0 where nothing was.
-            way: Where the cameras went, in the capture's world.
-            share: Part of the depth, 0 to 1: between measured points there may be nearer things.
+            cameras: Undistorted.
+            depths: Measured depth of the static scene in each image, 0 where unmeasured.
+            way: Positions along the camera trajectory, in the capture's world.
+            share: Share of the depth, 0 to 1: there may be nearer objects between measured points.
         """
         known = np.concatenate([np.zeros(0, np.float32), *(depth[depth > 0] for depth in depths)])
         if not len(known):
@@ -82,18 +82,18 @@ class FreeSpaceCarving:
         )
 
     def holds(self, means: Float32[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        """Which points stand in it."""
+        """Mask of the points in free space."""
         found = self.distances(means) < self.near
         _look(np.ascontiguousarray(means), self.poses, self.lenses, self.limits, found)
         return found
 
     def distances(self, means: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, " n"]:
-        """How far points are from the way of the cameras."""
+        """Distance of each point to the camera trajectory."""
         return KDTree(self.way).query(means)[0].astype(np.float32)
 
 
 class FreeSpaceStrategy:
-    """A density control that takes everything out of the free space too, as long as the training goes on."""
+    """A density control that also clears free space throughout the training."""
 
     def __init__(self, control: Strategy, free: FreeSpaceCarving, steps: int) -> None:
         self._control, self._free, self._last = control, free, steps - 1
@@ -102,7 +102,7 @@ class FreeSpaceStrategy:
         self._control.observe(step, rendered, rows)
 
     def adapt(self, step: int, parameters: SplatParameters, generator: Tensor) -> str | None:
-        """Change what the control inside would; then, now and then and at the end, clear what cameras look through."""
+        """Run the wrapped density control, then clear free space periodically and at the last step."""
         done = self._control.adapt(step, parameters, generator)
         if step % _EVERY and step != self._last:
             return done
@@ -121,7 +121,7 @@ class FreeSpaceStrategy:
 
 
 def prune_free_space(parameters: SplatParameters, free: FreeSpaceCarving) -> int:
-    """Remove the Gaussians whose middle stands in free space; returns how many."""
+    """Remove the Gaussians whose mean is in free space; returns their number."""
     means = _means(parameters)
     standing = free.holds(means)
     count = int(standing.sum())
@@ -131,7 +131,7 @@ def prune_free_space(parameters: SplatParameters, free: FreeSpaceCarving) -> int
 
 
 def clip_long_gaussians(parameters: SplatParameters, free: FreeSpaceCarving) -> None:
-    """Let no Gaussian be longer than a part of its distance to the way of the cameras, see `LONGEST`."""
+    """Limit each Gaussian's length to a share of its distance to the camera trajectory, see `LONGEST`."""
     limits = torch.as_tensor(np.log(np.maximum(_LEEWAY * LONGEST * free.distances(_means(parameters)), 1e-9)))
     with torch.no_grad():
         sizes = parameters.tensors["log_scales"]
@@ -143,7 +143,7 @@ def _means(parameters: SplatParameters) -> Float32[np.ndarray, "n 3"]:
 
 
 def _nearest_surfaces(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "rows columns"]:
-    """The least depth that was measured in the window around each cell; 0 where nothing was."""
+    """Smallest depth measured in the window around each cell; 0 where unmeasured."""
     rows, columns = np.nonzero(depth > 0)
     cells = np.full((_ROWS, _COLUMNS), np.inf, np.float32)
     np.minimum.at(cells, (rows * _ROWS // depth.shape[0], columns * _COLUMNS // depth.shape[1]), depth[rows, columns])
@@ -154,7 +154,7 @@ def _nearest_surfaces(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, 
 @njit(cache=True, parallel=True, error_model="numpy")
 @no_type_check
 def _look(means, poses, lenses, limits, found):
-    """Mark each of `means` (n, 3) that is nearer to a camera than the limit of the cell that it falls into."""
+    """Mark each of `means` (n, 3) that is nearer to a camera than the limit of its cell."""
     views, rows, columns = limits.shape
     for i in prange(len(means)):
         for v in range(views):

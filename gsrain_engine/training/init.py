@@ -1,4 +1,4 @@
-"""Gaussians to begin a training with: surfaces that lidar, depth or points tell of, in the colours of the views."""
+"""Initialization of Gaussians from lidar, depth or points: static surfaces, road, sky dome and actors."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -31,48 +31,48 @@ from .surfels import (
 )
 
 SURFACE_OPACITY = 0.85
-"""Of Gaussians whose place is known: together they cover it, and gradients still pass."""
+"""Of Gaussians with known positions: together they are opaque, and gradients still pass."""
 
 RANDOM_OPACITY = 0.1
-"""Of Gaussians whose place was guessed, as in 3DGS (Kerbl et al. 2023)."""
+"""Of Gaussians with random positions, as in 3DGS (Kerbl et al. 2023)."""
 
 _COVERED = 6 / 9
-"""So many Gaussians a cell, in a window of 3x3 cells, are enough."""
+"""Gaussians per cell, averaged over 3x3 cells, that count as full coverage."""
 
 _COARSER = 1.7
-"""Where those that are there are so many times larger than a cell, the nearer view adds its own."""
+"""Size of the existing Gaussians over the cell size from which a nearer view adds its own."""
 
 _FOR_HOLES = 0.1
-"""Part of the budget that is kept for holes."""
+"""Share of the budget reserved for holes."""
 
 _FOR_GROUND, _FOR_PIECES = 0.05, 0.2
-"""Parts of the budget that are kept for the road under the ego, and with it for cutting what is too long."""
+"""Shares of the budget reserved for the road under the ego, and for it together with splitting long Gaussians."""
 
 _HOLE = 0.5
-"""Alpha below which a pixel with a surface counts as one."""
+"""Alpha below which a pixel with a surface counts as a hole."""
 
 _PAINTED_FROM = 4
-"""Pixels around a hole that its colours come from."""
+"""Inpainting radius in pixels."""
 
 _MIN_MEASURED = 12
-"""Measured pixels that a view must have, or it adds nothing."""
+"""Measured pixels required in at least one view; otherwise initialization is random."""
 
 
 def initial_gaussians(
     capture: Capture, views: Sequence[CaptureFrame], budget: int, seed: int = 0, known: DepthPriors | None = None
 ) -> Gaussians:
-    """Cover what the views see of the static scene with at most `budget` Gaussians, in the capture's world.
+    """Cover the static scene in the views with at most `budget` Gaussians, in the capture's world.
 
-    Where depth, lidar or points are known, each view is completed to dense depth and its cells of some pixels become
-    discs along the surface, unless earlier views have covered them; the cells are as small as the budget allows.
-    Where nothing is known, Gaussians are spread at random over what the cameras see. The sky is left out.
+    With depth, lidar or points, each view is completed to dense depth, and its cells of some pixels become discs along
+    the surface unless earlier views cover them; cells are as small as the budget allows. Otherwise Gaussians are spread
+    at random in the view frustums. The sky is excluded.
 
     Args:
-        capture: Whose sweeps, points and boxes tell of the scene.
-        views: Those that are trained on, without distortion, in the size of the training (`prepared`).
-        budget: Most Gaussians; leave room for those that density control adds.
-        seed: Of what is random.
-        known: Depth and sky of the views; found here where not given.
+        capture: Provides sweeps, points and boxes.
+        views: Training views, undistorted and at training size (`training_views`).
+        budget: Maximum number of Gaussians; leave room for density control.
+        seed: Of the random positions.
+        known: Depth and sky of the views; computed if None.
     """
     known = depth_priors(capture, views) if known is None else known
     moving = moving_boxes(capture)
@@ -95,7 +95,7 @@ def initial_gaussians(
 
 
 def _hidden_by_movers(view: CaptureFrame, unmasked: CaptureFrame) -> CaptureFrame | None:
-    """The view with what is behind the movers painted in from around them, to be seen there alone; None without any."""
+    """The view masked to the area behind movers, inpainted from around them; None without movers."""
     mask, own = view.mask, unmasked.mask
     assert mask is not None  # it was set to what is static
     hidden = ~mask if own is None else own & ~mask
@@ -112,7 +112,7 @@ def _covering(
     stride: int,
     budget: int,
 ) -> Surfels | None:
-    """Cover one view after another, in the end what no view shows for movers; None where that exceeds the budget."""
+    """Cover one view after another, finally the areas behind movers; None if that exceeds the budget."""
     nothing = np.zeros((0, 3), np.float32)
     all_of_them = Surfels(nothing, np.zeros((0, 2, 3), np.float32), nothing)
     last = [(view, depth) for view, depth in zip(hidden, depths, strict=True) if view is not None]
@@ -133,7 +133,7 @@ def _without_holes(
     stride: int,
     budget: int,
 ) -> Gaussians:
-    """Draw the discs as each view sees them, and add more where too little is drawn: seams between views, mostly."""
+    """Render the discs in each view and add more where alpha is too low, mostly at seams between views."""
     gaussians, renderer = surfels.gaussians(SURFACE_OPACITY), CpuRenderer()
     for view, depth in zip(views, depths, strict=True):
         mask = view.mask
@@ -149,7 +149,7 @@ def _without_holes(
 def _covered(
     surfels: Surfels, view: CaptureFrame, depth: Float32[np.ndarray, "h w"], stride: int
 ) -> Bool[np.ndarray, "rows columns"]:
-    """Which cells of a view have enough Gaussians that are fine enough and not behind its own surface."""
+    """Mask of a view's cells with enough Gaussians that are fine enough and not behind the view's surface."""
     rows, columns = grid_shape(view.camera, stride)
     index, row, column, z = projected(surfels.means, view.camera)
     size = np.linalg.norm(surfels.axes[index], axis=2).min(axis=1)
@@ -163,7 +163,7 @@ def _covered(
 def _random_gaussians(
     views: Sequence[CaptureFrame], skies: Sequence[Bool[np.ndarray, "_ _"]], budget: int, seed: int
 ) -> Gaussians:
-    """Spread Gaussians over what the cameras see, evenly in inverse distance from a length that their spread tells."""
+    """Spread Gaussians over the frustums, uniformly in inverse distance from a distance set by the camera spread."""
     random = np.random.default_rng(seed)
     eyes = np.array([view.camera.position for view in views])
     spread = float(np.linalg.norm(eyes - eyes.mean(axis=0), axis=1).max())
@@ -187,7 +187,7 @@ def _random_gaussians(
 def round_gaussians(
     points: Float64[np.ndarray, "n 3"], colors: Float32[np.ndarray, "n 3"], opacity: float
 ) -> Gaussians:
-    """Spheres as large as the mean distance to the three nearest others (Kerbl et al. 2023), outliers clipped."""
+    """Spheres sized by the mean distance to the three nearest neighbors (Kerbl et al. 2023), outliers clipped."""
     n = len(points)
     sizes = np.ones(n)
     if n > 1:
@@ -203,22 +203,23 @@ def round_gaussians(
     )
 
 
-# § The road that no picture shows, because the ego's own body hid it: what lies around it is carried on.
+# Road under the ego
+# The ego's own body occludes this road in every image.
 
 _REACH = 3.5
-"""How far around the cameras the road is carried on, over their height above it: the length of a car."""
+"""Radius around the cameras over their height above the road: about a car's length."""
 
 _FLAT = 0.25
-"""Most height over and under the road, over that of the cameras, of what belongs to it."""
+"""Largest height difference from the road over the cameras' height."""
 
 _SPACING, _COARSEST = 0.06, 0.25
-"""Of the new discs, over the height of the cameras: some 9 cm, and 40 at most."""
+"""Spacing of new discs over the cameras' height: about 9 cm, at most 40 cm."""
 
 _SIGMA, _THICKNESS = 0.7, 0.05
-"""Of a disc along the road and across it, over the spacing."""
+"""Sigma of a disc along and across the road, over the spacing."""
 
 _COVERS = 2.0
-"""So many of its standard deviations around a disc there is no hole."""
+"""Radius in standard deviations that a disc covers."""
 
 _NEIGHBORS = 12
 
@@ -233,18 +234,18 @@ def inpaint_road(
     most: int,
     opacity: float,
 ) -> Gaussians:
-    """Discs where the road under and around the cameras has holes, in the height and colour of the road next to them.
+    """Discs that fill holes in the road under and around the cameras, with the height and color of nearby road.
 
     Args:
-        surface: Of the static scene, in the capture's world; the road is what lies flat and low in it.
-        views: Whose cameras drove over that road.
-        way: Where the cameras went, see `camera_trajectory`.
+        surface: Static scene in the capture's world; its low, flat part is the road.
+        views: Views whose cameras drove on that road.
+        way: Camera trajectory, see `camera_trajectory`.
         up: Upward direction.
-        most: Number of discs; where that is too few, they are larger, and where they are too large there are none.
+        most: Maximum number of discs; spacing grows to meet it, up to a limit beyond which none are added.
         opacity: Of the discs.
 
     Returns:
-        None at all where no road is found under the cameras.
+        The discs; empty if no road is found under the cameras.
     """
     frame = _frame(up)
     drop = camera_height_above_road(surface.means.astype(np.float64), views, up) if len(surface) else None
@@ -280,7 +281,7 @@ def inpaint_road(
 
 
 def _frame(up: tuple[float, float, float]) -> Float64[np.ndarray, "3 3"]:
-    """Rows: two level directions and the upward one."""
+    """Rows: two horizontal directions and the upward one."""
     axis = np.array(up, np.float64) / np.linalg.norm(up)
     side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
     side /= np.linalg.norm(side)
@@ -290,7 +291,7 @@ def _frame(up: tuple[float, float, float]) -> Float64[np.ndarray, "3 3"]:
 def _holes(
     way: Float64[np.ndarray, "p 2"], spacing: float, reach: float, road: KDTree, covered: Float32[np.ndarray, " r"]
 ) -> Float64[np.ndarray, "h 2"]:
-    """Places of a grid near the way that no piece of road covers."""
+    """Grid positions near the trajectory that no road Gaussian covers."""
     low, high = way.min(axis=0) - reach, way.max(axis=0) + reach
     axes = [np.arange(low[k], high[k], spacing) for k in range(2)]
     grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
@@ -299,25 +300,25 @@ def _holes(
     return grid[apart > np.maximum(covered[nearest], spacing)]
 
 
-# § The sky as a dome of Gaussians far around a scene, in the colours that the views show above it.
+# Sky dome
 
 SKY_GAUSSIANS = 8000
-"""On the upper half of the dome they are 1.6 degrees apart: clouds, not leaves."""
+"""On the upper half of the dome they are 1.6 degrees apart: fine enough for clouds, not for leaves."""
 
 _LOWEST = float(np.sin(np.radians(-3.0)))
-"""The dome reaches a little below the horizon: streets end before it."""
+"""The dome reaches slightly below the horizon, since streets end before it."""
 
 _SPREAD, _SKY_THICKNESS, _OPACITY = 0.75, 0.02, 0.98
-"""Sigma along the dome over the spacing of directions, and across it over the same."""
+"""Sigma along and across the dome over the spacing of directions, and opacity."""
 
 _BEYOND = 3.0
-"""Radius of the dome over the distance of what is far in the scene."""
+"""Radius of the dome over the distance of the scene's far parts."""
 
 _MIN_RADIUS = 400.0
-"""In metres, where lengths are metres."""
+"""In meters, for metric captures."""
 
 _SAMPLES = 3
-"""Window of pixels, in each direction, whose mean is a direction's colour in one view."""
+"""Side in pixels of the window averaged for one direction's color in one view."""
 
 
 def initial_sky(
@@ -327,17 +328,17 @@ def initial_sky(
     skies: Sequence[Bool[np.ndarray, "_ _"]] | None = None,
     count: int = SKY_GAUSSIANS,
 ) -> Gaussians:
-    """Make a dome around the scene, of about `count` Gaussians; none where no view shows any sky.
+    """Make a dome of about `count` Gaussians around the scene; empty if no view shows sky.
 
-    Where views show sky, a direction has their median colour; elsewhere that of its neighbours, smoother the farther
-    away they are, so that someone who looks up or back sees a sky too.
+    A direction visible as sky has the median color of its views; others interpolate the known ones, more smoothly with
+    distance, so that views upward or backward also show sky.
 
     Args:
-        capture: Tells which way is up, and whether lengths are metres.
-        views: Without distortion.
+        capture: Provides the up direction and metric scale.
+        views: Undistorted.
         surface: The scene under the dome, in the capture's world.
-        skies: Pixels of each view that show the sky; found by `sky_masks` where not given.
-        count: How many Gaussians cover the dome.
+        skies: Sky pixels of each view; found by `sky_masks` if None.
+        count: Number of Gaussians on the dome.
     """
     if skies is None:
         skies = sky_masks(views, measured_depths(capture, views), capture.up)
@@ -351,13 +352,13 @@ def initial_sky(
 
 
 def dome_radius(surface: Gaussians, center: Float64[np.ndarray, "3"], is_metric: bool) -> float:
-    """How far away the sky stands: well beyond everything else, so that nothing of the scene is behind it."""
+    """Radius of the sky dome: well beyond everything else in the scene."""
     far = float(np.quantile(np.linalg.norm(surface.means - center, axis=1), 0.995)) if len(surface) else 1.0
     return max(_BEYOND * far, _MIN_RADIUS) if is_metric else _BEYOND * far
 
 
 def dome_directions(count: int, up: tuple[float, float, float]) -> Float64[np.ndarray, "n 3"]:
-    """Evenly spread unit vectors above the lowest elevation: a Fibonacci lattice on the sphere's upper part."""
+    """Uniformly spread unit vectors above the lowest elevation: a Fibonacci lattice on the upper sphere."""
     height = _LOWEST + (1 - _LOWEST) * (np.arange(count) + 0.5) / count
     angle = np.pi * (3 - np.sqrt(5)) * np.arange(count)
     ring = np.sqrt(1 - height**2)
@@ -374,7 +375,7 @@ def _colors(
     views: Sequence[CaptureFrame],
     skies: Sequence[Bool[np.ndarray, "_ _"]],
 ) -> Float32[np.ndarray, "n 3"]:
-    """Median over the views that show a direction's sky; elsewhere the mean of known ones, weighted by nearness."""
+    """Median over the views that show a direction's sky; elsewhere an inverse-distance-weighted mean of known ones."""
     samples: list[list[np.ndarray]] = [[] for _ in directions]
     reach = range(-(_SAMPLES // 2), _SAMPLES // 2 + 1)
     for view, sky in zip(views, skies, strict=True):
@@ -417,7 +418,7 @@ def _dome(
 ) -> Gaussians:
     n = len(directions)
     spacing = radius * np.sqrt(2 * np.pi * (1 - _LOWEST) / n)
-    # The turn that takes x to the direction: half way between both (1 + cos, axis * sin).
+    # Rotation from x to the direction: halfway quaternion (1 + cos, axis * sin).
     turns = np.stack([1 + directions[:, 0], np.zeros(n), -directions[:, 2], directions[:, 1]], axis=1)
     turns[turns[:, 0] < 1e-6] = [0, 0, 0, 1]
     return Gaussians(
@@ -429,15 +430,15 @@ def _dome(
     )
 
 
-# § Actors to begin a training with: what lidar saw of each moving thing, gathered in the thing's own frame.
+# Actors from lidar
 
 MIN_POINTS = 60
-"""Lidar points that an actor needs: fewer are a cloud, not a shape."""
+"""Lidar points that an actor needs; fewer do not define a shape."""
 
 _MARGIN_M = 0.1
 
 _LIFT_M = 0.12
-"""Points lower than this in the box may be of the road."""
+"""Points lower than this in the box may belong to the road."""
 
 _MIN_SPACING_M = 0.04
 
@@ -445,15 +446,15 @@ _MAX_VIEWS = 24
 
 
 def actor_layers(capture: Capture, views: Sequence[CaptureFrame], least_points: int = MIN_POINTS) -> tuple[Actor, ...]:
-    """Make an actor of each moving vehicle or person that lidar saw enough of, on the track of its box.
+    """Make an actor of each moving vehicle or person with enough lidar points, on the track of its box.
 
-    Its points are those of all sweeps, in its own frame, where it has the same place in each; vehicles are completed
-    by their mirror image, since one side is seldom seen. Colours are those of the views that see it, at their times.
+    Points of all sweeps are accumulated in the actor's frame and mirrored at its plane of symmetry, since one side is
+    seldom visible. Colors come from the views that show it, at their times.
 
     Args:
         capture: With sweeps and boxes; without either there are no actors.
-        views: Without distortion.
-        least_points: Things with fewer are left out.
+        views: Undistorted.
+        least_points: Actors with fewer points are omitted.
     """
     actors: list[Actor] = []
     for box in capture.boxes:
@@ -479,7 +480,7 @@ def actor_layers(capture: Capture, views: Sequence[CaptureFrame], least_points: 
 
 
 def points_of_box(capture: Capture, box: TrackedBox) -> Float64[np.ndarray, "p 3"]:
-    """Lidar points on a thing in its own frame (x forward, y left, z up, origin at the bottom centre), thinned."""
+    """Thinned lidar points in a box's frame (x forward, y left, z up, origin at the bottom center)."""
     found = [np.zeros((0, 3))]
     for sweep in capture.sweeps:
         pose = box.track.pose(sweep.time_s)
@@ -491,13 +492,13 @@ def points_of_box(capture: Capture, box: TrackedBox) -> Float64[np.ndarray, "p 3
 
 
 def _thinned(points: Float64[np.ndarray, "p 3"]) -> Float64[np.ndarray, "q 3"]:
-    """One point a cell of the least spacing, the first."""
+    """Keep the first point per cell of the minimum spacing."""
     _, first = np.unique(np.floor(points / _MIN_SPACING_M).astype(np.int64), axis=0, return_index=True)
     return points[np.sort(first)]
 
 
 def _with_mirror_image(points: Float64[np.ndarray, "p 3"]) -> tuple[Float64[np.ndarray, "q 3"], Bool[np.ndarray, " q"]]:
-    """Append each point's mirror image across the thing's plane of symmetry."""
+    """Append each point's mirror image across the box's plane of symmetry."""
     both = np.concatenate([points, points * [1, -1, 1]])
     return both, np.arange(len(both)) >= len(points)
 
@@ -505,7 +506,7 @@ def _with_mirror_image(points: Float64[np.ndarray, "p 3"]) -> tuple[Float64[np.n
 def _actor_colors(
     capture: Capture, box: TrackedBox, points: Float64[np.ndarray, "p 3"], views: Sequence[CaptureFrame]
 ) -> tuple[Float32[np.ndarray, "p 3"], Bool[np.ndarray, " p"]]:
-    """Colours from the views that see the box, each brought into the thing's own frame at its time."""
+    """Colors from the views that show the box, each transformed to the box's frame at its time."""
     own: list[CaptureFrame] = []
     depths: list[Float32[np.ndarray, "_ _"]] = []
     seen = [view for view in views if len(box_outline(view, box))]

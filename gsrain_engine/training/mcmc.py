@@ -1,4 +1,4 @@
-"""Density control as sampling (3DGS-MCMC, Kheradmand et al. 2024): relocate the dead, add slowly, shake a little."""
+"""3DGS-MCMC density control (Kheradmand et al. 2024): relocates dead Gaussians, adds new ones, adds position noise."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from .strategy import rotate_vectors
 torch: Any = import_module("torch")
 
 _STILL = 0.25
-"""Gaussians more opaque than this feel no noise: its factor is below 1e-10 there."""
+"""Opacity above which no noise is applied; its factor is below 1e-10 there."""
 
 _STEEPNESS, _MIDDLE = 100.0, 0.995
 """Of the logistic of transparency that scales the noise (Kheradmand et al. 2024, section 3.2)."""
@@ -23,20 +23,20 @@ _STEEPNESS, _MIDDLE = 100.0, 0.995
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MCMCSettings:
-    """When Gaussians move and how strongly they are shaken; the defaults are those of the paper for 30,000 steps."""
+    """Schedule and strength of relocation and noise; defaults are the paper's for 30,000 steps."""
 
     most: int
-    """Never more Gaussians than this."""
+    """Maximum number of Gaussians."""
     means_rate: Callable[[int], float]
-    """Learning rate of the means at a step: the noise follows it."""
+    """Learning rate of the means at a step; scales the noise."""
     first_step: int = 500
     last_step: int = 25_000
     every: int = 100
     """Steps between two changes."""
     growth: float = 0.05
-    """Part of the present number that is added at each change."""
+    """Share of the current number that is added at each change."""
     dead_below: float = 0.005
-    """Opacity at which a Gaussian is dead."""
+    """Opacity at or below which a Gaussian is dead."""
     noise: float = 5e5
     """Strength of the noise over the learning rate of the means."""
     opacity_weight: float = 0.01
@@ -44,7 +44,7 @@ class MCMCSettings:
 
     @classmethod
     def for_run(cls, steps: int, most: int, means_rate: Callable[[int], float]) -> "MCMCSettings":
-        """Scale the schedule to a run of so many steps, 30,000 being the paper's."""
+        """Scale the paper's schedule of 30,000 steps to a run of `steps`."""
         share = min(steps / 30_000, 1.0)
         return cls(
             most=most,
@@ -56,13 +56,13 @@ class MCMCSettings:
 
 
 class MCMCStrategy:
-    """Takes Gaussians for samples of the scene: their number grows to a cap and nothing is ever lost."""
+    """Treats Gaussians as samples of the scene: their number grows to a cap and none are pruned."""
 
     def __init__(self, settings: MCMCSettings) -> None:
         self._settings = settings
 
     def observe(self, step: int, rendered: Any, rows: slice | Tensor = slice(None)) -> None:
-        """Nothing is noted: opacity alone decides."""
+        """Record nothing: opacity alone decides."""
 
     def adapt(self, step: int, parameters: SplatParameters, generator: Tensor) -> str | None:
         s = self._settings
@@ -76,19 +76,19 @@ class MCMCStrategy:
         return done
 
     def regularization(self, parameters: SplatParameters) -> Tensor | None:
-        """L1 of opacities and of scales, so that what isn't needed fades (section 3.3)."""
+        """L1 of opacities and scales, so that unneeded Gaussians fade (section 3.3)."""
         s = self._settings
         return s.opacity_weight * parameters.opacities.mean() + s.scale_weight * parameters.scales.mean()
 
     def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
-        """Return nothing: the parameters and the generator are all there is."""
+        """Return nothing: parameters and generator hold the whole state."""
         return {}
 
     def restore(self, state: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
         """Do nothing, see `state`."""
 
     def _relocate(self, parameters: SplatParameters, generator: Tensor) -> int:
-        """Put dead Gaussians where live ones are, drawn by opacity, so that the picture stays as it is (eq. 9)."""
+        """Move dead Gaussians onto live ones drawn by opacity, preserving the rendered image (eq. 9)."""
         dead = torch.nonzero(parameters.opacities <= self._settings.dead_below)[:, 0]
         alive = torch.nonzero(parameters.opacities > self._settings.dead_below)[:, 0]
         if not len(dead) or not len(alive):
@@ -107,7 +107,7 @@ class MCMCStrategy:
         return count
 
     def _shared_out(self, parameters: SplatParameters, sources: Tensor) -> dict[str, Tensor]:
-        """Shrink each source for the copies that join it, forget its moments, and return the copies' rows."""
+        """Shrink each source for its new copies, clear its moments, and return the copies' rows."""
         copies = torch.bincount(sources, minlength=len(parameters)) + 1
         touched = torch.nonzero(copies > 1)[:, 0]
         opacities, shrink = relocation_factors(parameters.opacities[touched], copies[touched])
@@ -119,7 +119,7 @@ class MCMCStrategy:
         return parameters.rows(sources)
 
     def _shake(self, parameters: SplatParameters, strength: float, generator: Tensor) -> None:
-        """Add the noise of Langevin dynamics to the means, along each covariance, where opacity is small (eq. 8)."""
+        """Add Langevin noise to the means, shaped by each covariance, where opacity is small (eq. 8)."""
         opacities = parameters.opacities
         rows = torch.nonzero(opacities < _STILL)[:, 0]
         if not strength or not len(rows):
@@ -134,26 +134,26 @@ class MCMCStrategy:
 
 
 def _drawn_by_opacity(opacities: Tensor, count: int, generator: Tensor) -> Tensor:
-    """(count,) indices drawn with replacement, each as often as its opacity says."""
+    """(count,) indices drawn with replacement, with probability proportional to opacity."""
     ends = torch.cumsum(opacities.double(), 0).to(generator.device)
     at = torch.rand(count, generator=generator, device=generator.device, dtype=torch.float64) * ends[-1]
     return torch.searchsorted(ends, at, right=True).clamp(max=len(opacities) - 1).to(opacities.device)
 
 
-# § What several Gaussians in one place must be so that together they look like the one that was there.
+# Relocation factors
 
 MAX_COPIES = 51
-"""More in one place count as this many, as in the authors' program: the sums lose their digits beyond."""
+"""Larger counts are clamped to this, as in the authors' code: the sums lose precision beyond."""
 
 
 def relocation_factors(opacities: Tensor, copies: Tensor) -> tuple[Tensor, Tensor]:
-    """Opacity, and factor of the scales, of each of N equal Gaussians that replace one (Kheradmand et al. 2024, eq. 9).
+    """Opacity and scale factor of each of N equal Gaussians that replace one (Kheradmand et al. 2024, eq. 9).
 
-    In the middle the stack has the opacity of the one; along a line through it, the same integral.
+    The stack keeps the original's opacity at the center and its integral along a line through it.
 
     Args:
-        opacities: (n,) of the one.
-        copies: (n,) how many are there afterwards, the one included.
+        opacities: (n,) of the originals.
+        copies: (n,) number after the change, original included.
     """
     count = copies.clamp(max=MAX_COPIES)
     old = opacities.double()
@@ -165,7 +165,7 @@ def relocation_factors(opacities: Tensor, copies: Tensor) -> tuple[Tensor, Tenso
 
 
 def _terms() -> Float64[np.ndarray, "n k"]:
-    """(-1)^k C(N, k + 1) / sqrt(k + 1): the double sum of eq. 9, summed over its first index."""
+    """Coefficients (-1)^k C(N, k + 1) / sqrt(k + 1): the double sum of eq. 9, summed over its first index."""
     n, k = np.arange(MAX_COPIES + 1)[:, None], np.arange(MAX_COPIES)[None, :]
     return np.asarray(comb(n, k + 1) * (-1.0) ** k / np.sqrt(k + 1), np.float64)
 

@@ -1,4 +1,4 @@
-"""What a training changes: static Gaussians, a sky behind them, and things that move, drawn together."""
+"""The trained model: static Gaussians, sky and actors, with scene export and checkpoints."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -31,32 +31,32 @@ Tensor = Any
 
 
 class TrainingRender(NamedTuple):
-    """A render to learn from."""
+    """A render used for training."""
 
     color: Tensor
-    """(h, w, 3), the sky behind everything."""
+    """(h, w, 3), with the sky behind everything."""
     front: Rendered
     """The static scene, then the actors, without the sky."""
     background_rows: slice
-    """Which of the rendered Gaussians are the static scene's."""
+    """Rows of the rendered Gaussians that belong to the static scene."""
     actor_rows: dict[str, slice]
-    """Which are each actor's; only those that are there at the time."""
+    """Rows of each actor that is present at the time."""
     sky: Rendered | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SplatModel:
-    """All that is trained but the exposures."""
+    """All trained Gaussians; exposures are separate."""
 
     background: SplatParameters
     sky: SplatParameters | None
     actors: Mapping[str, SplatParameters]
-    """By id, in their own frames. Their colours are the same from all sides: frames turn, harmonics need not."""
+    """By id, in their own frames. Colors are view-independent, so that frames can rotate without rotating harmonics."""
     tracks: Mapping[str, Actor]
-    """The actors as they were at first; their tracks stay."""
+    """The initial actors; their tracks are not trained."""
 
     def render(self, camera: Camera, time_s: float, sh_degree: int = 3) -> TrainingRender:
-        """Draw everything as a camera sees it at a time, with harmonics up to a degree."""
+        """Render everything from a camera at a time, with harmonics up to a degree."""
         pieces = [_ActivatedPart.of(self.background, sh_degree)]
         rows, count = dict[str, slice](), len(self.background)
         for key, parameters in self.actors.items():
@@ -81,7 +81,7 @@ class SplatModel:
 
     @property
     def count(self) -> int:
-        """How many Gaussians there are in all."""
+        """Total number of Gaussians."""
         return sum(len(parameters) for _, parameters in self.parts)
 
     def zero_grad(self) -> None:
@@ -89,11 +89,11 @@ class SplatModel:
             parameters.zero_grad()
 
     def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
-        """Return everything that training goes on from, as arrays by name."""
+        """Return the full training state, as arrays by name."""
         return {f"{part}:{name}": array for part, each in self.parts for name, array in each.state().items()}
 
     def restore(self, state: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
-        """Go back to what `state` returned; raises KeyError where something is missing."""
+        """Restore the output of `state`; raises KeyError if something is missing."""
         for part, parameters in self.parts:
             prefix = f"{part}:"
             own = {name.removeprefix(prefix): array for name, array in state.items() if name.startswith(prefix)}
@@ -101,7 +101,7 @@ class SplatModel:
 
 
 class _ActivatedPart(NamedTuple):
-    """Activated Gaussians on their way into one render."""
+    """Activated Gaussians for one render."""
 
     means: Tensor
     scales: Tensor
@@ -117,12 +117,12 @@ class _ActivatedPart(NamedTuple):
 
     @property
     def standing(self) -> "_ActivatedPart":
-        """The same, of which only the colours are learned."""
+        """A copy of which only the colors are trained."""
         means, scales, quaternions, opacities, sh = self
         return _ActivatedPart(means.detach(), scales.detach(), quaternions.detach(), opacities.detach(), sh)
 
     def moved(self, pose: Float64[np.ndarray, "4 4"]) -> "_ActivatedPart":
-        """Turn and shift them from an object's frame to the world; colours stay as they are."""
+        """Transform from an object's frame to the world; colors are unchanged."""
         matrix = torch.as_tensor(pose, dtype=self.means.dtype, device=self.means.device)
         turn = quaternions_from_matrices(pose[:3, :3]).tolist()
         return self._replace(
@@ -147,16 +147,16 @@ def _drawn(pieces: list[_ActivatedPart], camera: Camera) -> Rendered:
     return render_gaussians(means, scales, quaternions, opacities, sh, camera)
 
 
-# § A training's Gaussians as a scene: layers, actors, the rig and the ego of the capture.
+# Model to scene
 
 RIG = "capture"
 
 _MIN_VISIBLE_ALPHA = 1 / 255
-"""Renderers cut what is fainter."""
+"""Smallest alpha that renderers draw."""
 
 
 def scene_of(model: SplatModel, capture: Capture) -> Scene:
-    """Return the scene as it is now, in the capture's units and axes."""
+    """Return the current scene in the capture's units and axes."""
     layers = [Layer("background", _visible(model.background.to_gaussians()))]
     if model.sky is not None:
         layers.append(Layer("sky", model.sky.to_gaussians(), kind="sky"))
@@ -175,7 +175,7 @@ def scene_of(model: SplatModel, capture: Capture) -> Scene:
 
 
 def recorded_path(views: Sequence[CaptureFrame]) -> CameraPath | None:
-    """Fly where the first camera was, picture by picture; at walking pace where the capture has no times."""
+    """Path through the first camera's recorded poses; at walking pace if the capture has no times."""
     own = [view for view in views if view.sensor == views[0].sensor]
     if len(own) < 2:
         return None
@@ -190,14 +190,14 @@ def recorded_path(views: Sequence[CaptureFrame]) -> CameraPath | None:
 
 
 def _visible(gaussians: Gaussians) -> Gaussians:
-    """Leave out what no renderer draws: too faint, or no numbers."""
+    """Remove Gaussians that no renderer draws: too faint or not finite."""
     finite = np.isfinite(gaussians.means).all(axis=1) & np.isfinite(gaussians.scales).all(axis=1)
     finite &= np.isfinite(gaussians.quaternions).all(axis=1) & np.isfinite(gaussians.sh).all(axis=(1, 2))
     return gaussians.take(np.flatnonzero(finite & (gaussians.opacities >= _MIN_VISIBLE_ALPHA)))
 
 
 def _ground_m(capture: Capture) -> float | None:
-    """Height of the road in the world, from where the vehicle's frame is; None without a vehicle."""
+    """Height of the road in the world, from the vehicle's frame; None without a vehicle."""
     if capture.ego is None or not capture.is_metric or not len(capture.ego.positions):
         return None
     heights = capture.ego.positions @ rotation_to_z_up(capture.up)[2]
@@ -205,7 +205,7 @@ def _ground_m(capture: Capture) -> float | None:
 
 
 def _rigs(capture: Capture) -> dict[str, tuple[RigCamera, ...]]:
-    """One rig with every sensor of the capture, mounted as in its first view that has the vehicle's place."""
+    """One rig with every sensor of the capture, mounted as in its first view with a known vehicle pose."""
     if capture.ego is None:
         return {}
     mounted = dict[str, RigCamera]()
@@ -224,26 +224,27 @@ def _mounted(view: CaptureFrame, ego_to_world: Float64[np.ndarray, "4 4"]) -> Ri
     )  # fmt: skip
 
 
-# § How far a training has come, on disk: a NumPy archive without pickles that appears whole or not at all.
+# Checkpoints
+# NumPy archives without pickles, written atomically.
 
 _VERSION = 1
 
 _FREE = frozenset({"measured_every", "saved_every"})
-"""Settings that may change when a training is taken up again: nothing that is learned depends on them."""
+"""Settings that may change on resume, since no result depends on them."""
 
 
 class TrainingCheckpointError(ValueError):
-    """A training can't be taken up from a checkpoint; the message names the file and says why."""
+    """A checkpoint that can't be resumed; the message names the file and the reason."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingCheckpoint:
-    """Everything that a training goes on from."""
+    """The full state of an unfinished training."""
 
     step: int
-    """How many steps are done."""
+    """Number of steps done."""
     seconds: float
-    """How long they took."""
+    """Training time so far."""
     arrays: Mapping[str, Shaped[np.ndarray, "..."]]
 
 
@@ -258,7 +259,7 @@ class _TrainingHeader(msgspec.Struct, frozen=True, kw_only=True):
 def write_training_checkpoint(
     file: Path, checkpoint: TrainingCheckpoint, settings: TrainingSettings, capture: str
 ) -> None:
-    """Write a checkpoint; `capture` is a text that tells captures and their views apart."""
+    """Write a checkpoint; `capture` is a text that identifies the capture and its views."""
     head = _TrainingHeader(
         version=_VERSION, step=checkpoint.step, seconds=checkpoint.seconds, capture=capture, settings=settings
     )
@@ -268,7 +269,7 @@ def write_training_checkpoint(
 
 
 def read_training_checkpoint(file: Path, settings: TrainingSettings, capture: str) -> TrainingCheckpoint:
-    """Read a checkpoint of the same training. Raises `TrainingCheckpointError` where it is damaged or another's."""
+    """Read a checkpoint of the same training; raises `TrainingCheckpointError` if it is damaged or of another."""
     if not file.is_file():
         raise TrainingCheckpointError(
             f"{file}: there is no checkpoint to resume from; leave --resume out to begin anew"

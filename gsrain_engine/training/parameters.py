@@ -1,4 +1,4 @@
-"""Gaussians as they are trained: unconstrained torch tensors, with the moments of Adam beside them."""
+"""Trainable Gaussians: unconstrained torch tensors with their Adam moments, and the fused CPU Adam step."""
 
 from collections.abc import Mapping
 from importlib import import_module
@@ -13,19 +13,19 @@ from ..scene.gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 torch: Any = import_module("torch")
 
 Tensor = Any
-"""torch is an extra: where it is missing, nothing here is ever imported, and no type of it can be named."""
+"""A torch tensor; torch is an optional extra, so its types can't be named here."""
 
 NAMES = ("means", "log_scales", "quaternions", "opacity_logits", "sh_dc", "sh_rest")
 
 _MIN_SCALE, _MIN_OPACITY = 1e-12, 1e-8
-"""What has no logarithm is taken for this."""
+"""Lower bounds of values before their logarithm is taken."""
 
 
 class SplatParameters:
     """Trainable Gaussians: `tensors` by name, each a leaf with gradients, and Adam over them.
 
-    "means" (n, 3), "log_scales" (n, 3), "quaternions" (n, 4) wxyz of any length, "opacity_logits" (n,), "sh_dc"
-    (n, 1, 3) and "sh_rest" (n, k - 1, 3). Rows come and go by `keep` and `extend`; moments follow their rows.
+    "means" (n, 3), "log_scales" (n, 3), "quaternions" (n, 4) wxyz of any length, "opacity_logits" (n,), "sh_dc" (n, 1,
+    3) and "sh_rest" (n, k - 1, 3). `keep` and `extend` change the rows; moments follow their rows.
     """
 
     def __init__(self, tensors: Mapping[str, Tensor]) -> None:
@@ -40,7 +40,7 @@ class SplatParameters:
     def from_gaussians(
         cls, gaussians: Gaussians, sh_degree: int, device: str = "cpu", dtype: Tensor = None
     ) -> "SplatParameters":
-        """Start at given Gaussians; harmonics that are missing start at 0, those above `sh_degree` are cut off."""
+        """Start at given Gaussians; missing harmonics start at 0, those above `sh_degree` are dropped."""
         k = COEFFICIENTS_OF_DEGREE[sh_degree]
         sh = np.zeros((len(gaussians), k, 3), np.float64)
         shared = min(k, gaussians.sh.shape[1])
@@ -58,7 +58,7 @@ class SplatParameters:
         return cls({name: torch.tensor(each, dtype=kind, device=device) for name, each in values.items()})
 
     def to_gaussians(self) -> Gaussians:
-        """Return what they are now, activated, in float32."""
+        """Return the current Gaussians, activated, in float32."""
         with torch.no_grad():
             quaternions = torch.nn.functional.normalize(self.tensors["quaternions"], dim=1)
             return Gaussians(
@@ -97,7 +97,7 @@ class SplatParameters:
         return self.sh_up_to(self.sh_degree)
 
     def sh_up_to(self, degree: int) -> Tensor:
-        """(n, k, 3) harmonics of the first degrees: trainings take the higher ones in later."""
+        """(n, k, 3) harmonics up to a degree; trainings enable higher degrees later."""
         rest = COEFFICIENTS_OF_DEGREE[min(degree, self.sh_degree)] - 1
         if not rest:
             return self.tensors["sh_dc"]
@@ -111,9 +111,9 @@ class SplatParameters:
         """Do one step of Adam (Kingma and Ba 2015) on every tensor that has a gradient and a learning rate.
 
         Args:
-            learning_rates: By name; what is not named, or is 0, stays as it is, moments too.
-            rows: (n,) bool: only these move, and only their moments change; those that no picture showed have no
-                gradient anyway. None moves all: rows out of sight then go on along their moments, as in 3DGS.
+            learning_rates: By name; tensors without a rate, or with 0, keep their values and moments.
+            rows: (n,) bool: only these move, and only their moments change. None moves all: invisible rows then
+                continue along their moments, as in 3DGS.
         """
         for name, rate in learning_rates.items():
             values = self.tensors[name]
@@ -147,7 +147,7 @@ class SplatParameters:
             self.tensors[name][rows], self._first[name][rows], self._second[name][rows] = values, first, second
 
     def keep(self, rows: Tensor) -> None:
-        """Keep these rows ((n,) bool, or indices in a new order) with their moments; gradients are forgotten."""
+        """Keep these rows ((n,) bool, or indices in a new order) with their moments; gradients are cleared."""
         with torch.no_grad():
             for name in NAMES:
                 self.tensors[name] = _leaf(self.tensors[name][rows])
@@ -155,7 +155,7 @@ class SplatParameters:
                 self._second[name] = self._second[name][rows]
 
     def extend(self, more: Mapping[str, Tensor]) -> None:
-        """Append rows, given by the same names; their moments are 0. Gradients are forgotten."""
+        """Append rows, given by the same names, with moments of 0; gradients are cleared."""
         with torch.no_grad():
             for name in NAMES:
                 added = more[name].to(self.tensors[name])
@@ -169,7 +169,7 @@ class SplatParameters:
         return {name: each.detach()[which].clone() for name, each in self.tensors.items()}
 
     def put(self, name: str, which: Tensor, values: Tensor) -> None:
-        """Overwrite rows ((n,) bool, or indices) of one tensor; their moments start again at 0."""
+        """Overwrite rows ((n,) bool, or indices) of one tensor and reset their moments to 0."""
         with torch.no_grad():
             self.tensors[name][which] = values.to(self.tensors[name])
         self.forget_moments(which, (name,))
@@ -181,14 +181,14 @@ class SplatParameters:
             self._second[name][which] = 0
 
     def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
-        """Return everything that training goes on from, as arrays: for a checkpoint."""
+        """Return the full training state as arrays, for a checkpoint."""
         arrays = {name: _copy(each) for name, each in self.tensors.items()}
         arrays |= {f"{name}.first": _copy(each) for name, each in self._first.items()}
         arrays |= {f"{name}.second": _copy(each) for name, each in self._second.items()}
         return arrays | {"steps": np.array([self._steps[name] for name in NAMES], np.int64)}
 
     def restore(self, state: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
-        """Go back to what `state` returned, to the last bit; raises KeyError where something is missing."""
+        """Restore the output of `state` exactly; raises KeyError if something is missing."""
         device = self.device
         self.tensors = {name: _leaf(torch.tensor(state[name], device=device)) for name in NAMES}
         self._first = {name: torch.tensor(state[f"{name}.first"], device=device) for name in NAMES}
@@ -208,10 +208,11 @@ def _copy(tensor: Tensor) -> Shaped[np.ndarray, "..."]:
     return tensor.detach().cpu().numpy().copy()
 
 
-# § One Adam step over a flat array in a single pass: memory is read and written once, nothing is allocated.
+# Adam step on the CPU
+# One pass over memory without allocations.
 
 FIRST_DECAY, SECOND_DECAY, EPSILON = 0.9, 0.999, 1e-15
-"""Of the two moments, and what keeps the quotient finite (Kingma and Ba 2015; the last as in 3DGS)."""
+"""Decay of both moments, and epsilon (Kingma and Ba 2015; epsilon as in 3DGS)."""
 
 _CHUNK = 4096
 
@@ -219,17 +220,17 @@ _CHUNK = 4096
 @njit(cache=True, parallel=True, error_model="numpy")
 @no_type_check
 def adam_step(values, gradients, first, second, rows, rate, first_share, second_share):
-    """Move `values` (n, c) in place, with their moments; every row depends on itself alone.
+    """Update `values` (n, c) and their moments in place; rows are independent.
 
     Args:
-        values: What is trained.
-        gradients: Of the loss by `values`.
+        values: Trained values.
+        gradients: Of the loss with respect to `values`.
         first: Running mean of the gradients.
         second: Running mean of their squares.
-        rows: (n,) which rows take part, or an empty array for all.
+        rows: (n,) bool mask of the updated rows, or an empty array for all.
         rate: Learning rate.
-        first_share: 1 - FIRST_DECAY ** steps: how much of its final weight the first moment has by now.
-        second_share: The same of the second.
+        first_share: 1 - FIRST_DECAY ** steps: bias correction of the first moment.
+        second_share: 1 - SECOND_DECAY ** steps.
     """
     count, channels = values.shape
     kind = values.dtype.type

@@ -1,4 +1,4 @@
-"""What a person can choose about a reconstruction: one value, which is also its YAML file and its help text."""
+"""Settings of a reconstruction, with their YAML files and help texts, and the training schedule."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ Rate = Annotated[float, Meta(gt=0, le=1)]
 
 
 class LearningRates(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Steps of Adam for each kind of number (3D Gaussian Splatting, Kerbl et al. 2023, section 5 and their code)."""
+    """Adam learning rate of each parameter (3D Gaussian Splatting, Kerbl et al. 2023, section 5 and their code)."""
 
     means: Annotated[Rate, Meta(title="Means", description="At the first step, times the extent of the cameras.")] = (
         1.6e-4
@@ -40,7 +40,7 @@ class LearningRates(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 class TrainingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How Gaussians are fitted to pictures. The defaults are for a processor with two cores: some ten minutes."""
+    """Settings of the fit of Gaussians to images. Defaults take about ten minutes on a two-core CPU."""
 
     steps: Annotated[
         int, Meta(ge=1, le=1_000_000, title="Steps", description="How often one view is rendered and learned from.")
@@ -145,7 +145,7 @@ class TrainingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 def load_settings(name: str | Path | None = None, **changes: Any) -> TrainingSettings:
     """Read shipped settings by name, or a YAML file by path, and change some; without a name the defaults.
 
-    Changes that are None are passed over. Raises ValueError with the file or option, the field and what is allowed.
+    Changes that are None are ignored. Raises ValueError with the file or option, the field and the allowed values.
     """
     values = {} if name is None else load_values(_FOLDER, name, "--config")
     changed = {key: value for key, value in changes.items() if value is not None}
@@ -166,27 +166,27 @@ def settings_names() -> list[str]:
     return shipped_config_names(_FOLDER)
 
 
-# § What changes while a training runs: learning rates, the size of the pictures, the degree of the harmonics.
+# Training schedule
 
 LEVELS = 3
-"""Sizes that pictures are learned at: whole, a half, a quarter."""
+"""Number of image sizes: full, half and quarter."""
 
 _EXTENT_MARGIN = 1.1
 
 _TRANSIENTS_FROM = 0.25
-"""Share of the steps after which it shows what contradicts the other pictures; later it is learned by heart."""
+"""Share of the steps from which transients are masked: earlier the scene is too rough, later it has overfitted them."""
 
 _DEGREE_SHARE = 0.2
-"""Share of the steps after which each further degree of the harmonics joins in."""
+"""Share of the steps after which each further degree of the harmonics is enabled."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingSchedule:
-    """Rates, size and degree by step."""
+    """Learning rates, image size and SH degree by step."""
 
     settings: TrainingSettings
     extent: float
-    """How far the cameras are spread, in the capture's unit: what the paper scales steps of the means by."""
+    """Spread of the cameras in the capture's unit; scales the learning rate of the means."""
 
     def rates(self, step: int) -> dict[str, float]:
         """Learning rate of each tensor at a step, counted from 0."""
@@ -203,34 +203,34 @@ class TrainingSchedule:
         }
 
     def level(self, step: int) -> int:
-        """How often pictures are halved at a step: 2, 1, 0."""
+        """Number of times images are halved at a step: 2, 1, 0."""
         coarse_steps = self.settings.coarse * self.settings.steps
         if step >= coarse_steps:
             return 0
         return 2 if step < coarse_steps / 2 else 1
 
     def sh_degree(self, step: int) -> int:
-        """Degree of the harmonics that are learned at a step: one more after each fifth of the steps."""
+        """Degree of the trained harmonics at a step: one more after each fifth of the steps."""
         return min(self.settings.sh_degree, int(step / (_DEGREE_SHARE * self.settings.steps)))
 
     def leaves_out(self, step: int) -> bool:
-        """Whether pixels that contradict the others are left out: not before the scene is roughly there."""
+        """True if pixels that contradict other images are masked at this step."""
         return self.settings.transients > 0 and step >= _TRANSIENTS_FROM * self.settings.steps
 
     def _settling(self, done: float) -> float:
-        """Let colours come to rest in the last third: a short run has no time to average its noise away."""
+        """Decay the colors' learning rate in the last third: short runs have no time to average out noise."""
         return float(np.clip(1 - (done - 2 / 3) * 3 * 0.9, 0.1, 1))
 
 
 def camera_extent(views: Sequence[CaptureFrame]) -> float:
-    """Largest distance of a camera from the middle of all, a tenth more; at least 1 (Kerbl et al. 2023, their code)."""
+    """Largest distance of a camera from their mean plus 10 %, at least 1 (Kerbl et al. 2023, their code)."""
     places = np.array([view.camera.position for view in views])
     spread = float(np.linalg.norm(places - places.mean(axis=0), axis=1).max())
     return max(_EXTENT_MARGIN * spread, 1.0)
 
 
 def view_order(count: int, steps: int, seed: int) -> list[int]:
-    """Which view each step learns from: every view once an epoch, each epoch in an order of its own."""
+    """View index of each step: every view once per epoch, reshuffled for each epoch."""
     epochs = range(-(-steps // count))
     shuffled = [np.random.default_rng([seed, epoch]).permutation(count) for epoch in epochs]
     return np.concatenate(shuffled)[:steps].tolist()

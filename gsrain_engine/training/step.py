@@ -1,4 +1,4 @@
-"""One training: its model, its views and its place in the schedule, step by step."""
+"""One training step: render, loss, backward pass, optimizers and density control."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -28,20 +28,20 @@ _STAGES = ("reading", "forward", "backward", "optimizer", "density")
 
 
 class TrainingStepResult(NamedTuple):
-    """What one step was like."""
+    """Result of one training step."""
 
     step: int
     """Counted from 0."""
     loss: float
     change: str | None
-    """What density control did."""
+    """Summary of the density control's change."""
     shown: Tensor
-    """(h, w, 3) render in the picture's own exposure."""
+    """(h, w, 3) render with the image's own exposure applied."""
     truth: Tensor
 
 
 class Trainer:
-    """What a training changes, and how it does. Everything random follows from the seed and the step alone."""
+    """Trainable state and its training steps; all randomness follows from the seed and the step."""
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class Trainer:
         return TrainingStepResult(number, float(loss.total.detach()), change, shown.detach(), truth.image)
 
     def render(self, view: TrainingView) -> Float32[np.ndarray, "h w 3"]:
-        """Draw the whole model as a view's camera sees it, at full size, with nothing learned."""
+        """Render the whole model for a view at full size, without gradients."""
         with torch.no_grad():
             color = self.model.render(view.levels[0].camera, view.time_s).color
         return color.cpu().numpy()
@@ -100,13 +100,13 @@ class Trainer:
         perceived: PerceptualMetric | None = None,
         rendered: Float32[np.ndarray, "h w 3"] | None = None,
     ) -> RenderScore:
-        """Compare a render (which is made here unless it is at hand) with a view's photograph."""
+        """Compare a render, computed here if None, with a view's ground truth."""
         if rendered is None:
             rendered = self.render(view)
         return score(view.name, rendered, view.levels[0].image, view.seen, perceived)
 
     def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
-        """Return everything that the training goes on from, as arrays by name."""
+        """Return the full training state, as arrays by name."""
         arrays = self.model.state()
         arrays |= {f"{_CONTROL}:{name}": array for name, array in self._control.state().items()}
         if self._exposures is not None:
@@ -114,14 +114,14 @@ class Trainer:
         return arrays
 
     def restore(self, arrays: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
-        """Go back to what `state` returned; raises KeyError where something is missing."""
+        """Restore the output of `state`; raises KeyError if something is missing."""
         self.model.restore(arrays)
         self._control.restore(_named(arrays, _CONTROL))
         if self._exposures is not None:
             self._exposures.restore(_named(arrays, _EXPOSURES))
 
     def _move(self, number: int, picture: TrainingRender, *, everything: bool) -> None:
-        """Do a step of the optimizers: only Gaussians that were drawn move, unless a pull goes to all of them."""
+        """Step the optimizers: only drawn Gaussians move, unless a regularization applies to all of them."""
         rates = self.schedule.rates(number)
         drawn = picture.front.footprint.drawn
         self.model.background.step(rates, None if everything else drawn[picture.background_rows])
@@ -135,7 +135,7 @@ class Trainer:
 
 
 def comparison_image(shown: Tensor, truth: Tensor) -> UInt8[np.ndarray, "h w 3"]:
-    """Put a render and its photograph side by side, as a picture to look at."""
+    """8-bit image of a render and its ground truth side by side."""
     both = torch.cat([shown, truth], dim=1).clamp(0, 1)
     return (both * 255 + 0.5).to(torch.uint8).cpu().numpy()
 
@@ -157,10 +157,10 @@ def _named(arrays: Mapping[str, Shaped[np.ndarray, "..."]], kind: str) -> dict[s
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 
 
-# § What a training makes small for one view: color, depth where it was measured, holes and veils.
+# Loss of one view
 
 _MIN_ALPHA = 0.05
-"""Below this there is too little to have a depth."""
+"""Alpha below which depth is undefined."""
 
 
 class TrainingTarget(NamedTuple):
@@ -169,9 +169,9 @@ class TrainingTarget(NamedTuple):
     image: Tensor
     """(h, w, 3) of 0..1."""
     mask: Tensor | None
-    """(h, w) bool: what is learned from."""
+    """(h, w) bool: training pixels."""
     hits: Tensor
-    """(m,) flat indices of pixels whose depth was measured."""
+    """(m,) flat indices of pixels with measured depth."""
     depths: Tensor
     """(m,) along the view axis."""
     sky: Tensor | None
@@ -191,7 +191,7 @@ class TrainingTarget(NamedTuple):
 
 
 class Loss(NamedTuple):
-    """The parts of one step's loss, each with its weight."""
+    """The weighted parts of one step's loss."""
 
     total: Tensor
     color: Tensor
@@ -200,12 +200,12 @@ class Loss(NamedTuple):
 
 
 def view_loss(picture: TrainingRender, shown: Tensor, truth: TrainingTarget, settings: TrainingSettings) -> Loss:
-    """Compare one render with what was seen.
+    """Loss of one render against its target.
 
-    Color is (1 - s) L1 + s D-SSIM (Kerbl et al. 2023, eq. 7) of `shown`, the render as its camera would have exposed
-    it. Depth is |d - m| / (d + m), d the expected depth and m the measured one: the same for near and far, and bounded,
-    since a beam that grazes an edge may be metres off. Cover is how much is missing where something was hit, and how
-    much stands before known sky.
+    Color is (1 - s) L1 + s D-SSIM (Kerbl et al. 2023, eq. 7) of `shown`, the render with its camera's exposure. Depth
+    is |d - m| / (d + m) of expected depth d and measured depth m: independent of scale, and bounded, since a beam that
+    grazes an edge may be meters off. Cover is the missing alpha at measured surfaces, and the alpha in front of known
+    sky.
     """
     color = (1 - settings.d_ssim) * l1(shown, truth.image, truth.mask)
     if settings.d_ssim:
@@ -225,11 +225,11 @@ def view_loss(picture: TrainingRender, shown: Tensor, truth: TrainingTarget, set
     return Loss(color + depth + cover, color, depth, cover)
 
 
-# § What training makes small: absolute difference and structural dissimilarity of a render and the truth.
+# L1 and D-SSIM
 
 
 def l1(rendered: Tensor, truth: Tensor, mask: Tensor | None = None) -> Tensor:
-    """Mean absolute difference of two (h, w, 3) tensors over the pixels of a bool mask (h, w); 0 where it has none."""
+    """Mean absolute difference of two (h, w, 3) tensors over the pixels of a bool mask (h, w); 0 if none is set."""
     check_pair(tuple(rendered.shape), tuple(truth.shape), None if mask is None else tuple(mask.shape))
     difference = (rendered - truth).abs()
     if mask is None:
@@ -240,9 +240,9 @@ def l1(rendered: Tensor, truth: Tensor, mask: Tensor | None = None) -> Tensor:
 def d_ssim(rendered: Tensor, truth: Tensor, mask: Tensor | None = None) -> Tensor:
     """Return 1 - SSIM of two (h, w, 3) tensors of values 0..1 over the pixels of a bool mask (h, w).
 
-    The same SSIM as `gsrain_engine.evaluation.image_metrics.ssim`: windows inside the picture, masked pixels without
-    weight. The term of 3DGS's loss (Kerbl et al. 2023, eq. 7). 0 where the mask has no pixel. Differentiable in
-    `rendered` and `truth`. Raises ValueError for other shapes and for pictures smaller than the window (11 px).
+    Same SSIM as `gsrain_engine.evaluation.image_metrics.ssim`: windows inside the image, masked pixels without weight.
+    A term of 3DGS's loss (Kerbl et al. 2023, eq. 7). 0 if the mask is empty. Differentiable in `rendered` and `truth`.
+    Raises ValueError for other shapes and for images smaller than the window (11 px).
     """
     check_pair(tuple(rendered.shape), tuple(truth.shape), None if mask is None else tuple(mask.shape))
     if min(rendered.shape[:2]) < WINDOW_PX:
@@ -263,7 +263,7 @@ def _means(x: Tensor, y: Tensor, weights: Tensor | None) -> tuple[Tensor, ...]:
 
 
 def _similarity(means: tuple[Tensor, ...]) -> Tensor:
-    # Only the sum of both variances is needed: a window less to filter.
+    # Only the sum of both variances is needed, which saves one filter pass.
     x, y, squares, product = means
     both, crossed = x * x + y * y, x * y
     return (2 * crossed + C1) * (2 * (product - crossed) + C2) / ((both + C1) * (squares - both + C2))
@@ -279,7 +279,7 @@ def _blurred(values: Tensor) -> Tensor:
 
 
 class _CpuBlur(torch.autograd.Function):
-    """Gaussian window means by OpenCV, several times as fast as torch's convolution of single channels."""
+    """Gaussian window means by OpenCV, several times faster than torch's single-channel convolution."""
 
     @staticmethod
     def forward(context: Any, values: Tensor) -> Tensor:
@@ -290,7 +290,7 @@ class _CpuBlur(torch.autograd.Function):
     @staticmethod
     def backward(context: Any, gradient: Tensor) -> Tensor:
         edge = HALF_WINDOW_PX
-        # The window is symmetric: filtering is its own transpose, and leaving the edge out is transposed to zeros.
+        # The symmetric window is its own transpose; cropping transposes to zero padding.
         return torch.from_numpy(_filtered(np.pad(gradient.numpy(), ((edge, edge), (edge, edge), (0, 0)))))
 
 
@@ -299,26 +299,26 @@ def _filtered(values: np.ndarray) -> np.ndarray:
     return cv2.sepFilter2D(values, -1, taps, taps, borderType=cv2.BORDER_CONSTANT).reshape(values.shape)
 
 
-# § Leaves out what contradicts the rest: things that moved, in captures that have no boxes of them.
+# Robust mask
 
 _WINDOW = 0.03
-"""Side of the window that differences are averaged over, in widths of the picture: single pixels prove nothing."""
+"""Side of the averaging window in image widths; single pixels are no evidence."""
 
 _THRESHOLDS, _TIMES = 0.08, 4.0
-"""Difference of colour (0..1) below which nothing is left out, and how many medians it must have."""
+"""Color difference (0..1) below which no pixel is masked, and required multiple of the median."""
 
 
 def robust_mask(shown: Tensor, truth: Tensor, mask: Tensor | None, most: float) -> Tensor:
-    """(h, w) bool: the pixels of a mask without the patches where render and picture differ far more than elsewhere.
+    """(h, w) bool: a mask without the patches where render and image differ far more than elsewhere.
 
-    Robust losses for scenes with distractors do it like this (Sabour et al. 2023, section 3.2), with a quantile; here
-    that is only a bound, so that nothing is left out of a picture that is learned well all over.
+    Follows robust losses for scenes with distractors (Sabour et al. 2023, section 3.2). Their quantile is only an upper
+    bound here, so that no pixel of a well-fitted image is masked.
 
     Args:
         shown: (h, w, 3) render.
-        truth: (h, w, 3) photograph.
-        mask: (h, w) bool, pixels that count; None means all.
-        most: Share of them that may be left out.
+        truth: (h, w, 3) ground truth.
+        mask: (h, w) bool, valid pixels; None means all.
+        most: Largest share of them that may be masked.
     """
     with torch.no_grad():
         counts = torch.ones(truth.shape[:2], dtype=torch.bool, device=truth.device) if mask is None else mask
@@ -335,34 +335,34 @@ def robust_mask(shown: Tensor, truth: Tensor, mask: Tensor | None, most: float) 
         return counts & (mean <= limit)
 
 
-# § Affine maps of colour, one a picture: what a camera's exposure and white balance did to it.
+# Affine exposure maps
 
 _DECAYS = 0.9, 0.999
 
 
 class ExposureAffine:
-    """Trainable maps color -> A color + b of all pictures; their mean is no change, which fixes the gauge.
+    """Trainable maps color -> A color + b, one per image; their mean is the identity, which fixes the gauge.
 
-    Without the gauge the scene could turn darker and every picture lighter, and nobody would know the difference.
+    Otherwise a darker scene with brighter exposures would give the same loss.
     """
 
     def __init__(self, count: int, device: str = "cpu") -> None:
         self.changes = torch.zeros((count, 3, 4), device=device, requires_grad=True)
-        """(count, 3, 4): what is added to the identity."""
+        """(count, 3, 4): added to the identity."""
         self._first, self._second = torch.zeros((2, count, 3, 4), device=device).unbind()
         self._steps = 0
 
     def apply(self, index: int, color: Tensor) -> Tensor:
-        """Map a picture's colours (h, w, 3) as its camera would have."""
+        """Apply an image's map to its colors (h, w, 3)."""
         change = self.changes[index]
         return color + color @ change[:, :3].T + change[:, 3]
 
     def penalty(self, index: int) -> Tensor:
-        """Sum of squares of one picture's change: 0 where there is none."""
+        """Squared deviation of one image's map from the identity."""
         return (self.changes[index] ** 2).sum()
 
     def step(self, rate: float) -> None:
-        """Do one step of Adam, then bring the mean over all pictures back to no change."""
+        """Do one step of Adam, then reset the mean map to the identity."""
         slope = self.changes.grad
         if slope is None:
             return
@@ -381,7 +381,7 @@ class ExposureAffine:
         return arrays | {"steps": np.array(self._steps)}
 
     def restore(self, state: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
-        """Go back to what `state` returned; raises KeyError where something is missing."""
+        """Restore the output of `state`; raises KeyError if something is missing."""
         device = self.changes.device
         self.changes = torch.tensor(state["changes"], device=device, requires_grad=True)
         self._first = torch.tensor(state["first"], device=device)

@@ -1,4 +1,4 @@
-"""What decides where a training gets more Gaussians and where fewer: the contract of all ways to do it."""
+"""Density control: the strategy interface and the default strategy of 3DGS."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,40 +13,41 @@ from .parameters import SplatParameters, Tensor
 
 @runtime_checkable
 class Strategy(Protocol):
-    """Watches a training and changes the number of Gaussians in it.
+    """Interface of strategies that change the number of Gaussians during training.
 
     The training calls `observe` after each backward pass and `adapt` after each step of the optimizer, with the same
-    count of steps (from 0). What is random comes from the generator alone.
+    step number (from 0). All randomness comes from the generator.
     """
 
     def observe(self, step: int, rendered: Any, rows: slice | Tensor = slice(None)) -> None:
-        """Take notes of a picture whose loss has gone backward.
+        """Record statistics of a render after its backward pass.
 
         Args:
-            step: How many steps were done before this one.
+            step: Number of steps done before this one.
             rendered: The `Rendered` of `render_gaussians`.
-            rows: Which of the Gaussians that were rendered are those under control, in their order.
+            rows: Rows of the rendered Gaussians that are under control, in their order.
         """
         ...
 
     def adapt(self, step: int, parameters: SplatParameters, generator: Tensor) -> str | None:
-        """Change Gaussians where that is due at this step; returns what was done, in a few words, or None."""
+        """Change Gaussians if due at this step; returns a short summary of the change, or None."""
         ...
 
     def regularization(self, parameters: SplatParameters) -> Tensor | None:
-        """Return what is to be added to each step's loss, or None."""
+        """Return a term to add to each step's loss, or None."""
         ...
 
     def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
-        """Return the notes taken since the last change, as arrays: for a checkpoint."""
+        """Return the statistics since the last change as arrays, for a checkpoint."""
         ...
 
     def restore(self, state: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
-        """Go back to what `state` returned."""
+        """Restore the output of `state`."""
         ...
 
 
-# § Density control of 3DGS (Kerbl et al. 2023): clone what is small, split what is large, prune what can't be seen.
+# Density control of 3DGS
+# Clone small, split large, prune invisible Gaussians (Kerbl et al. 2023).
 
 torch: Any = import_module("torch")
 
@@ -58,36 +59,36 @@ _SHRINK = 0.8 * _CHILDREN
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DefaultStrategySettings:
-    """When and where Gaussians come and go; the defaults are those of 3DGS for 30,000 steps."""
+    """Schedule and thresholds of density control; defaults are those of 3DGS for 30,000 steps."""
 
     extent: float
-    """Size of the scene in its own units: how far from the cameras' middle things are that matter."""
+    """Radius of the relevant scene around the cameras' center, in scene units."""
     most: int
-    """Never more Gaussians than this; where the room is too small, the highest gradients win."""
+    """Maximum number of Gaussians; under this limit the highest gradients are served first."""
     first_step: int = 500
     last_step: int = 15_000
     every: int = 100
     """Steps between two changes."""
     gradient: float = 2e-4
-    """Mean gradient of the loss by a centre in normalized device units (2 across the picture) that calls for more."""
+    """Mean loss gradient of a center, in normalized device units (2 across the image), that triggers growth."""
     split_from: float = 0.01
-    """Gaussians larger than this part of the extent are split, smaller ones cloned."""
+    """Gaussians larger than this share of the extent are split, smaller ones cloned."""
     min_opacity: float = 0.005
     split_on_screen: float = 0.08
-    """Part of the picture's longer side from which a radius calls for a split, whatever the gradient."""
+    """Share of the image's longer side from which a radius triggers a split, regardless of the gradient."""
     largest: float = 0.1
-    """Part of the extent that a Gaussian may be large, once opacities were reset."""
+    """Largest scale as a share of the extent, enforced after opacities were reset."""
     largest_on_screen: float = 0.15
-    """Part of the picture's longer side that its radius may be, once opacities were reset."""
+    """Largest radius as a share of the image's longer side, enforced after opacities were reset."""
     reset_every: int = 3000
     """Steps between two resets of opacity, 0 for none."""
     reset_to: float = 0.01
 
     @classmethod
     def for_run(cls, steps: int, extent: float, most: int) -> "DefaultStrategySettings":
-        """Scale the schedule to a run of so many steps, 30,000 being the paper's.
+        """Scale the schedule of 30,000 steps to a run of `steps`.
 
-        Opacities need a few hundred steps to come back from a reset: runs of less than 2,000 steps have none.
+        Opacities need a few hundred steps to recover from a reset: runs of less than 2,000 steps have none.
         """
         share = min(steps / 30_000, 1.0)
         return cls(
@@ -101,14 +102,14 @@ class DefaultStrategySettings:
 
 
 class DefaultStrategy:
-    """Clones, splits and prunes by the gradients that centres had on screen."""
+    """Clones, splits and prunes by the screen-space gradients of the centers."""
 
     def __init__(self, settings: DefaultStrategySettings) -> None:
         self._settings = settings
         self._notes: dict[str, Tensor] = {}
 
     def observe(self, step: int, rendered: Any, rows: slice | Tensor = slice(None)) -> None:
-        """Add up how hard the loss pulls at each centre, in normalized device units."""
+        """Accumulate the loss gradient of each center, in normalized device units."""
         height, width = rendered.alpha.shape
         drawn = rendered.footprint.drawn[rows]
         if len(self._notes.get("count", ())) != len(drawn):
@@ -121,7 +122,7 @@ class DefaultStrategy:
         self._notes["radius"] = torch.maximum(self._notes["radius"], radius)
 
     def adapt(self, step: int, parameters: SplatParameters, generator: Tensor) -> str | None:
-        """Grow and prune every so many steps; reset opacities now and then."""
+        """Grow and prune periodically, and reset opacities at intervals."""
         s = self._settings
         done = ""
         due = s.first_step <= step < s.last_step and step % s.every == 0
@@ -163,7 +164,7 @@ class DefaultStrategy:
 
 
 def _highest(candidates: Tensor, pull: Tensor, room: int) -> Tensor:
-    """Those candidates that pull hardest, as many as there is room for (each adds one); ties by index."""
+    """The `room` candidates with the highest gradients (each adds one); ties by index."""
     if int(candidates.sum()) <= room:
         return candidates
     order = torch.argsort(torch.where(candidates, pull, -1), descending=True, stable=True)
@@ -173,7 +174,7 @@ def _highest(candidates: Tensor, pull: Tensor, room: int) -> Tensor:
 
 
 def _children(parents: dict[str, Tensor], generator: Tensor) -> dict[str, Tensor]:
-    """Two for each parent, drawn from its own distribution, smaller by 1.6."""
+    """Two children per parent, drawn from its own distribution, smaller by 1.6."""
     rows = {name: each.repeat((_CHILDREN,) + (1,) * (each.dim() - 1)) for name, each in parents.items()}
     means = rows["means"]
     noise = torch.randn(means.shape, generator=generator, device=generator.device, dtype=means.dtype).to(means.device)
@@ -183,7 +184,7 @@ def _children(parents: dict[str, Tensor], generator: Tensor) -> dict[str, Tensor
 
 
 def rotate_vectors(quaternions: Tensor, vectors: Tensor) -> Tensor:
-    """(n, 3) vectors turned by quaternions (n, 4) wxyz of any length."""
+    """(n, 3) vectors rotated by quaternions (n, 4) wxyz of any length."""
     unit = torch.nn.functional.normalize(quaternions, dim=1)
     w, axis = unit[:, :1], unit[:, 1:]
     turn = 2 * torch.linalg.cross(axis, vectors)
@@ -191,7 +192,7 @@ def rotate_vectors(quaternions: Tensor, vectors: Tensor) -> Tensor:
 
 
 def _reset_opacities(parameters: SplatParameters, ceiling: float) -> None:
-    """Make everything nearly transparent, so that floaters near the cameras must earn their opacity again."""
+    """Make all Gaussians nearly transparent, so that floaters near the cameras do not regain their opacity."""
     logits = parameters.tensors["opacity_logits"].detach()
     lowered = logits.clamp(max=float(np.log(ceiling / (1 - ceiling))))
     parameters.put("opacity_logits", slice(None), lowered)

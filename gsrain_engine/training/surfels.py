@@ -1,4 +1,4 @@
-"""Flat Gaussians that cover what one view sees: a disc a cell of pixels, along the surface that its depth shows."""
+"""Surfels: disc-shaped Gaussians along the surfaces of a view, with point colors and camera trajectories."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,17 +15,17 @@ from ..scene.gaussians import Gaussians, sh_from_color
 from ..scene.geometry import matrices_from_quaternions, quaternions_from_matrices
 
 SPREAD = 0.6
-"""Standard deviation of a disc over the spacing of discs: they overlap without blurring much."""
+"""Standard deviation of a disc over the spacing of discs: they overlap without much blur."""
 
 _THICKNESS = 0.1
 """Standard deviation across the surface over the smaller one along it."""
 
 _STEEPEST = 16.0
-"""How much longer a disc may be than wide: surfaces seen at a grazing angle are not told precisely."""
+"""Largest aspect ratio of a disc: surfaces at grazing angles are imprecise."""
 
 _SLIGHT, _STEEP, _STRAIGHT = 0.05, 0.5, 0.3
-"""Relative change of depth from pixel to pixel: a slight one is no edge. A larger one, up to a steep one, as of a road
-far away, is none where the changes before and after differ by no more than this part."""
+"""Relative depth change per pixel. Below the first value it is no edge; up to the second, as on distant road, it is no
+edge if the changes before and after differ by at most the third, as a share."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,20 +34,20 @@ class Surfels:
 
     means: Float32[np.ndarray, "n 3"]
     axes: Float32[np.ndarray, "n 2 3"]
-    """What a step to the next disc is, across and down the picture, along the surface."""
+    """Steps to the next disc along the surface, horizontally and vertically in the image."""
     colors: Float32[np.ndarray, "n 3"]
-    """Display colours, 0..1."""
+    """Display colors, 0..1."""
 
     def __len__(self) -> int:
         return len(self.means)
 
     @classmethod
     def joined(cls, parts: "list[Surfels]") -> "Surfels":
-        """Put sets together, in order."""
+        """Concatenate sets in order."""
         return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("means", "axes", "colors")))
 
     def gaussians(self, opacity: float) -> Gaussians:
-        """Return discs of Gaussians whose sigma is `SPREAD` of a step, thin across the surface."""
+        """Return disc-shaped Gaussians whose sigma is `SPREAD` of a step, thin across the surface."""
         first, second = self.axes[:, 0], self.axes[:, 1]
         covariances = np.einsum("ni,nj->nij", first, first) + np.einsum("ni,nj->nij", second, second)
         squares, vectors = np.linalg.eigh(covariances.astype(np.float64))  # rising: the surface's normal comes first
@@ -67,13 +67,13 @@ class Surfels:
 def surfels_of_view(
     view: CaptureFrame, depth: Float32[np.ndarray, "h w"], stride: int, wanted: Bool[np.ndarray, "rows columns"]
 ) -> Surfels:
-    """Make one disc for each wanted cell of stride x stride pixels that has a depth, in the cell's middle.
+    """Make one disc for each wanted cell of stride x stride pixels with a depth, at the cell's center.
 
     Args:
-        view: Without distortion.
-        depth: Along the view axis, 0 where nothing is.
-        stride: Pixels a cell is wide and high.
-        wanted: Cells to be covered, see `cells`.
+        view: Undistorted.
+        depth: Along the view axis, 0 where unknown.
+        stride: Side of a cell in pixels.
+        wanted: Cells to cover, see `grid_shape`.
     """
     rows, columns = np.nonzero(wanted)
     v = np.minimum(rows * stride + stride // 2, view.camera.height - 1)
@@ -85,7 +85,7 @@ def surfels_of_view(
     across, down = depth_slopes(depth)
     step = np.array([1 / view.camera.fx, 1 / view.camera.fy], np.float32)
     rotation = view.camera.world_to_camera[:3, :3].astype(np.float32)
-    # One pixel further the place is (z + dz) (ray + dray) - z ray; the slope is relative: dz = z * slope.
+    # Offset to the next pixel: (z + dz) (ray + dray) - z ray, with the relative slope dz = z * slope.
     first = z * (step[0] * rotation[0] + across[v, u][:, None] * rays)
     second = z * (step[1] * rotation[1] + down[v, u][:, None] * rays)
     eye = view.camera.position.astype(np.float32)
@@ -94,9 +94,9 @@ def surfels_of_view(
 
 
 def depth_slopes(depth: Float32[np.ndarray, "h w"]) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
-    """Relative change of depth a pixel, across and down; 0 at edges and where nothing is.
+    """Relative depth change per pixel, horizontally and vertically; 0 at edges and where depth is unknown.
 
-    Of both neighbours the one counts whose inverse depth, which is linear on planes, is nearer.
+    Uses the neighbor with the closer inverse depth, which is linear on planes.
     """
     inverse = np.where(depth > 0, 1 / np.maximum(depth, 1e-6), 0)
     found: list[Float32[np.ndarray, "h w"]] = []
@@ -115,12 +115,12 @@ def depth_slopes(depth: Float32[np.ndarray, "h w"]) -> tuple[Float32[np.ndarray,
 
 
 def grid_shape(camera: Camera, stride: int) -> tuple[int, int]:
-    """How many rows and columns of cells a picture has."""
+    """Number of cell rows and columns of an image."""
     return -(-camera.height // stride), -(-camera.width // stride)
 
 
 def cell_means(pixels: np.ndarray, stride: int) -> Float32[np.ndarray, "rows columns c"]:
-    """Mean of the pixels of each cell, of 8-bit colours as 0..1."""
+    """Mean of the pixels of each cell; 8-bit colors as 0..1."""
     height, width = pixels.shape[:2]
     rows, columns = np.arange(0, height, stride), np.arange(0, width, stride)
     sums = np.asarray(np.add.reduceat(np.add.reduceat(pixels.astype(np.float32), rows, axis=0), columns, axis=1))
@@ -130,20 +130,20 @@ def cell_means(pixels: np.ndarray, stride: int) -> Float32[np.ndarray, "rows col
     return np.asarray(sums / (tall[:, None, None] * wide[None, :, None] * scale), np.float32)
 
 
-# § Cuts Gaussians that are long for how near cameras come to them.
+# Splitting of long Gaussians
 
 LONGEST = 0.1
-"""Standard deviation over the distance to the nearest camera. Renderers project as if perspective were linear around a
-Gaussian's middle (Zwicker et al. 2001, section 6.2): a piece of road that reaches past a camera would smear the sky."""
+"""Largest standard deviation over the distance to the nearest camera. Renderers linearize perspective around a
+Gaussian's center (Zwicker et al. 2001, section 6.2): a road Gaussian that extends past a camera would smear the sky."""
 
 
 def split_long_gaussians(gaussians: Gaussians, way: Float64[np.ndarray, "p 3"], most: int) -> Gaussians:
-    """Replace each that is too long by a row of shorter ones along its longest axis, which cover its step.
+    """Split Gaussians that are elongated relative to their camera distance into a row of shorter ones.
 
     Args:
         gaussians: In the capture's world.
-        way: Where cameras are and may be.
-        most: So many there may be afterwards; where that is too few, the others stay in one, short piece.
+        way: Current and possible camera positions.
+        most: Maximum number afterwards; beyond it, the remaining ones are shortened without a split.
     """
     longest = gaussians.scales.argmax(axis=1)
     rows = np.arange(len(gaussians))
@@ -166,21 +166,22 @@ def split_long_gaussians(gaussians: Gaussians, way: Float64[np.ndarray, "p 3"], 
     return Gaussians(means.astype(np.float32), scales, cut.quaternions, cut.opacities, cut.sh)
 
 
-# § Where the cameras of a capture went, also between their pictures.
+# Camera trajectory
 
 _PARTS = 8
-"""Of each stretch between two pictures."""
+"""Parts per segment between two images."""
 
 _LONGEST = 0.5
-"""Of a stretch, over the usual depth of what cameras see: so far they see that the way is free."""
+"""Longest interpolated segment over the typical depth: within it the cameras observe free space."""
 
 
 def camera_trajectory(views: Sequence[CaptureFrame], usual_depth: float) -> Float64[np.ndarray, "p 3"]:
-    """Places of the cameras in the capture's world, and some more between each two pictures of a sensor.
+    """Camera positions in the capture's world, interpolated between consecutive images of a sensor.
 
     Args:
         views: In any order.
-        usual_depth: Of what they see, in the capture's unit; stretches that are long beside it are left open.
+        usual_depth: Typical depth of the views in the capture's unit; segments long relative to it are not
+            interpolated.
     """
     stretches: list[tuple[np.ndarray, np.ndarray]] = []
     for sensor in dict.fromkeys(view.sensor for view in views):
@@ -196,21 +197,21 @@ def camera_trajectory(views: Sequence[CaptureFrame], usual_depth: float) -> Floa
     return np.array([view.camera.position for view in views] + between)
 
 
-# § Colours of points from the pictures that see them.
+# Point colors
 
 _NEAR = 0.05
 
 _HIDDEN = 1.06
-"""A point so many times farther than the surface in its pixel is behind it."""
+"""A point farther than the surface in its pixel by this factor is occluded."""
 
 _SLACK = 0.15
-"""What is added to that, in the world's unit: points on thin things and edges."""
+"""Added tolerance in the world's unit, for points on thin objects and edges."""
 
 
 def projected(
     points: Float32[np.ndarray, "p 3"] | Float64[np.ndarray, "p 3"], camera: Camera
 ) -> tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " m"], Int64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
-    """Index of each point that falls into the picture, its row and column there, and its depth."""
+    """Index, row, column and depth of each point that projects into the image."""
     seen = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
     ahead = np.flatnonzero(seen[:, 2] > _NEAR)
     z = seen[ahead, 2]
@@ -226,13 +227,13 @@ def point_colors(
     depths: Sequence[Float32[np.ndarray, "_ _"]],
     most_views: int = 8,
 ) -> tuple[Float32[np.ndarray, "p 3"], Bool[np.ndarray, " p"]]:
-    """Display colour of each point, the median over the nearest views that see it, and whether any does (else grey).
+    """Median display color of each point over its nearest views, and a mask of visible points (others are gray).
 
     Args:
         points: In the world of the capture.
-        views: Without distortion; pixels outside their masks tell nothing.
-        depths: Of the surface in each pixel, which hides what is behind it; 0 hides nothing.
-        most_views: Of those that see a point, so many of the nearest count.
+        views: Undistorted; pixels outside their masks are ignored.
+        depths: Surface depth in each pixel, for occlusion; 0 occludes nothing.
+        most_views: Number of nearest views per point.
     """
     nearest = np.full((len(points), most_views), np.inf)
     samples = np.full((len(points), most_views, 3), np.nan, np.float32)

@@ -1,4 +1,4 @@
-"""What is to be reconstructed, and where the result goes."""
+"""Reconstruction task: input, output and options."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -16,35 +16,35 @@ from .settings import TrainingSettings
 
 
 class ReconstructionTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One order to reconstruct; it survives pickling, for a worker process."""
+    """A reconstruction request; picklable for a worker process."""
 
     capture: Path
     output: Path
     """Scene folder."""
     settings: TrainingSettings
     images: Path | None = None
-    """Folder with pictures in place of the capture's own."""
+    """Folder with images that replace the capture's own."""
     masks: Path | None = None
-    """Folder with a picture for each camera, named like it: white may be learned from, black (the own bonnet) not."""
+    """Folder with one mask image per camera, of the same name: white pixels are used, black ones (own hood) are not."""
     resume: bool = False
-    """Whether to go on from the checkpoint beside the output."""
+    """Resume from the checkpoint next to the output."""
     lpips: Path | None = None
-    """Weights of LPIPS; None takes those of this machine, if any."""
+    """LPIPS weights; None uses those installed on this machine, if any."""
     report: Path | None = None
     """HTML file to write."""
     snapshot: Path | None = None
-    """Scene folder that is written anew at each look at the held-out views, to be looked at meanwhile."""
+    """Scene folder for a preview, rewritten at each held-out evaluation."""
 
     allow_outside: bool | None = None
-    """Whether files outside of the capture's folder are read that its files name; None leaves it to the context."""
+    """Allow files outside the capture's folder that its files name; None leaves it to the context."""
 
     @property
     def checkpoint(self) -> Path:
-        """Where the checkpoints of this task are; removed once the scene is written."""
+        """Checkpoint file of this task; removed once the scene is written."""
         return self.output.with_name(f"{shortened(self.output.name)}.checkpoint.npz")
 
     def read(self) -> Capture:
-        """Read the capture; raises `CaptureError`, also where there is nothing to learn from."""
+        """Read the capture; raises `CaptureError`, also if it has nothing to train on."""
         capture = readable_images(open_capture(self.capture, allow_outside=self.allow_outside))
         if self.images is not None:
             capture = with_images(capture, self.images)
@@ -63,12 +63,12 @@ class ReconstructionTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
         return capture
 
     def held_out(self, capture: Capture) -> list[int]:
-        """Which views of the capture are kept for measuring."""
+        """Indices of the capture's held-out views."""
         settings = self.settings
         return validation_indices([view.name for view in capture], settings.held_out, settings.held_out_views)
 
     def fingerprint(self, capture: Capture) -> str:
-        """Tell captures apart: a checkpoint goes on with the views that it was made from."""
+        """Text that identifies a capture's views, so that a checkpoint resumes only with its own."""
         names = [view.name for view in capture]
         pictures = "" if self.images is None else f", pictures of {self.images.name}"
         return f"{len(names)} views of {capture.name}, {names[0]} to {names[-1]}{pictures}"

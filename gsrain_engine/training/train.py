@@ -1,4 +1,4 @@
-"""From a capture to a scene: start, learn, measure, write; a generator of `Progress` that may be stopped anywhere."""
+"""Reconstruction of a scene from a capture: a generator of `Progress` that may be stopped at any step."""
 
 import logging
 import time
@@ -47,34 +47,34 @@ from .task import ReconstructionTask
 logger = logging.getLogger("gsrain")
 
 _STARTED, _TRAINED = 0.04, 0.95
-"""Shares of the whole work after which training begins, and is over."""
+"""Shares of the total progress at which training starts and ends."""
 
 _PREVIEW_INTERVAL_S = 2.0
 
 _QUICK_VIEWS = 4
-"""So many held-out views are looked at while training; all of them in the end."""
+"""Number of held-out views evaluated during training; all of them at the end."""
 
 _LEARNED_VIEWS = 4
-"""So many of the views that were learned from are measured in the end, for comparison."""
+"""Number of training views evaluated at the end, for comparison."""
 
 _BEFORE = "before"
 
-# § Where a training begins: views made ready, first Gaussians, a sky, things that move, and their control.
+# Ego mask report
 
 
 @dataclass(frozen=True, slots=True)
 class EgoMaskReport:
-    """The search for the vehicle's own body in the pictures, for the record."""
+    """The search for the vehicle's own body in the images."""
 
     searched: bool
     reason: str
-    """Why it ran, or did not."""
+    """Reason for the decision to search or not."""
     shares: Mapping[str, float] = field(default_factory=dict[str, float])
-    """By camera, which part (0..1) of its pictures the body covers; cameras without any are not listed."""
+    """Share (0..1) of the images that the body covers, by camera; cameras without it are omitted."""
 
     @classmethod
     def planned(cls, capture: Capture, own_body: bool | None) -> "EgoMaskReport":
-        """Decide by the setting, else by the capture: only a vehicle that drives has a body in its pictures."""
+        """Decide by the setting, else by the capture: only a drive has a vehicle body in its images."""
         if own_body is not None:
             return cls(own_body, "asked for" if own_body else "not asked for")
         is_drive = capture.ego is not None
@@ -88,41 +88,41 @@ class EgoMaskReport:
         return f"looked for ({self.reason}): {', '.join(found) or 'none found'}"
 
 
-# § What a reconstruction came to: figures, curves and pictures.
+# Training report
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredRender:
-    """A render beside its photograph."""
+    """A render with its ground truth."""
 
     score: RenderScore
     rendered: Float32[np.ndarray, "h w 3"]
     truth: UInt8[np.ndarray, "h w 3"]
     seen: Bool[np.ndarray, "h w"] | None
-    """Pixels that count; None means all."""
+    """Valid pixels; None means all."""
     is_held_out: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingReport:
-    """What came out, and how it was made."""
+    """Scores, curves and settings of a finished reconstruction."""
 
     capture: Capture
     settings: TrainingSettings
     gaussians: int
     seconds: float
-    """From the first picture read to the last step; over all runs where it was resumed."""
+    """From the first image read to the last step; over all runs if resumed."""
     curves: TrainingCurves
     before: tuple[RenderScore, ...]
     """Held-out views before the first step."""
     pictures: tuple[MeasuredRender, ...]
-    """All held-out views, and some that were learned from."""
+    """All held-out views, and some training views."""
     seconds_by_stage: dict[str, float]
     own_body: EgoMaskReport
 
     @property
     def held_out(self) -> list[RenderScore]:
-        """Scores of the views that the training never saw."""
+        """Scores of the held-out views."""
         return [each.score for each in self.pictures if each.is_held_out]
 
     @property
@@ -131,7 +131,7 @@ class TrainingReport:
 
     @property
     def numbers(self) -> dict[str, Any]:
-        """The figures that a command reports; None where nothing was held out."""
+        """The figures that a command reports; None if no view was held out."""
         return {
             "seconds": self.seconds,
             "gaussians": self.gaussians,
@@ -155,14 +155,14 @@ class TrainingReport:
 
 
 def reconstruct(task: ReconstructionTask, opened: Capture | None = None) -> Generator[Progress, None, TrainingReport]:
-    """Fit Gaussians to a capture (the task's, unless one is at hand) and write the scene, and the report if asked for.
+    """Fit Gaussians to a capture (read from the task if None) and write the scene and the requested report.
 
     Yields:
-        Progress, at least once a step. Stopped there, the last checkpoint remains.
+        Progress, at least once a step. If stopped there, the last checkpoint remains.
 
     Raises:
-        CaptureError: For a capture that can't be read, or has nothing to learn from.
-        CheckpointError: When `resume` finds no checkpoint, or one of another training.
+        CaptureError: If the capture can't be read or has nothing to train on.
+        TrainingCheckpointError: If `resume` finds no checkpoint, or one of another training.
     """
     yield Progress(0.0, "Reading the capture")
     capture = task.read() if opened is None else opened
@@ -185,17 +185,17 @@ def reconstruct(task: ReconstructionTask, opened: Capture | None = None) -> Gene
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedTraining:
-    """A training that has done no step yet."""
+    """A training before its first step."""
 
     training: Trainer
     held_out: list[TrainingView]
-    """Views that it does not learn from."""
+    """Views excluded from training."""
     perceived: PerceptualMetric | None
     own_body: "EgoMaskReport"
 
 
 class _TrainingLoop:
-    """One training from its first step to its last, with what is noted on the way."""
+    """One training from its first step to its last, with its records."""
 
     def __init__(self, task: ReconstructionTask, capture: Capture, started: PreparedTraining, began: float) -> None:
         self._task, self._capture, self._began = task, capture, began
@@ -236,7 +236,7 @@ class _TrainingLoop:
                 yield self._progress_at(number, f"Saved {self._task.checkpoint.name}")
 
     def _look(self, number: int) -> Progress:
-        """Write the scene as it is now where that is asked for, and look at some held-out views."""
+        """Write the snapshot scene if requested, and evaluate some held-out views."""
         if self._task.snapshot is not None:
             write_scene(scene_of(self._training.model, self._capture), self._task.snapshot)
         if not self._held:
@@ -247,7 +247,7 @@ class _TrainingLoop:
         return self._progress_at(number, told)
 
     def measure(self) -> Generator[Progress, None, TrainingReport]:
-        """Measure all held-out views, and some that were learned from."""
+        """Evaluate all held-out views and some training views."""
         seconds = self._seconds
         learned = _spread(self._training.views, _LEARNED_VIEWS)
         chosen = [(view, True) for view in self._held] + [(view, False) for view in learned]
@@ -301,7 +301,7 @@ def _scores(views: Sequence[TrainingView], figures: np.ndarray) -> tuple[RenderS
 
 
 def _is_due(every: int, number: int, steps: int) -> bool:
-    """Whether something is due after a step, counted from 0; the last one is followed by the end anyway."""
+    """True if a periodic action is due after a step, counted from 0; never after the last step."""
     return every > 0 and (number + 1) % every == 0 and number + 1 < steps
 
 
@@ -313,13 +313,13 @@ def _spread(views: Sequence[TrainingView], count: int) -> list[TrainingView]:
 torch: Any = import_module("torch")
 
 _INITIAL_SHARE = 0.7
-"""Of the Gaussians allowed, how many there may be at first: density control needs room."""
+"""Initial share of the allowed Gaussians; the rest is left to density control."""
 
 
 def start_training(
     capture: Capture, settings: TrainingSettings, held_out: Sequence[int], lpips: Path | None = None
 ) -> Generator[Progress, None, PreparedTraining]:
-    """Make everything ready. Held-out views help to tell what colour the sky has and where the own body is; no more."""
+    """Prepare everything. Held-out views are used only to find the sky color and the vehicle's own body."""
     device = _device(settings.device)
     yield Progress(0.0, f"Reading {len(capture)} pictures")
     views = training_views(capture, settings.width_px)
@@ -343,7 +343,7 @@ def start_training(
         )
         for index, view in enumerate(views)
     ]
-    if capture.boxes:  # they tell what moves
+    if capture.boxes:  # boxes already mark moving objects
         settings = msgspec.structs.replace(settings, transients=0.0)
     schedule = TrainingSchedule(settings, camera_extent([views[i] for i in learned]))
     control = _control(settings, schedule)
@@ -364,7 +364,7 @@ def start_training(
 def _model(
     capture: Capture, settings: TrainingSettings, views: Sequence[CaptureFrame], known: DepthPriors, device: str
 ) -> SplatModel:
-    """First Gaussians of everything, from the views that are learned from."""
+    """First Gaussians of all parts, from the training views."""
     budget = max(round(_INITIAL_SHARE * settings.gaussians), 1)
     background = initial_gaussians(capture, views, budget, settings.seed, known)
     if not len(background):
@@ -380,7 +380,7 @@ def _model(
 
 
 def _device(asked: str) -> str:
-    """Return "cuda" where that is asked for or usable; raises ValueError where it is asked for and isn't there."""
+    """Return "cuda" if requested or usable; raises ValueError if requested but unavailable."""
     usable = torch.cuda.is_available() and find_spec("gsplat") is not None
     if asked == "cuda" and not usable:
         raise ValueError("--device cuda: needs an NVIDIA GPU, torch with CUDA, and gsplat (pip install gsrain[cuda])")
@@ -398,7 +398,7 @@ def _control(settings: TrainingSettings, schedule: TrainingSchedule) -> Strategy
 
 
 def _perceived(lpips: Path | None, device: str) -> PerceptualMetric | None:
-    """LPIPS with VGG16 from a file, or from this machine; None where nothing is asked for and there is none."""
+    """LPIPS with VGG16 from a file or from this machine; None if neither is available."""
     try:
         weights = find_lpips_weights("vgg") if lpips is None else read_lpips_weights(lpips)
     except FileNotFoundError:
@@ -408,10 +408,10 @@ def _perceived(lpips: Path | None, device: str) -> PerceptualMetric | None:
     return Lpips(weights).to(device)
 
 
-# § The page of a reconstruction: its settings, curves, held-out pictures and timings.
+# Training report page
 
 _SMOOTHED_STEPS = 25
-"""Each step learns from another view: single losses jump."""
+"""Smoothing window: each step uses another view, so single losses vary."""
 
 
 def write_training_report(file: Path, result: TrainingReport) -> None:

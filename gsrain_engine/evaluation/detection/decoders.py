@@ -1,4 +1,4 @@
-"""What the numbers that a detector gives mean: boxes in pixels of its input, with confidences and classes."""
+"""Detector outputs: ONNX inference, decoders of boxes and classes, overlap, and non-maximum suppression."""
 
 import ast
 from collections.abc import Callable, Mapping, Sequence
@@ -15,14 +15,14 @@ from ...safe_io.text_files import printable_line
 from .description import DetectorDescription
 
 _TOLERANCE = 1e-3
-"""Rounding may take a confidence this far out of 0..1."""
+"""Tolerance for confidences outside 0..1 due to rounding."""
 
 Output = Float32[np.ndarray, "..."]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoxCandidates:
-    """Boxes that a detector believes in at all, in pixels of its input."""
+    """Candidate boxes of a detector, in pixels of its input."""
 
     boxes: Float32[np.ndarray, "n 4"]
     """Rows x1 y1 x2 y2."""
@@ -32,7 +32,7 @@ class BoxCandidates:
 
 @dataclass(frozen=True, slots=True)
 class DecoderInput:
-    """What a decoder goes by: the description, how many classes there are, and the input's size in pixels."""
+    """Input of a decoder: the description, the number of classes, and the input size in pixels."""
 
     description: DetectorDescription
     classes: int
@@ -42,16 +42,16 @@ class DecoderInput:
 
 @dataclass(frozen=True, slots=True)
 class Decoder:
-    """How the numbers of one kind of detector are read."""
+    """Reader of one kind of detector output."""
 
     decode: Callable[[Sequence[Output], DecoderInput], BoxCandidates]
-    """Takes what the network gave for one picture; raises ValueError where it can't be of this layout."""
+    """Decodes the network's output for one image; raises ValueError for another layout."""
     is_final: bool = False
-    """Whether the network itself leaves one box an object: then nothing is suppressed."""
+    """True if the network outputs one box per object, so that no suppression is needed."""
 
 
 def decoder(name: str) -> Decoder:
-    """Find a decoder, ours or an installed package's. Raises ValueError where there is none or it can't be used."""
+    """Find a built-in or installed decoder; raises ValueError if it is missing or unusable."""
     if name in _DECODERS:
         return _DECODERS[name]
     if (installed := find_extension(DECODERS, name)) is not None:
@@ -60,7 +60,7 @@ def decoder(name: str) -> Decoder:
 
 
 def decode_outputs(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
-    """Decode what a detector gave for one picture. Raises ValueError where it can't be of this layout."""
+    """Decode a detector's output for one image; raises ValueError for another layout."""
     with np.errstate(over="ignore", invalid="ignore"):
         found = decoder(layout.description.decode).decode(outputs, layout)
     if not np.isfinite(found.boxes).all():
@@ -79,7 +79,7 @@ def cell_grid(layout: DecoderInput) -> Float32[np.ndarray, "a 3"]:
 
 
 def _end_to_end(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
-    """Rows x1 y1 x2 y2 confidence class, nothing left to suppress (YOLOv10, Wang et al. 2024)."""
+    """Rows x1 y1 x2 y2 confidence class, without suppression (YOLOv10, Wang et al. 2024)."""
     rows = _only_table(outputs, layout, 6)
     confidences, classes = rows[:, 4], np.rint(rows[:, 5]).astype(np.int64)
     _check_confidences(confidences, layout)
@@ -91,19 +91,19 @@ def _end_to_end(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidate
 
 
 def _yolo(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
-    """Centre, size, a score a class (YOLOv8 and YOLO11 of ultralytics)."""
+    """Center, size, and one score per class (YOLOv8 and YOLO11 of ultralytics)."""
     rows = _only_table(outputs, layout, 4 + layout.classes)
     return _best_classes(_corners(rows[:, :2], rows[:, 2:4]), rows[:, 4:], layout)
 
 
 def _yolo_objectness(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
-    """Centre, size, objectness, a score a class (YOLOv5, YOLOv6): confidence is objectness times score."""
+    """Center, size, objectness, and one score per class (YOLOv5, YOLOv6): confidence is objectness times score."""
     rows = _only_table(outputs, layout, 5 + layout.classes)
     return _best_classes(_corners(rows[:, :2], rows[:, 2:4]), rows[:, 4:5] * rows[:, 5:], layout)
 
 
 def _yolox(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
-    """As with objectness, but centres in cells from their cell and logarithms of sizes in cells (Ge et al. 2021)."""
+    """Like `_yolo_objectness`, with centers in cells relative to their cell and log sizes in cells (Ge et al. 2021)."""
     rows = _only_table(outputs, layout, 5 + layout.classes)
     cells = cell_grid(layout)
     _check_cells(len(rows), cells, layout)
@@ -113,7 +113,7 @@ def _yolox(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
 
 
 def _nanodet(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
-    """Scores, then for each side of the box a distribution over whole distances in cells (Li et al. 2020, GFL).
+    """Scores, then for each side of the box a distribution over integer distances in cells (Li et al. 2020, GFL).
 
     The distance is the distribution's mean. One table holds both, or each stride has a table of scores and one of
     distributions.
@@ -149,7 +149,7 @@ def _scores_and_bins(
 
 
 def _by_stride(tables: list[Float32[np.ndarray, "_ k"]]) -> Float32[np.ndarray, "a k"]:
-    """One table of several, that with the most cells (the finest stride) first."""
+    """Concatenate tables, the one with the most cells (the finest stride) first."""
     if not tables or len({table.shape[1] for table in tables}) > 1:
         return np.zeros((0, 0), np.float32)
     return np.concatenate(sorted(tables, key=len, reverse=True))
@@ -158,7 +158,7 @@ def _by_stride(tables: list[Float32[np.ndarray, "_ k"]]) -> Float32[np.ndarray, 
 def _best_classes(
     boxes: Float32[np.ndarray, "a 4"], scores: Float32[np.ndarray, "a c"], layout: DecoderInput
 ) -> BoxCandidates:
-    """Each box with the class that it most likely holds."""
+    """Each box with its most probable class."""
     classes = scores.argmax(axis=1).astype(np.int64)
     confidences = np.take_along_axis(scores, classes[:, None], axis=1)[:, 0]
     _check_confidences(confidences, layout)
@@ -167,7 +167,7 @@ def _best_classes(
 
 
 def _only_table(outputs: Sequence[Output], layout: DecoderInput, columns: int) -> Float32[np.ndarray, "a k"]:
-    """The one output as rows of `columns` numbers, whichever way round it lies."""
+    """The only output as rows of `columns` numbers, transposed if necessary."""
     if len(outputs) != 1:
         raise ValueError(f"it gives {len(outputs)} outputs; decoded as {layout.description.decode} it must give one")
     table = _table(outputs[0], layout)
@@ -182,7 +182,7 @@ def _only_table(outputs: Sequence[Output], layout: DecoderInput, columns: int) -
 
 
 def _table(output: Output, layout: DecoderInput) -> Float32[np.ndarray, "a k"]:
-    """An output of one picture as a table; the axis of pictures may be left out."""
+    """The output for one image as a table; the batch axis is optional."""
     if output.ndim == 2:
         return output
     if output.ndim == 4 and 1 in output.shape[1:]:
@@ -216,7 +216,7 @@ def _corners(centers: Float32[np.ndarray, "a 2"], sizes: Float32[np.ndarray, "a 
 
 
 def _installed(extension: Extension) -> Decoder:
-    """Return the decoder of another package, which fails in one sentence."""
+    """Return the decoder of another package, with its errors reduced to one sentence."""
     row = extension.load(Decoder)
 
     def decode(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
@@ -224,7 +224,7 @@ def _installed(extension: Extension) -> Decoder:
             found = extension.expect(row.decode(outputs, layout), BoxCandidates, "gives")
         except ValueError:
             raise
-        except Exception as error:  # whatever others raise
+        except Exception as error:  # packages may raise anything
             raise extension.unfit(error) from error
         n = len(found.boxes)
         if found.boxes.shape != (n, 4) or found.confidences.shape != (n,) or found.classes.shape != (n,):
@@ -246,7 +246,7 @@ _DECODERS: dict[str, Decoder] = {
     "nanodet": Decoder(_nanodet),
 }
 
-# § Overlap of boxes, and keeping one box where several lie over each other.
+# Box overlap and suppression
 
 Boxes = Float[np.ndarray, "_ 4"]
 """Rows x1 y1 x2 y2."""
@@ -255,10 +255,7 @@ Boxes = Float[np.ndarray, "_ 4"]
 def intersection_over_union(
     first: Float[np.ndarray, "n 4"], second: Float[np.ndarray, "m 4"]
 ) -> Float64[np.ndarray, "n m"]:
-    """Area that two boxes share over the area that they cover together: 0..1, 1 for equal boxes (Jaccard index).
-
-    0 where both are empty.
-    """
+    """Intersection over union of boxes: 0..1, 1 for equal boxes (Jaccard index), 0 if both are empty."""
     a, b = first.astype(np.float64)[:, None], second.astype(np.float64)[None]
     sides = np.minimum(a[..., 2:], b[..., 2:]) - np.maximum(a[..., :2], b[..., :2])
     shared = np.prod(np.maximum(sides, 0.0), axis=-1)
@@ -272,10 +269,10 @@ def non_maximum_suppression(
     classes: Int[np.ndarray, " n"],
     most_iou: float,
 ) -> Int[np.ndarray, " k"]:
-    """Rows that stay, the most confident first: greedy non-maximum suppression, each class by itself.
+    """Rows of the remaining boxes by descending confidence: greedy non-maximum suppression per class.
 
-    A box goes where a more confident one of its class overlaps it by more than `most_iou`. Of equally confident ones
-    the earlier stays.
+    Removes a box if a more confident one of its class overlaps it by more than `most_iou`. Among equal confidences the
+    earlier box stays.
     """
     order = np.argsort(-confidences, kind="stable")
     kept: list[int] = []
@@ -291,16 +288,16 @@ def _area(boxes: Float64[np.ndarray, "*n 4"]) -> Float64[np.ndarray, "*n"]:
     return np.prod(np.maximum(boxes[..., 2:] - boxes[..., :2], 0.0), axis=-1)
 
 
-# § An ONNX file that takes one picture: opened, described, run; the same numbers for the same picture.
+# ONNX models
 
 THREADS = 2
-"""Fixed, so that sums are taken in the same order on every run; what is more goes to pictures side by side."""
+"""Fixed, for a deterministic order of sums; further threads process images in parallel."""
 
 MAX_SIDE_PX = 8192
-"""Of the picture that a network takes."""
+"""Largest side of a network's input."""
 
 _POINTER = b"version https://git-lfs"
-"""How a file begins that Git has not fetched."""
+"""First bytes of a Git LFS pointer file."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -310,17 +307,17 @@ class OnnxModel:
     path: Path
     input_name: str
     width: int | None
-    """In pixels; None where the file leaves it open."""
+    """In pixels; None for a dynamic size."""
     height: int | None
     output_shapes: tuple[tuple[int | None, ...], ...]
-    """None where the file leaves an axis open."""
+    """None for dynamic axes."""
     metadata: Mapping[str, str]
     _session: Any = field(repr=False)
     _kind: type[np.floating[Any]] = np.float32
 
     @property
     def class_names(self) -> tuple[str, ...] | None:
-        """Classes as exports of ultralytics name them in the metadata; None where there are none."""
+        """Class names from the metadata of ultralytics exports; None if missing."""
         try:
             names = ast.literal_eval(self.metadata.get("names", ""))
         except (ValueError, SyntaxError, RecursionError, MemoryError):
@@ -330,10 +327,10 @@ class OnnxModel:
         return tuple(map(str, names)) if isinstance(names, list) and names else None
 
     def run(self, picture: Float32[np.ndarray, "1 3 h w"]) -> tuple[Float32[np.ndarray, "..."], ...]:
-        """What the network gives. Raises ValueError where it fails, or gives what is no finite number."""
+        """Run the network; raises ValueError if it fails or returns non-finite numbers."""
         try:
             outputs = self._session.run(None, {self.input_name: picture.astype(self._kind, copy=False)})
-        except Exception as error:  # onnxruntime's errors share no base but this
+        except Exception as error:  # onnxruntime's errors have no other common base class
             raise ValueError(f"{self.path}: fails on a picture: {_first_line(error)}") from None
         for output in outputs:
             if not isinstance(output, np.ndarray) or output.dtype.kind not in "fiu":
@@ -346,9 +343,9 @@ class OnnxModel:
 
 
 def open_onnx(path: Path) -> OnnxModel:
-    """Open a file for the processor. Raises ValueError with one sentence where it is no network of one picture.
+    """Open a file for the CPU; raises ValueError with one sentence if it is no network for one image.
 
-    Raises ModuleNotFoundError with what to install where onnxruntime is missing.
+    Raises ModuleNotFoundError with the package to install if onnxruntime is missing.
     """
     try:
         import onnxruntime
@@ -362,12 +359,12 @@ def open_onnx(path: Path) -> OnnxModel:
     try:
         session = onnxruntime.InferenceSession(
             str(path), _options(onnxruntime), providers=["CPUExecutionProvider"], enable_fallback=0
-        )  # with a fallback it prints what goes wrong, and tries the same again
-        # Words are only read when they are asked for: all of them here, where those that are no words are damage.
+        )  # with a fallback it would print the error and retry
+        # Strings are decoded on access: read them all here, where a decoding error means a damaged file.
         inputs = [(str(each.name), str(each.type), each.shape) for each in session.get_inputs()]
         outputs = [_shape(each.shape) for each in session.get_outputs()]
         metadata = dict(session.get_modelmeta().custom_metadata_map)
-    except Exception as error:  # onnxruntime's errors share no base but this
+    except Exception as error:  # onnxruntime's errors have no other common base class
         raise ValueError(f"{path}: not an ONNX file that onnxruntime opens: {_cause(path, error)}") from None
     kinds = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
     name, kind, axes = inputs[0] if len(inputs) == 1 else ("", "", ())
@@ -395,7 +392,7 @@ def _options(onnxruntime: Any) -> Any:
     options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
     options.use_deterministic_compute = True
-    options.log_severity_level = 4  # what goes wrong is raised and said once, not written to the terminal as well
+    options.log_severity_level = 4  # errors are raised, so they are not also logged to the terminal
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     return options
 

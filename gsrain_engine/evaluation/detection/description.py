@@ -1,4 +1,4 @@
-"""What has to be known of a detector besides its ONNX file: one value, which is also a YAML file."""
+"""Detector descriptions: preprocessing and output format of an ONNX file, also as YAML."""
 
 from pathlib import Path
 from typing import Annotated, Literal, get_args
@@ -28,7 +28,7 @@ ClassName = Annotated[str, Meta(min_length=1)]
 
 
 class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How a picture goes into a detector, and what its numbers mean."""
+    """Preprocessing of a detector's input and format of its output."""
 
     decode: Annotated[
         str,
@@ -99,7 +99,7 @@ class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
 
 
 def decode_names() -> tuple[str, ...]:
-    """What `decode` may be: ours, then the decoders of installed packages."""
+    """Allowed values of `decode`: built-in decoders, then those of installed packages."""
     ours: tuple[str, ...] = get_args(Decode)
     return (*ours, *(each.name for each in find_extensions(DECODERS) if each.name not in ours))
 
@@ -111,13 +111,13 @@ def description_names() -> list[str]:
 def load_description(name: str | Path) -> DetectorDescription:
     """Load a shipped description by name, or a file by path.
 
-    Raises ValueError with the file, the field and what is allowed.
+    Raises ValueError with the file, the field and the allowed values.
     """
     return load_config(_FOLDER, name, DetectorDescription, "detector description")
 
 
 def named_classes(description: DetectorDescription, in_file: tuple[str, ...] | None) -> tuple[str, ...]:
-    """Classes of the description, else those that the ONNX file names. Raises ValueError where neither does."""
+    """Classes of the description, else those in the ONNX file; raises ValueError if neither names any."""
     if description.classes == "coco":
         return COCO_CLASSES
     classes = description.classes or in_file

@@ -1,4 +1,4 @@
-"""A detector: an ONNX file with its description, which finds objects in a picture."""
+"""Object detector: an ONNX file with its description, letterboxing, and detection of its format."""
 
 import os
 from dataclasses import dataclass, field
@@ -25,21 +25,21 @@ from .description import DetectorDescription, Fit, description_names, load_descr
 
 @dataclass(frozen=True, slots=True)
 class Detection:
-    """An object that a detector believes in."""
+    """A detected object."""
 
     class_name: str
     confidence: float
     """0..1."""
     box_xyxy: tuple[float, float, float, float]
-    """Left, top, right, bottom in pixels of the picture, whose upper left corner is (0, 0)."""
+    """Left, top, right, bottom in pixels of the image, whose upper left corner is (0, 0)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detector:
-    """Finds objects in pictures. The same picture gives the same detections, to the bit."""
+    """Detects objects in images, deterministically to the bit."""
 
     name: str
-    """Of its file, without the ending."""
+    """Of its file, without suffix."""
     description: DetectorDescription
     classes: tuple[str, ...]
     input_size_px: tuple[int, int]
@@ -47,9 +47,9 @@ class Detector:
     _model: OnnxModel = field(repr=False)
 
     def detect(self, image: UInt8[np.ndarray, "h w 3"]) -> list[Detection]:
-        """Find objects in a picture (RGB), the most confident first.
+        """Detect objects in an image (RGB), by descending confidence.
 
-        Raises ValueError, with the file's name, where what the network gives can't be detections.
+        Raises ValueError with the file's name if the network's output can't be detections.
         """
         height, width = image.shape[:2]
         placement = letterbox((width, height), self.input_size_px, self.description.fit)
@@ -67,7 +67,7 @@ class Detector:
         ]
 
     def _chosen(self, found: BoxCandidates) -> np.ndarray:
-        """Rows to report, the most confident first."""
+        """Indices of the reported boxes, by descending confidence."""
         if decoder(self.description.decode).is_final:
             rows = np.argsort(-found.confidences, kind="stable")
         else:
@@ -78,11 +78,11 @@ class Detector:
 
 
 def open_detector(path: Path, description: str | Path | None = None) -> Detector:
-    """Open a detector of an ONNX file.
+    """Open a detector from an ONNX file.
 
-    How it is used says `description` (a shipped name or a YAML file), else a YAML file of its name beside it, else what
-    the ONNX file gives away. Raises ValueError, with the file's name, for files that are no detector or of unknown
-    kind, and for a description that does not fit; ModuleNotFoundError where onnxruntime is missing.
+    Its description is `description` (a shipped name or a YAML file), else the YAML file next to it with the same name,
+    else inferred from the ONNX file. Raises ValueError with the file's name for files that are no detector or of
+    unknown kind, and for a description that does not fit; ModuleNotFoundError if onnxruntime is missing.
     """
     model = open_onnx(path)
     beside = path.with_suffix(".yaml")
@@ -98,7 +98,7 @@ def open_detector(path: Path, description: str | Path | None = None) -> Detector
 
 
 def _input_size(model: OnnxModel, description: DetectorDescription) -> tuple[int, int]:
-    """Width and height in pixels that the file fixes, or that the description asks for."""
+    """Width and height in pixels, fixed by the file or given by the description."""
     asked = description.input_size_px or (None, None)
     for axis, fixed, wanted in zip(("wide", "high"), (model.width, model.height), asked, strict=True):
         if fixed and wanted and fixed != wanted:
@@ -114,28 +114,28 @@ def _corners(box: np.ndarray) -> tuple[float, float, float, float]:
     return left, top, right, bottom
 
 
-# § Telling from an ONNX file alone what kind of detector it is, where only one kind is possible.
+# Inference of the description
 
 _MAX_END_TO_END = 1000
-"""Detectors that suppress by themselves give some hundred rows; grids give thousands."""
+"""Detectors with built-in suppression output some hundred rows; grids output thousands."""
 
 _COCO = len(COCO_CLASSES)
 
 _BINS = (8, 11)
-"""Distances that NanoDet's published files tell apart."""
+"""Numbers of distance bins in NanoDet's published files."""
 
 _GRIDS: tuple[tuple[str, tuple[int, ...]], ...] = (
     ("yolox", (5 + _COCO,)),
     *((name, (_COCO + 4 * bins,)) for name in ("nanodet", "nanodet_plus") for bins in _BINS),
     *((name, (_COCO, 4 * bins)) for name in ("nanodet", "nanodet_plus") for bins in _BINS),
 )
-"""Kinds by the columns of their tables; NanoDet's scores and distances are in one table or apart."""
+"""Kinds by the columns of their tables; NanoDet's scores and distances are in one table or separate."""
 
 
 def recognize_description(model: OnnxModel) -> DetectorDescription:
-    """How to use a detector, from its outputs and what exports of ultralytics say of themselves.
+    """Infer the description of a detector from its outputs and from the metadata of ultralytics exports.
 
-    Raises ValueError, with the descriptions to choose from, where several kinds look the same.
+    Raises ValueError with the available descriptions if several kinds are possible.
     """
     task = model.metadata.get("task", "detect")
     if task != "detect":
@@ -151,7 +151,7 @@ def recognize_description(model: OnnxModel) -> DetectorDescription:
 
 
 def _by_metadata(model: OnnxModel) -> str | None:
-    """Exports of ultralytics: class names tell how many columns a row of each kind has."""
+    """Match ultralytics exports: the number of classes gives the row length of each kind."""
     classes = model.class_names
     if classes is None or len(model.output_shapes) != 1 or len(model.output_shapes[0]) != 3:
         return None
@@ -164,7 +164,7 @@ def _by_metadata(model: OnnxModel) -> str | None:
 
 
 def _by_grid(model: OnnxModel) -> str | None:
-    """Files that say nothing: one row a grid cell, as many columns as COCO's classes ask for."""
+    """Match files without metadata: one row per grid cell, with the columns for COCO's classes."""
     tables = [shape[-2:] for shape in model.output_shapes if len(shape) in (2, 3)]
     if model.width is None or model.height is None or len(tables) != len(model.output_shapes):
         return None
@@ -178,18 +178,18 @@ def _by_grid(model: OnnxModel) -> str | None:
 
 
 def _gives_pixels(model: OnnxModel) -> bool:
-    """Whether centres are pixels already (YOLOv6, YOLOX with --decode_in_inference): then they reach over the input."""
+    """True if centers are in pixels (YOLOv6, YOLOX with --decode_in_inference), so that they span the input."""
     grey = np.full((1, 3, model.height or 0, model.width or 0), 114, np.float32)
     centers = model.run(grey)[0][0, :, :2]
     return bool(np.abs(centers).max() > min(model.width or 0, model.height or 0) / 2)
 
 
-# § Fitting a picture into the input of a detector, and boxes back into the picture.
+# Letterbox
 
 
 @dataclass(frozen=True, slots=True)
 class Letterbox:
-    """Where in the input a picture lies: its own sizes and those it got, the corner it starts at; all in pixels."""
+    """Placement of an image in the input: original size, resized size, and top left corner; all in pixels."""
 
     picture_width: int
     picture_height: int
@@ -199,7 +199,7 @@ class Letterbox:
     top: int
 
     def in_image(self, boxes: Float32[np.ndarray, "n 4"]) -> Float64[np.ndarray, "n 4"]:
-        """Boxes x1 y1 x2 y2 of the input in pixels of the picture, cut off at its edges."""
+        """Convert boxes x1 y1 x2 y2 from the input to pixels of the image, clipped at its edges."""
         scale = np.array([self.picture_width / self.width, self.picture_height / self.height] * 2)
         corner = np.array([self.left, self.top] * 2)
         limits = np.array([self.picture_width, self.picture_height] * 2)
@@ -207,9 +207,9 @@ class Letterbox:
 
 
 def letterbox(picture: tuple[int, int], size: tuple[int, int], fit: Fit) -> Letterbox:
-    """Place a picture of (width, height) in an input of (width, height).
+    """Place an image of (width, height) in an input of (width, height).
 
-    Bars around the picture differ by at most a pixel, the larger one right and below.
+    Margins differ by at most a pixel, the larger one right and below.
     """
     (picture_width, picture_height), (width, height) = picture, size
     if fit == "stretch":
@@ -226,9 +226,9 @@ def letterbox(picture: tuple[int, int], size: tuple[int, int], fit: Fit) -> Lett
 def network_input(
     image: UInt8[np.ndarray, "h w 3"], placement: Letterbox, size: tuple[int, int], description: DetectorDescription
 ) -> Float32[np.ndarray, "1 3 hi wi"]:
-    """The picture (RGB) as a detector of input `size` (width, height) takes it.
+    """The image (RGB) as network input of `size` (width, height).
 
-    Enlarged and reduced bilinearly and without smoothing, as the detectors' own programs do.
+    Resized bilinearly without antialiasing, as in the detectors' original code.
     """
     canvas = np.full((size[1], size[0], 3), description.padding, np.uint8)
     inner = cv2.resize(image, (placement.width, placement.height), interpolation=cv2.INTER_LINEAR)
@@ -240,7 +240,7 @@ def network_input(
     return np.ascontiguousarray(values.transpose(2, 0, 1)[None])
 
 
-# § Where a detector is looked for on a person's machine, and how to get one.
+# Detector files
 
 PLACE = "GSRAIN_DETECTOR"
 """Environment variable with the ONNX file of a detector, or a folder with one."""
@@ -249,15 +249,15 @@ _URL = "https://github.com/Megvii-BaseDetection/YOLOX/releases/download/0.1.1rc0
 
 
 def detector_place() -> Path:
-    """Return the file or folder of GSRAIN_DETECTOR, else the folder for detectors among the person's data."""
+    """Return the file or folder of GSRAIN_DETECTOR, else the detectors folder in the user's data folder."""
     own = os.environ.get(PLACE)
     return Path(own) if own else platformdirs.user_data_path("gsrain", appauthor=False) / "detectors"
 
 
 def find_detector() -> Path:
-    """Return the ONNX file of the detector on this machine, the first by name where there are several.
+    """Return the ONNX file of the detector on this machine, the first by name if there are several.
 
-    Raises FileNotFoundError, with where it was looked for and how to get one.
+    Raises FileNotFoundError with the search path and download instructions.
     """
     place = detector_place()
     files = [place] if place.is_file() else sorted(place.glob("*.onnx"))

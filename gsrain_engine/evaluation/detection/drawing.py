@@ -1,4 +1,4 @@
-"""Labelled objects and detections drawn over a picture, for figures and videos."""
+"""Ground-truth objects and detections drawn over an image, for figures and videos."""
 
 from collections.abc import Sequence
 from zlib import crc32
@@ -13,7 +13,7 @@ from .metrics import LabeledBox, match_detections
 Color = tuple[int, int, int]
 
 Plate = tuple[int, int, int, int]
-"""Left, top, right, bottom of what a tag is written on; in pixels."""
+"""Left, top, right, bottom of a label's background, in pixels."""
 
 _COLORS: dict[str, Color] = {
     "car": (86, 180, 233),
@@ -24,7 +24,7 @@ _COLORS: dict[str, Color] = {
     "motorcycle": (213, 94, 0),
     "traffic light": (190, 190, 190),
 }
-"""By class, told apart with any colour vision (Okabe and Ito 2008)."""
+"""By class, distinguishable with any color vision (Okabe and Ito 2008)."""
 
 _MISSED: Color = (255, 60, 60)
 
@@ -35,7 +35,7 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _SUBPIXEL_BITS = 4
 
 _MIN_UNIT = 0.8
-"""In smaller pictures tags stay this large, for they must be read."""
+"""Minimum label scale, for legibility in small images."""
 
 
 def draw_boxes(
@@ -44,10 +44,10 @@ def draw_boxes(
     detections: Sequence[Detection],
     least_confidence: float = 0.25,
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Return a copy with boxes and tags, which grow with the picture.
+    """Return a copy with boxes and labels, which scale with the image.
 
-    Detections of at least `least_confidence` are full lines in the colour of their class; labelled objects are dashed,
-    white where one of those found them as what they are, red where none did.
+    Detections of at least `least_confidence` are solid lines in their class color; ground-truth objects are dashed,
+    white if detected with the right class, red if not.
     """
     picture = np.ascontiguousarray(image).copy()
     unit = max(_MIN_UNIT, picture.shape[0] / 720, picture.shape[1] / 1280)
@@ -69,7 +69,7 @@ def draw_boxes(
 
 
 def class_color(class_name: str) -> Color:
-    """Colour of a class (RGB), always the same."""
+    """Fixed color of a class (RGB)."""
     known = tuple(_COLORS.values())
     return _COLORS.get(class_name) or known[crc32(class_name.encode()) % len(known)]
 
@@ -79,7 +79,7 @@ def _thickness(unit: float) -> int:
 
 
 def _fixed(values: Sequence[float]) -> list[int]:
-    """Coordinates as OpenCV takes them with fractions of a pixel: its (0, 0) is the middle of the first pixel."""
+    """OpenCV's subpixel coordinates: its (0, 0) is the center of the first pixel."""
     return [round((value - 0.5) * 2**_SUBPIXEL_BITS) for value in values]
 
 
@@ -117,7 +117,7 @@ def _dashed(picture: np.ndarray, box: Sequence[float], color: Color, unit: float
 def _written(
     picture: np.ndarray, text: str, box: Sequence[float], color: Color, unit: float, plates: list[Plate]
 ) -> None:
-    """Write on a plate above the box; below it, then inside, where that is free of other plates and in the picture."""
+    """Write a label above the box, else below or inside, to stay in the image and clear of other labels."""
     scale, thickness, pad = 0.5 * unit, max(1, round(unit)), max(2, round(4 * unit))
     (width, height), base = cv2.getTextSize(text, _FONT, scale, thickness)
     plate_width, plate_height = width + 2 * pad, height + base // 2 + 2 * pad

@@ -1,4 +1,4 @@
-"""Confidence, overlap and average precision against the intensity of rain, as figures with bands over the seeds."""
+"""Figures of detection in rain: confidence, IoU and mAP by rain rate with bands over seeds, and sheets of views."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ from .run import EvaluatedImage, ObjectRow
 from .summary import ScoreByIntensity, SeedSpread
 
 MAX_OBJECTS = 8
-"""Of more objects those with most frames are drawn, of these the nearest."""
+"""Maximum number of drawn objects: those with the most frames, ties by distance."""
 
 _WIDTH_IN, _HEIGHT_IN, _DPI = 5.4, 3.9, 150
 
@@ -34,7 +34,7 @@ _WORDS = {
 }
 
 _MAX_PANELS = 4
-"""In a row; those of more detectors go into the next."""
+"""Maximum number of panels per row; further detectors continue in the next row."""
 
 _Seeds = dict[int, list[float]]
 
@@ -42,11 +42,11 @@ _Line = TypeVar("_Line", ObjectRow, ScoreByIntensity)
 
 
 def object_figure(rows: Sequence[ObjectRow], number: Literal["confidence", "iou"]) -> Figure:
-    """Draw a number against the intensity, a curve for each object and one panel for each detector.
+    """Draw a metric against the rain rate, with a curve for each object and a panel for each detector.
 
-    Where there are several classes of objects, a second block of panels has a curve for each of these. A point is the
-    mean over frames and seeds, a band reaches from the lowest to the highest seed's mean over frames. Where there are
-    both, a cross is the picture as it was taken, and the curve begins at its reconstruction.
+    For several object classes, a second block of panels has a curve for each class. A point is the mean over frames and
+    seeds, a band spans the lowest to the highest per-seed mean over frames. If both exist, a cross marks the original
+    photograph, and the curve starts at its reconstruction.
     """
     objects = plotted_objects(rows)
     many: dict[str, set[str]] = defaultdict(set)
@@ -78,7 +78,7 @@ def object_figure(rows: Sequence[ObjectRow], number: Literal["confidence", "iou"
 
 
 def precision_figure(scores: Sequence[ScoreByIntensity]) -> Figure:
-    """Draw mAP and mAP50 of each detector against the intensity, with the range over the seeds."""
+    """Draw mAP and mAP50 of each detector against the rain rate, with the range over the seeds."""
     detectors = list(dict.fromkeys(each.detector for each in scores))
     entries = len(detectors) + len({each.detector for each in scores if each.picture == "original"})
     beside = legend_width_in(entries, _HEIGHT_IN)
@@ -102,7 +102,7 @@ def precision_figure(scores: Sequence[ScoreByIntensity]) -> Figure:
 
 
 def figure_pixels(figure: Figure) -> UInt8[np.ndarray, "h w 3"]:
-    """Return a figure as a picture, the same bytes every time."""
+    """Return a figure as an image, deterministically."""
     figure.set_dpi(_DPI)
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
@@ -110,7 +110,7 @@ def figure_pixels(figure: Figure) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def plotted_objects(rows: Sequence[ObjectRow]) -> dict[str, str]:
-    """The objects to draw, those of most frames and of these the nearest first, with what a legend calls them."""
+    """The objects to draw with their legend labels, those with the most frames first, ties by distance."""
     frames: dict[str, set[str]] = defaultdict(set)
     distances: dict[str, list[float]] = defaultdict(list)
     classes: dict[str, str] = {}
@@ -149,7 +149,7 @@ def _everything(panel: Axes, rows: Sequence[ObjectRow], number: str) -> None:
 
 
 def _one_without_rain(lines: Sequence[_Line]) -> list[_Line]:
-    """Of two kinds of pictures at 0 mm/h keep the one that differs from the others by nothing but rain."""
+    """Keep one kind of images at 0 mm/h: the one that differs from the others by rain alone."""
     has_clear = any(each.picture == "clear" for each in lines)
     return [each for each in lines if not (has_clear and each.picture == "original")]
 
@@ -181,15 +181,15 @@ def _dress(panel: Axes, title: str, words: str) -> None:
         panel.spines[side].set_visible(False)
 
 
-# § One view in all its weathers, with what each detector found there: a picture for reports and videos.
+# Detection sheet
 
 WIDEST_PX = 1920
 
 _NARROWEST_PX = 240
-"""Of a picture; where so many don't fit side by side, they go on below."""
+"""Minimum width of an image; images that don't fit side by side continue below."""
 
 MIN_DRAWN_CONFIDENCE = 0.25
-"""Confidence from which a detection is drawn, and counts as found."""
+"""Confidence from which a detection is drawn and counts as found."""
 
 _GAP_PX, _LINE_PX, _TEXT_PX = 6, 26, 16
 
@@ -199,10 +199,10 @@ _SHEET_WORDS = {"original": "as taken", "clear": "without rain"}
 
 
 def detection_sheet(pictures: Sequence[EvaluatedImage]) -> UInt8[np.ndarray, "h w 3"]:
-    """Lay the pictures of one view side by side, a row for each detector: what it found, what it missed.
+    """Lay the images of one view side by side, with a row of detections and misses for each detector.
 
-    Pictures of many weathers go on below in as many blocks of rows. Width and height are even, as videos need them; at
-    most 1920 px wide.
+    Further conditions continue below in blocks of rows. Width and height are even, as videos require; at most 1920 px
+    wide.
     """
     first = pictures[0]
     columns, detectors = min(len(pictures), (WIDEST_PX - _GAP_PX) // (_NARROWEST_PX + _GAP_PX)), list(first.judgements)
@@ -227,7 +227,7 @@ def detection_sheet(pictures: Sequence[EvaluatedImage]) -> UInt8[np.ndarray, "h 
 
 
 def _cell(picture: EvaluatedImage, detector: str, size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
-    """Picture in its size on the sheet, and boxes drawn in that size, so that they can be read."""
+    """Image resized for the sheet, with boxes drawn at that size for legibility."""
     judgement, scale = picture.judgements[detector], size[0] / picture.image.shape[1]
     image = picture.image
     if scale != 1:

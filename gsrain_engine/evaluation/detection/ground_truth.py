@@ -1,4 +1,4 @@
-"""What a detector should find in a picture: objects with a class, a box, and how well they can be seen."""
+"""Ground truth of object detection: labels from 3D boxes, rendered scenes and COCO files, and class matching."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -25,25 +25,25 @@ BoxXYXY = tuple[float, float, float, float]
 MIN_VISIBILITY = 0.25
 
 MIN_HEIGHT_PX = 16.0
-"""Objects of less are hardly there for anybody: they are no misses, and who finds them is not wrong."""
+"""Smaller or less visible objects are ignored: neither misses nor false detections."""
 
 
 @dataclass(frozen=True, slots=True)
 class LabeledObject:
-    """One object in one picture."""
+    """One object in one image."""
 
     id: str
     """The same in every frame of a drive."""
     class_name: str
-    """As COCO calls it, where COCO knows it; see `label_class`."""
+    """COCO name where one exists; see `label_class`."""
     box_xyxy: BoxXYXY
-    """What can be seen of it, cut at the picture's edges."""
+    """Bounding box clipped at the image edges; of the visible part for rendered objects."""
     visibility: float = 1.0
-    """Visible area over the area that it had if nothing stood in front of it; 0..1."""
+    """Visible area over the unoccluded area; 0..1."""
     distance_m: float | None = None
-    """From the camera to its middle; None where nobody knows."""
+    """From the camera to its center; None if unknown."""
     is_ignored: bool = False
-    """Such as a crowd: no miss when it is not found, no mistake when it is."""
+    """Such as a crowd: counts neither as a miss nor as a false detection."""
 
     @property
     def height_px(self) -> float:
@@ -51,19 +51,19 @@ class LabeledObject:
 
     @property
     def counts(self) -> bool:
-        """Whether it is large and free enough to be asked for."""
+        """True if it is large and visible enough to be evaluated."""
         return not self.is_ignored and self.visibility >= MIN_VISIBILITY and self.height_px >= MIN_HEIGHT_PX
 
 
-# § Labelled objects of a recorded view: the 3D boxes that people drew, projected into it.
+# Labels from 3D boxes
 
 
 def ground_truth_from_boxes(boxes: Sequence[TrackedBox], camera: Camera, time_s: float) -> tuple[LabeledObject, ...]:
-    """Project boxes into a camera without distortion, both in the capture's world (metres); the nearest one first.
+    """Project boxes into an undistorted camera, both in the capture's world (meters); the nearest one first.
 
-    A box is that of the projected 3D box cut at the picture's edges: a few percent larger than the thing itself, and
-    not cut where something stands in front. Visibility is the share of the outline that no nearer box covers; what has
-    no box, such as a wall, hides nothing.
+    Labels bound the projected 3D box clipped at the image edges: a few percent larger than the object, and not reduced
+    by occlusion. Visibility is the share of the outline that no nearer box covers; objects without boxes, such as
+    walls, occlude nothing.
     """
     found = [(pose, box) for box in boxes if (pose := box.track.pose(time_s)) is not None]
     placed = [(camera.world_to_camera @ pose, box) for pose, box in found]
@@ -95,15 +95,15 @@ def _filled(polygon: Float64[np.ndarray, "c 2"], camera: Camera) -> Bool[np.ndar
     return pixels > 0
 
 
-# § Labelled objects of a rendered view: what a scene's actors and parked vehicles show of themselves in it.
+# Labels from a rendered scene
 
 
 def ground_truth_from_scene(
     renderer: Renderer, scene: Scene, objects: Sequence[SceneObject], camera: Camera, time_s: float
 ) -> tuple[LabeledObject, ...]:
-    """Render which pixels show which object, from a camera in the world (metres); the nearest object first.
+    """Render object masks from a camera in the world (meters); the nearest object first.
 
-    Boxes are those of visible pixels, as people draw them around what they see. Rain takes no part.
+    Boxes bound the visible pixels, as human annotators draw them. Rain is not included.
     """
     return tuple(
         LabeledObject(
@@ -113,17 +113,17 @@ def ground_truth_from_scene(
     )
 
 
-# § Labelled objects out of a COCO file (annotations of instances), by the names of pictures.
+# Labels from a COCO file
 
 _MAX_BYTES = 1 << 30
-"""COCO's own annotations of 118 000 pictures are 450 MB."""
+"""COCO's own annotations of 118 000 images are 450 MB."""
 
 
 def read_coco(file: Path) -> dict[str, tuple[LabeledObject, ...]]:
-    """Read the objects of each picture by its `file_name`; pictures without any are there too.
+    """Read the objects of each image by its `file_name`, including images without objects.
 
-    `visibility`, `distance_m` and `object`, which COCO lacks and `gsrain render --labels coco` writes, are read where
-    they are; a crowd is ignored. Raises ValueError with the file and what is wrong with it.
+    `visibility`, `distance_m` and `object`, extensions that `gsrain render --labels coco` writes, are read if present;
+    crowds are ignored. Raises ValueError with the file and the problem.
     """
     try:
         document = json_values(read_whole(file, _MAX_BYTES))
@@ -156,27 +156,28 @@ def _object(annotation: dict[str, Any], classes: dict[int, str]) -> LabeledObjec
     )
 
 
-# § Classes of labels and of detectors: which word of a detector names a labelled object.
+# Class matching
 
 VEHICLE = "vehicle"
-"""Class of data sets (Waymo Open) that tell no kinds of vehicles apart, and of detectors that don't."""
+"""Class of datasets (Waymo Open) and detectors that do not distinguish kinds of vehicles."""
 
 KINDS_OF_VEHICLES = frozenset({"car", "truck", "bus", "van", "trailer"})
-"""Any of these is right for a vehicle; none of COCO's other classes is."""
+"""COCO classes that match a vehicle."""
 
 
 @cache
 def label_class(name: str) -> str:
-    """Return the class of a data set's `name`: `coco_class`, but a vehicle of unknown kind stays a vehicle."""
+    """Return the class of a dataset's `name`: `coco_class`, except that vehicles of unknown kind stay vehicles."""
     plain = name.strip().lower().rpartition(".")[2]
     return VEHICLE if plain.removeprefix("type_") == VEHICLE else coco_class(name)
 
 
 @cache
 def is_same_class(detected: str, labelled: str) -> bool:
-    """Whether a detector's word is right for an object that is labelled so.
+    """Return whether a detected class matches a labeled one.
 
-    Words of data sets stand for COCO's: Pedestrian is a person. A vehicle is any of `KINDS_OF_VEHICLES`, either way.
+    Dataset names map to COCO's: Pedestrian is a person. A vehicle matches any of `KINDS_OF_VEHICLES`, in both
+    directions.
     """
     seen, label = label_class(detected), label_class(labelled)
     general = seen if label == VEHICLE else label if seen == VEHICLE else None
@@ -184,5 +185,5 @@ def is_same_class(detected: str, labelled: str) -> bool:
 
 
 def can_detect_class(classes: Collection[str], labelled: str) -> bool:
-    """Whether a detector of these classes has a word for an object; one that lists none is taken to know all."""
+    """Return whether a detector with these classes can name an object; without a list of classes it can name all."""
     return not classes or any(is_same_class(each, labelled) for each in classes)

@@ -1,4 +1,4 @@
-"""Average precision of detections, as COCO defines it."""
+"""Detection metrics: COCO average precision, object matches, recall by distance, and robustness to rain."""
 
 import contextlib
 import io
@@ -17,7 +17,7 @@ from .detector import Detection
 from .ground_truth import is_same_class, label_class
 
 _ABSENT = -1
-"""What the COCO evaluation gives for a class without labelled objects."""
+"""Value of the COCO evaluation for a class without labeled objects."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,37 +25,37 @@ class ClassPrecision:
     """Average precision of one class."""
 
     objects: int
-    """Labelled ones, in all pictures."""
+    """Labeled objects in all images."""
     map: float
     map50: float
 
 
 @dataclass(frozen=True, slots=True)
 class AveragePrecision:
-    """Area under the curve of precision over recall, 0..1, averaged over the classes that objects are labelled with.
+    """Area under the precision-recall curve, 0..1, averaged over the labeled classes.
 
-    Precision interpolated at 101 recalls, boxes of all sizes, at most 100 detections a picture (Lin et al. 2014; the
-    evaluation of COCO 2017, by pycocotools). NaN where nothing is labelled.
+    Precision interpolated at 101 recalls, boxes of all sizes, at most 100 detections per image (Lin et al. 2014; the
+    evaluation of COCO 2017, by pycocotools). NaN without labels.
     """
 
     map: float
-    """Averaged over the IoU that counts as found: 0.5, 0.55, ... 0.95."""
+    """Averaged over the IoU thresholds 0.5, 0.55, ... 0.95."""
     map50: float
-    """With an IoU of 0.5 (PASCAL VOC's criterion)."""
+    """At an IoU threshold of 0.5 (PASCAL VOC's criterion)."""
     by_class: dict[str, ClassPrecision]
-    """Of classes with labelled objects, by name."""
+    """For classes with labeled objects, by name."""
 
 
-# § Which detection found which labelled object, and what a detector took it for.
+# Labeled boxes
 
 
 @runtime_checkable
 class LabeledBox(Protocol):
-    """A labelled object: what it is and where it lies in the picture."""
+    """A labeled object: its class and its box in the image."""
 
     @property
     def class_name(self) -> str:
-        """Its class; `is_same_class` tells which words of a detector are right for it."""
+        """Its class; `is_same_class` decides which detected classes match it."""
         ...
 
     @property
@@ -69,15 +69,15 @@ def average_precision(
     detections: Sequence[Sequence[Detection]],
     ignored: Sequence[Sequence[LabeledBox]] | None = None,
 ) -> AveragePrecision:
-    """Average precision over pictures: labelled objects and detections of each, in the same order.
+    """Average precision over images, given labeled objects and detections of each in the same order.
 
-    The area below precision over recall, at 101 recalls, mean over classes; mAP50 with matches from an IoU of 0.5 on,
-    mAP the mean over 0.50, 0.55, ... 0.95 (Lin et al. 2014 and COCO's own program). 0 to 1, higher is better.
-    A detection counts for the class that its word names (`is_same_class`); where it names several that are labelled, as
-    car does a vehicle of unknown kind too, for that of the object which it lies on, and on none for its own.
-    Detections of classes that nothing is labelled with do not count, neither for nor against; nor do those that lie
-    in `ignored` objects of their class, which nobody has to find (COCO's crowds). Raises ValueError where the numbers
-    of pictures differ, ModuleNotFoundError with what to install where pycocotools is missing.
+    The area below precision over recall, at 101 recalls, mean over classes; mAP50 with matches from an IoU of 0.5, mAP
+    the mean over 0.50, 0.55, ... 0.95 (Lin et al. 2014 and COCO's own program). 0 to 1, higher is better. A detection
+    counts for the labeled class that matches it (`is_same_class`). If several match, as for a car and a vehicle of
+    unknown kind, it counts for the class of the object it overlaps, otherwise for its own class. Detections without a
+    matching labeled class are ignored, and so are detections within `ignored` objects of their class (COCO's crowds).
+    Raises ValueError if the numbers of images differ, ModuleNotFoundError with the package to install if pycocotools is
+    missing.
     """
     ignored = [()] * len(truths) if ignored is None else ignored
     if not len(truths) == len(detections) == len(ignored):
@@ -128,7 +128,7 @@ def _precision(
 
 
 def _named(detections: Sequence[Detection], truths: Sequence[LabeledBox], classes: Sequence[str]) -> list[str | None]:
-    """Return the labelled class that each detection counts for; None for no class."""
+    """Return the labeled class that each detection counts for; None for no class."""
     found: list[str | None] = []
     for each in detections:
         candidates = [name for name in classes if is_same_class(each.class_name, name)]
@@ -147,9 +147,9 @@ def _boxes(objects: Sequence[LabeledBox]) -> np.ndarray:
 
 
 def _entry(image: int, box: LabeledBox, numbers: dict[str, int], named: str | None = "") -> dict[str, Any]:
-    """A box in COCO's words: corner and size; 0 is the category of classes that do not count.
+    """A box in COCO's format: corner and size; category 0 is for ignored classes.
 
-    `named` is the class that it counts for where it is not its own.
+    `named` is the class that it counts for, if different from its own.
     """
     left, top, right, bottom = box.box_xyxy
     width, height = right - left, bottom - top
@@ -163,7 +163,7 @@ def _entry(image: int, box: LabeledBox, numbers: dict[str, int], named: str | No
 
 
 def _indexed(coco: Any, entries: list[dict[str, Any]], numbers: dict[str, int], images: int) -> Any:
-    """A data set of COCO without a file. Entries are numbered from 1: it takes 0 for none."""
+    """An in-memory COCO dataset. Entries are numbered from 1, since COCO uses 0 for none."""
     counted = [entry for entry in entries if entry["category_id"]]
     coco.dataset = {
         "images": [{"id": image + 1} for image in range(images)],
@@ -183,29 +183,29 @@ MIN_IOU = 0.5
 
 @dataclass(frozen=True, slots=True)
 class ObjectMatch:
-    """How a detector saw one labelled object."""
+    """Match of a detector with one labeled object."""
 
     confidence: float
-    """0..1, of the detection of its own class; 0 where it was missed."""
+    """0..1, of the detection with the right class; 0 if missed."""
     iou: float
-    """0..1, with that detection; 0 where it was missed."""
+    """0..1, with that detection; 0 if missed."""
     confidence_any_class: float
-    """0..1, of the detection of whatever class; 0 where nothing was found there. At least `confidence`."""
+    """0..1, of the detection with any class; 0 without a detection. At least `confidence`."""
     iou_any_class: float
     class_seen: str | None
-    """Class of that detection; None where nothing was found there."""
+    """Class of that detection; None without a detection."""
     flipped_to: str | None
-    """`class_seen` where that is no word for the object; else None."""
+    """`class_seen` if it does not match the object; else None."""
 
 
 def match_detections(
     truths: Sequence[LabeledBox], detections: Sequence[Detection], least_iou: float = MIN_IOU
 ) -> list[ObjectMatch]:
-    """For every labelled object the detection that found it.
+    """Match each labeled object with a detection.
 
-    Detections choose in order of confidence, each the free object it overlaps most, by an IoU of at least `least_iou`
-    (PASCAL VOC's criterion, Everingham et al. 2010, with COCO's greedy choice, Lin et al. 2014): no detection counts
-    for two objects. Of any class: objects of the detection's own class first, then others.
+    In order of confidence, each detection takes the free object that it overlaps most, with an IoU of at least
+    `least_iou` (PASCAL VOC's criterion, Everingham et al. 2010, with COCO's greedy choice, Lin et al. 2014): no
+    detection counts for two objects. Matches of any class prefer objects of the detection's own class.
     """
     order = sorted(detections, key=lambda each: -each.confidence)
     overlaps = intersection_over_union(
@@ -233,7 +233,7 @@ def match_detections(
 
 
 def _greedy(choices: Sequence[Float64[np.ndarray, "t d"]], least_iou: float) -> dict[int, int]:
-    """Detection of each row that was chosen; a column looks into the first table with something for it."""
+    """Greedily assign each column to its best free row, in the first table with a match; returns columns by row."""
     taken: dict[int, int] = {}
     for column in range(choices[0].shape[1]):
         for table in choices:
@@ -248,7 +248,7 @@ def _image_boxes(rows: Sequence[tuple[float, float, float, float]]) -> Float64[n
     return np.array(rows, np.float64).reshape(-1, 4)
 
 
-# § How many labelled objects are found, by their distance.
+# Recall by distance
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,14 +262,14 @@ class DistanceRecall:
 
     @property
     def recall(self) -> float:
-        """Share that was found, 0..1; NaN without objects."""
+        """Share of found objects, 0..1; NaN without objects."""
         return self.found / self.objects if self.objects else float("nan")
 
     @property
     def interval(self) -> tuple[float, float]:
         """95 % confidence interval of the recall (Wilson 1927); 0..1 without objects.
 
-        Holds for objects seen independently: frames of one drive are not, it is then too narrow.
+        Assumes independent objects; too narrow for frames of one drive, which are not independent.
         """
         return wilson_interval(self.found, self.objects)
 
@@ -280,11 +280,11 @@ def recall_by_distance(
     edges_m: Sequence[float],
     least_confidence: float = 0.25,
 ) -> tuple[DistanceRecall, ...]:
-    """Recall between neighbouring `edges_m` (the nearer one belongs to a bin, the farther does not).
+    """Recall between neighboring `edges_m` (a bin includes its nearer edge, not its farther one).
 
-    The share of labelled objects that were found, 0 to 1, higher is better; with Wilson's interval (1927).
-    An object is found where the confidence of its match (`ObjectMatch.confidence`, 0 where missed) is at least
-    `least_confidence`. Objects outside the edges do not count. Raises ValueError for edges that do not rise.
+    The share of labeled objects that were found, 0 to 1, higher is better; with Wilson's interval (1927). An object is
+    found if the confidence of its match (`ObjectMatch.confidence`, 0 if missed) is at least `least_confidence`. Objects
+    outside the edges do not count. Raises ValueError for edges that do not increase.
     """
     edges = np.asarray(edges_m, float)
     if len(edges) < 2 or not (np.diff(edges) > 0).all():
@@ -299,25 +299,25 @@ def recall_by_distance(
     return tuple(bins)
 
 
-# § How much of a detector's performance is left in rain.
+# Robustness to rain
 
 
 @dataclass(frozen=True, slots=True)
 class Robustness:
-    """Performance under corruption (Michaelis et al. 2019, equations 1 and 2), rain being the one corruption."""
+    """Performance under corruption (Michaelis et al. 2019, equations 1 and 2), with rain as the only corruption."""
 
     mpc: float
-    """Mean performance over the intensities, in the unit of the performance (mAP: 0..1)."""
+    """Mean performance over the rain rates, in the unit of the performance (mAP: 0..1)."""
     rpc: float
-    """That over the performance without rain: 1 where rain does no harm; NaN where nothing was found without it."""
+    """`mpc` over the performance without rain: 1 if rain has no effect; NaN if that performance is 0."""
 
 
 def robustness(clear: float, rainy: Sequence[float]) -> Robustness:
-    """Compare one measure of performance without rain with its values in rain, one each intensity: mPC and rPC.
+    """Compute mPC and rPC from a metric without rain and its values in rain, one per rain rate.
 
-    mPC is the mean in rain, in the measure's own unit; rPC is mPC over the value without rain: 1 where rain costs
-    nothing, 0 where nothing is left (Michaelis et al. 2019, eq. 1 and 2).
-    Intensities count alike, as severities do there. Raises ValueError without an intensity.
+    mPC is the mean in rain, in the metric's own unit; rPC is mPC over the value without rain: 1 for no loss, 0 for a
+    total loss (Michaelis et al. 2019, eq. 1 and 2). Rain rates have equal weights, like severities there. Raises
+    ValueError without a rain rate.
     """
     if not rainy:
         raise ValueError("performance under rain needs at least one intensity above 0 mm/h")

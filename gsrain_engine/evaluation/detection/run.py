@@ -1,4 +1,4 @@
-"""Detectors over views, rains and seeds: each picture is made once and shown to all of them."""
+"""Detection sweep over views, rain rates and seeds: images, evaluation, result cache, and frames."""
 
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -34,79 +34,79 @@ from .metrics import MIN_IOU, ObjectMatch, match_detections
 
 @runtime_checkable
 class DetectorProtocol(Protocol):
-    """What finds objects in pictures, such as a `Detector`."""
+    """Interface of object detectors, such as `Detector`."""
 
     @property
     def name(self) -> str:
-        """What rows call it."""
+        """Name in the result rows."""
         ...
 
     @property
     def classes(self) -> tuple[str, ...]:
-        """Words that it has for objects; without any it is taken to know all."""
+        """Class names; empty if the detector can name all classes."""
         ...
 
     def detect(self, image: UInt8[np.ndarray, "h w 3"]) -> list[Detection]:
-        """Find objects in a picture (RGB), the most confident first."""
+        """Detect objects in an image (RGB), by descending confidence."""
         ...
 
 
-# § The pictures that detectors are shown of one view: as it was taken, clear, and in rains of many seeds.
+# Conditions
 
 Kind = Literal["original", "clear", "rainy"]
-"""As a camera took it; the scene without rain; in rain."""
+"""Original photograph; the scene without rain; the scene in rain."""
 
 
 class Condition(NamedTuple):
-    """What a view is shown in."""
+    """Weather condition of an image."""
 
     kind: Kind
     intensity_mm_h: float
     seeds: tuple[int, ...]
-    """For which it stands: one of a rain, all of a picture without rain."""
+    """Seeds that it represents: one for rain, all for an image without rain."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectionResult:
-    """What one detector made of one picture."""
+    """Evaluation of one detector on one image."""
 
     detector: str
     trial: Condition
     frame: str
     truths: tuple[LabeledObject, ...]
-    """Objects that are large and free enough to be asked for."""
+    """Objects large and visible enough to be evaluated."""
     matches: tuple[ObjectMatch, ...]
     """One for each of them."""
     detections: tuple[Detection, ...]
-    """Without those that found an object which is not asked for."""
+    """Without those that match an ignored object."""
     not_named: tuple[LabeledObject, ...] = ()
-    """Objects that would be asked for, had the detector a word for them: a sign, for one of COCO's classes."""
+    """Evaluable objects of classes that the detector can't name, such as a sign."""
 
 
-# § Views that detectors are tried on: from where, when, what is there to be found, and the picture that was taken.
+# Frames and images
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EvaluatedFrame:
-    """One view. World: metres, z up."""
+    """One view. World: meters, z up."""
 
     name: str
     shot: RenderView
     truths: tuple[LabeledObject, ...]
     original: Callable[[], UInt8[np.ndarray, "h w 3"]] | None = None
-    """Reads the picture that a camera took there; none where nobody did."""
+    """Reads the original photograph; None if there is none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EvaluatedImage:
-    """A picture with what all detectors made of it."""
+    """An image with the results of all detectors."""
 
     frame: EvaluatedFrame
     trial: Condition
     judgements: Mapping[str, DetectionResult]
     """By detector."""
     take: Callable[[], UInt8[np.ndarray, "h w 3"]]
-    """Makes the picture once: one judged in an earlier run is not made until somebody asks."""
+    """Renders the image once, on demand: results from an earlier run need no image."""
 
     @property
     def image(self) -> UInt8[np.ndarray, "h w 3"]:
@@ -115,35 +115,35 @@ class EvaluatedImage:
 
 @runtime_checkable
 class ResultCacheProtocol(Protocol):
-    """What was judged before, such as `ResultCache`."""
+    """Interface of caches of earlier results, such as `ResultCache`."""
 
     def known(self, detector: str, frame: EvaluatedFrame, trial: Condition) -> DetectionResult | None:
-        """The judgement of a picture, if it was made before."""
+        """Return the cached result for an image, or None."""
         ...
 
     def keep(self, judgement: DetectionResult, frame: EvaluatedFrame) -> None:
-        """Take note of one."""
+        """Store a result."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConditionRenderer:
-    """Makes the pictures of views. A rain's seed decides its drops: intensities of one seed differ as little as can be.
+    """Renders the images of views. The seed fixes the drops, so that rain rates of one seed are comparable.
 
-    Without a scene rain falls in front of the pictures that were taken, as if all that they show were far behind it.
+    Without a scene, rain falls in front of the photographs, as if their content were far behind it.
     """
 
     renderer: Renderer
     scene: Scene
     rain: RainSettings
-    """All but its intensity and its seed."""
+    """All settings except rain rate and seed."""
     sky: SkyColor
     is_in_front: bool = False
-    """Whether rain falls in front of taken pictures."""
+    """Draw rain in front of the original photographs."""
     _rains: dict[tuple[float, int], RainSimulation] = field(default_factory=dict[tuple[float, int], RainSimulation])
 
     def take(self, frame: EvaluatedFrame, trial: Condition) -> UInt8[np.ndarray, "h w 3"]:
-        """Make one picture; the same every time. Wet colours come with the rain where the scene has them."""
+        """Render one image, deterministically; with wet colors in rain if the scene has them."""
         if trial.kind == "original":
             assert frame.original is not None
             return frame.original()
@@ -165,7 +165,7 @@ class ConditionRenderer:
         return self.renderer.read().to_uint8()
 
     def _in_front(self, frame: EvaluatedFrame, rainfall: RainSimulation) -> UInt8[np.ndarray, "h w 3"]:
-        """Mix rain over the taken picture B, with W its share of a pixel and S its light: enc((1 - W) dec(B) + W S)."""
+        """Composite rain over the photograph B, with W its share of a pixel and S its light: enc((1-W) dec(B) + W S)."""
         assert frame.original is not None
         falling = rain_frame_of(self.scene, rainfall, self.sky.color, frame.shot)
         self.renderer.draw([], frame.shot.camera, falling)
@@ -184,9 +184,9 @@ def evaluate_images(
     trials: Sequence[Condition],
     memory: ResultCacheProtocol | None = None,
 ) -> Iterator[EvaluatedImage]:
-    """Make each picture and show it to each detector; view by view, in the order of the trials.
+    """Render each image and run each detector on it; view by view, in the order of the trials.
 
-    What the memory knows is not asked for again, and what it does not know it is told.
+    Results in `memory` are reused; new ones are added to it.
     """
     for frame in frames:
         for trial in trials:
@@ -209,10 +209,10 @@ def evaluate_detections(
     detections: Sequence[Detection],
     classes: tuple[str, ...] = (),
 ) -> DetectionResult:
-    """Match detections with the objects of a view; `classes` are those that the detector can name, if it tells.
+    """Match detections with the objects of a view; `classes` are those of the detector, if known.
 
-    Objects that are not asked for take part in the matching, so that who finds them is not wrong: those too small or
-    too hidden, and those of classes that the detector has no word for.
+    Ignored objects take part in the matching, so that detections of them are not counted as errors: those too small or
+    too occluded, and those of classes that the detector can't name.
     """
     counted = tuple(each for each in frame.truths if each.counts)
     truths = tuple(each for each in counted if can_detect_class(classes, each.class_name))
@@ -227,7 +227,7 @@ def evaluate_detections(
 
 @dataclass(frozen=True, slots=True)
 class ObjectRow:
-    """One object in one picture, as one detector saw it: a line of the tables."""
+    """One object in one image for one detector: a row of the tables."""
 
     detector: str
     picture: Kind
@@ -237,25 +237,25 @@ class ObjectRow:
     object: str
     class_name: str
     confidence: float
-    """Of the detection of its own class with an IoU of 0.5 or more; 0 where it was missed."""
+    """Of the detection with the right class and an IoU of 0.5 or more; 0 if missed."""
     iou: float
-    """Of that detection; 0 where it was missed."""
+    """Of that detection; 0 if missed."""
     confidence_any_class: float
     iou_any_class: float
     class_seen: str | None
-    """What it was taken for; None where nothing was found there."""
+    """Class of the detection; None without one."""
     visibility: float
     distance_m: float | None
     height_px: float
 
     def plain(self) -> dict[str, Any]:
-        """Return its fields by the names of the tables."""
+        """Return its fields by the column names of the tables."""
         fields = {name: getattr(self, name) for name in ObjectRow.__slots__}
         return {("class" if name == "class_name" else name): value for name, value in fields.items()}
 
 
 def object_rows(judgement: DetectionResult) -> Iterator[ObjectRow]:
-    """Lines of a picture: one for each object and each seed, so that seeds pair across intensities, 0 mm/h too."""
+    """Yield one row per object and seed of an image, also at 0 mm/h, so that seeds pair across rain rates."""
     trial = judgement.trial
     for seed in trial.seeds:
         for truth, match in zip(judgement.truths, judgement.matches, strict=True):
@@ -269,7 +269,7 @@ def object_rows(judgement: DetectionResult) -> Iterator[ObjectRow]:
 def _without_finds(
     detections: Sequence[Detection], truths: Sequence[LabeledObject], others: Sequence[LabeledObject]
 ) -> tuple[Detection, ...]:
-    """Leave out detections that lie on an object that is not asked for, and better on it than on any that is."""
+    """Remove detections that overlap an ignored object more than any evaluated one."""
     boxes = np.array([each.box_xyxy for each in detections], np.float64)
     there = intersection_over_union(_boxes(others), boxes).max(axis=0)
     asked = intersection_over_union(_boxes(truths), boxes).max(axis=0) if truths else np.zeros(len(boxes))
@@ -280,40 +280,41 @@ def _boxes(objects: Sequence[LabeledObject]) -> np.ndarray:
     return np.array([each.box_xyxy for each in objects], np.float64).reshape(-1, 4)
 
 
-# § What detectors made of pictures in an earlier run, kept line by line: a sweep that was stopped goes on from there.
+# Result cache
+# One JSON line per result, so that a stopped sweep can resume.
 
 FINISHED_FILE = "finished.jsonl"
 
 _FORM = b"2"
-"""Goes up where the same inputs are judged otherwise than in an earlier program."""
+"""Format version; increased if the evaluation of the same inputs changes."""
 
 _DIGITS = 16
 
 _Image = tuple[str, str, float, int]
-"""Key of detector and view, kind of picture, intensity, first seed."""
+"""Key of detector and view, kind of image, rain rate, first seed."""
 
 
 class _CacheLine(msgspec.Struct, frozen=True, kw_only=True):
-    """A line of the file: a judgement, and a hash of all that it follows from."""
+    """A line of the file: a result, and a hash of all its inputs."""
 
     key: str
     judgement: DetectionResult
 
 
 class ResultCache:
-    """Judgements in a file, one to a line, each written whole as soon as it is made. A torn last line is not read.
+    """Results in a file, one per line, each written immediately. A truncated last line is ignored.
 
-    A judgement is known again where its detector, its view and all that its picture is made of are the same: more
-    seeds, intensities, views or detectors only add to the file, and what was made of anything else is left out of it.
+    A result is reused if its detector, its view and all inputs of its image are unchanged: more seeds, rain rates,
+    views or detectors only add to the file; results of other inputs are removed.
     """
 
     def __init__(self, file: Path, inputs: Mapping[str, Any], detectors: Mapping[str, str]) -> None:
-        """Read what is there.
+        """Prepare the cache; `read` loads the file.
 
         Args:
-            file: Need not be there yet; its folder must.
-            inputs: All that pictures follow from but the view: hashes of files, settings, versions.
-            detectors: By name, a hash of its file and of how it is used.
+            file: May be missing; its folder must exist.
+            inputs: All inputs of the images except the view: hashes of files, settings, versions.
+            detectors: By name, a hash of its file and its usage.
         """
         told = msgspec.json.encode(inputs, order="sorted")
         self._bases = {name: _hash(_FORM, told, name.encode(), each.encode()) for name, each in detectors.items()}
@@ -332,7 +333,7 @@ class ResultCache:
             self._stream.close()
 
     def read(self, frames: list[EvaluatedFrame]) -> int:
-        """Take over what still holds for these views, and drop the rest from the file; returns how many judgements."""
+        """Load the still valid results for these views and drop the others from the file; return their number."""
         if not self._file.is_file():
             return 0
         keys = {self._key(name, frame) for name in self._bases for frame in frames}
@@ -341,7 +342,7 @@ class ResultCache:
         for line in lines:
             try:
                 read = msgspec.json.decode(line, type=_CacheLine)
-            except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):  # torn when a run was killed
+            except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):  # truncated by a killed run
                 continue
             if read.key in keys and line.endswith(b"\n"):
                 kept.append(line)
@@ -370,7 +371,7 @@ def _image(key: str, trial: Condition) -> _Image:
 
 
 def _content_bytes(value: Any) -> list[bytes]:
-    """The bytes of a value: arrays whole, dataclasses field by field."""
+    """The bytes of a value: whole arrays, dataclasses field by field."""
     if isinstance(value, np.ndarray):
         return [value.tobytes()]
     if isinstance(value, tuple):
@@ -396,15 +397,15 @@ def _plain(value: Any) -> Any:
 
 
 _STEP_S = 0.005
-"""Half the time over which a speed is taken."""
+"""Half the time step of the velocity estimate."""
 
 Labels = dict[str, tuple[LabeledObject, ...]]
 
 
 def scene_frames(renderer: Renderer, scene: Scene, placed: Sequence[PlacedCamera]) -> list[EvaluatedFrame]:
-    """Views of a scene whose own actors (and parked vehicles) are to be found.
+    """Views of a scene with its actors and parked vehicles as ground truth.
 
-    Raises ValueError for a scene in which nothing has a class.
+    Raises ValueError for a scene without classified objects.
     """
     objects = scene_objects(scene)
     if not objects:
@@ -422,10 +423,10 @@ def scene_frames(renderer: Renderer, scene: Scene, placed: Sequence[PlacedCamera
 def recorded_frames(
     scene: Scene, placed: Sequence[PlacedCamera], capture: Capture, labels: Labels | None = None
 ) -> list[EvaluatedFrame]:
-    """Views of a scene, or of a world of nothing, that a capture has pictures of, by the names of its views.
+    """Views of a scene, or of no scene, that a capture has images of, by the names of its views.
 
-    What is there to be found are the capture's 3D boxes, or `labels` by the names of views and of their files.
-    Raises ValueError where there are neither.
+    Ground truth is the capture's 3D boxes, or `labels` by the names of views and of their files. Raises ValueError if
+    both are missing.
     """
     if labels is None and not (capture.boxes and capture.is_metric):
         raise ValueError(f"{capture.name}: has no 3D boxes of what is to be found; --truth names a COCO file")
@@ -442,12 +443,12 @@ def recorded_frames(
 
 
 def render_view_of(scene: Scene, placed: PlacedCamera) -> RenderView:
-    """The shot of a camera that rides on the scene's ego vehicle, if there is one at its time."""
+    """The render view of a camera fixed to the scene's ego vehicle, if present at its time."""
     return RenderView(placed.camera, placed.time_s, _velocity(scene, placed.camera.position, placed.time_s))
 
 
 def _velocity(scene: Scene, position: Float64[np.ndarray, "3"], time_s: float) -> Float64[np.ndarray, "3"]:
-    """Of a place that is fixed to the ego vehicle, in m/s; zero without one."""
+    """Velocity of a point fixed to the ego vehicle, in m/s; zero without one."""
     now, before, after = (scene.ego_to_world(time_s + step) for step in (0.0, -_STEP_S, _STEP_S))
     if now is None or before is None or after is None:
         return np.zeros(3)
@@ -456,7 +457,7 @@ def _velocity(scene: Scene, position: Float64[np.ndarray, "3"], time_s: float) -
 
 
 def _labels_of(labels: Labels, name: str) -> tuple[LabeledObject, ...]:
-    """Labels by a view's name, with or without folder and ending; none where the file does not know it."""
+    """Labels by a view's name, with or without folder and suffix; empty if the file lacks it."""
     stem = name.rpartition("/")[2].rpartition(".")[0] or name.rpartition("/")[2]
     for known, truths in labels.items():
         if name == known or stem == (known.rpartition("/")[2].rpartition(".")[0] or known):
@@ -467,7 +468,7 @@ def _labels_of(labels: Labels, name: str) -> tuple[LabeledObject, ...]:
 def conditions_of(
     intensities_mm_h: tuple[float, ...], seeds: tuple[int, ...], *, originals: bool, scene: bool
 ) -> list[Condition]:
-    """All that a view is shown in: without rain first, then each rain with each seed, the same seeds in each."""
+    """All conditions of a view: without rain first, then each rain rate with each seed."""
     clear = [Condition("original", 0.0, seeds)] if originals else []
     clear += [Condition("clear", 0.0, seeds)] if scene else []
     rainy = [Condition("rainy", rate, (seed,)) for rate in intensities_mm_h if rate > 0 for seed in seeds]

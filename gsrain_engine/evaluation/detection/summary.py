@@ -1,4 +1,4 @@
-"""Detection in rain as numbers: what is left of confidence, boxes and average precision at each intensity."""
+"""Summary of detection in rain: scores by rain rate and distance, robustness, and CSV and Parquet tables."""
 
 import csv
 from collections import defaultdict
@@ -38,12 +38,12 @@ class SeedSpread:
 
 @dataclass(frozen=True, slots=True)
 class SeedChange:
-    """A difference between two weathers, seed by seed: its mean and 95 % confidence interval (Student's t)."""
+    """Per-seed difference between two conditions: mean and 95 % confidence interval (Student's t)."""
 
     mean: float
     low: float
     high: float
-    """NaN both for a single seed and without rain. They tell how much drops matter, not how other streets fare."""
+    """NaN both for a single seed and without rain. The interval covers the variation of drops, not of other streets."""
 
     @classmethod
     def of(cls, differences: Sequence[float]) -> "SeedChange":
@@ -56,31 +56,31 @@ class SeedChange:
 
 @dataclass(frozen=True, slots=True)
 class ScoreByIntensity:
-    """A detector in one weather."""
+    """Scores of a detector in one condition."""
 
     detector: str
     picture: Kind
     intensity_mm_h: float
     objects: int
-    """Asked for, over all frames; the same for each seed."""
+    """Evaluated objects over all frames; the same for each seed."""
     confidence: SeedSpread
-    """Mean over objects, 0..1, those that were missed as 0."""
+    """Mean over objects, 0..1, missed ones as 0."""
     iou: SeedSpread
-    """Mean over objects, 0..1, those that were missed as 0."""
+    """Mean over objects, 0..1, missed ones as 0."""
     recall: SeedSpread
     """Share of objects found with a confidence of 0.25 or more; 0..1."""
     flips: SeedSpread
-    """Share of all objects that were taken for another class, with a confidence of 0.25 or more; 0..1."""
+    """Share of all objects detected as another class with a confidence of 0.25 or more; 0..1."""
     map: SeedSpread
-    """Average precision as COCO has it (IoU 0.5 to 0.95), 0..1: see `AveragePrecision`."""
+    """COCO average precision (IoU 0.5 to 0.95), 0..1: see `AveragePrecision`."""
     map50: SeedSpread
     change: SeedChange | None
-    """Of the mean confidence from the picture without rain; None for that one."""
+    """Change of the mean confidence relative to the image without rain; None for that one."""
 
 
 @dataclass(frozen=True, slots=True)
 class DistanceScore:
-    """Recall of a detector in one weather between two distances, over all seeds."""
+    """Recall of a detector in one condition between two distances, over all seeds."""
 
     detector: str
     picture: Kind
@@ -92,7 +92,7 @@ _Weather = tuple[str, Kind, float]
 
 
 def scores(rows: Sequence[ObjectRow], judgements: Sequence[DetectionResult]) -> list[ScoreByIntensity]:
-    """Score each detector in each weather, detector by detector, without rain first."""
+    """Score each detector in each condition, detector by detector, without rain first."""
     pictures: dict[_Weather, dict[int, list[DetectionResult]]] = defaultdict(lambda: defaultdict(list))
     for each in judgements:
         for seed in each.trial.seeds:
@@ -127,7 +127,7 @@ def scores(rows: Sequence[ObjectRow], judgements: Sequence[DetectionResult]) -> 
 
 
 def robustness_of(scored: Sequence[ScoreByIntensity]) -> dict[str, Robustness]:
-    """MPC and rPC of each detector's mAP over the intensities of rain; detectors that saw none are left out."""
+    """Return mPC and rPC of each detector's mAP over the rain rates; detectors without rainy images are omitted."""
     found: dict[str, Robustness] = {}
     for detector in dict.fromkeys(each.detector for each in scored):
         own = [each for each in scored if each.detector == detector]
@@ -140,7 +140,7 @@ def robustness_of(scored: Sequence[ScoreByIntensity]) -> dict[str, Robustness]:
 
 
 def distance_scores(rows: Sequence[ObjectRow], edges_m: Sequence[float] = DISTANCES_M) -> list[DistanceScore]:
-    """Recall by distance of each detector in each weather, over all seeds; bins without an object are left out."""
+    """Recall by distance of each detector in each condition, over all seeds; bins without objects are omitted."""
     by_weather: dict[_Weather, list[ObjectRow]] = defaultdict(list)
     for row in rows:
         if row.distance_m is not None and (row.picture == "rainy" or row.seed == rows[0].seed):
@@ -160,7 +160,7 @@ def plain(score: ScoreByIntensity | DistanceScore) -> dict[str, Any]:
 
 
 def _base(weather: _Weather, pictures: Iterable[_Weather]) -> _Weather | None:
-    """The weather without rain that a rainy one is compared with."""
+    """The condition without rain that is the baseline of a rainy one."""
     detector, kind, _ = weather
     without: tuple[Kind, ...] = ("clear", "original") if kind == "rainy" else ("original",) if kind == "clear" else ()
     there = set(pictures)
@@ -174,7 +174,7 @@ def _change(own: dict[int, list[ObjectRow]], base: dict[int, list[ObjectRow]]) -
 
 
 def _precisions(by_seed: dict[int, list[DetectionResult]]) -> list[tuple[float, float]]:
-    """Both average precisions of each seed; of equal pictures only once."""
+    """Both average precisions of each seed; computed once for equal images."""
     known: dict[tuple[int, ...], tuple[float, float]] = {}
     for own in by_seed.values():
         key = tuple(id(each) for each in own)
@@ -204,11 +204,11 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and np.isnan(value) else value
 
 
-# § The rows of a sweep as files: CSV for everybody, Parquet for data frames.
+# Result tables
 
 
 def write_csv(file: Path, rows: Sequence[ObjectRow]) -> None:
-    """Write rows as CSV with a line of names; a miss has a confidence of 0, unknowns are empty."""
+    """Write rows as CSV with a header; a miss has a confidence of 0, unknown values are empty."""
     with whole_file(file) as beside, beside.open("w", encoding="utf-8", newline="") as stream:
         names = list(rows[0].plain()) if rows else []
         writer = csv.DictWriter(stream, names)
@@ -217,7 +217,7 @@ def write_csv(file: Path, rows: Sequence[ObjectRow]) -> None:
 
 
 def write_parquet(file: Path, rows: Sequence[ObjectRow]) -> bool:
-    """Write rows as Parquet; False, and nothing written, where pyarrow is not installed."""
+    """Write rows as Parquet; returns False without writing if pyarrow is not installed."""
     try:
         import pyarrow
         from pyarrow import parquet

@@ -1,4 +1,4 @@
-"""How strongly drops echo, and how many of them a beam meets that are detected."""
+"""Lidar returns from raindrops and the echo loss of a wet road."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,13 +18,13 @@ _STEP_M = 0.01
 
 
 class RainReturns(NamedTuple):
-    """Drops that a sensor detects, each in one of its beams."""
+    """Detected drops, each in one of the sensor's beams."""
 
     beams: Int64[np.ndarray, " m"]
     """Index of the beam."""
     ranges_m: Float64[np.ndarray, " m"]
     reflectances: Float64[np.ndarray, " m"]
-    """Of something that fills the beam and sends back as much."""
+    """Equivalent reflectance of a beam-filling target with the same echo."""
 
     @staticmethod
     def joined(*parts: "RainReturns") -> "RainReturns":
@@ -35,8 +35,8 @@ class RainReturns(NamedTuple):
 class DropReturnModel:
     """Echoes of one rain's drops in one sensor's beams.
 
-    A drop whose centre is in a beam of the width w takes (D / w)^2 of it and sends `drop_reflectance` of that back.
-    Drops count one by one: that two within a pulse are strong enough only together is left out.
+    A drop with its center in a beam of width w intercepts (D / w)^2 of it and returns `drop_reflectance` of that. Drops
+    count individually: the sum of two drops within a pulse is neglected.
     """
 
     sensor: LidarSensor
@@ -44,18 +44,18 @@ class DropReturnModel:
 
     @cached_property
     def _strengths_mm2(self) -> Float64[np.ndarray, " classes"]:
-        """Rises with the class: what a larger drop's back loses by absorption is less than what its size adds."""
+        """Increases with the class: a larger drop's size adds more than absorption removes from its back reflection."""
         diameters = self.state.sizes.class_diameters_mm
         return diameters**2 * drop_reflectance(diameters, self.sensor.wavelength_nm)
 
     def reflectances(
         self, ranges_m: Float64[np.ndarray, " m"], classes: Int64[np.ndarray, " m"]
     ) -> Float64[np.ndarray, " m"]:
-        """Reflectance of something that fills the beam and sends back as much as a drop of a class."""
+        """Equivalent reflectance of a beam-filling target with the echo of a drop of a class."""
         return 1e-6 * self._strengths_mm2[classes] / self.sensor.beam_width_m(ranges_m) ** 2
 
     def first_detected(self, ranges_m: Float64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
-        """Smallest class that is detected at a range; `CLASSES` where none is."""
+        """Smallest class that is detected at a range; `CLASSES` if none is."""
         clear = np.exp(2 * self.state.extinction_per_m * ranges_m)
         with np.errstate(over="ignore"):
             needed = 1e6 * self.sensor.detectable(ranges_m) * clear * self.sensor.beam_width_m(ranges_m) ** 2
@@ -63,14 +63,14 @@ class DropReturnModel:
 
     @cached_property
     def reach_m(self) -> float:
-        """Beyond this no drop is detected."""
+        """Range beyond which no drop is detected."""
         ranges = np.arange(0, min(self.sensor.range_m, self.sensor.farthest_m) + _STEP_M, _STEP_M)
         seen = np.flatnonzero(self.first_detected(ranges) < CLASSES)
         return float(ranges[seen[-1]]) + _STEP_M if len(seen) else 0.0
 
     @cached_property
     def grid_m(self) -> Float64[np.ndarray, " k"]:
-        """Ranges up to the reach, evenly."""
+        """Evenly spaced ranges up to `reach_m`."""
         return np.linspace(0, self.reach_m, max(round(self.reach_m / _STEP_M), 1) + 1)
 
     @cached_property
@@ -89,10 +89,11 @@ class DropReturnModel:
         return np.interp(ranges_m, self.grid_m, self.expected)
 
 
-# § Echoes of drops outside the simulated field: as many, as far and as large as the spectrum says.
+# Drops outside the simulated field
+# Sampled from the drop spectrum.
 
 _MAX_RETURNS = 4
-"""Drops of one beam that are drawn: there are seldom two."""
+"""Maximum number of sampled drops per beam; there are seldom two."""
 
 _Span = tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]
 
@@ -100,11 +101,11 @@ _Span = tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]
 def sample_far_returns(
     beams: Beams, listened_m: Float64[np.ndarray, " n"], simulated: _Span, signals: DropReturnModel, seed: int
 ) -> RainReturns:
-    """Draw detected drops along each beam up to `listened_m`, but for the `simulated` span, from where to where (m).
+    """Sample detected drops along each beam up to `listened_m`, except within the `simulated` range interval (m).
 
-    Numbers are Poisson of the integral of the detected spectrum over the beam's volume, ranges are spread as it grows,
-    sizes are those of the detected part of the spectrum at that range. The same seed draws the same numbers at all
-    intensities, so that more rain only adds.
+    Counts are Poisson with the integral of the detected spectrum over the beam's volume, ranges follow its growth,
+    sizes the detected part of the spectrum at that range. A seed gives the same random numbers at all rain rates, so
+    that more rain only adds drops.
     """
     draws = np.random.default_rng(seed).random((len(beams), 1 + 2 * _MAX_RETURNS))
     start, end = (np.minimum(each, listened_m) for each in simulated)
@@ -123,7 +124,7 @@ def sample_far_returns(
 
 
 def span_in_box(beams: Beams, box: RegionBox, frame: Float64[np.ndarray, "4 4"]) -> _Span:
-    """From where to where each beam is in a box of a frame, in metres; 0 and 0 where it misses it."""
+    """Entry and exit range of each beam in a box of a frame, in meters; 0 and 0 for a miss."""
     turn = frame[:3, :3]
     origin, directions = turn.T @ (beams.origin_m - frame[:3, 3]), beams.directions @ turn
     directions = np.where(np.abs(directions) < 1e-12, 1e-12, directions)
@@ -133,15 +134,16 @@ def span_in_box(beams: Beams, box: RegionBox, frame: Float64[np.ndarray, "4 4"])
     return np.where(met, np.maximum(enter, 0), 0), np.where(met, leave, 0)
 
 
-# § Echoes of the very drops that the cameras see: those of the simulated field around the car.
+# Drops of the simulated field
+# The same drops as in camera images.
 
 
 def drop_field_returns(
     field: DropBatch, beams: Beams, listened_m: Float64[np.ndarray, " n"], signals: DropReturnModel
 ) -> RainReturns:
-    """Find the drops of the field that stand in beams at one moment and are detected, each nearer than `listened_m`.
+    """Find the field's drops that are in beams at its time and are detected, each nearer than `listened_m`.
 
-    A drop is in every beam whose axis passes its centre within half the beam's width.
+    A drop is in every beam whose axis passes its center within half the beam's width.
     """
     drops = field.region_drops()
     away = field.positions(drops) - beams.origin_m
@@ -162,7 +164,7 @@ def drop_field_returns(
     return RainReturns(beam, ranges[drop], signals.reflectances(ranges[drop], drops.class_index[seen[drop]]))
 
 
-# § Water in near infrared: what a drop sends straight back, and what a film of it takes from a wet road.
+# Optics of water in the near infrared
 
 REFRACTIVE_INDEX = {905: 1.327, 1550: 1.318}
 """Of water, at wavelengths in nm (Hale and Querry 1973, Applied Optics 12)."""
@@ -171,17 +173,17 @@ ABSORPTION_PER_MM = {905: 0.007, 1550: 1.09}
 """Of water: 4 pi k / wavelength with k = 5.0e-7 and 1.35e-4 (Hale and Querry 1973; Kou, Labrie and Chylek 1993)."""
 
 _MIRRORED_INSIDE = 0.472
-"""Share of diffuse light under a flat water surface that is mirrored back down, n = 1.33 (Saunderson 1942)."""
+"""Internal reflectance of a flat water surface for diffuse light, n = 1.33 (Saunderson 1942)."""
 
 
 def drop_reflectance(diameter_mm: Float[np.ndarray, "*n"], wavelength_nm: int) -> Float64[np.ndarray, "*n"]:
-    """Reflectance of a matt disc with a drop's shadow that would send back as much: 0.005..0.025.
+    """Reflectance of a Lambertian disc of a drop's cross-section with the same backscatter: 0.005..0.025.
 
-    Geometric optics of a sphere, axial rays: those that its front mirrors, F / 4, and those that its back mirrors,
-    (1 - F)^2 F (n / (2 - n))^2 / 4, weakened by the water that they pass twice; F = ((n - 1) / (n + 1))^2. A disc of
-    reflectance rho has the radar cross-section 4 rho A, a sphere's mirrored front F A (van de Hulst 1957, chapter 12).
-    At 1550 nm water is so dark that drops above a millimetre keep the front's alone. The glory is left out: large
-    drops are too flat and too restless for it.
+    Geometric optics of a sphere, axial rays: reflection at the front, F / 4, and at the back, (1 - F)^2 F (n / (2 -
+    n))^2 / 4, attenuated by two passes through the water; F = ((n - 1) / (n + 1))^2. A disc of reflectance rho has the
+    radar cross-section 4 rho A, a sphere's front reflection F A (van de Hulst 1957, chapter 12). At 1550 nm water
+    absorbs so strongly that drops above a millimeter only reflect at the front. The glory is neglected: large drops are
+    too flat and unsteady for it.
     """
     n = REFRACTIVE_INDEX[wavelength_nm]
     front = ((n - 1) / (n + 1)) ** 2
@@ -191,7 +193,7 @@ def drop_reflectance(diameter_mm: Float[np.ndarray, "*n"], wavelength_nm: int) -
 
 
 def fresnel_reflectance(cosine: Float[np.ndarray, "*n"], index: float) -> Float64[np.ndarray, "*n"]:
-    """Share of unpolarized light that a flat surface of water mirrors, by the cosine of incidence; 0..1 (Fresnel)."""
+    """Fresnel reflectance of a flat water surface for unpolarized light, by the cosine of incidence; 0..1."""
     inside = np.sqrt(1 - (1 - np.asarray(cosine, np.float64) ** 2) / index**2)
     across = ((cosine - index * inside) / (cosine + index * inside)) ** 2
     along = ((inside - index * cosine) / (inside + index * cosine)) ** 2
@@ -205,13 +207,13 @@ def wet_road_share(
     film_mm: float,
     wavelength_nm: int,
 ) -> Float64[np.ndarray, "*n"]:
-    """Share of a dry road's echo that is left when it is wet, 0..1.
+    """Ratio of a wet road's echo to that of the dry road, 0..1.
 
-    Where water stands, a beam crosses its surface twice, (1 - F)^2, spreads on leaving it, 1 / n^2, and is partly
-    mirrored back onto the road, 1 / (1 - 0.472 rho): a matt ground under a flat film (Saunderson 1942, Lekner and Dorf
-    1988). The film absorbs on the slanted way down and up. What it mirrors goes on ahead and never comes back, which is
-    why far, grazing returns vanish first. `cosine` of incidence, `reflectance` of the dry road; `wetness` is the share
-    of it that is covered.
+    With standing water, a beam crosses its surface twice, (1 - F)^2, spreads on leaving it, 1 / n^2, and is partly
+    reflected back onto the road, 1 / (1 - 0.472 rho): a Lambertian ground under a flat film (Saunderson 1942, Lekner
+    and Dorf 1988). The film absorbs along the slanted path down and up. Light reflected at its surface continues
+    forward and is lost, so far returns at grazing angles vanish first. `cosine` of incidence, `reflectance` of the dry
+    road; `wetness` is its covered share.
     """
     n = REFRACTIVE_INDEX[wavelength_nm]
     slant = np.sqrt(1 - (1 - np.asarray(cosine, np.float64) ** 2) / n**2)

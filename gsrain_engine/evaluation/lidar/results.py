@@ -1,4 +1,4 @@
-"""Turns of a lidar under several intensities and seeds: the same drops' numbers at every intensity of a seed."""
+"""Lidar results in rain: counts of lost and false returns by range over rain rates and seeds, and their figure."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,35 +21,35 @@ from .scan import Answer, LidarTurn, RainyScan, ReturnOutcome, scan_in_rain
 from .sensor import Beams
 
 NEAR_STEP_M = 0.5
-"""Width of the bins in which drops near the sensor are counted."""
+"""Width of the bins for drops near the sensor."""
 
 _NEAR_M = 2.0
 
 _JUST = 1 + 1e-6
 
-# § What a turn of a lidar lost in rain, and what it made up, by distance.
+# Return counts by range
 
 RANGE_EDGES_M = (0.0, 2.0, 5.0, 10.0, 20.0, 30.0, 50.0, 80.0, 120.0, np.inf)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReturnCounts:
-    """Counts of returns in each bin of range; ranges are those in clear air, of false returns their own."""
+    """Counts of returns in each range bin; ranges are those in clear air, for false returns their own."""
 
     edges_m: Float64[np.ndarray, " k_and_one"]
     clear: Int64[np.ndarray, " k"]
-    """Returns in clear air, less those that rain leaves alone."""
+    """Returns in clear air without those unaffected by rain."""
     kept: Int64[np.ndarray, " k"]
     dropped: Int64[np.ndarray, " k"]
     """Too weak in rain."""
     masked: Int64[np.ndarray, " k"]
-    """A drop answered in their place."""
+    """Replaced by a drop's return."""
     false: Int64[np.ndarray, " k"]
     """Drops."""
     range_rmse_m: float
-    """Root mean square of what rain adds to the ranges of kept returns; NaN without any."""
+    """Root mean square of the range error that rain adds to kept returns; NaN without any."""
     untouched: int
-    """Returns that rain leaves alone."""
+    """Returns unaffected by rain."""
 
     @classmethod
     def of(cls, beams: Beams, rainy: RainyScan, edges_m: tuple[float, ...] = RANGE_EDGES_M) -> "ReturnCounts":
@@ -76,14 +76,14 @@ class ReturnCounts:
         )
 
     def return_share(self) -> Float64[np.ndarray, " k"]:
-        """Share of the clear returns that are kept, 0..1; NaN where there were none."""
+        """Share of the clear returns that are kept, 0..1; NaN without clear returns."""
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(self.clear > 0, self.kept / self.clear, np.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RainRunCounts:
-    """What came of one turn in one rain, without the points."""
+    """Results of one turn in one rain, without the points."""
 
     turn: str
     """Its name."""
@@ -92,9 +92,9 @@ class RainRunCounts:
     state: RainProperties
     seed: int
     wetness: float
-    """Of the road; 0 where that is left out."""
+    """Of the road; 0 if not simulated."""
     at_threshold: int
-    """Clear returns of which no more is known than that they were detected: any rain loses them."""
+    """Clear returns at the detection threshold, which any rain loses."""
     tally: ReturnCounts
     near: ReturnCounts
 
@@ -110,11 +110,11 @@ class RainRun:
     rainy: RainyScan
     tally: ReturnCounts
     near: ReturnCounts
-    """In fine bins, as far as drops are detected."""
+    """In fine bins, up to the range at which drops are detected."""
 
     @property
     def without_points(self) -> "RainRunCounts":
-        """What is worth keeping of many runs."""
+        """The counts alone, to save memory over many runs."""
         sensor, beams = self.turn.sensor, self.turn.beams
         signals = sensor.signal(beams.ranges_m[beams.is_echo], beams.reflectances[beams.is_echo], 0.0)
         return RainRunCounts(
@@ -132,7 +132,7 @@ class RainRun:
 def rain_runs(
     turn: LidarTurn, intensities_mm_h: Sequence[float], seeds: Sequence[int], *, answer: Answer, wet_road: bool
 ) -> Iterator[RainRun]:
-    """Rain on a turn: all seeds of the first intensity, then of the next."""
+    """Simulate rain on a turn: all seeds of the first rain rate, then of the next."""
     rains = [RainSettings(intensity_mm_h=intensity) for intensity in intensities_mm_h]
     reach = max(DropReturnModel(turn.sensor, RainSimulation.start(rain).state).reach_m for rain in rains)
     edges = near_edges(reach)
@@ -154,7 +154,7 @@ def rain_runs(
 
 
 def near_edges(reach_m: float) -> tuple[float, ...]:
-    """Edges of fine bins up to a range, 2 m at least."""
+    """Edges of fine bins up to a range of at least 2 m."""
     return tuple(float(NEAR_STEP_M * k) for k in range(int(np.ceil(max(reach_m, _NEAR_M) / NEAR_STEP_M)) + 1))
 
 
@@ -165,7 +165,7 @@ def _binned(
     return counts.astype(np.int64)
 
 
-# § The figure of a lidar in rain: from above in clear air and in rain, and what is lost and made up by distance.
+# Figure
 
 _SIZE_INCHES, _DPI = (13.5, 8.2), 140
 
@@ -174,22 +174,22 @@ _CLEAR, _DROPPED, _MASKED, _FALSE, _EGO = "#3c6e9f", "#e08a1e", "#7d3fa0", "#d32
 _VIEWED_SHARE = 0.985
 
 _ASPECT = 0.66
-"""Height over width of what is seen from above."""
+"""Height over width of the top view."""
 
 _FEWEST = 20
-"""Bins with fewer clear returns than this have no share to be drawn."""
+"""Bins with fewer clear returns are not drawn."""
 
 _FEW_ENTRIES = 8
-"""Of a legend that lies in its panel; a longer one stands to its right."""
+"""Maximum number of entries for a legend inside its panel; a longer one is placed to its right."""
 
 ByIntensity = Mapping[float, Sequence[RainRunCounts]]
-"""All seeds and turns at each intensity in mm/h."""
+"""All seeds and turns at each rain rate in mm/h."""
 
 _Rows = Mapping[float, Sequence[ReturnCounts]]
 
 
 def write_figure(path: Path, shown: RainRun, by_intensity: ByIntensity) -> None:
-    """Draw and write the figure (PNG), whole or not at all."""
+    """Draw the figure and write it (PNG) atomically."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as beside:
         draw_figure(shown, by_intensity).savefig(beside, format="png", dpi=_DPI)
@@ -214,7 +214,7 @@ def draw_figure(shown: RainRun, by_intensity: ByIntensity) -> Figure:
 
 
 def _from_above(turn: LidarTurn, points_m: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
-    """To the left and ahead of the vehicle, in metres."""
+    """Coordinates ahead and to the left of the vehicle, in meters."""
     local = (points_m - turn.anchor_to_world[:3, 3]) @ turn.anchor_to_world[:3, :3]
     return np.stack([local[:, 0], local[:, 1]], axis=1)
 
@@ -296,7 +296,7 @@ def _draw_false(axes: Axes, near: _Rows) -> None:
 def _band(
     axes: Axes, x: Float64[np.ndarray, " k"], values: Float64[np.ndarray, "s k"], color: Color, label: str
 ) -> None:
-    """The mean of seeds and turns, in a band from the least to the most of them."""
+    """Draw the mean over seeds and turns, with a band from minimum to maximum."""
     known = np.isfinite(values).all(axis=0)
     x, values = x[known], values[:, known]
     axes.fill_between(x, values.min(axis=0), values.max(axis=0), color=color, alpha=0.25, linewidth=0)

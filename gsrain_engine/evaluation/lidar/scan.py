@@ -1,8 +1,8 @@
-"""A lidar's turn in rain: weak echoes are lost, ranges get noisier, drops answer in place of things.
+"""Lidar scans in rain: lost echoes, range noise and drop returns, for captured sweeps and virtual scans.
 
-The lidar equation with rain as what weakens and as a target: Rasshofer, Spies and Spies 2011 (Advances in Radio Science
+The lidar equation with rain as attenuation and as target: Rasshofer, Spies and Spies 2011 (Advances in Radio Science
 9); Goodin, Carruth, Doude and Hudson 2019 (Electronics 8:89); Kilic et al. 2021 (LISA); Hasirlioglu and Riener 2017.
-Unlike theirs, drops, sizes and extinction are those of the rain that the cameras see.
+Unlike there, drops, sizes and extinction are those of the rain in the camera images.
 """
 
 import math
@@ -40,31 +40,31 @@ Answer = Literal["strongest", "first", "last"]
 
 
 class ReturnOutcome(IntEnum):
-    """What became of a beam's clear echo."""
+    """Outcome of a beam's clear echo."""
 
     NOTHING = 0
-    """There was none."""
+    """No clear echo."""
     KEPT = 1
     DROPPED = 2
     """Too weak in rain."""
     MASKED = 3
-    """Detectable, but a drop answered in its place."""
+    """Detectable, but replaced by a drop's return."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RainyScan:
-    """What a sensor reports in rain, and what it would have in clear air."""
+    """A sensor's output in rain, with the outcome of each clear echo."""
 
     sweep: LidarSweep
-    """World, metres; intensities as in clear air where those are known."""
+    """World, meters; intensities as in clear air, if known."""
     beams: Int64[np.ndarray, " m"]
     """The beam of each point."""
     is_false: Bool[np.ndarray, " m"]
-    """Which points are drops."""
+    """Mask of the points that are drops."""
     fates: Int8[np.ndarray, " n"]
     """A `ReturnOutcome` for each beam."""
     signals: Float64[np.ndarray, " m"]
-    """Power of each point in multiples of what is just detected; 0 for what rain leaves alone."""
+    """Power of each point in multiples of the detection threshold; 0 for beams without a clear echo."""
 
     @property
     def false_ranges_m(self) -> Float64[np.ndarray, " k"]:
@@ -72,7 +72,7 @@ class RainyScan:
 
 
 class _DropReturn(NamedTuple):
-    """The drop that may answer in a beam."""
+    """The candidate drop return of a beam."""
 
     beams: Int64[np.ndarray, " m"]
     ranges_m: Float64[np.ndarray, " m"]
@@ -89,12 +89,13 @@ def scan_in_rain(
     answer: Answer = "strongest",
     wet_road: bool = True,
 ) -> RainyScan:
-    """Return what a sensor reports in rain, by its beams in clear air.
+    """Return a sensor's output in rain, given its beams in clear air.
 
-    Extinction is beta(R) of `RainProperties`, two ways. Drops are those of the rain's own field at the beams' time
-    inside its streak region, which stands in the frame `anchor_to_world`, and Poisson ones beyond. Of a beam's echoes
-    the strongest (over what is just detected there), the first or the last is reported. Range noise is what rain adds
-    to that of clear air. The rain's seed fixes everything; without rain and wetness the points come back, to the bit.
+    Extinction is beta(R) of `RainProperties`, for both directions. Drops are those of the rain's own field at the
+    beams' time inside its streak region, which is placed in the frame `anchor_to_world`, and Poisson-sampled ones
+    beyond. Of a beam's echoes the strongest (relative to the detection threshold at its range), the first or the last
+    is reported. Range noise is the increase over clear air. The rain's seed determines everything; without rain and
+    wetness the points are unchanged, to the bit.
     """
     rainfall = rainfall.frozen_at(beams.time_s)
     state, seed = rainfall.state, rainfall.rain.seed
@@ -105,7 +106,7 @@ def scan_in_rain(
     clear = np.where(beams.is_echo, sensor.signal(ranges, beams.reflectances, 0.0), 0.0)
     signals = clear * faded
     chosen = _answering_drops(beams, sensor, rainfall, anchor_to_world, answer)
-    # What was just detected stays detected where nothing fades: rounding must not lose it.
+    # Threshold returns stay detected without attenuation: rounding must not lose them.
     heard = beams.is_echo & ((signals >= 1) | (faded == 1))
     by_drop = np.zeros(len(beams), bool)
     by_drop[chosen.beams] = _drop_answers(answer, chosen, heard, signals)
@@ -147,7 +148,7 @@ def leveled_frame(
 
 
 def _wet_road(beams: Beams, sensor: LidarSensor, rainfall: RainSimulation) -> Float64[np.ndarray, " n"]:
-    """Share of each echo that a wet road leaves; 1 for all but the road."""
+    """Share of each echo that remains on a wet road; 1 for other surfaces."""
     shares, wetness = np.ones(len(beams)), rainfall.wetness_at(beams.time_s)
     road = np.flatnonzero(beams.is_echo & (beams.road_cosines > 0))
     if wetness > 0 and len(road):
@@ -165,7 +166,7 @@ def _answering_drops(
     anchor_to_world: Float64[np.ndarray, "4 4"],
     answer: Answer,
 ) -> _DropReturn:
-    """The one drop of each beam that would answer if the beam met nothing else."""
+    """The drop of each beam that would be reported without another echo."""
     if rainfall.state.intensity_mm_h == 0:
         return _DropReturn(np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros(0))
     signals = DropReturnModel(sensor, rainfall.state)
@@ -189,7 +190,7 @@ def _answering_drops(
 def _drop_answers(
     answer: Answer, drops: _DropReturn, heard: Bool[np.ndarray, " n"], signals: Float64[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " m"]:
-    """Whether each drop is reported: always where the thing behind it isn't heard."""
+    """Mask of the reported drops: always if the echo behind is not detected."""
     if answer == "first":
         return np.ones(len(drops.beams), bool)
     wins = drops.signals > signals[drops.beams] if answer == "strongest" else np.zeros(len(drops.beams), bool)
@@ -199,7 +200,7 @@ def _drop_answers(
 def _added_sigma(
     sensor: LidarSensor, clear: Float64[np.ndarray, " n"], rainy: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
-    """Standard deviation that rain adds to a range: the points of a clear sweep have their own noise already."""
+    """Additional range noise from rain: the points of a clear sweep already contain their own noise."""
     before, after = (sensor.range_sigma(np.maximum(each, 1)) ** 2 for each in (clear, rainy))
     return np.sqrt(np.maximum(after - before, 0))
 
@@ -211,7 +212,7 @@ def _intensities(
     drops: _DropReturn,
     extinction_per_m: float,
 ) -> Float32[np.ndarray, " m"] | None:
-    """What the sensor takes the reflectance for: it knows the range, and nothing of the rain."""
+    """Apparent intensity: the sensor corrects for range but not for rain."""
     if beams.intensities is None:
         return None
     true = beams.intensities[kept] * np.where(beams.untouched, 1, faded)[kept]
@@ -220,11 +221,12 @@ def _intensities(
 
 
 def _moment(time_s: float) -> int:
-    """A time as a whole number that seeds draws: microseconds."""
+    """A time in integer microseconds, as a random seed."""
     return round(time_s * 1e6) % 2**32
 
 
-# § A lidar in a scene: what its beams hit, from four pictures of its surfaces around it.
+# Virtual scans
+# Four rendered views around the sensor give the surfaces that the beams hit.
 
 _FACE_DEG = 90.0
 
@@ -236,19 +238,19 @@ _ROAD_UP = 0.95
 
 _ROAD_M = 0.3
 
-# § Beams of a sweep that a lidar measured in clear air: what its points and intensities tell of them.
+# Beams of a measured sweep
 
 MATT = 0.2
-"""Reflectance of all things, with the cosine of incidence, where a sweep has no intensities."""
+"""Default reflectance of all objects, times the cosine of incidence, for sweeps without intensities."""
 
 
 def scan_scene(
     scene: Scene, time_s: float, sensor_to_world: Float64[np.ndarray, "4 4"], sensor: LidarSensor, matt: float = MATT
 ) -> Beams:
-    """Send the sensor's beams into a scene. `sensor_to_world` is a pose: x forward, y left, z up, metres.
+    """Send the sensor's beams into a scene. `sensor_to_world` is a pose: x forward, y left, z up, meters.
 
-    Everything has the same near-infrared reflectance `matt`, times the cosine of incidence: colours say nothing of it.
-    All beams are sent at one moment. Sky is nothing.
+    Everything has the same near-infrared reflectance `matt`, times the cosine of incidence, since colors do not
+    determine it. All beams are sent at the same time. The sky returns no echo.
     """
     own = _own_directions(sensor)
     directions = own @ sensor_to_world[:3, :3].T
@@ -277,7 +279,7 @@ def scan_scene(
 
 
 def _own_directions(sensor: LidarSensor) -> Float64[np.ndarray, "n 3"]:
-    """Unit directions in the sensor's own frame, ring by ring, each from its right to its left."""
+    """Unit directions in the sensor's own frame, ring by ring, each from right to left."""
     limit, step = sensor.azimuth_limit_deg, sensor.azimuth_step_deg
     azimuths = np.radians(-limit + step * (np.arange(round(2 * limit / step)) + 0.5))
     up, around = np.meshgrid(np.radians(sensor.elevations_deg), azimuths, indexing="ij")
@@ -285,10 +287,10 @@ def _own_directions(sensor: LidarSensor) -> Float64[np.ndarray, "n 3"]:
 
 
 def _face_camera(sensor: LidarSensor, sensor_to_world: Float64[np.ndarray, "4 4"], face: int) -> Camera:
-    """A camera that sees a quarter of the beams, with pixels as wide as the azimuth's step."""
+    """A camera that covers a quarter of the beams, with pixels as wide as the azimuth step."""
     focal = min(1 / math.radians(sensor.azimuth_step_deg), _LARGEST_PX / 2)
     half = math.ceil(focal) + _MARGIN_PX
-    steepest = math.sqrt(2) * focal  # at a picture's sides, where rows of equal elevation rise
+    steepest = math.sqrt(2) * focal  # at the image's sides, where rows of equal elevation rise
     top, bottom = (
         math.ceil(steepest * math.tan(math.radians(max(highest, 0.0)))) + _MARGIN_PX
         for highest in (max(sensor.elevations_deg), -min(sensor.elevations_deg))
@@ -305,37 +307,32 @@ def _face_camera(sensor: LidarSensor, sensor_to_world: Float64[np.ndarray, "4 4"
 def _is_road(
     scene: Scene, time_s: float, points_m: Float64[np.ndarray, "n 3"], normals: Float64[np.ndarray, "n 3"]
 ) -> Bool[np.ndarray, " n"]:
-    """What lies flat at the height of the road, where that is known."""
+    """Mask of horizontal surfaces at the height of the road, if that is known."""
     ego = scene.ego_to_world(time_s)
     height = scene.ground_m if ego is None else float(ego[2, 3]) - EGO_HEIGHT_M
     flat = normals[:, 2] > _ROAD_UP
     return flat if height is None else flat & (np.abs(points_m[:, 2] - height) < _ROAD_M)
 
 
-# § Where rays meet a scene's surfaces: each flat Gaussian is a piece of a plane, and half of a ray's light ends at
-# one.
-#
-# Blended depth of splats' centres lies in front of a road that is seen at a grazing angle, and between two things
-# where
-# it mixes them. So the ray is followed through the splats to where less than half of it is left (median depth), and
-# met
-# with the planes of the splats around there, n . x = d (as Chen et al. 2024, PGSR, take depth), which has pieces of
-# one
-# plane give that plane.
+# Ray-surface intersection
+# Flat Gaussians act as pieces of planes. Blended depth of splat centers is too near on a road at a grazing angle, and
+# lies between two surfaces where it mixes them. Instead, a ray passes through the splats until less than half of its
+# light is left (median depth) and is intersected with the planes n . x = d of the splats around that depth (as in PGSR,
+# Chen et al. 2024), which is exact for pieces of one plane.
 
 _FLAT = 0.35
-"""A Gaussian is flat if its shortest axis is less than this share of the next; a round one faces the eye."""
+"""A Gaussian is flat if its shortest axis is less than this share of the next; a round one faces the camera."""
 
 _FARTHEST_OFF = 0.5
-"""A plane that a ray meets so far from the splat's centre, as a share of the depth, is not met where the splat is."""
+"""Largest distance of a ray-plane intersection from the splat's center, as a share of the depth."""
 
 _SAME_SHARE, _SAME_M = 0.03, 0.05
-"""Splats that a ray meets within this of the median are pieces of the same surface."""
+"""Splats within this distance of the median depth belong to the same surface."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LidarSurfaces:
-    """What can be seen of a scene at a time: its parts, and which of their Gaussians are sky."""
+    """Visible parts of a scene at a time, with a mask of their sky Gaussians."""
 
     parts: tuple[DrawItem, ...]
     is_sky: Bool[np.ndarray, " n"]
@@ -350,10 +347,10 @@ class LidarSurfaces:
     def met_by(
         self, directions: Float64[np.ndarray, "n 3"], camera: Camera
     ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, "n 3"]]:
-        """Ranges in metres (infinite where there is nothing) and world normals that face the eye.
+        """Ranges in meters (infinite without a surface) and world normals that face the camera.
 
-        Unit `directions` in the world start in the camera and lie in its picture, whose size of pixels is how sharply
-        the Gaussians are seen.
+        Unit `directions` in the world start at the camera and fall into its image, whose pixel size sets the resolution
+        of the Gaussians.
         """
         splats = project(self.parts, camera)
         tiles = bin_into_tiles(splats.shapes, splats.nearest_first(), camera.width, camera.height)
@@ -372,7 +369,7 @@ class LidarSurfaces:
 @numba.njit(parallel=True, cache=True)
 @no_type_check
 def _meet(shapes, starts, members, columns, planes, is_sky, rays, places, found):
-    """Write depth along the view axis, 0 where there is nothing, and the unit normal of what each ray meets."""
+    """Write the depth along the view axis, 0 without a surface, and the unit normal that each ray hits."""
     for i in numba.prange(len(rays)):
         u, v, ray = places[i, 0], places[i, 1], rays[i]
         tile = int(v) // TILE * columns + int(u) // TILE
@@ -408,7 +405,7 @@ def _meet(shapes, starts, members, columns, planes, is_sky, rays, places, found)
 @numba.njit(inline="always")
 @no_type_check
 def _alpha(shape, u, v):
-    """Alpha of a splat at a place in the picture, see `Splats`."""
+    """Alpha of a splat at a position in the image, see `Splats`."""
     dx = u - shape[0]
     if abs(dx) > shape[7]:
         return 0.0
@@ -420,7 +417,7 @@ def _alpha(shape, u, v):
 @numba.njit(inline="always")
 @no_type_check
 def _depth(plane, ray):
-    """Depth at which a ray meets a splat's plane; that of its centre where it meets it elsewhere."""
+    """Depth at which a ray meets a splat's plane; the center's depth if the intersection is too far from the splat."""
     towards = plane[0] * ray[0] + plane[1] * ray[1] + plane[2] * ray[2]
     if towards >= -1e-6:
         return plane[4]
@@ -429,7 +426,7 @@ def _depth(plane, ray):
 
 
 def _planes(parts: Sequence[DrawItem], indices: Int64[np.ndarray, " m"], camera: Camera) -> Float64[np.ndarray, "m 4"]:
-    """Unit normals that face the eye, and n . x, of some Gaussians counted through all parts; camera axes, metres."""
+    """Camera-facing unit normals, and n . x, of some Gaussians indexed over all parts; camera axes, meters."""
     planes = np.zeros((len(indices), 4))
     first = 0
     for part in parts:
@@ -461,34 +458,34 @@ def _normals(
 
 
 RETROREFLECTING = 100.0
-"""Where intensities go beyond 1, what is white and matt has this one; what has more is a reflector (as of Velodyne)."""
+"""Intensity of a white Lambertian target on scales beyond 1; higher values are reflectors (as of Velodyne)."""
 
 ROOF_M = 1.9
-"""Height over the road that a sensor is taken to have where its data set puts it on the road: on a car's roof."""
+"""Assumed sensor height above the road, a car's roof, if the dataset's origin is on the road."""
 
 _ON_ROAD_M = 0.5
 
 _BEAM_ROAD_M = 0.25
-"""What lies within this of the road's height is the road."""
+"""Largest height difference from the road of road points."""
 
 _SMALLEST_STEPS = 0.5 / 255
-"""Share of the scale that an intensity of 0 is taken for: it was rounded down."""
+"""Share of the scale assumed for an intensity of 0, which was rounded down."""
 
 _DETECTED_SHARE = 0.99
 
 
 def full_intensity(sweep: LidarSweep) -> float:
-    """Guess which intensity a sweep gives to what is white, matt and square to the beam: 1, or 100."""
+    """Guess a sweep's intensity of a white Lambertian target at normal incidence: 1, or 100."""
     if sweep.intensities is None or not len(sweep.intensities) or sweep.intensities.max() <= 1:
         return 1.0
     return RETROREFLECTING
 
 
 def estimate_sensor_range(sweep: LidarSweep, full: float) -> float | None:
-    """Range in metres at which its sensor detects 10 %, as the sweep itself tells; None without intensities.
+    """Range in meters at which the sensor detects 10 %, estimated from the sweep; None without intensities.
 
-    Whoever sees the reflectance rho at r sees 10 % at r sqrt(0.1 / rho) at least: 99 % of a sweep's returns lie below
-    the value that is taken, since the faintest of them are rounded.
+    A sensor that detects reflectance rho at range r detects 10 % at r sqrt(0.1 / rho) at least. The 99 % quantile over
+    a sweep's returns is used, since its faintest intensities are rounded.
     """
     if sweep.intensities is None:
         return None
@@ -502,12 +499,12 @@ def estimate_sensor_range(sweep: LidarSweep, full: float) -> float | None:
 def sweep_beams(
     sweep: LidarSweep, sensor: LidarSensor, ego: PoseTrack | None = None, full: float | None = None
 ) -> Beams:
-    """Turn each point of a sweep into a beam. Beams that met nothing are not in a sweep, and stay unknown.
+    """Turn each point of a sweep into a beam. Beams without an echo are not in a sweep and stay unknown.
 
-    What was detected was detectable: reflectances, the intensities over `full`, are raised to what the sensor just
-    detects where they lie below. Points nearer than the sensor sees (the own vehicle, placeholders at the origin) are
-    left alone. With `ego`, the vehicle's track, what lies at its road's height is road; and a sensor that would stand
-    on the road (data sets that give points in the vehicle's frame have lost its place) is lifted to `ROOF_M`.
+    Detected points must be detectable: reflectances, the intensities over `full`, are raised to the sensor's detection
+    threshold where lower. Points nearer than `clear_m` (the own vehicle, placeholders at the origin) are unaffected.
+    With `ego`, the vehicle's track, points at its road's height are road; and a sensor position on the road (in
+    datasets with points in the vehicle's frame) is raised to `ROOF_M`.
     """
     full = full_intensity(sweep) if full is None else full
     sweep = replace(sweep, origin_m=_origin(sweep, ego))
@@ -552,33 +549,33 @@ def _road_cosines(
     pose = None if ego is None else ego.pose(sweep.time_s)
     if pose is None:
         return np.zeros(len(ranges_m))
-    up = pose[:3, 2]  # of a vehicle that stands on a slope, that of the slope
+    up = pose[:3, 2]  # follows the slope under the vehicle
     heights = (sweep.points_m - pose[:3, 3]) @ up + EGO_HEIGHT_M
     sensor_height = float((sweep.origin_m - pose[:3, 3]) @ up) + EGO_HEIGHT_M
     cosines = np.clip((sensor_height - heights) / np.maximum(ranges_m, 1e-9), 0, 1)
     return np.where(np.abs(heights) < _BEAM_ROAD_M, cosines, 0.0)
 
 
-# § Turns of a lidar to rain on: sweeps of a capture, or virtual ones along a scene's drive.
+# Turns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LidarTurn:
-    """One turn of a lidar, and where the rain's regions stand around it."""
+    """One turn of a lidar, with the frame of the rain's regions around it."""
 
     name: str
     beams: Beams
     anchor_to_world: Float64[np.ndarray, "4 4"]
-    """Frame of the rain's regions: the vehicle's, levelled."""
+    """Frame of the rain's regions: the vehicle's, leveled."""
     sensor: LidarSensor
 
 
 def capture_turns(
     capture: Capture, sensor: LidarSensor, count: int = 1, *, full: float | None = None, told_range: bool = True
 ) -> Iterator[LidarTurn]:
-    """Yield some sweeps of a capture, evenly over it. With `told_range` the sensor's range is that which they tell.
+    """Yield evenly spaced sweeps of a capture. With `told_range` the sensor's range is estimated from each sweep.
 
-    Raises `ValueError` where there is no sweep, or the capture is not in metres with z up.
+    Raises `ValueError` if there is no sweep, or the capture is not in meters with z up.
     """
     if not capture.sweeps:
         raise ValueError(f"{capture.name}: has no lidar sweeps")
@@ -601,9 +598,9 @@ def capture_turns(
 def scene_turns(
     scene: Scene, sensor: LidarSensor, times_s: Sequence[float], *, matt: float = MATT, height_m: float = ROOF_M
 ) -> Iterator[LidarTurn]:
-    """Yield virtual turns of a sensor on the ego vehicle's roof, `height_m` over the road, level.
+    """Yield virtual turns of a level sensor on the ego vehicle's roof, `height_m` over the road.
 
-    Raises `ValueError` for a scene without an ego track, and for times at which the vehicle isn't there.
+    Raises `ValueError` for a scene without an ego track, and for times without the vehicle.
     """
     for number, time_s in enumerate(times_s):
         ego = scene.ego_to_world(time_s)
@@ -618,19 +615,19 @@ def scene_turns(
 
 
 def evenly_spaced(total: int, count: int) -> list[int]:
-    """Indices of some of many things, evenly over them, from the first one on."""
+    """Indices of `count` evenly spaced items, starting with the first."""
     count = min(count, total)
     return [i * total // count for i in range(count)]
 
 
-# § Writes a sweep in rain as an NPZ file, the same bytes for the same sweep.
+# Sweep files
 
 
 def write_sweep(path: Path, rainy: RainyScan) -> None:
     """Write `points_m` (world), `origin_m`, `time_s`, `is_false`, `beams`, `fates` and `signals`, and `intensities`.
 
-    `beams` says which beam (of a capture: which row of the clear sweep) each point comes from, `fates` what became of
-    each beam's clear echo: 0 there was none, 1 kept, 2 dropped, 3 masked. The file appears whole or not at all.
+    `beams` is the beam of each point (for a capture: its row in the clear sweep), `fates` the outcome of each beam's
+    clear echo: 0 none, 1 kept, 2 dropped, 3 masked. The file is written atomically and deterministically.
     """
     columns: dict[str, Any] = {
         "points_m": rainy.sweep.points_m,

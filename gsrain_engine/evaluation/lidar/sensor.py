@@ -1,4 +1,4 @@
-"""A lidar as numbers: its beams, and what it just detects at which distance."""
+"""Lidar sensor model: beams, detection threshold by range, noise, and sensor presets."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
@@ -9,13 +9,13 @@ from jaxtyping import Bool, Float, Float32, Float64
 from msgspec import Meta
 
 STATED_REFLECTANCE = 0.1
-"""Makers state the range at which a matt surface of this reflectance, hit square, is just detected."""
+"""Makers state the range at which a matt surface of this reflectance is just detected at normal incidence."""
 
 _STEEPEST_DEG = 60.0
 
 
 class LidarSensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A pulsed lidar. Power is counted in multiples of what is just detected, so no watt enters.
+    """A pulsed lidar. Power is relative to the detection threshold, without absolute units.
 
     A surface that fills the beam returns P = P0 rho cos / r^2 exp(-2 beta r) (the lidar equation; Rasshofer, Spies and
     Spies 2011, Advances in Radio Science 9, eq. 1-4), and P0 follows from `range_m`.
@@ -23,32 +23,32 @@ class LidarSensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     name: str
     elevations_deg: Annotated[tuple[float, ...], Meta(min_length=1, title="Elevations")]
-    """Of each ring of beams, upwards; a virtual scan needs them."""
+    """Of each ring of beams, upward; required for virtual scans."""
     azimuth_step_deg: Annotated[float, Meta(ge=0.02, le=10, title="Azimuth step", extra={"unit": "deg"})] = 0.2
     azimuth_limit_deg: Annotated[float, Meta(gt=0, le=180, title="Azimuth to either side", extra={"unit": "deg"})] = 180
     wavelength_nm: Annotated[Literal[905, 1550], Meta(title="Wavelength", extra={"unit": "nm"})] = 905
     range_m: Annotated[float, Meta(ge=1, le=1000, title="Range at 10 %", extra={"unit": "m"})] = 100.0
-    """Where 10 % of reflectance is just detected, without rain."""
+    """Range at which 10 % reflectance is just detected, without rain."""
     farthest_m: Annotated[float, Meta(ge=1, le=2000, title="Longest range", extra={"unit": "m"})] = 250.0
-    """Nothing is listened for beyond."""
+    """Maximum range of the receiver."""
     blind_m: Annotated[float, Meta(ge=0, le=50, title="Blind up to", extra={"unit": "m"})] = 0.9
-    """Nearer, the receiver doesn't see the beam. Up to `clear_m` it sees a share of it that grows evenly."""
+    """Range below which the receiver sees nothing of the beam. Up to `clear_m` its overlap rises linearly to 1."""
     clear_m: Annotated[float, Meta(gt=0, le=50, title="Sees all from", extra={"unit": "m"})] = 1.0
     least_reflectance: Annotated[float, Meta(ge=0, le=0.1, title="Least reflectance")] = 3e-4
-    """Less is detected at no distance: receivers turn their gain down for near echoes. 0 is a constant gain.
+    """Detection limit at any distance: receivers reduce their gain for near echoes. 0 is a constant gain.
 
-    Makers don't state it, and the number of false returns hangs on it: near drops send back 1e-5 to 1e-3 of a beam. At
-    a constant gain one in twelve returns of RainSense's sensor at 9.2 mm/h would be a drop, and there is none: it has
-    1e-4 or more.
+    Makers don't state it, and the number of false returns depends on it: near drops return 1e-5 to 1e-3 of a beam. At a
+    constant gain one in twelve returns of RainSense's sensor at 9.2 mm/h would be a drop, but there are none: its limit
+    is 1e-4 or more.
     """
     beam_mm: Annotated[float, Meta(ge=8, le=100, title="Beam at the window", extra={"unit": "mm"})] = 12.0
-    """Diameter; not less than the largest drop's."""
+    """Diameter; at least the largest drop's."""
     divergence_mrad: Annotated[float, Meta(ge=0, le=20, title="Divergence", extra={"unit": "mrad"})] = 3.0
     """Full angle."""
     pulse_m: Annotated[float, Meta(gt=0, le=5, title="Pulse", extra={"unit": "m"})] = 0.75
-    """Half the pulse's length: echoes closer together than this are one. 5 ns."""
+    """Half the pulse's length: closer echoes merge. 5 ns."""
     range_sigma_m: Annotated[float, Meta(ge=0, le=1, title="Range noise", extra={"unit": "m"})] = 0.05
-    """Standard deviation of the range of an echo that is just detected."""
+    """Standard deviation of the range of an echo at the detection threshold."""
 
     def __post_init__(self) -> None:
         if not all(-_STEEPEST_DEG <= each <= _STEEPEST_DEG for each in self.elevations_deg):
@@ -57,16 +57,16 @@ class LidarSensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
             raise ValueError(f"clear_m must be at least blind_m, got {self.clear_m} and {self.blind_m}")
 
     def beam_width_m(self, range_m: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
-        """Diameter of the beam: sqrt(d0^2 + (divergence r)^2), evenly bright inside."""
+        """Diameter of the beam: sqrt(d0^2 + (divergence r)^2), with uniform intensity inside."""
         return np.hypot(1e-3 * self.beam_mm, 1e-3 * self.divergence_mrad * np.asarray(range_m, np.float64))
 
     def overlap(self, range_m: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
-        """Share of the beam that the receiver sees, 0..1 (Rasshofer et al. 2011)."""
+        """Share of the beam in the receiver's field of view, 0..1 (Rasshofer et al. 2011)."""
         span = max(self.clear_m - self.blind_m, 1e-9)
         return np.clip((np.asarray(range_m, np.float64) - self.blind_m) / span, 0, 1)
 
     def detectable(self, range_m: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
-        """Least reflectance that is detected in clear air, of what fills the beam squarely; infinite where blind."""
+        """Smallest detected reflectance of a beam-filling target facing the sensor in clear air; infinite where blind."""
         by_distance = STATED_REFLECTANCE * (np.asarray(range_m, np.float64) / self.range_m) ** 2
         overlap = self.overlap(range_m)
         least = np.maximum(by_distance, self.least_reflectance) / np.maximum(overlap, 1e-9)
@@ -75,14 +75,14 @@ class LidarSensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     def signal(
         self, range_m: Float[np.ndarray, "*n"], reflectance: Float[np.ndarray, "*n"], extinction_per_m: float
     ) -> Float64[np.ndarray, "*n"]:
-        """Power received, in multiples of what is just detected; `reflectance` with the cosine of incidence in it."""
+        """Received power in multiples of the detection threshold; `reflectance` includes the cosine of incidence."""
         through = np.exp(-2 * extinction_per_m * np.asarray(range_m, np.float64))
         return np.asarray(reflectance, np.float64) / self.detectable(range_m) * through
 
     def range_sigma(self, signal: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
-        """Standard deviation of a range in metres, at a signal of 1 or more.
+        """Standard deviation of a range in meters, at a signal of 1 or more.
 
-        Timing goes with the root of the signal-to-noise ratio (Skolnik; Kilic et al. 2021, LISA, use the same).
+        Inverse to the square root of the signal-to-noise ratio (Skolnik; also used by Kilic et al. 2021, LISA).
         """
         return self.range_sigma_m / np.sqrt(np.asarray(signal, np.float64))
 
@@ -122,44 +122,44 @@ SENSORS: dict[str, LidarSensor] = {
         beam_mm=25.0,
     ),
 }
-"""Classes of sensors as they are built, by their number of beams or their wavelength; none is a maker's."""
+"""Generic sensor classes, by number of beams or wavelength; none is a specific product."""
 
-# § The beams of one turn of a lidar, and what each hits in clear air.
+# Beams of one turn
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Beams:
-    """Beams in the world (metres, z up), and their echoes in clear air."""
+    """Beams in the world (meters, z up), and their echoes in clear air."""
 
     time_s: float
     origin_m: Float64[np.ndarray, "3"]
     directions: Float64[np.ndarray, "n 3"]
     """Unit."""
     ranges_m: Float64[np.ndarray, " n"]
-    """Infinite where nothing comes back."""
+    """Infinite without an echo."""
     points_m: Float32[np.ndarray, "n 3"]
-    """What is hit; the origin where nothing is."""
+    """Hit points; the origin without an echo."""
     reflectances: Float64[np.ndarray, " n"]
-    """Of what is hit, with the cosine of incidence in it: 1 is white, matt and square to the beam."""
+    """Reflectance of the hit surface, including the cosine of incidence: 1 is white and matt at normal incidence."""
     road_cosines: Float64[np.ndarray, " n"]
-    """Cosine of incidence on the road; 0 for what is not the road."""
+    """Cosine of incidence on the road; 0 for other surfaces."""
     untouched: Bool[np.ndarray, " n"]
-    """Echoes that rain leaves alone: of the own vehicle, and placeholders for beams without one."""
+    """Echoes unaffected by rain: of the own vehicle, and placeholders for beams without an echo."""
     intensities: Float32[np.ndarray, " n"] | None = None
-    """As the data set has them."""
+    """As in the dataset."""
     full_intensity: float = 1.0
-    """Intensity of what is white, matt and square to the beam."""
+    """Intensity of a white, matt surface at normal incidence."""
 
     def __len__(self) -> int:
         return len(self.ranges_m)
 
     @property
     def is_echo(self) -> Bool[np.ndarray, " n"]:
-        """Which beams come back in clear air, less those that rain leaves alone."""
+        """Mask of the beams with an echo in clear air that rain can affect."""
         return np.isfinite(self.ranges_m) & ~self.untouched
 
     def heard_by(self, sensor: LidarSensor) -> "Beams":
-        """Return the beams with those echoes alone that a sensor detects in clear air."""
+        """Return the beams with only those echoes that a sensor detects in clear air."""
         echo = self.is_echo
         signal = sensor.signal(np.where(echo, self.ranges_m, 1.0), self.reflectances, 0.0)
         lost = echo & ((signal < 1) | (self.ranges_m > sensor.farthest_m))
