@@ -41,7 +41,7 @@ class _TrainedMember:
 
     def activated(self, view: ProblemView) -> tuple[Tensor, ...]:
         """Means, scales, quaternions, opacities and colours in the world, without what is left out."""
-        own, kept = self.parameters, self._kept()
+        own, kept = self.parameters, self._drawn()
         scale = float(np.cbrt(np.linalg.det(self.part.to_world[:3, :3])))
         turn = quaternions_from_matrices(self.part.to_world[:3, :3] / scale)
         matrix = torch.as_tensor(self.part.to_world, dtype=torch.float32)

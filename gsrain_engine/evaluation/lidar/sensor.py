@@ -66,7 +66,7 @@ class LidarSensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         return np.clip((np.asarray(range_m, np.float64) - self.blind_m) / span, 0, 1)
 
     def detectable(self, range_m: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
-        """Smallest detected reflectance of a beam-filling target facing the sensor in clear air; infinite where blind."""
+        """Smallest detected reflectance of a beam-filling target that faces the sensor; infinite where blind."""
         by_distance = STATED_REFLECTANCE * (np.asarray(range_m, np.float64) / self.range_m) ** 2
         overlap = self.overlap(range_m)
         least = np.maximum(by_distance, self.least_reflectance) / np.maximum(overlap, 1e-9)
