@@ -153,3 +153,19 @@ def banned_words(name: str) -> set[str]:
 def test_no_package_is_smaller_than_three_modules():
     packages = [path.parent for each in PACKAGES for path in (ROOT / each).rglob("__init__.py")]
     assert [each for each in packages if len(list(each.glob("*.py"))) + len(list(each.glob("*/__init__.py"))) < 3] == []
+
+
+RIDDLES = re.compile(r"(What|How|Where|Who|Which|When|Whether|Whose|Why)\b")
+
+
+def test_docstrings_name_the_thing():
+    """A docstring begins with a verb or with the noun that the thing is."""
+    found = [
+        f"{module}: {text.splitlines()[0]}"
+        for module, path in modules().items()
+        for node in ast.walk(ast.parse(path.read_bytes()))
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+        and (text := ast.get_docstring(node))
+        and RIDDLES.match(text)
+    ]
+    assert found == []
