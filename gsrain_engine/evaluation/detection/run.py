@@ -121,9 +121,7 @@ class ResultCacheProtocol(Protocol):
         """Return the cached result for an image, or None."""
         ...
 
-    def keep(self, judgement: DetectionResult, frame: EvaluatedFrame) -> None:
-        """Store a result."""
-        ...
+    def keep(self, judgement: DetectionResult, frame: EvaluatedFrame) -> None: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,7 +163,7 @@ class ConditionRenderer:
         return self.renderer.read().to_uint8()
 
     def _in_front(self, frame: EvaluatedFrame, rainfall: RainSimulation) -> UInt8[np.ndarray, "h w 3"]:
-        """Composite rain over the photograph B, with W its share of a pixel and S its light: enc((1-W) dec(B) + W S)."""
+        """Composite rain over the photograph B, with W its pixel share and S its light: enc((1 - W) dec(B) + W S)."""
         assert frame.original is not None
         falling = rain_frame_of(self.scene, rainfall, self.sky.color, frame.shot)
         self.renderer.draw([], frame.shot.camera, falling)

@@ -39,8 +39,7 @@ class LidarSensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     Makers don't state it, and the number of false returns depends on it: near drops return 1e-5 to 1e-3 of a beam. At a
     constant gain one in twelve returns of RainSense's sensor at 9.2 mm/h would be a drop, but there are none: its limit
-    is 1e-4 or more.
-    """
+    is 1e-4 or more."""
     beam_mm: Annotated[float, Meta(ge=8, le=100, title="Beam at the window", extra={"unit": "mm"})] = 12.0
     """Diameter; at least the largest drop's."""
     divergence_mrad: Annotated[float, Meta(ge=0, le=20, title="Divergence", extra={"unit": "mrad"})] = 3.0
@@ -66,7 +65,7 @@ class LidarSensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         return np.clip((np.asarray(range_m, np.float64) - self.blind_m) / span, 0, 1)
 
     def detectable(self, range_m: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
-        """Smallest detected reflectance of a beam-filling target facing the sensor in clear air; infinite where blind."""
+        """Smallest reflectance detected in clear air for a target that fills and faces the beam; infinite if blind."""
         by_distance = STATED_REFLECTANCE * (np.asarray(range_m, np.float64) / self.range_m) ** 2
         overlap = self.overlap(range_m)
         least = np.maximum(by_distance, self.least_reflectance) / np.maximum(overlap, 1e-9)
