@@ -221,7 +221,6 @@ _FILES = (
     *("source", "capture", "real", "path", "extractor_weights"),
     *("weights", "images", "base", "normals_weights", "normals_checkout"),
 )
-"""Fields that name files."""
 
 _FIELDS = TransferSettings.__struct_fields__
 
@@ -242,7 +241,6 @@ class ComparedMethod(TransferSettings, frozen=True, kw_only=True, forbid_unknown
 
     @property
     def settings(self) -> TransferSettings:
-        """The transfer's own settings."""
         return TransferSettings(**{field: getattr(self, field) for field in _FIELDS})
 
 

@@ -306,7 +306,7 @@ def capture_source(capture: Capture, width_px: int, source_stamp: str) -> Compar
 def held_out_images(settings: ImageSettings, width_px: int) -> tuple[ComparedSource, Capture]:
     """Return the clear and the rainy images that a training with these settings holds out.
 
-    They are not cropped as in training: extractors resize them without keeping proportions, as the paper does. Raises
+    They are not cropped as in training: extractors resize them without keeping proportions, like the paper. Raises
     `CaptureError` for an unreadable source, and ValueError if nothing is held out.
     """
     split = open_images(msgspec.structs.replace(settings, guide="none"))

@@ -36,7 +36,6 @@ class ViewFolder:
 
     @property
     def title(self) -> str:
-        """Name for tables and images."""
         return f"{self.folder.name} ({self.method})" if self.method else self.folder.name
 
     @property

@@ -29,7 +29,6 @@ class Extractor:
         return "KID" if self.metric == "FID" else self.metric.replace("FD-", "KD-", 1)
 
     def __call__(self, image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, " d"]:
-        """Return the features of an image in display values."""
         return self.function(image)
 
 

@@ -171,7 +171,7 @@ def mean_interval(values: Sequence[float], seed: int = 0) -> MeanInterval:
     drawn = np.random.default_rng(seed).integers(0, len(array), (_RESAMPLES, len(array)))
     means = array[drawn].mean(axis=1)
     outside = (1 - CONFIDENCE) / 2
-    low, high = np.quantile(means, (outside, 1 - outside), method="inverted_cdf")  # picks: infinity has no middle
+    low, high = np.quantile(means, (outside, 1 - outside), method="inverted_cdf")  # for infinite values
     return MeanInterval(float(array.mean()), float(low), float(high))
 
 

@@ -181,7 +181,6 @@ def write_arrays(path: Path, arrays: Arrays) -> None:
 
 
 def hash_of(path: Path) -> str:
-    """Return the SHA-256 of a file, in hexadecimal digits."""
     with open_file(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -198,7 +197,7 @@ def _safetensors(path: Path) -> dict[str, np.ndarray]:
     check_file(path)
     try:
         return load(path)
-    except Exception as error:  # its error class is not public
+    except Exception as error:  # safetensors' error class is not public
         raise ValueError(f"{path}: not a readable .safetensors: {printable_line(error)}") from None
 
 

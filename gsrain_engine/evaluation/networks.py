@@ -210,7 +210,6 @@ class FrozenNorm(torch.nn.Module):
             self.register_buffer(name, torch.zeros(channels))
 
     def forward(self, flow: Tensor) -> Tensor:
-        """Return the normalized features (b, channels, h, w)."""
         scales = (self.running_mean, self.running_var, self.weight, self.bias)
         return torch.nn.functional.batch_norm(flow, *scales, eps=1e-3)
 

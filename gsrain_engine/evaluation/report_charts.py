@@ -174,12 +174,10 @@ _SHADES = 256
 
 
 def jpeg_data_uri(image: UInt8[np.ndarray, "h w 3"]) -> str:
-    """Return an image as the data URI of a JPEG."""
     return _data_uri(image, ".jpg", "image/jpeg", [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
 
 
 def png_data_uri(image: UInt8[np.ndarray, "h w 3"]) -> str:
-    """Return a drawing as the data URI of a PNG, lossless."""
     return _data_uri(image, ".png", "image/png", [])
 
 

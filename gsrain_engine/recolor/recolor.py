@@ -90,7 +90,6 @@ class RecolorResult:
 
     @property
     def colors(self) -> dict[str, Float32[np.ndarray, "_ _ 3"]]:
-        """New harmonics by member key."""
         return self.setup.colors(self.solution.sh)
 
     @property
@@ -194,7 +193,6 @@ def _report(
 _READ_DONE = 0.05
 
 _COMPARED = 6
-"""Maximum number of views in the report."""
 
 _Result = TypeVar("_Result")
 

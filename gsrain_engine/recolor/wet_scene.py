@@ -14,10 +14,7 @@ VIEWS = 8
 
 
 def wet_scene(scene: Scene, settings: WetSettings | None = None) -> Generator[Progress, None, Scene]:
-    """Give a scene wet colors from `VIEWS` views of 480 x 320 pixels.
-
-    Yields and raises as `rainy_scene` does.
-    """
+    """Give a scene wet colors from `VIEWS` views of 480 x 320 pixels. Yields and raises as `rainy_scene` does."""
     views = scene_views(scene, chosen_cameras(scene, ViewChoice(count=VIEWS)))
     transfer = WetTransfer(settings or WetSettings(), SceneEnvironment(scene))
     return rainy_scene(scene, views, transfer)

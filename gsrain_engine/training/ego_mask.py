@@ -39,8 +39,7 @@ _MIN_GAIN = 0.01
 
 _PROPORTIONS = 0.05
 """Images whose aspect ratio differs by more than this share from the camera's median were rotated or cropped and are
-excluded.
-"""
+excluded."""
 
 
 class _SmallImage:

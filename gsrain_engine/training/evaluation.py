@@ -93,7 +93,6 @@ class TrainingCurves:
 
     losses: list[float] = field(default_factory=list[float])
     counts: list[int] = field(default_factory=list[int])
-    """Gaussians after each step."""
     seconds: list[float] = field(default_factory=list[float])
     """Since the start of training, at the end of each step."""
     measured_steps: list[int] = field(default_factory=list[int])
@@ -107,7 +106,6 @@ class TrainingCurves:
         self.seconds.append(seconds)
 
     def measured(self, steps: int, psnr_db: float) -> None:
-        """Add one held-out evaluation."""
         self.measured_steps.append(steps)
         self.measured_db.append(psnr_db)
 
@@ -120,7 +118,6 @@ class TrainingCurves:
 
     @classmethod
     def restored(cls, arrays: Mapping[str, Shaped[np.ndarray, "..."]]) -> "TrainingCurves":
-        """Restore the curves from `state`."""
         curves = cls()
         for name, values in vars(curves).items():
             kind = int if name in ("counts", "measured_steps") else float

@@ -19,7 +19,6 @@ from .surfels import LONGEST
 torch: Any = import_module("torch")
 
 _ROWS, _COLUMNS = 48, 80
-"""Grid cells per image."""
 
 _WINDOW = 5
 """Side in cells of the window whose nearest point limits the free space; without points nothing is known to be free."""

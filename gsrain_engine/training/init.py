@@ -86,7 +86,7 @@ def initial_gaussians(
     stride = max(int(np.sqrt(pixels / max(budget, 1)) / 2), 1)
     while (surfels := _covering(views, depths, hidden, stride, round((1 - _FOR_HOLES - _FOR_PIECES) * budget))) is None:
         stride += 1
-        if stride > max(view.camera.width for view in views):  # not even one for each view
+        if stride > max(view.camera.width for view in views):  # not even one per view
             raise ValueError(f"a budget of {budget} Gaussians is too small for {len(views)} views")
     gaussians = _without_holes(surfels, views, depths, stride, round((1 - _FOR_PIECES) * budget))
     way = camera_trajectory(views, known.median_depth)
@@ -97,7 +97,7 @@ def initial_gaussians(
 def _hidden_by_movers(view: CaptureFrame, unmasked: CaptureFrame) -> CaptureFrame | None:
     """The view masked to the area behind movers, inpainted from around them; None without movers."""
     mask, own = view.mask, unmasked.mask
-    assert mask is not None  # it was set to what is static
+    assert mask is not None  # set to the static mask by the caller
     hidden = ~mask if own is None else own & ~mask
     if not hidden.any():
         return None
@@ -391,7 +391,7 @@ def _colors(
             samples[index[k]].append(total[k] / weight[k])
     known = np.array([bool(each) for each in samples])
     colors = np.zeros((len(directions), 3), np.float32)
-    if not known.any():  # specks of sky between the directions
+    if not known.any():  # only specks of sky between the sampled directions
         all_sky = np.concatenate([view.image[sky] for view, sky in zip(views, skies, strict=True)])
         return np.broadcast_to(np.median(all_sky, axis=0).astype(np.float32) / 255, colors.shape).copy()
     colors[known] = [np.median(each, axis=0) / 255 for each in samples if each]
@@ -468,7 +468,7 @@ def actor_layers(capture: Capture, views: Sequence[CaptureFrame], least_points: 
         if not seen.any():
             continue
         partner = np.where(is_mirrored, np.arange(len(points)) - is_mirrored.argmax(), -1)
-        borrowed = ~seen & (partner >= 0)  # what no view shows looks like the other side
+        borrowed = ~seen & (partner >= 0)  # hidden points take the color of their mirror image
         colors[borrowed] = colors[partner[borrowed]]
         known = seen | (borrowed & seen[partner])
         colors[~known] = np.median(colors[known], axis=0)
@@ -522,5 +522,5 @@ def _actor_colors(
 
 def _pose(box: TrackedBox, view: CaptureFrame) -> Float64[np.ndarray, "4 4"]:
     pose = box.track.pose(view.time_s)
-    assert pose is not None  # only views in which the box is there come here
+    assert pose is not None  # callers pass only views that show the box
     return pose

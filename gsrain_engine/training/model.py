@@ -72,7 +72,6 @@ class SplatModel:
 
     @property
     def parts(self) -> Iterator[tuple[str, SplatParameters]]:
-        """Every set of Gaussians with its name."""
         yield "background", self.background
         if self.sky is not None:
             yield "sky", self.sky
@@ -81,7 +80,6 @@ class SplatModel:
 
     @property
     def count(self) -> int:
-        """Total number of Gaussians."""
         return sum(len(parameters) for _, parameters in self.parts)
 
     def zero_grad(self) -> None:
@@ -89,7 +87,6 @@ class SplatModel:
             parameters.zero_grad()
 
     def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
-        """Return the full training state, as arrays by name."""
         return {f"{part}:{name}": array for part, each in self.parts for name, array in each.state().items()}
 
     def restore(self, state: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
@@ -242,9 +239,7 @@ class TrainingCheckpoint:
     """The full state of an unfinished training."""
 
     step: int
-    """Number of steps done."""
     seconds: float
-    """Training time so far."""
     arrays: Mapping[str, Shaped[np.ndarray, "..."]]
 
 

@@ -106,7 +106,6 @@ class Trainer:
         return score(view.name, rendered, view.levels[0].image, view.seen, perceived)
 
     def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
-        """Return the full training state, as arrays by name."""
         arrays = self.model.state()
         arrays |= {f"{_CONTROL}:{name}": array for name, array in self._control.state().items()}
         if self._exposures is not None:

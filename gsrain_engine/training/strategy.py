@@ -139,7 +139,6 @@ class DefaultStrategy:
         return None
 
     def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
-        """Return the sums since the last change."""
         return {name: each.cpu().numpy().copy() for name, each in self._notes.items()}
 
     def restore(self, state: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
@@ -192,7 +191,7 @@ def rotate_vectors(quaternions: Tensor, vectors: Tensor) -> Tensor:
 
 
 def _reset_opacities(parameters: SplatParameters, ceiling: float) -> None:
-    """Make all Gaussians nearly transparent, so that floaters near the cameras do not regain their opacity."""
+    """Make all Gaussians nearly transparent, so that floaters near the cameras have to regain their opacity."""
     logits = parameters.tensors["opacity_logits"].detach()
     lowered = logits.clamp(max=float(np.log(ceiling / (1 - ceiling))))
     parameters.put("opacity_logits", slice(None), lowered)

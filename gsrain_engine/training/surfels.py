@@ -43,14 +43,13 @@ class Surfels:
 
     @classmethod
     def joined(cls, parts: "list[Surfels]") -> "Surfels":
-        """Concatenate sets in order."""
         return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("means", "axes", "colors")))
 
     def gaussians(self, opacity: float) -> Gaussians:
         """Return disc-shaped Gaussians whose sigma is `SPREAD` of a step, thin across the surface."""
         first, second = self.axes[:, 0], self.axes[:, 1]
         covariances = np.einsum("ni,nj->nij", first, first) + np.einsum("ni,nj->nij", second, second)
-        squares, vectors = np.linalg.eigh(covariances.astype(np.float64))  # rising: the surface's normal comes first
+        squares, vectors = np.linalg.eigh(covariances.astype(np.float64))  # ascending: the normal comes first
         sizes = SPREAD * np.sqrt(np.maximum(squares, 0))
         sizes[:, 2] = np.minimum(sizes[:, 2], _STEEPEST * sizes[:, 1])
         sizes[:, 0] = _THICKNESS * sizes[:, 1]
@@ -115,7 +114,6 @@ def depth_slopes(depth: Float32[np.ndarray, "h w"]) -> tuple[Float32[np.ndarray,
 
 
 def grid_shape(camera: Camera, stride: int) -> tuple[int, int]:
-    """Number of cell rows and columns of an image."""
     return -(-camera.height // stride), -(-camera.width // stride)
 
 

@@ -31,7 +31,6 @@ class ReconstructionTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     lpips: Path | None = None
     """LPIPS weights; None uses those installed on this machine, if any."""
     report: Path | None = None
-    """HTML file to write."""
     snapshot: Path | None = None
     """Scene folder for a preview, rewritten at each held-out evaluation."""
 
@@ -63,7 +62,6 @@ class ReconstructionTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
         return capture
 
     def held_out(self, capture: Capture) -> list[int]:
-        """Indices of the capture's held-out views."""
         settings = self.settings
         return validation_indices([view.name for view in capture], settings.held_out, settings.held_out_views)
 

@@ -122,7 +122,6 @@ class TrainingReport:
 
     @property
     def held_out(self) -> list[RenderScore]:
-        """Scores of the held-out views."""
         return [each.score for each in self.pictures if each.is_held_out]
 
     @property

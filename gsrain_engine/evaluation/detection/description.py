@@ -28,7 +28,7 @@ ClassName = Annotated[str, Meta(min_length=1)]
 
 
 class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Preprocessing of a detector's input and format of its output."""
+    """Input preprocessing and output format of a detector."""
 
     decode: Annotated[
         str,

@@ -1,4 +1,4 @@
-"""Object detector: an ONNX file with its description, letterboxing, and detection of its format."""
+"""Object detector: an ONNX file with its description, letterboxing, and inference of its format."""
 
 import os
 from dataclasses import dataclass, field

@@ -88,7 +88,6 @@ def _distance(to_camera: Float64[np.ndarray, "4 4"], box: TrackedBox) -> float:
 
 
 def _filled(polygon: Float64[np.ndarray, "c 2"], camera: Camera) -> Bool[np.ndarray, "h w"]:
-    """Pixels within a convex polygon."""
     pixels = np.zeros((camera.height, camera.width), np.uint8)
     if len(polygon) >= 3:
         cv2.fillConvexPoly(pixels, np.floor(polygon).astype(np.int32), 1)

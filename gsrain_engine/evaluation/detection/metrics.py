@@ -118,7 +118,7 @@ def _precision(
         for image, (boxes, there) in enumerate(zip(detections, truths, strict=True))
         for box, named in zip(boxes, _named(boxes, there, classes), strict=True)
     ]
-    with contextlib.redirect_stdout(io.StringIO()):  # it prints its progress
+    with contextlib.redirect_stdout(io.StringIO()):  # pycocotools prints its progress
         evaluation = COCOeval(
             _indexed(COCO(), labels, numbers, len(truths)), _indexed(COCO(), scored, numbers, len(truths)), "bbox"
         )

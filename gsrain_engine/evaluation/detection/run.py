@@ -121,9 +121,7 @@ class ResultCacheProtocol(Protocol):
         """Return the cached result for an image, or None."""
         ...
 
-    def keep(self, judgement: DetectionResult, frame: EvaluatedFrame) -> None:
-        """Store a result."""
-        ...
+    def keep(self, judgement: DetectionResult, frame: EvaluatedFrame) -> None: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

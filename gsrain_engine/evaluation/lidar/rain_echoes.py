@@ -21,7 +21,6 @@ class RainReturns(NamedTuple):
     """Detected drops, each in one of the sensor's beams."""
 
     beams: Int64[np.ndarray, " m"]
-    """Index of the beam."""
     ranges_m: Float64[np.ndarray, " m"]
     reflectances: Float64[np.ndarray, " m"]
     """Equivalent reflectance of a beam-filling target with the same echo."""

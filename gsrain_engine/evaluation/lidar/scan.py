@@ -58,13 +58,12 @@ class RainyScan:
     sweep: LidarSweep
     """World, meters; intensities as in clear air, if known."""
     beams: Int64[np.ndarray, " m"]
-    """The beam of each point."""
     is_false: Bool[np.ndarray, " m"]
     """Mask of the points that are drops."""
     fates: Int8[np.ndarray, " n"]
     """A `ReturnOutcome` for each beam."""
     signals: Float64[np.ndarray, " m"]
-    """Power of each point in multiples of the detection threshold; 0 for beams without a clear echo."""
+    """Power of each point in multiples of the detection threshold; 0 for points unaffected by rain."""
 
     @property
     def false_ranges_m(self) -> Float64[np.ndarray, " k"]:

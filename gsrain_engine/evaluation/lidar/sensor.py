@@ -39,8 +39,7 @@ class LidarSensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     Makers don't state it, and the number of false returns depends on it: near drops return 1e-5 to 1e-3 of a beam. At a
     constant gain one in twelve returns of RainSense's sensor at 9.2 mm/h would be a drop, but there are none: its limit
-    is 1e-4 or more.
-    """
+    is 1e-4 or more."""
     beam_mm: Annotated[float, Meta(ge=8, le=100, title="Beam at the window", extra={"unit": "mm"})] = 12.0
     """Diameter; at least the largest drop's."""
     divergence_mrad: Annotated[float, Meta(ge=0, le=20, title="Divergence", extra={"unit": "mrad"})] = 3.0
