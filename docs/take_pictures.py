@@ -263,8 +263,8 @@ def picture_drive(camera: Photographer) -> None:
     """Two drives towards a car that stands: one that keeps its speed, and one that brakes, in rain, which plays."""
     session, drives = camera.session, camera.session.drives
     for agent, intensity in (("constant-velocity", 0.0), ("oracle-idm", 8.5)):
-        drives.settings.wishes = msgspec.structs.replace(
-            drives.settings.wishes, agent=agent, rain="one intensity", intensity_mm_h=intensity
+        drives.settings.settings = msgspec.structs.replace(
+            drives.settings.settings, agent=agent, rain="one intensity", intensity_mm_h=intensity
         )
         drives.start(session)
         while session.running_jobs or drives.is_working:

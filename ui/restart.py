@@ -9,7 +9,7 @@ from typing import NamedTuple, NoReturn
 
 logger = logging.getLogger("gsrain")
 
-_RESTART_VARIABLES, _SCENE, _TIMES = "GSRAIN_KEPT", "GSRAIN_SCENE", "GSRAIN_RESTARTS"
+_AUTOSAVE, _SCENE, _TIMES = "GSRAIN_KEPT", "GSRAIN_SCENE", "GSRAIN_RESTARTS"
 
 _MAX_IN_A_ROW = 3
 
@@ -28,7 +28,7 @@ class RestartState(NamedTuple):
 
 def restart_state() -> RestartState | None:
     """Return the state to continue with, or None if the user started this window. Call it only once."""
-    kept, scene = os.environ.pop(_RESTART_VARIABLES, ""), os.environ.pop(_SCENE, "")
+    kept, scene = os.environ.pop(_AUTOSAVE, ""), os.environ.pop(_SCENE, "")
     return RestartState(Path(kept) if kept else None, scene or None) if _TIMES in os.environ else None
 
 
@@ -40,7 +40,7 @@ def restart_program(left: RestartState, lived_s: float) -> NoReturn:
     times = 1 + (int(os.environ.get(_TIMES, "0")) if lived_s < _A_WHILE_S else 0)
     if times > _MAX_IN_A_ROW:
         raise OSError(f"the graphics card was lost {times} times in a row: its driver does not come back")
-    os.environ |= {_TIMES: str(times), _RESTART_VARIABLES: str(left.kept or ""), _SCENE: left.scene or ""}
+    os.environ |= {_TIMES: str(times), _AUTOSAVE: str(left.kept or ""), _SCENE: left.scene or ""}
     command = [sys.executable, *sys.orig_argv[1:]]
     logger.error("The graphics card was lost; the window begins again.")
     sys.stderr.flush()

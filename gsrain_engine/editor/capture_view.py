@@ -299,7 +299,7 @@ class CaptureImageLoader:
         self.faults: dict[int, str] = {}
         self._capture, self._thread = capture, thread
         self._kept: OrderedDict[ImageRequest, Pixels] = OrderedDict()
-        self._wishes: dict[ImageRequest, None] = {}
+        self._pending: dict[ImageRequest, None] = {}
         self._reading: tuple[ImageRequest, Future[Pixels]] | None = None
 
     def want(self, view: int, width_px: int) -> Pixels | None:
@@ -309,7 +309,7 @@ class CaptureImageLoader:
             self._kept.move_to_end(wish)
             return self._kept[wish]
         if view not in self.faults:
-            self._wishes[wish] = None
+            self._pending[wish] = None
         return None
 
     def __iter__(self) -> Iterator[tuple[ImageRequest, Pixels]]:
@@ -318,7 +318,7 @@ class CaptureImageLoader:
     @property
     def is_reading(self) -> bool:
         """True while a requested image is not loaded yet."""
-        return self._reading is not None or bool(self._wishes)
+        return self._reading is not None or bool(self._pending)
 
     def poll(self) -> None:
         """Store the image that was read, and start to read one that the last frame requested."""
@@ -328,8 +328,8 @@ class CaptureImageLoader:
                 self._keep(wish, reading.result())
             except (CaptureError, OSError, ValueError, MemoryError) as error:
                 self.faults[wish.view] = str(error)
-        wishes = [each for each in self._wishes if each not in self._kept and each.view not in self.faults]
-        self._wishes.clear()
+        wishes = [each for each in self._pending if each not in self._kept and each.view not in self.faults]
+        self._pending.clear()
         if self._reading is None and wishes:
             wish = max(wishes, key=lambda each: each.width_px)  # the selected image before the thumbnails
             self._reading = wish, self._thread.submit(_read_image, self._capture, wish)

@@ -80,9 +80,9 @@ class RolloutPlayer:
             session.problem = why_not
             return
         wanted = self.settings
-        rains = wanted.wishes.rains(session.rain_now)
+        rains = wanted.settings.rains(session.rain_now)
         job = SimulationJob(
-            saved_scene(session), wanted.scenario, wanted.wishes, rains, self._files, self._scene_files.known,
+            saved_scene(session), wanted.scenario, wanted.settings, rains, self._files, self._scene_files.known,
             lambda reading: self._reading.append((wanted.scenario.name, reading)),
         )  # fmt: skip
         session.start(job)
@@ -324,30 +324,23 @@ class DriveSetup:
     def scenario(self) -> Scenario:
         return self._scenario
 
-    @property
-    def wishes(self) -> DriveSettings:
-        return self._wishes
-
-    @wishes.setter
-    def wishes(self, wishes: DriveSettings) -> None:
-        self._wishes = wishes
-
     @cached_property
     def _scenario(self) -> Scenario:
         return load_scenario(_FIRST)
 
     @cached_property
-    def _wishes(self) -> DriveSettings:
+    def settings(self) -> DriveSettings:
+        """Settings of the next drive; may be assigned."""
         there = self.agent_names
         return DriveSettings(agent=next((name for name in _DRIVERS if name in there), there[0]))
 
     @property
     def why_not(self) -> str | None:
         """Reason why the setup can't be driven, or None."""
-        if self.wishes.agent not in self.agent_names:
-            return f"There is no agent {self.wishes.agent}."
-        if self.wishes.detector is not None and not self.wishes.detector.is_file():
-            return f"{self.wishes.detector}: there is no such detector."
+        if self.settings.agent not in self.agent_names:
+            return f"There is no agent {self.settings.agent}."
+        if self.settings.detector is not None and not self.settings.detector.is_file():
+            return f"{self.settings.detector}: there is no such detector."
         return None
 
     def load(self, source: str | Path) -> None:

@@ -114,47 +114,47 @@ def ask_for_scenario(session: Editor) -> None:
 
 
 def agent_fields(wanted: DriveSetup) -> None:
-    wishes, names = wanted.wishes, wanted.agent_names
-    plain_label("Agent", field_info("agent", type(wishes)).help)
-    present = names.index(wishes.agent) if wishes.agent in names else 0
+    settings, names = wanted.settings, wanted.agent_names
+    plain_label("Agent", field_info("agent", type(settings)).help)
+    present = names.index(settings.agent) if settings.agent in names else 0
     changed, at = imgui.combo("##agent", present, names)
     imgui.set_item_tooltip(
         "constant-velocity keeps its speed; oracle-idm knows where everybody is; camera-idm has a detector.\n"
         "Installed packages add their own (entry points gsrain.agents)."
     )
     if changed:
-        wanted.wishes = msgspec.structs.replace(wishes, agent=names[at])
-    if wanted.wishes.agent in _BLIND:
+        wanted.settings = msgspec.structs.replace(settings, agent=names[at])
+    if wanted.settings.agent in _BLIND:
         return
-    path_field(wanted.wishes, "detector", _DETECTORS, partial(_take_detector, wanted))
+    path_field(wanted.settings, "detector", _DETECTORS, partial(_take_detector, wanted))
     _text(wanted, "description", "found by its name")
-    if wanted.wishes.agent != "camera-idm":
+    if wanted.settings.agent != "camera-idm":
         _text(wanted, "url", "none")
 
 
 def rain_fields(session: Editor) -> None:
     wanted = session.drives.settings
-    wishes = edit_field(wanted.wishes, "rain")
-    if wishes.rain == "one intensity":
-        wishes = edit_field(wishes, "intensity_mm_h")
-    elif wishes.rain == "as the scene":
+    settings = edit_field(wanted.settings, "rain")
+    if settings.rain == "one intensity":
+        settings = edit_field(settings, "intensity_mm_h")
+    elif settings.rain == "as the scene":
         plain_label("", "")
         imgui.text_disabled(f"{session.rain_now.intensity_mm_h:.3g} mm/h")
         imgui.set_item_tooltip("Set it in the Rain panel; a shower is driven at its present intensity.")
-    wanted.wishes = edit_field(wishes, "seed")
+    wanted.settings = edit_field(settings, "seed")
 
 
 def _take_detector(wanted: DriveSetup, text: str) -> None:
     detector = Path(text).expanduser() if text.strip() else None
-    wanted.wishes = msgspec.structs.replace(wanted.wishes, detector=detector)
+    wanted.settings = msgspec.structs.replace(wanted.settings, detector=detector)
 
 
 def _text(wanted: DriveSetup, name: str, hint: str) -> None:
-    info, value = field_info(name, type(wanted.wishes)), getattr(wanted.wishes, name) or ""
+    info, value = field_info(name, type(wanted.settings)), getattr(wanted.settings, name) or ""
     plain_label(info.title, info.help)
     _, typed = imgui.input_text_with_hint(f"##{name}", hint, value)
     if imgui.is_item_deactivated_after_edit():
-        wanted.wishes = msgspec.structs.replace(wanted.wishes, **{name: typed.strip() or None})
+        wanted.settings = msgspec.structs.replace(wanted.settings, **{name: typed.strip() or None})
     imgui.set_item_tooltip(info.help)
 
 

@@ -122,15 +122,15 @@ class SimulationJob(CopiedSceneJob):
         self,
         scene: Scene,
         scenario: Scenario,
-        wishes: DriveSettings,
+        settings: DriveSettings,
         rains: Sequence[RainSettings],
         files: ThreadPoolExecutor,
         known: FileCache,
         take: Callable[[Reading], None],
     ) -> None:
         """Start; `take` receives the roll-outs while they are being read."""
-        title = f"Drive {scenario.name} with {wishes.agent}"
-        work = partial(_started, title, scenario, wishes, tuple(rains))
+        title = f"Drive {scenario.name} with {settings.agent}"
+        work = partial(_started, title, scenario, settings, tuple(rains))
         super().__init__(title, scene, known, files, work)
         self._count, self._hand_over = len(rains), take
 
@@ -140,9 +140,9 @@ class SimulationJob(CopiedSceneJob):
 
 
 def _started(
-    title: str, scenario: Scenario, wishes: DriveSettings, rains: tuple[RainSettings, ...], copy: Path
+    title: str, scenario: Scenario, settings: DriveSettings, rains: tuple[RainSettings, ...], copy: Path
 ) -> WorkerProcess:
-    return WorkerProcess(title, drive_in_worker, copy, scenario, wishes, rains)
+    return WorkerProcess(title, drive_in_worker, copy, scenario, settings, rains)
 
 
 def _read(folder: Path, count: int) -> list[LoadedRollout]:
@@ -163,7 +163,7 @@ def rollout_files(folder: Path, count: int) -> list[Path]:
 
 
 def drive_in_worker(
-    scene_folder: Path, scenario: Scenario, wishes: DriveSettings, rains: Sequence[RainSettings]
+    scene_folder: Path, scenario: Scenario, settings: DriveSettings, rains: Sequence[RainSettings]
 ) -> Iterator[Progress]:
     """Drive once in each rain; writes the roll-outs and their metrics next to the scene's folder.
 
@@ -171,15 +171,15 @@ def drive_in_worker(
     """
     yield Progress(0.0, "Reading the scene")
     scene = load_sorted_scene(str(scene_folder))
-    yield Progress(_OPENED / 3, f"Making {wishes.agent} ready")
-    agent = open_agent(wishes.agent, wishes.options)
+    yield Progress(_OPENED / 3, f"Making {settings.agent} ready")
+    agent = open_agent(settings.agent, settings.options)
     try:
         with open_renderer() as renderer:
             for number, rain in enumerate(rains):
                 yield Progress(_share(number, 0.0, len(rains)), "Looking for the road and for what stands beside it")
                 needs = agent.needs
                 test = msgspec.structs.replace(scenario, rain=rain)
-                simulation = Simulation(test, scene, needs, renderer if needs.cameras else None, wishes.seed)
+                simulation = Simulation(test, scene, needs, renderer if needs.cameras else None, settings.seed)
                 front = _FrontCamera(simulation, renderer)
                 for observation in drive(simulation, agent):
                     done = observation.time_s / test.duration_s

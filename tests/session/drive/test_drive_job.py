@@ -15,7 +15,9 @@ from .driven import CRASH, driven, settled, stopped_session
 @pytest.fixture
 def session():
     session = stopped_session(driven()[0], 4.0)
-    session.drives.settings.wishes = msgspec.structs.replace(session.drives.settings.wishes, agent="constant-velocity")
+    session.drives.settings.settings = msgspec.structs.replace(
+        session.drives.settings.settings, agent="constant-velocity"
+    )
     wanted = session.drives.settings
     wanted.change(msgspec.convert(CRASH | {"duration_s": 3.0}, type(wanted.scenario)))
     yield session
@@ -58,8 +60,8 @@ def test_what_a_person_has_edited_is_driven_through_and_opened(session):
 def test_an_agent_that_can_t_be_opened_is_told_in_one_sentence(session, tmp_path):
     bad = tmp_path / "bad.onnx"
     bad.write_bytes(b"no network")
-    session.drives.settings.wishes = msgspec.structs.replace(
-        session.drives.settings.wishes, agent="camera-idm", detector=bad
+    session.drives.settings.settings = msgspec.structs.replace(
+        session.drives.settings.settings, agent="camera-idm", detector=bad
     )
     session.drives.start(session)
     job, _ = follow(session)

@@ -46,17 +46,17 @@ def test_what_is_out_of_bounds_is_not_taken():
 def test_a_missing_detector_is_told_before_anything_starts(tmp_path):
     wanted = DriveSetup()
     assert wanted.why_not is None
-    wanted.wishes = msgspec.structs.replace(wanted.wishes, detector=tmp_path / "none.onnx")
+    wanted.settings = msgspec.structs.replace(wanted.settings, detector=tmp_path / "none.onnx")
     assert "none.onnx" in wanted.why_not
 
 
 def test_rains_of_a_drive():
     present = RainSettings(intensity_mm_h=3.0, exposure_s=0.01)
-    wishes = DriveSettings(agent="x")
-    assert wishes.rains(present) == (present,)
-    one = msgspec.structs.replace(wishes, rain="one intensity", intensity_mm_h=7.0)
+    settings = DriveSettings(agent="x")
+    assert settings.rains(present) == (present,)
+    one = msgspec.structs.replace(settings, rain="one intensity", intensity_mm_h=7.0)
     assert [(each.intensity_mm_h, each.exposure_s) for each in one.rains(present)] == [(7.0, 0.01)]
-    four = msgspec.structs.replace(wishes, rain="paper's four")
+    four = msgspec.structs.replace(settings, rain="paper's four")
     assert [each.intensity_mm_h for each in four.rains(present)] == [0.0, 1.2, 8.5, 12.0]
     assert four.options.detector is None
     assert msgspec.structs.replace(four, detector=Path("a.onnx")).options.detector == Path("a.onnx")
