@@ -8,7 +8,7 @@ from gsrain_engine.datasets.capture import Capture, CaptureFrame
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.scene import Scene
 from rasterized import rasterize
-from reconstruct.small_street import small_street
+from training.small_street import small_street
 
 
 def small_capture(moments: int = 4, width: int = 96, with_depth: bool = True) -> Capture:

@@ -101,7 +101,7 @@ def test_an_agent_drives(rain_lab, scene):
 def test_a_decoder_reads_what_a_detector_gives(rain_lab, tmp_path):
     pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")
-    from evaluate.detection.tiny_onnx import write_constant
+    from evaluation.detection.tiny_onnx import write_constant
     from gsrain_engine.evaluation.detection.detector import open_detector
 
     logits = np.full((1, 5, 4), -9.0)

@@ -309,7 +309,7 @@ def test_doctor_tests_the_order_of_splats(tmp_path, monkeypatch, capsys):
 
 def test_doctor_tells_which_lpips_weights_are_of_use(tmp_path, monkeypatch):
     pytest.importorskip("torch")
-    from evaluate.random_lpips import random_weights
+    from evaluation.random_lpips import random_weights
 
     monkeypatch.setenv("GSRAIN_LPIPS_WEIGHTS", str(tmp_path))
     assert "no weights of LPIPS (vgg)" in doctor.find_lpips().what

@@ -6,7 +6,7 @@ pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
 
 from app import doctor
-from evaluate.detection.tiny_onnx import NAMES, rows, write_constant
+from evaluation.detection.tiny_onnx import NAMES, rows, write_constant
 from gsrain_engine.evaluation.detection.detector import PLACE
 
 

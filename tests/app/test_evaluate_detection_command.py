@@ -22,7 +22,7 @@ pytest.importorskip("onnxruntime")
 pytest.importorskip("pycocotools")
 onnx = pytest.importorskip("onnx")
 
-from evaluate.detection.tiny_onnx import NAMES, write_red_finder  # noqa: E402
+from evaluation.detection.tiny_onnx import NAMES, write_red_finder  # noqa: E402
 
 
 @pytest.fixture(scope="module")

@@ -67,7 +67,7 @@ def test_two_sets_are_compared_with_the_real_one(sets, tmp_path, capsys):
 
 def test_inception_gives_fid_and_its_features_are_kept(sets, tmp_path, capsys):
     pytest.importorskip("torch")
-    from ..evaluate.distribution.random_networks import write_inception
+    from evaluation.random_networks import write_inception
 
     write_inception(tmp_path / "random.npz")
     weights, kept = tmp_path / "inception.safetensors", tmp_path / "cache"
@@ -120,9 +120,8 @@ def test_bad_sets_end_in_one_line(sets, tmp_path, capsys, caplog):
 
 def test_lpips_weights_become_plain_arrays(tmp_path, capsys):
     pytest.importorskip("safetensors")
+    from evaluation.random_lpips import random_weights
     from gsrain_engine.evaluation.lpips_weights import read_lpips_weights
-
-    from ..evaluate.random_lpips import random_weights
 
     weights = random_weights("alex")
     weights.write(tmp_path / "alex.npz")
@@ -156,8 +155,7 @@ def test_lpips_weights_become_plain_arrays(tmp_path, capsys):
 def test_doctor_looks_for_inception(tmp_path, monkeypatch):
     pytest.importorskip("torch")
     from app.doctor import find_inception
-
-    from ..evaluate.distribution.random_networks import write_inception
+    from evaluation.random_networks import write_inception
 
     missing = find_inception()
     assert not missing.found

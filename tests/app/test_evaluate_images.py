@@ -90,7 +90,7 @@ def test_equal_pictures_are_equal(folders, tmp_path):
 
 def test_lpips_stands_beside(folders, tmp_path, capsys):
     pytest.importorskip("torch")
-    from ..evaluate.random_lpips import random_weights
+    from evaluation.random_lpips import random_weights
 
     random_weights("alex").write(tmp_path / "alex.npz")
     assert images(*folders, "--lpips", tmp_path / "alex.npz", "--json", tmp_path / "numbers.json") == 0

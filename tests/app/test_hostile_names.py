@@ -19,7 +19,6 @@ from app.console import print as print_line
 from app.doctor import Finding
 from app.main import run
 from app.progress import followed, progress_bar
-from drive.sweeps.small_sweep import write_road, write_scenario
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.evaluation.report import ReportTable, RunReport, report_page
 from gsrain_engine.safe_io.text_files import escape_invisible, figure_words
@@ -27,6 +26,7 @@ from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Actor, PoseTrack
 from small_scene import small_scene
+from sweep.small_sweep import write_road, write_scenario
 
 NAME = "\x1b]0;owned\x07\u202e[red][/x]\nOK\u2066"
 """A title of the window, a turned reading direction, markup that closes what is not open, a line of its own."""

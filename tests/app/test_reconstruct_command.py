@@ -15,8 +15,8 @@ from colmap_files import cut_rows, write_undistorted
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.training.train import EgoMaskReport
-from reconstruct.drive_capture import drive_capture
 from small_capture import small_capture
+from training.drive_capture import drive_capture
 
 QUICK = ["--steps", "12", "--gaussians", "1500", "--device", "cpu"]
 
@@ -120,7 +120,7 @@ def test_bad_input_ends_with_one_line(
 
 
 def test_lpips_is_reported_with_weights(capture: Path, tmp_path: Path) -> None:
-    from evaluate.random_lpips import random_weights
+    from evaluation.random_lpips import random_weights
 
     weights, numbers = tmp_path / "alex.npz", tmp_path / "numbers.json"
     random_weights("alex").write(weights)

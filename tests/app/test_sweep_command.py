@@ -10,12 +10,12 @@ import pytest
 
 from app.main import BAD_INPUT, run
 from app.sweep import SOME_FAILED
-from drive.sweeps.small_sweep import write_road, write_scenario
 from gsrain_engine import trusted_code
 from gsrain_engine.sweep.expansion import jobs_of
 from gsrain_engine.sweep.settings import load_sweep
 from gsrain_engine.sweep.worker import run_job
 from gsrain_engine.trusted_code import read_code
+from sweep.small_sweep import write_road, write_scenario
 
 
 @pytest.fixture

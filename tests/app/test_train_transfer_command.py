@@ -38,7 +38,7 @@ def test_a_training_from_start_to_weights(
     work: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("diffusers")
-    from appearance.finetuning.small_training import small
+    from appearance.finetune.small_training import small
     from gsrain_engine.appearance.finetune import run as start
 
     monkeypatch.setattr(start, "tiny", small)

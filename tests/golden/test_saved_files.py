@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
+from editor.files.open_document import settle
 from gsrain_engine.appearance.finetune.settings import load_finetuning
 from gsrain_engine.disdrometer.tables import load_columns
 from gsrain_engine.editor.editor import Editor
@@ -29,7 +30,6 @@ from gsrain_engine.sweep.expansion import jobs_of, program_version
 from gsrain_engine.sweep.results import SweepFolder, rows_in
 from gsrain_engine.sweep.settings import load_sweep
 from gsrain_engine.training.settings import load_settings
-from session.files.open_document import settle
 from ui.panels.registry import all_panels
 
 SAVED = Path(__file__).parent / "saved"

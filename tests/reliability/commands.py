@@ -11,13 +11,13 @@ import msgspec
 import numpy as np
 from PIL import Image
 
-from drive.sweeps.small_sweep import sweep_of, write_road, write_scenario
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.open import random_scene
 from gsrain_engine.simulation.rollout_io import read_rollout
 from gsrain_engine.sweep.results import rows_in
 from small_capture import small_capture
+from sweep.small_sweep import sweep_of, write_road, write_scenario
 
 
 @dataclass(frozen=True)

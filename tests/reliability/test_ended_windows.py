@@ -17,7 +17,7 @@ PROGRAM = """
 import os, signal, sys
 from ui import window
 from app.main import run
-from session.files.open_document import delete_every_third
+from editor.files.open_document import delete_every_third
 
 def go_on(self, context):
     before(self, context)

@@ -9,7 +9,7 @@ from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.viewport_state import PendingScene
 from gsrain_engine.render.opengl import buffers
 from gsrain_engine.render.opengl.buffers import GrowableBuffer, reserve_buffer
-from raster.raster_scenes import random_gaussians
+from render.cpu.raster_scenes import random_gaussians
 from small_scene import small_scene
 
 SIZE = (96, 64)

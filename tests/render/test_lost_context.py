@@ -17,7 +17,7 @@ from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.scene import DrawItem
-from raster.raster_scenes import random_gaussians
+from render.cpu.raster_scenes import random_gaussians
 from small_scene import small_scene
 
 _RESET_NOTIFICATION_STRATEGY, _LOSE_CONTEXT_ON_RESET = 0x8256, 0x8252

@@ -10,8 +10,8 @@ from gsrain_engine.render.opengl import buffers
 from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.scene import Actor, ColorGrading, DrawItem, Layer, PoseTrack, Scene
-from raster.raster_scenes import random_gaussians, small_camera
-from raster.test_marked_parts import COLORS, baked, part_of, some_of
+from render.cpu.raster_scenes import random_gaussians, small_camera
+from render.cpu.test_marked_parts import COLORS, baked, part_of, some_of
 
 LEAST_PSNR_DB = 60.0
 

@@ -7,7 +7,7 @@ import numpy as np
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.scene import DrawItem
-from raster.raster_scenes import random_gaussians
+from render.cpu.raster_scenes import random_gaussians
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 32.0, 24.0)
 

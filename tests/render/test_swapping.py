@@ -17,7 +17,7 @@ from gsrain_engine.render.sky_color import sky_color
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.scene import DrawItem, Scene
-from raster.raster_scenes import random_gaussians, small_camera
+from render.cpu.raster_scenes import random_gaussians, small_camera
 from small_scene import small_scene
 
 SIZE = (96, 64)

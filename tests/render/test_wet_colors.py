@@ -21,9 +21,9 @@ from gsrain_engine.render.sky_color import SkyColor, sky_color
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.transforms import with_wetness_baked
-from raster.raster_scenes import small_camera
-from raster.test_marked_parts import COLORS
-from raster.test_wet_colors import blended, wet_part
+from render.cpu.raster_scenes import small_camera
+from render.cpu.test_marked_parts import COLORS
+from render.cpu.test_wet_colors import blended, wet_part
 from small_scene import small_scene
 
 SIZE = (96, 64)

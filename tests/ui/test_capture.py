@@ -3,9 +3,9 @@
 import numpy as np
 from imgui_bundle import ImVec2
 
+from editor.small_capture import COLORS, small_capture, written_capture
 from gsrain_engine.editor import capture_view
 from gsrain_engine.editor.capture_view import LARGE_PX, THUMBNAIL_PX, ImageRequest, sample_points
-from session.capture.small_capture import COLORS, small_capture, written_capture
 from window_driver import Driver, imgui
 
 

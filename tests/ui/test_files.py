@@ -6,11 +6,11 @@ from functools import partial
 import numpy as np
 import pytest
 
+from editor.files.open_document import HeldJob
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.notifications import Answer, Question
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
-from session.files.open_document import HeldJob
 from small_scene import small_scene
 from ui.commands.base import chord
 from window_driver import Driver, imgui

@@ -3,9 +3,9 @@
 import numpy as np
 from imgui_bundle import ImVec2
 
+from editor.test_matching_view import deep_capture
 from gsrain_engine.appearance.correspondence import COLORS, MatchOutcome
 from gsrain_engine.datasets.capture_folder import write_views
-from session.matching.test_matching_view import deep_capture
 from window_driver import Driver, imgui
 
 

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from gsrain_engine.datasets.capture_folder import write_views
-from reconstruct.drive_capture import drive_capture, world_depth
+from training.drive_capture import drive_capture, world_depth
 from ui.commands.base import chord
 from ui.panels import training
 from window_driver import Driver, imgui

@@ -12,7 +12,7 @@ import pytest
 import window_driver  # noqa: F401  skips where there is no display
 from app.main import run
 from gsrain_engine.scene.formats.scene_files import write_scene
-from reconstruct.small_street import small_street
+from training.small_street import small_street
 
 SCRIPT = Path(__file__).resolve().parent.parent / "whole_session.py"
 

@@ -2,7 +2,7 @@
 
 gsplat has the same conventions as the other renderers: 0.3 px^2 of dilation, alpha cut at 1/255 and at most 0.999, end
 at a transmittance of 1e-4 (Ye et al. 2025). This renderer has been tested only on torch's CPU with a stand-in for
-gsplat based on our own rasterizer (tests/raster/gsplat_stand_in.py), not with gsplat or a GPU.
+gsplat based on our own rasterizer (tests/render/cuda/gsplat_stand_in.py), not with gsplat or a GPU.
 """
 
 from collections.abc import Callable, Sequence

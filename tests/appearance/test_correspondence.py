@@ -1,0 +1,190 @@
+"""Matching: true views of the street agree, walls hide, the sky only turns, vehicles move."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from appearance.street_views import made_view, street_views
+from gsrain_engine.appearance.correspondence import MatchOutcome, Tolerance, correspondence, warped
+from gsrain_engine.scene.camera import Camera
+
+
+def _plane_camera(x=0.0, width=40, height=30, yaw=0.0):
+    """Looks along +z of the world, from a place on the x axis."""
+    turn = np.array([[np.cos(yaw), 0, -np.sin(yaw)], [0, 1, 0], [np.sin(yaw), 0, np.cos(yaw)]])
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = turn, -turn @ [x, 0, 0]
+    return Camera(width, height, 20.0, 20.0, width / 2, height / 2, pose)
+
+
+def _plain_place(of, to, u, v, depth):
+    """Equations (13)-(15) for one pixel, in matrices."""
+    k_of, k_to = (np.array([[c.fx, 0, c.cx], [0, c.fy, c.cy], [0, 0, 1.0]]) for c in (of, to))
+    local = depth * np.linalg.inv(k_of) @ [u, v, 1.0]
+    world = np.linalg.inv(of.world_to_camera[:3, :3]) @ (local - of.world_to_camera[:3, 3])
+    x, y, z = k_to @ (to.world_to_camera[:3, :3] @ world + to.world_to_camera[:3, 3])
+    return x / z, y / z
+
+
+def test_places_are_those_of_the_papers_equations():
+    views = street_views()
+    of, to = views["first"], views["left"]
+    found = correspondence(of, to)
+    rows, columns = np.nonzero(found.valid)
+    chosen = np.random.default_rng(3).choice(len(rows), 50, replace=False)
+    checked = 0
+    for row, column in zip(rows[chosen], columns[chosen], strict=True):
+        if of.depth[row, column] > 0:
+            place = _plain_place(of.camera, to.camera, column + 0.5, row + 0.5, float(of.depth[row, column]))
+            np.testing.assert_allclose(found.places[row, column], place, atol=1e-3)
+            checked += 1
+    assert checked > 20
+
+
+@pytest.mark.parametrize(
+    ("of", "to", "least"), [("first", "second", 0.45), ("second", "first", 0.7), ("left", "second", 0.3)]
+)
+def test_true_views_of_the_street_agree_where_they_match(of, to, least):
+    views = street_views()
+    found = correspondence(views[of], views[to])
+    assert found.valid.mean() > least
+    wrong = np.abs(warped(views[to].image, found) - views[of].image)[found.valid]
+    assert np.median(wrong) < 1 / 255
+    assert np.mean(wrong.max(axis=1) > 0.1) < 0.02  # thin things, and the shadow of the car that drives
+    # Taken two pixels beside, nothing fits any more: the test can tell.
+    beside = np.abs(warped(np.roll(views[to].image, 2, axis=1), found) - views[of].image)[found.valid]
+    assert np.sqrt(np.mean(beside**2)) > 2 * np.sqrt(np.mean(wrong**2))
+
+
+def test_there_and_back_leads_home():
+    views = street_views()
+    there, back = correspondence(views["second"], views["first"]), correspondence(views["first"], views["second"])
+    returns = warped(back.places, there)
+    known = there.valid & (warped(back.valid[..., None].astype(np.float32), there)[..., 0] > 0.999)
+    own = np.stack(np.meshgrid(*(np.arange(n) + 0.5 for n in known.shape[::-1])), axis=2)
+    assert known.mean() > 0.4
+    away = np.abs(returns - own).max(axis=2)[known]
+    assert np.mean(away > 0.1) < 0.005
+    assert away.max() < 1.5
+
+
+def test_a_view_matches_itself_to_the_last_bit():
+    view = street_views()["first"]
+    found = correspondence(view, view, Tolerance(edges=False))
+    assert found.valid.all()
+    np.testing.assert_array_equal(warped(view.image, found), view.image)
+
+
+def test_a_wall_hides_what_is_behind_it():
+    here, beside = _plane_camera(0.0), _plane_camera(1.0)
+    far = np.full((30, 40), 10.0)
+    walled = far.copy()
+    walled[:, 10:20] = 2.0  # before the other eye only
+    found = correspondence(made_view(here, far), made_view(beside, walled))
+    # 1 m to the right at 10 m with a focal length of 20 px is 2 px to the left.
+    np.testing.assert_allclose(found.places[15, 25], (23.5, 15.5), atol=1e-5)
+    assert found.outcome[15, 17] == MatchOutcome.HIDDEN
+    assert found.outcome[15, 30] == MatchOutcome.MATCHED
+    assert found.outcome[15, 0] == MatchOutcome.OUTSIDE
+    assert found.outcome[15, 12] == MatchOutcome.EDGE  # the wall's side there is at column 10
+    assert (found.outcome[:, 13:21] == MatchOutcome.HIDDEN).all()
+    unknown = correspondence(made_view(here, far), made_view(beside, np.zeros((30, 40))))
+    assert not unknown.valid.any()
+    assert unknown.outcome[15, 25] == MatchOutcome.UNKNOWN
+
+
+def test_what_lies_behind_the_other_camera_is_outside():
+    turned = _plane_camera(yaw=np.pi)
+    found = correspondence(
+        made_view(_plane_camera(), np.full((30, 40), 5.0)), made_view(turned, np.full((30, 40), 5.0))
+    )
+    assert (found.outcome == MatchOutcome.OUTSIDE).all()
+    assert (found.places == -1).all()
+
+
+def test_the_sky_turns_and_does_not_shift():
+    camera, away, turned = _plane_camera(), _plane_camera(3.0), _plane_camera(yaw=0.1)
+    nothing, sky = np.zeros((30, 40)), np.ones((30, 40))
+    shifted = correspondence(made_view(camera, nothing, sky=sky), made_view(away, nothing, sky=sky))
+    assert shifted.valid.all()
+    own = np.stack(np.meshgrid(np.arange(40) + 0.5, np.arange(30) + 0.5), axis=2)
+    np.testing.assert_allclose(shifted.places, own, atol=1e-5)
+    rotated = correspondence(made_view(camera, nothing, sky=sky), made_view(turned, nothing, sky=sky))
+    middle = rotated.places[15, 19:21, 0].mean()
+    assert abs(middle - 20) == pytest.approx(20 * np.tan(0.1), rel=0.01)
+    wall = correspondence(made_view(camera, nothing, sky=sky), made_view(away, np.full((30, 40), 1e4)))
+    assert (wall.outcome == MatchOutcome.HIDDEN).all()
+
+
+def test_vehicles_match_only_at_one_moment():
+    camera, beside = _plane_camera(), _plane_camera(0.2)
+    depth, car = np.full((30, 40), 10.0), np.zeros((30, 40))
+    car[10:20, 10:20] = 1
+    of = made_view(camera, depth, vehicles=car)
+    at_once = correspondence(of, made_view(beside, depth))
+    later = correspondence(of, made_view(beside, depth, time_s=0.1))
+    assert at_once.outcome[15, 15] == MatchOutcome.MATCHED
+    assert (later.outcome[10:20, 10:20] == MatchOutcome.MOVING).all()
+    assert later.outcome[5, 5] == MatchOutcome.MATCHED
+    drove_there = correspondence(made_view(camera, depth), made_view(beside, depth, vehicles=car, time_s=0.1))
+    assert drove_there.outcome[15, 15] == MatchOutcome.MOVING
+
+
+def test_lidar_alone_matches_where_it_measured_and_still_knows_what_hides():
+    here, beside = _plane_camera(0.0, 80, 60), _plane_camera(0.5, 80, 60)
+    measured = np.random.default_rng(5).random((60, 80)) < 0.06
+    found = correspondence(
+        made_view(here, np.where(measured, 10.0, 0)), made_view(beside, np.where(np.roll(measured, 7), 10.0, 0))
+    )
+    inside = measured & (found.outcome != MatchOutcome.OUTSIDE)
+    assert found.valid[inside].mean() > 0.95
+    assert not found.valid[~measured].any()
+    nearer = correspondence(
+        made_view(here, np.where(measured, 10.0, 0)), made_view(beside, np.where(np.roll(measured, 7), 5.0, 0))
+    )
+    assert not nearer.valid.any()
+
+
+def test_maps_of_features_are_warped_as_plain_averages_say():
+    views = street_views()
+    found = correspondence(views["second"], views["left"])
+    height, width = 30, 45  # 8 x 8 pixels a cell
+    grid, valid = found.at(height, width)
+    assert grid.shape == (height, width, 2)
+    shares = found.valid.reshape(height, 8, width, 8).mean(axis=(1, 3))
+    np.testing.assert_array_equal(valid, shares >= 0.5)
+    assert 0.1 < valid.mean() < 0.9
+    row, column = np.argwhere(valid)[len(np.argwhere(valid)) // 2]
+    cell = np.s_[8 * row : 8 * row + 8, 8 * column : 8 * column + 8]
+    inside = found.valid[cell]
+    own = np.stack(np.meshgrid(np.arange(360) + 0.5, np.arange(240) + 0.5), axis=2)
+    way = ((found.places - own)[cell][inside]).mean(axis=0) / (360, 240)
+    expected = 2 * ((np.array([column, row]) + 0.5) / (width, height) + way) - 1
+    np.testing.assert_allclose(grid[row, column], expected, atol=1e-4)
+    assert (grid[~valid] == -2).all()
+
+
+def test_grid_sample_of_a_view_onto_itself_changes_nothing():
+    torch = pytest.importorskip("torch")
+    view = street_views()["first"]
+    grid, valid = correspondence(view, view, Tolerance(edges=False)).at(30, 45)
+    assert valid.all()
+    features = torch.from_numpy(np.random.default_rng(0).standard_normal((1, 8, 30, 45)).astype(np.float32))
+    same = torch.nn.functional.grid_sample(features, torch.from_numpy(grid)[None], align_corners=False)
+    torch.testing.assert_close(same, features, atol=2e-5, rtol=0)
+
+
+def test_another_size_of_the_other_picture_is_allowed():
+    view = street_views()["first"]
+    half = view.depth[::2, ::2], view.image[::2, ::2], view.sky[::2, ::2]
+    camera = view.camera
+    small = made_view(
+        replace(camera, width=180, height=120, fx=camera.fx / 2, fy=camera.fy / 2, cx=90, cy=60), half[0], *half[1:]
+    )
+    found = correspondence(view, small)
+    own = np.stack(np.meshgrid(np.arange(360) + 0.5, np.arange(240) + 0.5), axis=2)
+    np.testing.assert_allclose(found.places[found.valid], own[found.valid] / 2, atol=1e-3)
+    grid, valid = found.at(24, 36)
+    row, column = np.argwhere(valid)[100]
+    assert np.abs(grid[row, column] - (2 * (column + 0.5) / 36 - 1, 2 * (row + 0.5) / 24 - 1)).max() < 1e-3

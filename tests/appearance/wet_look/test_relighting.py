@@ -1,0 +1,167 @@
+"""Overcast light: shadows lifted, the sun lowered, its warmth gone, nothing brighter than the cloud."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from appearance.wet_look.dry_view import camera, dry_view
+from gsrain_engine.appearance.wet_look.illumination import (
+    DRY_GROUND_EV,
+    LUMINANCE,
+    composite_over_cloud,
+    estimate_illumination,
+    extend_sky_mask,
+    overcast_sky,
+    overcast_surfaces,
+    remove_sky_color,
+)
+from gsrain_engine.appearance.wet_look.masks import surfaces_of
+from gsrain_engine.appearance.wet_look.settings import WetSettings
+from gsrain_engine.scene.geometry import srgb_to_linear
+
+LEFT, RIGHT = (slice(-8, None), slice(0, 24)), (slice(-8, None), slice(-24, None))
+"""Where the road's shadowed and its sunlit half are."""
+
+
+def overcast(view, **settings):
+    return overcast_surfaces(view, estimate_illumination([view]), WetSettings(**settings), surfaces_of(view))
+
+
+def under_cloud(view, **settings):
+    return composite_over_cloud(view, overcast(view, **settings), WetSettings(**settings))
+
+
+def level(light, where):
+    return float(np.log2(light[where] @ LUMINANCE).mean())
+
+
+def test_cast_shadow_nearly_vanishes():
+    view = dry_view(shadow=0.8)
+    clear = srgb_to_linear(view.image)
+    before = level(clear, RIGHT) - level(clear, LEFT)
+    flat = overcast(view)
+    kept = overcast(view, sun_removal=0.0)
+    assert before > 2
+    assert 0 <= level(flat, RIGHT) - level(flat, LEFT) < 0.25 * before
+    assert level(kept, RIGHT) - level(kept, LEFT) == pytest.approx(before, rel=0.1)
+
+
+def test_shadow_on_the_road_leaves_its_markings():
+    view = dry_view(shadow=0.8, seen_from=camera(width=384, height=256))
+    image = view.image.copy()
+    image[240:242, :96] *= 1.5
+    light = overcast(replace(view, image=image))
+    assert level(light, (slice(240, 242), slice(8, 80))) - level(light, (slice(230, 232), slice(8, 80))) > 0.8
+
+
+def test_warm_light_becomes_cool():
+    view = dry_view()
+    clear, cloudy = srgb_to_linear(view.image)[RIGHT], overcast(view)[RIGHT]
+    warmth = [float(np.log2(light[..., 0] / light[..., 2]).mean()) for light in (clear, cloudy)]
+    assert warmth[1] < 0.3 * warmth[0]
+    assert float(np.log2(overcast(view, coolness=2.0)[RIGHT][..., 0] / overcast(view)[RIGHT][..., 0]).mean()) < -0.02
+
+
+@pytest.mark.parametrize("factor", [0.6, 1.0, 1.6])
+def test_the_camera_opens_up_or_down(factor):
+    view = dry_view()
+    view = replace(view, image=np.clip(factor * view.image, 0, 1).astype(np.float32))
+    before, after = (level(light, RIGHT) for light in (srgb_to_linear(view.image), overcast(view)))
+    assert abs(after - DRY_GROUND_EV) < max(0.6, 0.5 * abs(before - DRY_GROUND_EV))
+    assert level(overcast(view, exposure_ev=-1.0), RIGHT) == pytest.approx(after - 1, abs=0.1)
+
+
+def test_nothing_is_brighter_than_the_cloud():
+    view = dry_view()
+    view = replace(view, image=np.ones_like(view.image) * (1 - view.sky[..., None]))
+    sky = srgb_to_linear(np.array(WetSettings().sky_brightness))
+    light = overcast(view, exposure_ev=2.0) @ LUMINANCE
+    wall = (view.normals[..., 0] < -0.5) & (np.arange(64) < 24)[:, None]
+    assert light.max() < sky
+    assert light[wall].max() < 0.7 * light[RIGHT].max()
+
+
+def test_ground_beside_a_vehicle_is_shaded():
+    vehicles = np.zeros((64, 96))
+    vehicles[30:44, 40:56] = 1
+    with_car, without = dry_view(vehicles=vehicles), dry_view()
+    light = estimate_illumination([without])
+    beside, alone = (overcast_surfaces(v, light, WetSettings(), surfaces_of(v)) for v in (with_car, without))
+    assert beside[45, 48].sum() < 0.8 * alone[45, 48].sum()
+    np.testing.assert_allclose(beside[60, 5], alone[60, 5], rtol=1e-3)
+
+
+def test_sky_is_a_function_of_direction_alone():
+    one, other = camera(), camera(eye=(50.0, 3.0, 4.0), ahead=(1.0, 0.2, 0.3))
+    settings = WetSettings(clouds=1.0)
+    direction = np.array([0.9, 0.1, 0.4]) / np.linalg.norm([0.9, 0.1, 0.4])
+    lit = []
+    for each in (one, other):
+        view = dry_view(seen_from=each)
+        sky = under_cloud(replace(view, sky=np.ones_like(view.sky)), clouds=1.0)
+        seen = each.world_to_camera[:3, :3] @ direction
+        column, row = each.fx * seen[0] / seen[2] + each.cx - 0.5, each.fy * seen[1] / seen[2] + each.cy - 0.5
+        lit.append(sky[round(row), round(column)])
+    np.testing.assert_allclose(lit[0], lit[1], rtol=0.03)
+    around = overcast_sky(np.array([[[1.0, 0, 0], [0.6, 0, 0.8], [0, 0.6, 0.8]]]), settings)[0]
+    assert around[0].sum() > 1.15 * around[1].sum()
+    assert (around[1] != around[2]).any()
+    assert (around[:, 2] > around[:, 0]).all()
+    grey = overcast_sky(np.array([[[0.6, 0, 0.8], [0, 0.6, 0.8]]]), WetSettings(clouds=0.0))[0]
+    np.testing.assert_allclose(grey[0], grey[1], rtol=1e-6)
+
+
+def test_leaves_before_the_sky_get_no_halo():
+    view = dry_view()
+    share = np.where(view.sky > 0, 1.0, 0.0).astype(np.float32)
+    share[2:6, 40:60] = 0.6
+    leaf = np.array([0.1, 0.2, 0.05], np.float32)
+    image = view.image.copy()
+    image[2:6, 40:60] = 0.6 * image[2, 2] + 0.4 * leaf
+    mixed = replace(view, sky=share, image=image)
+    np.testing.assert_allclose(remove_sky_color(mixed)[3:5, 44:56], np.broadcast_to(leaf, (2, 12, 3)), atol=0.02)
+    cloudy = under_cloud(mixed)
+    leaves, sky = cloudy[3:5, 44:56] @ LUMINANCE, cloudy[3, 5] @ LUMINANCE
+    assert (leaves < sky).all()
+    assert (leaves > 0.2 * sky).all()
+
+
+def test_scraps_of_sky_before_the_sky_count_as_sky():
+    view = dry_view()
+    share, image = view.sky.copy(), view.image.copy()
+    share[1:3, 20:22] = share[1:3, 60:62] = 0
+    image[1:3, 60:62] = 0.05
+    found = extend_sky_mask(replace(view, sky=share, image=image)).sky
+    assert found[1:3, 20:22].min() > 0.9
+    assert found[1:3, 60:62].max() == 0
+    assert found[50:].max() == 0
+
+
+def test_the_sky_is_found_beyond_the_end_of_its_mask():
+    view = dry_view()
+    image, share, depth = view.image.copy(), view.sky.copy(), view.depth.copy()
+    share[:, 74:] = 0
+    image[:20, 78:79] = (0.2, 0.15, 0.1)  # a trunk
+    unknown = replace(view, image=image, sky=share)
+    found = extend_sky_mask(unknown).sky
+    assert found[2:8, 74:77].min() > 0.9
+    assert found[2:8, 80:86].min() > 0.9
+    assert found[2:8, 78:79].max() == 0
+    assert found[20:, :].max() < 0.01  # the wall is not of its colour
+    depth[:, 74:] = np.where(depth[:, 74:] > 0, depth[:, 74:], 30)
+    assert extend_sky_mask(replace(unknown, depth=depth)).sky[2:8, 80:].max() < 0.01  # a blue wall
+
+
+def test_clipped_ground_gets_a_grain_that_stays_in_the_world():
+    views = [dry_view(seen_from=camera((x, 0.0, 1.5), (1.0, 0.0, -0.3), 192, 128)) for x in (0.0, 0.5)]
+    views = [replace(view, image=np.ones_like(view.image)) for view in views]
+    grain = [np.log2(overcast(view) @ LUMINANCE) for view in views]
+    assert 0.05 < grain[0][100:].std() < 0.5
+    eye = views[1].camera
+    row, column = 90, 100
+    point = surfaces_of(views[0]).points[row, column] @ eye.world_to_camera[:3, :3].T + eye.world_to_camera[:3, 3]
+    there = round(eye.fy * point[1] / point[2] + eye.cy - 0.5), round(eye.fx * point[0] / point[2] + eye.cx - 0.5)
+    assert grain[1][there] == pytest.approx(grain[0][row, column], abs=0.1)
+    grey = replace(views[0], image=0.6 * views[0].image)
+    assert np.log2(overcast(grey) @ LUMINANCE)[100:].std() < 0.01

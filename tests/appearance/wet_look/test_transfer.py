@@ -1,0 +1,164 @@
+"""The whole transfer: nothing at wetness 0, more with more of it, the same twice, and the same from all sides."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from appearance.wet_look.dry_view import camera, dry_view
+from gsrain_engine.appearance.base import Transfer
+from gsrain_engine.appearance.correspondence import correspondence, warped
+from gsrain_engine.appearance.wet_look.environment import ImageEnvironment
+from gsrain_engine.appearance.wet_look.settings import WetSettings
+from gsrain_engine.appearance.wet_look.translator import WetTransfer
+from gsrain_engine.scene.geometry import srgb_to_linear
+
+ALLOWED = 1.1
+"""Of the clear views' own disagreement."""
+DRY = 0.05
+"""Share of mirrored light up to which a pixel shows what lies there rather than what the water mirrors."""
+
+
+@pytest.fixture(scope="module")
+def surroundings():
+    return ImageEnvironment()
+
+
+@pytest.fixture(scope="module")
+def views():
+    eyes = [camera((x, 0.2 * x, 1.5), (1.0, 0.05 * x, -0.1), 192, 128) for x in (0.0, 1.0)]
+    return [
+        dry_view(shadow=0.7, seen_from=eye, texture=0.2, noise=0.01, name="view" + i * "!")
+        for i, eye in enumerate(eyes)
+    ]
+
+
+def rainy(views, surroundings, **settings):
+    return list(WetTransfer(WetSettings(**settings), surroundings).transferred(views))
+
+
+def test_wetness_0_changes_no_byte(views, surroundings):
+    for clear, made in zip(views, rainy(views, surroundings, wetness=0.0), strict=True):
+        assert made.clear is clear
+        assert made.image.tobytes() == clear.image.tobytes()
+        assert made.film.max() == 0
+
+
+def test_same_bytes_twice_and_in_order(views, surroundings):
+    transfer = WetTransfer(WetSettings(), surroundings)
+    assert isinstance(transfer, Transfer)
+    assert transfer.name == "wet"
+    one, two = (list(transfer.transferred(views)) for _ in range(2))
+    assert [each.clear.name for each in one] == [each.name for each in views]
+    for a, b in zip(one, two, strict=True):
+        assert a.image.tobytes() == b.image.tobytes()
+        assert a.film.tobytes() == b.film.tobytes()
+
+
+def test_more_wetness_is_more_of_everything(views, surroundings):
+    made = [rainy(views[:1], surroundings, wetness=w)[0] for w in (0.0, 0.25, 0.5, 0.75, 1.0)]
+    film = [float(each.film.sum()) for each in made]
+    assert film == sorted(film)
+    assert film[0] == 0 < film[1] < film[-1]
+    clear = made[0].image
+    change = [np.abs(each.image - clear) for each in made]
+    sums = [float(each.sum()) for each in change]
+    assert sums == sorted(sums)
+    assert sums[1] > 0.05 * sums[-1]
+    dry = made[-1].film == 0
+    for less, more in itertools.pairwise(change):
+        assert (more - less)[dry].min() > -0.005
+
+
+def test_the_road_is_dark_and_the_blue_sky_is_gone(views, surroundings):
+    view, made = views[0], rainy(views, surroundings)[0]
+    sky, road = view.sky > 0.9, (view.normals[..., 2] > 0.9) & (made.film < DRY) & (view.depth > 0)
+    assert sky.any() and road.any()
+    clear, wet = srgb_to_linear(view.image), srgb_to_linear(made.image)
+    sunlit = road & (np.arange(192) > 110)
+    assert wet[sunlit].mean() < 0.5 * clear[sunlit].mean()
+    blueness = [float((light[sky][:, 2] - light[sky][:, 0]).mean()) for light in (clear, wet)]
+    assert blueness[1] < 0.5 * blueness[0]
+    assert made.image[sky].min() > 0.5
+
+
+def test_light_given_is_light_used(views, surroundings):
+    own = rainy(views[:1], surroundings)[0].image
+    told = WetTransfer(WetSettings(), surroundings, WetTransfer(WetSettings(), surroundings).light_of(views[:1]))
+    assert next(told.transferred(views[:1])).image.tobytes() == own.tobytes()
+    brighter = replace(told.light_of(views[:1]), level_ev=0.0, sunlit_ev=0.0, shadow_ev=0.0)
+    darker = next(WetTransfer(WetSettings(), surroundings, brighter).transferred(views[:1])).image
+    assert darker[views[0].depth > 0].mean() < own[views[0].depth > 0].mean() - 0.02
+
+
+def test_views_agree_as_well_as_the_clear_ones(views, surroundings):
+    here, there = rainy(views, surroundings)
+    found = correspondence(here.clear, there.clear)
+    film = warped(np.ascontiguousarray(there.film[..., None]), found)[..., 0]
+    counted = found.valid & (here.film < DRY) & (film < DRY)
+    assert counted.mean() > 0.15
+    clear, wet = (
+        float(np.sqrt(np.mean((mine - warped(theirs, found))[counted] ** 2)))
+        for mine, theirs in ((here.clear.image, there.clear.image), (here.image, there.image))
+    )
+    assert 0.001 < wet < ALLOWED * clear
+
+
+def test_grass_mirrors_nothing_even_where_it_is_bare(views, surroundings):
+    view = views[0]
+    image = view.image.copy()
+    image[70:, :96] = (0.3, 0.45, 0.15)
+    image[90:96, 40:44] = (0.45, 0.4, 0.3)
+    bare, paved = (rainy([each], surroundings)[0].film[85:100, 30:60] for each in (replace(view, image=image), view))
+    assert bare.max() < 0.01 < paved.mean()
+
+
+def alone(view, **changes):
+    """Return a view of which nothing but the picture and its sky is known."""
+    nothing = np.zeros_like(view.depth)
+    return replace(view, depth=nothing, normals=np.zeros_like(view.normals), known_share=0.0, **changes)
+
+
+def test_pictures_alone_get_light_and_sky_and_no_water(views, surroundings):
+    view = alone(views[0])
+    made = rainy([view], surroundings)[0]
+    assert made.film.max() == 0
+    assert "not known" in made.left_out
+    assert rainy(views[:1], surroundings)[0].left_out == ""
+    sky, below = view.sky > 0.99, view.sky < 0.01
+    assert np.ptp(made.image[sky].mean(axis=0)) < 0.1  # it was blue
+    clear, wet = (np.round(each.image[below], 6) for each in (view, made))
+    assert (wet.mean(), wet.std()) < (clear.mean(), clear.std())
+    order = np.random.default_rng(0).permutation(np.flatnonzero(below))
+    mixed = view.image.copy().reshape(-1, 3)
+    mixed[np.flatnonzero(below)] = mixed[order]
+    again = rainy([replace(view, image=mixed.reshape(view.image.shape))], surroundings)[0].image.reshape(-1, 3)
+    # One curve for all pixels: nothing depends on where it is, so nothing can be taken for a road.
+    np.testing.assert_allclose(again[np.flatnonzero(below)], made.image.reshape(-1, 3)[order], atol=2e-5)
+
+
+def test_depth_that_is_mostly_guessed_makes_nothing_wet(views, surroundings):
+    made = rainy([replace(views[0], known_share=0.3)], surroundings)[0]
+    assert made.film.max() == 0 and made.left_out
+
+
+def test_a_night_stays_a_night(surroundings):
+    view = dry_view(texture=0.2)
+    dark = alone(view, image=(0.06 * view.image).astype(np.float32), sky=np.zeros_like(view.sky))
+    made = rainy([dark], surroundings)[0]
+    assert abs(float(made.image.mean() / dark.image.mean()) - 1) < 0.1
+    dusk = alone(view, image=(0.25 * view.image).astype(np.float32))
+    clouds = rainy([dusk], surroundings)[0].image[dusk.sky > 0.99]
+    assert clouds.mean() < 0.45
+
+
+def test_where_up_is_wrong_no_wall_is_a_ground(views, surroundings):
+    wall_is_down = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1]])
+    tipped = replace(
+        views[0],
+        camera=views[0].camera.moved(wall_is_down),
+        normals=(views[0].normals @ wall_is_down[:3, :3].T).astype(np.float32),
+    )
+    assert surroundings.ground(views[0]) is not None
+    assert surroundings.ground(tipped) is None

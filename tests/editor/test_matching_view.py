@@ -1,0 +1,170 @@
+"""Matching in the session: what is matched with what, told in pictures, and again when a person looks elsewhere."""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from appearance.street_views import made_view
+from gsrain_engine.appearance.correspondence import COLORS, MatchOutcome, correspondence
+from gsrain_engine.datasets.capture import Capture, CaptureFrame
+from gsrain_engine.datasets.capture_folder import write_views
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.matching import neighbor_view
+from gsrain_engine.editor.matching_image import MatchableViews, MatchedViews, flow_lines, matching_image, outcome_shares
+from gsrain_engine.scene.camera import Camera, look_at
+from small_scene import small_scene
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def deep_capture(moments=3) -> Capture:
+    """A striped wall 20 m ahead, from places 1 m apart; at each a second camera looks 20 degrees to the left."""
+    views = []
+    for k in range(moments):
+        for sensor, angle in (("front", 0.0), ("left", 0.35)):
+            eye = np.array([float(k), 0.0, 1.5])
+            camera = Camera(96, 64, 80.0, 80.0, 48.0, 32.0, look_at(eye, eye + [np.cos(angle), np.sin(angle), 0], UP))
+            v, u = np.mgrid[:64, :96] + 0.5
+            rays = np.stack([(u - 48) / 80, (v - 32) / 80, np.ones_like(u)], axis=2) @ camera.world_to_camera[:3, :3]
+            depth = (20.0 - k) / rays[..., 0]
+            across = depth * rays[..., 1]
+            image = np.repeat((120 + 80 * np.sin(across))[..., None], 3, axis=2).astype(np.uint8)
+            views.append(
+                CaptureFrame(
+                    f"{sensor}_{k}", camera, image, 0.1 * k, sensor, depth_source=depth.astype(np.float32),
+                    sky_source=np.zeros((64, 96), bool),
+                )
+            )  # fmt: skip
+    return Capture("wall", tuple(views))
+
+
+@pytest.fixture
+def written(tmp_path):
+    for _ in write_views(tmp_path / "wall", deep_capture().views):
+        pass
+    return tmp_path / "wall"
+
+
+@pytest.fixture
+def session():
+    session = Editor(small_scene())
+    session.clock.playing = False
+    yield session
+    session.close()
+
+
+def _until(session, condition):
+    """Let frames go by as the window does."""
+    last = time.monotonic() + 120
+    while not condition():
+        assert time.monotonic() < last, "waited in vain"
+        session.update(0.001)
+        for work in [session.matching._working, session.captures._opening]:
+            if work is not None:
+                work[-1].exception()  # waits for it
+
+
+def test_recorded_views_are_matched_with_the_one_that_is_asked_for(session, written):
+    captures, matching = session.captures, session.matching
+    captures.open(written)
+    _until(session, lambda: captures.capture is not None)
+    assert matching.shown is None
+    matching.is_on = True
+    captures.look_from(session, 2)  # front_1
+    _until(session, lambda: matching.shown is not None)
+    assert matching.shown.request[2:4] == (2, 4)
+    assert matching.shown.matched.to.name == "front_2"
+    np.testing.assert_array_equal(matching.shown.camera.position, captures.cameras(session.scene)[2].position)
+    assert 0.6 < matching.shown.shares[MatchOutcome.MATCHED] < 0.95
+    picture = matching.picture
+    assert picture is matching.picture
+    matching.mode = "pixels"
+    assert matching.picture is not picture
+
+    matching.against = "beside"
+    _until(session, lambda: matching.shown is not None and matching.shown.request.to == 3)
+    captures.look_from(session, 4)
+    matching.against = "next"
+    session.update(0.001)
+    assert matching.shown is None
+    assert matching.problem == "This is the last view of its camera."
+    assert not captures.is_working
+    matching.is_on = False
+    session.update(0.001)
+    assert matching.problem is None
+
+
+def test_the_live_view_is_matched_by_the_scenes_depth(session, written):
+    captures, matching = session.captures, session.matching
+    captures.open(written)
+    _until(session, lambda: captures.capture is not None)
+    captures.chosen, captures.in_scene_axes, matching.is_on = 0, True, True
+    session.navigation.look_like(captures.cameras(session.scene)[2])
+    _until(session, lambda: matching.shown is not None)
+    assert matching.shown.request.of is None
+    assert matching.shown.matched.to.name == "front_0"
+    assert matching.shown.matched.found.valid.any()
+    captures.in_scene_axes = False
+    _until(session, lambda: matching.problem is not None)
+    assert "does not lie in the scene" in matching.problem
+    assert matching.shown is None
+
+
+def test_views_without_depth_take_that_of_the_scene():
+    capture = deep_capture()
+    bare = replace(capture, views=tuple(replace(view, depth_source=None) for view in capture))
+    scene = small_scene()
+    with_depth, without = (MatchableViews(each, scene).matched(2, 4) for each in (capture, bare))
+    assert with_depth.of.depth[16, 48] == pytest.approx(19, abs=0.1)
+    assert without.of.depth[16, 48] > 25  # the wall of the scene, not that of the pictures
+    np.testing.assert_allclose(without.of.image, with_depth.of.image)
+
+
+def test_neighbours_are_those_a_person_would_name():
+    capture = deep_capture()
+    assert neighbor_view(capture, 2, "next", 0) == 4
+    assert neighbor_view(capture, 2, "previous", 0) == 0
+    assert neighbor_view(capture, 0, "previous", 0) is None
+    assert neighbor_view(capture, 2, "beside", 0) == 3
+    assert neighbor_view(capture, 2, "chosen", 5) == 5
+    assert neighbor_view(capture, 2, "chosen", 2) is None
+    alone = replace(capture, views=capture.views[::2])
+    assert neighbor_view(alone, 0, "beside", 0) is None
+
+
+def _pair(car=0.0):
+    camera = Camera(60, 40, 50.0, 50.0, 30.0, 20.0)
+    depth = np.full((40, 60), 10.0)
+    moved = replace(camera, world_to_camera=np.array([[1.0, 0, 0, -1.2], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]))
+    red, blue = np.full((40, 60, 3), (1, 0, 0)), np.full((40, 60, 3), (0, 0, 1))
+    vehicles = np.zeros((40, 60))
+    vehicles[:, 40:50] = car
+    of = made_view(camera, depth, red, vehicles=vehicles)
+    to = made_view(moved, depth, blue, time_s=0.1)
+    return MatchedViews(of, to, correspondence(of, to))
+
+
+def test_pictures_show_the_other_view_the_difference_or_reasons():
+    matched = _pair(car=1.0)
+    found = outcome_shares(matched)
+    assert found[MatchOutcome.MATCHED] == pytest.approx(44 / 60)
+    assert found[MatchOutcome.MOVING] == pytest.approx(10 / 60)
+    assert found[MatchOutcome.OUTSIDE] == pytest.approx(6 / 60)
+    other = matching_image(matched, "picture")
+    assert tuple(other[20, 20]) == (0, 0, 255, 255)
+    assert tuple(other[20, 2]) == (0, 0, 0, 166)
+    assert 0 < other[20, 45, 3] < 255
+    difference = matching_image(matched, "difference")
+    assert difference[20, 20, :3].min() > 180  # red and blue differ by more than the scale has
+    reasons = matching_image(matched, "pixels")
+    np.testing.assert_allclose(reasons[20, 20, :3] / 255, COLORS[MatchOutcome.MATCHED], atol=0.01)
+    np.testing.assert_allclose(reasons[20, 45, :3] / 255, COLORS[MatchOutcome.MOVING], atol=0.01)
+
+
+def test_lines_lead_to_where_pixels_are_in_the_other_view():
+    lines = flow_lines(_pair())
+    assert len(lines) >= 2
+    np.testing.assert_allclose(lines[:, 1, 0] - lines[:, 0, 0], -6 / 60, atol=1e-5)
+    np.testing.assert_allclose(lines[:, 1, 1], lines[:, 0, 1], atol=1e-5)

@@ -1,0 +1,131 @@
+"""False returns against the integral of the spectrum. Poisson tests allow 4 standard errors: one in 16,000 fails."""
+
+import numpy as np
+import pytest
+
+from evaluation.lidar.wall_beams import SENSOR, sky_beams, wall_beams
+from gsrain_engine.evaluation.lidar.rain_echoes import (
+    DropReturnModel,
+    drop_field_returns,
+    drop_reflectance,
+    sample_far_returns,
+    span_in_box,
+)
+from gsrain_engine.rain.settings import STREAK_REGION, RainSettings, RegionBox
+from gsrain_engine.rain.simulation import RainCamera, RainSimulation
+from gsrain_engine.scene.camera import Camera
+
+RAINFALL = RainSimulation.start(RainSettings(intensity_mm_h=12.0))
+SIGNALS = DropReturnModel(SENSOR, RAINFALL.state)
+ANCHOR = np.eye(4)
+HERE = RainCamera(Camera.from_fov(1, 1, 45.0, np.eye(4)), ANCHOR, np.zeros(3))
+
+
+def integrated(sensor, state, start_m, end_m):
+    """N times the integral of beam area x density over range and diameter, where the lidar equation says detected."""
+    ranges = np.linspace(start_m, end_m, 3001)
+    diameters = np.linspace(0.1, 8.0, 4001)
+    density = state.sizes.probability_per_mm(diameters)
+    strength = 1e-6 * diameters**2 * drop_reflectance(diameters, sensor.wavelength_nm)
+    per_m = np.zeros(len(ranges))
+    for k, r in enumerate(ranges):
+        if r <= sensor.blind_m:
+            continue
+        width = np.hypot(1e-3 * sensor.beam_mm, 1e-3 * sensor.divergence_mrad * r)
+        overlap = min((r - sensor.blind_m) / (sensor.clear_m - sensor.blind_m), 1)
+        least = max(0.1 * (r / sensor.range_m) ** 2, sensor.least_reflectance) / overlap
+        heard = strength / width**2 * np.exp(-2 * state.extinction_per_m * r) >= least
+        per_m[k] = np.pi / 4 * width**2 * np.trapezoid(density * heard, diameters)
+    return state.density_m3 * np.trapezoid(per_m, ranges)
+
+
+@pytest.mark.parametrize("intensity", [1.2, 12.0, 50.0])
+def test_the_expected_number_is_the_integral_of_the_spectrum(intensity):
+    state = RainSimulation.start(RainSettings(intensity_mm_h=intensity)).state
+    found = DropReturnModel(SENSOR, state).expected_up_to(np.array([2.0, 4.0, 50.0]))
+    wanted = [integrated(SENSOR, state, 0.0, end) for end in (2.0, 4.0, 12.0)]
+    assert wanted[0] > 1e-5
+    np.testing.assert_allclose(found, wanted, rtol=0.03)  # 16,384 classes are coarse for the few largest drops
+
+
+def test_no_drop_is_detected_beyond_the_reach():
+    beyond = np.array([SIGNALS.reach_m + 0.02, SIGNALS.reach_m - 0.02])
+    assert (SIGNALS.first_detected(beyond) == 16384).tolist() == [True, False]
+
+
+def test_far_drops_are_as_many_as_the_integral_and_where_it_says():
+    beams = sky_beams(40_000)
+    nowhere = np.zeros(len(beams)), np.zeros(len(beams))
+    found = sample_far_returns(beams, np.full(len(beams), 50.0), nowhere, SIGNALS, seed=1)
+    mean = len(beams) * SIGNALS.expected[-1]
+    assert abs(len(found.beams) - mean) < 4 * np.sqrt(mean)
+    for end in (1.5, 2.0, 3.0):
+        part = len(beams) * float(SIGNALS.expected_up_to(np.array([end]))[0])
+        assert abs(np.sum(found.ranges_m < end) - part) < 4 * np.sqrt(part)
+    assert np.all(SENSOR.signal(found.ranges_m, found.reflectances, RAINFALL.state.extinction_per_m) >= 1 - 1e-6)
+
+
+def test_far_drops_keep_out_of_the_simulated_span():
+    beams = sky_beams(20_000)
+    span = np.full(len(beams), 1.5), np.full(len(beams), 2.5)
+    found = sample_far_returns(beams, np.full(len(beams), 50.0), span, SIGNALS, seed=1)
+    assert not np.any((found.ranges_m > 1.505) & (found.ranges_m < 2.495))
+    whole, start, end = SIGNALS.expected_up_to(np.array([50.0, 1.5, 2.5]))
+    mean = len(beams) * (whole - end + start)
+    assert abs(len(found.beams) - mean) < 4 * np.sqrt(mean)
+
+
+def test_the_field_has_as_many_drops_in_beams_as_the_integral():
+    """Beams from the region's middle far enough apart that no drop is in two of them, over six seeds."""
+    z = np.linspace(-0.9, 0.9, 400)
+    turn = np.arange(400) * np.pi * (3 - np.sqrt(5))
+    directions = np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)
+    beams = wall_beams(np.full(400, np.inf), directions=directions)
+    around = RegionBox(minimum_m=(-3.0, -3.0, -3.0), maximum_m=(3.0, 3.0, 3.0))
+    listened = np.full(400, 3.0)
+    counts, near = 0, 0
+    for seed in range(6):
+        rainfall = RainSimulation.start(RainSettings(intensity_mm_h=40.0, seed=seed, streak_region=around))
+        found = drop_field_returns(
+            rainfall.streak_field(3.0, HERE), beams, listened, signals := DropReturnModel(SENSOR, rainfall.state)
+        )
+        assert np.all(found.ranges_m < 3.0)
+        counts, near = counts + len(found.beams), near + int(np.sum(found.ranges_m < 2.0))
+    for count, end in ((counts, 3.0), (near, 2.0)):
+        mean = 6 * 400 * float(signals.expected_up_to(np.array([end]))[0])
+        assert mean > 60
+        assert abs(count - mean) < 4 * np.sqrt(mean)
+
+
+def test_a_drop_of_the_field_is_found_in_the_beam_that_is_aimed_at_it():
+    field = RAINFALL.streak_field(0.0, HERE)
+    drops = field.region_drops()
+    places = field.positions(drops)
+    ranges = np.linalg.norm(places, axis=1)
+    seen = np.flatnonzero(drops.class_index >= SIGNALS.first_detected(ranges))[:5]
+    assert len(seen) == 5
+    beams = wall_beams(np.full(5, np.inf), directions=places[seen] / ranges[seen, None])
+    found = drop_field_returns(field, beams, np.full(5, 50.0), SIGNALS)
+    for k in range(5):
+        assert np.min(np.abs(found.ranges_m[found.beams == k] - ranges[seen[k]])) < 1e-9
+
+
+def test_region_drops_are_all_those_in_the_box():
+    field = RAINFALL.streak_field(0.0, HERE)
+    places = field.positions(field.region_drops())
+    assert len(places) == field.drops_in_region() > 10_000
+    assert np.all(places >= np.array(STREAK_REGION.minimum_m) - 1e-6)
+    assert np.all(places <= np.array(STREAK_REGION.maximum_m) + 1e-6)
+
+
+def test_the_span_of_a_beam_in_a_turned_box():
+    turned = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    directions = np.array([[0.0, 1, 0], [1.0, 0, 0], [0.0, 0, -1], [0.0, -1, 0]])
+    start, end = span_in_box(wall_beams(np.full(4, np.inf), directions=directions), STREAK_REGION, turned)
+    np.testing.assert_allclose(end, [5.0, 3.0, 1.5, 1.0])
+    np.testing.assert_array_equal(start, 0)
+    outside = turned.copy()
+    outside[:3, 3] = (0, 10.0, 0)
+    start, end = span_in_box(wall_beams(np.full(4, np.inf), directions=directions), STREAK_REGION, outside)
+    np.testing.assert_allclose(start, [9.0, 0, 0, 0])
+    np.testing.assert_allclose(end, [15.0, 0, 0, 0])

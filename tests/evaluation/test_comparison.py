@@ -1,0 +1,135 @@
+"""Comparisons without a command: settings, what is kept when a run is stopped, stamps, the figure's empty places."""
+
+import os
+
+import numpy as np
+import pytest
+from tests.reconstruct.drive_capture import drive_capture
+
+from gsrain_engine.appearance.output_folder import is_transferred_folder
+from gsrain_engine.evaluation.compare_results import (
+    ComparedMethod,
+    ComparisonPairs,
+    TransferComparison,
+    load_comparison,
+    markdown_table,
+)
+from gsrain_engine.evaluation.compare_translators import (
+    MethodFolder,
+    capture_source,
+    choose_figure_views,
+    comparison_figure,
+    method_folder,
+    real_images,
+    run_comparison,
+)
+from gsrain_engine.evaluation.fid_features import ExtractorChoice
+from gsrain_engine.evaluation.fid_registry import open_extractor
+from gsrain_engine.evaluation.input_fingerprint import input_fingerprint
+from gsrain_engine.presets import shipped_config_names
+from tests.app.picture_sets import write_pictures
+
+CLEAR, WET = (ComparedMethod(name=name, method=name) for name in ("clear", "wet"))
+
+
+@pytest.fixture
+def started(tmp_path):
+    """A comparison of a drive of four views, and how it is run."""
+    real = real_images([write_pictures(tmp_path / "real", 5, 0)], 48)
+    told = TransferComparison(source="drive", real=(tmp_path / "real",), methods=(CLEAR, WET), resamples=20)
+    source = capture_source(drive_capture(4), 48, "drive")
+    extractor = open_extractor(ExtractorChoice(name="pixels16"))
+    return told, lambda: run_comparison(told, source, real, extractor, None, tmp_path / "out")
+
+
+def finished(work):
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            return end.value
+
+
+def test_shipped_comparisons_are_whole():
+    assert shipped_config_names("comparisons") == ["paper", "tiny"]
+    paper, tiny = load_comparison("paper"), load_comparison("tiny")
+    assert [each.method for each in paper.methods] == [
+        "clear", "cyclegan-turbo", "cyclegan-turbo", "cyclegan-turbo", "wet", "images", "images",
+    ]  # fmt: skip
+    ours, flat, alone = paper.methods[1:4]
+    assert (ours.settings.normals, flat.settings.normals, alone.settings.mutual_attention) == ("dsine", "none", False)
+    assert tiny.extractor == "pixels16"
+
+
+def test_what_a_stopped_run_has_made_is_not_made_again(started, tmp_path):
+    _, work = started
+    first = work()
+    messages = [next(first).message for _ in range(6)]
+    assert messages[-1] == "wet: view 2 of 4"
+    first.close()
+    assert sorted(each.name for each in (tmp_path / "out").iterdir()) == ["clear"]  # no part of wet is left over
+    assert is_transferred_folder(tmp_path / "out" / "clear")
+    result = finished(work())
+    assert result.kept == ("clear",)
+    again = finished(work())
+    assert again.kept == ("clear", "wet")
+    assert markdown_table(again.rows) == markdown_table(result.rows)
+    assert (again.figure == result.figure).all()
+
+
+def test_progress_never_falls_and_real_pictures_are_no_larger_than_the_others(started, tmp_path):
+    _, work = started
+    fractions = [step.fraction for step in work()]
+    assert fractions == sorted(fractions)
+    assert 0 < fractions[0] < fractions[-1] < 1
+    assert all(view.image.shape[1] == 48 for view in real_images([tmp_path / "real"], 48))
+
+
+def test_a_folder_made_with_other_settings_is_made_again(started, tmp_path):
+    told, _ = started
+    source = capture_source(drive_capture(4), 48, "drive")
+    other = capture_source(drive_capture(4), 48, "another drive")
+
+    def was_kept(method, where):
+        made = list(method_folder(method, where, told, tmp_path))[-1]
+        assert isinstance(made, MethodFolder)
+        return made.was_reused
+
+    assert [was_kept(WET, source), was_kept(WET, source), was_kept(WET, other)] == [False, True, False]
+    assert not was_kept(ComparedMethod(name="wet", method="wet", wetness=0.5), other)
+
+
+def test_clear_views_agree_as_before_and_a_missing_view_is_passed_by(started, tmp_path):
+    told, work = started
+    finished(work())
+    source = capture_source(drive_capture(3), 48, "short")
+    short = list(method_folder(ComparedMethod(name="short", method="clear"), source, told, tmp_path / "out"))[-1]
+    clear = MethodFolder(CLEAR, tmp_path / "out" / "clear", None, False)
+    paired = ComparisonPairs([short.folder, clear.folder], 2)
+    count, everywhere, dry = paired.agreement(clear.folder)
+    assert everywhere.ratio == 1
+    assert dry is None
+    assert 0 < paired.agreement(short.folder)[0] < count
+
+    names = choose_figure_views([short, clear], (), 4)
+    assert names == ["0", "1", "2", "3"]
+    figure = comparison_figure([clear, short], names)
+    height = figure.shape[0]
+    last = figure[height - 100 : height - 20, -300:-20]  # the view that the second row lacks
+    assert (last == last[0, 0]).all()
+    assert np.ptp(figure[height // 2 + 60 : height - 20, 20:300]) > 30
+    with pytest.raises(ValueError, match="shown: no view '7'"):
+        choose_figure_views([clear], ("7",), 4)
+
+
+def test_a_stamp_changes_with_files_and_their_times(tmp_path):
+    file = tmp_path / "a" / "b.txt"
+    file.parent.mkdir()
+    file.write_text("one")
+    first = input_fingerprint(tmp_path)
+    assert input_fingerprint(tmp_path) == first
+    os.utime(file, ns=(1, 1))
+    second = input_fingerprint(tmp_path)
+    (tmp_path / "c.txt").write_text("")
+    assert len({first, second, input_fingerprint(tmp_path), input_fingerprint(file)}) == 4
+    assert input_fingerprint(tmp_path / "d") == "absent"
