@@ -49,8 +49,7 @@ from .options import (
 )
 from .progress import progress_bar
 
-_WARM_UP = 2
-"""Untimed frames before the first timed one: kernels and shaders compile, buffers reach their size."""
+_WARM_UP = 2  # untimed frames before the first timed one: kernels and shaders compile, buffers reach their size
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -206,9 +205,7 @@ def _same(row: FrameTimes) -> tuple[str, str, int, int]:
 
 
 _SCENES = "random-50k,random-100k,random-200k,random-400k,random-800k,random-1m,random-3m,street"
-
 _START_S = 1.0
-
 _COLUMNS = 120  # table width, also if the output is a file
 
 

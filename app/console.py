@@ -58,8 +58,7 @@ class Console(rich.console.Console):
                 yield Segment("\n".join(map(escape_invisible, segment.text.split("\n"))), segment.style)
 
 
-_WIDE_COLUMNS = 100_000
-"""Wider than any table of names: rich truncates what is wider than its console."""
+_WIDE_COLUMNS = 100_000  # wider than any table of names: rich truncates what is wider than its console
 
 
 def wide_console() -> Console:

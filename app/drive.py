@@ -38,7 +38,6 @@ from .options import RAIN_OPTIONS, JsonFile, check_writable, converted_options, 
 from .progress import progress_bar
 
 DEFAULT_SCENARIO = "stationary-lead"
-
 _LONGEST_S = 600.0
 
 # Agents

@@ -24,8 +24,7 @@ from .progress import progress_bar
 EXPORTS = {"parquet": "pyarrow", "mcap": "mcap", "xosc": "scenariogeneration"}
 """Other formats of a run, and the package that writes each."""
 
-_WORD_BYTES = 90
-"""Maximum length of a scenario's and of an agent's name within a file name."""
+_WORD_BYTES = 90  # maximum length of a scenario's and of an agent's name within a file name
 
 
 @dataclass(frozen=True, slots=True)

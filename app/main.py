@@ -32,12 +32,8 @@ if TYPE_CHECKING:
     from gsrain_engine.editor.editor import Editor
 
 BAD_INPUT, INTERRUPTED, NOBODY_READS = 2, 130, 141
-
-_OURS = ("gsrain", "gsrain_engine", "app")
-"""Loggers whose info messages the command line prints."""
-
-_HARMLESS = frozenset({"--help", "-h", "--version"})
-"""Options that need no working directory."""
+_OURS = ("gsrain", "gsrain_engine", "app")  # loggers whose info messages the command line prints
+_HARMLESS = frozenset({"--help", "-h", "--version"})  # options that need no working directory
 
 app = App(
     name="gsrain",

@@ -117,9 +117,7 @@ RAIN_OPTIONS = {"intensity_mm_h": "rain", "exposure_s": "exposure"}
 """Rain options whose name differs from the field's, by field."""
 
 _Kind = TypeVar("_Kind")
-
 _WORD = re.compile(r"\w+")
-
 _PLACE = re.compile(r" - at `\$.*?(\w+)(\[[^\]]*\])*`$")
 
 

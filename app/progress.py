@@ -19,7 +19,6 @@ from .console import (
 )
 
 _Result = TypeVar("_Result")
-
 _FIRST_TIME = "The first time on a machine, code for its processor is compiled before the first frame: a minute or two."
 
 

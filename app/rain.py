@@ -27,7 +27,6 @@ from .progress import progress_bar
 from .scene import Columns, columns_of
 
 _DEFAULTS = FitOptions()
-
 _COLUMNS = 120  # table width, also if the output is a file
 
 
@@ -193,9 +192,7 @@ def _with_limits(value: float, limits: tuple[float, float] | None) -> str:
 # gsrain disdrometer
 
 _ROWS_MM = np.array([0.1, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0])
-
 _LONGEST_S = 86_400.0
-
 _RECORDS = 10_000
 
 

@@ -35,7 +35,6 @@ from .progress import followed, progress_bar
 from .scene_options import Orientation, TimedPath, timed_path
 
 _MAX_LISTED = 6
-
 _FILE_ENDINGS = (".png", ".jpg", ".jpeg", ".exr", ".npy", ".mp4", ".webm", ".json")
 """Extensions of files that a recording writes; any other output is a folder, even with dots: frames.clear, clip.depth.
 """

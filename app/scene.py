@@ -267,8 +267,7 @@ def _cameras(summary: CaptureSummary) -> Table:
 
 # gsrain convert
 
-_OWN = "own"
-"""Value of --drive for the scene's own camera path."""
+_OWN = "own"  # value of --drive for the scene's own camera path
 
 
 def convert(

@@ -224,7 +224,6 @@ def _followed(rainy: Iterator[RainyView], count: int, sheet: Path | None) -> dic
 
 
 _OPTIONS = {"source": "views", "width_px": "width", "side_px": "side", "tile_px": "tile", "sensors": "cameras"}
-
 _MAX_MM_H = 100.0
 
 # Source views

@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from gsrain_engine.scene.scene import Scene
     from ui.workspace import Workspace
 
-_STEP = "python"
-"""Undo gesture of all changes by the program: one undo step until the user edits something."""
+_STEP = "python"  # undo gesture of all changes by the program: one undo step until the user edits something
 
 
 def main() -> None:

@@ -25,11 +25,9 @@ from gsrain_engine.scene.scene import Scene
 from .viewer_messages import Close, GetState, Reply, Request, Screenshot, SetCamera, SetRain, SetScene, receive, send
 
 logger = logging.getLogger("gsrain")
-
 REPLY_S = 300.0
 """Default time for a reply in seconds: the first image can take minutes if kernels have to be compiled."""
-_END_S = 10.0
-"""Time for the window to exit by itself, before its process is terminated."""
+_END_S = 10.0  # time for the window to exit by itself, before its process is terminated
 
 
 class ViewerError(ConnectionError):

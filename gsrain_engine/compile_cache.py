@@ -16,20 +16,11 @@ from pathlib import Path
 import platformdirs
 
 _HERE = Path(__file__).parent
-
-_SOURCES = _HERE / "raster", _HERE / "rain"
-"""Folders with kernels that call those of other files."""
-
-_FRAME_SOURCES = *_SOURCES, _HERE / "scene"
-"""Folders of all kernels of a frame."""
-
+_SOURCES = _HERE / "raster", _HERE / "rain"  # folders with kernels that call those of other files
+_FRAME_SOURCES = *_SOURCES, _HERE / "scene"  # folders of all kernels of a frame
 _CACHED_VERSIONS = 2
-
-_UNUSED_S = 3600.0
-"""Age after which an unused folder may be removed; a process that still uses it only compiles again."""
-
-_ROOM_BYTES = 32 << 20
-"""Free space to require; the kernels take a fifth of it."""
+_UNUSED_S = 3600.0  # age after which an unused folder may be removed; a process that still uses it only compiles again
+_ROOM_BYTES = 32 << 20  # free space to require; the kernels take a fifth of it
 
 
 def use_kernel_cache() -> None:

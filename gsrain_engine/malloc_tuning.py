@@ -7,10 +7,7 @@ from concurrent.futures import Executor
 from typing import Any
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # from glibc's malloc.h
-
-_LARGEST = 32 << 20
-"""Bytes; glibc's maximum. Larger blocks are always mapped from the system and returned to it."""
-
+_LARGEST = 32 << 20  # Bytes; glibc's maximum. Larger blocks are always mapped from the system and returned to it.
 _RETAINED_BYTES = 256 << 20
 
 
@@ -30,9 +27,7 @@ def tune_malloc() -> None:
 
 # Freed memory after work
 
-_REST_S = 1.0
-"""Seconds to wait: frames after the work release what it left."""
-
+_REST_S = 1.0  # seconds to wait: frames after the work release what it left
 _ARENA_MAX = -8  # from glibc's malloc.h
 
 

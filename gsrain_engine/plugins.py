@@ -10,7 +10,6 @@ from traceback import walk_tb
 from typing import Any, NamedTuple, TypeVar
 
 logger = logging.getLogger("gsrain")
-
 _Kind = TypeVar("_Kind")
 
 
@@ -26,11 +25,8 @@ class EntryPointGroup(NamedTuple):
 
 
 AGENTS = EntryPointGroup("gsrain.agents", "agent", "a callable that takes `AgentOptions` and returns an `Agent`")
-
 CAPTURE_FORMATS = EntryPointGroup("gsrain.capture_formats", "capture format", "a `CaptureFormat`")
-
 DECODERS = EntryPointGroup("gsrain.decoders", "decoder", "a `Decoder` for what a detector gives")
-
 DISDROMETERS = EntryPointGroup("gsrain.disdrometers", "disdrometer format", "a `LogFormat`")
 
 EVALUATIONS = EntryPointGroup(
@@ -44,7 +40,6 @@ SCENE_FORMATS = EntryPointGroup(
 )
 
 TRANSFERS = EntryPointGroup("gsrain.transfers", "transfer", "a `TransferMethod` of the entry's name")
-
 GROUPS = (AGENTS, CAPTURE_FORMATS, DECODERS, DISDROMETERS, EVALUATIONS, PANELS, SCENE_FORMATS, TRANSFERS)
 """All groups; docs/extending.md has an example of each."""
 

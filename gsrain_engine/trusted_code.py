@@ -30,9 +30,7 @@ from .safe_io.limits import open_file, read_file
 from .scene.files import lock_path, whole_file
 
 logger = logging.getLogger("gsrain")
-
-_MAX_FILES, _MAX_BYTES = 2000, 1 << 25
-"""Limits of one program; nobody reviews a larger one."""
+_MAX_FILES, _MAX_BYTES = 2000, 1 << 25  # limits of one program; nobody reviews a larger one
 
 
 class CodeFile(msgspec.Struct, frozen=True):
@@ -153,9 +151,7 @@ def _check_size(path: Path, files: Mapping[str, CodeFile]) -> None:
 
 # Consent
 
-_trusted: set[str] = set()
-"""Digests allowed in this process, besides the remembered ones."""
-
+_trusted: set[str] = set()  # digests allowed in this process, besides the remembered ones
 _named_by_files: set[str] = set()
 """Absolute paths of code named by files in this process: their content must be trusted when it runs."""
 

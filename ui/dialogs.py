@@ -174,7 +174,6 @@ def _let_keys_choose(is_asking: bool) -> None:
 # Command palette
 
 PALETTE_TITLE = "Find a command"
-
 _PALETTE_WIDTH_EM, _LINES = 34.0, 14
 
 

@@ -8,13 +8,9 @@ from pathlib import Path
 from typing import NamedTuple, NoReturn
 
 logger = logging.getLogger("gsrain")
-
 _AUTOSAVE, _SCENE, _TIMES = "GSRAIN_KEPT", "GSRAIN_SCENE", "GSRAIN_RESTARTS"
-
 _MAX_IN_A_ROW = 3
-
-_A_WHILE_S = 300.0
-"""Uptime after which a window's driver counts as working."""
+_A_WHILE_S = 300.0  # uptime after which a window's driver counts as working
 
 
 class RestartState(NamedTuple):

@@ -5,10 +5,7 @@ from imgui_bundle import ImVec2, hello_imgui, imgui
 from gsrain_engine.editor.preferences import Preferences
 
 _THEMES = {"dark": hello_imgui.ImGuiTheme_.darcula_darker, "light": hello_imgui.ImGuiTheme_.light_rounded}
-
-_MIN_TAB_PX = 30.0
-"""Tabs shrink to this width in a narrow window before they scroll."""
-
+_MIN_TAB_PX = 30.0  # tabs shrink to this width in a narrow window before they scroll
 _BEHIND_QUESTIONS = (0.0, 0.0, 0.0, 0.45)
 """Darkens the rest of the window in both themes; the dark theme's default would brighten it."""
 

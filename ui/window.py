@@ -44,18 +44,13 @@ if TYPE_CHECKING:
     from .workspace import Workspace
 
 logger = logging.getLogger("gsrain")
-
 VIEWPORT = "View"
-
 _SIZE = (1440, 900)
-
 _REQUIRED_VERSION = 430
-
 _ENDINGS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 """Signals sent to programs when the machine shuts down or the user logs out."""
 
-_DRIVER_RESTARTS_S = 5.0
-"""Maximum time for a driver to recover before a window that lost its context restarts."""
+_DRIVER_RESTARTS_S = 5.0  # maximum time for a driver to recover before a window that lost its context restarts
 
 
 def run_window(
@@ -280,9 +275,7 @@ def _splits() -> list[hello_imgui.DockingSplit]:
 # Window icon
 
 SIZES_PX = (16, 24, 32, 48, 64, 256)
-
-_OF_WINDOWS_PX = 64
-"""Larger ones are for menus, and would slow down the start."""
+_OF_WINDOWS_PX = 64  # larger ones are for menus, and would slow down the start
 
 
 def set_window_icon(window: Any) -> None:

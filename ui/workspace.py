@@ -24,9 +24,7 @@ from .viewport.panel import viewport_panel
 from .widgets.fields import answer_dialogs
 
 logger = logging.getLogger("gsrain")
-
 _RESTARTED = "The graphics driver has restarted, and so has this window; jobs have ended."
-
 _WITH_CHANGES = " What was changed is here, still to be saved; it can't be undone any more."
 
 _SPACES = {
@@ -37,17 +35,10 @@ _SPACES = {
     "bottom": "BottomSpace",
 }
 
-_FOR_THREADS_S = 0.001
-"""Sleep per frame while threads work: without it they rarely get the interpreter."""
-
-_IDLE_FPS = 0.3
-"""A frame costs 80 ms in software rendering; events wake up the window immediately."""
-
-_WATCHING_FPS = 10.0
-"""Frame rate for progress bars while workers run without user input."""
-
-_WAITING_FPS = 30.0
-"""Frame rate for an animated bar: the awaited work needs the CPU more."""
+_FOR_THREADS_S = 0.001  # sleep per frame while threads work: without it they rarely get the interpreter
+_IDLE_FPS = 0.3  # A frame costs 80 ms in software rendering; events wake up the window immediately
+_WATCHING_FPS = 10.0  # frame rate for progress bars while workers run without user input
+_WAITING_FPS = 30.0  # frame rate for an animated bar: the awaited work needs the CPU more
 
 
 def begin_session(scene: str | None, rain: RainSettings | None, wet: bool = False) -> Editor:

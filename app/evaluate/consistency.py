@@ -43,7 +43,6 @@ from .images import perceived_distance
 from .run_facts import provenance_lines, run_provenance, write_report_numbers
 
 _COLUMNS = 150
-
 _Pairs = list[tuple[int, int]]
 
 
@@ -148,9 +147,7 @@ def _drawn(
 # Numbers as a table and as JSON
 
 _LEVELS = 255
-
-_MAX_ROWS = 40
-"""Maximum number of pairs printed per folder; the JSON has all."""
+_MAX_ROWS = 40  # maximum number of pairs printed per folder; the JSON has all
 
 
 def report_of(
@@ -283,7 +280,6 @@ _CAPTION = (
 )
 
 _PAGE_COLUMNS = ("before", "after", "ratio", "per contrast", "LPIPS before", "LPIPS after")
-
 _NUMBERS = ("rmse_before", "rmse_after", "ratio", "contrast_ratio", "lpips_before", "lpips_after")
 
 

@@ -96,7 +96,6 @@ from ..scene_options import names_scene
 from .run_facts import version_of
 
 _MAX_SEEDS, _MAX_FRAMES = 1000, 10_000
-
 _COLUMNS = 150
 
 
@@ -444,8 +443,7 @@ def _sha256(file: Path) -> str:
 
 # Tables, figures, report and video
 
-_SAMPLES = 4
-"""Number of views in the report."""
+_SAMPLES = 4  # number of views in the report
 
 _BANDS = (
     "A point is the mean over frames and seeds; a band reaches from the lowest to the highest seed. Crosses: the "
@@ -601,9 +599,7 @@ def _write_png(file: Path, image: UInt8[np.ndarray, "h w 3"]) -> None:
         Image.fromarray(image).save(beside, format="PNG")
 
 
-_SLOW_FPS = 2.0
-"""Frame rate of videos of frames far apart in time."""
-
+_SLOW_FPS = 2.0  # frame rate of videos of frames far apart in time
 _LEVEL = np.array([[0.0, -1, 0, 0], [0, 0, -1, 1.5], [1, 0, 0, 0], [0, 0, 0, 1]])
 """World-to-camera transform that looks ahead over a road, for images without poses."""
 

@@ -49,11 +49,8 @@ from ..progress import progress_bar
 from .run_facts import provenance_lines, run_provenance, set_hash, write_report_numbers
 
 _COLUMNS = 120
-
 _MAX_ROWS = 40
-
 Mask = Bool[np.ndarray, "h w"]
-
 Image = UInt8[np.ndarray, "h w 3"]
 
 
@@ -207,9 +204,7 @@ def _finite(value: float) -> float | None:
 # FID and KID
 
 _FID_COLUMNS = 200
-
 _MIN_RESAMPLES, _MAX_RESAMPLES = 20, 10_000
-
 _RESAMPLES, _MANY, _MIN_DEFAULT = 200, 500, 40  # for many images each resample takes seconds, and the values vary less
 
 _CAPTION = (

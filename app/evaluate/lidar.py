@@ -40,7 +40,6 @@ from ..scene_options import names_scene
 from .run_facts import provenance_lines, run_provenance
 
 _COLUMNS = 130
-
 _MAX_SEEDS, _MAX_SWEEPS = 1000, 1000
 
 
@@ -185,7 +184,6 @@ def _sensor(name: str, range_10: float | None, least_reflectance: float | None) 
 # Numbers on the screen, as JSON and as CSV
 
 _FEWEST = 20
-
 _COUNTED = ("clear", "kept", "dropped", "masked", "false")
 
 

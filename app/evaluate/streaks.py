@@ -25,11 +25,8 @@ from ..options import JsonFileOrScreen, check_writable, converted_options, table
 from ..progress import progress_bar
 
 _OPTIONS = {"intensity_mm_h": "rain", "aperture_mm": "aperture", "rain_light": "light"}
-
 _MIN_FRAMES, _MAX_FRAMES = 5, 200
-
 _COLUMNS = 130
-
 _log = logging.getLogger(__name__)
 
 

@@ -95,9 +95,7 @@ _TWIGS, _TWIG_NOISE, _TWIG_DARKNESS = 0.012, 0.04, 0.6
 """Half width of thin objects as a share of the image width, the least amount by which they are darker, and the share
 of the surrounding light by which they are darker if they hide the sky completely."""
 
-_GUESS, _GUESS_SPREAD = 0.04, 0.1
-"""Radius and color deviation for depth that was not measured nearby."""
-
+_GUESS, _GUESS_SPREAD = 0.04, 0.1  # radius and color deviation for depth that was not measured nearby
 _BEAMS, _AT_BEAM = 0.012, 0.006
 """Distances to a measured pixel, as shares of the image width: depth is interpolated within the first, estimated
 beyond; no pixel within the second is sky."""

@@ -11,14 +11,11 @@ from ..datasets.geometry import intrinsics
 from ..scene.camera import Camera
 from .base import ClearView
 
-_SHARE = 0.5
-"""Threshold from which a pixel counts as a class or as sky."""
-
+_SHARE = 0.5  # threshold from which a pixel counts as a class or as sky
 _SAME_MOMENT_S = 0.01
 """Largest time offset between a rig's cameras of one exposure; a car at 10 m/s moves 0.1 m in this time."""
 
 _NOWHERE = -1.0
-
 _ROUNDING_PX = 1e-6
 
 
@@ -142,14 +139,9 @@ _EDGE = 0.05
 """Inverse depth of a plane is linear in the image: a bend from one pixel to the next above this share of it is an
 edge."""
 
-_SPARSE = 0.25
-"""Depth with a smaller share of known pixels is sparse lidar."""
-
+_SPARSE = 0.25  # depth with a smaller share of known pixels is sparse lidar
 _MAX_REACH_PX = 12
-
-_SPARSE_SHARE = 0.1
-"""Relative depth difference allowed between a pixel and the nearest lidar point around it."""
-
+_SPARSE_SHARE = 0.1  # relative depth difference allowed between a pixel and the nearest lidar point around it
 _FAR = 1e9
 
 

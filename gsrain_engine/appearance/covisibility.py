@@ -10,15 +10,9 @@ from jaxtyping import Bool, Float32, Float64, Int64
 from ..scene.camera import Camera
 from .base import ClearView
 
-_GRID = (24, 16)
-"""Columns and rows of the points sampled per image."""
-
-_LOOKUP_PX = 96
-"""Width of the coarse depth maps in which points are looked up."""
-
-_AGREES = 0.1
-"""Relative difference allowed between a point's depth and the coarse depth around it."""
-
+_GRID = (24, 16)  # columns and rows of the points sampled per image
+_LOOKUP_PX = 96  # width of the coarse depth maps in which points are looked up
+_AGREES = 0.1  # relative difference allowed between a point's depth and the coarse depth around it
 _MIN_SHARE, _MIN_SURFACES = 0.05, 0.02
 """Least shares of the image, and of the image below the sky, that neighbors have in common: all skies are alike. The
 cameras of rigs share 0.06 to 0.2."""
@@ -28,9 +22,7 @@ _SAME_PLACE, _MIN_ALIKE = 1e-6, 0.6
 poses: a camera at rest in rain has 0.9, one drive a second later 0.5, unrelated streets 0.1."""
 
 _EDGES_PX = (48, 32)
-
 _MEASURED_SHARE = 0.25
-
 _FAR_M = 1e4
 
 

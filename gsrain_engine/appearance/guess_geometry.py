@@ -12,9 +12,7 @@ from ..scene.objects import is_vehicle
 from ..scene.street.layout import Label
 
 _MARGIN_M = 0.3
-
-_WHEELS_M = 0.15
-"""Height above a box's bottom below which pixels show the road as much as the vehicle."""
+_WHEELS_M = 0.15  # height above a box's bottom below which pixels show the road as much as the vehicle
 
 
 def vehicle_pixels(

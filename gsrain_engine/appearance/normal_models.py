@@ -18,12 +18,10 @@ from .dsine_checkout import dsine_module
 from .normals import from_right_down_outward, from_right_up_backward
 
 torch: Any = import_module("torch")
-
 SIDE_PX = 32
 """Input width and height must be multiples of this."""
 
-_MEAN, _DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""ImageNet statistics of display color, 0..1."""
+_MEAN, _DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # ImageNet statistics of display color, 0..1
 
 
 @dataclass(frozen=True, slots=True, eq=False)

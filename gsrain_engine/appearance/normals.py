@@ -11,9 +11,7 @@ from jaxtyping import Bool, Float, Float32
 
 from ..scene.camera import Camera
 
-_SMOOTHING_PX = 2.0
-"""Scale at which slopes are averaged, because the expected depth of splats is bumpy."""
-
+_SMOOTHING_PX = 2.0  # scale at which slopes are averaged, because the expected depth of splats is bumpy
 _EDGE_RATIO, _NOISE_SHARE = 3.0, 0.01
 """A step that exceeds the one on the other side by this ratio, and the noise, is an object edge."""
 
@@ -95,9 +93,7 @@ def from_right_up_backward(normals: Float[np.ndarray, "h w 3"], camera: Camera) 
 # Gray guide channel of normals, -1 to 1
 
 GuideKind = Literal["up", "luma"]
-
-_LUMA = np.array([0.299, 0.587, 0.114])
-"""Rec. 601, as in Pillow's mode L."""
+_LUMA = np.array([0.299, 0.587, 0.114])  # Rec. 601, as in Pillow's mode L.
 
 
 def normals_to_gray(

@@ -65,7 +65,6 @@ class PrecomputedTransfer:
 # and transfer.json, the `TransferRecord`. Cameras, depth and normals have the units and axes of their source.
 
 _CLEAR = "clear"
-
 _OLD_NAME_BYTES = 200
 
 
@@ -240,11 +239,8 @@ def _share(file: Path, otherwise: Float32[np.ndarray, "h w"]) -> Float32[np.ndar
 
 
 TRANSFER = "transfer.json"
-
 _VERSION = 1
-
-_LARGEST = 1e9
-"""Bound of a transform: meters per unit, and meters to the origin."""
+_LARGEST = 1e9  # bound of a transform: meters per unit, and meters to the origin
 
 
 def write_record(folder: Path, record: TransferRecord, *, has_poses: bool = True) -> None:
@@ -288,7 +284,6 @@ def read_record(folder: Path) -> TransferRecord:
 # Contact sheet
 
 _MARGIN_PX, _LINE_PX = 8, 16
-
 _PAPER, _INK = (24, 26, 28), (220, 222, 224)
 
 

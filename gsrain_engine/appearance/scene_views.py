@@ -20,15 +20,9 @@ from ..scene.scene import Actor, DrawItem, Layer, RigCamera, Scene
 from .base import ClearView
 from .normals import normals_from_depth, view_rays
 
-_SOLID = 0.3
-"""Least share of non-sky in a pixel with depth."""
-
-_THERE = (0.1, 0.3)
-"""Alpha below which a pixel shows nothing of the scene, and from which it shows only the scene."""
-
-_SHADOW_M = 0.08
-"""Height over the road below which a vehicle's Gaussians are its shadow."""
-
+_SOLID = 0.3  # least share of non-sky in a pixel with depth
+_THERE = (0.1, 0.3)  # alpha below which a pixel shows nothing of the scene, and from which it shows only the scene
+_SHADOW_M = 0.08  # height over the road below which a vehicle's Gaussians are its shadow
 _OPEN_SKY = np.array([0.72, 0.80, 0.90], np.float32)
 """Display color of the sky in scenes without one; only for viewing, drops use another one."""
 
@@ -133,7 +127,6 @@ def _under_open_sky(
 # View choice: from the recording, along a path, or around the scene
 
 Source = Literal["auto", "recorded", "rig", "path", "around"]
-
 DEFAULT_COUNT = 24
 """Default number of views: enough for a street of 100 m."""
 
@@ -143,8 +136,7 @@ DEFAULT_PIXELS = 480 * 320
 OWN_WIDTH_PX = 960
 """Largest default width of images in commands; narrower images keep their width."""
 
-_PATH_PX = (960, 640)
-"""Width and height of views along a camera path, which has no images of its own."""
+_PATH_PX = (960, 640)  # width and height of views along a camera path, which has no images of its own
 
 
 class ViewChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -330,11 +322,8 @@ def _placed(mounted: RigCamera, camera_to_world: Float64[np.ndarray, "4 4"]) -> 
 # Views around a scene of Gaussians alone. World frame (meters, z up).
 
 EYE_HEIGHT_M = 1.6
-
 _FIELD_OF_VIEW_DEG = 60.0
-
-_RING = 2.2
-"""Radius of the ring of cameras, in half diagonals of the scene."""
+_RING = 2.2  # radius of the ring of cameras, in half diagonals of the scene
 
 
 def views_around_center(scene: Scene, count: int) -> list[PlacedCamera]:

@@ -17,14 +17,9 @@ from .capture_folder import capture_without_poses
 from .io.images import images_in
 
 _NAME = re.compile(r"[0-9a-f]{8}-[0-9a-f]{8}(-\d{7})?")
-
 _IMAGE_LAYOUTS = (".", "images", "images/*", "images/*/*", "bdd100k/images/*/*")
-
 _FOLDERS_UP = 4
-
-_FIRST = 20
-"""Number of images of a folder whose names are checked."""
-
+_FIRST = 20  # number of images of a folder whose names are checked
 _MAX_LABEL_FILES = 200_000
 
 

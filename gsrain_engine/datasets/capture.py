@@ -19,8 +19,7 @@ from ..scene.scene import PoseTrack
 EGO_HEIGHT_M = 1.5
 """Height of the ego frame's origin above the road in captures and scenes: a sensor on a car, as in the paper."""
 
-_LONGEST = 1200
-"""Maximum number of characters of a message about a capture, which may name several files."""
+_LONGEST = 1200  # maximum number of characters of a message about a capture, which may name several files
 
 
 class CaptureError(ValueError):
@@ -285,9 +284,7 @@ def abbreviated_names(names: Sequence[str]) -> str:
 
 # File names inside a capture
 
-_LONGEST_NAME = 200
-"""Maximum number of characters of a name in a message."""
-
+_LONGEST_NAME = 200  # maximum number of characters of a name in a message
 _allowed: ContextVar[bool] = ContextVar("outside_allowed", default=False)
 
 

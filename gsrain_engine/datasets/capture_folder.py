@@ -25,11 +25,8 @@ from .io.images import CONVERT, image_size, images_in, read_color, read_labels, 
 from .layout_hints import nearest_layout
 
 CAMERAS, WORLD = "cameras.json", "world.json"
-
 _NO_POSES = "No poses: these pictures were made of pictures without any; good for evaluation, not for reconstruction."
-
-_LARGEST = 1e12
-"""Larger numbers indicate a damaged file."""
+_LARGEST = 1e12  # larger numbers indicate a damaged file
 
 
 def _read_measured(file: Path) -> np.ndarray:

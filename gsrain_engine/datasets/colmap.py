@@ -51,13 +51,9 @@ PARAMETERS = {
 """Number of parameters of each camera model, in the order of the model numbers in binary files."""
 
 _MODELS = tuple(PARAMETERS)
-
 _CAMERA, _IMAGE, _POINT = struct.Struct("<IiQQ"), struct.Struct("<I7dI"), struct.Struct("<Q3d3BdQ")
-
 _COUNT = struct.Struct("<Q")
-
 _OBSERVATION_BYTES, _TRACK_BYTES = 24, 8
-
 _LONGEST_NAME = 4096
 
 
@@ -196,21 +192,15 @@ def _points(file: Path) -> tuple[Float64[np.ndarray, "p 3"], UInt8[np.ndarray, "
 
 
 _ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_FISHEYE")
-
 _STRAIGHT = ("SIMPLE_PINHOLE", "PINHOLE")
-
 _BROWN = ("SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
-
 _EQUIDISTANT = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_FISHEYE", "FISHEYE")
 
 # COLMAP captures
 
 _LAYOUTS = (".", "0", "sparse", "sparse/*", "colmap/sparse/*", "colmap_derived/sparse/*", "distorted/sparse/*")
-
 _IMAGE_FOLDERS = ("images", "input", "image", ".")
-
 _FOLDERS_UP = 4
-
 _LARGEST_NUMBER = 1e12
 
 

@@ -5,14 +5,9 @@ from jaxtyping import Bool, Float32, Float64
 from scipy.ndimage import distance_transform_edt, minimum_filter1d
 from scipy.spatial import Delaunay, QhullError
 
-_LARGEST_RATIO = 1.25
-"""Maximum ratio of the depths of a triangle's corners on one surface."""
-
-_LONGEST_EDGE = 0.12
-"""Maximum edge of a valid triangle, as a fraction of the image width."""
-
-_FOOT = 0.12
-"""Fraction of the rows above the lowest depth that determine the plane continued below it."""
+_LARGEST_RATIO = 1.25  # maximum ratio of the depths of a triangle's corners on one surface
+_LONGEST_EDGE = 0.12  # maximum edge of a valid triangle, as a fraction of the image width
+_FOOT = 0.12  # fraction of the rows above the lowest depth that determine the plane continued below it
 
 
 def completed_depth(

@@ -114,9 +114,7 @@ def completed_depths(
 
 # Road plane
 
-_LOWEST = 0.03
-"""Fraction of the points near the cameras that lie below the road because of triangulation errors."""
-
+_LOWEST = 0.03  # fraction of the points near the cameras that lie below the road because of triangulation errors
 _MIN_POINTS = 50
 
 

@@ -67,8 +67,7 @@ def read_dgp_calibration(file: Path) -> dict[str, DgpSensor]:
 # The world is that of the poses, z up. The vehicle's frame (x forward, y left, z up, on the ground) is the target of
 # the calibration's extrinsics. Facts: the messages of github.com/TRI-ML/dgp (dgp/proto).
 
-_BOXES_3D = "1"
-"""Annotation type BOUNDING_BOX_3D."""
+_BOXES_3D = "1"  # annotation type BOUNDING_BOX_3D
 
 
 def recognizes_dgp(path: Path) -> bool:

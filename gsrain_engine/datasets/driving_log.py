@@ -18,7 +18,6 @@ MAX_POINTS = 24_000_000
 """Maximum number of lidar points of a capture (0.4 GB); longer drives keep every k-th point."""
 
 _FARTHEST_M = 1e5
-
 _ROAD_SCANS, _PROBLEMS_LISTED, _FEWER = 8, 24, 0.9
 
 

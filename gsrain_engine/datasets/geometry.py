@@ -90,7 +90,6 @@ def named_pose(values: Mapping[str, Any]) -> Float64[np.ndarray, "4 4"]:
 # Projection
 
 _STEPS = 4096
-
 _WIDEST_TANGENT = 100.0
 
 
@@ -219,7 +218,6 @@ def checked_camera(camera: Camera, what: str) -> Camera:
 # Road height
 
 _NEAR_M, _LANE_M, _OWN_LENGTH_M, _OWN_WIDTH_M = 15.0, 4.0, 2.0, 1.2
-
 _SLACK_M, _BIN_M, _MINIMUMS = 1.0, 0.05, 50
 
 
@@ -256,12 +254,8 @@ def _near_road(cloud: Float[np.ndarray, "p 3"], expected_m: float) -> Float[np.n
 
 # Up direction
 
-_TIE_BREAK = 0.02
-"""Weight of the images' mean up direction relative to level right axes: it only resolves ambiguities."""
-
-_FLAT = 0.02
-"""Positions are coplanar or collinear if their smallest variance is below this fraction of the largest."""
-
+_TIE_BREAK = 0.02  # weight of the images' mean up direction relative to level right axes: it only resolves ambiguities
+_FLAT = 0.02  # positions are coplanar or collinear if their smallest variance is below this fraction of the largest
 _STEEPEST_DRIVE = 0.5
 """Maximum cosine between course and image up for a road; steeper courses are those of lifts or drones."""
 
@@ -302,7 +296,6 @@ BEAM_GAP_DEG = (0.6, 1.5)
 """Largest gap between adjacent beams to be bridged, horizontal and vertical, for a lidar with 32 beams."""
 
 _NEARER_PART, _NEARER_M = 0.05, 0.3
-
 _NEAREST_M = 0.1
 
 
@@ -370,7 +363,6 @@ def _hidden(nearest: Float32[np.ndarray, "h w"], view: CaptureFrame) -> Bool[np.
 # Boxes over time
 
 _Pose = Float64[np.ndarray, "4 4"]
-
 _LONGEST_M = 1000.0
 
 

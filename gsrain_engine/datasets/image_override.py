@@ -14,11 +14,8 @@ from .capture_folder import read_capture_folder, recognizes_capture_folder
 from .io.images import SUFFIXES, image_size, read_color
 from .undistort import undistort_frame
 
-_MAX_NAME_BYTES = 200
-"""Maximum bytes of a view's file name without the endings of depth, normals and masks."""
-
-_PROPORTIONS = 0.05
-"""Tolerance of the aspect ratio between image and view: programs round sizes, but don't crop."""
+_MAX_NAME_BYTES = 200  # maximum bytes of a view's file name without the endings of depth, normals and masks
+_PROPORTIONS = 0.05  # tolerance of the aspect ratio between image and view: programs round sizes, but don't crop
 
 
 @dataclass(frozen=True, slots=True)

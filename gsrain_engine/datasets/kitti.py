@@ -32,10 +32,7 @@ Calibration = dict[str, Float64[np.ndarray, " _"]]
 """Numbers of each line of a file, by its name."""
 
 _MAX_TEXT_BYTES = 1 << 28
-
-_LARGEST = 1e12
-"""Larger numbers indicate a damaged file."""
-
+_LARGEST = 1e12  # larger numbers indicate a damaged file
 IMU_HEIGHT_M, CAMERA_HEIGHT_M = 0.93, 1.65
 """Height of the recording car's sensors above the road (figure 3 of the paper)."""
 
@@ -112,7 +109,6 @@ def read_velodyne(file: Path) -> tuple[Float32[np.ndarray, "p 3"], Float32[np.nd
 # first camera's. The world is as level as that camera was on the road.
 
 _COLOR, _GRAY = ("image_2", "image_3"), ("image_0", "image_1")
-
 _TO_VEHICLE = invert_pose(OPENCV_FROM_VEHICLE_AXES)
 
 
@@ -238,9 +234,7 @@ def _scans(
 OxtsRecord = Float64[np.ndarray, "6"]
 """Latitude, longitude (degrees), altitude (m), roll, pitch, yaw (rad)."""
 
-_LARGEST_OXTS = 1e6
-"""Maximum of angles and of meters above sea level; larger values indicate a damaged record."""
-
+_LARGEST_OXTS = 1e6  # maximum of angles and of meters above sea level; larger values indicate a damaged record
 _EARTH_RADIUS_M = 6378137.0
 
 
@@ -332,9 +326,7 @@ def _number(item: ElementTree.Element, name: str) -> float:
 # The vehicle's frame is that of the inertial unit (x forward, y left, z up); the world is x east, y north, z up.
 
 _CAMERAS, _GRAY_CAMERAS = ("image_02", "image_03"), ("image_00", "image_01")
-
 _CALIBRATIONS = ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt", "calib_imu_to_velo.txt")
-
 _Poses = dict[int, Float64[np.ndarray, "4 4"]]
 
 

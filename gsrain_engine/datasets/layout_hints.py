@@ -9,8 +9,7 @@ from ..scene.formats.scene_files import scene_files_in
 from .capture import abbreviated_names
 from .io.images import CONVERT, images_in, unread_images_in
 
-_LOOKED_AT = 200
-"""Maximum number of entries of a folder that a pattern is matched with."""
+_LOOKED_AT = 200  # maximum number of entries of a folder that a pattern is matched with
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +36,6 @@ def _images(*folders: str) -> _CapturePart:
 
 
 _MODELS = ("", "0/", "sparse/", "sparse/*/", "colmap/sparse/*/")
-
 _DRIVES = ("", "*_drive_*/", "*/*_drive_*/")
 
 _KINDS = (

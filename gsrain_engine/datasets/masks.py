@@ -17,11 +17,8 @@ from .capture import Capture, CaptureError, CaptureFrame, TrackedBox
 MOVING_M_S = 0.5
 """Minimum mean speed of a moving object."""
 
-_MIN_TRAVEL_M = 0.4
-"""Minimum travel of a moving object over the capture, because annotations jitter."""
-
+_MIN_TRAVEL_M = 0.4  # minimum travel of a moving object over the capture, because annotations jitter
 _MOVERS = ("car", "truck", "van", "bus", "vehicle", "trailer", "tram", "train", "cycl", "bike", "motor", "rider")
-
 _PEOPLE = ("person", "pedestrian", "human", "child", "adult", "animal", "sitting")
 
 

@@ -25,7 +25,6 @@ from .io.images import SUFFIXES, image_size, read_color, read_mask, read_stored
 from .io.records import read_point_ply
 
 TRANSFORMS = ("transforms.json", "transforms_train.json")
-
 _OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 _MODELS: dict[str, Literal["opencv", "fisheye"]] = {
@@ -41,9 +40,7 @@ _MODELS: dict[str, Literal["opencv", "fisheye"]] = {
 }
 
 _DEPTH_UNIT_M = 1e-3
-
 _DEPTH_PATHS = ("depth_file_path", "depth_path")
-
 _WRONG = (KeyError, TypeError, ValueError, AttributeError, ArithmeticError)
 
 

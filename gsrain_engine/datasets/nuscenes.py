@@ -20,9 +20,7 @@ from .driving_log import DrivingLog, LidarScan
 from .geometry import BoxSample, invert_pose, opencv_camera_of_matrix, rigid_from_quaternion, transform_points
 from .io.images import image_size, read_color
 
-_LIDAR_COLUMNS = 5
-"""x y z intensity ring, float32."""
-
+_LIDAR_COLUMNS = 5  # x y z intensity ring, float32
 _US = 1e-6
 
 

@@ -31,7 +31,6 @@ from .io.safe_pickle import read_pickle
 from .nuscenes import read_nuscenes_points
 
 _NEXT_DRIVE_S = 5.0
-
 _CAMERA = re.compile(r"(^|_)CAM_(FRONT|BACK)(_LEFT|_RIGHT)?_")
 
 
@@ -184,7 +183,6 @@ def _found(folder: Path, named: str, sensor: str) -> Path | None:
 
 
 _US = 1e-6
-
 _BOX_NUMBERS = 7
 
 

@@ -23,8 +23,7 @@ from .rainsense import read_rainsense, recognizes_rainsense
 from .waymo_v1 import read_waymo_records, recognizes_waymo_records
 from .waymo_v2 import read_waymo_tables, recognizes_waymo_tables
 
-_LOOKED_AT = 50
-"""Maximum number of subfolders that are searched for captures."""
+_LOOKED_AT = 50  # maximum number of subfolders that are searched for captures
 
 
 @dataclass(frozen=True, slots=True)

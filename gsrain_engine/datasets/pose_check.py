@@ -101,7 +101,6 @@ STANDS_OUT = 1.5
 """Minimum fit of a correct pose, in standard deviations. Observed: 1.9 to 7.8 a view, wrong poses -2.9 to 2.7."""
 
 _VIEWS = 4
-
 _WITHIN_S = 0.5
 
 
@@ -139,7 +138,6 @@ EXPLAINED = 0.6
 """Minimum share of matches for correct poses, which explain 83 to 100 % in real drives, wrong ones up to 52 %."""
 
 _PAIRS = 3
-
 _STRIDES = (1, 2, 4, 8)
 
 

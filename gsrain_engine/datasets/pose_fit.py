@@ -19,15 +19,10 @@ WITHIN_PX = 2.0
 """Maximum epipolar distance of matches explained by the poses."""
 
 _FEATURES = 3000
-
 _RATIO = 0.75
-
 _AGREE_PX = 1.0
-
 _STILL_PX = 2.0
-
 _FEWEST = 40
-
 _PARALLAX_RAD = 2e-3
 
 
@@ -155,15 +150,10 @@ EDGE_WIDTH_PX = 640
 """Image width: far edges of a lidar with 32 beams are no finer."""
 
 _CELL_DEG = (0.4, 1.4)
-
 _JUMP_PART, _JUMP_M = 0.1, 0.5
-
 _OWN_CAR_M = 2.0
-
 _BLUR_PX, _AROUND_PX, _CLEAREST = 1.5, 81, 6.0
-
 _TURNS_DEG = (-6.0, -4.0, -2.5, 2.5, 4.0, 6.0)
-
 _FEWEST_POINTS = 40
 
 

@@ -22,15 +22,10 @@ from .geometry import BoxSample, opencv_camera, rigid_pose, tracked_boxes, trans
 from .io.images import image_size
 
 _INTENSITY = "context/rainfall_intensity.txt"
-
 _DEPTHS = ("", "*/", "*/*/", "*/*/*/")
-
 _LABEL_WORDS = 15
-
 _FARTHEST_M = 1e6
-
 _NOTED_SKEW, _MAX_SKEWED = 0.005, 0.1
-
 RAIN = "rain_mm_h"
 """Attribute of each view with the rain intensity."""
 
@@ -236,11 +231,8 @@ CAMERA_HEIGHT_M = 1.5
 """Assumed height of a sensor on a car, as in the paper; the files don't contain it."""
 
 _SEQUENCE_INTENSITY, _INTRINSICS = Path("context/rainfall_intensity.txt"), Path("context/camera_intrinsics.txt")
-
 _NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
-
 _LATEST_S = 1e12
-
 _IMAGE_NUMBER = re.compile(r"image_(\d+)\.jpg")
 
 

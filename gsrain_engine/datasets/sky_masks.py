@@ -14,24 +14,13 @@ from scipy.ndimage import binary_dilation
 from .capture import CaptureFrame
 from .masks import elevations
 
-_LOWEST = float(np.sin(np.radians(1.0)))
-"""Sine of the minimum elevation of sky."""
-
-_SMOOTH = 0.03
-"""Maximum standard deviation of brightness (0..1) in a small window of a smooth surface."""
-
+_LOWEST = float(np.sin(np.radians(1.0)))  # sine of the minimum elevation of sky
+_SMOOTH = 0.03  # maximum standard deviation of brightness (0..1) in a small window of a smooth surface
 _BRIGHT, _DARKEST, _BLUE = 0.62, 0.2, 0.03
-
-_MIN_OF_BRIGHTEST = 0.5
-"""Minimum brightness of sky relative to the brightest twentieth above the horizon."""
-
-_MIN_PART = 0.004
-"""Minimum share of the image for a patch of sky that doesn't touch the upper edge."""
-
+_MIN_OF_BRIGHTEST = 0.5  # minimum brightness of sky relative to the brightest twentieth above the horizon
+_MIN_PART = 0.004  # minimum share of the image for a patch of sky that doesn't touch the upper edge
 _LIKELY = 0.75
-
 _BINS = 12
-
 _WIDTH = 320
 """Width in pixels of the small image for `certain_sky`; the constants below refer to it, with colors in CIELAB."""
 
@@ -41,18 +30,12 @@ _EVEN, _SOFT = 1.5, 3.5
 _BLUE_B, _PAINT_CHROMA, _PALE_CHROMA, _WARM_B, _WARM_LIGHT = -5.0, 62.0, 16.0, 20.0, 85.0
 """Maximum b* of blue, minimum chroma of paint, maximum chroma of white or gray; b* and lightness of a sunset sky."""
 
-_SMALLEST = 0.003
-"""Minimum share of the image for a patch of sky."""
-
+_SMALLEST = 0.003  # minimum share of the image for a patch of sky
 _TOP, _MIN_TOP = 0.02, 0.02
 """Fraction of the image height that counts as upper edge, and minimum fraction of the edge that a sky fills."""
 
-_LOWEST_ROW = 0.75
-"""Fraction of the image height above which a sky ends; a patch that extends lower includes road."""
-
-_EVEN_SHARE, _GRAIN = 0.4, 0.8
-"""Minimum share of even pixels in a sky, and its maximum median grain of lightness."""
-
+_LOWEST_ROW = 0.75  # fraction of the image height above which a sky ends; a patch that extends lower includes road
+_EVEN_SHARE, _GRAIN = 0.4, 0.8  # minimum share of even pixels in a sky, and its maximum median grain of lightness
 _BLUE_PER_SURE, _BRIGHT_PER_SURE, _WORST_LEAD, _WHITE, _FOR_WHITE = 10.0, 8.0, -2.0, 97.0, 0.6
 """Blueness and lead in lightness over the brightest tenth of the rest, each worth one point; minimum points of the lead
 (white objects); lightness that counts as white, and the points for it: sensors clip skies first.
@@ -66,23 +49,16 @@ of deep blue.
 _COOL, _SUNLIT_WALL = 3.0, 10.0
 """b* below which a sky excludes patches with b* above the second value: those are sunlit walls."""
 
-_SURE = (0.3, 0.9)
-"""Scores from which a patch may be sky, and from which it is certain."""
-
+_SURE = (0.3, 0.9)  # scores from which a patch may be sky, and from which it is certain
 _MIN_SURENESS = 0.5
-
 _WIRE, _WIRES = 8, 3
 """Width in pixels of a blurred wire, which may divide a sky, and maximum number of wires one below the other."""
 
-_BODY = 7
-"""Minimum width in pixels of a connection: soft edges of gray trucks and bright ledges of walls are narrower."""
-
+_BODY = 7  # minimum width in pixels of a connection: soft edges of gray trucks and bright ledges of walls are narrower
 _MIXED = (0.75, 0.45)
 """Minimum fractions of the surrounding sky's lightness and blue for a mixture of twigs and sky, unlike blue cars."""
 
-_ALIKE = 12.0
-"""Maximum color difference from certain sky of another sky patch at the upper edge."""
-
+_ALIKE = 12.0  # maximum color difference from certain sky of another sky patch at the upper edge
 _AMIDST, _SPREAD_PX, _BLUE_ROUNDS, _PALE_ROUNDS, _GAP_DISTANCE, _RIM_DISTANCE = 0.3, 6.0, 8, 2, 9.0, 14.0
 """For gaps between wires or twigs: minimum share of surrounding sky, radius in pixels, rounds for blue and for pale
 skies, maximum color difference; last, that difference for the rim lost by smoothing.

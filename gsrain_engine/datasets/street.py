@@ -20,7 +20,6 @@ from ..scene.street.mesh import Quads
 from .capture import Capture, CaptureFrame
 
 NEAR_M, FAR_M = 0.2, 2500.0
-
 _WINDOW = "pyrender.viewer"
 
 
@@ -144,11 +143,8 @@ def _current(egl: Any, platform: Any, *, create: bool = False) -> Generator[None
 # The mesh has the same quads and baked light as the street's Gaussians. Color is unlit, with four samples a pixel;
 # surface, depth, normal and label are those at the pixel's center, without blending.
 
-_OPAQUE = 0.9
-"""Minimum opacity of surfaces; other quads are shadows that darken the image."""
-
+_OPAQUE = 0.9  # minimum opacity of surfaces; other quads are shadows that darken the image
 _NO_SURFACE = 0xFFFFFF
-
 _SUPERSAMPLED_PX = 1_500_000
 """Maximum number of pixels for drawing at twice the size (with four samples a pixel) and averaging."""
 

@@ -127,16 +127,10 @@ def _length(places: Float64[np.ndarray, "n 3"]) -> float:
 # Overlays
 
 _NEAREST_PART, _FARTHEST_PART = 0.02, 0.98
-
-_BLUE = 28
-"""Start of the color scale, for the farthest points: lower values are nearly black."""
-
+_BLUE = 28  # start of the color scale, for the farthest points: lower values are nearly black
 _NEAR_PLANE = 0.05
-
 _BOX_COLOR, _FRONT_COLOR = (255, 255, 255), (255, 60, 60)
-
 _CAPTION_PX = 22
-
 _GAP_PX = 4
 
 

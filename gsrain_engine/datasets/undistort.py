@@ -11,9 +11,7 @@ from ..scene.camera import Camera
 from .capture import CaptureFrame, Lens
 from .geometry import intrinsics, largest_tangent, scaled_camera
 
-_CACHED_LENSES = 8
-"""Number of cached lens maps of 8 bytes a pixel each, enough for a rig's cameras."""
-
+_CACHED_LENSES = 8  # number of cached lens maps of 8 bytes a pixel each, enough for a rig's cameras
 _AT_CENTERS = ("depth", "normals", "labels", "sky")
 
 

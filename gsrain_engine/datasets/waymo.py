@@ -27,7 +27,6 @@ CAMERAS = {
 }
 
 CLASSES = {1: "vehicle", 2: "pedestrian", 3: "sign", 4: "cyclist"}
-
 _LONGEST_EXPOSURE_S = 1.0
 
 

@@ -17,9 +17,7 @@ from .io.records import TFRecord, records_in
 from .waymo import CAMERAS, CLASSES, LASERS, WaymoCamera, WaymoLaser, check_jpeg, heading_pose, parsed
 
 _US = 1e-6
-
 _MAX_NUMBERS = 64 * 4000 * 6
-
 _SUFFIXES = (".tfrecord", ".tfrecords")
 
 

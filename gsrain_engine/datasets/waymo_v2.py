@@ -22,9 +22,7 @@ from .io.records import ParquetFile
 from .waymo import CAMERAS, CLASSES, LASERS, WaymoCamera, WaymoLaser, check_jpeg, heading_pose
 
 _US = 1e-6
-
 _TIME, _CAMERA = "key.frame_timestamp_micros", "key.camera_name"
-
 Value = TypeVar("Value")
 
 
@@ -186,9 +184,7 @@ def vehicle_poses(file: Path) -> tuple[dict[int, Float64[np.ndarray, "4 4"]], li
 # Lidar
 
 _LIDAR_TIME, _LASER = "key.frame_timestamp_micros", "key.laser_name"
-
 _RETURNS = ("[LiDARComponent].range_image_return1", "[LiDARComponent].range_image_return2")
-
 _PIXEL_POSE = "[LiDARPoseComponent].range_image_return1"
 
 

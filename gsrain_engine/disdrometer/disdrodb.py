@@ -14,16 +14,12 @@ from .netcdf import in_m_s, in_mm, record_seconds, record_times, reported_rates,
 from .spectra import MAX_COUNTS, DisdrometerFileError, DisdrometerReading, DropSpectra, no_record_left
 
 _PRODUCT, _ROLLED, _SENSOR = "disdrodb_product", "disdrodb_rolled_product", "sensor_name"
-
 _COUNTS = ("raw_drop_number", "drop_number", "raw_drop_counts", "drop_counts")
 """Raw counts come first: GSRAIN applies its own quality control."""
 
 _DIAMETER, _VELOCITY = "diameter_bin", "velocity_bin"
-
 _CLOSE_MM, _CLOSE_M_S = 0.02, 0.02
-
 _LARGEST_MM, _FASTEST_M_S = 50.0, 50.0
-
 _MAKERS = {"PARSIVEL": PARSIVEL, "PARSIVEL2": PARSIVEL, "LPM": THIES, "LPM_V0": THIES}
 
 _OTHERS = {

@@ -28,9 +28,7 @@ FEWEST_FAR_OFF, FAR_OFF = 5, 3.0
 LOWEST_RATIO, HIGHEST_RATIO, LOWEST_CORRELATION = 0.7, 1.4, 0.9
 """Real Parsivels' drops give 0.98 to 1.14 times the instrument's rate (r = 0.99); snow and insects 2 to 80 times."""
 
-_REASONS = 5
-"""Maximum number of reasons printed for a file, most frequent first."""
-
+_REASONS = 5  # maximum number of reasons printed for a file, most frequent first
 _LONGEST_NAME = 80
 
 

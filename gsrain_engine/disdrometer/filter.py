@@ -175,11 +175,8 @@ MAX_LINES = 8_000_000
 """Maximum number of text lines: a telegram has one line a field, with some hundred bytes in three or four."""
 
 _GZIP_MAGIC = b"\x1f\x8b"
-
 _GZIP_WINDOW = 31
-
 _BLOCK = 2**20
-
 _TEXT_CONTROLS = b"\t\n\v\f\r\x02\x03\x04\x1a"  # telegrams begin with STX and end with ETX
 
 

@@ -23,20 +23,14 @@ from .file_summary import RateCheck
 from .spectra import DropSpectra, SingleDrops
 
 SHAPES = (0.2, 200.0)
-
 SCALES_MM = (1e-3, 10.0)
 """Limits of the fitted gamma laws: beyond them a histogram is not rain."""
 
 _LOW, _HIGH = np.log(np.array([SHAPES, SCALES_MM]).T)
-
 _STEP = 1e-4  # of the numerical derivative, in ln shape and ln scale
-
 _LONGEST = 0.5
-
 _ARRIVED = 1e-7
-
 _ROUNDS, _HALVINGS = 100, 12
-
 _TINY = 1e-300
 
 
@@ -154,11 +148,8 @@ def _scoring_step(
 MIN_SPEED_DROPS = 10
 """Minimum number of drops for a class's mean speed."""
 
-_DROPS_M_S = 0.8
-"""Standard deviation of single drops within a class, as measured by a Parsivel and a 2DVD."""
-
-_QUADRATIC_M_S = 0.2
-"""Misfit of a quadratic to real fall speeds; it bounds the weight of classes with many drops."""
+_DROPS_M_S = 0.8  # standard deviation of single drops within a class, as measured by a Parsivel and a 2DVD
+_QUADRATIC_M_S = 0.2  # misfit of a quadratic to real fall speeds; it bounds the weight of classes with many drops
 
 
 def fitted_speeds(
@@ -205,12 +196,8 @@ def assumed_velocity() -> VelocityFit:
 # Axis ratio (height over width) over diameter (paper, eq. 4)
 
 _WIDTH_MM = 0.25
-
-_SMALLEST_MM = 1.0
-"""Lower limit of eq. 4; smaller drops are spheres."""
-
+_SMALLEST_MM = 1.0  # lower limit of eq. 4; smaller drops are spheres.
 _FEWEST_DROPS = 20
-
 _SPEED_BAND = 0.6
 """Drops beyond this relative deviation from Atlas et al. (1973) are splashes or mismatched shadow pairs."""
 
@@ -360,12 +347,10 @@ def _minute_of_record(spectra: DropSpectra) -> tuple[Int64[np.ndarray, " records
 # Calibration rows
 
 MIN_BIN_DROPS = 500
-
 ENOUGH_DROPS = 5000
 """A bin needs five minutes and 500 drops, or 5000 drops, which suffice even within one minute."""
 
 NO_RAIN = "no rain"
-
 _MIN_OF_A_CLASS = 50
 
 

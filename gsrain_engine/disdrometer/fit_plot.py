@@ -20,11 +20,8 @@ from ..scene.files import whole_file
 from .fit_models import AxisRatios, FittedCalibration, FittedRow
 
 _SIZE_INCHES, _DPI = (13.0, 7.6), 150
-
 _MAX_SPECTRA = 6
-
 _INK, _FIT, _OTHER, _FAINT = "#222222", "#c4442b", "#2b6cb0", "#9aa3ad"
-
 _WITHOUT_DATE: dict[str, dict[str, None]] = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
 """Figure formats, each with the metadata to omit so that equal fits give byte-identical files."""
 

@@ -11,8 +11,7 @@ import sys
 LARGEST_DATASET = 2 * 2**30
 """Maximum bytes of all variables after decompression."""
 
-_MIN_S, _PER_BYTE_S = 30.0, 1e-7
-"""Time limit of the trial: seconds to load the libraries, and per byte of the file."""
+_MIN_S, _PER_BYTE_S = 30.0, 1e-7  # time limit of the trial: seconds to load the libraries, and per byte of the file
 
 
 def passes_trial(data: bytes) -> bool:

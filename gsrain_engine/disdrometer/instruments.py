@@ -90,7 +90,6 @@ def _edges(*runs: tuple[int, float]) -> Float64[np.ndarray, " edges"]:
 
 
 PARSIVEL_DIAMETER_EDGES_MM = _edges((10, 0.125), (5, 0.25), (5, 0.5), (5, 1.0), (5, 2.0), (2, 3.0))
-
 PARSIVEL_VELOCITY_EDGES_M_S = _edges((10, 0.1), (5, 0.2), (5, 0.4), (5, 0.8), (5, 1.6), (2, 3.2))
 
 
@@ -115,13 +114,9 @@ THIES_VELOCITY_EDGES_M_S = np.round(
 )
 
 THIES_AREA_M2 = np.full(len(THIES_DIAMETER_EDGES_MM) - 1, 0.228 * 0.020)
-
 _LOWEST_RATE_MM_H = 0.1
-
 _FEWEST_DROPS = 10
-
 _WORST_RATIO = 3.0
-
 _ENOUGH_DROPS = 50
 
 

@@ -10,13 +10,9 @@ from ..rain.properties import LARGEST_MM, SMALLEST_MM, RainProperties
 from .spectra import DropSpectra
 
 INSTRUMENT = "GSRAIN virtual disdrometer"
-
 _DIAMETER_EDGES_MM = np.arange(round(10 * SMALLEST_MM), round(10 * LARGEST_MM) + 1) / 10
-
 _FASTEST_M_S = 12
-
 _EPOCH = np.datetime64("1970-01-01T00:00:00", "ms")
-
 _MM_PER_M, _SECONDS_PER_HOUR = 1e3, 3600
 
 

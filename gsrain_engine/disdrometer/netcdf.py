@@ -22,13 +22,9 @@ from .spectra import (
 )
 
 _MM_H = {"mm/h": 1.0, "mm/s": 3600.0, "m/s": 3.6e6, "kg/m2/s": 3600.0}
-
 _MM = {"mm": 1.0, "millimeter": 1.0, "m": 1000.0, "meter": 1000.0, "cm": 10.0, "um": 1e-3, "µm": 1e-3}
-
 _M_S = {"m/s": 1.0, "cm/s": 0.01}
-
 _RATES = ("rainfall_rate_32bit", "precip_rate", "rainfall_rate", "rain_rate", "precipitation_rate", "rain_intensity")
-
 _INTERVALS = ("interval", "sample_interval", "measurement_interval", "sampling_interval")
 
 
@@ -115,11 +111,8 @@ FORMAT_ATTRIBUTE = "gsrain_drop_spectra"
 """File attribute that identifies the format; its value is the layout version."""
 
 _VERSION = 1
-
 _NAMES = ("time", "seconds", "diameter", "diameter_bounds", "area", "drops", "rainfall_rate")
-
 _EPOCH = np.datetime64("1970-01-01T00:00:00", "ms")
-
 _TIME_UNITS = "milliseconds since 1970-01-01T00:00:00Z"
 
 
@@ -221,11 +214,8 @@ def _edges(dataset: xr.Dataset, name: str) -> Float64[np.ndarray, " n_and_one"]:
 # Instruments' spectra: ARM, Cloudnet, disdrodb and similar
 
 _SPEED_WORDS = ("vel", "speed")
-
 _SIZE_WORDS = ("diam", "size")
-
 _NO_CLASSES = ("width", "spread", "delta", "calculated")
-
 _CLOSE = 0.02
 
 

@@ -4,9 +4,7 @@ import struct
 from dataclasses import dataclass
 
 _DIMENSIONS, _VARIABLES = 10, 11
-
 _TYPE_SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 4, 6: 8}
-
 _STREAMING = 0xFFFFFFFF
 
 

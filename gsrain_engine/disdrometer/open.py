@@ -110,7 +110,6 @@ def _unknown_kind(contents: FileContents, where: str) -> UnknownKindError:
 # NetCDF
 
 _CLASSIC = (b"CDF\x01", b"CDF\x02")
-
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 

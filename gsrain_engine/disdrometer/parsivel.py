@@ -23,19 +23,12 @@ from .spectra import (
 )
 
 _COUNTS = CLASSES * CLASSES
-
 _OPEN, _CLOSE = "<SPECTRUM>", "</SPECTRUM>"
-
 _LOOK_AHEAD = 40
-
 _SEPARATORS = ";\t,"
-
 _YEAR_FIRST = ("%Y/%m/%d", "%Y-%m-%d", "%d.%m.%Y", "%d.%m.%y")
-
 _DAY_FIRST, _MONTH_FIRST = ("%d/%m/%Y", "%d-%m-%Y"), ("%m/%d/%Y", "%m-%d-%Y")
-
 _SLASHED = re.compile(r"^\"?(\d{1,2})[/-](\d{1,2})[/-]\d{4}")
-
 _SNOW = re.compile("snow|schnee|neige|nieve|neve", re.IGNORECASE)
 
 
@@ -217,9 +210,7 @@ _DIALECTS = (
 # Telegrams (Parsivel2 manual, section 11.2)
 
 _FIELD = re.compile(r"^(\d\d):(.*)")
-
 _FIRST = "01"
-
 _NEEDED = {"01": "rain rate", "09": "sample interval", "20": "time", "21": "date", "93": "raw spectrum"}
 
 

@@ -156,8 +156,7 @@ MAX_DROPS = 1e9
 LONGEST_RECORD_S = 3600.0
 """Maximum length of a record, also as implied by the step between records."""
 
-_NO_RATES = (-9.999, -99.9, -99.99, -999.0, -9999.0)
-"""Loggers' codes for a missing rate."""
+_NO_RATES = (-9.999, -99.9, -99.99, -999.0, -9999.0)  # Loggers' codes for a missing rate
 
 
 class RecordError(ValueError):

@@ -33,16 +33,12 @@ from .spectra import (
 )
 
 MINUTE_S = 60.0
-
 TWO_DVD_EDGES_MM = 0.2 * np.arange(51)
-
 TWO_DVD_AREA_M2 = 0.01
 """Nominal area, 10 x 10 cm (Kruger and Krajewski 2002)."""
 
 _STAMP = 4
-
 _APU, _COUNTS = 32, 50
-
 _ROW = re.compile(r"^\s*(19|20)\d\d\s+\d{1,3}\s+\d{1,2}\s+\d{1,2}\s")
 
 
@@ -159,15 +155,10 @@ def rates_reading(instrument: str, records: list[SpectrumRecord], skipped: list[
 # Text tables
 
 _RATE_UNITS = {"mm/h": 1.0, "mm/min": 60.0, "mm/s": 3600.0, "m/s": 3.6e6}
-
 _LARGEST_MM, _FASTEST_M_S, _LARGEST_AREA_M2 = 50.0, 50.0, 10.0
-
 _HEADER_WITHIN, _LONGEST_NAME = 20, 60
-
 _ISO = ("%Y-%m-%d %H:%M:%S", "%Y-%m-%d %H:%M:%S.%f", "%Y-%m-%dT%H:%M:%S", "%Y-%m-%dT%H:%M:%SZ", "%Y-%m-%d %H:%M")
-
 _TIMES = (*_ISO, "%Y/%m/%d %H:%M:%S", "%Y/%m/%d %H:%M", "%d.%m.%Y %H:%M:%S", "%Y%m%d%H%M%S", "%Y%m%d %H%M%S")
-
 _CAMPBELL_WORDS = ('"TOA5"', '"TIMESTAMP"', '"TS"', '"",', "TOA5,", "TIMESTAMP,", "TS,")
 """First words of the lines of a Campbell logger's header: type, columns, units, sampling."""
 
@@ -177,7 +168,6 @@ _WITHOUT_SPEED = {
 }
 
 _WITH_SPEED = {each.name: each for each in (PARSIVEL, THIES)}
-
 Column = Annotated[str, Meta(min_length=1)] | Annotated[int, Meta(ge=1, le=100_000)]
 """A column by its name in the header, or by its number, from 1 on."""
 
@@ -339,15 +329,10 @@ def read_table(path: Path, lines: Sequence[str], columns: TableColumns) -> Disdr
 
 
 _TIME_NAMES = ("timestamp", "datetime_utc", "datetime [utc]", "datetime", "time_utc", "time")
-
 _DAY_NAMES = ("yyyy-mm-dd", "date")
-
 _RATE_NAMES = ("rainfall_rate_32bit", "ri [mm/h]", "ri", "ri [mm/hr]")
-
 _SECONDS_NAMES = ("sample_interval", "sample interval [s]", "interval [s]", "sampleinterval")
-
 _ALL_DROPS_NAMES = ("raw_drop_number", "rowdata", "rawdata", "raw_data", "data_raw", "spectrum", "rawspectrum")
-
 _MEMBER = re.compile(r"^(.*?)[\[(_]?\d+(?:[,_]\d+)?[\])]?$")
 """Pattern for the stem of spectrum(17), RowData_17, M_0_16, n17."""
 

@@ -18,13 +18,9 @@ from .spectra import (
 from .tables import rates_reading
 
 _TELEGRAM = re.compile(r"(?:^|[\"\x02;])(\d\d;\d{4};\d\.\d\d;\d\d\.\d\d\.\d\d(?:\d\d)?;\d\d:\d\d:\d\d;.*)$")
-
 _LOGGED_TIME = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d")
-
 _DATE, _TIME, _RATE, _SHORT, _SPECTRUM = 3, 4, 12, 22, 79
-
 _COUNTS = 22 * 20
-
 _LOOK_AHEAD = 20
 
 

@@ -10,21 +10,13 @@ from .netcdf import in_mm, record_seconds, record_times, reported_rates, usable_
 from .spectra import DisdrometerFileError, DisdrometerReading, DropSpectra, SingleDrops, no_record_left
 
 DIAMETER_EDGES_MM = np.round(0.2 * np.arange(51), 6)
-
 VELOCITY_EDGES_M_S = 0.5 * np.arange(41)
-
 NOMINAL_AREA_M2 = 0.01
-
 RECORD_S = 60.0
-
 _DIAMETER, _SPEED, _RATIO, _AREA = "equivolumetric_sphere_diameter", "fall_speed", "oblateness", "area"
-
 _NUMBER, _CLASS = "num_drops", "drop_diameter"
-
 _LONGEST_DAYS = 31
-
 _LARGEST_AREA_M2 = 0.1
-
 _SMALLEST_AREA_M2 = 0.001
 
 
@@ -143,7 +135,6 @@ def _usable(
 # Joss-Waldvogel impact disdrometer (JWD, RD-80)
 
 NAME = "Joss-Waldvogel"
-
 AREA_M2 = 0.005
 """Area of the cone, 50 cm^2 (Joss and Waldvogel 1967)."""
 

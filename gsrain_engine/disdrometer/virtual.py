@@ -19,11 +19,8 @@ from .measurement import DisdrometerMeasurement
 SMALLEST_AREA_M2 = 1e-4
 """A thumbnail's area; smaller ones catch no drops."""
 
-_GUST_STEP_S = 0.02
-"""Step of cubic interpolation: 20 ms follows the strongest gusts to 3 nm, about one lattice step."""
-
+_GUST_STEP_S = 0.02  # step of cubic interpolation: 20 ms follows the strongest gusts to 3 nm, about one lattice step
 _MIDDLE, _WHOLE = 2**31, 2**32
-
 _HERE = RainCamera(Camera.from_fov(1, 1, 45.0, np.eye(4)), np.eye(4), np.zeros(3))
 """Fixed camera at the anchor; the field doesn't depend on the camera."""
 

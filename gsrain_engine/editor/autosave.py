@@ -24,9 +24,7 @@ from .viewport.camera import FASTEST_M_S, SLOWEST_M_S, OrbitCamera
 from .viewport_state import ViewportState
 
 logger = logging.getLogger("gsrain")
-
 _SCENE, _ABOUT = "scene", "autosave.json"
-
 _LONGEST_NAME = 200
 """Maximum length in bytes of a scene folder's name within its autosave's name; file systems allow 255."""
 

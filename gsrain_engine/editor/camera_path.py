@@ -43,9 +43,7 @@ from .viewport.camera import front_camera
 from .viewport_state import ViewportState
 
 _VIEW_SIZE = (960, 640)
-
-_DEFAULT_GAP_S = 2.0
-"""Gap between the last keyframe and an appended one, if the path has no gap to derive it from."""
+_DEFAULT_GAP_S = 2.0  # gap between the last keyframe and an appended one, if the path has no gap to derive it from
 
 
 def active_keyframe(session: ViewportState) -> int | None:
@@ -227,9 +225,7 @@ def _take(session: ViewportState, label: str, keyed: EditedKeyframe, gesture: st
 # Import, export, and paths from recorded drives
 
 logger = logging.getLogger("gsrain")
-
-_TOLERANCE_M = 0.05
-"""Maximum deviation of a simplified path from its drive: less than the width of a lens."""
+_TOLERANCE_M = 0.05  # maximum deviation of a simplified path from its drive: less than the width of a lens
 
 
 def import_path(session: ViewportState, file: Path) -> None:

@@ -20,12 +20,10 @@ from .viewport.options import Texture
 from .viewport_state import ViewportState
 
 logger = logging.getLogger("gsrain")
-
 _ALIKE = float(np.cos(np.radians(20.0)))
 """Tolerance of the up directions: users level a scene by a few degrees, other data sets have another up axis."""
 
-_SAME_PLACE = 1e-6
-"""Relative tolerance of pose entries within which the viewport camera equals that of the image."""
+_SAME_PLACE = 1e-6  # relative tolerance of pose entries within which the viewport camera equals that of the image
 
 # Point sample
 
@@ -275,7 +273,6 @@ def _height_colors(heights: Float64[np.ndarray, " n"]) -> UInt8[np.ndarray, "n 3
 # Images of the capture
 
 THUMBNAIL_PX = 192
-
 LARGE_PX = 1280
 """Widths in pixels of loaded images; all are undistorted."""
 

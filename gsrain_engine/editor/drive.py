@@ -25,11 +25,8 @@ from .services import EditorServices
 from .viewport.camera_follow import ChaseCamera, ChaseMode
 
 logger = logging.getLogger("gsrain")
-
 _VIDEO_FPS = (1.0, 60.0)
-
-_MAX_ROLLOUTS = 12
-"""Maximum number of open roll-outs; the oldest is closed first."""
+_MAX_ROLLOUTS = 12  # maximum number of open roll-outs; the oldest is closed first
 
 
 class RolloutPlayer:
@@ -295,9 +292,7 @@ def _not_here(error: ValueError) -> str:
 # Drive setup
 
 _FIRST = "stationary-lead"
-
-_DRIVERS = ("oracle-idm", "constant-velocity")
-"""Default drivers by preference."""
+_DRIVERS = ("oracle-idm", "constant-velocity")  # default drivers by preference
 
 
 class DriveSetup:

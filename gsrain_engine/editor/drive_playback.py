@@ -22,7 +22,6 @@ EGO_CAR = "ego car"
 """Id of the actor that is the ego vehicle's body; no road user has this id."""
 
 _BODY = "saloon"
-
 Poses = Float64[np.ndarray, "t 4 4"]
 
 

@@ -33,7 +33,6 @@ from .viewport.picking import SkyColorPick
 from .viewport_state import insert_pending_scene
 
 logger = logging.getLogger("gsrain")
-
 WindowBackend = Literal["auto", "opengl", "cpu"]
 
 

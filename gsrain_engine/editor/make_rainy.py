@@ -28,9 +28,7 @@ QUICK_VIEWS = 8
 """Number of views for a first result within seconds."""
 
 QUICK_WIDTH_PX = 480
-
 PREVIEW_WIDTH_PX = 640
-
 COMPARED_MM_H = 8.5
 """Rain of a comparison if no rain is set, because scenes are dry without."""
 

@@ -150,7 +150,6 @@ class MatchingController:
 # Choice of the other view
 
 Against = Literal["next", "previous", "beside", "chosen"]
-
 AGAINST: tuple[Against, ...] = get_args(Against)
 
 WHY_NONE: dict[Against, str] = {

@@ -17,15 +17,10 @@ from ..scene.scene import Scene
 from .viewport.options import Mode
 
 _VEIL: dict[MatchOutcome, float] = {MatchOutcome.OUTSIDE: 0.65, MatchOutcome.UNKNOWN: 0.6, MatchOutcome.MATCHED: 0.0}
-
 _OTHER_VEIL = 0.5
-
 _MARK = 0.45
-
 _LARGEST_DIFFERENCE = 0.25
-
 _SHADES = 256
-
 _LINE_STEP_PX = 24
 
 # Matched views

@@ -17,11 +17,8 @@ from .viewport.picking import NEAR_M, project_lines, project_point
 from .viewport_state import ViewportState
 
 _SAMPLES_A_SECOND, _MAX_SAMPLES = 12, 700
-
 _FRUSTUM_PX = 26.0
-
-_MAX_KEYS = 200
-"""Maximum number of drawn keyframes: a path imported frame by frame has thousands."""
+_MAX_KEYS = 200  # maximum number of drawn keyframes: a path imported frame by frame has thousands
 
 
 class KeyHandle(NamedTuple):
@@ -132,7 +129,6 @@ MAX_FRUSTUMS = 100
 """Maximum number of drawn frustums, nearest first: more would hide the scene."""
 
 _NEAR = 1e-6
-
 _TIP = 0.5
 """Minimum distance as a share of a frustum's length: from nearer, its image covers two thirds of the view or more."""
 

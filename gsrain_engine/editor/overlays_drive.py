@@ -19,13 +19,9 @@ from .viewport.options import Texture
 from .viewport.picking import project_lines, project_point
 
 _ABOVE_ROAD_M = 0.04
-
 _DOT_M = 0.16
-
 _MIN_PX, _MAX_PX = 2.0, 10.0
-
-_PIECE_M = 0.5
-"""Lines are split into pieces of this length, so that each is clipped at the near plane."""
+_PIECE_M = 0.5  # lines are split into pieces of this length, so that each is clipped at the near plane
 
 
 class BoxMark(NamedTuple):
@@ -129,7 +125,6 @@ def _dot(place: Float64[np.ndarray, "3"], camera: Camera) -> PlanDot | None:
 # Detections of a camera agent, from the notes of its roll-out
 
 _MIN_CONFIDENCE = 0.25
-
 _Box = tuple[float, float, float, float]
 
 

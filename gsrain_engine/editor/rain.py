@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from ..disdrometer.spectra import DisdrometerReading
 
 logger = logging.getLogger("gsrain")
-
 RECORD_S = 60.0
 """Interval of virtual spectra: one minute, as real disdrometers report."""
 
@@ -248,7 +247,6 @@ class ShelterMapBuilder:
 # State of the Shower panel; not part of the document
 
 _MIN_SPAN_S = 10.0
-
 _TOPS_MM_H = (15.0, 30.0, 60.0, 105.0)
 """Upper ends of the axis in steps, so that it does not move while a point is dragged."""
 

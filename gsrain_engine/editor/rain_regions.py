@@ -17,12 +17,10 @@ from .viewport.picking import NEAR_M, project_lines, project_point
 from .viewport_state import ViewportState
 
 RegionName = Literal["streak_region", "haze_region"]
-
 _END_ON_PX = 8.0
 """A face that moves less than this for a tenth of its distance is end-on: vertical mouse motion drags it."""
 
 _FARTHEST_M, _THINNEST_M = 200.0, 0.1
-
 _LARGEST_M3 = {"streak_region": 5_000.0, "haze_region": 1e7}
 """Maximum volumes: streaks are simulated drop by drop, so a huge region would stall the window."""
 
@@ -163,13 +161,9 @@ def _centroid(polygon: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "3"]:
 # View of a region from outside
 # Cameras are inside of their regions, so that most faces are out of sight.
 
-_FROM = np.array([-0.75, 0.8, 0.62])
-"""From behind, left and above: x runs to the upper right, y to the upper left."""
-
+_FROM = np.array([-0.75, 0.8, 0.62])  # from behind, left and above: x runs to the upper right, y to the upper left
 _FOV_DEG = 24.0
-
-_FILLED = 0.74
-"""Share of the image height that the region fills."""
+_FILLED = 0.74  # share of the image height that the region fills
 
 
 def inset_view(box: RegionBox, anchor_to_world: Float64[np.ndarray, "4 4"], width: int, height: int) -> RenderView:

@@ -14,9 +14,7 @@ from ..scene.scene import PoseTrack, Scene
 from .viewport.camera import ORBIT_S
 
 _LONGEST_STALL_S = 0.25
-
-_LITTLE = 1e-6
-"""Tolerance in frames within which a time counts as that of a frame."""
+_LITTLE = 1e-6  # tolerance in frames within which a time counts as that of a frame
 
 
 @dataclass(slots=True)
@@ -252,8 +250,5 @@ def ego_speed_km_h(scene: Scene, time_s: float) -> float | None:
 
 
 _NICE = (1.0, 2.0, 5.0)
-
 _SHORTEST_S, _LONGEST_S = 0.1, 86400.0
-
-_MARGIN = 0.04
-"""Share of the width that stays free on each side of a fitted span."""
+_MARGIN = 0.04  # share of the width that stays free on each side of a fitted span

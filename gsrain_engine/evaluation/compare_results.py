@@ -55,9 +55,7 @@ def _names(compared: ViewFolder) -> list[str]:
 # Comparison table
 
 Value = str | int | float | None
-
 _KERNEL_SCALE = 1000
-
 _LEVELS = 255
 
 

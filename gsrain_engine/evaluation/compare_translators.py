@@ -183,7 +183,6 @@ def _rows(
 
 
 _SECONDS = "seconds.json"
-
 _FILES = ("weights", "base", "images", "normals_weights", "normals_checkout")
 
 
@@ -342,9 +341,7 @@ def _narrowed(capture: Capture, width_px: int) -> Capture:
 # One row per method, one column per view.
 
 _CELL_PX, _GAP_PX, _TEXT_PX = 360, 8, 18
-
 _PAPER, _INK, _FAINT, _EMPTY = (255, 255, 255), (20, 20, 22), (110, 112, 118), (236, 236, 238)
-
 _Pixels = UInt8[np.ndarray, "_ _ 3"]
 
 

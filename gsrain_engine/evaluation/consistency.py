@@ -17,7 +17,6 @@ from ..appearance.output_folder import is_transferred_folder, read_transferred
 from ..appearance.scene_views import CachedViews
 
 _CACHED_VIEWS = 6
-
 _DEFAULT_WIDTH_PX = 960
 
 
@@ -192,9 +191,7 @@ def warped_pair(of: RainyView, to: RainyView, film_share: float = FILM_SHARE) ->
 
 
 Image = Float32[np.ndarray, "h w 3"]
-
 Mask = Bool[np.ndarray, "h w"]
-
 Perceived = Callable[[Image, Image, Mask], float]
 """A distance of two images (0..1) over a mask, such as `Lpips.distance`."""
 

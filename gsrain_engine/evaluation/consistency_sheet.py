@@ -13,17 +13,11 @@ from .consistency import WarpedPair
 from .report_charts import LARGEST_ERROR
 
 _CELL_PX = 400
-
 _GAP_PX, _TEXT_PX = 8, 17
-
 _PAPER, _INK, _FAINT = (24, 25, 28), (232, 232, 236), (150, 152, 160)
-
 _LEFT_OUT = (52, 54, 60)
-
 _WET = np.array([0.15, 0.42, 0.75], np.float32)
-
 _DIMMED = 0.25
-
 _SHADES = 256
 
 

@@ -45,7 +45,6 @@ class Interval(NamedTuple):
 # Resampling of distances
 
 Features = Float[np.ndarray, "_ d"]
-
 Advance = Callable[[], None]
 
 
@@ -230,12 +229,8 @@ FeatureTable = Float[np.ndarray, "_ _"]
 """One row per image."""
 
 FeatureCounts = Int64[np.ndarray, " _"]
-
-_MANY = 256
-"""Minimum number of images and features for the faster method."""
-
+_MANY = 256  # minimum number of images and features for the faster method
 _TOLERANCE = 5e-7
-
 _ROUNDING = float(np.finfo(np.float64).eps)
 
 

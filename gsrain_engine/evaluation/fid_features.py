@@ -64,11 +64,8 @@ def resized(image: UInt8[np.ndarray, "h w 3"], width: int, height: int) -> Float
 # The features of "FD-pixels16", without network weights.
 
 CELLS = 4
-
 SIZE_PX = 128
-
 PER_CELL = 10
-
 FEATURES = CELLS * CELLS * PER_CELL
 
 

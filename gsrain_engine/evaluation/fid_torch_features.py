@@ -18,9 +18,7 @@ from .lpips_weights import SUFFIXES, hash_of, read_arrays
 from .networks import build_with_weights
 
 torch: Any = import_module("torch")
-
-_SHORT, _KEY = 8, 16
-"""Digits of a hash in descriptions and in cache keys."""
+_SHORT, _KEY = 8, 16  # digits of a hash in descriptions and in cache keys
 
 
 def open_inception(choice: ExtractorChoice) -> Extractor:
@@ -101,9 +99,7 @@ INCEPTION_PLACE = "GSRAIN_INCEPTION_WEIGHTS"
 """Environment variable with a file of Inception's weights, or a folder with one."""
 
 INCEPTION_CLASSES = 1008
-
-_PUBLISHED = "6726825d"
-"""First digits of the SHA-256 of pytorch-fid's file, as in its name."""
+_PUBLISHED = "6726825d"  # first digits of the SHA-256 of pytorch-fid's file, as in its name
 
 _HOW_INCEPTION = (
     f"set {INCEPTION_PLACE} to pt_inception-2015-12-05-6726825d.pth (of pytorch-fid's release fid_weights), or choose "

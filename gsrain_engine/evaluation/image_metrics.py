@@ -7,8 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float64
 
-_PRIOR_WEIGHT = 1e-3
-"""Tikhonov weight toward the identity, in squared color per pixel, for images without contrast."""
+_PRIOR_WEIGHT = 1e-3  # tikhonov weight toward the identity, in squared color per pixel, for images without contrast
 
 
 def fitted_affine(
@@ -31,22 +30,16 @@ def with_affine(picture: Float[np.ndarray, "h w 3"], affine: Float64[np.ndarray,
 # PSNR and SSIM
 
 WINDOW_PX = 11
-
 WINDOW_SIGMA_PX = 1.5
-
 C1, C2 = 0.01**2, 0.03**2
 """Window and constants of Wang et al. 2004, for values of 0..1."""
 
 HALF_WINDOW_PX = WINDOW_PX // 2
-
 MIN_WEIGHT = 1e-8
 """Minimum window weight within the mask for a comparison."""
 
-_BAND_ROWS = 32
-"""Rows per band: SSIM runs in bands whose intermediate results fit into the CPU cache."""
-
+_BAND_ROWS = 32  # rows per band: SSIM runs in bands whose intermediate results fit into the CPU cache
 Image = Float[np.ndarray, "h w 3"]
-
 Mask = Bool[np.ndarray, "h w"]
 
 
@@ -146,7 +139,6 @@ def _valid(values: np.ndarray) -> np.ndarray:
 # Confidence interval of a mean
 
 CONFIDENCE = 0.95
-
 _RESAMPLES = 2000
 
 
@@ -177,8 +169,7 @@ def mean_interval(values: Sequence[float], seed: int = 0) -> MeanInterval:
 
 # Confidence interval of a share
 
-_Z95 = 1.959963984540054
-"""Standard deviations that contain 95 % of a normal distribution."""
+_Z95 = 1.959963984540054  # standard deviations that contain 95 % of a normal distribution
 
 
 def wilson_interval(hits: int, of: int) -> tuple[float, float]:

@@ -11,21 +11,14 @@ from jaxtyping import Bool, Float
 from .lpips_weights import TAPS, LpipsWeights, Network, find_lpips_weights, read_lpips_weights
 
 torch: Any = import_module("torch")
-
 Tensor = Any
-
 MIN_SIZE_PX = 32
 """Smaller images have no pixel left after the last pooling."""
 
 _SHIFT = (-0.030, -0.088, -0.188)
-
-_SCALE = (0.458, 0.448, 0.450)
-"""ImageNet's mean and deviation, for values of -1..1."""
-
+_SCALE = (0.458, 0.448, 0.450)  # ImageNet's mean and deviation, for values of -1..1
 _POOLED_BEFORE: dict[str, tuple[int, ...]] = {"alex": (1, 2), "vgg": (2, 4, 7, 10)}
-
 _POOL: dict[str, tuple[int, int]] = {"alex": (3, 2), "vgg": (2, 2)}  # size and stride
-
 _MIN_SQUARE = 1e-20  # the root of zero has no gradient
 
 

@@ -136,7 +136,6 @@ def _bias_of(name: str) -> str:
 # Read without running any code in them.
 
 SUFFIXES = (".npz", ".safetensors", ".ckpt", ".pth", ".pt")
-
 ARRAY_SUFFIXES = (".safetensors", ".npz")
 """Suffixes of files that can be written."""
 

@@ -13,13 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 torch: Any = import_module("torch")
-
 Tensor = Any
-
 INCEPTION_FEATURES = 2048
-
 INCEPTION_SIZE_PX = 299
-
 Shape = tuple[int, int, tuple[int, int], int, tuple[int, int]]
 """Channels in and out, size, stride and padding (height, width) of a convolution."""
 

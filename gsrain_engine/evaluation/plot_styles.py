@@ -14,15 +14,9 @@ _LINES: tuple[str | tuple[int, tuple[float, ...]], ...] = (
 )  # fmt: skip
 
 _MARKERS = ("o", "s", "^", "D", "v", "P")
-
 _COLORS = 10
-
-_LINES_PER_IN = 5.4
-"""Legend lines per inch at 8 points."""
-
-_LEGEND_IN = 2.1
-"""Width in inches of a legend column at 8 points."""
-
+_LINES_PER_IN = 5.4  # legend lines per inch at 8 points
+_LEGEND_IN = 2.1  # width in inches of a legend column at 8 points
 Color = tuple[float, ...]
 
 

@@ -13,12 +13,8 @@ from .image_metrics import psnr, ssim
 from .templates import rendered
 
 WIDTH, HEIGHT = 520, 260
-
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 14, 14, 40
-
-_POINTS = 240
-"""Larger numbers of points are grouped and drawn as mean and range."""
-
+_POINTS = 240  # larger numbers of points are grouped and drawn as mean and range
 _STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
 
 
@@ -103,9 +99,7 @@ def _points(pairs: list[tuple[float, float]]) -> str:
 # Image comparison
 
 WIDEST_PX = 640
-
 Image = Float[np.ndarray, "h w 3"]
-
 Distance = Callable[[Image, Image, Bool[np.ndarray, "h w"] | None], float]
 """Distance of a render and the ground truth over a mask, such as `Lpips.distance`."""
 
@@ -167,9 +161,7 @@ LARGEST_ERROR = 0.25
 """Upper end of the error color scale (of 1), the same in all reports for comparability."""
 
 _JPEG_QUALITY = 88
-
 _LEFT_OUT = (128, 128, 128)
-
 _SHADES = 256
 
 

@@ -28,20 +28,14 @@ FALL_BY_DIAMETER_S = 0.3e-3
 """D/V of the drops that make visible streaks."""
 
 _DIRECTIONS = 12
-
 _ACROSS_SIGMA_PX = 1.0
-
 _EDGE_Z, _PEAK_Z = 4.0, 7.0
 """Thresholds on the line response in standard deviations of its noise: for a component's pixels, and for its peak."""
 
 _MIN_ELONGATION = 3.0
-
 _MIN_LENGTH_PX = 6.0
-
 _MARGIN_PX = 2
-
 _CORE_SHARE = 0.3
-
 _MAD_TO_SIGMA = 1.4826
 
 
@@ -226,11 +220,8 @@ STEEP_DEG = 45.0
 """Lines with a larger angle are branches or ripples, not rain."""
 
 LENGTH_EDGES_PX = (0, 10, 20, 30, 40, 60, 80, 120, 160, 240, 1e4)
-
 ANGLE_EDGES_DEG = tuple(range(-45, 46, 5))
-
 _QUANTILES = (10, 50, 90)
-
 Quantiles = tuple[float, float, float]
 """The 10, 50 and 90 % quantiles; NaN without streaks."""
 
@@ -304,7 +295,6 @@ RESTLESS_LEVELS = 4.5
 """Larger typical deviations mean motion in most frames: leaves, water, people. Rain is in few."""
 
 _MIN_SIGMA = 0.5  # of a level: gray values are integers
-
 _RESTLESS_MARGIN_PX = 3
 
 

@@ -14,9 +14,7 @@ from ..presets import load_config, shipped_config_names
 from ..scene.files import whole_file
 
 _FOLDER = "calibrations"
-
 Positive = Annotated[float, Meta(gt=0)]
-
 Interval = tuple[float, float]
 
 

@@ -23,7 +23,6 @@ FIRST_OF_CLASS = pow(CLASS_STRIDE, -1, CLASSES)
 """Inverse of `CLASS_STRIDE`: class c has the drops (c * this mod CLASSES) + k CLASSES."""
 
 _CLASSES_BY_CHUNK = 64
-
 _LANES = 16
 
 
@@ -228,11 +227,8 @@ def _mark_class(first, count, seed, wraps, fractions, geometry, margin, far, eve
 # at any time can be computed independently, with identical bits in NumPy, Numba and GLSL.
 
 MULTIPLIER = np.uint32(1664525)
-
 INCREMENT = np.uint32(1013904223)
-
 _SHIFT = np.uint32(16)
-
 _Bits = UInt32[np.ndarray, "*n"]
 
 

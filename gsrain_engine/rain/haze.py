@@ -19,7 +19,6 @@ _SMOOTH_COUNT, _MAX_SHARES = 16_000, 16
 """M Gaussians are split into the geometric mean of M and `_SMOOTH_COUNT`, at most 16 each, to limit their number."""
 
 _SALT = 0x68617A65  # makes haze independent of drops with the same seed
-
 _FADE_MEAN = (LIFETIME_S - FADE_S) / LIFETIME_S  # a smoothstep has mean 1/2
 
 

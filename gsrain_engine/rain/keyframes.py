@@ -20,7 +20,6 @@ from ..scene.scene import Scene
 from .settings import RainSettings
 
 Keyed = Literal["intensity_mm_h", "wind_m_s", "exposure_s"]
-
 KEYED: tuple[Keyed, ...] = ("intensity_mm_h", "wind_m_s", "exposure_s")
 """Fields of the rain that can have keyframes."""
 
@@ -223,11 +222,8 @@ def _plain(value: Float64[np.ndarray, " k"]) -> float | tuple[float, ...]:
     return numbers[0] if len(numbers) == 1 else tuple(numbers)
 
 
-_PIECES = 16
-"""Number of straight pieces per smooth stretch between two keyframes: off by at most 1/300 of its height."""
-
+_PIECES = 16  # number of straight pieces per smooth stretch between two keyframes: off by at most 1/300 of its height
 _MAX_KNOTS = 200_000
-
 NO_KEYFRAMES = RainKeyframes()
 """No keyframes: the rain is constant."""
 
@@ -260,7 +256,6 @@ def shower_keyframes(
 # Rain saved with a scene
 
 logger = logging.getLogger("gsrain")
-
 Saved = TypeVar("Saved", RainSettings, RainKeyframes)
 
 

@@ -18,9 +18,7 @@ from .settings import CALIBRATED_UP_TO_MM_H, RainSettings
 EXTINCTION_EFFICIENCY = 2.0
 """Q: a drop much larger than the wavelength removes twice its cross-section from a beam (van de Hulst, 1957)."""
 
-_MIN_MM_H = 1e-3
-"""Intensity below which drop sizes no longer change."""
-
+_MIN_MM_H = 1e-3  # intensity below which drop sizes no longer change
 Velocity = Callable[[Float[np.ndarray, "*n"]], Float[np.ndarray, "*n"]]
 
 
@@ -225,7 +223,6 @@ def _table(calibration: Calibration) -> _CalibrationCurves:
 
 
 SMALLEST_MM = 0.1
-
 LARGEST_MM = 8.0
 """Diameter limits: smaller drops are drizzle mist, larger ones break up. The distribution is cut and renormalized."""
 
@@ -257,8 +254,7 @@ _RATIO = 1.2
 paper's rows at 8.5 and 12 mm/h, which differ most, by 0.4 % in the median class and 3 % in the smallest drops.
 """
 
-_CACHED_TABLES = 96
-"""Maximum number of cached nodes, 256 kB each; 0.02 to 100 mm/h needs 48."""
+_CACHED_TABLES = 96  # maximum number of cached nodes, 256 kB each; 0.02 to 100 mm/h needs 48
 
 
 @dataclass(frozen=True, eq=False)
@@ -351,7 +347,6 @@ def _classes_at(
 # Calibration curves for plots
 
 _INTENSITIES_MM_H = np.geomspace(0.1, 100, 61)
-
 _DIAMETERS_MM = np.linspace(SMALLEST_MM, LARGEST_MM, 159)
 
 

@@ -9,7 +9,6 @@ from ..presets import load_config, shipped_config_names
 from .calibration import calibration_names
 
 Vector = tuple[float, float, float]
-
 CALIBRATED_UP_TO_MM_H = 13.0
 """Upper end of the published calibration; higher intensities are marked as extrapolated wherever R is shown."""
 
@@ -42,7 +41,6 @@ class RegionBox(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 STREAK_REGION = RegionBox(minimum_m=(-1.0, -3.0, -1.5), maximum_m=(5.0, 3.0, 4.5))
-
 HAZE_REGION = RegionBox(minimum_m=(-10.0, -10.0, -1.5), maximum_m=(60.0, 10.0, 20.5))
 
 
@@ -248,7 +246,6 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 # YAML files with the fields of `RainSettings`; omitted fields have their defaults.
 
 _FOLDER = "rain"
-
 _ORDER = ("clear", "1.2", "8.5", "12.0", "paper")
 
 

@@ -19,17 +19,10 @@ CELL_M = 0.5
 CLEARANCE_M = 2.0
 """Minimum height of a roof above the lowest solid surface; a road surface fails it at any slope."""
 
-_SOLID = np.log(2)
-"""Optical depth from above at which a surface counts as solid: floaters alone don't reach it."""
-
-_MAX_CELLS = 2048
-"""Maximum number of cells per side; a larger scene is covered in its middle only."""
-
-_MAX_GAUSSIANS = 1_000_000
-"""Number of Gaussians above which every n-th is used, with n-fold weight."""
-
+_SOLID = np.log(2)  # optical depth from above at which a surface counts as solid: floaters alone don't reach it
+_MAX_CELLS = 2048  # maximum number of cells per side; a larger scene is covered in its middle only
+_MAX_GAUSSIANS = 1_000_000  # number of Gaussians above which every n-th is used, with n-fold weight
 _CHUNK = 1 << 16
-
 _DRAWS = np.random.default_rng(0).standard_normal((64, 3))
 
 

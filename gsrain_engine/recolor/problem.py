@@ -14,9 +14,7 @@ from .solver import TIKHONOV, ColorTarget, SolverStep, evaluate_colors, solve_co
 from .views import NO_CHANGE, ViewAffine, ViewObservation, view_affines
 
 _HALF = np.float32(0.5)
-
-_FROZEN = np.float32(1e9)
-"""Prior weight that keeps a harmonic unchanged."""
+_FROZEN = np.float32(1e9)  # prior weight that keeps a harmonic unchanged
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -253,11 +251,8 @@ def _fit(
 STRENGTHS = (300.0, 30.0, 3.0, 0.3)
 """Prior weights to try, in evidence of a Gaussian (squared weights, summed over pixels and views)."""
 
-_SPARED = 4
-"""Every Nth view is left out for validation."""
-
+_SPARED = 4  # every Nth view is left out for validation
 _MAX_VIEWS = 16
-
 _ITERATIONS = 4
 
 
@@ -311,8 +306,7 @@ _QUANTILE, _NORMAL = 0.9, 1.645
 """Quantile of the absolute error that estimates the spread, and its value in standard deviations of a normal
 distribution. A high quantile is used because half the pixels of a road or wall are fitted immediately."""
 
-_SPACING_PX = 3
-"""Subsampling step; every third pixel in each direction suffices for a quantile."""
+_SPACING_PX = 3  # subsampling step; every third pixel in each direction suffices for a quantile
 
 
 def error_scale(residual: Float32[np.ndarray, "h w 3"], counted: Bool[np.ndarray, "h w"]) -> float:

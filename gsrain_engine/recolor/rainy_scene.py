@@ -13,8 +13,7 @@ from .views import TargetView, thumbnail
 QUICK = RecolorSettings(iterations=10, rounds=1, sh_degree=1, tikhonov=0.3, exposure=False, robust=False)
 """For transfers with consistent views; degree 1 suffices for a wet road."""
 
-_VIEWS_DONE = 0.7
-"""Share of the total time, measured on the built-in street with the wet look."""
+_VIEWS_DONE = 0.7  # share of the total time, measured on the built-in street with the wet look
 
 
 def rainy_scene(

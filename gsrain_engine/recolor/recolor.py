@@ -191,9 +191,7 @@ def _report(
 # Recoloring a scene to a capture
 
 _READ_DONE = 0.05
-
 _COMPARED = 6
-
 _Result = TypeVar("_Result")
 
 
@@ -351,11 +349,8 @@ def _comparison(view: ProblemView, solution: Solution) -> ImageComparison:
     return ImageComparison.measured(seen.target.name, view.rendered(solution.sh), seen.target.image, seen.counted)
 
 
-_VIEWS_DONE = 0.6
-"""Share of the set-up spent on rendering views, measured on the built-in street."""
-
-_SPACING_PX = 3
-"""Subsampling step; every third pixel in each direction suffices for maps of twelve numbers."""
+_VIEWS_DONE = 0.6  # share of the set-up spent on rendering views, measured on the built-in street
+_SPACING_PX = 3  # subsampling step; every third pixel in each direction suffices for maps of twelve numbers
 
 
 def prepare_problem(

@@ -22,7 +22,6 @@ from .problem import ColorProblem, ProblemView, Solution
 from .solver import SolverStep, add_colors_transposed, evaluate_colors
 
 torch: Any = import_module("torch")
-
 Tensor = Any
 
 RATES = {

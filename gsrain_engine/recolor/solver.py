@@ -161,8 +161,7 @@ def add_colors_transposed(
                 row[k, channel] += value * colors[n, channel]
 
 
-_CHUNKS = 64
-"""Sums run over this number of chunks in order: byte-identical for any number of threads."""
+_CHUNKS = 64  # sums run over this number of chunks in order: byte-identical for any number of threads
 
 
 @numba.njit(parallel=True, cache=True)
@@ -234,9 +233,7 @@ LANES = 8
 """Pixels per piece, in vertical order."""
 
 _FLOATS = ir.VectorType(ir.FloatType(), LANES)
-
 _SHORTS = ir.VectorType(ir.IntType(16), LANES)
-
 _CONTRACT = ("contract",)
 
 

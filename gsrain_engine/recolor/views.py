@@ -22,9 +22,7 @@ _UNSEEN_WEIGHT_PX = 0.5
 """Total weight in pixels below which a Gaussian's surface kind follows from its height instead of the views."""
 
 _GROUND_HEIGHT_M = 0.3
-
-_SOLID = 0.3
-"""Share of a pixel that must not be sky for its depth to be valid."""
+_SOLID = 0.3  # share of a pixel that must not be sky for its depth to be valid
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,13 +143,9 @@ PRIOR_WEIGHT = 1e-3
 SWEEPS = 6
 """Rounds over all views; each uses the other views' latest maps."""
 
-_MIN_PX = 1.0
-"""Minimum weight in pixels, in a view and in all others together, of a Gaussian that constrains exposures."""
-
+_MIN_PX = 1.0  # minimum weight in pixels, in a view and in all others together, of a Gaussian that constrains exposures
 _MIDDLE = 0.5
-
-_GAIN_LIMITS = 0.2, 5.0
-"""Bounds that keep a map invertible: a black image has no gain."""
+_GAIN_LIMITS = 0.2, 5.0  # bounds that keep a map invertible: a black image has no gain
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -256,11 +250,8 @@ def ground_height_m(scene: Scene) -> float:
 
 # Ground pixels
 
-_FACING_UP = (0.6, 0.9)
-"""Upward components of normals from which surfaces may be ground, and certainly are."""
-
-_BAND_M = (0.25, 0.6)
-"""Heights above the ground up to which pixels certainly are ground, and from which they are not."""
+_FACING_UP = (0.6, 0.9)  # upward components of normals from which surfaces may be ground, and certainly are
+_BAND_M = (0.25, 0.6)  # heights above the ground up to which pixels certainly are ground, and from which they are not
 
 
 def ground_share(

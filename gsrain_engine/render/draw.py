@@ -32,8 +32,7 @@ class RenderView:
 
 # Level of detail
 
-_Shape = tuple[int, int]
-"""Identity of the arrays that growth depends on: scales and opacities."""
+_Shape = tuple[int, int]  # identity of the arrays that growth depends on: scales and opacities
 
 
 @dataclass(slots=True)

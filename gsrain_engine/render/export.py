@@ -24,7 +24,6 @@ from .sequence import FrameSequence, RigCameraView, find_rig_cameras
 from .sky_color import SkyColor
 
 _PREVIEW_PX = 320
-
 _PREVIEW_EVERY_S = 0.5
 
 

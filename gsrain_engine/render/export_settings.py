@@ -12,15 +12,10 @@ from msgspec import Meta
 from ..scene.files import shortened
 
 Pass = Literal["color", "depth", "alpha", "labels"]
-
 Codec = Literal["auto", "h264", "vp9", "av1", "png", "jpeg", "exr"]
-
 LARGEST_PX = 16384
-
 Pixels = Annotated[int, Meta(ge=1, le=LARGEST_PX)]
-
 DEFAULT_SIZE_PX = (960, 640)
-
 DEFAULT_QUALITY = {"h264": 18, "vp9": 24, "av1": 28}
 """Default constant rate factor of each video codec: visually nearly lossless."""
 

@@ -20,8 +20,7 @@ from .export_settings import DEFAULT_JPEG_QUALITY, ExportFiles, ExportSettings, 
 from .renderer import Frame
 from .video import VideoWriter
 
-_PALETTE_COLORS = 255
-"""Maximum number of labels besides 0 in an 8-bit indexed image."""
+_PALETTE_COLORS = 255  # maximum number of labels besides 0 in an 8-bit indexed image
 
 
 def write_png(path: Path | str, pixels: UInt8[np.ndarray, "h w 3"]) -> None:

@@ -18,8 +18,7 @@ from .object_labels import LabelFormat, VisibleObject, visible_objects
 from .renderer import Renderer
 from .sequence import FrameSequence
 
-_FIRST_OWN = 1000
-"""First category id of classes missing in COCO."""
+_FIRST_OWN = 1000  # first category id of classes missing in COCO
 
 
 class CocoLabels:
@@ -95,10 +94,7 @@ class CocoLabels:
 # are whole numbers, ours are halves: boxes and principal points are shifted by half a pixel.
 
 _CLASSES = {"car": "Car", "truck": "Truck", "person": "Pedestrian", "cyclist": "Cyclist", "train": "Tram"}
-
-_FREE, _PARTLY = 0.8, 0.4
-"""Minimum visibility of a fully visible, and of a partly occluded object."""
-
+_FREE, _PARTLY = 0.8, 0.4  # minimum visibility of a fully visible, and of a partly occluded object
 _EGO_TO_CAMERA = "0 -1 0 0 0 0 -1 0 1 0 0 0"
 """From x forward, y left, z up (KITTI's lidar) to x right, y down, z forward; without translation."""
 

@@ -15,8 +15,7 @@ from ..scene.objects import SceneObject
 from ..scene.scene import Actor, DrawItem, Scene, take_gaussians
 from .renderer import Renderer
 
-_MIN_ALPHA = 0.5
-"""Minimum alpha of a labeled pixel, as for depth."""
+_MIN_ALPHA = 0.5  # minimum alpha of a labeled pixel, as for depth
 
 
 def draw_labels(renderer: Renderer, scene: Scene, camera: Camera, time_s: float) -> UInt16[np.ndarray, "h w"]:
@@ -73,8 +72,7 @@ def single_channel_grading(channel: int) -> Float64[np.ndarray, "3 4"]:
 MIN_SHARE = 0.5
 """Minimum share of a pixel's light that an object needs to own the pixel."""
 
-_MIN_HEIGHT_PX = 3.0
-"""Minimum height of an object's outline; smaller ones are skipped."""
+_MIN_HEIGHT_PX = 3.0  # minimum height of an object's outline; smaller ones are skipped
 
 
 BoxXYXY = tuple[float, float, float, float]

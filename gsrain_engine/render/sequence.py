@@ -237,8 +237,7 @@ def _mean_of_blocks(rgba: Float32[np.ndarray, "H W 4"], side: int) -> Float32[np
     return rgba.reshape(height, side, width, side, 4).mean(axis=(1, 3), dtype=np.float32)
 
 
-_STEP_S = 0.005
-"""Half the time span for velocities: tracks are linear between samples 100 ms apart."""
+_STEP_S = 0.005  # half the time span for velocities: tracks are linear between samples 100 ms apart
 
 
 def find_rig_cameras(scene: Scene, names: tuple[str, ...]) -> list[RigCameraView]:

@@ -13,10 +13,7 @@ from .draw import LodSubset, subset_items
 from .renderer import Color, Renderer
 
 _VIEWS, _WIDTH, _HEIGHT, _FOV_DEG = 4, 160, 120, 75.0
-
-_FAR_M = 60.0
-"""Minimum distance of sky above the horizon, in scenes without a sky layer."""
-
+_FAR_M = 60.0  # minimum distance of sky above the horizon, in scenes without a sky layer
 _MIN_PIXELS = 200
 
 

@@ -14,9 +14,7 @@ from jaxtyping import UInt8
 from .export_settings import DEFAULT_QUALITY
 
 SUFFIXES = (".mp4", ".webm")
-
-_GROUP = 30
-"""Frames between key frames: the maximum loss in an interrupted file."""
+_GROUP = 30  # frames between key frames: the maximum loss in an interrupted file
 
 
 class _Encoder(NamedTuple):

@@ -10,15 +10,10 @@ from msgspec import inspect
 
 from .text_files import check_finite, printable_line
 
-_LONGEST = 3000
-"""Maximum characters of a message: the settings of a training have some forty fields."""
-
+_LONGEST = 3000  # maximum characters of a message: the settings of a training have some forty fields
 _PLACE = re.compile(r" - at `\$(.*)`$")
-
 _STEP = re.compile(r"\.([^.\[]+)|\[[^\]]*\]")
-
 _WRONG_WORD = re.compile(r"Invalid (?:enum )?value ")
-
 _NO_FIELD = re.compile(r"Object contains unknown field `(.*?)`")
 
 

@@ -19,8 +19,7 @@ from typing import Any, NamedTuple, NoReturn
 
 import psutil
 
-_HEAD_BYTES = 512
-"""The magic of a tar archive is at byte 257."""
+_HEAD_BYTES = 512  # the magic of a tar archive is at byte 257
 
 
 class _FileKind(NamedTuple):
@@ -35,13 +34,9 @@ class _FileKind(NamedTuple):
 
 
 _IMAGE = "a picture: give the folder that it is in"
-
 _ARCHIVE = "an archive: unpack it, and give what was in it"
-
 _VIDEO = "a video: write its frames into a folder (ffmpeg -i VIDEO FOLDER/%05d.jpg), and give that"
-
 _MESH = "a mesh or a point cloud, no Gaussians"
-
 _HEIC = "an HEIC or AVIF picture: convert it to JPEG or PNG"
 
 _KINDS = (
@@ -110,12 +105,8 @@ PIPE_WAIT_S = 30.0
 """Limit for reading a pipe given in place of a file, such as a shell's `<(command)`."""
 
 _BLOCK_BYTES = 1 << 20
-
-_LOOK_S = 0.2
-"""Interval of checks that the other end of a pipe still exists."""
-
-_SMALL_BYTES = 1 << 26
-"""Smaller files are read without a check of free memory."""
+_LOOK_S = 0.2  # interval of checks that the other end of a pipe still exists
+_SMALL_BYTES = 1 << 26  # smaller files are read without a check of free memory
 
 _PATH_KINDS = (
     (stat.S_ISDIR, "folder"),

@@ -14,11 +14,8 @@ import numpy as np
 from .limits import open_file
 
 _MAX_BYTES = 8 << 30
-
 _SUFFIX = ".npy"
-
-_KINDS = "fiubU"
-"""Kinds of numbers, and text for names."""
+_KINDS = "fiubU"  # kinds of numbers, and text for names
 
 DAMAGES = (
     ArithmeticError, EOFError, LookupError, MemoryError, NotImplementedError, OSError, RecursionError, RuntimeError,

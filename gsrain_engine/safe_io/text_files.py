@@ -17,21 +17,11 @@ MAX_BYTES = 1 << 24
 """Limit of a settings file, ten times the size of a scenario with an hour of tracks."""
 
 _MAX_DEPTH = 100
-
-_MAX_VALUES = 300_000
-"""An alias counts as much as its anchor."""
-
-_MAX_DIGITS = 400
-"""Digits of an integer; a float has at most 309 before its decimal point."""
-
-_MAX_SIGNS = 100_000
-"""Characters of one string."""
-
+_MAX_VALUES = 300_000  # an alias counts as much as its anchor
+_MAX_DIGITS = 400  # digits of an integer; a float has at most 309 before its decimal point
+_MAX_SIGNS = 100_000  # characters of one string
 _MERGED = "<<"
-
-_SOURCE = ' in "<byte string>",'
-"""PyYAML's name of its input."""
-
+_SOURCE = ' in "<byte string>",'  # PyYAML's name of its input
 _Parser: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
@@ -171,13 +161,11 @@ def escape_invisible(text: str) -> str:
     return "".join(sign if sign.isprintable() or sign in _SPACES else repr(sign)[1:-1] for sign in text)
 
 
-_SPACES = "\u00a0\u2002\u2003\u2009\u202f\u3000"
-"""Typographic spaces, which Python does not count as printable."""
+_SPACES = "\u00a0\u2002\u2003\u2009\u202f\u3000"  # typographic spaces, which Python does not count as printable
 
 # Text for figures
 
-_MISSING = "□"
-"""Replacement for characters missing in the font."""
+_MISSING = "□"  # replacement for characters missing in the font
 
 
 def figure_words(words: object, longest: int = 48) -> str:

@@ -12,8 +12,7 @@ from .files import SceneFormatError, read_json
 DEFAULT_EXPOSURE_S = 0.004
 """Daylight shutter of driving cameras: 2.6-3.9 ms in a Waymo sample frame, rounded up."""
 
-_FARTHEST = 1e12
-"""Larger numbers come from damaged files; their squares would soon overflow."""
+_FARTHEST = 1e12  # larger numbers come from damaged files; their squares would soon overflow
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,9 +12,7 @@ from jaxtyping import Float64
 from .camera import DEFAULT_EXPOSURE_S, Camera
 from .geometry import matrices_from_quaternions, quaternions_from_matrices
 
-_KEYS_OF_A_CIRCLE = 12
-"""Keyframes of a circle; the spline deviates from it by 0.02 % of its radius."""
-
+_KEYS_OF_A_CIRCLE = 12  # keyframes of a circle; the spline deviates from it by 0.02 % of its radius
 _SHORTEST_S, _NARROWEST_DEG, _FARTHEST = 1e-9, 1e-4, 1e12
 """Closer times, narrower views and larger numbers come from damaged files."""
 

@@ -161,9 +161,7 @@ def _with_row(rows: np.ndarray, row: int, value: np.ndarray) -> np.ndarray:
 
 # View angles
 
-_VIDEO_HEIGHT_MM = 24.0
-"""Image height of 35 mm film, the reference of focal lengths."""
-
+_VIDEO_HEIGHT_MM = 24.0  # image height of 35 mm film, the reference of focal lengths
 _STRAIGHT_UP = 1 - 1e-12
 
 
@@ -371,9 +369,7 @@ WALKING_M_S = 1.4
 """Default speed in m/s: a person's comfortable walk (Bohannon 1997, Age and Ageing 26: 1.3 to 1.5 m/s)."""
 
 _SHORTEST_S = 0.02
-
-_TURN_DEG_S = 90.0
-"""Rotation speed between photos from one position."""
+_TURN_DEG_S = 90.0  # rotation speed between photos from one position
 
 
 def with_constant_speed(path: CameraPath, speed: float, *, is_timed: bool = False) -> CameraPath:

@@ -26,20 +26,13 @@ from typing import Any
 from ..safe_io.limits import read_input
 from ..safe_io.text_files import printable_line
 
-_PART = re.compile(r"\..*\.[0-9a-f]{8}\.part", re.DOTALL)
-"""Names that only this program uses."""
-
-_LONGEST_NAME = 200
-"""Bytes of a file's name in the name of its partial file; file systems accept 255."""
-
-_ABANDONED_S = 600.0
-"""Age after which an unlocked partial file counts as abandoned."""
-
+_PART = re.compile(r"\..*\.[0-9a-f]{8}\.part", re.DOTALL)  # names that only this program uses
+_LONGEST_NAME = 200  # bytes of a file's name in the name of its partial file; file systems accept 255
+_ABANDONED_S = 600.0  # age after which an unlocked partial file counts as abandoned
 _HALF_WRITTEN = re.compile(r"\d+ requested and \d+ written|encoder error")
 """Messages of NumPy and Pillow for a full disk: their libraries omit the cause."""
 
-_tidied: set[Path] = set()
-"""Folders already cleared of abandoned partial files by this process; once is enough."""
+_tidied: set[Path] = set()  # folders already cleared of abandoned partial files by this process; once is enough
 
 
 @contextmanager
@@ -391,8 +384,7 @@ def _is_still(path: Path, handle: int) -> bool:
 
 # JSON input
 
-_MAX_BYTES = 1 << 28
-"""An hour's path with a keyframe for each of 30 frames per second takes 30 MB."""
+_MAX_BYTES = 1 << 28  # an hour's path with a keyframe for each of 30 frames per second takes 30 MB
 
 
 def read_json(path: Path | str) -> Any:
@@ -430,15 +422,9 @@ DEFAULT_NAME_BYTES = 255
 """Length limit on nearly all file systems; some encrypting ones allow 143."""
 
 _MAX_PATH_BYTES = 4096
-
-_PART_BYTES = 64
-"""Bytes reserved in a path for temporary names and for numbered files in it."""
-
-_STEM_BYTES = 160
-"""Bytes of a derived name without its suffix: passes, cameras and hashes may be appended."""
-
+_PART_BYTES = 64  # bytes reserved in a path for temporary names and for numbered files in it
+_STEM_BYTES = 160  # bytes of a derived name without its suffix: passes, cameras and hashes may be appended
 _HASH_DIGITS = 8
-
 _IMPOSSIBLE = re.compile(r'[\\/:*?"<>|\x00-\x1f\x7f]+')
 
 

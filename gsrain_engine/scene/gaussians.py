@@ -105,8 +105,7 @@ def sh_from_color(colors: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 
 
 # Spherical harmonics
 
-_SAMPLES = 64
-"""Sample directions for the matrices of a rotation; degree 3 has 7 unknowns per row."""
+_SAMPLES = 64  # sample directions for the matrices of a rotation; degree 3 has 7 unknowns per row
 
 
 def sh_basis(directions: Float[np.ndarray, "*n 3"], coefficients: int) -> Float[np.ndarray, "*n k"]:
@@ -180,9 +179,7 @@ def _spread_directions(count: int) -> Float64[np.ndarray, "n 3"]:
 # Caches by identity
 
 _Parameters = ParamSpec("_Parameters")
-
 _Result = TypeVar("_Result")
-
 _CACHES: list[Any] = []
 
 

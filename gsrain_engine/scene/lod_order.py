@@ -13,8 +13,7 @@ from .scene import robust_bounds
 LEVELS = (1 / 8, 1 / 4, 1 / 2, 1.0)
 """Fractions of all Gaussians at which the levels end."""
 
-_CELLS = 1024
-"""Cells along each axis: ten bits of a Morton code."""
+_CELLS = 1024  # cells along each axis: ten bits of a Morton code
 
 
 def lod_level_ends(count: int) -> tuple[int, ...]:

@@ -12,12 +12,8 @@ from .geometry import quaternions_from_matrices
 from .scene import Actor, Layer, PoseTrack, Scene
 from .street.build import PARKED_CARS, PARKED_TRUCKS, ParkedBox, parked_boxes
 
-_MARGIN_M = 0.2
-"""Includes mirrors and Gaussians that protrude from a box."""
-
-_SHADOW_HEIGHT_M, _SHADOW_OPACITY = 0.1, 0.9
-"""Lower and less opaque Gaussians are the object's baked shadow."""
-
+_MARGIN_M = 0.2  # includes mirrors and Gaussians that protrude from a box
+_SHADOW_HEIGHT_M, _SHADOW_OPACITY = 0.1, 0.9  # lower and less opaque Gaussians are the object's baked shadow
 _MIN_SHARE = 0.95
 
 
@@ -115,7 +111,6 @@ COCO_CLASSES: tuple[str, ...] = (
 """The 80 classes of COCO 2017 in the order of detectors (Lin et al. 2014)."""
 
 _UNUSED = {12, 26, 29, 30, 45, 66, 68, 69, 71, 83}
-
 COCO_CATEGORIES = dict(zip(COCO_CLASSES, [k for k in range(1, 91) if k not in _UNUSED], strict=True))
 """Category ids of COCO's annotation files by class: 1 to 90, ten of them unused."""
 
@@ -151,7 +146,6 @@ def coco_class(name: str) -> str:
 # Vehicle classes
 
 _VEHICLES = ("car", "truck", "van", "bus", "vehicle", "trailer", "tram", "train")
-
 _CYCLES = ("cycl", "bike", "motor")
 
 

@@ -26,7 +26,6 @@ from .street import build
 from .street.layout import StreetParameters
 
 logger = logging.getLogger("gsrain")
-
 STREET = "street"
 
 
@@ -129,11 +128,8 @@ def street_fingerprint() -> str:
 # Random scenes for benchmarks
 
 _NAME = re.compile(r"random-([1-9]\d*)(k|m|)")
-
 _MAX_GAUSSIANS = 20_000_000
-
 _FOV_DEG = 60.0
-
 _UP = (0.0, -1.0, 0.0)
 
 

@@ -15,29 +15,22 @@ from .flags import UNMARKED, BitMask, SelectionFlags
 from .gaussians import Gaussians, IdentityKey
 from .geometry import matrices_from_quaternions, quaternions_from_matrices
 
-_ROBUST_SHARE = 0.98
-"""Fraction of the opacity along an axis inside the robust box; captures have strays far outside."""
-
+_ROBUST_SHARE = 0.98  # fraction of the opacity along an axis inside the robust box; captures have strays far outside
 _SAMPLES = 1_000_000
 """Maximum number of Gaussians sampled for the robust box, evenly in order: sorting all of 10 million takes seconds."""
 
 _CORE_SAMPLES = 100_000
 """Maximum number of Gaussians sampled for the core, evenly in order: a tenth of a second for any scene."""
 
-_CORE_SHARE = 0.25
-"""Minimum fraction of the opacity in the core."""
-
-_GROWTH = 0.15
-"""The core's radius R maximizes share / R^0.15: twice the radius must gain 11 %."""
-
+_CORE_SHARE = 0.25  # minimum fraction of the opacity in the core
+_GROWTH = 0.15  # the core's radius R maximizes share / R^0.15: twice the radius must gain 11 %
 _SHELL_BEGINS = 3.0
 """Distance from the core's center, in radii of the core, beyond which Gaussians may belong to a shell."""
 
 _SHELL_COVERS = 0.2
 """Minimum fraction of all directions that a shell covers; a dome covers half of them, strays next to nothing."""
 
-_RINGS, _SECTORS = 4, 8
-"""Cells of directions with equal solid angle."""
+_RINGS, _SECTORS = 4, 8  # cells of directions with equal solid angle
 
 
 class Aabb(NamedTuple):
@@ -351,12 +344,8 @@ class ColorGrading(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         return np.concatenate([linear, np.full((3, 1), 0.5 * (1 - self.contrast))], axis=1)
 
 
-_LUMA = np.array([0.2126, 0.7152, 0.0722])
-"""Rec. 709."""
-
-_ENCODING = 2.2
-"""Approximate display gamma: a factor on light is this root of it in display values."""
-
+_LUMA = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709.
+_ENCODING = 2.2  # approximate display gamma: a factor on light is this root of it in display values
 UNCHANGED = ColorGrading()
 
 
@@ -584,8 +573,7 @@ def grade_sh(sh: Float32[np.ndarray, "n k 3"], matrix: Float64[np.ndarray, "3 4"
     return changed.astype(np.float32)
 
 
-_FIRST = 0.28209479177387814
-"""The first harmonic, 1/(2 sqrt(pi))."""
+_FIRST = 0.28209479177387814  # the first harmonic, 1/(2 sqrt(pi))
 
 
 def take_gaussians(

@@ -70,11 +70,8 @@ class ControllerSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
 _SHORTEST_M, _AHEAD_S = 4.0, 1.0
 """Look-ahead distance: the larger of a minimum in m and a time in s at the current speed."""
 
-_SETTLE_S = 0.5
-"""Time to reach the target steering angle."""
-
-_SPEED_POINTS = 2
-"""Index of the plan point that sets the acceleration: one second ahead reduces noise."""
+_SETTLE_S = 0.5  # time to reach the target steering angle
+_SPEED_POINTS = 2  # index of the plan point that sets the acceleration: one second ahead reduces noise
 
 
 class PurePursuit:
@@ -136,7 +133,6 @@ def make_reachable(
 # Reference states
 
 HeadingReference = Literal["tangent", "hugsim"]
-
 SHORTEST_M = 0.1
 """Minimum distance between points that define a direction; closer points are jitter around a stop."""
 

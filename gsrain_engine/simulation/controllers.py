@@ -93,20 +93,17 @@ def open_controller(settings: ControllerSettings) -> Controller:
 # which speed, steering and heading are evaluated: 0 is Euler's rule (nuPlan's), which cuts corners, 0.5 the midpoint.
 
 STATES, INPUTS = 5, 2
-
 _WEIGHTS = np.array([1, 1, 10, 0, 0, 1, 10, *[1] * STATES, *[1] * INPUTS], np.float64)
 """Weights of errors of x, y, heading, speed, steering; of acceleration and steering rate; of the trust region."""
 
-_TOLERANCE = 1e-6
-"""The search ends when the norm of the input change is smaller."""
+_TOLERANCE = 1e-6  # the search ends when the norm of the input change is smaller
 
 
 def _first(inputs: Float64[np.ndarray, "n 2"]) -> Control:
     return Control(float(inputs[0, 0]), float(inputs[0, 1]))
 
 
-_SLOWEST_M_S = 0.01
-"""Minimum speed for linearization; at standstill steering would have no effect."""
+_SLOWEST_M_S = 0.01  # minimum speed for linearization; at standstill steering would have no effect
 
 
 @numba.njit(cache=True)
@@ -273,7 +270,6 @@ def _before(value, slope_of_value, slope, effect, gain, offset, control, weights
 # Initial guess of the iLQR tracker
 
 _JERK_PENALTY, _CURVATURE_RATE_PENALTY, _CURVATURE_PENALTY = 1e-4, 1e-2, 1e-10
-
 _SPEED_GAIN, _STEER_GAIN = 0.5, 0.05
 
 

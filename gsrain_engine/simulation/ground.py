@@ -18,8 +18,7 @@ from ..scene.scene import Scene
 SENSOR_HEIGHT_M = 1.5
 """Height of the rig frame's origin above the road if the scene does not state it (paper, sec. on rain regions)."""
 
-_LOWEST_RIG_M, _HIGHEST_RIG_M = -0.5, 4.0
-"""Plausible range of the rig origin's height above a stated ground."""
+_LOWEST_RIG_M, _HIGHEST_RIG_M = -0.5, 4.0  # plausible range of the rig origin's height above a stated ground
 
 # Height grid
 
@@ -96,28 +95,18 @@ def road_surface_of(scene: Scene) -> RoadSurface:
 
 # Road surface from the recorded drive
 
-_UNDER_M = 2.5
-"""Lateral distance from the drive within which parts count as below it."""
-
-_CELL_M, _MAX_CELLS = 0.5, 1500
-"""Cell size, and maximum number of cells per side; larger scenes get larger cells."""
-
-_DEEPEST_M, _HIGHEST_M = 4.0, 0.5
-"""Search range of the ground: depth below and height above the rig frame's origin."""
-
+_UNDER_M = 2.5  # lateral distance from the drive within which parts count as below it
+_CELL_M, _MAX_CELLS = 0.5, 1500  # cell size, and maximum number of cells per side; larger scenes get larger cells
+_DEEPEST_M, _HIGHEST_M = 4.0, 0.5  # search range of the ground: depth below and height above the rig frame's origin
 _BIN_M = 0.05
-
-_MIN_M2 = 2.0
-"""Minimum flat area needed to estimate the depth."""
-
+_MIN_M2 = 2.0  # minimum flat area needed to estimate the depth
 _PASSES = ((8.0, 0.8, 4), (4.0, 0.4, 4), (2.0, 0.2, 3), (1.0, 0.12, 2))
 """Smoothing and band width (both in meters) and number of iterations, from coarse to fine."""
 
 _ABOVE_COUNTS = 0.25
 """Weight of parts above the surface relative to parts below it, because objects stand on the ground."""
 
-_ENOUGH = 0.05
-"""Cell coverage at which the update has half its weight."""
+_ENOUGH = 0.05  # cell coverage at which the update has half its weight
 
 
 def find_road_surface(
@@ -255,7 +244,6 @@ SOLID = 0.5
 """Minimum opacity of solid Gaussians; haze and most floaters of a capture have less."""
 
 _CHUNK = 1 << 15
-
 _COUNTS = ((1, 0.0, 0.5), (16, 0.5, 1.5), (64, 1.5, 4.0), (256, 4.0, np.inf))
 """Number of pieces per Gaussian, with the range of its largest standard deviation in cells."""
 

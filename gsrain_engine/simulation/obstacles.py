@@ -14,7 +14,6 @@ LOW_M, HIGH_M = 0.3, 1.5
 """Height range of a car's body above the ground: curbs are lower, tree crowns and signs higher."""
 
 CELL_M = 0.1
-
 POST_M = 0.08
 """A 3x3 block of cells is occupied if its side area reaches that of a post of this width over the whole height range.
 
@@ -89,13 +88,8 @@ ROAD_LAYERS = frozenset({"road", "ground"})
 """Names of road layers; if a scene has one, nothing else is road."""
 
 _CELL_M = 0.25
-
-_FLAT_M = 0.08
-"""Without a road layer, flat parts within this height of the ground are road; curbs are higher."""
-
-_COVERED = 0.3
-"""Minimum top-down coverage of a covered cell."""
-
+_FLAT_M = 0.08  # without a road layer, flat parts within this height of the ground are road; curbs are higher
+_COVERED = 0.3  # minimum top-down coverage of a covered cell
 _STEP_M = 0.2
 
 

@@ -31,11 +31,8 @@ def read_any_rollout(path: Path) -> Rollout:
 # The first line is the header, followed by one line per step.
 
 _MAX_JSON_BYTES = 1 << 30
-
 _VERSION = 1
-
-_MOMENTS = "moments"
-"""Number of step lines, to detect files truncated between two lines."""
+_MOMENTS = "moments"  # number of step lines, to detect files truncated between two lines
 
 
 def write_rollout(path: Path | str, rollout: Rollout) -> None:
@@ -104,15 +101,10 @@ def _step(path: Path, number: int, line: bytes) -> RolloutStep:
 # Parquet
 # One row per step, for pandas, polars and DuckDB; lossless.
 
-_HEADER = b"gsrain.rollout"
-"""Metadata key of the header as JSON."""
-
+_HEADER = b"gsrain.rollout"  # metadata key of the header as JSON
 _PARQUET_VERSION = 1
-
 _MAX_ROWS, _MAX_PARQUET_BYTES = 1_000_000, 1 << 30
-
 _MISSING = "Parquet files of roll-outs need pyarrow: pip install 'gsrain[drive]'"
-
 _OF_EGO = tuple(EgoRecord.__struct_fields__)
 
 

@@ -63,8 +63,7 @@ class Route:
         return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))])
 
 
-_STEP_M = 0.5
-"""Minimum spacing; closer samples of a recorded drive mostly show noise."""
+_STEP_M = 0.5  # minimum spacing; closer samples of a recorded drive mostly show noise
 
 
 def recorded_route(scene: Scene) -> Route:

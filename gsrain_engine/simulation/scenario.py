@@ -19,9 +19,7 @@ from .traffic.tracks import RecordedTrack
 from .vehicle import Vehicle, VehicleState
 
 _Side = Annotated[float, Meta(gt=0, le=100)]
-
-_RESERVED_IDS = (EGO, BACKGROUND)
-"""Ids that roll-outs reserve."""
+_RESERVED_IDS = (EGO, BACKGROUND)  # ids that roll-outs reserve
 
 
 class ScenarioUser(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -42,9 +42,7 @@ from .traffic.base import RoadUser, ego_user
 from .vehicle import Control, Vehicle, VehicleState, limit_control, step_bicycle, vehicle_box, yaw_rate
 
 logger = logging.getLogger("gsrain")
-
 _STANDING = Control(0.0, 0.0)
-
 _SEEDS = 2**32
 
 

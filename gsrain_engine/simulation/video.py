@@ -32,11 +32,8 @@ from .sensors import needed_cameras, placed_camera
 from .vehicle import vehicle_box
 
 Color = tuple[int, int, int]
-
 RgbImage = UInt8[np.ndarray, "h w 3"]
-
 _PAPER, _INK, _FAINT, _SOLID = (18, 20, 24), (232, 234, 238), (128, 134, 144), (92, 98, 108)
-
 _EGO, _PLAN, _USER, _HIT = (86, 180, 233), (0, 214, 160), (230, 159, 0), (255, 70, 70)
 """Distinguishable with any color vision (Okabe and Ito 2008)."""
 
@@ -51,13 +48,9 @@ _LETTER, _SMALLEST_PX = 1 / 52, 11
 """Letter size of status values as a share of the width that holds them in one line, and the minimum in pixels."""
 
 _ENDS = {"time": "time is up", "completed": "end of the route", "agent": "the agent gave up"}
-
 _NEAR_M = 0.3
-
 _DOT_M = 0.14
-
-_SURE = 0.3
-"""Minimum confidence of detections that are drawn."""
+_SURE = 0.3  # minimum confidence of detections that are drawn
 
 
 class RolloutVideo:

@@ -205,7 +205,6 @@ def _cores() -> int:
 
 
 _MAX_OUTCOME_BYTES = 1 << 28
-
 _THREADS = "NUMBA_NUM_THREADS"
 
 

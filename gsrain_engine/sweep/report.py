@@ -102,7 +102,6 @@ def _written_figures(folder: Path, scenarios: Sequence[Sequence[SummaryCell]]) -
 # Collisions, time to collision, planned collisions and comfort against rain intensity, with 95 % bands.
 
 _PANEL_IN, _DPI = (4.4, 3.3), 120
-
 _ASIDE, _ALL_ASIDE = 0.012, 0.06
 """Horizontal offset between curves, and the maximum of all offsets together, as a share of the highest intensity."""
 
@@ -187,10 +186,7 @@ def _dress(panel: Axes, title: str, cells: Sequence[SummaryCell], *, is_lowest: 
 # Report page
 
 _MAX_ERRORS = 20
-
-_BANDED = 1
-"""Number of measured columns shown with intervals; summary.json has all."""
-
+_BANDED = 1  # number of measured columns shown with intervals; summary.json has all
 _CHANGED = ("min_ttc_s", "planned_point_collision_rate", "comfort_executed")
 
 

@@ -27,10 +27,7 @@ from .settings import Sweep
 from .worker import JobResult, Value
 
 Row = dict[str, Value]
-
-_MAX_ROWS = 10_000_000
-"""Limit per file; the file of one job has one row."""
-
+_MAX_ROWS = 10_000_000  # limit per file; the file of one job has one row
 FINISHED, FAILED = "finished", "failed"
 
 _SHARED: dict[str, type] = {

@@ -21,14 +21,11 @@ from ..simulation.scenario import Scenario
 from ..simulation.scenario_io import scenario_names
 
 _FOLDER = "sweeps"
-
 _FILES = ("scenarios", "scenes", "agents", "name", "detector", "description", "calibration")
 """Fields that hold file names; `name` is an agent's."""
 
 Intensity = Annotated[float, Meta(ge=0, le=100)]
-
 Seed = Annotated[int, Meta(ge=0, le=2**32 - 1)]
-
 Seeds = Annotated[int, Meta(ge=1, le=100_000)] | Annotated[tuple[Seed, ...], Meta(min_length=1)]
 
 
@@ -148,7 +145,6 @@ def load_sweep(name: str | Path) -> Sweep:
 
 
 _MAX_SIGMAS = 2.0
-
 _FASTEST_M_S = 60.0
 
 

@@ -36,7 +36,6 @@ from .expansion import DriveJob, Job, RenderJob, program_version, software
 from .settings import AgentChoice
 
 _FULL = {errno.ENOSPC, errno.EDQUOT}
-
 _ONE_AT_A_TIME = threading.Lock()
 """Compiled kernels use all threads of a process, so concurrent jobs in one process bring no gain."""
 
@@ -109,8 +108,7 @@ class MismatchError(ValueError):
     """The worker's program or files differ from the sweep's; the job itself may be fine."""
 
 
-_SCENES = 2
-"""Number of scenes kept open; jobs are sorted by scene."""
+_SCENES = 2  # number of scenes kept open; jobs are sorted by scene
 
 
 class WorkerCache:

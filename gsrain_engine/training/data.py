@@ -11,8 +11,7 @@ from ..datasets.undistort import undistort_frame
 from ..scene.camera import Camera
 from .settings import LEVELS
 
-_SMALLEST_PX = 48
-"""Images are not halved below this side length."""
+_SMALLEST_PX = 48  # images are not halved below this side length
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,30 +13,20 @@ from ..datasets.masks import pixel_rays, with_camera_masks
 from ..scene.camera import Camera
 
 logger = logging.getLogger("gsrain")
-
-_WIDTH = 240
-"""Images are searched at this width."""
-
+_WIDTH = 240  # images are searched at this width
 _FRAMES, _OTHERS = 8, 8
 """Number of images examined per camera, and number of nearest images in time that each is compared with."""
 
 _MIN_FRAMES = 3
-
-_CLIP = 0.1
-"""Largest color difference (0..1) that counts as evidence for a pixel."""
-
-_PRIOR = 0.02
-"""Evidence per pixel below which it counts as part of the world."""
-
+_CLIP = 0.1  # largest color difference (0..1) that counts as evidence for a pixel
+_PRIOR = 0.02  # evidence per pixel below which it counts as part of the world
 _EDGE, _SLOPE, _STEEPEST = 20.0, 0.15, 4
 """Weights of a static edge under the contour and of the contour's slope; largest slope in pixels per column."""
 
 _LOWEST_PART = 0.55
 """Share of the height above the search region: only the lower part of an image shows nearby, moving road."""
 
-_MIN_GAIN = 0.01
-"""Mean color evidence above the prior that the region must have."""
-
+_MIN_GAIN = 0.01  # mean color evidence above the prior that the region must have
 _PROPORTIONS = 0.05
 """Images whose aspect ratio differs by more than this share from the camera's median were rotated or cropped and are
 excluded."""

@@ -17,9 +17,7 @@ from .strategy import Strategy
 from .surfels import LONGEST
 
 torch: Any = import_module("torch")
-
 _ROWS, _COLUMNS = 48, 80
-
 _WINDOW = 5
 """Side in cells of the window whose nearest point limits the free space; without points nothing is known to be free."""
 
@@ -29,8 +27,7 @@ _NEAR_SHARE = 0.03
 _LEEWAY = 3.0
 """Factor by which Gaussians may exceed the initial length limit: large Gaussians suit distant uniform areas."""
 
-_EVERY = 25
-"""Steps between two clearances; shorter than the interval of any density control, and a divisor of it."""
+_EVERY = 25  # steps between two clearances; shorter than the interval of any density control, and a divisor of it
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -36,26 +36,15 @@ SURFACE_OPACITY = 0.85
 RANDOM_OPACITY = 0.1
 """Of Gaussians with random positions, as in 3DGS (Kerbl et al. 2023)."""
 
-_COVERED = 6 / 9
-"""Gaussians per cell, averaged over 3x3 cells, that count as full coverage."""
-
-_COARSER = 1.7
-"""Size of the existing Gaussians over the cell size from which a nearer view adds its own."""
-
-_FOR_HOLES = 0.1
-"""Share of the budget reserved for holes."""
-
+_COVERED = 6 / 9  # gaussians per cell, averaged over 3x3 cells, that count as full coverage
+_COARSER = 1.7  # size of the existing Gaussians over the cell size from which a nearer view adds its own
+_FOR_HOLES = 0.1  # share of the budget reserved for holes
 _FOR_GROUND, _FOR_PIECES = 0.05, 0.2
 """Shares of the budget reserved for the road under the ego, and for it together with splitting long Gaussians."""
 
-_HOLE = 0.5
-"""Alpha below which a pixel with a surface counts as a hole."""
-
-_PAINTED_FROM = 4
-"""Inpainting radius in pixels."""
-
-_MIN_MEASURED = 12
-"""Measured pixels required in at least one view; otherwise initialization is random."""
+_HOLE = 0.5  # alpha below which a pixel with a surface counts as a hole
+_PAINTED_FROM = 4  # inpainting radius in pixels
+_MIN_MEASURED = 12  # measured pixels required in at least one view; otherwise initialization is random
 
 
 def initial_gaussians(
@@ -206,23 +195,12 @@ def round_gaussians(
 # Road under the ego
 # The ego's own body occludes this road in every image.
 
-_REACH = 3.5
-"""Radius around the cameras over their height above the road: about a car's length."""
-
-_FLAT = 0.25
-"""Largest height difference from the road over the cameras' height."""
-
-_SPACING, _COARSEST = 0.06, 0.25
-"""Spacing of new discs over the cameras' height: about 9 cm, at most 40 cm."""
-
-_SIGMA, _THICKNESS = 0.7, 0.05
-"""Sigma of a disc along and across the road, over the spacing."""
-
-_COVERS = 2.0
-"""Radius in standard deviations that a disc covers."""
-
+_REACH = 3.5  # radius around the cameras over their height above the road: about a car's length
+_FLAT = 0.25  # largest height difference from the road over the cameras' height
+_SPACING, _COARSEST = 0.06, 0.25  # spacing of new discs over the cameras' height: about 9 cm, at most 40 cm
+_SIGMA, _THICKNESS = 0.7, 0.05  # sigma of a disc along and across the road, over the spacing
+_COVERS = 2.0  # radius in standard deviations that a disc covers
 _NEIGHBORS = 12
-
 _MIN_ROAD = 100
 
 
@@ -305,20 +283,13 @@ def _holes(
 SKY_GAUSSIANS = 8000
 """On the upper half of the dome they are 1.6 degrees apart: fine enough for clouds, not for leaves."""
 
-_LOWEST = float(np.sin(np.radians(-3.0)))
-"""The dome reaches slightly below the horizon, since streets end before it."""
-
+_LOWEST = float(np.sin(np.radians(-3.0)))  # the dome reaches slightly below the horizon, since streets end before it
 _SPREAD, _SKY_THICKNESS, _OPACITY = 0.75, 0.02, 0.98
 """Sigma along and across the dome over the spacing of directions, and opacity."""
 
-_BEYOND = 3.0
-"""Radius of the dome over the distance of the scene's far parts."""
-
-_MIN_RADIUS = 400.0
-"""In meters, for metric captures."""
-
-_SAMPLES = 3
-"""Side in pixels of the window averaged for one direction's color in one view."""
+_BEYOND = 3.0  # radius of the dome over the distance of the scene's far parts
+_MIN_RADIUS = 400.0  # in meters, for metric captures
+_SAMPLES = 3  # side in pixels of the window averaged for one direction's color in one view
 
 
 def initial_sky(
@@ -436,12 +407,8 @@ MIN_POINTS = 60
 """Lidar points that an actor needs; fewer do not define a shape."""
 
 _MARGIN_M = 0.1
-
-_LIFT_M = 0.12
-"""Points lower than this in the box may belong to the road."""
-
+_LIFT_M = 0.12  # points lower than this in the box may belong to the road
 _MIN_SPACING_M = 0.04
-
 _MAX_VIEWS = 24
 
 

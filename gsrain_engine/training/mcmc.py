@@ -13,10 +13,7 @@ from .parameters import SplatParameters, Tensor
 from .strategy import rotate_vectors
 
 torch: Any = import_module("torch")
-
-_STILL = 0.25
-"""Opacity above which no noise is applied; its factor is below 1e-10 there."""
-
+_STILL = 0.25  # opacity above which no noise is applied; its factor is below 1e-10 there
 _STEEPNESS, _MIDDLE = 100.0, 0.995
 """Of the logistic of transparency that scales the noise (Kheradmand et al. 2024, section 3.2)."""
 

@@ -26,7 +26,6 @@ from .parameters import SplatParameters
 from .settings import TrainingSettings
 
 torch: Any = import_module("torch")
-
 Tensor = Any
 
 
@@ -147,9 +146,7 @@ def _drawn(pieces: list[_ActivatedPart], camera: Camera) -> Rendered:
 # Model to scene
 
 RIG = "capture"
-
-_MIN_VISIBLE_ALPHA = 1 / 255
-"""Smallest alpha that renderers draw."""
+_MIN_VISIBLE_ALPHA = 1 / 255  # smallest alpha that renderers draw
 
 
 def scene_of(model: SplatModel, capture: Capture) -> Scene:
@@ -225,7 +222,6 @@ def _mounted(view: CaptureFrame, ego_to_world: Float64[np.ndarray, "4 4"]) -> Ri
 # NumPy archives without pickles, written atomically.
 
 _VERSION = 1
-
 _FREE = frozenset({"measured_every", "saved_every"})
 """Settings that may change on resume, since no result depends on them."""
 

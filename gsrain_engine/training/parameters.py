@@ -11,14 +11,11 @@ from numba import njit, prange
 from ..scene.gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 
 torch: Any = import_module("torch")
-
 Tensor = Any
 """A torch tensor; torch is an optional extra, so its types can't be named here."""
 
 NAMES = ("means", "log_scales", "quaternions", "opacity_logits", "sh_dc", "sh_rest")
-
-_MIN_SCALE, _MIN_OPACITY = 1e-12, 1e-8
-"""Lower bounds of values before their logarithm is taken."""
+_MIN_SCALE, _MIN_OPACITY = 1e-12, 1e-8  # lower bounds of values before their logarithm is taken
 
 
 class SplatParameters:

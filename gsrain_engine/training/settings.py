@@ -14,9 +14,7 @@ from ..presets import load_values, shipped_config_names
 from ..safe_io.errors import convert_checked
 
 _FOLDER = "reconstruct"
-
 Weight = Annotated[float, Meta(ge=0, le=100)]
-
 Rate = Annotated[float, Meta(gt=0, le=1)]
 
 
@@ -172,12 +170,10 @@ LEVELS = 3
 """Number of image sizes: full, half and quarter."""
 
 _EXTENT_MARGIN = 1.1
-
 _TRANSIENTS_FROM = 0.25
 """Share of the steps from which transients are masked: earlier the scene is too rough, later it has overfitted them."""
 
-_DEGREE_SHARE = 0.2
-"""Share of the steps after which each further degree of the harmonics is enabled."""
+_DEGREE_SHARE = 0.2  # share of the steps after which each further degree of the harmonics is enabled
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,13 +17,9 @@ from .settings import TrainingSchedule, TrainingSettings, view_order
 from .strategy import Strategy
 
 torch: Any = import_module("torch")
-
 Tensor = Any
-
 _EXPOSURES = "exposures"
-
 _CONTROL = "control"
-
 _STAGES = ("reading", "forward", "backward", "optimizer", "density")
 
 
@@ -158,8 +154,7 @@ def _named(arrays: Mapping[str, Shaped[np.ndarray, "..."]], kind: str) -> dict[s
 
 # Loss of one view
 
-_MIN_ALPHA = 0.05
-"""Alpha below which depth is undefined."""
+_MIN_ALPHA = 0.05  # alpha below which depth is undefined
 
 
 class TrainingTarget(NamedTuple):
@@ -300,9 +295,7 @@ def _filtered(values: np.ndarray) -> np.ndarray:
 
 # Robust mask
 
-_WINDOW = 0.03
-"""Side of the averaging window in image widths; single pixels are no evidence."""
-
+_WINDOW = 0.03  # side of the averaging window in image widths; single pixels are no evidence
 _THRESHOLDS, _TIMES = 0.08, 4.0
 """Color difference (0..1) below which no pixel is masked, and required multiple of the median."""
 

@@ -50,11 +50,8 @@ class Strategy(Protocol):
 # Clone small, split large, prune invisible Gaussians (Kerbl et al. 2023).
 
 torch: Any = import_module("torch")
-
 _CHILDREN = 2
-
-_SHRINK = 0.8 * _CHILDREN
-"""A child's scale is its parent's over 1.6 (Kerbl et al. 2023, section 5.2)."""
+_SHRINK = 0.8 * _CHILDREN  # A child's scale is its parent's over 1.6 (Kerbl et al. 2023, section 5.2).
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

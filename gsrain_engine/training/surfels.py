@@ -17,12 +17,8 @@ from ..scene.geometry import matrices_from_quaternions, quaternions_from_matrice
 SPREAD = 0.6
 """Standard deviation of a disc over the spacing of discs: they overlap without much blur."""
 
-_THICKNESS = 0.1
-"""Standard deviation across the surface over the smaller one along it."""
-
-_STEEPEST = 16.0
-"""Largest aspect ratio of a disc: surfaces at grazing angles are imprecise."""
-
+_THICKNESS = 0.1  # standard deviation across the surface over the smaller one along it
+_STEEPEST = 16.0  # largest aspect ratio of a disc: surfaces at grazing angles are imprecise
 _SLIGHT, _STEEP, _STRAIGHT = 0.05, 0.5, 0.3
 """Relative depth change per pixel. Below the first value it is no edge; up to the second, as on distant road, it is no
 edge if the changes before and after differ by at most the third, as a share."""
@@ -166,11 +162,8 @@ def split_long_gaussians(gaussians: Gaussians, way: Float64[np.ndarray, "p 3"], 
 
 # Camera trajectory
 
-_PARTS = 8
-"""Parts per segment between two images."""
-
-_LONGEST = 0.5
-"""Longest interpolated segment over the typical depth: within it the cameras observe free space."""
+_PARTS = 8  # parts per segment between two images
+_LONGEST = 0.5  # longest interpolated segment over the typical depth: within it the cameras observe free space
 
 
 def camera_trajectory(views: Sequence[CaptureFrame], usual_depth: float) -> Float64[np.ndarray, "p 3"]:
@@ -198,12 +191,8 @@ def camera_trajectory(views: Sequence[CaptureFrame], usual_depth: float) -> Floa
 # Point colors
 
 _NEAR = 0.05
-
-_HIDDEN = 1.06
-"""A point farther than the surface in its pixel by this factor is occluded."""
-
-_SLACK = 0.15
-"""Added tolerance in the world's unit, for points on thin objects and edges."""
+_HIDDEN = 1.06  # A point farther than the surface in its pixel by this factor is occluded
+_SLACK = 0.15  # added tolerance in the world's unit, for points on thin objects and edges
 
 
 def projected(

@@ -45,18 +45,10 @@ from .surfels import camera_trajectory
 from .task import ReconstructionTask
 
 logger = logging.getLogger("gsrain")
-
-_STARTED, _TRAINED = 0.04, 0.95
-"""Shares of the total progress at which training starts and ends."""
-
+_STARTED, _TRAINED = 0.04, 0.95  # shares of the total progress at which training starts and ends
 _PREVIEW_INTERVAL_S = 2.0
-
-_QUICK_VIEWS = 4
-"""Number of held-out views evaluated during training; all of them at the end."""
-
-_LEARNED_VIEWS = 4
-"""Number of training views evaluated at the end, for comparison."""
-
+_QUICK_VIEWS = 4  # number of held-out views evaluated during training; all of them at the end
+_LEARNED_VIEWS = 4  # number of training views evaluated at the end, for comparison
 _BEFORE = "before"
 
 # Ego mask report
@@ -310,9 +302,7 @@ def _spread(views: Sequence[TrainingView], count: int) -> list[TrainingView]:
 
 
 torch: Any = import_module("torch")
-
-_INITIAL_SHARE = 0.7
-"""Initial share of the allowed Gaussians; the rest is left to density control."""
+_INITIAL_SHARE = 0.7  # initial share of the allowed Gaussians; the rest is left to density control
 
 
 def start_training(
@@ -409,8 +399,7 @@ def _perceived(lpips: Path | None, device: str) -> PerceptualMetric | None:
 
 # Training report page
 
-_SMOOTHED_STEPS = 25
-"""Smoothing window: each step uses another view, so single losses vary."""
+_SMOOTHED_STEPS = 25  # smoothing window: each step uses another view, so single losses vary
 
 
 def write_training_report(file: Path, result: TrainingReport) -> None:

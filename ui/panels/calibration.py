@@ -18,9 +18,7 @@ from ..widgets.text import readings, visible_name
 from .rain import WARNING
 
 _FAINTEST = 1e-2
-
 _MEASUREMENTS = "Disdrometer files{.*}"
-
 _CALIBRATIONS = "Calibrations{.yaml,.yml},All files{.*}"
 
 

@@ -15,7 +15,6 @@ from .rain import WARNING
 from .training import reconstruct_fields
 
 _ICONS = icons_fontawesome_6
-
 _ROW_EM = 3.6
 
 

@@ -10,9 +10,7 @@ from ..widgets.fields import plain_label
 from .timeline import HEIGHT_EM, keyframe_menu, keyframe_number_fields, playhead, rows, time_ruler, transport
 
 _STORAGES: dict[Harmonics, str] = {"single": "32 bits", "half": "16 bits", "byte": "8 bits"}
-
-_held: dict[str, float] = {}
-"""Values of sliders that are being dragged, by preference."""
+_held: dict[str, float] = {}  # values of sliders that are being dragged, by preference
 
 
 def display_panel(session: Editor) -> None:
@@ -73,9 +71,7 @@ def _preference(session: Editor, name: str, title: str, help_text: str, low: flo
 # Timeline panel
 
 _TITLES_EM, _NUMBERS_EM = 6.5, 21.0
-
-_NARROW_EM = 50.0
-"""Width below which the numbers are hidden in favor of the rows."""
+_NARROW_EM = 50.0  # width below which the numbers are hidden in favor of the rows
 
 
 def timeline_panel(session: Editor) -> None:

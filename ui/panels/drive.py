@@ -82,11 +82,8 @@ def _warn(words: str) -> None:
 # Scenario, agent and rain
 
 _SCENARIOS = f"Scenarios{{.yaml,.yml,.xosc}},{ALL_FILES}"
-
 _DETECTORS = f"Detectors{{.onnx}},{ALL_FILES}"
-
-_BLIND = ("constant-velocity", "oracle-idm")
-"""Agents that use neither images nor a server."""
+_BLIND = ("constant-velocity", "oracle-idm")  # agents that use neither images nor a server
 
 
 def scenario_choice(session: Editor) -> None:
@@ -161,7 +158,6 @@ def _text(wanted: DriveSetup, name: str, hint: str) -> None:
 # Open roll-outs
 
 _KINDS = "Roll-outs{.jsonl,.parquet}"
-
 _VIDEOS = "MP4{.mp4},WebM{.webm}"
 
 VIDEO_HELP = (
@@ -305,12 +301,8 @@ def _display_options(drives: RolloutPlayer) -> None:
 # Scenario settings
 
 _Settings = TypeVar("_Settings", bound=msgspec.Struct)
-
-_DRAG_PX, _FASTEST = 300.0, 0.1
-"""Drag distance over the whole range in pixels, and the largest change per pixel."""
-
+_DRAG_PX, _FASTEST = 300.0, 0.1  # drag distance over the whole range in pixels, and the largest change per pixel
 _START = ("speed_m_s", "left_m", "duration_s", "step_s")
-
 _USER = ("ahead_m", "left_m", "turned_deg", "speed_m_s")
 
 

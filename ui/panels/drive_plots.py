@@ -20,16 +20,10 @@ from gsrain_engine.simulation.metrics.summary import DriveMetrics
 
 from ..widgets.draw import BACKGROUND, OUTLINE, PLAYHEAD, color
 
-_WIDE = 1.6
-"""Aspect ratio from which the plots are side by side."""
-
+_WIDE = 1.6  # aspect ratio from which the plots are side by side
 _MIN_EM, _HIGHEST_EM = 8.0, 14.0
-
 _MARGIN = 0.08
-
-_RIGHT = 0.03
-"""Free share at the end of the time axis: a collision is marked there."""
-
+_RIGHT = 0.03  # free share at the end of the time axis: a collision is marked there
 _HIT = ImVec4(0.95, 0.33, 0.28, 1.0)
 
 
@@ -140,10 +134,7 @@ def _cursor(now_s: float) -> None:
 # Colors of roll-outs by rain, from amber (dry) to violet (12 mm/h and more)
 
 _STOPS = ((0.0, (0.98, 0.74, 0.25)), (1.2, (0.45, 0.82, 0.45)), (8.5, (0.35, 0.68, 1.0)), (12.0, (0.78, 0.52, 1.0)))
-
-_DARKER = 0.72
-"""Factor for each further roll-out in the same rain."""
-
+_DARKER = 0.72  # factor for each further roll-out in the same rain
 _FEW = 3
 
 
@@ -167,7 +158,6 @@ def _rain_color(intensity_mm_h: float) -> tuple[float, ...]:
 # Table of metrics, a column per roll-out
 
 _MAX_COLUMNS = 5
-
 _NONE = "-"
 
 

@@ -96,7 +96,6 @@ class _FloaterChoice:
 
 
 _chosen = _FloaterChoice(FloaterRules())
-
 _RANGES = {"opacity_below": (1.0, "%.3g"), "size_above_m": (20.0, "%.3g"), "isolation_above": (50.0, "%.3g x median")}
 """Upper bound and number format of each slider."""
 

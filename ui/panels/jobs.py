@@ -64,7 +64,6 @@ def _preview(session: Editor, job: BackgroundJob) -> None:
 # Log panel
 
 _COLORS = {logging.ERROR: ImVec4(0.95, 0.45, 0.38, 1.0), logging.WARNING: ImVec4(0.9, 0.62, 0.2, 1.0)}
-
 _LEVELS = {"all": logging.INFO, "warnings": logging.WARNING, "errors": logging.ERROR}
 
 

@@ -15,7 +15,6 @@ from ..widgets.fields import end_gesture_when_released, field_info, plain_label
 from ..widgets.text import plain_identity, visible_name
 
 _ICONS = icons_fontawesome_6
-
 _ICON_EM = 1.3
 
 

@@ -20,19 +20,13 @@ from .rain import WARNING, wetness_fields
 from .training import transfer_training_fields
 
 _ICONS = icons_fontawesome_6
-
 _WEIGHTS = f"Weights{{.pkl,.safetensors,.ckpt,.pt}},{ALL_FILES}"
-
 _PLACES = {"weights": _WEIGHTS, "images": "", "base": "", "normals_weights": _WEIGHTS, "normals_checkout": ""}
 """Settings that are paths, with their file types; "" for folders."""
 
 _LABELS = {"normals_weights": "Their weights", "normals_checkout": "Its program"}
-
-_FIRST = 1
-"""Number of a method's settings that are always visible."""
-
-_HIGHEST_PREVIEW_EM = 7.0
-"""Small, since the viewport shows the preview at full size."""
+_FIRST = 1  # number of a method's settings that are always visible
+_HIGHEST_PREVIEW_EM = 7.0  # small, since the viewport shows the preview at full size
 
 _MAKE_HELP = (
     "Transfer the views, then solve for the wet colours in which the scene looks like them, in the background.\n"

@@ -15,7 +15,6 @@ from ..widgets.fields import keyframe_button, keyframe_button_width, keyframed_s
 from ..widgets.text import readings
 
 WARNING = ImVec4(1.0, 0.72, 0.3, 1.0)
-
 _HIGHEST_MM_H = 100.0
 
 

@@ -9,23 +9,14 @@ from gsrain_engine.rain.keyframes import HEAVIEST_MM_H, Keyed
 from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H
 
 _CURVE = ImVec4(0.42, 0.74, 1.0, 1.0)
-
 _FILL = ImVec4(0.42, 0.74, 1.0, 0.16)
-
 _KEY = ImVec4(1.0, 0.93, 0.45, 1.0)
-
 _NOW = ImVec4(1.0, 0.45, 0.35, 1.0)
-
 _LIMIT = ImVec4(1.0, 0.72, 0.3, 0.55)
-
 _HEIGHT_EM, _MIN_EM, _ROW_EM = 12.0, 7.0, 1.5
-
 _GRIP_PX = 8.0
-
 _MAX_KEYS, _MAX_POINTS = 150, 20_000
-
 _CLOSEST_S = 0.01
-
 _ROWS: tuple[tuple[Keyed, str], ...] = (("wind_m_s", "wind"), ("exposure_s", "exposure"))
 
 

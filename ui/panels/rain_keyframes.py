@@ -27,9 +27,7 @@ _WAYS: tuple[tuple[Literal["linear", "smooth"], str], ...] = (
     ("smooth", "Rounded, and never beyond the keys on either side (Fritsch and Carlson, 1980)."),
 )
 
-_WIDE_EM, _NUMBERS_EM = 50.0, 22.0
-"""Panel width from which the table is next to the plot, and the table's width."""
-
+_WIDE_EM, _NUMBERS_EM = 50.0, 22.0  # panel width from which the table is next to the plot, and the table's width
 SERIES_FILES = "Disdrometer files{.nc,.cdf,.dat,.txt,.csv,.log,.mis,.gz},All files{.*}"
 
 

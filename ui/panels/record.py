@@ -124,11 +124,8 @@ _SIZES = {
 }
 
 _OTHER = "other"
-
 _PATH = "the camera path"
-
-_CHECKBOX_EM = 5.2
-"""Width of a checkbox with a word next to a field."""
+_CHECKBOX_EM = 5.2  # width of a checkbox with a word next to a field
 
 _PASS_HELP: dict[Pass, str] = {
     "color": "The picture.",

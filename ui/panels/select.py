@@ -147,13 +147,9 @@ def _name(session: Editor, name: str) -> None:
 
 # Attribute range over a histogram
 
-_SIZE = 16
-"""Any size: attributes depend on the camera's position, not on its pixels."""
-
+_SIZE = 16  # any size: attributes depend on the camera's position, not on its pixels
 _HEIGHT_EM = 8.0
-
 _HISTOGRAM_COLORS, _SELECTED = ImVec4(0.55, 0.6, 0.68, 1.0), ImVec4(1.0, 0.72, 0.2, 1.0)
-
 _LINE, _INSIDE = ImVec4(0.3, 0.75, 1.0, 1.0), (0.3, 0.75, 1.0, 0.18)
 
 _HELP: dict[Mode, str] = {

@@ -31,11 +31,8 @@ from ..widgets.fields import ask_what_to_open, ask_where_to_save, end_gesture_wh
 from ..widgets.text import label
 
 _RADIUS = 6.5
-
 _LEFT, _RIGHT = imgui.MouseButton_.left, imgui.MouseButton_.right
-
 _DRAG_PX = 3.0
-
 _APART_PX = 3.0
 """Minimum distance: imported paths have thousands of keyframes, so closer ones are hidden until zoomed in."""
 
@@ -125,7 +122,6 @@ def _item(name: str, help_text: str) -> bool:
 # Numbers of the active keyframe, else of the whole path
 
 _TOO_FAST = (0.95, 0.45, 0.38, 1.0)
-
 _LABEL_EM = 6.5
 
 
@@ -250,7 +246,6 @@ def _label(text: str, help_text: str) -> None:
 # Camera path menu
 
 _FRAME_RATES = (10.0, 24.0, 25.0, 30.0, 50.0, 60.0)
-
 _JSON = "Camera paths{.json},All files{.*}"
 
 
@@ -337,7 +332,6 @@ def _menu_item(name: str, help_text: str, *, possible: bool = True) -> bool:
 # Rows: camera keyframes, rain keyframes, and lifetimes of actors
 
 ROW_EM = 1.3
-
 _ROW_RADIUS = 4.0
 
 
@@ -405,11 +399,8 @@ def _begin(title: str, help_text: str, titles_px: float, width: float) -> tuple[
 # Ruler
 
 HEIGHT_EM = 1.7
-
 _LABELS_APART_EM = 4.5
-
 _MARKS_APART_PX = 7.0
-
 _GRIP = 5.0
 
 _HELP = (
@@ -490,9 +481,7 @@ def _span(session: Editor, corner: ImVec2, width: float, height: float) -> None:
 # Transport bar
 
 _FA = icons_fontawesome_6
-
 _SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
-
 _GAP = 18.0
 
 

@@ -38,8 +38,7 @@ class Tool(Protocol):
 
 # Drags of the left button
 
-_STILL_PX = 4.0
-"""Movement up to this distance is a click."""
+_STILL_PX = 4.0  # movement up to this distance is a click
 
 
 @dataclass(slots=True)
@@ -78,11 +77,8 @@ class LeftDrag:
 # Lines, rings and knobs of the selection tools, light on dark to be visible on any image
 
 _DARK, _LIGHT = ImVec4(0.0, 0.0, 0.0, 0.75), ImVec4(1.0, 0.85, 0.3, 1.0)
-
 _FILL = ImVec4(1.0, 0.85, 0.3, 0.10)
-
 _FAINT = ImVec4(1.0, 0.85, 0.3, 0.55)
-
 KNOB_PX = 7.0
 """Half the width of a draggable knob."""
 

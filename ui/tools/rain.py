@@ -26,17 +26,11 @@ from . import base
 from .base import LeftDrag
 
 _COLORS = {"streak_region": (0.45, 0.85, 1.0, 1.0), "haze_region": (1.0, 0.8, 0.45, 1.0)}
-
 _LABELS: dict[RegionName, str] = {"streak_region": "Streak region", "haze_region": "Haze region"}
-
 _WHOLE = {"streak_region": STREAK_REGION, "haze_region": HAZE_REGION}
-
 _GRIP_PX = 11.0
-
 _WHITE = (1.0, 1.0, 1.0, 1.0)
-
 _CAMERA = (0.62, 0.62, 0.66, 0.9)
-
 Face = tuple[int, bool]
 """Axis, and True for its upper side."""
 

@@ -18,7 +18,6 @@ from . import base
 from .base import LeftDrag
 
 _MIN_PX, _MAX_PX = 2.0, 300.0
-
 _STEP = 1.2
 
 # Brush

@@ -91,7 +91,6 @@ def _word(text: str) -> None:
 # Sphere
 
 _FIRST_RADIUS_M = 1.0
-
 _RING = 64
 
 
@@ -229,13 +228,9 @@ class CropTool:
 
 
 _CLAMP = imgui.SliderFlags_.always_clamp
-
 _EDGES = [(corner, corner | bit) for corner in range(8) for bit in (1, 2, 4) if not corner & bit]
-
 _FACES: list[Face] = [(axis, upper) for axis in range(3) for upper in (False, True)]
-
 _GRIP_PX = 10.0
-
 _BRIGHT = (1.0, 1.0, 1.0, 1.0)
 
 

@@ -136,13 +136,9 @@ def drive_overlay(session: Editor, viewport: Viewport) -> bool:
 
 
 OVERLAYS: tuple[Overlay, ...] = (capture_overlay, matching_overlay, path_overlay, drive_overlay)
-
 _PATH_COLOR = ImVec4(0.55, 0.78, 1.0, 0.9)
-
 _HANDLE, _REACH = 5.5, 10.0
-
 _LEFT = imgui.MouseButton_.left
-
 _DRAG_PX = 2.0
 
 
@@ -188,11 +184,8 @@ def _lines(viewport: Viewport, lines_px: Float64[np.ndarray, "m 2 2"], hue: ImVe
 
 
 _CAMERA = ImVec4(0.5, 0.85, 0.62, 0.9)
-
 _CAPTURE_HANDLE, _CAPTURE_REACH = 4.0, 9.0
-
-_IMAGES = 24
-"""Number of nearest cameras that show their images."""
+_IMAGES = 24  # number of nearest cameras that show their images
 
 
 def _recorded_image(session: Editor, viewport: Viewport, view: int) -> None:
@@ -297,18 +290,11 @@ WORDS: dict[MatchOutcome, str] = {
 }
 
 _CELLS = (8, 6)
-
-_MIN_SHARE = 0.005
-"""Minimum share of the image for an entry in the legend."""
-
+_MIN_SHARE = 0.005  # minimum share of the image for an entry in the legend
 _LINE = ImVec4(0.35, 0.95, 0.6, 0.85)
-
 _INSET_SHARE, _MAX_INSET_EM, _MARGIN = 0.3, 16.0, 10.0
-
 _PAPER = ImVec4(0.06, 0.065, 0.08, 0.82)
-
 _INK = ImVec4(0.94, 0.94, 0.96, 1.0)
-
 _FAINT = ImVec4(0.7, 0.71, 0.75, 1.0)
 
 
@@ -400,19 +386,12 @@ def _card(viewport: Viewport, title: str, shares: list[tuple[MatchOutcome, float
 
 
 _PLAN = ImVec4(0.2, 0.95, 0.6, 1.0)
-
 _DRIVEN = ImVec4(0.45, 0.78, 1.0, 0.55)
-
 _USER = ImVec4(1.0, 0.74, 0.3, 0.95)
-
 _EGO = ImVec4(0.45, 0.78, 1.0, 0.95)
-
 _HIT = ImVec4(1.0, 0.3, 0.25, 1.0)
-
 _ROLLOUT_PAPER = ImVec4(0.06, 0.065, 0.08, 0.8)
-
 _DETECTION_COLOR = ImVec4(1.0, 0.5, 0.85, 0.95)
-
 _ROLLOUT_MARGIN = 10.0
 
 _ENDS = {
@@ -497,7 +476,6 @@ def _line(viewport: Viewport, words: str, low: float, ink: ImVec4) -> float:
 # Divider of two images
 
 _HALF_GRIP = 6.0
-
 _DIVIDER_MARGIN = 8.0
 
 

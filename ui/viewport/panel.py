@@ -18,9 +18,7 @@ TexturesOf = Callable[[int, int], list[int]]
 """Draws the session in a size in pixels and returns the OpenGL names of its sides, from left to right."""
 
 _OUTLINE = {"streak region": ImVec4(0.45, 0.85, 1.0, 0.9), "haze region": ImVec4(1.0, 0.8, 0.45, 0.9)}
-
 _RADIANS_PER_PIXEL = 0.005
-
 _FAST = 4.0
 
 _KEYS = {
@@ -116,9 +114,7 @@ def _keyboard(session: Editor) -> None:
 # Start page without a scene
 
 _WIDTH_EM = 30.0
-
 _OFFERED = ("Open...", "Open the built-in street")
-
 _MAX_RECENT = 6
 
 
@@ -150,7 +146,6 @@ def empty_state(session: Editor, corner: ImVec2, width: int, height: int) -> Non
 # Notices
 
 _NOTICE_WIDTH_EM = 34.0
-
 _MARGIN = 10.0
 
 

@@ -12,7 +12,6 @@ from ..commands.base import chord_name
 from ..tools.registry import TOOLS
 
 _GAP = 3.0
-
 _NAVIGATE = icons_fontawesome_6.ICON_FA_ARROW_POINTER
 
 

@@ -22,21 +22,13 @@ from gsrain_engine.render.draw import RenderView
 from .text import visible_name
 
 KEY = ImVec4(0.93, 0.93, 0.95, 1.0)
-
 CHOSEN = ImVec4(1.0, 0.66, 0.2, 1.0)
-
 PLAYHEAD = ImVec4(0.95, 0.33, 0.28, 1.0)
-
 PLAYED = ImVec4(0.38, 0.6, 0.85, 1.0)
-
 FLIGHT = ImVec4(0.38, 0.6, 0.85, 0.45)
-
 TOO_FAST = ImVec4(0.95, 0.33, 0.28, 0.75)
-
 RAIN = ImVec4(0.45, 0.85, 1.0, 1.0)
-
 PRESENT = ImVec4(0.45, 0.7, 0.5, 0.6)
-
 OUTLINE = ImVec4(0.0, 0.0, 0.0, 0.65)
 
 
@@ -48,21 +40,15 @@ def color(value: ImVec4 | int) -> int:
 
 
 DIM = int(imgui.Col_.text_disabled)
-
 FAINT = int(imgui.Col_.separator)
-
 BACKGROUND = int(imgui.Col_.frame_bg)
-
 STRIPE = int(imgui.Col_.table_row_bg_alt)
-
 TEXT = int(imgui.Col_.text)
 
 # Points, lines and text at world positions
 
 Rgba = tuple[float, float, float, float]
-
 YELLOW: Rgba = (1.0, 0.85, 0.25, 1.0)
-
 _SHADOW: Rgba = (0.0, 0.0, 0.0, 0.6)
 
 # Viewport coordinates
@@ -202,11 +188,8 @@ _OPERATIONS = {
     "scale": _GIZMO.OPERATION.scale,
 }
 
-_SIZE = 0.17
-"""Share of the viewport."""
-
-_STEPS = {"translate": 0.5, "rotate": 15.0, "scale": 0.1}
-"""Meters, degrees and factors that Ctrl snaps to."""
+_SIZE = 0.17  # share of the viewport
+_STEPS = {"translate": 0.5, "rotate": 15.0, "scale": 0.1}  # meters, degrees and factors that Ctrl snaps to
 
 
 @dataclass(slots=True)

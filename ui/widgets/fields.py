@@ -141,7 +141,6 @@ def end_gesture_when_released(session: Editor) -> None:
 # Fields of any settings: metadata and type select the widget
 
 _Settings = TypeVar("_Settings", bound=msgspec.Struct)
-
 ALL_FILES = "All files{.*}"
 
 
@@ -229,9 +228,7 @@ def _with(settings: _Settings, name: str, value: Any) -> _Settings:
 # Keyframe diamond: gray without keyframes, lit with some, bright at a keyframe's time
 
 KEYED = ImVec4(0.95, 0.66, 0.25, 1.0)
-
 HERE = ImVec4(1.0, 0.93, 0.45, 1.0)
-
 _TITLES = {"intensity_mm_h": "intensity", "wind_m_s": "wind", "exposure_s": "exposure"}
 
 
@@ -301,9 +298,7 @@ class _Waiting(NamedTuple):
     """Names that a save dialog returns for an empty name: a bare suffix, such as `.ply` or `.*`."""
 
 
-_waiting: dict[str, _Waiting] = {}
-"""Open dialogs by title; there is one window."""
-
+_waiting: dict[str, _Waiting] = {}  # open dialogs by title; there is one window
 SCENE_FOLDERS = "Scene folders{.*}"
 
 

@@ -17,7 +17,6 @@ from ..covisibility import rank_neighbors
 from .settings import CrossViewAttention, TileWindow
 
 torch: Any = import_module("torch")
-
 Tensor = Any
 
 
@@ -182,9 +181,7 @@ class FeatureMaps:
 # Attention plan: view order and the neighbors of each view
 
 _SPARE = 2
-
-_LONGEST_MOMENT_S = 0.1
-"""One rotation of nuScenes' lidar, which triggers the cameras."""
+_LONGEST_MOMENT_S = 0.1  # one rotation of nuScenes' lidar, which triggers the cameras
 
 
 @dataclass(frozen=True, slots=True)

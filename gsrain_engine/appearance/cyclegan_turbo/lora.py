@@ -7,9 +7,7 @@ from importlib import import_module
 from typing import Any
 
 torch: Any = import_module("torch")
-
 Tensor = Any
-
 Module = Any
 
 UNET_LAYERS = (
@@ -25,7 +23,6 @@ VAE_LAYERS = (
 """Ends of the names of adapted autoencoder layers."""
 
 UNET_ADAPTERS = ("default_encoder", "default_decoder", "default_others")
-
 VAE_ADAPTER = "vae_skip"
 """Names of peft adapters, as in img2img-turbo."""
 

@@ -15,9 +15,7 @@ from ...safe_io.text_files import MAX_BYTES
 from .lora import LoraRanks, add_adapters
 
 torch: Any = import_module("torch")
-
 Tensor = Any
-
 Direction = Literal["a2b", "b2a"]
 """a is clear and b rainy, in weights that make views rainy."""
 

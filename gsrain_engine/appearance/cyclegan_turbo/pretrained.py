@@ -23,7 +23,6 @@ from .weight_paths import base_model_instructions, captions_file, find_base_mode
 from .weights import apply_adapter_weights, open_weights
 
 torch: Any = import_module("torch")
-
 Tensor = Any
 
 

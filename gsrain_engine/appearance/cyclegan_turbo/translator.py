@@ -34,17 +34,10 @@ if TYPE_CHECKING:
     from ..base import TransferSettings
 
 torch: Any = import_module("torch")
-
 Tensor = Any
-
-_LEVELS = 8
-"""The UNet halves its latent three times; tiles must start at its coarsest tokens."""
-
-_MIN_MATCHED = 0.02
-"""Least share of a view's pixels that match another view for it to attend to that view."""
-
+_LEVELS = 8  # the UNet halves its latent three times; tiles must start at its coarsest tokens
+_MIN_MATCHED = 0.02  # least share of a view's pixels that match another view for it to attend to that view
 WITHOUT_POSE = "no attention between views: it is not known where their cameras stood"
-
 NO_OVERLAP = "no attention between views: no other one is known to show the same place"
 """Notes on skipped attention, for views without neighbors."""
 
@@ -260,11 +253,8 @@ _LINEAR, _QUADRATIC = 4.278e12, 0.190e12
 """Floating-point operations of SD-Turbo at 512 x 512 px: the part linear in pixels (convolutions), and the quadratic
 one (attention). Counted by torch's FlopCounterMode at 512 and 1024 px."""
 
-_PROBE_CHANNELS, _PROBE_SIDE_PX = 128, 192
-"""Size of the probe, a convolution like those that dominate the autoencoder."""
-
-_SHARE_OF_PROBE = {"cpu": 0.75, "cuda": 0.6}
-"""Speed of the whole network relative to the probe."""
+_PROBE_CHANNELS, _PROBE_SIDE_PX = 128, 192  # size of the probe, a convolution like those that dominate the autoencoder
+_SHARE_OF_PROBE = {"cpu": 0.75, "cuda": 0.6}  # speed of the whole network relative to the probe
 
 
 def estimated_seconds(width: int, height: int, device: str = "cpu", dtype: Any = None, mutual: bool = False) -> float:

@@ -11,15 +11,10 @@ BASE_VARIABLE = "GSRAIN_SD_TURBO"
 """Environment variable with a folder of SD-Turbo in diffusers' layout."""
 
 WEIGHTS_VARIABLE = "GSRAIN_TRANSFER_WEIGHTS"
-
 PUBLISHED_URL = "https://www.cs.cmu.edu/~img2img-turbo/models/clear2rainy.pkl"
-
 _HUB_NAME = "stabilityai/sd-turbo"
-
 _MAX_NAME_BYTES = 1 << 10
-
 _PARTS = ("unet", "vae")
-
 _SUFFIXES = (".safetensors", ".pkl", ".pt", ".pth")
 
 

@@ -15,7 +15,6 @@ from .lora import VAE_ADAPTER, VAE_ALPHA, LoraRanks, LowRank, adapted_layers, ad
 from .model import ARCHITECTURES, CAPTIONS, CycleGanTurbo, Guide, widen_kernel
 
 torch: Any = import_module("torch")
-
 Tensor = Any
 
 # Adapter weights: LoRAs, replaced tensors and captions relative to SD-Turbo
@@ -276,16 +275,12 @@ def _into_adapters(model: CycleGanTurbo, delta: AdapterWeights) -> None:
 # Our file format: safetensors with all differences from SD-Turbo, written atomically
 
 FORMAT = "gsrain-cyclegan-turbo"
-
 _VERSION = "1"
-
 _FACTORS = ("lora_A.weight", "lora_B.weight", "alpha")
-
 _PROBE = "unet.conv_out.bias"
 """Untrained tensor of the base, stored to check that weights are applied to the right base."""
 
-_PROBE_TOLERANCE = 2e-2
-"""Tolerance relative to the largest value, so that half-precision copies of the base pass."""
+_PROBE_TOLERANCE = 2e-2  # tolerance relative to the largest value, so that half-precision copies of the base pass
 
 
 def is_own(metadata: Mapping[str, str]) -> bool:
@@ -385,9 +380,7 @@ _UNET_PARTS = (
 """Keys of the UNet's LoRAs and of the names of their layers."""
 
 _OTHERS = ("rank_unet", "rank_vae", "vae_lora_target_modules", "sd_vae_enc", "sd_vae_dec")
-
 _VAES = ("vae.", "vae_b2a.")
-
 WEATHERS = ("rainy", "snowy", "foggy")
 """Weathers in one checkpoint of WeatherEdit, which share an autoencoder."""
 
@@ -490,7 +483,6 @@ def _stored(name: str, adapted: list[str]) -> str:
 # LoRA files of diffusers (pytorch_lora_weights.safetensors) and of kohya's scripts, for the UNet alone
 
 _PREFIX = "unet."
-
 _FLAT_PREFIX = "lora_unet_"
 
 _DIFFUSERS_FACTORS = {
@@ -501,9 +493,7 @@ _DIFFUSERS_FACTORS = {
 }  # fmt: skip
 
 _ENDING = re.compile(rf"\.({'|'.join(map(re.escape, _DIFFUSERS_FACTORS))})$")
-
-_METADATA = "lora_adapter_metadata"
-"""Header field in which diffusers writes peft's settings, in JSON."""
+_METADATA = "lora_adapter_metadata"  # header field in which diffusers writes peft's settings, in JSON
 
 
 def is_diffusers_lora(names: Mapping[str, Any]) -> bool:

@@ -14,11 +14,8 @@ from ...scene.files import whole_file
 from .settings import FinetuningSettings
 
 safetensors: Any = import_module("safetensors")
-
 safetensors_torch: Any = import_module("safetensors.torch")
-
 _VERSION = 1
-
 _HEAD = "gsrain"
 
 _FREE = frozenset(

@@ -8,11 +8,8 @@ from typing import Any
 from .settings import find_clip
 
 torch: Any = import_module("torch")
-
 _normalized: Any = import_module("torch.nn.utils.parametrizations").spectral_norm
-
 Tensor = Any
-
 _SLOPE = 0.2
 
 # Features of a frozen CLIP vision model (Kumari et al. 2022, Radford et al. 2021)
@@ -103,9 +100,7 @@ class _MapHead(torch.nn.Module):
 
 
 transformers: Any = import_module("transformers")
-
 _MEAN = (0.48145466, 0.4578275, 0.40821073)
-
 _DEVIATION = (0.26862954, 0.26130258, 0.27577711)
 
 
@@ -152,11 +147,8 @@ def _as_map(tokens: Tensor) -> Tensor:
 
 # Differentiable augmentation (Zhao et al. 2020), in plain torch
 
-_SHIFT = 1 / 8
-"""Largest translation, as a share of the side."""
-
-_HOLE = 1 / 2
-"""Side of the hole, as a share of the image's side."""
+_SHIFT = 1 / 8  # largest translation, as a share of the side
+_HOLE = 1 / 2  # side of the hole, as a share of the image's side
 
 
 def augment_images(pictures: Tensor, kinds: Sequence[str], generator: Any) -> Tensor:

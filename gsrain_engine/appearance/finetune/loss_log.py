@@ -18,9 +18,7 @@ from ...safe_io.limits import open_file
 from ...scene.files import whole_file
 
 logger = logging.getLogger("gsrain")
-
 FILE = "losses.csv"
-
 _STEP = "step"
 
 
@@ -104,17 +102,10 @@ def read_losses(file: Path) -> list[dict[str, float]]:
 CHANCE = float(3 * np.log(2))
 """Adversarial loss of three levels if generated and real images are indistinguishable."""
 
-_COUNTED = 64
-"""Images per look used to measure the distance."""
-
+_COUNTED = 64  # images per look used to measure the distance
 _RANKS = 256
-
-_STUCK = 0.25
-"""Share of the distance below which a model only reconstructs."""
-
-_WON = 0.1
-"""Share of the chance loss below which a discriminator has won, so that nothing is learned from it."""
-
+_STUCK = 0.25  # share of the distance below which a model only reconstructs
+_WON = 0.1  # share of the chance loss below which a discriminator has won, so that nothing is learned from it
 _WINDOW = 100
 
 

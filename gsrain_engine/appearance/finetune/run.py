@@ -37,18 +37,11 @@ from .step import FinetuneStepResult, FinetuneTrainer, Perceptual
 from .task import FinetuneResult, FinetuneTask, with_warning
 
 torch: Any = import_module("torch")
-
 logger = logging.getLogger("gsrain")
-
-_STARTED, _TRAINED = 0.02, 0.99
-"""Progress at which training begins and ends."""
-
+_STARTED, _TRAINED = 0.02, 0.99  # progress at which training begins and ends
 _PREVIEW_INTERVAL_S = 2.0
-
 _FLUSHED_EVERY_S = 1.0
-
-_RECENT = 100
-"""Number of last iterations that the result's losses are averaged over."""
+_RECENT = 100  # number of last iterations that the result's losses are averaged over
 
 
 def finetune(task: FinetuneTask, perceptual: Perceptual | None = None) -> Generator[Progress, None, FinetuneResult]:
@@ -237,7 +230,6 @@ def _repeatable() -> Generator[None]:
 # Setup: images, model, discriminators and monitor
 
 _TINY_CHANNELS = 32
-
 _DISTANCE_PX = 64
 
 
@@ -310,7 +302,6 @@ def _small(pictures: tuple[DatasetImage, ...]) -> Iterator[Float32[np.ndarray, "
 # Sample grid: fixed clear images, translated and back
 
 Tensor = Any
-
 _GAP_PX = 4
 
 

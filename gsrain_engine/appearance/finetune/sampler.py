@@ -11,7 +11,6 @@ import numpy as np
 from .dataset import DatasetImage, UnpairedImages
 
 torch: Any = import_module("torch")
-
 Tensor = Any
 
 

@@ -123,7 +123,6 @@ class FinetuningSettings(Struct, frozen=True, kw_only=True, forbid_unknown_field
 # Settings files: shipped ones by name, the user's by path, with changes applied on top
 
 _FOLDER = "finetune"
-
 _FILES = ("path", "normals_weights", "normals_checkout", "base", "clip", "lpips", "start")
 
 
@@ -175,7 +174,6 @@ PLACE = "GSRAIN_CLIP"
 """Environment variable with the folder of CLIP ViT-B/32 in the layout of transformers."""
 
 _HUB_NAME = "openai/clip-vit-base-patch32"
-
 _OWN = "clip-vit-base-patch32"
 
 

@@ -12,9 +12,7 @@ from .sampler import PairSampler, UnpairedSample
 from .settings import FinetuningSettings, OptimizerSettings
 
 torch: Any = import_module("torch")
-
 Tensor = Any
-
 Direction = Literal["a2b", "b2a"]
 """a is clear, b is rainy."""
 
@@ -214,15 +212,10 @@ def difference(
 # Trained parameters of CycleGAN-Turbo
 
 Parameter = Any
-
 _LORA = re.compile(r"\.lora_(A|B|embedding_A|embedding_B)\.")
-
 _SKIP = re.compile(r"^vae(_b2a)?\.decoder\.skip_conv_\d+\.(base_layer\.)?weight$")
-
 _UNET_INPUT = re.compile(r"^unet\.conv_in\.(base_layer\.)?(weight|bias)$")
-
 _ENCODER_INPUT = re.compile(r"^vae(_b2a)?\.encoder\.conv_in\.(base_layer\.)?weight$")
-
 _COLORS = 3
 
 

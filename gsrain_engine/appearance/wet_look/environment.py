@@ -36,24 +36,15 @@ class ReflectionEnvironment(Protocol):
 MIRROR_SCALE = 0.5
 """Resolution of the mirror image relative to the view's; water on a road is never smooth enough for more."""
 
-_SOLID = 0.5
-"""Least opacity of Gaussians used to find the ground."""
-
+_SOLID = 0.5  # least opacity of Gaussians used to find the ground
 _FLAT, _MIN_FLAT = 0.5, 0.02
 """Largest height-to-width ratio of a flat Gaussian, and least share of flat ones to find the ground by them alone."""
 
 _MAX_SCENE_POINTS = 400_000
-
 _BAND_M = 0.3
-
-_UPON_M = 0.03
-"""Gaussians of any shape up to this height over the ground count as ground."""
-
-_THICKNESS_M = 0.15
-"""Flat Gaussians up to this height over the ground count as ground."""
-
-_BANK_M = 0.3
-"""Ground higher than this over the mirror plane is a bank, which the road reflects."""
+_UPON_M = 0.03  # gaussians of any shape up to this height over the ground count as ground
+_THICKNESS_M = 0.15  # flat Gaussians up to this height over the ground count as ground
+_BANK_M = 0.3  # ground higher than this over the mirror plane is a bank, which the road reflects
 
 
 class SceneEnvironment:
@@ -169,21 +160,15 @@ def _standing(scene: Scene, layer: Layer) -> _LayerSurfaces:
 # Image environment: the view's own image and depth, for views without a scene
 
 _SCALE = 0.5
-
 _MIN_UP = 0.7
-
 _FARTHEST_M = 60.0
-
 _MAX_IMAGE_POINTS = 60_000
-
 _IMAGE_BAND_M = 0.1
-
 _UPRIGHT = 0.5
 """Cosine between the image's down and the world's below which no ground is searched: images are upright, so the
 world's up is wrong then, and its ground may be a wall."""
 
-_FADE = 0.25
-"""Angle in radians over which objects at the image's border are extended beyond it."""
+_FADE = 0.25  # angle in radians over which objects at the image's border are extended beyond it
 
 
 class ImageEnvironment:

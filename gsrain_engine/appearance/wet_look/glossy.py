@@ -10,19 +10,11 @@ from jaxtyping import Bool, Float32, Float64, Int64
 from .materials import WATER_INDEX, reflectance, unshadowed
 from .reflections import PlanarReflection
 
-_WIDEST = 2.2
-"""Largest facet tilt that is integrated, in standard deviations."""
-
-_FAR_M = 1000.0
-"""Distance of the sky."""
-
+_WIDEST = 2.2  # largest facet tilt that is integrated, in standard deviations
+_FAR_M = 1000.0  # distance of the sky
 _ROUNDS = 3
-
-_ACROSS = 2.0
-"""Width of the sideways blur of the mirror image, in standard deviations of the effect of sideways tilts."""
-
-_SPECK_PX = 5
-"""Width of the median filter that removes single pixels."""
+_ACROSS = 2.0  # width of the sideways blur of the mirror image, in standard deviations of the effect of sideways tilts
+_SPECK_PX = 5  # width of the median filter that removes single pixels
 
 
 class GlossyReflection(NamedTuple):

@@ -10,14 +10,9 @@ from scipy import ndimage
 
 from ...scene.camera import Camera
 
-_STEEPEST_UP = 0.9
-"""Least upward component of the ground's normal: a slope of 26 degrees."""
-
+_STEEPEST_UP = 0.9  # least upward component of the ground's normal: a slope of 26 degrees
 _TRIPLES, _VOTERS = 400, 4000
-
-_NEAR_PLANE_M = 0.08
-"""Points this close to a plane vote for it."""
-
+_NEAR_PLANE_M = 0.08  # points this close to a plane vote for it
 _BELOW_COUNTS = 2.0
 """Weight of a vote against a plane, by a point below it, relative to a vote for it: nothing is under the ground."""
 
@@ -101,15 +96,9 @@ def refine_plane(plane: GroundPlane, points: Float64[np.ndarray, "n 3"], toleran
 # Ground heights: one height map per scene, shared by all views
 
 CELL_M = 0.25
-
-_MAX_CELLS = 1200
-"""Most cells per side; cells grow in larger scenes."""
-
-_WITHIN = (0.005, 0.995)
-"""Quantiles of the points that bound the map."""
-
+_MAX_CELLS = 1200  # most cells per side; cells grow in larger scenes
+_WITHIN = (0.005, 0.995)  # quantiles of the points that bound the map
 _MARGIN_M = 4.0
-
 _ABOVE_COUNTS = 0.2
 """Weight of a point over the surface relative to one under it, since many objects are over the ground."""
 
@@ -119,20 +108,11 @@ _MANY = 4
 _PASSES = ((8.0, 1.0, 6), (4.0, 0.5, 4), (2.0, 0.25, 3), (1.0, 0.12, 3), (0.5, 0.08, 2))
 """Smoothing in meters, band in meters, number of iterations: from terrain down to lanes."""
 
-_MIN_BAND = 2.0
-"""Least width of a band, as a multiple of the points' scatter about the ground."""
-
+_MIN_BAND = 2.0  # least width of a band, as a multiple of the points' scatter about the ground
 _SCATTER_WITHIN_M = 0.5
-
-_ENOUGH = 0.02
-"""Smoothed weight of points per cell at which they move the surface half-way."""
-
-_SMOOTH_M = 1.2
-"""Scale of the slopes used for reflections; finer ones are mostly noise of the reconstruction."""
-
-_DIP_M = 1.2
-"""Scale of the mean height from which the depth of a dip is measured."""
-
+_ENOUGH = 0.02  # smoothed weight of points per cell at which they move the surface half-way
+_SMOOTH_M = 1.2  # scale of the slopes used for reflections; finer ones are mostly noise of the reconstruction
+_DIP_M = 1.2  # scale of the mean height from which the depth of a dip is measured
 _MAX_DIP_M, _DIP_SHARE = 0.03, 0.12
 """Deepest dip that is accepted, and the share of it that counts: captures are uncertain by as much."""
 

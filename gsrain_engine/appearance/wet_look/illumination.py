@@ -24,18 +24,11 @@ DARKEST_EV = -10.0
 MAX_CONTRAST_EV = 3.0
 """Largest contrast of sun plus clear sky over sky alone: seven or eight to one. Darker pixels are dark materials."""
 
-_VIEWS, _STRIDE = 8, 4
-"""Number of views sampled, spread evenly, and pixel stride in both directions."""
-
-_GRAY_ALBEDO = 0.35
-"""Largest saturation (spread over maximum, linear) of ground used for the estimate."""
-
+_VIEWS, _STRIDE = 8, 4  # number of views sampled, spread evenly, and pixel stride in both directions
+_GRAY_ALBEDO = 0.35  # largest saturation (spread over maximum, linear) of ground used for the estimate
 _NEAR_M, _FAR_M = 1.5, 60.0
-
 _BINS = 80
-
-_UNTOLD_EV = -3.0
-"""Default for scenes without visible ground: a gray of 0.125."""
+_UNTOLD_EV = -3.0  # default for scenes without visible ground: a gray of 0.125
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,9 +117,7 @@ def _ramp(low: float, high: float, value: float) -> float:
 # Overcast relighting: shadows lifted, sunlight dimmed, its warmth removed
 
 Image = Float32[np.ndarray, "h w 3"]
-
 Plane = Float32[np.ndarray, "h w"]
-
 DRY_GROUND_EV = -2.7
 """Target brightness of level dry ground under cloud: half of a camera's middle gray, under an almost white sky."""
 
@@ -149,13 +140,10 @@ _TINT_EV, _TINT_SHARE = 0.2, 0.7
 """Largest correction of a channel towards neutral light in stops, and the share of it that is applied."""
 
 CLOUD_TINT_EV = np.array([-0.05, 0.0, 0.07], np.float32)
-
 _SATURATION, _SHADOW_DULLING = 0.9, 0.6
 """Color that surfaces other than plants keep, and the blue of the clear sky that shadowed ground loses."""
 
-_BLUE = (-0.05, 0.1)
-"""Blue minus red, as a share of luminance, over which ground turns from neutral to blue."""
-
+_BLUE = (-0.05, 0.1)  # blue minus red, as a share of luminance, over which ground turns from neutral to blue
 _WHITE, _WHITE_WALL = 0.85, 0.55
 """Albedo of the whitest materials, and share of light that an upright one gets from cloudy sky and dark ground."""
 
@@ -299,19 +287,11 @@ but rain-laden air is brighter along longer lines of sight."""
 TINT = np.array([-0.045, 0.0, 0.04], np.float32)
 """Display color of clouds relative to gray: 7000 K for a camera balanced for 5500 K, attenuated."""
 
-_CLOUD_HEIGHT_PERIODS = 5.0
-"""Period of the cloud deck, in units of its height above the eye."""
-
+_CLOUD_HEIGHT_PERIODS = 5.0  # period of the cloud deck, in units of its height above the eye
 _CLOUD_CONTRAST = 0.06
-
-_FLAT = 0.12
-"""Added to the rise of a direction, so that clouds don't shrink without limit towards the horizon."""
-
-_LOCAL_SHARE = 0.012
-"""Scale over which the clear sky's color is averaged, as a share of the image width."""
-
+_FLAT = 0.12  # added to the rise of a direction, so that clouds don't shrink without limit towards the horizon
+_LOCAL_SHARE = 0.012  # scale over which the clear sky's color is averaged, as a share of the image width
 _MIN_COVER = 0.05
-
 _LIKE, _AMIDST = (0.04, 0.12), (0.3, 0.6)
 """Ramps of the sky mask: color difference (display) from sky to other, and share of sky around a pixel."""
 

@@ -11,21 +11,15 @@ from ..normals import view_rays, world_points
 from .ground_plane import GroundHeights, GroundPlane, refine_plane
 
 Plane = Float32[np.ndarray, "h w"]
-
-_SMOOTH_SHARE = 0.01
-"""Smoothing of normals as a share of the image width, since normals of real scenes are rough."""
-
+_SMOOTH_SHARE = 0.01  # smoothing of normals as a share of the image width, since normals of real scenes are rough
 _NEAR_GROUND_M, _DEPTH_NOISE = 0.2, 0.008
 """Height up to which a surface counts as ground: fixed part in meters, and additional height per meter of distance."""
 
 _UP, _AGREEING = (0.35, 0.8), (0.75, 0.95)
 """Ramps of the upward normal component of rain-exposed surfaces, and of the mean normal's length for confidence."""
 
-_AMONG = (0.25, 0.6)
-"""Ramp of the share of leaves around a pixel from which it counts as a leaf itself."""
-
-_UP_ELSEWHERE = 0.8
-"""Wetness of level surfaces off the ground: ledges and roofs drain."""
+_AMONG = (0.25, 0.6)  # ramp of the share of leaves around a pixel from which it counts as a leaf itself
+_UP_ELSEWHERE = 0.8  # wetness of level surfaces off the ground: ledges and roofs drain
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,27 +117,16 @@ def smoothstep(low: float, high: float, x: Float[np.ndarray, "*n"]) -> Float32[n
 _NEAR_M, _NOISE_SHARE = 0.12, 0.006
 """Largest error of a pixel's height: fixed part in meters, and additional error per meter of distance."""
 
-_MIN_UP = (0.35, 0.6)
-"""Ramp of the upward component of a ground surface's normal."""
-
-_SCATTER = 1.5
-"""Factor of the ground points' scatter in the height tolerance."""
-
-_ROUGH_UP = 6.0
-"""Decrease of the ramp `_MIN_UP` per meter of scatter, since normals from rough depth are unreliable."""
-
-_SMOOTH_GROUND_SHARE = 0.008
-"""Smoothing of normals, as a share of the image width."""
-
+_MIN_UP = (0.35, 0.6)  # ramp of the upward component of a ground surface's normal
+_SCATTER = 1.5  # factor of the ground points' scatter in the height tolerance
+_ROUGH_UP = 6.0  # decrease of the ramp `_MIN_UP` per meter of scatter, since normals from rough depth are unreliable
+_SMOOTH_GROUND_SHARE = 0.008  # smoothing of normals, as a share of the image width
 _GRASSY = (0.05, 0.4)
 """Share of leaves around a ground pixel from which it reflects less, and from which it reflects nothing."""
 
 _MIN_PIXELS = 64
-
 _STEPS = 3
-
-_FARTHEST = 0.35
-"""Largest move of a pixel's point onto the smooth ground, as a share of its depth."""
+_FARTHEST = 0.35  # largest move of a pixel's point onto the smooth ground, as a share of its depth
 
 
 def find_visible_ground(view: ClearView, heights: GroundHeights, start: GroundPlane) -> VisibleGround | None:

@@ -16,9 +16,7 @@ from .noise import SmoothNoise, guided_filter
 from .settings import WetSettings
 
 Image = Float32[np.ndarray, "h w 3"]
-
 Plane = Float32[np.ndarray, "h w"]
-
 WATER_REFLECTANCE = 0.02
 """Reflectance of water at normal incidence (refractive index 1.33)."""
 
@@ -76,8 +74,7 @@ def _streaks(surfaces: SurfaceShares, seed: int) -> Plane:
 
 # Wet paint: reflections of the overcast sky on vehicles
 
-_OF_GROUND = 0.12
-"""Brightness of vehicle reflections below the horizon (a wet road) relative to the sky's."""
+_OF_GROUND = 0.12  # brightness of vehicle reflections below the horizon (a wet road) relative to the sky's
 
 
 def add_clear_coat(
@@ -140,9 +137,7 @@ def unshadowed(cosine, slope):
 
 # Lamps, lit signs and traffic lights: unchanged brightness under a dimmer sky, with a soft glow
 
-_AROUND_SHARE = 0.025
-"""Window as a share of the image width; a lamp is small, so it outshines the mean over it."""
-
+_AROUND_SHARE = 0.025  # window as a share of the image width; a lamp is small, so it outshines the mean over it
 _GLOW_SHARES, _GLOW_STRENGTHS = (0.004, 0.014), (0.25, 0.12)
 """Spread of the glow's core and skirt as shares of the image width, and their strengths."""
 

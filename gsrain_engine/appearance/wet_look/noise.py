@@ -32,11 +32,8 @@ def _texture(seed: int, slope: float) -> Float32[np.ndarray, "n n"]:
 
 # Ground bumps by world position. Meters.
 
-_TEXTURE = 512
-"""Bumps per side until they repeat."""
-
-_BLENDED = 0.85
-"""Standard deviation of independent random heights after cubic interpolation."""
+_TEXTURE = 512  # bumps per side until they repeat
+_BLENDED = 0.85  # standard deviation of independent random heights after cubic interpolation
 
 
 def lattice_noise_at(
@@ -61,9 +58,7 @@ def _bump_texture(seed: int) -> Float32[np.ndarray, "n n"]:
 # Water slopes large enough for the image resolution, which give reflections ragged edges
 
 _SIZES_M = (0.45, 0.17, 0.07)
-
-_VISIBLE_SHARE = 0.5
-"""Largest pixel length that still resolves a bump, as a share of the bump's size."""
+_VISIBLE_SHARE = 0.5  # largest pixel length that still resolves a bump, as a share of the bump's size
 
 
 def water_slopes(

@@ -18,8 +18,7 @@ from .masks import VisibleGround
 _BELOW_HORIZON, _MARGIN_SHARES = 0.02, 0.08
 """Margins of the mirror image, as parts of its height and width: rough water reflects from beyond its borders."""
 
-_ABOVE = 0.35
-"""Tangent by which the mirror image extends higher than a flat mirror's."""
+_ABOVE = 0.35  # tangent by which the mirror image extends higher than a flat mirror's
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,12 +73,10 @@ def mirror_camera(camera: Camera, plane: GroundPlane, scale: float) -> Camera:
 # Screen-space reflection: mirrored rays traced through the view's depth
 
 _GROUND = 0.5
-
 _FIRST_M, _GROWTH, _STEPS = 0.03, 1.12, 84
 """Length of the first step, growth factor of steps, and their number: about 400 m in all."""
 
 _HALVINGS = 6
-
 _THICK_M, _THICK_SHARE = 0.2, 0.03
 """Assumed thickness of surfaces: a ray farther behind one is occluded and has not hit it."""
 
@@ -196,8 +193,7 @@ def _follow(solid, is_sky, pose, eye_lens, mirror_pose, mirror_lens, normal, off
 
 # Holes near the horizon of the mirror image are occluded surfaces, not sky
 
-_LOW = 0.06
-"""Rise of rays (3.4 degrees) up to which the world always covers the sky."""
+_LOW = 0.06  # rise of rays (3.4 degrees) up to which the world always covers the sky
 
 
 def fill_reflection_holes(view: ClearView, plane: GroundPlane) -> ClearView:

@@ -25,7 +25,6 @@ from .settings import WetSettings
 from .water import water_layer_of
 
 Image = Float32[np.ndarray, "h w 3"]
-
 LIGHT_AND_SKY = "only light, colors and the sky where it is sure: their depth is not known, so nothing is made wet"
 """Skipped steps of views without surfaces."""
 

@@ -16,23 +16,16 @@ from .noise import lattice_noise_at, tilt_normals, water_slopes
 from .reflections import PlanarReflection
 
 WaterAppearance = Callable[[ClearView], Float32[np.ndarray, "h w 3"]]
-
 _FILM_SLOPE, _FILM_SMOOTHING = 0.09, 0.6
 """Slope deviation of a thin film over asphalt, and the share by which a thick film is smoother."""
 
-_PUDDLE_SLOPE = 0.022
-"""Slope deviation of standing water in rain: rings a few millimeters high, decimeters long."""
-
+_PUDDLE_SLOPE = 0.022  # slope deviation of standing water in rain: rings a few millimeters high, decimeters long
 _TEXTURE_TILT, _RIPPLE_TILT = 0.016, 0.006
 """Slope deviation of the bumps that an image resolves, in the film and in puddles."""
 
-_FILM_COVER = (0.7, 1.0)
-"""Share of the road that a thin and a thick film cover: stones stick out of it."""
-
+_FILM_COVER = (0.7, 1.0)  # share of the road that a thin and a thick film cover: stones stick out of it
 _FACETS, _PUDDLE_FACETS = 11, 5
-
 _MIN_SHARE = 0.01
-
 _UNDER_WATER = 0.72
 """Share of a soaked road's light that leaves standing water; light reflected back into the water is absorbed."""
 
@@ -131,23 +124,12 @@ def _footprint(ground: VisibleGround, camera: Camera) -> Float32[np.ndarray, "h 
 _OCTAVES = ((4.3, 0.8), (2.1, 0.9), (1.0, 0.5), (0.47, 0.25), (0.23, 0.13), (0.11, 0.07))
 """Size of bumps in meters, and height relative to the first; the finest ones fray the shores."""
 
-_PATCHES = (0.0, 1.0, 1.0, 0.9, 0.6, 0.6)
-"""Strength of each octave in the film's thickness."""
-
-_TURN = 2.39996
-"""Rotation in radians between octaves (the golden angle), so that no direction repeats."""
-
-_HEIGHT_M = 0.006
-"""Standard deviation of unevenness that captures don't resolve: a road of medium quality."""
-
-_STANDING = 0.12
-"""Share of an even, soaked road under standing water."""
-
-_SHORE, _RIM = 0.35, 1.3
-"""Widths of the shore and of the damp rim around it, in standard deviations of height."""
-
-_UNSEEN = 3.4
-"""Width of the smooth step closest to a normal distribution, in its standard deviations."""
+_PATCHES = (0.0, 1.0, 1.0, 0.9, 0.6, 0.6)  # strength of each octave in the film's thickness
+_TURN = 2.39996  # rotation in radians between octaves (the golden angle), so that no direction repeats
+_HEIGHT_M = 0.006  # standard deviation of unevenness that captures don't resolve: a road of medium quality
+_STANDING = 0.12  # share of an even, soaked road under standing water
+_SHORE, _RIM = 0.35, 1.3  # widths of the shore and of the damp rim around it, in standard deviations of height
+_UNSEEN = 3.4  # width of the smooth step closest to a normal distribution, in its standard deviations
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -66,11 +66,8 @@ def _array(file: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.
 
 # Decompression limits
 
-_ALWAYS_ALLOWED_BYTES = 64 << 20
-"""Size that any file may reach in memory: single-color images compress without bound."""
-
-_LARGEST_EXPANSION = 2000
-"""Deflate (PNG, .npz) can't reach 1033; a JPEG of one color reaches 1024."""
+_ALWAYS_ALLOWED_BYTES = 64 << 20  # size that any file may reach in memory: single-color images compress without bound
+_LARGEST_EXPANSION = 2000  # deflate (PNG, .npz) can't reach 1033; a JPEG of one color reaches 1024
 
 
 def check_expansion(file: Path | str, wanted_bytes: int, file_bytes: int) -> None:

@@ -38,15 +38,11 @@ CONVERT = "of formats that can't be read (convert them to JPEG or PNG)"
 """Description of such images in messages."""
 
 _MAX_BYTES, _TAIL_BYTES = 1 << 31, 1 << 16
-
 _JPEG_END, _PNG_END = b"\xff\xd9", b"IEND"
-
 _BYTES_OF_A_PIXEL = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2, "I;16L": 2}
 """Bytes a pixel of Pillow's modes; all others have four."""
 
-_LONGEST_PX = 16384
-"""Maximum side of a camera image, as for all cameras."""
-
+_LONGEST_PX = 16384  # maximum side of a camera image, as for all cameras
 _WITH_EXIF = ("JPEG", "MPO", "WEBP", "TIFF")
 """Formats that store the orientation before the pixels; a PNG would have to be read to its end."""
 

@@ -20,7 +20,6 @@ from ...scene.formats.ply import element_rows, read_ply_header
 from ..capture import CaptureError
 
 _BATCH_ROWS = 8
-
 _DAMAGES = (OSError, ValueError, KeyError, TypeError, IndexError, NotImplementedError, MemoryError)
 """Base classes of Arrow's errors."""
 
@@ -106,7 +105,6 @@ def _parquet() -> Any:
 # endian; a checksum is a CRC-32C rotated by 15 bits plus a constant. Facts: tensorflow/core/lib/io/record_writer.h.
 
 _HEAD, _TAIL = struct.Struct("<QI"), struct.Struct("<I")
-
 _POLYNOMIAL, _MASK = 0x82F63B78, 0xA282EAD8
 
 
@@ -179,9 +177,7 @@ def _crc32c(content, table):
 # Point clouds in PLY
 
 _LARGEST_HEADER = 1 << 20
-
 _MAX_TEXT_BYTES = 1 << 32
-
 _COLORS = ("red", "green", "blue")
 
 

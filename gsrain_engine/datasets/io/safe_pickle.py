@@ -22,9 +22,7 @@ from ..capture import CaptureError
 _LINE, _TWO_LINES, _LENGTH_1, _LENGTH_4, _LENGTH_8, _UNKNOWN = -1, -2, -3, -4, -5, -6
 """Special lengths of an instruction's argument: one or two lines, or given by a length of 1, 4 or 8 bytes."""
 
-_LINES = {b"c", b"i"}
-"""Instructions with two lines."""
-
+_LINES = {b"c", b"i"}  # instructions with two lines
 _STOP, _PUT, _BINPUT, _LONG_BINPUT = (code[0] for code in (pickle.STOP, pickle.PUT, pickle.BINPUT, pickle.LONG_BINPUT))
 
 

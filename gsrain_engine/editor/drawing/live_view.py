@@ -24,19 +24,12 @@ from .textures import CpuTexture
 from .uploads import SceneUpload, SkyColorSampler
 
 logger = logging.getLogger("gsrain")
-
 _STAND_IN_GAUSSIANS = 1_000_000
 """Larger scenes wait for the CPU kernels: software OpenGL would take minutes and twice the memory."""
 
-_LOADING_S = 2.0
-"""Time to load cached kernels, also on a busy machine; after it, kernels are assumed to need compiling."""
-
-_UPLOAD_S = 0.01
-"""Time per frame for uploading slices of a scene."""
-
-_ASIDE = 1 / 4
-"""Share of the Gaussians in small images next to the viewport, during playback."""
-
+_LOADING_S = 2.0  # time to load cached kernels, also on a busy machine; after it, kernels are assumed to need compiling
+_UPLOAD_S = 0.01  # time per frame for uploading slices of a scene
+_ASIDE = 1 / 4  # share of the Gaussians in small images next to the viewport, during playback
 _CHUNK_SIZE = 1 << 16
 """Number of new Gaussians that a frame uploads directly; for more, the last scene stays visible during the upload."""
 

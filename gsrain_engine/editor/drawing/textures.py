@@ -29,11 +29,8 @@ from ..services import EditorServices
 from ..viewport.options import Texture
 
 _NEAR_M = 0.05
-
 _POINT_PX = 3.0
-
-_A_FRAME = 4
-"""Maximum number of images uploaded per frame."""
+_A_FRAME = 4  # maximum number of images uploaded per frame
 
 
 class CaptureTextures:

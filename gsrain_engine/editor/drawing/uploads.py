@@ -51,7 +51,6 @@ class SceneUpload:
 # Sampled again when the scene has changed, one image a frame, so that no frame stalls.
 
 logger = logging.getLogger("gsrain")
-
 _QUICK = 60_000
 """Number of Gaussians that a first sample draws; larger scenes get a second, full one as soon as nothing moves."""
 

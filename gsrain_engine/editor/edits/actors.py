@@ -76,11 +76,8 @@ def _unlocked_actor(scene: Scene, key: str) -> Actor:
 RIG = "drive"
 """Name of the rig that `drive_along` creates."""
 
-_STEP_M = 0.5
-"""Minimum distance of samples: closer ones show the camera's shaking rather than the route."""
-
+_STEP_M = 0.5  # minimum distance of samples: closer ones show the camera's shaking rather than the route
 _SAMPLES_PER_S, _MAX_SAMPLES = 10.0, 20_000
-
 _AHEAD_COS = 0.5
 """Minimum cosine to the direction of travel (60 degrees) at which the camera's orientation is used for the rig."""
 

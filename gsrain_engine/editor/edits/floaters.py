@@ -16,8 +16,7 @@ from ...scene.progress import Progress
 from ...scene.scene import Actor, Layer, Scene, core_bounds
 from .members import edit_members, is_editable
 
-_BATCH_SIZE = 20_000
-"""Number of Gaussians in a neighbor query between two chances to cancel."""
+_BATCH_SIZE = 20_000  # number of Gaussians in a neighbor query between two chances to cancel
 
 
 class FloaterRules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

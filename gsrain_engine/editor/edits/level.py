@@ -17,21 +17,13 @@ UNIT_M = (1e-6, 1e6)
 """Range of valid lengths of a scene unit, in meters."""
 
 _SAMPLES = 100_000
-
 _TRIES = 400
-
 _STEEPEST_COS = 0.5
 """Minimum cosine of the ground's slope (60 degrees); steeper ground means that `up` is entirely wrong."""
 
-_FLAT = 0.6
-"""Maximum ratio of the thinnest axis of a flat Gaussian to its middle one."""
-
-_TOLERANCE = 0.008
-"""Maximum distance of ground points from the plane, as a share of the scene's extent."""
-
-_BELOW = 2.0
-"""Votes that a plane loses per sample below it: a roof has more of the scene below it than lies on it."""
-
+_FLAT = 0.6  # maximum ratio of the thinnest axis of a flat Gaussian to its middle one
+_TOLERANCE = 0.008  # maximum distance of ground points from the plane, as a share of the scene's extent
+_BELOW = 2.0  # votes that a plane loses per sample below it: a roof has more of the scene below it than lies on it
 _FEWEST_SHARE = 0.05
 
 

@@ -152,9 +152,7 @@ def _read(folder: Path, count: int) -> list[LoadedRollout]:
 # Worker: one roll-out per rain
 
 _PREVIEW_PX = 320
-
-_OPENED = 0.1
-"""Progress at which the scene is read and all actors are placed."""
+_OPENED = 0.1  # progress at which the scene is read and all actors are placed
 
 
 def rollout_files(folder: Path, count: int) -> list[Path]:

@@ -273,7 +273,6 @@ def _short(file: Path) -> str:
 # Temporary folders
 
 _Result = TypeVar("_Result")
-
 _PREFIX = "gsrain-job-"
 
 
@@ -359,8 +358,7 @@ def write_copy(scene: Scene, folder: Path, known: FileCache) -> Path:
 
 # Reports
 
-_LONGEST = 120
-"""Maximum number of bytes of the report's subject in its file name."""
+_LONGEST = 120  # maximum number of bytes of the report's subject in its file name
 
 
 def new_report(name: str) -> Path:

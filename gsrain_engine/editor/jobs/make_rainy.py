@@ -30,7 +30,6 @@ from .process import WorkerProcess
 from .training import HOW_TO_GET_DIFFUSION, require_torch
 
 MAKE_RAINY_TITLE = "Make it rainy"
-
 _COLORS = "colors.npz"
 
 # Transfer job
@@ -135,8 +134,7 @@ class TransferPreviewJob(CopiedSceneJob):
         self.result = replace(self._wanted, pixels=last.preview)
 
 
-_READ, _RENDERED = 0.2, 0.6
-"""Progress after reading and after rendering."""
+_READ, _RENDERED = 0.2, 0.6  # progress after reading and after rendering
 
 
 def make_rainy(copy: Path, order: TransferRequest, output: Path, report: Path | None) -> Iterator[Progress]:
@@ -189,11 +187,8 @@ def _opened(method: str, settings: TransferSettings, scene: Scene) -> Transfer:
     return open_transfer(method, settings, SceneEnvironment(scene))
 
 
-_SAME = 1e-4
-"""Tolerance of pose entries and of the field of view."""
-
-_SAME_SHAPE = 0.01
-"""Tolerance of the aspect ratio: a viewport has whole pixels."""
+_SAME = 1e-4  # tolerance of pose entries and of the field of view
+_SAME_SHAPE = 0.01  # tolerance of the aspect ratio: a viewport has whole pixels
 
 
 def _looks_alike(one: Scene, other: Scene) -> bool:
@@ -210,11 +205,8 @@ def _dry(scene: Scene) -> Scene:
 
 # Report: transferred views compared with renders of the result
 
-_COMPARED = 6
-"""Maximum number of views in the report."""
-
-_SOLID = 0.3
-"""Minimum alpha of compared pixels."""
+_COMPARED = 6  # maximum number of views in the report
+_SOLID = 0.3  # minimum alpha of compared pixels
 
 
 class ComparisonReport:

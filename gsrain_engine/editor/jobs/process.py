@@ -27,15 +27,11 @@ from ...scene.files import sentence_of
 from ...scene.progress import Progress
 
 JobState = Literal["running", "finished", "failed", "cancelled"]
-
 Work = Callable[..., Iterator[Progress]]
 """Function at the top level of a module, so that the new process can import it by name."""
 
 _MAX_MESSAGE_BYTES = 1 << 24
-
-_NICENESS = 10
-"""On POSIX systems; keeps the window responsive."""
-
+_NICENESS = 10  # on POSIX systems; keeps the window responsive
 _OUT_OF_MEMORY = "the machine ran out of memory: close other programs, or work with smaller images or fewer Gaussians"
 
 
@@ -182,11 +178,8 @@ def _sentence(error: Exception) -> str:
 # Latest preview in shared memory, read without blocking
 
 _MAX_PIXELS = 1024 * 768
-
 _SLOT_BYTES = 3 * _MAX_PIXELS
-
-_NUMBERS = 7
-"""Number of the latest image; then for each of two slots the number of its image, its height and its width."""
+_NUMBERS = 7  # number of the latest image; then for each of two slots the number of its image, its height and its width
 
 
 class SharedImage:
@@ -262,9 +255,7 @@ class SharedImage:
 
 # Watchdog
 
-_LONG_S = 60.0
-"""Minimum silence to report; few steps of any job take longer."""
-
+_LONG_S = 60.0  # minimum silence to report; few steps of any job take longer
 _LOOKED_AT_EVERY_S = 2.0
 
 

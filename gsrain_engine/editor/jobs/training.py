@@ -33,12 +33,10 @@ if TYPE_CHECKING:
     from ...appearance.finetune.task import FinetuneResult
 
 TRANSFER_TRAINING_TITLE = "Train the transfer"
-
 Losses = Mapping[str, Float64[np.ndarray, " n"]]
 """Arrays by name, with iterations as `step`; smoothed if there are many."""
 
-_DRAWN = 400
-"""Maximum number of points of a curve; each is the mean of several iterations."""
+_DRAWN = 400  # maximum number of points of a curve; each is the mean of several iterations
 
 
 class FinetuneJob:
@@ -256,7 +254,6 @@ def reconstruct_capture(task: ReconstructionTask) -> Iterator[Progress]:
 # Check for torch without importing it
 
 HOW_TO_GET_TORCH = "pip install 'gsrain[jobs]'"
-
 HOW_TO_GET_DIFFUSION = "pip install 'gsrain[diffusion]'"
 """Command that installs torch and the dependencies of diffusion models."""
 

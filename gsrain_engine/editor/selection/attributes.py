@@ -160,9 +160,7 @@ ATTRIBUTES: Mapping[str, Attribute] = {
 # Histograms, recomputed only on changes
 
 BINS = 128
-
-_SAMPLE = 50_000
-"""Number of Gaussians from which the range is taken, without the outermost in a thousand."""
+_SAMPLE = 50_000  # number of Gaussians from which the range is taken, without the outermost in a thousand
 
 
 class Histogram(NamedTuple):

@@ -139,11 +139,8 @@ def _find_ellipses(shapes, colors, pixels, depth, flags):
 Point = tuple[float, float]
 """A position in the image: pixels right and down from its upper left corner."""
 
-_SHIFT = 4
-"""Fractional bits of OpenCV's fixed-point coordinates."""
-
-_FARTHEST = 30_000.0
-"""Clipping distance in pixels: OpenCV's coordinates end at 2^31 / 2^4."""
+_SHIFT = 4  # fractional bits of OpenCV's fixed-point coordinates
+_FARTHEST = 30_000.0  # clipping distance in pixels: OpenCV's coordinates end at 2^31 / 2^4
 
 
 def rectangle(first: Point, second: Point, width: int, height: int) -> Bool[np.ndarray, "h w"]:

@@ -165,11 +165,8 @@ def _reached(
 NEIGHBORS = 8
 """Number of neighbors that defines the spacing."""
 
-_ROOM = 1 << 40
-"""Factor to combine member and Gaussian index into one number; no member has more Gaussians."""
-
-_EDGE = 1 << 20
-"""Maximum number of cells from the seed: three numbers of 21 bits form a key."""
+_ROOM = 1 << 40  # factor to combine member and Gaussian index into one number; no member has more Gaussians
+_EDGE = 1 << 20  # maximum number of cells from the seed: three numbers of 21 bits form a key
 
 
 def flood_select(

@@ -11,12 +11,8 @@ from ...scene.rig import rig_camera_path
 from ...scene.scene import RigCamera, Scene, SceneCore, core_bounds
 
 _STEEPEST = np.radians(89.0)
-
 _UP = np.array([0.0, 0.0, 1.0])
-
-_NEAREST_M = 0.05
-"""Distance at which the wheel moves the target ahead."""
-
+_NEAREST_M = 0.05  # distance at which the wheel moves the target ahead
 SLOWEST_M_S, FASTEST_M_S = 0.05, 500.0
 
 
@@ -166,15 +162,11 @@ def is_in_view(
 # Home camera and default path
 
 _FOV_DEG = 50.0
-
 _LOOKING_DOWN_DEG = 8.0
-
 _LOOKING_DOWN_ON_FLAT_DEG = 25.0
 """Pitch for wide and low scenes such as streets, where the first houses would hide the rest."""
 
-_MARGIN = 1.12
-"""Margin around the box, which excludes 2 % along each axis."""
-
+_MARGIN = 1.12  # margin around the box, which excludes 2 % along each axis
 ORBIT_S = 8.0
 """Duration of the orbit for scenes without a drive."""
 

@@ -12,11 +12,8 @@ from ...scene.scene import Actor, RigCamera, Scene
 from .camera import OrbitCamera, default_path
 
 ChaseMode = Literal["behind", "front camera", "free"]
-
 _BEHIND_M, _ABOVE_M = 8.0, 3.0
-
 _LOOKS_AT_M, _AT_HEIGHT_M = 8.0, 1.0
-
 _FOV_DEG = 50.0
 
 
@@ -140,7 +137,6 @@ def _level_pose(scene: Scene, actor: Actor, time_s: float) -> Float64[np.ndarray
 # Path to ride along and to record: the user's or a default one, in the world
 
 Matrix = Float64[np.ndarray, "4 4"]
-
 _VIEW_SIZE = (960, 640)  # aspect ratio for the field of view of the default path
 
 

@@ -10,7 +10,6 @@ from ...render.renderer import Color, RenderMode
 from ...scene.scene import Scene
 
 Mode = Literal["picture", "difference", "pixels"]
-
 MODES: tuple[Mode, ...] = get_args(Mode)
 
 # View options; not part of the document
@@ -110,12 +109,8 @@ SETTLED_S = 0.15
 """Time without motion after which full quality returns."""
 
 _TOLERANCE = 1.15
-
-_PROMISING = 0.55
-"""Share of the target frame time below which a finer level is tried."""
-
-_FORGET_AFTER = 45
-"""Frames after which a level that was too slow may be tried again."""
+_PROMISING = 0.55  # share of the target frame time below which a finer level is tried
+_FORGET_AFTER = 45  # frames after which a level that was too slow may be tried again
 
 
 @dataclass(slots=True)

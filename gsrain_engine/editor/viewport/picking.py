@@ -16,8 +16,7 @@ from ...scene.gaussians import Gaussians
 from ...scene.geometry import matrices_from_quaternions
 from ...scene.scene import Actor, DrawItem, Layer, Scene
 
-_MIN_ALPHA = 0.1
-"""Minimum coverage of a pixel that can be picked."""
+_MIN_ALPHA = 0.1  # minimum coverage of a pixel that can be picked
 
 
 class PickResult(NamedTuple):
@@ -171,7 +170,6 @@ def project_lines(lines: Float64[np.ndarray, "n 2 3"], camera: Camera) -> Float6
 # Gizmo matrices (4x4, column-major)
 
 Handle = Literal["translate", "rotate", "scale"]
-
 _NEAR_M, _FAR_M = 0.05, 5000.0
 
 

@@ -14,9 +14,7 @@ from ...safe_io.limits import check_file, open_file
 from ...safe_io.text_files import printable_line
 from .description import DetectorDescription
 
-_TOLERANCE = 1e-3
-"""Tolerance for confidences outside 0..1 due to rounding."""
-
+_TOLERANCE = 1e-3  # tolerance for confidences outside 0..1 due to rounding
 Output = Float32[np.ndarray, "..."]
 
 
@@ -296,8 +294,7 @@ THREADS = 2
 MAX_SIDE_PX = 8192
 """Largest side of a network's input."""
 
-_POINTER = b"version https://git-lfs"
-"""First bytes of a Git LFS pointer file."""
+_POINTER = b"version https://git-lfs"  # first bytes of a Git LFS pointer file
 
 
 @dataclass(frozen=True, slots=True, eq=False)

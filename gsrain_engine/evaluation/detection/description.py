@@ -11,19 +11,12 @@ from ...presets import load_config, shipped_config_names
 from ...scene.objects import COCO_CLASSES
 
 _FOLDER = "detectors"
-
 Decode = Literal["end_to_end", "yolo", "yolo_objectness", "yolox", "nanodet"]
-
 Fit = Literal["letterbox", "letterbox_corner", "stretch"]
-
 Size = Annotated[int, Meta(ge=32, le=8192)]
-
 Fraction = Annotated[float, Meta(ge=0, le=1)]
-
 Deviation = Annotated[float, Meta(gt=0)]
-
 Stride = Annotated[int, Meta(ge=1, le=512)]
-
 ClassName = Annotated[str, Meta(min_length=1)]
 
 

@@ -116,13 +116,9 @@ def _corners(box: np.ndarray) -> tuple[float, float, float, float]:
 
 # Inference of the description
 
-_MAX_END_TO_END = 1000
-"""Detectors with built-in suppression output some hundred rows; grids output thousands."""
-
+_MAX_END_TO_END = 1000  # detectors with built-in suppression output some hundred rows; grids output thousands
 _COCO = len(COCO_CLASSES)
-
-_BINS = (8, 11)
-"""Numbers of distance bins in NanoDet's published files."""
+_BINS = (8, 11)  # numbers of distance bins in NanoDet's published files
 
 _GRIDS: tuple[tuple[str, tuple[int, ...]], ...] = (
     ("yolox", (5 + _COCO,)),

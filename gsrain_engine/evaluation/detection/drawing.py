@@ -11,7 +11,6 @@ from .detector import Detection
 from .metrics import LabeledBox, match_detections
 
 Color = tuple[int, int, int]
-
 Plate = tuple[int, int, int, int]
 """Left, top, right, bottom of a label's background, in pixels."""
 
@@ -27,15 +26,10 @@ _COLORS: dict[str, Color] = {
 """By class, distinguishable with any color vision (Okabe and Ito 2008)."""
 
 _MISSED: Color = (255, 60, 60)
-
 _FOUND: Color = (255, 255, 255)
-
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
-
 _SUBPIXEL_BITS = 4
-
-_MIN_UNIT = 0.8
-"""Minimum label scale, for legibility in small images."""
+_MIN_UNIT = 0.8  # minimum label scale, for legibility in small images
 
 
 def draw_boxes(

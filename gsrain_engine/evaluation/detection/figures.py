@@ -33,11 +33,8 @@ _WORDS = {
     "map50": "mAP50",
 }
 
-_MAX_PANELS = 4
-"""Maximum number of panels per row; further detectors continue in the next row."""
-
+_MAX_PANELS = 4  # maximum number of panels per row; further detectors continue in the next row
 _Seeds = dict[int, list[float]]
-
 _Line = TypeVar("_Line", ObjectRow, ScoreByIntensity)
 
 
@@ -184,17 +181,12 @@ def _dress(panel: Axes, title: str, words: str) -> None:
 # Detection sheet
 
 WIDEST_PX = 1920
-
-_NARROWEST_PX = 240
-"""Minimum width of an image; images that don't fit side by side continue below."""
-
+_NARROWEST_PX = 240  # minimum width of an image; images that don't fit side by side continue below
 MIN_DRAWN_CONFIDENCE = 0.25
 """Confidence from which a detection is drawn and counts as found."""
 
 _GAP_PX, _LINE_PX, _TEXT_PX = 6, 26, 16
-
 _PAPER, _INK, _FAINT = (24, 25, 28), (232, 232, 236), (160, 162, 170)
-
 _SHEET_WORDS = {"original": "as taken", "clear": "without rain"}
 
 

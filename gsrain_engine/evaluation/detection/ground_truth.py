@@ -23,7 +23,6 @@ BoxXYXY = tuple[float, float, float, float]
 """Left, top, right, bottom in pixels; the left edge of the first column is 0."""
 
 MIN_VISIBILITY = 0.25
-
 MIN_HEIGHT_PX = 16.0
 """Smaller or less visible objects are ignored: neither misses nor false detections."""
 
@@ -114,8 +113,7 @@ def ground_truth_from_scene(
 
 # Labels from a COCO file
 
-_MAX_BYTES = 1 << 30
-"""COCO's own annotations of 118 000 images are 450 MB."""
+_MAX_BYTES = 1 << 30  # COCO's own annotations of 118 000 images are 450 MB
 
 
 def read_coco(file: Path) -> dict[str, tuple[LabeledObject, ...]]:

@@ -16,8 +16,7 @@ from .decoders import intersection_over_union
 from .detector import Detection
 from .ground_truth import is_same_class, label_class
 
-_ABSENT = -1
-"""Value of the COCO evaluation for a class without labeled objects."""
+_ABSENT = -1  # value of the COCO evaluation for a class without labeled objects
 
 
 @dataclass(frozen=True, slots=True)

@@ -282,14 +282,9 @@ def _boxes(objects: Sequence[LabeledObject]) -> np.ndarray:
 # One JSON line per result, so that a stopped sweep can resume.
 
 FINISHED_FILE = "finished.jsonl"
-
-_FORM = b"2"
-"""Format version; increased if the evaluation of the same inputs changes."""
-
+_FORM = b"2"  # format version; increased if the evaluation of the same inputs changes
 _DIGITS = 16
-
-_Image = tuple[str, str, float, int]
-"""Key of detector and view, kind of image, rain rate, first seed."""
+_Image = tuple[str, str, float, int]  # key of detector and view, kind of image, rain rate, first seed
 
 
 class _CacheLine(msgspec.Struct, frozen=True, kw_only=True):
@@ -394,9 +389,7 @@ def _plain(value: Any) -> Any:
     raise NotImplementedError(type(value).__name__)
 
 
-_STEP_S = 0.005
-"""Half the time step of the velocity estimate."""
-
+_STEP_S = 0.005  # half the time step of the velocity estimate
 Labels = dict[str, tuple[LabeledObject, ...]]
 
 

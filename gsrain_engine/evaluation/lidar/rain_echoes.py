@@ -91,9 +91,7 @@ class DropReturnModel:
 # Drops outside the simulated field
 # Sampled from the drop spectrum.
 
-_MAX_RETURNS = 4
-"""Maximum number of sampled drops per beam; there are seldom two."""
-
+_MAX_RETURNS = 4  # maximum number of sampled drops per beam; there are seldom two
 _Span = tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]
 
 
@@ -171,8 +169,7 @@ REFRACTIVE_INDEX = {905: 1.327, 1550: 1.318}
 ABSORPTION_PER_MM = {905: 0.007, 1550: 1.09}
 """Of water: 4 pi k / wavelength with k = 5.0e-7 and 1.35e-4 (Hale and Querry 1973; Kou, Labrie and Chylek 1993)."""
 
-_MIRRORED_INSIDE = 0.472
-"""Internal reflectance of a flat water surface for diffuse light, n = 1.33 (Saunderson 1942)."""
+_MIRRORED_INSIDE = 0.472  # internal reflectance of a flat water surface for diffuse light, n = 1.33 (Saunderson 1942)
 
 
 def drop_reflectance(diameter_mm: Float[np.ndarray, "*n"], wavelength_nm: int) -> Float64[np.ndarray, "*n"]:

@@ -24,7 +24,6 @@ NEAR_STEP_M = 0.5
 """Width of the bins for drops near the sensor."""
 
 _NEAR_M = 2.0
-
 _JUST = 1 + 1e-6
 
 # Return counts by range
@@ -168,20 +167,11 @@ def _binned(
 # Figure
 
 _SIZE_INCHES, _DPI = (13.5, 8.2), 140
-
 _CLEAR, _DROPPED, _MASKED, _FALSE, _EGO = "#3c6e9f", "#e08a1e", "#7d3fa0", "#d3202a", "#222222"
-
 _VIEWED_SHARE = 0.985
-
-_ASPECT = 0.66
-"""Height over width of the top view."""
-
-_FEWEST = 20
-"""Bins with fewer clear returns are not drawn."""
-
-_FEW_ENTRIES = 8
-"""Maximum number of entries for a legend inside its panel; a longer one is placed to its right."""
-
+_ASPECT = 0.66  # height over width of the top view
+_FEWEST = 20  # bins with fewer clear returns are not drawn
+_FEW_ENTRIES = 8  # maximum number of entries for a legend inside its panel; a longer one is placed to its right
 ByIntensity = Mapping[float, Sequence[RainRunCounts]]
 """All seeds and turns at each rain rate in mm/h."""
 

@@ -228,13 +228,9 @@ def _moment(time_s: float) -> int:
 # Four rendered views around the sensor give the surfaces that the beams hit.
 
 _FACE_DEG = 90.0
-
 _MARGIN_PX = 4
-
 _LARGEST_PX = 2048
-
 _ROAD_UP = 0.95
-
 _ROAD_M = 0.3
 
 # Beams of a measured sweep
@@ -322,11 +318,8 @@ def _is_road(
 _FLAT = 0.35
 """A Gaussian is flat if its shortest axis is less than this share of the next; a round one faces the camera."""
 
-_FARTHEST_OFF = 0.5
-"""Largest distance of a ray-plane intersection from the splat's center, as a share of the depth."""
-
-_SAME_SHARE, _SAME_M = 0.03, 0.05
-"""Splats within this distance of the median depth belong to the same surface."""
+_FARTHEST_OFF = 0.5  # largest distance of a ray-plane intersection from the splat's center, as a share of the depth
+_SAME_SHARE, _SAME_M = 0.03, 0.05  # splats within this distance of the median depth belong to the same surface
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -463,13 +456,8 @@ ROOF_M = 1.9
 """Assumed sensor height above the road, a car's roof, if the dataset's origin is on the road."""
 
 _ON_ROAD_M = 0.5
-
-_BEAM_ROAD_M = 0.25
-"""Largest height difference from the road of road points."""
-
-_SMALLEST_STEPS = 0.5 / 255
-"""Share of the scale assumed for an intensity of 0, which was rounded down."""
-
+_BEAM_ROAD_M = 0.25  # largest height difference from the road of road points
+_SMALLEST_STEPS = 0.5 / 255  # share of the scale assumed for an intensity of 0, which was rounded down
 _DETECTED_SHARE = 0.99
 
 

@@ -12,7 +12,6 @@ from ..cpu.fast_math import FAST, exp_of_negative
 from ..cpu.tiles import TILE, TileLists
 
 MAX_ALPHA = 0.999
-
 MIN_TRANSMITTANCE = 1e-4
 
 

@@ -13,7 +13,6 @@ from ..cpu.projection import DILATION_PX2, NEAR_M
 from .types import Footprint, Rendered, Tensor
 
 torch: Any = import_module("torch")
-
 _DEGREES = {1: 0, 4: 1, 9: 2, 16: 3}
 
 

@@ -15,7 +15,6 @@ from .project import TrainedGaussians, TrainedSplats, project_backward, project_
 from .types import Footprint, Rendered, Tensor, check_tensors
 
 torch: Any = import_module("torch")
-
 Backend = Literal["auto", "cpu", "cuda"]
 
 

@@ -405,9 +405,7 @@ def sh_backward_row(mean, sh, channels, sums, eye, basis, by_basis, by_mean, by_
 # Float64, with 3DGS signs.
 
 _C0 = 0.28209479177387814
-
 _C1 = 0.4886025119029199
-
 _C2, _C20, _C22 = 1.0925484305920792, 0.31539156525252005, 0.5462742152960396
 
 _C33, _C32, _C31, _C30, _C3B = (

@@ -375,8 +375,7 @@ def _gather(shape, x0, y0, state, lanes):
 # Color operator
 # One view as a linear operator on the Gaussians' colors: image = W colors, without storing W.
 
-_LEAST_ALPHA = np.float32(1e-3)
-"""Alpha below which a pixel counts as empty."""
+_LEAST_ALPHA = np.float32(1e-3)  # alpha below which a pixel counts as empty
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,7 +20,6 @@ DILATION_PX2 = 0.3
 """Added to the 2D covariance: the pixel's own footprint (3DGS, Kerbl et al. 2023)."""
 
 _CHUNK = 512
-
 FEW = 8192
 """Number of Gaussians below which a single thread is faster than starting others."""
 

@@ -72,8 +72,7 @@ class CpuRenderer:
 
 # Drawing
 
-_MIN_WEIGHT = np.float32(0.5)
-"""Minimum alpha of pixels with depth, as in the OpenGL renderer."""
+_MIN_WEIGHT = np.float32(0.5)  # minimum alpha of pixels with depth, as in the OpenGL renderer
 
 
 def draw_mode(look: RenderMode, splats: Splats, tiles: TileLists, *, with_depth: bool) -> Frame:

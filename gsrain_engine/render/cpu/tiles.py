@@ -13,13 +13,9 @@ TILE = 16
 BATCH = 32
 """Splats gathered from memory before they are processed, so that their cache misses overlap."""
 
-_CHUNKS = 32
-"""Parts of the splat list that are processed in parallel; the result does not depend on it."""
-
+_CHUNKS = 32  # parts of the splat list that are processed in parallel; the result does not depend on it
 _MAX_PAIRS = 1 << 30
-
-_SLACK_PX = 1e-2
-"""Margin for float32 rounding, so that an ellipse's edge never loses a pixel."""
+_SLACK_PX = 1e-2  # margin for float32 rounding, so that an ellipse's edge never loses a pixel
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,6 @@ from ...scene.scene import DrawItem
 from ..cpu.projection import TINT, TINT_SHARE, eye_in_object
 
 torch: Any = import_module("torch")
-
 Tensor = Any
 """torch is an optional dependency: this module is imported only if it is installed, and its types can't be named."""
 

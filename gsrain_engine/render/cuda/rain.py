@@ -16,17 +16,12 @@ from ..cpu.compositing import MAX_ALPHA
 from ..cpu.projection import Splats
 
 torch: Any = import_module("torch")
-
 Tensor = Any
-
-_COLUMNS = 1 << 14
-"""Pixel columns of splats that are processed at once."""
-
+_COLUMNS = 1 << 14  # pixel columns of splats that are processed at once
 _OPAQUE = 0.98
 """The other renderers end a pixel before the splat that would leave less than 1e-4, with up to 2 % of light left."""
 
-_FIXED_POINT = 2.0**40
-"""Logarithms are added as integers: the sum, and thus the output, doesn't depend on the order."""
+_FIXED_POINT = 2.0**40  # logarithms are added as integers: the sum, and thus the output, doesn't depend on the order
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,9 +20,7 @@ from .gaussians import CameraSpace, CudaArrays, Tensor
 from .rain import DepthSlabs, composite_rain_slabs, slab_edge_channels, split_into_depth_slabs
 
 torch: Any = import_module("torch")
-
-_MIN_WEIGHT = 0.5
-"""Minimum alpha of pixels with depth, as in the other renderers."""
+_MIN_WEIGHT = 0.5  # minimum alpha of pixels with depth, as in the other renderers
 
 
 class CudaRenderer:

@@ -270,8 +270,7 @@ def _sources(gaussians: Gaussians, wet_sh: WetColors = None) -> list[tuple[Float
 # GPU memory
 # OpenGL reports a lack of memory only when queried.
 
-_MAX_ERRORS = 8
-"""Each kind of error is queued at most once; a lost context returns errors forever."""
+_MAX_ERRORS = 8  # each kind of error is queued at most once; a lost context returns errors forever
 
 
 def reserve_buffer(context: moderngl.Context, size: int) -> moderngl.Buffer:
@@ -339,9 +338,7 @@ SLOTS_BY_BLOCK = 256
 """Slots that one workgroup of a projection fills, from the front; each dispatch starts a new block."""
 
 _SPLAT_BYTES = 32
-
 _MAX_RECORD_BLOCKS = 4
-
 _RECORDS, _SPARSE_KEYS, _COUNTS, _WORK = 8, 4, 5, 7
 
 

@@ -124,9 +124,7 @@ class _OSMesa:
 # EGL 1.5, on a device.
 
 _POINTER, _INT = ctypes.c_void_p, ctypes.c_int
-
 _OPENGL_API, _PLATFORM_DEVICE, _DRAW = 0x30A2, 0x313F, 0x3059
-
 _MAX_DEVICES = 64
 
 _CONFIG = (

@@ -20,12 +20,8 @@ from .sort import KEYS, KEYS_BY_GROUP, SLOTS, CpuSort, DepthSort
 _LOOKS: dict[RenderMode, int] = {"points": 1, "normals": 2, "opacity": 3, "layers": 4}
 """Render modes that change the projection of a Gaussian; as in splat_project.comp."""
 
-_LONGEST_DISPATCH = 1 << 15
-"""Workgroups along one axis, half of the limit guaranteed by OpenGL."""
-
-_MARKS = 6
-"""Binding of the masks: the last of the eight guaranteed storage bindings."""
-
+_LONGEST_DISPATCH = 1 << 15  # workgroups along one axis, half of the limit guaranteed by OpenGL
+_MARKS = 6  # binding of the masks: the last of the eight guaranteed storage bindings
 _WET = 12
 """Binding of the wet colors, after all blocks of records. Only the shader that blends them uses this ninth block."""
 

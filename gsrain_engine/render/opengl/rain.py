@@ -13,9 +13,7 @@ from .prefix_sum import COUNT_OFFSET, GROUPS_OFFSET, WORK_BYTES, PrefixSum
 from .shaders import load_compute_shader
 
 _CLASS_ROWS, _FOUND, _PLACES, _ROOFS, _COUNTS, _FOUND_WORK = 1, 2, 3, 3, 5, 6
-
-_IN_THE_OPEN = np.float32(-1e9)
-"""Replacement for a roof height of -inf in shaders."""
+_IN_THE_OPEN = np.float32(-1e9)  # replacement for a roof height of -inf in shaders
 
 
 class RainPass:

@@ -11,9 +11,7 @@ from .prefix_sum import COUNT_OFFSET, GROUPS_OFFSET, WORK_BYTES
 from .shaders import load_compute_shader
 
 KEY_BITS = 28
-
 DIGIT_BITS = 4
-
 KEYS_BY_GROUP = 4096
 """Keys per workgroup; as in common_radix.glsl."""
 

@@ -20,11 +20,8 @@ _LARGEST_EXPANSION = 200
 more.
 """
 
-_ALWAYS_ALLOWED_BYTES = 64 * 2**20
-"""Allowed for a file of any size: scenes of equal Gaussians compress without a bound."""
-
-_LARGEST_ZSTD_WINDOW = 2**27
-"""The default limit of zstd (windowLog 27)."""
+_ALWAYS_ALLOWED_BYTES = 64 * 2**20  # allowed for a file of any size: scenes of equal Gaussians compress without a bound
+_LARGEST_ZSTD_WINDOW = 2**27  # the default limit of zstd (windowLog 27)
 
 
 def check_expansion(path: Path, count: int, coefficients: int, file_bytes: int) -> None:
@@ -81,7 +78,6 @@ def unzstd(path: Path, data: bytes, size: int, name: str) -> bytes:
 # Memory of a scene
 
 logger = logging.getLogger("gsrain")
-
 DRAWING_FACTOR = 1.6
 """Maximum memory to open and draw a scene, as a multiple of the bytes of its Gaussians."""
 

@@ -13,24 +13,18 @@ from ..gaussians import COEFFICIENTS_OF_DEGREE, SH_C0, Gaussians, sh_from_color
 from ._common import check_room, checked_gaussians
 
 _HEADER_BYTES = 4096
-
 _HEADER = struct.Struct("<BBxxIIIIHxx3fff")
 """Version, sections (capacity, used), Gaussians (capacity, used), level, scene center, range of 8-bit harmonics."""
 
 _SECTION_BYTES = 1024
-
 _SECTION = struct.Struct("<IIIIfHxxIIIIH")
 """Gaussians (used, capacity), Gaussians per bucket, buckets, block size, bytes per bucket, quantization range, bytes of
 the section, full buckets, other buckets, SH degree.
 """
 
 _BUCKET_BYTES = 12
-
 _POSITION_RANGE = 32767
-
-_HARMONICS_RANGE = 1.5
-"""Default for a header whose range of positions or of 8-bit harmonics is 0."""
-
+_HARMONICS_RANGE = 1.5  # default for a header whose range of positions or of 8-bit harmonics is 0
 _LARGEST_DEGREE = 2
 
 

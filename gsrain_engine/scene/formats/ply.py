@@ -20,25 +20,16 @@ from ..gaussians import COEFFICIENTS_OF_DEGREE, SH_C0, Gaussians
 from ._common import check_finite, check_room, checked_gaussians, with_largest
 
 _MEANS = ("x", "y", "z")
-
 _BASE_SH = ("f_dc_0", "f_dc_1", "f_dc_2")
-
 _SCALES = ("scale_0", "scale_1", "scale_2")
-
 _QUATERNIONS = ("rot_0", "rot_1", "rot_2", "rot_3")
-
 _REQUIRED = (*_MEANS, *_BASE_SH, "opacity", *_SCALES, *_QUATERNIONS)
-
 _NORMALS = ("nx", "ny", "nz")
 """Written as zeros, as in 3DGS itself: some readers count properties instead of reading their names."""
 
-_CHUNK_BYTES = 1 << 18
-"""Rows are read and distributed to the arrays in blocks that fit into the CPU cache."""
-
+_CHUNK_BYTES = 1 << 18  # rows are read and distributed to the arrays in blocks that fit into the CPU cache
 _CHUNK_LINES = 1024
-
-_LONGEST_LINE = 1 << 14
-"""Bytes; a Gaussian of SH degree 3 has some 700."""
+_LONGEST_LINE = 1 << 14  # Bytes; a Gaussian of SH degree 3 has some 700
 
 _Arrays = tuple[
     Float32[np.ndarray, "n 3"],
@@ -52,8 +43,7 @@ _Arrays = tuple[
 _LARGEST_LOGIT = 100.0
 """Written for an opacity of 1 or 0, whose logit is infinite: it converts back to exactly 1 or 0 in 32-bit floats."""
 
-_SMALLEST_SCALE = np.float32(1e-37)
-"""Written for a scale of 0, whose logarithm is infinite."""
+_SMALLEST_SCALE = np.float32(1e-37)  # written for a scale of 0, whose logarithm is infinite
 
 
 def read_ply(path: Path) -> Gaussians:
@@ -236,15 +226,9 @@ def _rows(gaussians: Gaussians) -> Float32[np.ndarray, "n p"]:
 
 
 logger = logging.getLogger("gsrain")
-
-_LARGEST_HEADER = 1 << 20
-"""Bytes within which `end_header` must appear; real headers have 2 KB."""
-
-_DIGITS = 20
-"""Maximum digits of a count: more than any file needs, and quick to parse."""
-
+_LARGEST_HEADER = 1 << 20  # bytes within which `end_header` must appear; real headers have 2 KB
+_DIGITS = 20  # maximum digits of a count: more than any file needs, and quick to parse
 _TEXT = "ascii"
-
 _BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", _TEXT: "<"}
 
 _TYPES = {
@@ -405,19 +389,12 @@ def _spread(rows, columns, means, scales, quaternions, opacities, sh):
 # Compressed PLY
 # SuperSplat's: 16 bytes per Gaussian, quantized within the bounds of chunks of 256.
 
-_CHUNK = 256
-"""Gaussians per chunk, with common bounds."""
-
+_CHUNK = 256  # gaussians per chunk, with common bounds
 _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
-
 _MEANS_BITS = (11, 10, 11)
-
 _COLOR_BITS = (8, 8, 8, 8)
-
 _ROTATION_BITS = (2, 10, 10, 10)
-
-_SH_RANGE = 8.0
-"""Harmonics are in -4 .. 4; bytes 0 and 255 are the ends, the others the midpoints of 256 steps."""
+_SH_RANGE = 8.0  # harmonics are in -4 .. 4; bytes 0 and 255 are the ends, the others the midpoints of 256 steps.
 
 
 def is_compressed(elements: dict[str, PlyElement]) -> bool:

@@ -23,7 +23,6 @@ from .registry import check_writable, read_gaussians
 from .scene_json import SCENE_VERSION, SceneRecord, places_not_finite, record_of, scene_of
 
 SCENE_FILE = "scene.json"
-
 _LARGEST_SCENE_FILE = 1 << 26
 """Bytes; an hour's track at 10 Hz takes 5 MB; a mask of a million Gaussians at most 0.17 MB."""
 

@@ -23,17 +23,11 @@ SCENE_VERSION = 4
 """Incremented when a field is added. The default of each field is its meaning in older files, which stay readable."""
 
 Row = tuple[float, float, float, float]
-
 Matrix = tuple[Row, Row, Row, Row]
-
 Positive = Annotated[float, Meta(gt=0)]
-
 Share = Annotated[float, Meta(ge=0, le=1)]
-
 Pixels = Annotated[int, Meta(ge=1, le=16384)]
-
 WetColors = Float32[np.ndarray, "_ _ 3"] | None
-
 _IDENTITY: Matrix = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 # Flags and masks
@@ -66,7 +60,6 @@ class LayerRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 # Tracks
 
 Vector = tuple[float, float, float]
-
 Quaternion = tuple[float, float, float, float]
 
 

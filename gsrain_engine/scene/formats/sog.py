@@ -24,18 +24,10 @@ from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from ._common import check_expansion, checked_gaussians, with_largest
 
 _META = "meta.json"
-
-_META_BYTES = 2**20
-"""Three codebooks of 256 numbers take 16 KB."""
-
-_SPARE_PIXELS = 2**16
-"""Maximum excess of pixels over Gaussians in an image; writers pad the last rows."""
-
+_META_BYTES = 2**20  # three codebooks of 256 numbers take 16 KB
+_SPARE_PIXELS = 2**16  # maximum excess of pixels over Gaussians in an image; writers pad the last rows
 _PALETTE_COLUMNS = 64
-
-_FIRST_LARGEST = 252
-"""Alpha of a quaternion's pixel: 252, 253, 254, 255 if w, x, y, z is the largest and omitted."""
-
+_FIRST_LARGEST = 252  # alpha of a quaternion's pixel: 252, 253, 254, 255 if w, x, y, z is the largest and omitted
 _ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, NotImplementedError, ValueError, OSError)
 """Exceptions of `zipfile` for damaged archives, found by experiment."""
 
@@ -217,15 +209,10 @@ def _decode_rest(
 
 
 _Triple = Annotated[list[float], Meta(min_length=3, max_length=3)]
-
 _Codebook = Annotated[list[float | None], Meta(min_length=2, max_length=256)]
-
 _OneFile = Annotated[list[str], Meta(min_length=1, max_length=1)]
-
 _TwoFiles = Annotated[list[str], Meta(min_length=2, max_length=2)]
-
-_PALETTE = 65536
-"""Labels have 16 bits."""
+_PALETTE = 65536  # labels have 16 bits
 
 
 # Unknown fields are ignored, unlike in GSRAIN's own files: writers add their own (`asset`, `antialias`).
@@ -390,11 +377,8 @@ def _file(path: Path, name: str) -> str:
 # The size is checked before decoding.
 
 _CHUNK = struct.Struct("<4sI")
-
 _RIFF_HEADER_BYTES = 12
-
 _LOSSLESS_SIGNATURE = 0x2F
-
 _ANIMATION_FLAG = 0x02
 
 

@@ -14,36 +14,21 @@ from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from ._common import check_expansion, checked_gaussians, gunzip, gunzip_start, unzstd, with_largest, without_largest
 
 _MAGIC = b"NGSP"
-
 _GZIP_MAGIC = b"\x1f\x8b"
-
 _HEADER = struct.Struct("<4sIIBBBB")
 """Magic, version, number of Gaussians, SH degree, fractional bits, flags, number of streams (0 before version 4)."""
 
-_CONTENTS_OFFSET = struct.Struct("<I12x")
-"""Follows the header in version 4: offset of the table of contents."""
-
-_STREAM_SIZES = struct.Struct("<QQ")
-"""One entry of that table: compressed and unpacked size of a stream in bytes."""
-
+_CONTENTS_OFFSET = struct.Struct("<I12x")  # follows the header in version 4: offset of the table of contents
+_STREAM_SIZES = struct.Struct("<QQ")  # one entry of that table: compressed and unpacked size of a stream in bytes
 _EXTENSIONS_FLAG = 2
-
 _EXTENSIONS_BYTES = 2**20
 """Vendor extensions, camera limits and the like follow the Gaussians in versions 2 and 3; the reader ignores them."""
 
-_FRACTIONAL_BITS = 23
-"""Maximum for a 24-bit fixed-point coordinate with sign."""
-
-_WRITTEN_FRACTIONAL_BITS = 16
-"""Finest step written: 15 micrometers for a scene in meters."""
-
-_COLOR_SCALE = 0.15
-"""SPZ stores sh[0] * 0.15 + 0.5 as color, so that the range is -0.44 to 1.44 instead of 0 to 1."""
-
+_FRACTIONAL_BITS = 23  # maximum for a 24-bit fixed-point coordinate with sign
+_WRITTEN_FRACTIONAL_BITS = 16  # finest step written: 15 micrometers for a scene in meters
+_COLOR_SCALE = 0.15  # SPZ stores sh[0] * 0.15 + 0.5 as color, so that the range is -0.44 to 1.44 instead of 0 to 1
 _POINT_FLIP = np.array([1, -1, -1], np.float32)
-
 _XYZW_FLIP = np.array([1, -1, -1, 1], np.float32)
-
 _SH_FLIP = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
 """SPZ axes are right, up, back; those of PLY and of `Gaussians` right, down, front: half a turn about x.
 
@@ -51,11 +36,8 @@ It negates y and z, and every harmonic that is odd in y and z together.
 """
 
 _SCALES = np.exp(np.arange(256, dtype=np.float32) / 16 - 10)
-
 _OPACITIES = np.arange(256, dtype=np.float32) / 255
-
 _BASE_SH = ((np.arange(256) / 255 - 0.5) / _COLOR_SCALE).astype(np.float32)
-
 _REST_ZERO, _REST_STEP = np.float32(128), np.float32(1 / 128)
 """Byte for 0, and step, of harmonics above degree 0; the step is a power of 2, so that nothing rounds."""
 

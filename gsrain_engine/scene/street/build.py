@@ -21,11 +21,8 @@ from .trucks import build_parked_trucks
 from .vegetation import build_furniture, build_sky, build_trees, sky_display
 
 LEAD_ID = "lead"
-
 _LEAD_SHAPE: CarShape = "saloon"
-
 _LEAD_PAINT = (0.014, 0.034, 0.075)
-
 _TRACK_STEP_S = 0.1
 
 # Daylight
@@ -188,8 +185,7 @@ def _straight(times: np.ndarray, x: np.ndarray, y: float, z: float) -> PoseTrack
 SH_C1 = 0.4886025119029199
 """Spherical harmonics of degree 1, sqrt(3/(4 pi)), in the sign of 3DGS: -y, z, -x."""
 
-_THICKNESS = 0.02
-"""Standard deviation across a surface, as a fraction of the smaller one within it."""
+_THICKNESS = 0.02  # standard deviation across a surface, as a fraction of the smaller one within it
 
 
 def quads_to_gaussians(quads: Quads, light: Daylight) -> Gaussians:
@@ -240,23 +236,13 @@ def _harmonics(quads: Quads, colors: Float32[np.ndarray, "n 3"], light: Daylight
 
 
 _SUN_LIGHT = np.array([3.05, 2.72, 2.18])
-
 _SKY_LIGHT = np.array([0.50, 0.62, 0.82])
-
 _GROUND_LIGHT = np.array([0.30, 0.27, 0.22])
-
 _EXPOSURE = 1.18
-
-_MIRRORED = np.array([0.36, 0.40, 0.45])
-"""Display color of a mirror that reflects the horizon."""
-
-_MIRRORED_UP = np.array([0.30, 0.37, 0.48])
-"""Added for a reflection of the zenith, subtracted for one of the road."""
-
+_MIRRORED = np.array([0.36, 0.40, 0.45])  # display color of a mirror that reflects the horizon
+_MIRRORED_UP = np.array([0.30, 0.37, 0.48])  # added for a reflection of the zenith, subtracted for one of the road
 _MIRRORED_SUN = np.array([0.16, 0.15, 0.12])
-
 _HAZE = np.array([0.70, 0.78, 0.86])
-
 _HAZE_LENGTH_M = 1400.0
 
 # Camera rigs

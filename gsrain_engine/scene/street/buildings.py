@@ -10,9 +10,7 @@ from .layout import HOUSE_DEPTH_M, House, Label, StreetLayout
 from .mesh import Quads, box, even_lines, graded_lines, layered_noise, panel, patch, tube
 
 _X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-
 _OVERHANG = 0.32
-
 _LINING_DEPTH = 1.2
 
 
@@ -153,7 +151,6 @@ def _dormers(house: House) -> Quads:
 
 
 _FRAMES = ((0.66, 0.65, 0.62), (0.62, 0.62, 0.6), (0.10, 0.055, 0.03), (0.045, 0.075, 0.06), (0.6, 0.58, 0.52))
-
 _EDGE = 0.04
 
 
@@ -371,7 +368,6 @@ TRIM_M = 0.11
 """Width of the stone surround."""
 
 _FRAME = 0.065
-
 _GLOSS = 0.5
 
 

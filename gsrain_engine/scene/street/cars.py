@@ -13,16 +13,10 @@ from .layout import TRUCK_LENGTH_M, TRUCK_WIDTH_M, CarShape, Color, Label, Stree
 from .mesh import Quads, graded_lines, patch
 
 _GLASS = (0.018, 0.02, 0.022)
-
 _TRIM = (0.022, 0.022, 0.024)
-
 _PAINT_GLOSS, _GLASS_GLOSS = 0.17, 0.36
-
-_SMOOTH = 1.1
-"""Gaussians of a car are this much wider than elsewhere: gaps are conspicuous in paint."""
-
-_SHADOW_HEIGHT_M = 0.06
-"""High enough that shadows are sorted before the road below them."""
+_SMOOTH = 1.1  # gaussians of a car are this much wider than elsewhere: gaps are conspicuous in paint
+_SHADOW_HEIGHT_M = 0.06  # high enough that shadows are sorted before the road below them
 
 
 @dataclass(frozen=True, slots=True)
@@ -347,7 +341,6 @@ def _underside(form: CarForm) -> Quads:
 # Wheels
 
 TIRE = (0.018, 0.018, 0.019)
-
 RIM = (0.36, 0.36, 0.37)
 
 
@@ -374,15 +367,10 @@ def build_wheel(radius: float, sides: int, dish: float = 0.0) -> Quads:
 # Truck outline and colors
 
 STEEL: Color = (0.10, 0.105, 0.11)
-
 DARK: Color = (0.016, 0.016, 0.018)
-
 TRIM: Color = (0.022, 0.022, 0.024)
-
 PLATE: Color = (0.78, 0.78, 0.74)
-
 AMBER: Color = (0.60, 0.19, 0.01)
-
 RED_TAPE: Color = (0.45, 0.012, 0.014)
 
 

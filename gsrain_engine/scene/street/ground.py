@@ -18,18 +18,11 @@ from .layout import (
 from .mesh import Quads, even_lines, graded_lines, lattice_noise, layered_noise, panel, patch, smooth_noise
 
 _X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-
 _ASPHALT = np.array([0.088, 0.088, 0.090])
-
 _PAINT = np.array([0.50, 0.50, 0.48])
-
 _DASH_M, _PERIOD_M = 3.0, 7.5
-
-_STEP_M = 0.3
-"""Cell size along the street; dashes begin and end on multiples of it."""
-
+_STEP_M = 0.3  # cell size along the street; dashes begin and end on multiples of it
 _STOP_LINE_M = 0.42
-
 _SEAM_M = 0.035
 
 
@@ -172,11 +165,8 @@ def _cross_street(layout: StreetLayout, end: int) -> Quads:
 
 
 _SLAB = np.array([0.235, 0.225, 0.205])
-
 _GRANITE = np.array([0.30, 0.295, 0.285])
-
 _SOIL = np.array([0.075, 0.05, 0.032])
-
 CURB_WIDTH_M = 0.15
 
 
@@ -276,7 +266,6 @@ def _yard(layout: StreetLayout, end: int, side: int) -> Quads:
 # Surroundings
 
 _GROUND_RADIUS_M = 420.0
-
 _HILLS_AT_M = (260.0, 380.0)
 
 

@@ -90,14 +90,11 @@ class Label(IntEnum):
 # Positions of houses, trees, cars and lamps, from which everything else is built.
 
 CURB_HEIGHT_M = 0.12
-
 HOUSE_DEPTH_M = 10.0
-
 CROSS_ROAD_M = 8.0
 """Width between the curbs of the two streets that cross at the ends."""
 
 CROSS_SIDEWALK_M = 2.6
-
 CROSS_LENGTH_M = 36.0
 """Extent of the cross streets to each side of the axis."""
 
@@ -117,9 +114,7 @@ _WALLS: tuple[tuple[Wall, tuple[float, float, float]], ...] = (
 )
 
 _ROOFS = ((0.26, 0.10, 0.065), (0.20, 0.085, 0.06), (0.10, 0.105, 0.12), (0.14, 0.12, 0.11), (0.29, 0.14, 0.09))
-
 _SIGNS = ((0.06, 0.13, 0.10), (0.22, 0.03, 0.03), (0.03, 0.06, 0.16), (0.05, 0.05, 0.055), (0.30, 0.20, 0.05))
-
 _DOORS = ((0.10, 0.045, 0.02), (0.02, 0.06, 0.045), (0.02, 0.035, 0.07), (0.13, 0.02, 0.02), (0.05, 0.05, 0.05))
 
 
@@ -173,7 +168,6 @@ class Tree:
 # Parked vehicles
 
 CarShape = Literal["hatchback", "saloon", "estate", "van"]
-
 Color = tuple[float, float, float]
 """Linear albedo."""
 
@@ -322,7 +316,6 @@ def _trees(p: StreetParameters, crossings: tuple[float, ...], rng: np.random.Gen
 
 
 CROSSING_LENGTH_M = 3.0
-
 TRUCK_LENGTH_M, TRUCK_WIDTH_M = 7.2, 2.2
 
 _PAINTS: tuple[Color, ...] = (
@@ -345,9 +338,7 @@ _TRUCKS: tuple[tuple[int, float, Color, Color, Color], ...] = (
 """Side of the street (1: left), approximate x in m, colors of cab, box and sign."""
 
 _CAR_LENGTH_M, _GAP_M = 4.7, 0.5
-
-_MAX_SHIFT_M = 5.0
-"""Maximum shift of a truck to a free position; without one it is omitted."""
+_MAX_SHIFT_M = 5.0  # maximum shift of a truck to a free position; without one it is omitted
 
 
 def plan_cars(p: StreetParameters, crossings: Sequence[float], rng: np.random.Generator) -> tuple[ParkedCar, ...]:

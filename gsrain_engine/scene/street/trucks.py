@@ -15,7 +15,6 @@ from .layout import Color, Label, ParkedTruck, StreetLayout
 from .mesh import Quads, box, graded_lines, panel, patch
 
 _FRAME = (0.34, 0.345, 0.35)
-
 _GLOSS = 0.10
 
 
@@ -105,15 +104,10 @@ def _front_and_roof(form: TruckForm, body: Color) -> Quads:
 # Cab
 
 _GLASS = (0.018, 0.02, 0.022)
-
 _LAMP = (0.88, 0.88, 0.86)
-
 _PAINT_GLOSS, _GLASS_GLOSS = 0.16, 0.36
-
 _CORNER_M = 0.20
-
 _BELT_M, _SCREEN_TOP_M = 1.36, 2.06
-
 _SILL_M = 0.36
 
 _LEVELS = (_SILL_M, 0.46, 0.56, 0.66, 0.70, 0.80, 0.84, 0.92, 0.97, 1.13, 1.18, 1.27, 1.32, _BELT_M, 1.41, 1.52,
@@ -285,7 +279,6 @@ def _visor(form: TruckForm) -> Quads:
 # Chassis
 
 _RED_LAMP, _WHITE_LAMP = (0.42, 0.006, 0.006), (0.72, 0.72, 0.70)
-
 _WHITE_TAPE = (0.74, 0.74, 0.72)
 
 
@@ -413,8 +406,7 @@ def _wheels(form: TruckForm) -> Quads:
 
 # Whole trucks
 
-_SMOOTH = 1.08
-"""Gaussians of a truck are this much wider than elsewhere: gaps are conspicuous in paint."""
+_SMOOTH = 1.08  # gaussians of a truck are this much wider than elsewhere: gaps are conspicuous in paint
 
 
 def build_parked_trucks(layout: StreetLayout) -> Quads:

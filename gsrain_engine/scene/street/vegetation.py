@@ -10,9 +10,7 @@ from .layout import CROSSING_LENGTH_M, CURB_HEIGHT_M, Label, StreetLayout, Tree
 from .mesh import EDGE_SPREAD, Quads, box, layered_noise, patch, tube
 
 _BARK = (0.115, 0.09, 0.065)
-
 _LEAF = np.array([0.085, 0.17, 0.03])
-
 _TWIGS, _LEAVES_A_TWIG = 58, 29
 
 
@@ -120,11 +118,8 @@ def _depth_inside(
 # Street furniture
 
 _IRON = (0.045, 0.055, 0.052)
-
 _STEEL = (0.24, 0.245, 0.25)
-
-_BEFORE_POLE_M = 0.05
-"""Distance of a sign in front of its pole."""
+_BEFORE_POLE_M = 0.05  # distance of a sign in front of its pole
 
 
 def build_furniture(layout: StreetLayout) -> Quads:
@@ -239,7 +234,6 @@ def _bin(x: float, y: float) -> Quads:
 # A dome with a blue-to-pale gradient and soft clouds.
 
 RADIUS_M = 900.0
-
 SKY_SPREAD = 0.8
 """Wider than elsewhere, to blend neighboring cells of sky."""
 

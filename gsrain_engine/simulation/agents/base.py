@@ -245,5 +245,4 @@ def half_corridor_m(vehicle: Vehicle) -> float:
     return vehicle.width_m / 2 + _CLEARANCE_M
 
 
-_CLEARANCE_M = 0.25
-"""Lateral clearance of a car; streets with parked cars leave half a meter."""
+_CLEARANCE_M = 0.25  # lateral clearance of a car; streets with parked cars leave half a meter

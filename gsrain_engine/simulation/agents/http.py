@@ -19,7 +19,6 @@ ALIVE_WAIT_S, ANSWER_WAIT_S = 120.0, 60.0
 """Timeouts for the server to start, and for each reply."""
 
 _TRY_S, _PAUSE_S = 5.0, 0.5
-
 _MAX_OBJECTS = 100
 
 
@@ -100,13 +99,9 @@ def _notes(seen: _Objects | None) -> dict[str, Any]:
 # HTTP calls
 # One deadline and one size limit apply to a whole call.
 
-_MAX_BYTES = 8 << 20
-"""Maximum size of everything that a server sends, including headers."""
-
+_MAX_BYTES = 8 << 20  # maximum size of everything that a server sends, including headers
 _PORTS = {"http": 80, "https": 443}
-
 _OK = 200
-
 _FAILURE_CHARACTERS = 200
 
 

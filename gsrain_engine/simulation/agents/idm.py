@@ -14,11 +14,8 @@ from .base import SPACING_S, CameraView, LanePath, Observation, Rig, SensorRequi
 from .lead_tracking import LeadState, LeadTracker, LeadVehicle, road_user_class, sightings
 
 _POINTS = 6
-
 _SUBSTEPS = 10
-
-_STANDS_M_S = 0.1
-"""Speed below which a vehicle counts as standing."""
+_STANDS_M_S = 0.1  # speed below which a vehicle counts as standing
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,8 +104,7 @@ def cruise_speed(first_m_s: float) -> float:
 # Oracle agent
 # Its ground-truth perception isolates the losses of camera perception.
 
-_FORESIGHT_S = 1.5
-"""Prediction time of lane changes at constant lateral speed; a lane change takes twice as long."""
+_FORESIGHT_S = 1.5  # prediction time of lane changes at constant lateral speed; a lane change takes twice as long
 
 
 class OracleIDMAgent:

@@ -25,17 +25,10 @@ class LeadVehicle:
 
 # Track of one road user
 
-_ACCELERATION_M_S2 = 4.0
-"""Standard deviation of a lead's acceleration; makes braking with 8 m/s2 rare but possible."""
-
-_GATE = 3.0
-"""Gate in standard deviations; sightings farther from the prediction belong to another road user."""
-
-_GATE_M = 1.5
-"""Additional gate width, for detectors with unsteady boxes."""
-
+_ACCELERATION_M_S2 = 4.0  # standard deviation of a lead's acceleration; makes braking with 8 m/s2 rare but possible
+_GATE = 3.0  # gate in standard deviations; sightings farther from the prediction belong to another road user
+_GATE_M = 1.5  # additional gate width, for detectors with unsteady boxes
 _COAST_S, _NEAR_COAST_S = 1.0, 30.0
-
 _NEAR_M, _STANDS_M_S = 6.0, 0.5
 """Distance and speed below which a lost road user is kept for up to half a minute as standing.
 
@@ -50,8 +43,7 @@ MIN_CONFIDENCE = 0.3
 COCO detectors find most objects with few false alarms at 0.25 to 0.4.
 """
 
-_SURE = 0.6
-"""Confidence that suffices for one sighting; less confident ones must be seen twice."""
+_SURE = 0.6  # confidence that suffices for one sighting; less confident ones must be seen twice
 
 # Sightings
 
@@ -206,23 +198,16 @@ OVERHANGS_M = {"car": 0.8, "truck": 1.0, "bus": 2.0, "train": 1.0}
 """Distance from the rear bumper to the tires' contact, where boxes end at the bottom. Zero for other classes."""
 
 _OTHER_WORDS = {"rider": "person", "cyclist": "bicycle", "motorcyclist": "motorcycle"}
-
-_EDGE = 0.03
-"""Margin as a share of the image; a box that ends closer to the edge may be truncated."""
-
-_BOX_ERROR = 0.002
-"""Standard error of a box edge between images, as a share of the image width (1.6 px in 800)."""
-
+_EDGE = 0.03  # margin as a share of the image; a box that ends closer to the edge may be truncated
+_BOX_ERROR = 0.002  # standard error of a box edge between images, as a share of the image width (1.6 px in 800)
 _MIN_ERROR_M = 0.3
-
 _WIDTH_ERROR = 0.1
 """Relative error of an assumed width; the gap is shortened accordingly.
 
 This avoids hitting cars of unusual width, and cars that fill the image and exceed their boxes.
 """
 
-_FARTHEST_M = 80.0
-"""Maximum distance; beyond it the lower box edge is closer to the horizon than its error."""
+_FARTHEST_M = 80.0  # maximum distance; beyond it the lower box edge is closer to the horizon than its error
 
 
 def sightings(

@@ -24,7 +24,6 @@ from .base import (
 )
 
 _HALF_WIDTH_M, _START_M, _AHEAD_S = 2.5, 2.0, 2.0
-
 _STOP = np.zeros((6, 2))
 
 

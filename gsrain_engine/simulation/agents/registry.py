@@ -114,7 +114,6 @@ def _installed(extension: Extension, options: AgentOptions) -> Agent:
 # `my_driver.py`, or `my_driver.py:NAME` to select one of several.
 
 _SUFFIX = ".py"
-
 _METHODS = ("reset", "plan", "close")
 
 

@@ -22,7 +22,6 @@ from ..vehicle import Vehicle, yaw_rate
 from .spaces import control_of, control_space, observation_space, observation_values, plan_space
 
 _FRONT = SensorRequirements(("front",))
-
 _LARGEST_SEED = 2**32
 
 # Reward

@@ -7,7 +7,6 @@ Imports nothing else, because the import of gymnasium may call it.
 from gymnasium.envs.registration import register, registry
 
 CONTROL_ID, PLAN_ID = "gsrain/Drive-v0", "gsrain/DrivePlan-v0"
-
 _CREATOR = "gsrain_engine.simulation.gymnasium.environment:DriveEnvironment"
 
 

@@ -41,13 +41,9 @@ def control_of(action: Float64[np.ndarray, "2"], vehicle: Vehicle) -> Control:
 # Observations
 
 ROUTE_POINTS, ROUTE_STEP_M = 30, 2.0
-
 MAX_ROAD_USERS = 16
-
 _FAR_M = 10_000.0
-
 _EGO = np.array([200.0, 100.0, 2.0, 20.0, 100.0, 1000.0, np.pi], np.float32)
-
 _USER = np.array([_FAR_M, _FAR_M, np.pi, 100.0, 100.0, 100.0, 200.0], np.float32)
 
 

@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-_PROTOCOL = 4
-"""Pickle protocol of Python 3.4, which all clients support."""
+_PROTOCOL = 4  # pickle protocol of Python 3.4, which all clients support
 
 
 class _OldPickler(pickle.Pickler):
@@ -46,7 +45,6 @@ def old_pickle(value: Any) -> memoryview:
 # NumPy arrays
 
 _DTYPES = {f"{kind}{size}" for kind in "iu" for size in (1, 2, 4, 8)} | {"f2", "f4", "f8"}
-
 _MAX_ITEMS, _MAX_AXES = 1_000_000, 8
 
 
@@ -150,8 +148,7 @@ _STORAGES = {
     "torch IntStorage": "<i4",
 }  # fmt: skip
 
-_PICKLES = 5
-"""Pickles before the values: magic number, protocol, machine, storage description, storage keys."""
+_PICKLES = 5  # pickles before the values: magic number, protocol, machine, storage description, storage keys
 
 
 class PickledTensor:

@@ -27,12 +27,8 @@ from ..vehicle import HUGSIM_VEHICLE
 from .hugsim_pickle import read_plain_pickle
 
 OBSERVATIONS, PLANS = "obs_pipe", "plan_pipe"
-
 _LONGEST_PAUSE_S = 0.02
-
-_MOMENTS = 25
-"""Number of polls to wait for a client that closed a pipe to end, so that the error names the reason."""
-
+_MOMENTS = 25  # number of polls to wait for a client that closed a pipe to end, so that the error names the reason
 _ROOM_BYTES = 1 << 20
 
 
@@ -154,12 +150,8 @@ def _widen(pipe: int) -> None:
 # `(obs, info)`, named and shaped as in HUGSIM's environment.
 
 ChannelOrder = Literal["rgb", "bgr"]
-
-_UNKNOWN = 19
-"""The class after Cityscapes' last; HUGSIM's scenes have twenty."""
-
-_ROUTE_SHARE = 0.9
-"""Route share that HUGSIM counts as complete."""
+_UNKNOWN = 19  # the class after Cityscapes' last; HUGSIM's scenes have twenty
+_ROUTE_SHARE = 0.9  # route share that HUGSIM counts as complete
 
 
 def hugsim_obs(

@@ -11,8 +11,7 @@ from ..geometry import wrap_degrees
 from ..scenario import Scenario, ScenarioUser
 from ..vehicle import HUGSIM_VEHICLE
 
-_MAX_STEPS, _STEP_S = 400, 0.25
-"""HUGSIM's maximum number of steps and step size."""
+_MAX_STEPS, _STEP_S = 400, 0.25  # HUGSIM's maximum number of steps and step size
 
 _IDM = {
     "desired_speed_m_s": 30.0, "least_gap_m": 5.0, "headway_s": 2.0, "acceleration_m_s2": 2.0,

@@ -19,9 +19,7 @@ from ..route import Route
 from ..vehicle import Vehicle, VehicleState
 
 _MISSING = "MCAP files need mcap: pip install 'gsrain[drive]'"
-
 _CHUNK_BYTES = 1 << 20
-
 _LIBRARY = "gsrain"
 
 
@@ -164,13 +162,9 @@ WORLD, EGO = "world", "ego"
 """Frames: the scene's world, and the ego vehicle (x forward, y left, z up, origin below its rear axle)."""
 
 INFORMATION, ERROR = 2, 4
-
 _JPEG_QUALITY = 90
-
 _ABOVE_GROUND_M = 0.05
-
 _EGO_COLOR, _USER_COLOR = (0.12, 0.45, 0.75, 0.55), (0.85, 0.55, 0.2, 0.75)
-
 _HIT_COLOR, _PLAN_COLOR, _ROUTE_COLOR = (0.86, 0.12, 0.15, 0.9), (0.15, 0.75, 0.35, 1.0), (0.6, 0.64, 0.68, 0.8)
 
 
@@ -327,13 +321,9 @@ def _color(rgba: tuple[float, ...]) -> Message:
 
 
 _NUMBER: Schema = {"type": "number"}
-
 _STRING: Schema = {"type": "string"}
-
 _BOOLEAN: Schema = {"type": "boolean"}
-
 _BYTES: Schema = {"type": "string", "contentEncoding": "base64"}
-
 _COUNT: Schema = {"type": "integer", "minimum": 0}
 
 
@@ -354,7 +344,6 @@ def _numbers(count: int) -> Schema:
 
 
 _NANOSECONDS: Schema = {"type": "integer", "minimum": 0, "maximum": 999_999_999}
-
 _TIME: Schema = {"type": "object", "title": "time", "properties": {"sec": _COUNT, "nsec": _NANOSECONDS}}
 
 _DURATION: Schema = {
@@ -362,19 +351,12 @@ _DURATION: Schema = {
 }  # fmt: skip
 
 _VECTOR = _object("foxglove.Vector3", x=_NUMBER, y=_NUMBER, z=_NUMBER)
-
 _POINT = _object("foxglove.Point3", x=_NUMBER, y=_NUMBER, z=_NUMBER)
-
 _QUATERNION = _object("foxglove.Quaternion", x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER)
-
 _POSE = _object("foxglove.Pose", position=_VECTOR, orientation=_QUATERNION)
-
 _COLOR = _object("foxglove.Color", r=_NUMBER, g=_NUMBER, b=_NUMBER, a=_NUMBER)
-
 _PAIR = _object("foxglove.KeyValuePair", key=_STRING, value=_STRING)
-
 _CUBE = _object("foxglove.CubePrimitive", pose=_POSE, size=_VECTOR, color=_COLOR)
-
 _SPHERE = _object("foxglove.SpherePrimitive", pose=_POSE, size=_VECTOR, color=_COLOR)
 
 _LINE = _object(
@@ -426,7 +408,6 @@ FRAME_TRANSFORM = _object(
 )  # fmt: skip
 
 POSE_IN_FRAME = _object("foxglove.PoseInFrame", timestamp=_TIME, frame_id=_STRING, pose=_POSE)
-
 SCENE_UPDATE = _object("foxglove.SceneUpdate", deletions=_list(_DELETION), entities=_list(_ENTITY))
 
 COMPRESSED_IMAGE = _object(

@@ -14,12 +14,8 @@ from ..scenario import Scenario
 from .openscenario_read import LANE_M
 
 _DATE = datetime.datetime(2000, 1, 1)
-
-_BEFORE_M, _BEHIND_M = 60.0, 200.0
-"""Straight extension of the road before and after the recorded drive."""
-
+_BEFORE_M, _BEHIND_M = 60.0, 200.0  # straight extension of the road before and after the recorded drive
 _STEP_M = 5.0
-
 _TOLERANCE_M = 0.01
 
 

@@ -281,7 +281,6 @@ def _track(path: Path, follow: Element, actor: EntityContext) -> dict[str, Any]:
 # Vehicles and pedestrians
 
 _MODELS = {"car": "saloon", "van": "van", "truck": "truck", "bus": "truck", "semitrailer": "truck"}
-
 _CLASSES = {"van": "car", "semitrailer": "truck", "motorbike": "motorcycle"}
 
 
@@ -409,9 +408,7 @@ def _fields(kind: str, ahead_m: float, left_m: float, turned_rad: float) -> dict
 # XML parsing
 # For untrusted files, with parameters substituted.
 
-_MAX_VALUE = 1e9
-"""Maximum of any length, time, speed or angle; keeps products finite."""
-
+_MAX_VALUE = 1e9  # maximum of any length, time, speed or angle; keeps products finite
 _PARAMETER = re.compile(r"\$(\w+)")
 
 
@@ -472,7 +469,6 @@ def properties(element: Element) -> dict[str, str]:
 # Shared names of reader and writer
 
 EGO = "Ego"
-
 PROPERTY = "gsrain."
 """Prefix of GSRAIN's own properties."""
 

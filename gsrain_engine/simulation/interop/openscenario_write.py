@@ -28,9 +28,7 @@ from ..vehicle import Vehicle
 from .openscenario_read import EGO, LANE_M, OWN_FIELDS, PROPERTY
 
 _MINOR = 2
-
-_DATE = datetime.datetime(2000, 1, 1)
-"""Fixed date, so that the same scenario gives the same bytes."""
+_DATE = datetime.datetime(2000, 1, 1)  # fixed date, so that the same scenario gives the same bytes
 
 
 def document_xml(scenario: Scenario, scene: Scene, road_file: str) -> str:
@@ -124,7 +122,6 @@ def _text(scenario: Scenario, entities: xosc.Entities, board: xosc.StoryBoard, r
 # Entities
 
 _CATEGORIES = {"car": "car", "truck": "truck", "bus": "bus", "motorcycle": "motorbike", "bicycle": "bicycle"}
-
 _WHEEL_M = 0.65
 
 

@@ -169,8 +169,7 @@ def pose_hits(
 STANDING_M = 1.0
 """If a plan ends nearer than this to the vehicle, all its points have the vehicle's heading (HUGSIM's scorer)."""
 
-_APART_M = 0.01
-"""Minimum distance between points that define a direction."""
+_APART_M = 0.01  # minimum distance between points that define a direction
 
 
 def ego_pose(ego: EgoRecord) -> Float64[np.ndarray, "3"]:

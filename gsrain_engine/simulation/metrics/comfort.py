@@ -86,7 +86,6 @@ def comfort_executed(rollout: Rollout, limits: ComfortLimits = PAPER) -> float |
 
 
 _ROUNDING = 1e-9
-
 NUPLAN = ComfortLimits(jerk_m_s3=4.13, whole_jerk_m_s3=8.37)
 """nuPlan's: 8.37 bounds the length of the jerk, 4.13 its part along the heading. (nuPlan also smooths with a
 Savitzky-Golay filter at 10 Hz; plans and steps here are too coarse for that.)"""
@@ -94,8 +93,7 @@ Savitzky-Golay filter at 10 Hz; plans and steps here are too coarse for that.)""
 # Planned comfort
 # HUGSIM's definition, used in its scores.
 
-_FEWEST = 4
-"""Minimum number of poses for a jerk; shorter plans count as comfortable."""
+_FEWEST = 4  # minimum number of poses for a jerk; shorter plans count as comfortable
 
 
 def planned_motion(poses: Float64[np.ndarray, "n 3"], spacing_s: float) -> Motion:

@@ -24,9 +24,7 @@ from .comfort import PAPER
 from .summary import DriveComparison, IntensityRuns
 
 _SIZE_INCHES, _DPI = (10.5, 6.2), 150
-
 _WIDEST, _THINNEST = 3.0, 1.5
-
 _CLEAR, _GRID = "#d9822b", "#9aa3ad"
 
 # Curves over time
@@ -193,11 +191,8 @@ def _interval(values: Sequence[float]) -> MeanInterval:
 # Bird's-eye views
 
 _WIDTH_IN, _TALLEST_IN = 13.0, 7.0
-
 _EGO, _OTHER, _PLAN, _HIT, _ROUTE = "#1f5f8b", "#8a5a2b", "#2f9e5b", "#d3202a", "#b8bfc7"
-
 _EVERY_S = 1.0
-
 _MARGIN_M, _MIN_SIDE_M, _BETWEEN_TIMES_M = 4.0, 5.0, 3.0
 
 

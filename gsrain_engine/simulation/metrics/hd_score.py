@@ -13,13 +13,9 @@ from .collisions import CollisionSpace, LoggedTraffic, ego_box, future_times_s, 
 from .comfort import is_plan_comfortable
 
 _TTC_WEIGHT, _COMFORT_WEIGHT = 5.0, 2.0
-
 _LOOK_AHEAD_S = (0.5, 1.0)
-
 _FEWEST_POINTS = 2
-
-_WHOLE_ROUTE = 0.9
-"""Route share that counts as complete."""
+_WHOLE_ROUTE = 0.9  # route share that counts as complete
 
 
 @runtime_checkable

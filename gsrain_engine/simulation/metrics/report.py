@@ -14,7 +14,6 @@ from .figures import birds_eye_sheet, kinematics_figure
 from .summary import DriveComparison, ScoredRun, compare_drives, results_table
 
 _MAX_FROM_ABOVE = 8
-
 _PACKAGES = ("gsrain", "numpy", "scipy", "shapely", "numba")
 
 _OVER_TIME = (

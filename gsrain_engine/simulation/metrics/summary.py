@@ -286,13 +286,9 @@ class ResultsTable:
         return "\n".join(line.rstrip() for line in (shown[0], rule, *shown[1:], "", *told)) + "\n"
 
 
-_NARROWEST = 80
-"""Minimum line width of the definitions in characters."""
-
+_NARROWEST = 80  # minimum line width of the definitions in characters
 _WORDS = ("Scenario", "Agent")
-
 _C, _S_PLANNED, _S_EXECUTED = "C", "S (planned)", "S (executed)"
-
 _FRAMES = "C (frames)"
 
 

@@ -36,7 +36,6 @@ def scale_gaussians(gaussians: Gaussians, times: float) -> Gaussians:
 # Models by name
 
 __all__ = ["VehicleModel", "scale_gaussians", "vehicle_model"]
-
 ACTOR = "actor:"
 """Prefix of models that are actors of the scene; the actor id follows."""
 
@@ -70,12 +69,8 @@ def _actor_look(id: str, scene: Scene) -> VehicleModel:
 
 # Models from files
 
-_SHARE = 0.995
-"""Share of the opacity inside a model's box along each axis; excludes stray Gaussians of captures."""
-
-_OPAQUE = 0.2
-"""Minimum opacity of Gaussians that count for a model's size."""
-
+_SHARE = 0.995  # share of the opacity inside a model's box along each axis; excludes stray Gaussians of captures
+_OPAQUE = 0.2  # minimum opacity of Gaussians that count for a model's size
 _MIN_M, _MAX_M = 0.1, 30.0
 
 
@@ -129,7 +124,6 @@ PAINTS: dict[str, Color] = {
 """Linear albedo by paint name; the first is the default."""
 
 _BOX, _SIGN = (0.62, 0.62, 0.60), (0.03, 0.10, 0.30)
-
 _SHAPES: dict[str, CarShape] = {shape: shape for shape in CAR_FORMS}
 
 

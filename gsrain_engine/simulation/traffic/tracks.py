@@ -17,8 +17,7 @@ from ..rollout_io import read_any_rollout
 from ..vehicle import VehicleState, vehicle_box
 from .base import EGO, Behavior, LanePosition, RoadUser, TimeParametrizedBehavior, TrafficState
 
-_STEP_S = 0.05
-"""Half the interval for speed estimates; tracks are linear between samples, mostly 100 ms apart."""
+_STEP_S = 0.05  # half the interval for speed estimates; tracks are linear between samples, mostly 100 ms apart
 
 
 class RecordedTrack:
