@@ -14,8 +14,8 @@ from gsrain_engine.appearance.output_folder import read_transferred
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.evaluation.fid import PLACE as CACHE
 from gsrain_engine.scene.formats.scene_files import write_scene
-from tests.reconstruct.drive_capture import drive_capture
-from tests.reconstruct.small_street import small_street
+from tests.training.drive_capture import drive_capture
+from tests.training.small_street import small_street
 
 from .picture_sets import write_pictures
 

@@ -11,7 +11,7 @@ from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.editor.jobs import training
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
-from tests.reconstruct.changed_street import street_and_pictures
+from tests.recolor.changed_street import street_and_pictures
 
 
 @pytest.fixture(scope="module")

@@ -16,8 +16,8 @@ from gsrain_engine.editor.jobs import training
 from gsrain_engine.rain.wetness import wetness
 from gsrain_engine.recolor.recolor import RecolorOptions
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
-from tests.reconstruct.drive_capture import drive_capture
-from tests.reconstruct.small_street import small_street
+from tests.training.drive_capture import drive_capture
+from tests.training.small_street import small_street
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.reconstruct.drive_capture import HEIGHT, ROAD_Z, WIDTH, box, drive_capture, world_depth
 
 from gsrain_engine.appearance.capture_views import capture_views
 from gsrain_engine.appearance.guess_geometry import color_guided_filter
@@ -11,6 +10,7 @@ from gsrain_engine.datasets.capture import EGO_HEIGHT_M, Capture, Lens
 from gsrain_engine.datasets.capture_folder import camera_without_calibration
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.street.layout import Label
+from tests.training.drive_capture import HEIGHT, ROAD_Z, WIDTH, box, drive_capture, world_depth
 
 Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """World with z up to one with y up."""

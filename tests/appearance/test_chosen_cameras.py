@@ -2,7 +2,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.reconstruct.small_street import FORWARD, LEFT, small_street, still_track
 
 from gsrain_engine.appearance.scene_views import (
     DEFAULT_PIXELS,
@@ -16,6 +15,7 @@ from gsrain_engine.datasets.capture import Capture, CaptureFrame, Lens
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.camera_path import circle_path, orbit_path
 from gsrain_engine.scene.scene import Scene
+from tests.training.small_street import FORWARD, LEFT, small_street, still_track
 
 BELOW = Camera.from_fov(90, 60, 50, look_at(np.array([2.0, 1, 1.5]), np.array([9.0, 0, 1]), np.array([0.0, 0, 1])))
 LENS = Lens("opencv", (-0.1, 0.01, 0.0, 0.0))

@@ -2,7 +2,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.reconstruct.small_street import small_street
 
 from gsrain_engine.appearance.base import RainyView
 from gsrain_engine.appearance.scene_views import (
@@ -17,6 +16,7 @@ from gsrain_engine.appearance.scene_views import (
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.scene import ColorGrading, Scene
 from rasterized import rasterize
+from tests.training.small_street import small_street
 
 UP = np.array([0.0, 0, 1])
 AHEAD = PlacedCamera("a", Camera.from_fov(120, 80, 60, look_at(np.array([3.0, 0, 1.6]), np.array([9.0, 0, 1.4]), UP)))

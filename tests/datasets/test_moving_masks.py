@@ -6,7 +6,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
-from tests.reconstruct.drive_capture import HEIGHT, ROAD_Z, WIDTH, box, drive_capture
 
 from gsrain_engine.datasets.capture import Capture, CaptureError, CaptureFrame
 from gsrain_engine.datasets.depth_maps import measured_depths, static_sweeps
@@ -21,6 +20,7 @@ from gsrain_engine.datasets.masks import (
 )
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.undistort import undistort_frame
+from tests.training.drive_capture import HEIGHT, ROAD_Z, WIDTH, box, drive_capture
 
 
 def test_speed_and_way_tell_what_moves() -> None:

@@ -4,7 +4,6 @@ import os
 
 import numpy as np
 import pytest
-from tests.reconstruct.drive_capture import drive_capture
 
 from gsrain_engine.appearance.output_folder import is_transferred_folder
 from gsrain_engine.evaluation.compare_results import (
@@ -28,6 +27,7 @@ from gsrain_engine.evaluation.fid_registry import open_extractor
 from gsrain_engine.evaluation.input_fingerprint import input_fingerprint
 from gsrain_engine.presets import shipped_config_names
 from tests.app.picture_sets import write_pictures
+from tests.training.drive_capture import drive_capture
 
 CLEAR, WET = (ComparedMethod(name=name, method=name) for name in ("clear", "wet"))
 

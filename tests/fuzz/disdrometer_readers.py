@@ -13,15 +13,15 @@ from gsrain_engine.disdrometer.rain_rates import keyframes_from_spectra
 from gsrain_engine.disdrometer.spectra import DisdrometerFileError, DisdrometerReading
 from gsrain_engine.disdrometer.tables import TableColumns, load_columns
 from parsivel_text import DRY, locarno_line, rain, station_line, velocity_major
-from tests.rain.disdrometer.test_files import telegram, thies_line
-from tests.rain.disdrometer.test_netcdf_files import (
+from tests.disdrometer.test_files import telegram, thies_line
+from tests.disdrometer.test_netcdf_files import (
     disdrodb_dataset,
     drops_dataset,
     spectra_dataset,
     two_dvd_minutes,
 )
-from tests.rain.disdrometer.test_tables import RD80, ROWS, pyatmoslogger, rd80_row, scamp
-from tests.rain.disdrometer.test_tables import campbell as table_of_campbell
+from tests.disdrometer.test_tables import RD80, ROWS, pyatmoslogger, rd80_row, scamp
+from tests.disdrometer.test_tables import campbell as table_of_campbell
 
 from .containers import Damage, inside_gzip
 from .mutations import damaged_bytes, damaged_text

@@ -13,7 +13,7 @@ from gsrain_engine.recolor.result import read_recolored, write_recolored
 from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.training.model import TrainingCheckpoint, read_training_checkpoint, write_training_checkpoint
 from gsrain_engine.training.settings import TrainingSettings
-from tests.evaluate.detection.tiny_onnx import NAMES, write_red_finder
+from tests.evaluation.detection.tiny_onnx import NAMES, write_red_finder
 
 from .containers import inside_zip
 from .mutations import damaged_bytes

@@ -26,7 +26,7 @@ from gsrain_engine.simulation.agents.http import ClientError
 from gsrain_engine.simulation.interop.hugsim_protocol import read_reply
 from gsrain_engine.simulation.rollout_io import read_any_rollout, read_rollout_parquet
 from gsrain_engine.simulation.scenario_io import load_scenario
-from tests.evaluate.detection.tiny_onnx import NAMES, rows, write_constant
+from tests.evaluation.detection.tiny_onnx import NAMES, rows, write_constant
 
 from .reader import limited_memory, limited_time
 
