@@ -11,6 +11,7 @@ from msgspec import inspect
 from .text_files import check_finite, printable_line
 
 _LONGEST = 3000  # maximum characters of a message: the settings of a training have some forty fields
+_LONGEST_VALUE = 300  # maximum characters of msgspec's own words, which quote the wrong value
 _PLACE = re.compile(r" - at `\$(.*)`$")
 _STEP = re.compile(r"\.([^.\[]+)|\[[^\]]*\]")
 _WRONG_WORD = re.compile(r"Invalid (?:enum )?value ")
@@ -27,7 +28,7 @@ def readable_validation_error(error: Exception, kind: Any, values: Any = None) -
     message = " ".join(str(error).split())
     place = _PLACE.search(message)
     steps = [match[1] or "" for match in _STEP.finditer(place[1])] if place else []
-    said = message if place is None else message[: place.start()]
+    said = printable_line(message if place is None else message[: place.start()], _LONGEST_VALUE)
     found = _NO_FIELD.match(said)
     if _WRONG_WORD.match(said):
         words = list(dict.fromkeys(_words(_types(kind, steps[:-1]), steps[-1] if steps else "")))

@@ -82,3 +82,9 @@ def test_values_are_taken_or_refused_with_their_place(kind: type):
         assert convert_checked(msgspec.json.decode(msgspec.json.encode(made)), kind) == made
 
     check()
+
+
+def test_a_long_wrong_word_is_shortened_and_the_allowed_ones_are_named():
+    with pytest.raises(ValueError, match="expected linear, smooth - at") as caught:
+        convert_checked({"between": "a" * 3000}, RainKeyframes)
+    assert len(str(caught.value)) <= 700
