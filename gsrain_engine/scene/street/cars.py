@@ -312,9 +312,9 @@ def wheel_wells(
     axle: float, radius: float, arch: float, angle: Any, half_width: float, insets: tuple[float, float, float],
     backs: tuple[Any, Any], label: Label,
 ) -> list[Quads]:  # fmt: skip
-    """Build the two dark wheel wells of an axle: arcs of radius `arch` around the hubs, and the walls behind the wheels.
+    """Build the two dark wheel wells of an axle: arcs of radius `arch` around the hubs, and walls behind the wheels.
 
-    `insets` count from the flanks: the arc's outer and inner edge, and the wall. `backs`: grid of a wall from the axle.
+    `insets` count from the flanks: the arc's outer and inner edge, and the wall. `backs` is the wall's grid (x, z).
     """
     outer, inner, wall = insets
     x, z = axle + arch * np.cos(angle)[:, None], radius + arch * np.sin(angle)[:, None]

@@ -69,7 +69,7 @@ class Quads:
             np.full((n, 3), albedo, np.float32),
             np.full(n, int(label), np.uint8),
             *(np.full(n, value, np.float32) for value in (sky_access, sun_access, gloss, opacity)),
-            np.full((n, 2), spread, np.float32),
+            spread=np.full((n, 2), spread, np.float32),
         )
 
     def take(self, chosen: Any) -> "Quads":
