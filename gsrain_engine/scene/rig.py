@@ -27,8 +27,7 @@ def rig_camera(scene: Scene, rig: str, name: str, time_s: float) -> Camera:
     ego_to_world = scene.ego_to_world(time_s)
     if ego_to_world is None:
         raise ValueError(f"scene {scene.name!r} has no ego vehicle at {time_s} s")
-    m, world_to_camera = mounted, np.linalg.inv(ego_to_world @ mounted.camera_to_ego)
-    return Camera(m.width, m.height, m.fx, m.fy, m.cx, m.cy, world_to_camera, m.exposure_s)
+    return mounted.camera(ego_to_world)
 
 
 # Camera path of the ego vehicle

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64
 from msgspec import Meta
 
+from .camera import Camera
 from .camera_path import CameraPath
 from .flags import UNMARKED, BitMask, SelectionFlags
 from .gaussians import Gaussians, IdentityKey
@@ -258,6 +259,11 @@ class RigCamera:
     cy: float
     camera_to_ego: Float64[np.ndarray, "4 4"]
     exposure_s: float
+
+    def camera(self, ego_to_world: Float64[np.ndarray, "4 4"]) -> Camera:
+        """Camera in the world for a pose of the ego vehicle."""
+        world_to_camera = np.linalg.inv(ego_to_world @ self.camera_to_ego)
+        return Camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy, world_to_camera, self.exposure_s)
 
 
 # Pose tracks
