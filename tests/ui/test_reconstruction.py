@@ -80,7 +80,7 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, mon
         driver.press(REDO)
         assert session.scene is not before
 
-        # Dim pictures of the same views give it wet colours, which come with the rain.
+        # Dim pictures of the same views give it wet colors, which come with the rain.
         driver.click("//Rain/Streaks")
         driver.click("//Rain/Haze")
         training._recolor(session, drive / "drive", [drive / "dim"])
