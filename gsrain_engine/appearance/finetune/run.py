@@ -31,9 +31,8 @@ from .checkpoint import (
 from .dataset import DatasetImage, ImageSplit, UnpairedImages, open_images
 from .discriminator import ClipFeatures, Discriminator
 from .loss_log import CollapseMonitor, LossLog, color_distance, distance_sample, read_losses
-from .sampler import PairSampler, fingerprint
 from .settings import FinetuningSettings, write_finetuning
-from .step import FinetuneStepResult, FinetuneTrainer, Perceptual
+from .step import FinetuneStepResult, FinetuneTrainer, PairSampler, Perceptual, fingerprint
 from .task import FinetuneResult, FinetuneTask, with_warning
 
 torch: Any = import_module("torch")
