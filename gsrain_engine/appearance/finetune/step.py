@@ -2,7 +2,7 @@
 
 import re
 import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from importlib import import_module
@@ -135,9 +135,11 @@ class FinetuneTrainer:
         """Train on one pair of images. Raises `DivergedError` if a gradient is not finite."""
         pair, random = self.order.pair(number), self.order.generator(number)
         frozen_parameters((self.rainy_judge, self.clear_judge), True)
-        losses = self._learn_cycles(pair, number)
-        deceived, made_rainy, made_clear = self._learn_to_deceive(pair, number, random)
-        losses |= deceived | self._learn_identity(pair, number)
+        losses = self._learn(number, self._cycle_losses(pair))
+        made: list[Tensor] = []
+        losses |= self._learn(number, self._adversarial_losses(pair, random, made))
+        losses |= self._learn(number, self._identity_losses(pair))
+        made_rainy, made_clear = (each.detach() for each in made)
         frozen_parameters((self.rainy_judge, self.clear_judge), False)
         losses |= self._learn_to_judge(pair, made_rainy, made_clear, number, random)
         losses["change"] = float((made_rainy - pair.clear).abs().mean()) / 2
@@ -166,48 +168,41 @@ class FinetuneTrainer:
         self.rainy_judge.load_state_dict(_of(arrays, f"{_DISCRIMINATORS}:rainy"))
         self.clear_judge.load_state_dict(_of(arrays, f"{_DISCRIMINATORS}:clear"))
 
-    def _learn_cycles(self, pair: UnpairedSample, number: int) -> dict[str, float]:
-        weights = self._settings.losses
-        losses: dict[str, float] = {}
-        for name, picture, guide, way in (
-            ("cycle_clear", pair.clear, pair.clear_guide, ("a2b", "b2a")),
-            ("cycle_rainy", pair.rainy, pair.rainy_guide, ("b2a", "a2b")),
-        ):
-            there = self._translate(picture, guide, way[0])
-            back = self._translate(there, guide, way[1])
-            loss = difference(back, picture, weights.cycle, weights.cycle_lpips, self._perceptual)
-            losses[name] = _learn_from(loss)
+    def _learn(self, number: int, losses: Iterable[tuple[str, Tensor]]) -> dict[str, float]:
+        """Take one step of the generator on losses, each of which is freed before the next one is computed."""
+        values = {name: _learn_from(loss) for name, loss in losses}
         self._generator.step(number)
-        return losses
+        return values
 
-    def _learn_to_deceive(
-        self, pair: UnpairedSample, number: int, random: Any
-    ) -> tuple[dict[str, float], Tensor, Tensor]:
-        losses: dict[str, float] = {}
-        made: list[Tensor] = []
+    def _cycle_losses(self, pair: UnpairedSample) -> Iterator[tuple[str, Tensor]]:
+        weights = self._settings.losses
+        for name, picture, guide, there, back in (
+            ("cycle_clear", pair.clear, pair.clear_guide, "a2b", "b2a"),
+            ("cycle_rainy", pair.rainy, pair.rainy_guide, "b2a", "a2b"),
+        ):
+            restored = self._translate(self._translate(picture, guide, there), guide, back)
+            yield name, difference(restored, picture, weights.cycle, weights.cycle_lpips, self._perceptual)
+
+    def _adversarial_losses(
+        self, pair: UnpairedSample, random: Any, made: list[Tensor]
+    ) -> Iterator[tuple[str, Tensor]]:
+        """Losses of the generator before the discriminators; appends the rainy and the clear image to `made`."""
         for name, judge, picture, guide, direction in (
             ("gan_rainy", self.rainy_judge, pair.clear, pair.clear_guide, "a2b"),
             ("gan_clear", self.clear_judge, pair.rainy, pair.rainy_guide, "b2a"),
         ):
             made.append(self._translate(picture, guide, direction))
-            loss = adversarial(judge(made[-1], random), real=True) * self._settings.losses.gan
-            losses[name] = _learn_from(loss)
-        self._generator.step(number)
-        return losses, made[0].detach(), made[1].detach()
+            yield name, adversarial(judge(made[-1], random), real=True) * self._settings.losses.gan
 
-    def _learn_identity(self, pair: UnpairedSample, number: int) -> dict[str, float]:
-        """Train to leave rainy images unchanged by a2b and clear ones by b2a."""
+    def _identity_losses(self, pair: UnpairedSample) -> Iterator[tuple[str, Tensor]]:
+        """Losses of changes of rainy images by a2b and of clear ones by b2a."""
         weights = self._settings.losses
-        losses: dict[str, float] = {}
         for name, picture, guide, direction in (
             ("identity_rainy", pair.rainy, pair.rainy_guide, "a2b"),
             ("identity_clear", pair.clear, pair.clear_guide, "b2a"),
         ):
             same = self._translate(picture, guide, direction)
-            loss = difference(same, picture, weights.identity, weights.identity_lpips, self._perceptual)
-            losses[name] = _learn_from(loss)
-        self._generator.step(number)
-        return losses
+            yield name, difference(same, picture, weights.identity, weights.identity_lpips, self._perceptual)
 
     def _learn_to_judge(
         self, pair: UnpairedSample, made_rainy: Tensor, made_clear: Tensor, number: int, random: Any
@@ -398,12 +393,9 @@ class NamedOptimizer:
         for name, parameter in self.parameters.items():
             if f"step:{name}" not in arrays:
                 continue
-            moments = {moment: arrays[f"{moment}:{name}"] for moment in _MOMENTS}
-            self._adam.state[parameter] = {
-                "step": moments["step"].to(parameter.device).clone(),
-                "exp_avg": moments["exp_avg"].to(parameter).clone(),
-                "exp_avg_sq": moments["exp_avg_sq"].to(parameter).clone(),
-            }
+            moments = {moment: arrays[f"{moment}:{name}"].to(parameter.device) for moment in _MOMENTS}
+            moments |= {moment: moments[moment].to(parameter) for moment in _MOMENTS[1:]}  # and its precision
+            self._adam.state[parameter] = {moment: value.clone() for moment, value in moments.items()}
 
 
 def frozen_parameters(modules: Iterable[Any], still: bool) -> None:
