@@ -68,28 +68,12 @@ def _averaged(values: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]) 
     return scipy.ndimage.gaussian_filter(values * known, _SMOOTHING_PX, mode="nearest") / np.maximum(weight, 1e-6)
 
 
-# Axis conventions of normal estimators. World normals point towards the eye.
-
-
 def right_down_outward(normals: Float[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
     """Turn world normals towards the eye into camera axes (x right, y down, z forward) away from the eye.
 
     DSINE's convention (Bae and Davison 2024): a wall that faces the camera has (0, 0, 1), the ground (0, 1, 0).
     """
     return (-(normals @ camera.world_to_camera[:3, :3].T)).astype(np.float32)
-
-
-def from_right_down_outward(normals: Float[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
-    """Turn normals in camera axes (x right, y down, z forward) away from the eye into world normals towards it."""
-    return (-(normals @ camera.world_to_camera[:3, :3])).astype(np.float32)
-
-
-def from_right_up_backward(normals: Float[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
-    """Turn normals with x right, y up, z towards the eye, which point towards the eye, into world normals.
-
-    Marigold's convention (Ke et al. 2024): a wall that faces the camera has (0, 0, 1), the ground (0, 1, 0).
-    """
-    return ((normals * [1, -1, -1]) @ camera.world_to_camera[:3, :3]).astype(np.float32)
 
 
 # Gray guide channel of normals, -1 to 1

@@ -85,7 +85,7 @@ def _installed(extension: Extension) -> TransferMethod:
 
     def opens(settings: TransferSettings, surroundings: "ReflectionEnvironment") -> Transfer:
         try:
-            transfer = row.opens(settings, surroundings)
+            transfer: object = row.opens(settings, surroundings)
         except Exception as error:  # third-party code may raise anything
             raise extension.unfit(error) from error
         if not isinstance(transfer, Transfer):

@@ -9,9 +9,9 @@ torch = pytest.importorskip("torch")
 diffusers = pytest.importorskip("diffusers")
 transformers = pytest.importorskip("transformers")
 
+from gsrain_engine.appearance.normal_models import from_right_up_backward  # noqa: E402
 from gsrain_engine.appearance.normals import (  # noqa: E402
     NormalEstimator,
-    from_right_up_backward,
     open_estimator,
 )
 from gsrain_engine.scene.camera import (  # noqa: E402
