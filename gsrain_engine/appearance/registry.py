@@ -85,10 +85,10 @@ def _installed(extension: Extension) -> TransferMethod:
 
     def opens(settings: TransferSettings, surroundings: "ReflectionEnvironment") -> Transfer:
         try:
-            transfer: object = row.opens(settings, surroundings)
+            transfer = row.opens(settings, surroundings)
         except Exception as error:  # third-party code may raise anything
             raise extension.unfit(error) from error
-        if not isinstance(transfer, Transfer):
+        if not isinstance(transfer, Transfer):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise extension.unfit(f"opens a {type(transfer).__name__}, which has no name or no method transferred")
         return transfer
 
