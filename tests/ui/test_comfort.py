@@ -45,7 +45,7 @@ def test_fields_have_edges_and_questions_darken_the_rest(driver, tmp_path, monke
         session.set_preference(theme=theme)
         driver.ctx.window_focus("//Rain")
         driver.frames(3)
-        item = driver.ctx.item_info("//Rain/Roofs").rect_full
+        item = driver.ctx.item_info("//Rain/Shelter under roofs").rect_full
         screens.append(driver.screen())
         low, middle = (int(item.min.x), int(item.min.y)), int(item.min.y + imgui.get_font_size() / 2)
         box = screens[0][middle, low[0] - 3 : low[0] + 12]

@@ -1,4 +1,4 @@
-"""The panel "Make it rainy" in the real window: preview, job, comparison, undo, and what it says where it can't."""
+"""The Wet look panel in the real window: preview, job, comparison, undo, and what it says where it can't."""
 
 from multiprocessing.shared_memory import SharedMemory
 
@@ -8,6 +8,7 @@ import psutil
 import pytest
 
 from gsrain_engine.editor import make_rainy
+from gsrain_engine.editor.jobs.make_rainy import MAKE_RAINY_TITLE
 from ui.commands.base import chord
 from window_driver import Driver, imgui
 
@@ -61,7 +62,7 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
         driver.until(lambda: job.state != "running" and session.staged is None, 1_000_000)
         assert (job.state, job.error) == ("finished", None)
         assert job.report.is_file()
-        assert session.history.labels == ["Open", "Make it rainy"]
+        assert session.history.labels == ["Open", MAKE_RAINY_TITLE]
         assert all(each.wet_sh is not None for each in session.scene.members)
 
         # Beside the clear scene, in rain that a step of its own brings.

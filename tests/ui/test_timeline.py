@@ -247,7 +247,7 @@ def test_paths_come_from_the_drive_and_from_files(driver, tmp_path):
         driver.click("//Timeline/path")
         driver.ctx.item_click("//**/From the drive")
         driver.ctx.item_click("//**/FRONT##0")
-        driver.ctx.item_click("//**/Few keys")
+        driver.ctx.item_click("//**/Few keyframes")
         driver.frames()
         path = session.scene.path
         assert path.times_s.tolist() == [0, 5]  # straight on
