@@ -226,7 +226,7 @@ def weather_row(weather: RainKeyframes, first_s: float, last_s: float, most: int
     spans = [(weather.keys[0].time_s, weather.keys[-1].time_s)] if len(weather.keys) > 1 else []
     return TimelineRow(
         "rain",
-        "Keyframes of intensity, wind and exposure, set in the Rain keyframes panel.",
+        "Keyframes of the Rain keyframes panel: intensity, wind and exposure.",
         spans,
         (*thinned.tolist(),),
     )

@@ -42,7 +42,7 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
         drag_the_view(driver)
         assert rainy.what_is_stale(session) == "The view has changed since."
         assert not ctx.item_exists("//View/divider")
-        driver.click(f"{PANEL}Go back to it")
+        driver.click(f"{PANEL}Return to it")
         assert rainy.what_is_stale(session) is None
         ctx.item_input_value(f"{PANEL}##seed", 3)
         driver.frames()

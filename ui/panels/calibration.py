@@ -29,11 +29,11 @@ def calibration_panel(session: Editor) -> None:
     _choose(session, lab)
     imgui.text_wrapped(own.source)
     _fit(session, lab)
-    shown = {own.name: own}
+    compared = {own.name: own}
     if lab.fitted is not None:
-        shown.setdefault(lab.fitted.calibration.name, lab.fitted.calibration)
-    shown.setdefault(lab.pass_file.name, lab.pass_file)
-    _plots(session, shown, lab.fitted)
+        compared.setdefault(lab.fitted.calibration.name, lab.fitted.calibration)
+    compared.setdefault(lab.pass_file.name, lab.pass_file)
+    _plots(session, compared, lab.fitted)
 
 
 def _choose(session: Editor, lab: CalibrationTools) -> None:
@@ -86,21 +86,21 @@ def _fitted(session: Editor, lab: CalibrationTools, fitted: FittedCalibration) -
         use_fitted_calibration(session, lab)
 
 
-def _plots(session: Editor, shown: dict[str, Calibration], fitted: FittedCalibration | None) -> None:
-    curves = {name: calibration_curves(each) for name, each in shown.items()}
+def _plots(session: Editor, compared: dict[str, Calibration], fitted: FittedCalibration | None) -> None:
+    curves = {name: calibration_curves(each) for name, each in compared.items()}
     with plot("Number density", "mm/h", "drops per m\u00b3", log_x=True, log_y=True, legend=True) as is_visible:
-        for name, each in shown.items() if is_visible else ():
+        for name, each in compared.items() if is_visible else ():
             line(name, curves[name].intensities_mm_h, curves[name].density_m3)
             points(name, _of_rows(each, "intensity_mm_h"), _of_rows(each, "density_m3"))
     with plot("Mean diameter", "mm/h", "mm", log_x=True) as is_visible:
-        for name, each in shown.items() if is_visible else ():
+        for name, each in compared.items() if is_visible else ():
             line(name, curves[name].intensities_mm_h, curves[name].mean_diameter_mm)
             points(name, _of_rows(each, "intensity_mm_h"), _of_rows(each, "shape") * _of_rows(each, "scale_mm"))
     middles = None if fitted is None else 0.5 * (fitted.diameter_edges_mm[:-1] + fitted.diameter_edges_mm[1:])
     intensity = session.rain.intensity_mm_h or 8.5
     title = f"Spectrum at {intensity:.3g} mm/h###spectrum"
     with plot(title, "mm", "N(D) per m\u00b3 and mm", log_y=True) as is_visible:
-        for name, each in shown.items() if is_visible else ():
+        for name, each in compared.items() if is_visible else ():
             spectrum = spectrum_at(each, intensity)
             there = spectrum > _FAINTEST
             line(name, curves[name].diameters_mm[there], spectrum[there])

@@ -156,7 +156,7 @@ _ROWS: tuple[tuple[Keyed, str], ...] = (("wind_m_s", "wind"), ("exposure_s", "ex
 
 
 def _plot(session: Editor, width: float) -> None:
-    """Draw the plot in the given width in pixels, and handle the mouse."""
+    """Draw the plot with a width in pixels, and handle the mouse."""
     shower, weather = session.shower, session.weather
     shower.follow(weather, weather.heaviest_mm_h(session.rain))
     fit, menu = implot.get_input_map().fit, implot.get_input_map().menu
@@ -376,11 +376,11 @@ def _cell(session: Editor, key: RainKeyframe, number: int, name: str) -> None:
         imgui.set_item_tooltip("No keyframe at this time.")
         return
     typed = shower.typed
-    shown = typed.value if typed is not None and typed[:2] == (key.time_s, name) else value
-    changed, shown = imgui.input_float(f"##{name} {number}", shown, 0, 0, "%.2f")
+    displayed = typed.value if typed is not None and typed[:2] == (key.time_s, name) else value
+    changed, displayed = imgui.input_float(f"##{name} {number}", displayed, 0, 0, "%.2f")
     imgui.set_item_tooltip(_TITLES[name][1])
     if changed:
-        shower.typed = PendingInput(key.time_s, name, shown)
+        shower.typed = PendingInput(key.time_s, name, displayed)
     if imgui.is_item_deactivated_after_edit() and shower.typed is not None:
         label = "Move rain keyframe" if name == "time" else "Change rain keyframe"
         typed, shower.typed = shower.typed, None

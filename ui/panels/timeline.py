@@ -524,24 +524,24 @@ def _set_fov(session: Editor, key: int, fov_deg: float | None, gesture: str) -> 
 
 
 def _path_numbers(session: Editor, path: CameraPath | None) -> None:
-    shown = path or session.path
+    displayed = path or session.path
     with disabled(path is None):
         _label("Interpolation", "Curve between keyframes, and easing.")
         half = 0.5 * imgui.get_content_region_avail().x - 3
         imgui.set_next_item_width(half)
         help_text = "spline: smooth through all keyframes. linear: straight, at constant speed between keyframes."
-        _choice(session, "Interpolation", "interpolation", get_args(Interpolation), shown, help_text)
+        _choice(session, "Interpolation", "interpolation", get_args(Interpolation), displayed, help_text)
         imgui.same_line(spacing=6)
         imgui.set_next_item_width(half)
         help_text = "none: constant speed. in and out: slow at both ends. at each key: stop at every keyframe."
-        _choice(session, "Easing", "easing", get_args(Easing), shown, help_text)
+        _choice(session, "Easing", "easing", get_args(Easing), displayed, help_text)
         _label("Loop, time", "Continue from the last keyframe to the first; and the duration in seconds.")
         help_text = "Continue from the last keyframe to the first, in the mean time of the other intervals."
-        if (loop := checkbox("##loop", shown.loop, help_text)) != shown.loop:
+        if (loop := checkbox("##loop", displayed.loop, help_text)) != displayed.loop:
             camera_path.change_path(session, "Loop on" if loop else "Loop off", loop=loop)
         imgui.same_line()
         imgui.set_next_item_width(-1)
-        typed = _typed_number("##duration", shown.duration_s)
+        typed = _typed_number("##duration", displayed.duration_s)
         imgui.set_item_tooltip("Duration of the path in seconds: scales the times of all keyframes.")
         if typed is not None:
             camera_path.stretch_path(session, typed)

@@ -424,7 +424,7 @@ def checkbox(text: str, value: bool, help_text: str) -> bool:
 
 def combo(text: str, value: _Value, choices: Mapping[Any, str] | Sequence[_Value], help_text: str = "") -> _Value:
     """Draw a combo box; returns its new value. Titles are those of the mapping, else the choices themselves."""
-    values = list(choices)
+    values: list[Any] = list(choices)
     titles = list(choices.values()) if isinstance(choices, Mapping) else [str(each) for each in values]
     changed, at = imgui.combo(text, values.index(value) if value in values else 0, titles)
     if help_text:
