@@ -493,7 +493,7 @@ def _keyframe_numbers(session: Editor, path: CameraPath, key: int) -> None:
     imgui.set_item_tooltip(help_text)
     if changed:
         position_m = np.array(moved, np.float64)
-        camera_path.place_keyframe(session, key, "Move camera key", position_m=position_m, gesture="key place")
+        camera_path.place_keyframe(session, key, "Move keyframe", position_m=position_m, gesture="key place")
     end_gesture_when_released(session)
     help_text = "Heading from +x to +y, pitch upward, and roll to the right, in degrees."
     _label("Angles", help_text)
@@ -501,7 +501,7 @@ def _keyframe_numbers(session: Editor, path: CameraPath, key: int) -> None:
     changed, angles = imgui.drag_float3("##key look", angles, 0.1, 0, 0, "%.1f\u00b0")
     imgui.set_item_tooltip(help_text)
     if changed:
-        camera_path.place_keyframe(session, key, "Turn camera key", look=ViewAngles(*angles), gesture="key look")
+        camera_path.place_keyframe(session, key, "Turn keyframe", look=ViewAngles(*angles), gesture="key look")
     end_gesture_when_released(session)
     fov = float(path.vertical_fov_deg[key])
     _label("Field of view", "Vertical, in degrees; and the equivalent focal length on 35 mm film.")
@@ -519,7 +519,9 @@ def _keyframe_numbers(session: Editor, path: CameraPath, key: int) -> None:
 
 def _set_fov(session: Editor, key: int, fov_deg: float | None, gesture: str) -> None:
     if fov_deg is not None:
-        camera_path.place_keyframe(session, key, "Field of view of a key", vertical_fov_deg=fov_deg, gesture=gesture)
+        camera_path.place_keyframe(
+            session, key, "Field of view of a keyframe", vertical_fov_deg=fov_deg, gesture=gesture
+        )
     end_gesture_when_released(session)
 
 

@@ -249,13 +249,13 @@ def keyframe_button(session: Editor, name: Keyed) -> None:
     clicked = square_button(icons_fontawesome_6.ICON_FA_DIAMOND, f"key {name}")
     imgui.pop_style_color(2)
     if is_here:
-        imgui.set_item_tooltip(f"Remove the key of the {title} at {now_s:.2f} s.")
+        imgui.set_item_tooltip(f"Remove the {title} keyframe at {now_s:.2f} s.")
     elif is_keyed:
         imgui.set_item_tooltip(
-            f"The {title} has keys: changing it sets one at the present time. Click to set one at {now_s:.2f} s."
+            f"The {title} has keyframes: changing it sets one at the present time. Click: insert one at {now_s:.2f} s."
         )
     else:
-        imgui.set_item_tooltip(f"Let the {title} change over time: set its first key at {now_s:.2f} s.")
+        imgui.set_item_tooltip(f"Animate the {title}: insert its first keyframe at {now_s:.2f} s.")
     if clicked:
         toggle_keyframe(session, name)
 
@@ -265,12 +265,12 @@ def toggle_keyframe(session: Editor, name: Keyed) -> None:
     weather, now_s, title = session.weather, session.clock.time_s, _TITLES[name]
     present = weather.key_at(now_s)
     if present is not None and getattr(present, name) is not None:
-        session.set_weather(f"Remove the key of the {title}", weather.without_key(now_s, name))
+        session.set_weather(f"Remove {title} keyframe", weather.without_key(now_s, name))
         return
     value = getattr(session.rain_now, name)
     if value is None:  # exposure: the camera's own
         value = session.shot(16, 16).camera.exposure_s
-    session.set_weather(f"Key the {title}", weather.with_key(now_s, **{name: value}))
+    session.set_weather(f"Insert {title} keyframe", weather.with_key(now_s, **{name: value}))
 
 
 def tint_keyframed(session: Editor, name: Keyed) -> int:
