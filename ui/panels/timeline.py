@@ -519,9 +519,7 @@ def _keyframe_numbers(session: Editor, path: CameraPath, key: int) -> None:
 
 def _set_fov(session: Editor, key: int, fov_deg: float | None, gesture: str) -> None:
     if fov_deg is not None:
-        camera_path.place_keyframe(
-            session, key, "Field of view of a keyframe", vertical_fov_deg=fov_deg, gesture=gesture
-        )
+        camera_path.place_keyframe(session, key, "Change field of view", vertical_fov_deg=fov_deg, gesture=gesture)
     end_gesture_when_released(session)
 
 
