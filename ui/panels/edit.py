@@ -32,6 +32,14 @@ from .layers import grading_fields
 _OPEN = imgui.TreeNodeFlags_.default_open
 
 
+class _State:
+    """State of the panels that is not part of the document."""
+
+    rules = FloaterRules()
+    scrolled_to = -1
+    """Step that the history was scrolled to."""
+
+
 def edit_panel(session: Editor) -> None:
     _selection(session)
     member = next((each for each in session.scene.members if each.key == session.view.member), None)
@@ -83,7 +91,6 @@ def _member(session: Editor, member: Layer | Actor) -> None:
 
 # Floater cleanup
 
-_rules = [FloaterRules()]  # present rules; they are not part of the document
 _RANGES = {"opacity_below": (1.0, "%.3g"), "size_above_m": (20.0, "%.3g"), "isolation_above": (50.0, "%.3g x median")}
 """Upper bound and number format of each slider."""
 
@@ -91,10 +98,10 @@ _RANGES = {"opacity_below": (1.0, "%.3g"), "size_above_m": (20.0, "%.3g"), "isol
 def _floaters(session: Editor) -> None:
     for name, (high, form) in _RANGES.items():
         settings_label(FloaterRules, name)
-        value = getattr(_rules[0], name)
+        value = getattr(_State.rules, name)
         changed, value = imgui.slider_float(f"##{name}", value, 0.0, high, form if value else "off", LOGARITHMIC)
         if changed:
-            _rules[0] = msgspec.structs.replace(_rules[0], **{name: value})
+            _State.rules = msgspec.structs.replace(_State.rules, **{name: value})
     jobs = [job for job in session.jobs if isinstance(job, FloaterJob)]
     job = jobs[-1] if jobs else None
     if job is not None and job.state == "running":
@@ -104,7 +111,7 @@ def _floaters(session: Editor) -> None:
         return
     help_text = "Select Gaussians that meet any of the rules, in background layers that are not locked."
     if button(TITLE, help_text, width=-1):
-        session.start(FloaterJob(session.scene, _rules[0]))
+        session.start(FloaterJob(session.scene, _State.rules))
     is_latest = session.history.undo_label == TITLE
     if job is not None and job.found_count is not None and (is_latest or not job.found_count):
         imgui.text_wrapped(job.progress.message + ".")
@@ -132,7 +139,7 @@ def _place_fields(session: Editor, member: Layer | Actor) -> None:
     plain_label("Position (m)", f"x, y, z in the world, {origin}.")
     moved, (x, y, z) = imgui.drag_float3("##position", list(pose.position_m), 0.02, -1e6, 1e6, "%.2f")
     place(moved, replace(pose, position_m=(x, y, z)))
-    plain_label("Rotation (degrees)", f"About the world's x, then y, then z, {origin}.")
+    plain_label("Rotation (\u00b0)", f"In degrees about the world's x, then y, then z, {origin}.")
     turned, (x, y, z) = imgui.drag_float3("##turn", list(pose.turn_deg), 0.25, -360, 360, "%.1f")
     place(turned, replace(pose, turn_deg=(x, y, z)))
     plain_label("Scale", "Factor of size, equal along all axes.")
@@ -177,8 +184,6 @@ def _actor_fields(session: Editor, actor: Actor) -> None:
 
 # History panel
 
-_scrolled_to = [-1]  # step that the list was scrolled to
-
 
 def history_panel(session: Editor) -> None:
     history, chosen = session.history, None
@@ -187,8 +192,8 @@ def history_panel(session: Editor) -> None:
             if imgui.selectable(label(step, str(number)), number == history.cursor)[0]:
                 chosen = number
         imgui.set_item_tooltip("Go to this step." if number != history.cursor else "The present document.")
-        if number == history.cursor != _scrolled_to[0]:
+        if number == history.cursor != _State.scrolled_to:
             imgui.set_scroll_here_y(0.8)
-    _scrolled_to[0] = history.cursor
+    _State.scrolled_to = history.cursor
     if chosen is not None:
         session.go_to_step(chosen)

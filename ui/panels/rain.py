@@ -29,7 +29,8 @@ from ..widgets.text import readings
 
 _MAX_MM_H = 100.0
 _PRESETS = {
-    "clear": "No rain", "1.2": "Light 1.2", "5": "Moderate 5", "8.5": "8.5", "12.0": "Heavy 12", "paper": "Paper",
+    "clear": "No rain", "1.2": "Light 1.2", "5": "Moderate 5", "8.5": "Paper 8.5", "12.0": "Heavy 12",
+    "paper": "Paper settings",
 }  # fmt: skip
 """Titles of the shipped presets, and of one between them."""
 

@@ -79,7 +79,7 @@ def _selection_sets(session: Editor, is_selected: bool) -> None:
         if (is_saved or entered) and commands.save_set(session, options.set_name.strip() or None):
             options.set_name = ""
     if not session.scene.selections:
-        imgui.text_disabled("No sets yet. Select Gaussians and save them.")
+        imgui.text_disabled("No sets yet: save a selection.")
         return
     if imgui.begin_table("sets", 3, imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_fixed_fit):
         imgui.table_setup_column("name", imgui.TableColumnFlags_.width_stretch)

@@ -59,11 +59,11 @@ def _method(session: Editor) -> None:
     rainy = session.rainy
     fields.plain_label("Method", "Method of the transfer from clear to rainy views.")
     rainy.method = combo("##method", rainy.method, {each.name: each.title for each in usable_methods()}, rainy.row.help)
-    first, *others = [name for name in rainy.row.uses if _applies(name, rainy.settings)] or [""]
-    if first:
-        _setting(session, first)
-    if others and imgui.tree_node("More settings"):
-        for name in others:
+    names = [name for name in rainy.row.uses if _applies(name, rainy.settings)]
+    for name in names[:1]:
+        _setting(session, name)
+    if names[1:] and imgui.tree_node("More settings"):
+        for name in names[1:]:
             _setting(session, name)
         imgui.tree_pop()
     warn(rainy.why_no_transfer)
