@@ -3,18 +3,14 @@
 from imgui_bundle import imgui
 
 from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.preferences import Preferences
 from gsrain_engine.render.opengl.buffers import Harmonics
 
-from ..widgets.fields import CLAMPED, WARNING, combo, disabled, number, plain_label
+from ..widgets.fields import CLAMPED, WARNING, combo, disabled, edit_field, number, plain_label, settings_label
 from ..widgets.text import readings
 
 _STORAGES: dict[Harmonics, str] = {"single": "32 bits", "half": "16 bits", "byte": "8 bits"}
 _SHRINKS = {1: "100 %", 2: "50 %", 3: "33 %"}
-_PREFERENCES = (
-    ("font_scale", "Text size", "Times the default size.", 0.5, 3.0, "%.2f"),
-    ("ui_scale", "Spacing", "Size of buttons and gaps, times the default.", 0.5, 3.0, "%.2f"),
-    ("autosave_s", "Autosave (s)", "Changes are autosaved next to the scene after this time.", 5.0, 600.0, "%.0f"),
-)
 _dragged: dict[str, float] = {}  # values of sliders that are being dragged, by preference
 
 
@@ -39,14 +35,14 @@ def display_panel(session: Editor) -> None:
     fov = number("Field of view", "fov", navigation.vertical_fov_deg, 15, 110, "%.0f\u00b0", "Vertical, in degrees.")
     navigation.vertical_fov_deg = fov
     imgui.separator_text("Window")
-    plain_label("Theme", "Colors of panels and menus.")
-    if (theme := combo("##theme", session.preferences.theme, ("dark", "light"))) != session.preferences.theme:
-        session.set_preference(theme=theme)
-    for name, title, help_text, low, high, form in _PREFERENCES:
+    preferences = edit_field(session.preferences, "theme")
+    if preferences is not session.preferences:
+        session.set_preference(theme=preferences.theme)
+    for name, form in (("font_scale", "%.2f"), ("ui_scale", "%.2f"), ("autosave_s", "%.0f")):
         # It applies when the slider is released, so that the layout doesn't change during the drag.
-        present = _dragged.get(name, getattr(session.preferences, name))
-        value = number(title, name, present, low, high, form, help_text, CLAMPED)
-        if value != present:
+        info, present = settings_label(Preferences, name), _dragged.get(name, getattr(session.preferences, name))
+        changed, value = imgui.slider_float(f"##{name}", present, info.low, info.high, form, CLAMPED)
+        if changed:
             _dragged[name] = value
         if imgui.is_item_deactivated_after_edit() and name in _dragged:
             session.set_preference(**{name: _dragged.pop(name)})
