@@ -61,12 +61,8 @@ def test_fields_have_edges_and_questions_darken_the_rest(driver, tmp_path, monke
 def test_chords_read_as_people_write_them():
     assert chord_name(chord(_CTRL, _SHIFT, imgui.Key.z)) == "Ctrl+Shift+Z"
     assert chord_name(chord(imgui.Key.left_bracket)) == "["
-    named = {
-        name: keys for each in ACTIONS for name, keys in zip(each.key_names.split(" or "), each.chords, strict=False)
-    }
-    assert all(chord_name(keys) == name for name, keys in named.items()) and named["Ctrl+Y"] == chord(
-        _CTRL, imgui.Key.y
-    )
+    for action in ACTIONS:
+        assert " or ".join(map(chord_name, action.chords)) == action.key_names
     assert matches("Show the selection", "sel sh")
     assert not matches("Show the selection", "hide")
 
