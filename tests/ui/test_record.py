@@ -84,7 +84,7 @@ def test_the_panel_s_fields_say_what_is_recorded(driver, tmp_path):
         assert (wanted.twin, wanted.supersampling, wanted.motion_blur, wanted.fps) == (True, 3, 8, 24.0)
         assert driver.session.timeline.fps == 24.0
         assert recorder.end_s == 5.0
-        driver.ctx.item_click("its end")
+        driver.ctx.item_click("###its end")
         driver.frames()
         assert recorder.settings.last_s == 5.0
         driver.ctx.item_input_value("##first_s", 1.5)

@@ -220,7 +220,7 @@ def _rollouts(session: Editor) -> None:
     drives.show_ego_car = checkbox("Ego car", drives.show_ego_car, help_text)
     imgui.same_line()
     help_text = "On: the rain of the drive. Off: the scene's rain, as set in the Rain panel."
-    drives.rain_as_driven = checkbox("Its rain", drives.rain_as_driven, help_text)
+    drives.rain_as_driven = checkbox("Rain of the drive", drives.rain_as_driven, help_text)
 
 
 def _row(session: Editor, opened: LoadedRollout, hue: int) -> None:

@@ -37,7 +37,7 @@ _SIZES = {
     None: "the rig's own",
 }  # fmt: skip
 _PATH = "the camera path"
-_CHECKBOX_EM = 5.2  # width of a checkbox with a word next to a field
+_CHECKBOX_EM = 6.2  # width of a checkbox with a word next to a field
 _PASS_HELP: dict[Pass, str] = {
     "color": "The rendered image.",
     "depth": "Along the view axis, without rain: PNG with 16 bit in cm, or Z in EXR in m; 0 where there is nothing.",
@@ -194,7 +194,7 @@ def _times(session: Editor) -> None:
         "Record until the camera path or the rig's drive ends. "
         f"Without keyframes of your own, a recording has at most {LONGEST_DEFAULT_S:g} s."
     )
-    if checkbox("its end", is_whole, help_text) != is_whole:
+    if checkbox("path end###its end", is_whole, help_text) != is_whole:
         recorder.change(last_s=end_s if is_whole else None)
 
 

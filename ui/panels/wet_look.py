@@ -23,7 +23,7 @@ _WEIGHTS = f"Weights{{.pkl,.safetensors,.ckpt,.pt}},{ALL_FILES}"
 _PATHS = {"weights": _WEIGHTS, "images": "", "base": "", "normals_weights": _WEIGHTS, "normals_checkout": ""}
 """Settings that are paths, with their file types; "" for folders."""
 
-_LABELS = {"normals_weights": "Their weights", "normals_checkout": "Its program"}
+_LABELS = {"normals_weights": "Normals weights", "normals_checkout": "DSINE code"}
 _MAX_PREVIEW_EM = 7.0  # small, since the viewport shows the preview at full size
 _SOURCE_HELP = (
     "Views to transfer. The best are those of the rig if the scene has a recorded drive,\n"
