@@ -112,6 +112,6 @@ def test_without_torch_the_panel_says_so(drive, monkeypatch):
         driver.ctx.item_open("//Capture/Reconstruct")
         driver.frames()
         assert not driver.ctx.item_exists("//Capture/Reconstruct/Reconstruct")
-        assert driver.ctx.item_exists("//Capture/Reconstruct/Recolour to these pictures")
+        assert driver.ctx.item_exists("//Capture/Reconstruct/Recolor to these images")
 
     driver.run(script)
