@@ -14,10 +14,10 @@ from ...scene.camera import Camera
 from ...scene.scene import DrawItem
 from ..images import layer_color, turbo_colors
 from ..renderer import FARTHEST_M, MAX_FRAGMENTS, NEAREST_M, Frame, RenderMode, RenderStatistics, Stopwatch
-from .compositing import BATCH, columns_of, composite, composite_in_rain, composite_rain_display_space, is_finished
+from .compositing import column_of, columns_of, composite, composite_in_rain, is_finished, tile_at
 from .fast_math import FAST
 from .projection import TINT, TINT_SHARE, Splats, project
-from .tiles import TILE, TileLists, bin_into_tiles
+from .tiles import BATCH, TILE, TileLists, bin_into_tiles
 
 
 class CpuRenderer:
@@ -99,7 +99,7 @@ def draw_in_rain(
     if rain.mixing == "linear":
         rgba, weighted, weight = composite_in_rain(splats.shapes, splats.colors, rain.light_linear, tiles)
     else:  # blended as a display color (the paper's form)
-        rgba = composite_rain_display_space(splats.shapes, splats.colors, rain.color.astype(np.float32), tiles)
+        rgba, _ = composite(splats.shapes, splats.colors, tiles, veil=rain.color.astype(np.float32))
         if not with_depth:
             return Frame(rgba)
         alone = bin_into_tiles(splats.shapes, order[~splats.is_rain[order]], tiles.width, tiles.height)
@@ -197,8 +197,8 @@ def count_fragments(shapes: Float32[np.ndarray, "m 8"], tiles: TileLists) -> Flo
 @no_type_check
 def _count(shapes, starts, members, columns, counts):
     height, width = counts.shape
-    for tile in numba.prange(len(starts) - 1):
-        x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
+    for place in numba.prange(len(starts) - 1):
+        tile, x0, y0 = tile_at(place, starts, columns)
         state = np.zeros((TILE, TILE), np.float32)
         for k in range(starts[tile], starts[tile + 1]):
             _count_pixels(shapes[members[k]], np.float32(x0 + 0.5), np.float32(y0 + 0.5), state)
@@ -212,9 +212,7 @@ def _count(shapes, starts, members, columns, counts):
 def _count_pixels(shape, x0, y0, state):
     left, right = columns_of(shape, x0)
     for u in range(left, right):
-        dx = np.float32(u) + (x0 - shape[0])
-        peak = shape[5] + shape[3] * dx * dx
-        start = y0 - (shape[1] + shape[2] * dx)
+        _, peak, start = column_of(shape, u, x0, y0)
         for v in range(TILE):
             dy = start + np.float32(v)
             state[u, v] += np.float32(1) if shape[4] * dy * dy + peak >= shape[6] else np.float32(0)
@@ -244,8 +242,8 @@ def nearest_surface_colors(
 @no_type_check
 def _cover(shapes, colors, starts, members, columns, rgba):
     height, width = rgba.shape[:2]
-    for tile in numba.prange(len(starts) - 1):
-        x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
+    for place in numba.prange(len(starts) - 1):
+        tile, x0, y0 = tile_at(place, starts, columns)
         # A column's lines of TILE numbers: 1 while the pixel is uncovered, three channels.
         state = np.zeros((TILE, 4 * TILE), np.float32)
         state[: width - x0, : min(TILE, height - y0)] = 1
