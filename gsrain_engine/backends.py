@@ -18,7 +18,7 @@ from .scene.gaussians import Gaussians, sh_from_color
 from .scene.scene import DrawItem
 
 if TYPE_CHECKING:
-    from .render.cuda.renderer import CudaRenderer
+    from .render.cuda import CudaRenderer
 
 Backend = Literal["auto", "opengl", "cpu", "cuda"]
 
@@ -92,7 +92,7 @@ def open_cuda_renderer() -> "CudaRenderer":
         raise NoCudaError("the cuda back end needs an NVIDIA GPU, and torch sees none: use --backend cpu or opengl")
     try:
         gsplat: Any = import_module("gsplat")
-        from .render.cuda.renderer import CudaRenderer
+        from .render.cuda import CudaRenderer
 
         renderer = CudaRenderer(gsplat.rasterization, "cuda")
         renderer.draw([_one_gaussian()], Camera(16, 16, 16.0, 16.0, 8.0, 8.0))

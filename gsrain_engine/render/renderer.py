@@ -1,7 +1,8 @@
 """Renderer interface: images, render modes, statistics and timing."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Literal, Protocol, runtime_checkable
 
@@ -72,9 +73,7 @@ class Renderer(Protocol):
     """Interface of the renderers: `SplatRenderer` (OpenGL), `CpuRenderer` and `CudaRenderer`."""
 
     @property
-    def name(self) -> str:
-        """Name on the command line."""
-        ...
+    def name(self) -> str: ...
 
     @property
     def statistics(self) -> RenderStatistics: ...
@@ -95,9 +94,7 @@ class Renderer(Protocol):
         """
         ...
 
-    def read(self) -> Frame:
-        """Return the last image, with depth if it was drawn."""
-        ...
+    def read(self) -> Frame: ...
 
 
 NEAREST_M, FARTHEST_M = 0.5, 200.0
@@ -107,14 +104,9 @@ MAX_FRAGMENTS = 256
 """Upper end of the overdraw colors."""
 
 
-class Stopwatch:
-    """Adds the wall time of a `with` block to a stage, in milliseconds."""
-
-    def __init__(self, stages: dict[str, float], stage: str) -> None:
-        self._stages, self._stage = stages, stage
-
-    def __enter__(self) -> None:
-        self._start = time.perf_counter()
-
-    def __exit__(self, *_: object) -> None:
-        self._stages[self._stage] += 1000 * (time.perf_counter() - self._start)
+@contextmanager
+def timed(stages_ms: dict[str, float], stage: str) -> Iterator[None]:
+    """Add the wall time of a `with` block to a stage."""
+    start = time.perf_counter()
+    yield
+    stages_ms[stage] += 1000 * (time.perf_counter() - start)

@@ -7,8 +7,18 @@ import numpy as np
 from jaxtyping import Float
 
 from ..cpu.compositing import (
-    MAX_ALPHA, absorb, add_lanes, add_pairs, alpha_of, column_of, columns_of, composite, gather_rows, is_finished,
-    sums_by_splat, tile_at,
+    MAX_ALPHA,
+    absorb,
+    add_lanes,
+    add_pairs,
+    alpha_of,
+    column_of,
+    columns_of,
+    composite,
+    gather_rows,
+    is_finished,
+    sums_by_splat,
+    tile_at,
 )  # fmt: skip
 from ..cpu.fast_math import FAST
 from ..cpu.tiles import BATCH, TILE, TileLists

@@ -7,10 +7,17 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from ...scene.camera import Camera
-from ..cpu.projection import DILATION_PX2, LOG_SCENE_CUT, NEAR_M
-
-CHUNK = 512
-"""Gaussians that one thread processes at a time."""
+from ..cpu.projection import (
+    CHUNK,
+    DILATION_PX2,
+    LOG_SCENE_CUT,
+    NEAR_M,
+    dot,
+    in_camera,
+    intrinsics_of,
+    jacobian,
+    rotation_columns,
+)  # fmt: skip
 
 
 class TrainedGaussians(NamedTuple):
@@ -54,12 +61,6 @@ def eye_of(world_to_camera: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "
     return np.linalg.solve(world_to_camera[:3, :3], -world_to_camera[:3, 3])
 
 
-def intrinsics_of(camera: Camera) -> tuple[float, float, float, float, float, float]:
-    """Focal lengths, principal point and size in pixels, for compiled code."""
-    c = camera
-    return float(c.fx), float(c.fy), float(c.cx), float(c.cy), float(c.width), float(c.height)
-
-
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
 def _project(means, scales, quaternions, opacities, colors, display, m, eye, intrinsics, shapes, channels, radii):
@@ -81,47 +82,13 @@ def _project(means, scales, quaternions, opacities, colors, display, m, eye, int
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def jacobian(px, py, pz, m, intrinsics):
-    """Two rows that map the world's axes to pixels, the slopes used, and whether each slope is unclamped.
-
-    Slopes are clamped at 1.3 times the field of view: there they no longer depend on the mean.
-    """
-    fx, fy, cx, cy, width, height = intrinsics
-    near = 1 / pz
-    margin_x, margin_y = 0.15 * width, 0.15 * height
-    across, down = fx * px * near, fy * py * near
-    slope_x = min(max(across, -cx - margin_x), width - cx + margin_x)
-    slope_y = min(max(down, -cy - margin_y), height - cy + margin_y)
-    ux, vx = near * (fx * m[0, 0] - slope_x * m[2, 0]), near * (fy * m[1, 0] - slope_y * m[2, 0])
-    uy, vy = near * (fx * m[0, 1] - slope_x * m[2, 1]), near * (fy * m[1, 1] - slope_y * m[2, 1])
-    uz, vz = near * (fx * m[0, 2] - slope_x * m[2, 2]), near * (fy * m[1, 2] - slope_y * m[2, 2])
-    return (ux, uy, uz), (vx, vy, vz), slope_x, slope_y, slope_x == across, slope_y == down
-
-
-@numba.njit(forceinline=True, error_model="numpy")
-@no_type_check
 def rotation(q):
     """Columns of the rotation of a quaternion of any length, its unit quaternion and 1 / length."""
     w, x, y, z = np.float64(q[0]), np.float64(q[1]), np.float64(q[2]), np.float64(q[3])
     by_length = 1 / np.sqrt(w * w + x * x + y * y + z * z)
     w, x, y, z = w * by_length, x * by_length, y * by_length, z * by_length
-    first = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
-    second = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)
-    third = 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
+    first, second, third = rotation_columns(w, x, y, z)
     return first, second, third, (w, x, y, z), by_length
-
-
-@numba.njit(forceinline=True, error_model="numpy")
-@no_type_check
-def dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@numba.njit(forceinline=True, error_model="numpy")
-@no_type_check
-def moved(m, row, mean):
-    """One coordinate of a mean in the camera's frame."""
-    return m[row, 0] * mean[0] + m[row, 1] * mean[1] + m[row, 2] * mean[2] + m[row, 3]
 
 
 @numba.njit(forceinline=True, error_model="numpy")
@@ -132,10 +99,9 @@ def _shape(mean, scale, q, opacity, m, intrinsics, shape):
     Scalars are float64 in either precision.
     """
     fx, fy, cx, cy, width, height = intrinsics
-    pz = moved(m, 2, mean)
+    px, py, pz = in_camera(m, mean)
     if not (NEAR_M < pz < 3e38):  # also rejects NaN
         return 0.0, 0.0
-    px, py = moved(m, 0, mean), moved(m, 1, mean)
     u, v = fx * px / pz + cx, fy * py / pz + cy
     row_u, row_v, _, _, _, _ = jacobian(px, py, pz, m, intrinsics)
     first, second, third, _, _ = rotation(q)
@@ -261,7 +227,7 @@ def _project_back(
 def _shape_back(mean, scale, q, m, intrinsics, shape, sums, by_mean, by_scale, by_q, pose):
     """Write gradients by mean, scale and quaternion, add that by the pose; return the length of that by the center."""
     fx, fy, _, _, _, _ = intrinsics
-    px, py, pz = moved(m, 0, mean), moved(m, 1, mean), moved(m, 2, mean)
+    px, py, pz = in_camera(m, mean)
     near = 1 / pz
     row_u, row_v, slope_x, slope_y, is_free_x, is_free_y = jacobian(px, py, pz, m, intrinsics)
     first, second, third, unit, by_length = rotation(q)

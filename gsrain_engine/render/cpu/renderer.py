@@ -13,10 +13,10 @@ from ...rain.simulation import RainFrame
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
 from ..images import layer_color, turbo_colors
-from ..renderer import FARTHEST_M, MAX_FRAGMENTS, NEAREST_M, Frame, RenderMode, RenderStatistics, Stopwatch
+from ..renderer import FARTHEST_M, MAX_FRAGMENTS, NEAREST_M, Frame, RenderMode, RenderStatistics, timed
 from .compositing import column_of, columns_of, composite, composite_in_rain, is_finished, tile_at
 from .fast_math import FAST
-from .projection import TINT, TINT_SHARE, Splats, project
+from .projection import MIN_SCENE_CUT, TINT, TINT_SHARE, Splats, in_camera, project, rotation_columns
 from .tiles import BATCH, TILE, TileLists, bin_into_tiles
 
 
@@ -39,35 +39,30 @@ class CpuRenderer:
         with_depth: bool = False,
         look: RenderMode = "splats",
     ) -> None:
-        self.statistics = RenderStatistics(stages_ms={"project": 0.0, "sort": 0.0, "draw": 0.0})
-        with self._timed("project"):
-            falling = rain if look == "splats" and rain is not None and len(rain.gaussians) else None
-            splats = self._project(parts, camera, falling, as_points=look == "points")
-            splats = color_by_mode(look, splats, parts, camera)
-        with self._timed("sort"):
+        stages = {"project": 0.0, "sort": 0.0, "draw": 0.0}
+        self.statistics = RenderStatistics(sum(part.drawn_count for part in parts), stages_ms=stages)
+        falling = rain if look == "splats" and rain is not None and len(rain.gaussians) else None
+        with timed(stages, "project"):
+            if falling is None:
+                splats = color_by_mode(look, project(parts, camera, as_points=look == "points"), parts, camera)
+            else:
+                drops = DrawItem(falling.gaussians, np.eye(4))
+                flags = [*[None] * len(parts), np.ones(drops.drawn_count, np.bool_)]
+                splats = project([*parts, drops], camera, flags)
+                self.statistics.drops_drawn, self.statistics.haze_drawn = falling.drops_drawn, falling.haze_drawn
+        with timed(stages, "sort"):
             order = splats.nearest_first()
             tiles = bin_into_tiles(splats.shapes, order, camera.width, camera.height)
-        with self._timed("draw"):
+        with timed(stages, "draw"):
             if falling is None:
-                self._frame = draw_mode(look, splats, tiles, with_depth=with_depth)
+                self._frame = _draw_mode(look, splats, tiles, with_depth=with_depth)
             else:
-                self._frame = draw_in_rain(splats, order, tiles, falling, with_depth=with_depth)
+                self._frame = _draw_in_rain(splats, order, tiles, falling, with_depth=with_depth)
         self.statistics.splats_drawn = len(order)
 
     def read(self) -> Frame:
         assert self._frame is not None, "draw before reading the picture"
         return self._frame
-
-    def _project(self, parts: Sequence[DrawItem], camera: Camera, rain: RainFrame | None, *, as_points: bool) -> Splats:
-        self.statistics.gaussians = sum(part.drawn_count for part in parts)
-        if rain is None:
-            return project(parts, camera, as_points=as_points)
-        drops = rain.gaussians
-        self.statistics.drops_drawn, self.statistics.haze_drawn = rain.drops_drawn, rain.haze_drawn
-        return project([*parts, DrawItem(drops, np.eye(4))], camera, [*[None] * len(parts), np.ones(len(drops), bool)])
-
-    def _timed(self, stage: str) -> Stopwatch:
-        return Stopwatch(self.statistics.stages_ms, stage)
 
 
 # Drawing
@@ -75,24 +70,25 @@ class CpuRenderer:
 _MIN_WEIGHT = np.float32(0.5)  # minimum alpha of pixels with depth, as in the OpenGL renderer
 
 
-def draw_mode(look: RenderMode, splats: Splats, tiles: TileLists, *, with_depth: bool) -> Frame:
+def _draw_mode(look: RenderMode, splats: Splats, tiles: TileLists, *, with_depth: bool) -> Frame:
     """Draw a scene without rain; depth is blended from all splats, in any render mode."""
-    if look == "ellipsoids" and not with_depth:
-        return Frame(nearest_surface_colors(splats.shapes, splats.colors, tiles))
-    if look == "overdraw" and not with_depth:
-        return Frame(_heat_of_counts(count_fragments(splats.shapes, tiles)))
-    rgba, weighted = composite(splats.shapes, splats.colors, tiles)
-    depth = _expected_depth(weighted, rgba[..., 3]) if with_depth or look == "depth" else None
+    rgba = depth = None
+    if with_depth or look not in ("ellipsoids", "overdraw"):
+        rgba, weighted = composite(splats.shapes, splats.colors, tiles)
+        depth = _expected_depth(weighted, rgba[..., 3]) if with_depth or look == "depth" else None
     if look == "ellipsoids":
         rgba = nearest_surface_colors(splats.shapes, splats.colors, tiles)
     elif look == "overdraw":
-        rgba = _heat_of_counts(count_fragments(splats.shapes, tiles))
+        counts = count_fragments(splats.shapes, tiles)
+        rgba = _heat_where(counts / np.float32(MAX_FRAGMENTS), counts > 0)
     elif look == "depth" and depth is not None:
-        rgba = _heat_of_depth(depth)
+        t = np.log(np.maximum(depth, np.float32(1e-9)) / NEAREST_M) / np.log(FARTHEST_M / NEAREST_M)
+        rgba = _heat_where(t.astype(np.float32), depth > 0)
+    assert rgba is not None
     return Frame(rgba, depth)
 
 
-def draw_in_rain(
+def _draw_in_rain(
     splats: Splats, order: Int32[np.ndarray, " drawn"], tiles: TileLists, rain: RainFrame, *, with_depth: bool
 ) -> Frame:
     """Draw scene and rain; `tiles` hold the splats in that order."""
@@ -102,7 +98,8 @@ def draw_in_rain(
         rgba, _ = composite(splats.shapes, splats.colors, tiles, veil=rain.color.astype(np.float32))
         if not with_depth:
             return Frame(rgba)
-        alone = bin_into_tiles(splats.shapes, order[~splats.is_rain[order]], tiles.width, tiles.height)
+        is_rain = splats.shapes[order, 6] < MIN_SCENE_CUT
+        alone = bin_into_tiles(splats.shapes, order[~is_rain], tiles.width, tiles.height)
         clear, weighted = composite(splats.shapes, splats.colors, alone)
         weight = clear[..., 3]
     return Frame(rgba, _expected_depth(weighted, weight) if with_depth else None)
@@ -112,15 +109,6 @@ def _expected_depth(
     weighted: Float32[np.ndarray, "h w"], weight: Float32[np.ndarray, "h w"]
 ) -> Float32[np.ndarray, "h w"]:
     return np.where(weight > _MIN_WEIGHT, weighted / np.maximum(weight, _MIN_WEIGHT), np.float32(0))
-
-
-def _heat_of_depth(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 4"]:
-    t = np.log(np.maximum(depth, np.float32(1e-9)) / NEAREST_M) / np.log(FARTHEST_M / NEAREST_M)
-    return _heat_where(t.astype(np.float32), depth > 0)
-
-
-def _heat_of_counts(counts: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 4"]:
-    return _heat_where(counts / np.float32(MAX_FRAGMENTS), counts > 0)
 
 
 def _heat_where(numbers: Float32[np.ndarray, "h w"], there: np.ndarray) -> Float32[np.ndarray, "h w 4"]:
@@ -163,19 +151,17 @@ def _normal_colors(rows, members, means, scales, quaternions, to_world, eye, col
     """Write 0.5 + 0.5 n of each Gaussian's shortest axis n in the world, facing the eye, to `rows` of `colors`."""
     for n in numba.prange(len(rows)):
         i = members[n]
-        w, x, y, z = quaternions[i, 0], quaternions[i, 1], quaternions[i, 2], quaternions[i, 3]
-        w, x, y, z = np.float64(w), np.float64(x), np.float64(y), np.float64(z)
+        q = quaternions[i]
+        axes = rotation_columns(np.float64(q[0]), np.float64(q[1]), np.float64(q[2]), np.float64(q[3]))
         if scales[i, 0] <= scales[i, 1] and scales[i, 0] <= scales[i, 2]:
-            a, b, c = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
-        elif scales[i, 1] <= scales[i, 2]:
-            a, b, c = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)
+            a, b, c = axes[0]
         else:
-            a, b, c = 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
+            a, b, c = axes[1] if scales[i, 1] <= scales[i, 2] else axes[2]
+        mean = in_camera(to_world, means[i])
         length = facing = 0.0
         for k in range(3):
             normal = to_world[k, 0] * a + to_world[k, 1] * b + to_world[k, 2] * c
-            mean = to_world[k, 0] * means[i, 0] + to_world[k, 1] * means[i, 1] + to_world[k, 2] * means[i, 2]
-            facing += normal * (mean + to_world[k, 3] - eye[k])
+            facing += normal * (mean[k] - eye[k])
             length += normal * normal
         half = (-0.5 if facing > 0 else 0.5) / max(np.sqrt(length), 1e-300)
         for k in range(3):
