@@ -6,20 +6,8 @@ import numba
 import numpy as np
 from jaxtyping import Float
 
-from ..cpu.compositing import (
-    MAX_ALPHA,
-    absorb,
-    add_lanes,
-    add_pairs,
-    alpha_of,
-    column_of,
-    columns_of,
-    composite,
-    gather_rows,
-    is_finished,
-    sums_by_splat,
-    tile_at,
-)  # fmt: skip
+from ..cpu import compositing
+from ..cpu.compositing import absorb, add_lanes, alpha_of, column_of, columns_of, gather_rows, is_finished, tile_at
 from ..cpu.fast_math import FAST
 from ..cpu.tiles import BATCH, TILE, TileLists
 
@@ -38,7 +26,7 @@ class BlendedImage(NamedTuple):
 
 def blend(shapes: Float[np.ndarray, "n 8"], channels: Float[np.ndarray, "n 4"], tiles: TileLists) -> BlendedImage:
     """Blend color and depth of the splats (three channels and one) over nothing, in the precision of `shapes`."""
-    rgba, depth = composite(shapes, channels, tiles)
+    rgba, depth = compositing.composite(shapes, channels, tiles)
     return BlendedImage(np.ascontiguousarray(rgba[..., :3]), np.ascontiguousarray(rgba[..., 3]), depth)
 
 
@@ -61,7 +49,7 @@ def blend_backward(
     """
     by_pair = np.zeros((len(tiles.members), _SUMS), shapes.dtype)
     _gather_tiles(shapes, channels, tiles.starts, tiles.members, tiles.columns, *picture, *gradient, by_pair)
-    return add_pairs(tiles.members, by_pair, len(shapes))
+    return compositing.add_pairs(tiles.members, by_pair, len(shapes))
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
@@ -124,7 +112,7 @@ def _gather(shape, channels, x0, y0, state, lanes):
             line[v + 6 * TILE] = rest
             q = share - rest * (alpha / (real(1) - alpha))
             # Clamped alpha has no gradient, and a finished pixel's rest is rounding error.
-            q = q if alpha < real(MAX_ALPHA) else real(0)
+            q = q if alpha < real(compositing.MAX_ALPHA) else real(0)
             q = q if before > real(0) else real(0)
             across, down = q * dx, q * dy
             lanes[v] += weight * by_red
@@ -143,4 +131,4 @@ def blend_colors_backward(
     shapes: Float[np.ndarray, "n 8"], tiles: TileLists, gradient: Float[np.ndarray, "h w 3"]
 ) -> Float[np.ndarray, "n 3"]:
     """Sum w G over the pixels of each splat: the gradient of its color for fixed geometry."""
-    return sums_by_splat(shapes, gradient, tiles)
+    return compositing.sums_by_splat(shapes, gradient, tiles)

@@ -32,10 +32,6 @@ class TileLists:
     def columns(self) -> int:
         return -(-self.width // TILE)
 
-    @property
-    def rows(self) -> int:
-        return -(-self.height // TILE)
-
 
 def bin_into_tiles(
     shapes: Float32[np.ndarray, "m 8"], order: Int32[np.ndarray, " drawn"], width: int, height: int
@@ -148,16 +144,9 @@ def _box(ellipse, columns, rows):
     x, y, reach_x, reach_y = ellipse[:4]
     left, right = _tiles_between(x - reach_x, x + reach_x, columns)
     top, bottom = _tiles_between(y - reach_y, y + reach_y, rows)
-    is_exact = (right - left == 1 and _lies_within(x, reach_x, left)) or (
-        bottom - top == 1 and _lies_within(y, reach_y, top)
-    )
-    return left, right, top, bottom, is_exact
-
-
-@numba.njit(forceinline=True, error_model="numpy")
-@no_type_check
-def _lies_within(center, reach, tile):
-    return center - reach >= tile * TILE + 0.5 and center + reach <= (tile + 1) * TILE - 0.5
+    in_column = x - reach_x >= left * TILE + 0.5 and x + reach_x <= (left + 1) * TILE - 0.5
+    in_row = y - reach_y >= top * TILE + 0.5 and y + reach_y <= (top + 1) * TILE - 0.5
+    return left, right, top, bottom, (right - left == 1 and in_column) or (bottom - top == 1 and in_row)
 
 
 @numba.njit(forceinline=True, error_model="numpy")
