@@ -1,6 +1,6 @@
 """OpenGL renderer: projects, sorts by depth and blends quads back to front, all on the GPU."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -10,15 +10,13 @@ from jaxtyping import Float32
 
 from ...rain.simulation import RainFrame
 from ...scene.camera import Camera
-from ...scene.gaussians import Gaussians
 from ...scene.scene import DrawItem
 from ..renderer import FARTHEST_M, MAX_FRAGMENTS, NEAREST_M, Color, Frame, RenderMode, RenderStatistics
-from .buffers import CHUNK, GpuArrays, Harmonics, ProjectedSplatBuffer, WetColors, check_gpu_memory
+from .buffers import GpuArrays, Harmonics, ProjectedSplatBuffer, check_gpu_memory
 from .context import check_context, is_software
-from .prefix_sum import COUNT_OFFSET
 from .projection import ProjectionPass
 from .shaders import GpuTimers, Switches, load_program
-from .sort import SLOTS, CpuSort, DepthSort
+from .sort import SLOTS, CpuSort, DepthSort, count_in
 
 _QUADS_BY_INSTANCE = 128
 """Splats per instance; instances of one quad would leave a GPU's vertex units idle. As in splat.vert."""
@@ -87,18 +85,16 @@ class SplatRenderer:
         self._is_software = is_software(context)
         self._sort = CpuSort(context) if self._is_software else DepthSort(context)
         self._timers = GpuTimers(context)
-        self._quads = context.buffer(_quad_indices().tobytes())
+        quads = 4 * np.arange(_QUADS_BY_INSTANCE, dtype=np.uint32)[:, None]
+        # Two triangles per quad of an instance; both start with the quad's first vertex.
+        self._quads = context.buffer((quads + np.array([0, 1, 2, 1, 3, 2], np.uint32)).tobytes())
         self._programs: dict[tuple[object, ...], tuple[moderngl.Program, moderngl.VertexArray]] = {}
         self._targets: dict[str, Framebuffer] = {}
         self._image: moderngl.Texture | None = None
-        self._measured = RenderStatistics()
+        self.statistics = RenderStatistics()
+        """Statistics of the last image if it was read, or else of the one before, to avoid waiting for the GPU."""
         self._drawn: RenderStatistics | None = None
         self._makes_drops = False
-
-    @property
-    def statistics(self) -> RenderStatistics:
-        """Statistics of the last image if it was read, or else of the one before, to avoid waiting for the GPU."""
-        return self._measured
 
     @property
     def picture(self) -> moderngl.Texture:
@@ -151,28 +147,22 @@ class SplatRenderer:
         self._take_stock()
         rgba = self._fetch(self.picture)
         depth = self._targets["splats"].depth
-        fetched_depth = None if depth is None else self._fetch(depth)
+        sums = None if depth is None else self._fetch(depth)
         check_context(self.context)
-        if fetched_depth is None:
+        if sums is None:
             return Frame(rgba)
-        weighted, weight = np.moveaxis(fetched_depth, -1, 0)
+        weighted, weight = np.moveaxis(sums, -1, 0)
         return Frame(rgba, np.where(weight > 0.5, weighted / np.maximum(weight, np.float32(0.5)), np.float32(0)))
-
-    def upload(
-        self, gaussians: Gaussians, slice_size: int = CHUNK // 64, *, wet_sh: WetColors = None
-    ) -> Iterator[float]:
-        """Upload Gaussians and their wet colors before their first frame, one slice per step."""
-        return self.arrays.upload(gaussians, slice_size, wet_sh=wet_sh)
 
     def _take_stock(self) -> None:
         """Read the statistics of the last image from the GPU."""
         if self._drawn is None:
             return
-        self._measured, self._drawn = self._drawn, None
-        self._measured.stages_ms |= self._timers.collect()
-        self._measured.splats_drawn = int(np.frombuffer(self._store.work.read(4, offset=COUNT_OFFSET), np.uint32)[0])
+        self.statistics, self._drawn = self._drawn, None
+        self.statistics.stages_ms |= self._timers.collect()
+        self.statistics.splats_drawn = count_in(self._store.work)
         if self._makes_drops:
-            self._measured.drops_drawn = self._projection.drops.found_count()
+            self.statistics.drops_drawn = self._projection.drops.found_count()
 
     def _fetch(self, texture: moderngl.Texture) -> Float32[np.ndarray, "h w c"]:
         width, height = texture.size
@@ -187,7 +177,7 @@ class SplatRenderer:
         target = self._target("splats", FramebufferLayout(size, self._dtype, linear_rain, with_depth))
         switches = {"LINEAR_RAIN": linear_rain, "WITH_DEPTH": with_depth}
         switches |= {"ELLIPSOIDS": look == "ellipsoids", "OVERDRAW": look == "overdraw"}
-        macros = {name: 1 for name, wanted in switches.items() if wanted} | dict(self._store.switches)
+        macros = {name: 1 for name, is_set in switches.items() if is_set} | dict(self._store.switches)
         program, vertices = self._program("splat.vert", "splat.frag", macros, self._quads)
         program["image_size"] = size
         target.framebuffer.use()
@@ -244,12 +234,6 @@ class SplatRenderer:
         return self._targets[name]
 
 
-def _quad_indices() -> np.ndarray:
-    """Two triangles per quad of an instance; both start with the quad's first vertex."""
-    quads = 4 * np.arange(_QUADS_BY_INSTANCE, dtype=np.uint32)[:, None]
-    return (quads + np.array([0, 1, 2, 1, 3, 2], np.uint32)).ravel()
-
-
 class Screen:
     """Converts images for the screen: background, display gain, 8 bits."""
 
@@ -272,9 +256,7 @@ class Screen:
             self._framebuffer = self._context.framebuffer([self._texture])
         assert self._framebuffer is not None
         picture.use(0)
-        self._program["picture"] = 0
-        self._program["background"] = background
-        self._program["gain"] = gain
+        self._program["picture"], self._program["background"], self._program["gain"] = 0, background, gain
         before = self._context.detect_framebuffer()
         self._framebuffer.use()
         self._vertices.render(moderngl.TRIANGLES, vertices=3)

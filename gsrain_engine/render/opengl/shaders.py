@@ -4,6 +4,7 @@ import re
 import time
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
+from typing import Any
 
 import moderngl
 
@@ -45,6 +46,25 @@ def load_compute_shader(
         raise ShaderError(source.explain(str(error))) from None
 
 
+class ShaderVariants:
+    """Compute shader compiled once for each set of switches; call it with those."""
+
+    def __init__(self, context: moderngl.Context, name: str) -> None:
+        self._context, self._name = context, name
+        self._compiled: dict[tuple[tuple[str, int], ...], moderngl.ComputeShader] = {}
+
+    def __call__(self, switches: Switches) -> moderngl.ComputeShader:
+        key = tuple(switches.items())
+        if key not in self._compiled:
+            self._compiled[key] = load_compute_shader(self._context, self._name, switches)
+        return self._compiled[key]
+
+
+def set_uniforms(shader: moderngl.ComputeShader, **values: Any) -> None:
+    for name, value in values.items():
+        shader[name] = value
+
+
 class _Source:
     """Text of a shader with expanded includes, and the origin of each line."""
 
@@ -73,10 +93,7 @@ class _Source:
 
         def place(match: re.Match[str]) -> str:
             line = int(match[1])
-            if not 1 <= line <= len(self.origins):
-                return match[0]
-            file, number = self.origins[line - 1]
-            return f"{file}:{number}"
+            return "{}:{}".format(*self.origins[line - 1]) if 1 <= line <= len(self.origins) else match[0]
 
         return f"{self.name} does not compile:\n" + _LINE_IN_ERROR.sub(place, message)
 
