@@ -13,7 +13,7 @@ from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
 from ..scene.rig import rig_camera
 from ..scene.scene import RigCamera, Scene
-from .draw import RenderView, draw_view, rain_camera_of
+from .draw import RenderView, draw_view
 from .images import to_display, to_linear_light
 from .renderer import Color, Frame, Renderer, RenderMode
 from .sky_color import SkyColor, sky_color
@@ -168,7 +168,7 @@ class FrameSequence:
         if k == 1:
             return [middle]
         rain = self.rainfall.frozen_at(middle.time_s)
-        exposure_s = rain.exposure_s(rain_camera_of(self.scene, rain, middle))
+        exposure_s = rain.exposure_s(middle.camera)
         moments = middle.time_s + exposure_s * ((np.arange(k) + 0.5) / k - 0.5)
         # A path has no speed beyond its ends: there the camera keeps its last position on the path.
         low, high = self._flight_s

@@ -96,7 +96,7 @@ class GpuArrays:
     def upload(
         self, gaussians: Gaussians, slice_size: int = CHUNK // 64, *, wet_sh: WetColors = None
     ) -> Iterator[float]:
-        """Upload a set slice by slice before its first frame; yields the fraction done after each, so that frames can be drawn in between.
+        """Upload a set slice by slice; yields the fraction done after each, so that frames can be drawn in between.
 
         Raises `MemoryError` if the graphics card is full.
         """
