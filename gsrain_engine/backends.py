@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from .render.cpu.renderer import CpuRenderer
-from .render.hardware import processor_name
 from .render.opengl.context import NoOpenGLError, check_context, is_software, open_context
 from .render.opengl.renderer import OffscreenRenderer, SplatRenderer
-from .render.renderer import Renderer
+from .render.renderer import Renderer, processor_name
 from .scene.camera import Camera
 from .scene.gaussians import Gaussians, sh_from_color
 from .scene.scene import DrawItem

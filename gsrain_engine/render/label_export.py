@@ -3,7 +3,7 @@
 import json
 from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, UInt16
@@ -32,18 +32,9 @@ class CocoLabels:
 
     def add(self, number: int, time_s: float, camera: Camera, seen: Sequence[VisibleObject], **files: str) -> None:
         """Add a frame; `files` are its files by kind, of which `file_name` is part of COCO."""
-        image_id = len(self._images) + 1
-        self._images.append(
-            {
-                "id": image_id,
-                "width": camera.width,
-                "height": camera.height,
-                **files,
-                "frame": number,
-                "time_s": time_s,
-                "camera": camera.to_json(),
-            }
-        )
+        image_id, size = len(self._images) + 1, {"width": camera.width, "height": camera.height}
+        times = {"frame": number, "time_s": time_s, "camera": camera.to_json()}
+        self._images.append({"id": image_id, **size, **files, **times})
         for each in seen:
             self._annotations.append(self._annotation(len(self._annotations) + 1, image_id, each))
 
@@ -64,10 +55,14 @@ class CocoLabels:
 
     def _annotation(self, number: int, image_id: int, seen: VisibleObject) -> dict[str, Any]:
         left, top, right, bottom = seen.box_xyxy
+        name = coco_class(seen.object.class_name)
+        own = self._own_classes
+        if name not in COCO_CATEGORIES:
+            own.setdefault(name, _FIRST_OWN + len(own))
         return {
             "id": number,
             "image_id": image_id,
-            "category_id": self._category(seen.object.class_name),
+            "category_id": (COCO_CATEGORIES | own)[name],
             "bbox": [left, top, right - left, bottom - top],
             "area": int(seen.mask.sum()),
             "segmentation": encode_rle(seen.mask),
@@ -81,12 +76,6 @@ class CocoLabels:
                 "object_to_camera": seen.to_camera.round(6).tolist(),
             },
         }
-
-    def _category(self, class_name: str) -> int:
-        name = coco_class(class_name)
-        if name in COCO_CATEGORIES:
-            return COCO_CATEGORIES[name]
-        return self._own_classes.setdefault(name, _FIRST_OWN + len(self._own_classes))
 
 
 # KITTI
@@ -104,17 +93,14 @@ def label_line(seen: VisibleObject) -> str:
     x, y, z = seen.to_camera[:3, 3]
     ahead = seen.to_camera[:3, 0]
     turn = float(np.arctan2(-ahead[2], ahead[0]))
-    alpha = _wrapped(turn - float(np.arctan2(x, z)))
+    alpha = float((turn - float(np.arctan2(x, z)) + np.pi) % (2 * np.pi) - np.pi)
     occlusion = 0 if seen.visibility >= _FREE else 1 if seen.visibility >= _PARTLY else 2
     length, width, height = seen.size_lwh_m
     box = [edge - 0.5 for edge in seen.box_xyxy]
     numbers = [alpha, *box, height, width, length, x, y, z, turn]
-    return f"{_kind(seen)} {seen.truncation:.2f} {occlusion} " + " ".join(f"{each:.2f}" for each in numbers)
-
-
-def label_file(seen: Sequence[VisibleObject]) -> str:
-    """Label lines of a frame, nearest object first."""
-    return "".join(f"{label_line(each)}\n" for each in seen)
+    name = seen.object.class_name
+    kind = "Van" if name.lower() == "van" else _CLASSES.get(coco_class(name), "Misc")
+    return f"{kind} {seen.truncation:.2f} {occlusion} " + " ".join(f"{each:.2f}" for each in numbers)
 
 
 def calibration_file(camera: Camera) -> str:
@@ -133,17 +119,6 @@ def instances(seen: Sequence[VisibleObject], camera: Camera) -> UInt16[np.ndarra
     for line, each in enumerate(seen, start=1):
         picture[each.mask] = line
     return picture
-
-
-def _kind(seen: VisibleObject) -> str:
-    name = seen.object.class_name
-    if name.lower() == "van":
-        return "Van"
-    return _CLASSES.get(coco_class(name), "Misc")
-
-
-def _wrapped(angle: float) -> float:
-    return float((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
 # Label files
@@ -179,8 +154,8 @@ def write_object_labels(
                 _write_kitti(files, number, sequence, seen)
             yield Progress((place + (done + 1) / len(numbers)) / len(sequences), f"Labels of frame {number}")
         if form == "coco":
-            with whole_file(coco_file(files)) as beside:
-                beside.write_text(json.dumps(coco.document) + "\n", encoding="utf-8")
+            with whole_file(coco_file(files)) as partial:
+                partial.write_text(json.dumps(coco.document) + "\n", encoding="utf-8")
         written.append(coco_file(files) if form == "coco" else kitti_folder(files))
     return written
 
@@ -219,11 +194,12 @@ def _name(files: ExportFiles, number: int) -> str:
 
 def _write_kitti(files: ExportFiles, number: int, sequence: FrameSequence, seen: Sequence[VisibleObject]) -> None:
     folder, camera = kitti_folder(files), sequence.shot(number).camera
-    for kind, text in (("label_2", label_file(seen)), ("calib", calibration_file(camera))):
+    lines = "".join(f"{label_line(each)}\n" for each in seen)  # nearest object first
+    for kind, text in (("label_2", lines), ("calib", calibration_file(camera))):
         file = folder / kind / f"{number:06d}.txt"
         file.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(file) as beside:
-            beside.write_text(text, encoding="ascii")
+        with whole_file(file) as partial:
+            partial.write_text(text, encoding="ascii")
     (folder / "instance_2").mkdir(parents=True, exist_ok=True)
     write_labels(folder / "instance_2" / f"{number:06d}.png", instances(seen, camera), 256)
 
@@ -231,16 +207,6 @@ def _write_kitti(files: ExportFiles, number: int, sequence: FrameSequence, seen:
 # COCO masks
 # Run lengths by column (maskApi.c of the COCO API, Lin and Dollar, 2015). Strings hold five bits per
 # character, starting at "0", and from the third run on the difference to the run before the last.
-
-_FIRST = 48
-
-
-class RunLengths(TypedDict):
-    """Mask in COCO's JSON format."""
-
-    size: list[int]
-    """Height, width."""
-    counts: str
 
 
 def run_lengths(mask: Bool[np.ndarray, "h w"]) -> list[int]:
@@ -251,8 +217,8 @@ def run_lengths(mask: Bool[np.ndarray, "h w"]) -> list[int]:
     return np.diff(edges).tolist()
 
 
-def encode_rle(mask: Bool[np.ndarray, "h w"]) -> RunLengths:
-    """Return a mask in COCO's compressed format: its size and its runs as a string."""
+def encode_rle(mask: Bool[np.ndarray, "h w"]) -> dict[str, Any]:
+    """Return a mask in COCO's compressed format: "size" (height, width), and "counts", its runs as a string."""
     runs = run_lengths(mask)
     text = "".join(_characters(run - (runs[k - 2] if k > 2 else 0)) for k, run in enumerate(runs))
     return {"size": list(mask.shape), "counts": text}
@@ -263,6 +229,6 @@ def _characters(value: int) -> str:
     while True:
         bits, value = value & 0x1F, value >> 5
         more = value != (-1 if bits & 0x10 else 0)
-        text += chr((bits | (0x20 if more else 0)) + _FIRST)
+        text += chr((bits | (0x20 if more else 0)) + ord("0"))
         if not more:
             return text

@@ -1,11 +1,16 @@
-"""Renderer interface: images, render modes, statistics and timing."""
+"""Renderer interface: images, render modes, statistics, timing, and the description of the machine."""
 
+import os
+import platform
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
 from typing import Literal, Protocol, runtime_checkable
 
+import numba
 import numpy as np
 from jaxtyping import Float32, UInt8
 
@@ -110,3 +115,25 @@ def timed(stages_ms: dict[str, float], stage: str) -> Iterator[None]:
     start = time.perf_counter()
     yield
     stages_ms[stage] += 1000 * (time.perf_counter() - start)
+
+
+# Machine
+
+
+def describe_machine() -> dict[str, str | int]:
+    """Processor, operating system, and versions that affect speed."""
+    return {
+        "cpu": processor_name(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1,
+        "threads": numba.get_num_threads(),
+        "platform": platform.platform(),
+        "python": platform.python_version(),
+        **{name: metadata.version(name) for name in ("numpy", "numba", "moderngl")},
+    }
+
+
+def processor_name() -> str:
+    listing = Path("/proc/cpuinfo")  # Linux only
+    lines = listing.read_text().splitlines() if listing.exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
