@@ -110,8 +110,7 @@ def build_shelter_map(parts: Sequence[DrawItem]) -> ShelterMap | None:
         return None
     grid = _grid(parts)
     pieces = [points for part in parts for points in _points(part, grid)]
-    cells, heights, depths = (np.concatenate(column) for column in zip(*pieces, strict=True))
-    highest = _roof_candidates(_GaussianPieces(cells, heights, depths), grid)
+    highest = _roof_candidates(_GaussianPieces(*map(np.concatenate, zip(*pieces, strict=True))), grid)
     core = scipy.ndimage.rank_filter(highest, rank=2, size=3, mode="constant", cval=-np.inf)
     neighbor = scipy.ndimage.maximum_filter(core, size=3, mode="constant", cval=-np.inf)
     roofs = np.maximum(core, np.minimum(highest, neighbor))

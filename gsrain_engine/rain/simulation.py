@@ -18,14 +18,7 @@ from .keyframes import NO_KEYFRAMES, RainKeyframes
 from .properties import RainProperties, fall_speed, rain_properties
 from .settings import RainSettings
 from .shelter_map import ShelterMap
-from .streaks import (
-    STREAK_REACH,
-    DropBatch,
-    ShutterModel,
-    camera_slopes,
-    circle_of_confusion_m,
-    visible_distance_m,
-)
+from .streaks import STREAK_REACH, DropBatch, ShutterModel, camera_slopes, circle_of_confusion_m, visible_distance_m
 from .wetness import WetnessCurve, wetness
 
 OVERCAST: tuple[float, float, float] = (0.78, 0.79, 0.80)

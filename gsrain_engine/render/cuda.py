@@ -5,7 +5,7 @@ at a transmittance of 1e-4 (Ye et al. 2025). This renderer has been tested only 
 gsplat based on our own rasterizer (tests/render/cuda/gsplat_stand_in.py), not with gsplat or a GPU.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
@@ -114,7 +114,7 @@ class CudaRenderer:
         return images[0], alphas[0]
 
     @contextmanager
-    def _timed(self, stage: str) -> Iterator[None]:
+    def _timed(self, stage: str) -> Generator[None]:
         """Time a stage; waits for the device at its end, so that stage times don't overlap."""
         with timed(self.statistics.stages_ms, stage):
             yield
@@ -136,16 +136,11 @@ def view_arguments(camera: Camera, device: Any) -> dict[str, Any]:
 class CameraSpace(NamedTuple):
     """Gaussians of all parts in the camera's frame (OpenCV axes, meters), in gsplat's layout."""
 
-    means: Tensor
-    """(n, 3)"""
-    scales: Tensor
-    """(n, 3)"""
-    quaternions: Tensor
-    """(n, 4) wxyz, unit."""
-    opacities: Tensor
-    """(n,)"""
-    colors: Tensor
-    """(n, 3) display color, never negative."""
+    means: Tensor  # (n, 3)
+    scales: Tensor  # (n, 3)
+    quaternions: Tensor  # (n, 4) wxyz, unit
+    opacities: Tensor  # (n,)
+    colors: Tensor  # (n, 3) display color, never negative
 
 
 class CudaArrays:

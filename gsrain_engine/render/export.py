@@ -184,14 +184,15 @@ def export_sequences(
         views = {f"{each.rig}_{each.name}" if several else each.name: each for each in found}
     sequences: dict[str, FrameSequence] = {}
     for name, view in views.items():
-        is_path, size_px = isinstance(view, CameraPath), recording.size_px or DEFAULT_SIZE_PX
+        size_px = recording.size_px or DEFAULT_SIZE_PX
         if recording.size_px is None and not isinstance(view, CameraPath):
             camera = view if isinstance(view, Camera) else view.at(recording.first_s)
             size_px = camera.width, camera.height
+        is_untimed = isinstance(view, CameraPath) and not view.is_timed
         sequences[name] = FrameSequence(
             scene, rainfall, view, *size_px, fps=recording.fps, start_s=recording.first_s,
-            in_scene_time=in_scene_time and is_path, supersampling=recording.supersampling,
-            motion_blur=recording.motion_blur, at_rest=recording.is_still and is_path and not view.is_timed,
+            in_scene_time=in_scene_time and isinstance(view, CameraPath), supersampling=recording.supersampling,
+            motion_blur=recording.motion_blur, at_rest=recording.is_still and is_untimed,
         )  # fmt: skip
     return sequences
 

@@ -153,27 +153,27 @@ def write_object_labels(
             else:
                 _write_kitti(files, number, sequence, seen)
             yield Progress((place + (done + 1) / len(numbers)) / len(sequences), f"Labels of frame {number}")
+        written.append(_labels_of(form, files))
         if form == "coco":
-            with whole_file(coco_file(files)) as partial:
+            with whole_file(written[-1]) as partial:
                 partial.write_text(json.dumps(coco.document) + "\n", encoding="utf-8")
-        written.append(coco_file(files) if form == "coco" else kitti_folder(files))
     return written
 
 
 def label_outputs(form: LabelFormat, recording: ExportSettings, cameras: Sequence[str]) -> list[Path]:
     """Files and folders of these cameras' labels, except those inside folders of frames."""
     found = [export_files(recording, name if len(cameras) > 1 else None) for name in cameras]
-    return [coco_file(each) if form == "coco" else kitti_folder(each) for each in found if not each.is_folder]
+    return [_labels_of(form, each) for each in found if not each.is_folder]
 
 
-def coco_file(files: ExportFiles) -> Path:
-    """Path of one camera's labels: in the folder of its frames, or next to its file."""
-    return files.path / "labels.coco.json" if files.is_folder else files.path.with_name(f"{files.path.stem}.coco.json")
+def _labels_of(form: LabelFormat, files: ExportFiles) -> Path:
+    """Labels of one camera, in the folder of its frames or next to its file.
 
-
-def kitti_folder(files: ExportFiles) -> Path:
-    """Folder of label_2, calib and instance_2: that of the frames, or one next to their file."""
-    return files.path if files.is_folder else files.path.with_name(f"{files.path.stem}.kitti")
+    COCO has one file, KITTI a folder with label_2, calib and instance_2.
+    """
+    if files.is_folder:
+        return files.path / "labels.coco.json" if form == "coco" else files.path
+    return files.path.with_name(f"{files.path.stem}.{'coco.json' if form == 'coco' else 'kitti'}")
 
 
 def _names(files: ExportFiles, twin: ExportFiles | None, number: int) -> dict[str, str]:
@@ -193,7 +193,7 @@ def _name(files: ExportFiles, number: int) -> str:
 
 
 def _write_kitti(files: ExportFiles, number: int, sequence: FrameSequence, seen: Sequence[VisibleObject]) -> None:
-    folder, camera = kitti_folder(files), sequence.shot(number).camera
+    folder, camera = _labels_of("kitti", files), sequence.shot(number).camera
     lines = "".join(f"{label_line(each)}\n" for each in seen)  # nearest object first
     for kind, text in (("label_2", lines), ("calib", calibration_file(camera))):
         file = folder / kind / f"{number:06d}.txt"

@@ -3,7 +3,7 @@
 import os
 import platform
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib import metadata
@@ -110,7 +110,7 @@ MAX_FRAGMENTS = 256
 
 
 @contextmanager
-def timed(stages_ms: dict[str, float], stage: str) -> Iterator[None]:
+def timed(stages_ms: dict[str, float], stage: str) -> Generator[None]:
     """Add the wall time of a `with` block to a stage."""
     start = time.perf_counter()
     yield

@@ -32,7 +32,7 @@ class RigCameraView:
 
     def velocity(self, time_s: float) -> Float64[np.ndarray, "3"]:
         """Velocity at a time; zero outside the drive, and when the vehicle appears or disappears."""
-        times = self._times_s
+        times = self.times_s
         before, after = np.clip([time_s - _STEP_S, time_s + _STEP_S], times[0], times[-1])
         if before < after and times[0] <= time_s <= times[-1]:
             with suppress(ValueError):
@@ -40,19 +40,7 @@ class RigCameraView:
         return np.zeros(3)
 
     @property
-    def end_s(self) -> float:
-        return float(self._times_s[-1])
-
-    @property
-    def front_at_start(self) -> Camera:
-        """The rig's most forward-facing camera, at the start of the drive."""
-        assert self.scene.ego is not None
-        ahead = max(self.scene.rigs[self.rig], key=lambda each: each.camera_to_ego[0, 2])
-        first = int(np.argmax(self.scene.ego.valid))
-        return rig_camera(self.scene, self.rig, ahead.name, float(self._times_s[first]))
-
-    @property
-    def _times_s(self) -> Float64[np.ndarray, " t"]:
+    def times_s(self) -> Float64[np.ndarray, " t"]:
         assert self.scene.ego is not None
         return self.scene.ego.times
 
@@ -91,12 +79,12 @@ class FrameSequence:
             case CameraPath():
                 return (self.camera.end_s if self.in_scene_time else self.camera.duration_s) - self.start_s
             case RigCameraView():
-                return self.camera.end_s - self.start_s
+                return float(self.camera.times_s[-1]) - self.start_s
 
     def shot(self, number: int) -> RenderView:
-        return self._shot_at(self.time_s(number))
+        return self.shot_at(self.time_s(number))
 
-    def _shot_at(self, time_s: float) -> RenderView:
+    def shot_at(self, time_s: float) -> RenderView:
         match self.camera:
             case Camera():
                 return RenderView(self.camera, time_s)
@@ -116,7 +104,10 @@ class FrameSequence:
             case CameraPath():
                 place = self.camera.camera(0.0, self.width, self.height)
             case RigCameraView():
-                place = self.camera.front_at_start
+                rig, ego = self.camera.rig, self.scene.ego
+                assert ego is not None
+                front = max(self.scene.rigs[rig], key=lambda each: each.camera_to_ego[0, 2])
+                place = rig_camera(self.scene, rig, front.name, float(ego.times[int(np.argmax(ego.valid))]))
         return sky_color(renderer, self.scene, place)
 
     def frame(
@@ -176,7 +167,7 @@ class FrameSequence:
             if start <= middle.time_s <= start + self.camera.duration_s:
                 places = np.clip(times, start, start + self.camera.duration_s)
         return [
-            replace(self._shot_at(float(place)), time_s=float(t), exposure_share=1 / k)
+            replace(self.shot_at(float(place)), time_s=float(t), exposure_share=1 / k)
             for place, t in zip(places, times, strict=True)
         ]
 

@@ -148,8 +148,8 @@ class _Render(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, Tensor, Tensor]:
         """`inputs` are means, scales, quaternions, opacities, colors, pose, camera and the footprint to fill in."""
-        *tensors, camera, footprint = inputs
-        splats = project_trained(_gaussians(*tensors[:5]), camera, _matrix(tensors[5]))
+        *arrays, pose, camera, footprint = inputs
+        splats = project_trained(_gaussians(*arrays), camera, _matrix(pose))
         # Depths are compared in float32, as in all our renderers.
         order, shapes = nearest_first(splats.channels[:, 3]), splats.shapes
         if shapes.dtype != np.float32:
@@ -158,7 +158,7 @@ class _Render(torch.autograd.Function):
         tiles = bin_into_tiles(shapes, order, camera.width, camera.height)
         outputs = tuple(torch.from_numpy(each) for each in blend(splats.shapes, splats.channels, tiles))
         footprint.radii_px = torch.from_numpy(splats.radii_px)
-        ctx.save_for_backward(*tensors, *outputs)
+        ctx.save_for_backward(*arrays, pose, *outputs)
         ctx.kept = splats, tiles, camera, footprint
         ctx.set_materialize_grads(False)
         return outputs
@@ -226,9 +226,10 @@ def render_with_gsplat(
     """
     if means.dtype != torch.float32:
         raise ValueError(f"the cuda backend renders float32, got {means.dtype}; backend='cpu' renders both")
-    if rasterize is None:
+    kernel: Any = rasterize
+    if kernel is None:
         try:
-            rasterize = import_module("gsplat").rasterization
+            kernel = import_module("gsplat").rasterization
         except ImportError:
             raise ValueError("the cuda backend needs gsplat: pip install 'gsrain[cuda]'") from None
     if not len(means):  # gsplat rejects an empty scene
@@ -240,7 +241,7 @@ def render_with_gsplat(
     means, scales, quaternions, opacities, colors = values
     pose = torch.as_tensor(camera.world_to_camera) if world_to_camera is None else world_to_camera
     has_harmonics = colors.ndim == 3
-    images, alphas, found = rasterize(
+    images, alphas, found = kernel(
         means=means, quats=quaternions, scales=scales, opacities=torch.clamp(opacities, max=1),
         colors=colors if has_harmonics else torch.clamp(colors, min=0),
         sh_degree=_DEGREES[colors.shape[1]] if has_harmonics else None,

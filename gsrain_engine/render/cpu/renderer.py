@@ -72,19 +72,20 @@ _MIN_WEIGHT = np.float32(0.5)  # minimum alpha of pixels with depth, as in the O
 
 def _draw_mode(look: RenderMode, splats: Splats, tiles: TileLists, *, with_depth: bool) -> Frame:
     """Draw a scene without rain; depth is blended from all splats, in any render mode."""
-    rgba = depth = None
+    depth, lists = None, (tiles.starts, tiles.members, tiles.columns)
+    rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     if with_depth or look not in ("ellipsoids", "overdraw"):
         rgba, weighted = composite(splats.shapes, splats.colors, tiles)
         depth = _expected_depth(weighted, rgba[..., 3]) if with_depth or look == "depth" else None
     if look == "ellipsoids":
-        rgba = nearest_surface_colors(splats.shapes, splats.colors, tiles)
+        _cover(splats.shapes, splats.colors, *lists, rgba)
     elif look == "overdraw":
-        counts = count_fragments(splats.shapes, tiles)
+        counts = np.empty((tiles.height, tiles.width), np.float32)
+        _count(splats.shapes, *lists, counts)
         rgba = _heat_where(counts / np.float32(MAX_FRAGMENTS), counts > 0)
     elif look == "depth" and depth is not None:
         t = np.log(np.maximum(depth, np.float32(1e-9)) / NEAREST_M) / np.log(FARTHEST_M / NEAREST_M)
         rgba = _heat_where(t.astype(np.float32), depth > 0)
-    assert rgba is not None
     return Frame(rgba, depth)
 
 
@@ -169,19 +170,18 @@ def _normal_colors(rows, members, means, scales, quaternions, to_world, eye, col
             colors[rows[n], k] = 0.5 + half * normal
 
 
-# Overdraw
+# Overdraw and ellipsoids
 
+SURFACE_ALPHA = 1 / 4
+"""Alpha on the surface of a Gaussian's ellipsoid."""
 
-def count_fragments(shapes: Float32[np.ndarray, "m 8"], tiles: TileLists) -> Float32[np.ndarray, "h w"]:
-    """Count the splats per pixel whose alpha is not below their cut, including those behind opaque ones."""
-    counts = np.empty((tiles.height, tiles.width), np.float32)
-    _count(shapes, tiles.starts, tiles.members, tiles.columns, counts)
-    return counts
+_LOG_SURFACE_ALPHA = np.float32(np.log(SURFACE_ALPHA))
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _count(shapes, starts, members, columns, counts):
+    """Count the splats per pixel whose alpha is not below their cut, including those behind opaque ones."""
     height, width = counts.shape
     for place in numba.prange(len(starts) - 1):
         tile, x0, y0 = tile_at(place, starts, columns)
@@ -204,29 +204,13 @@ def _count_pixels(shape, x0, y0, state):
             state[u, v] += np.float32(1) if shape[4] * dy * dy + peak >= shape[6] else np.float32(0)
 
 
-# Ellipsoids
-
-SURFACE_ALPHA = 1 / 4
-"""Alpha on the surface of a Gaussian's ellipsoid."""
-
-_LOG_SURFACE_ALPHA = np.float32(np.log(SURFACE_ALPHA))
-
-
-def nearest_surface_colors(
-    shapes: Float32[np.ndarray, "m 8"], colors: Float32[np.ndarray, "m 4"], tiles: TileLists
-) -> Float32[np.ndarray, "h w 4"]:
-    """Color each pixel by the nearest splat whose alpha there is at least `SURFACE_ALPHA`, with an alpha of 1.
-
-    Shaded like a ball: full color in the middle, half of it at the rim. `shapes` and `colors` as in `Splats`.
-    """
-    rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
-    _cover(shapes, colors, tiles.starts, tiles.members, tiles.columns, rgba)
-    return rgba
-
-
 @numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _cover(shapes, colors, starts, members, columns, rgba):
+    """Color each pixel by the nearest splat whose alpha there is at least `SURFACE_ALPHA`, with an alpha of 1.
+
+    Shaded like a ball: full color in the middle, half of it at the rim.
+    """
     height, width = rgba.shape[:2]
     for place in numba.prange(len(starts) - 1):
         tile, x0, y0 = tile_at(place, starts, columns)
