@@ -10,7 +10,7 @@ import numpy as np
 
 from .render.cpu.renderer import CpuRenderer
 from .render.opengl.context import NoOpenGLError, check_context, is_software, open_context
-from .render.opengl.renderer import OffscreenRenderer, SplatRenderer
+from .render.opengl.renderer import SplatRenderer
 from .render.renderer import Renderer, processor_name
 from .scene.camera import Camera
 from .scene.gaussians import Gaussians, sh_from_color
@@ -50,7 +50,8 @@ def open_renderer(backend: Backend = "auto") -> Generator[Renderer]:
         return
     try:
         with context:
-            renderer = CpuRenderer() if backend == "auto" and is_software(context) else OffscreenRenderer(context)
+            takes_cpu = backend == "auto" and is_software(context)
+            renderer = CpuRenderer() if takes_cpu else SplatRenderer(context, activates=True)
         yield renderer
     except Exception:
         with context:

@@ -11,8 +11,7 @@ from .keyframes import KeyframeCurve, RainKeyframes
 from .properties import DropClassTable
 from .settings import RainSettings
 
-GUST_PERIODS_S = (7.0, 11.3, 18.1)
-"""Periods of a gust's sines: no common multiple within hours."""
+GUST_PERIODS_S = (7.0, 11.3, 18.1)  # periods of a gust's sines: no common multiple within hours
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,11 +9,8 @@ from .drop_field import pcg4d
 from .settings import RainSettings
 from .shelter_map import ShelterMap
 
-LIFETIME_S, FADE_S = 4.0, 1.0
-"""Lifetime of a haze Gaussian, with a smoothstep fade at both ends."""
-
-RAMP_M = (3.0, 5.0)
-"""Distances from the camera between which haze fades in; streaks represent nearer drops."""
+LIFETIME_S, FADE_S = 4.0, 1.0  # lifetime of a haze Gaussian, with a smoothstep fade at both ends
+RAMP_M = (3.0, 5.0)  # distances from the camera between which haze fades in; streaks represent nearer drops
 
 _SMOOTH_COUNT, _MAX_SHARES = 16_000, 16
 """M Gaussians are split into the geometric mean of M and `_SMOOTH_COUNT`, at most 16 each, to limit their number."""

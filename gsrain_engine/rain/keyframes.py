@@ -21,15 +21,9 @@ from ..scene.scene import Scene
 from .settings import RainSettings
 
 Keyed = Literal["intensity_mm_h", "wind_m_s", "exposure_s"]
-KEYED: tuple[Keyed, ...] = ("intensity_mm_h", "wind_m_s", "exposure_s")
-"""Fields of the rain that can have keyframes."""
-
-HEAVIEST_MM_H = 100.0
-"""Maximum intensity of a keyframe; measured series are clipped to it."""
-
-LONGEST_S = 1e7
-"""Maximum absolute time of a keyframe."""
-
+KEYED: tuple[Keyed, ...] = ("intensity_mm_h", "wind_m_s", "exposure_s")  # fields of the rain that can have keyframes
+HEAVIEST_MM_H = 100.0  # maximum intensity of a keyframe; measured series are clipped to it
+LONGEST_S = 1e7  # maximum absolute time of a keyframe
 _PIECES = 16  # number of straight pieces per smooth stretch between two keyframes: off by at most 1/300 of its height
 _MAX_KNOTS = 200_000
 _TIME = attrgetter("time_s")
@@ -214,8 +208,7 @@ class RainKeyframes(
         return RainKeyframes(keys=tuple(sorted(keys, key=_TIME)), between=self.between)
 
 
-NO_KEYFRAMES = RainKeyframes()
-"""No keyframes: the rain is constant."""
+NO_KEYFRAMES = RainKeyframes()  # no keyframes: the rain is constant
 
 
 def keyframes_from_series(times_s: Float64[np.ndarray, " n"], rates_mm_h: Float64[np.ndarray, " n"]) -> RainKeyframes:

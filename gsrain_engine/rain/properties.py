@@ -225,8 +225,7 @@ def _quadrature() -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]
 # Diameter and fall speed of each class over the intensity
 # Tabulated and interpolated, so that drops change continuously with the intensity.
 
-LOWEST_MM_H = 0.02
-"""Intensity below which drops no longer change."""
+LOWEST_MM_H = 0.02  # intensity below which drops no longer change
 
 _RATIO = 1.2
 """Ratio of successive nodes. Linear interpolation is off by 0.04 % in diameter outside the calibration; between the

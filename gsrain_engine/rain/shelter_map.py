@@ -13,12 +13,8 @@ from ..scene.gaussians import Gaussians, scene_cache
 from ..scene.geometry import matrices_from_quaternions
 from ..scene.scene import DrawItem, Scene, robust_bounds
 
-CELL_M = 0.5
-"""Edge of a cell: about the spacing of Gaussians of a captured surface, and less than any canopy."""
-
-CLEARANCE_M = 2.0
-"""Minimum height of a roof above the lowest solid surface; a road surface fails it at any slope."""
-
+CELL_M = 0.5  # edge of a cell: about the spacing of Gaussians of a captured surface, and less than any canopy
+CLEARANCE_M = 2.0  # minimum height of a roof above the lowest solid surface; a road surface fails it at any slope
 _SOLID = np.log(2)  # optical depth from above at which a surface counts as solid: floaters alone don't reach it
 _MAX_CELLS = 2048  # maximum number of cells per side; a larger scene is covered in its middle only
 _MAX_GAUSSIANS = 1_000_000  # number of Gaussians above which every n-th is used, with n-fold weight

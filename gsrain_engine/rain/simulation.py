@@ -21,8 +21,7 @@ from .shelter_map import ShelterMap
 from .streaks import STREAK_REACH, DropBatch, ShutterModel, camera_slopes, circle_of_confusion_m, visible_distance_m
 from .wetness import WetnessCurve, wetness
 
-OVERCAST: tuple[float, float, float] = (0.78, 0.79, 0.80)
-"""Display color of drops in scenes without sky."""
+OVERCAST: tuple[float, float, float] = (0.78, 0.79, 0.80)  # display color of drops in scenes without sky
 
 
 @dataclass(frozen=True, eq=False)

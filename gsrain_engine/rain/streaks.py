@@ -12,8 +12,7 @@ from .drop_field import DropCulling, DropPhases, Drops, find_drops
 from .settings import RainSettings
 from .shelter_map import ShelterMap
 
-AXIS_RATIO_SLOPE, AXIS_RATIO_OFFSET = -0.07, 1.07
-"""tau(D) = k D + b for 1 mm < D < 9 mm (paper, eq. 4)."""
+AXIS_RATIO_SLOPE, AXIS_RATIO_OFFSET = -0.07, 1.07  # tau(D) = k D + b for 1 mm < D < 9 mm (paper, eq. 4)
 
 STREAK_REACH = 2.0
 """Maximum distance of a streak fragment from its drop, in streak lengths (last visible fragment of the outermost copy).

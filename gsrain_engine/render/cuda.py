@@ -167,8 +167,8 @@ class CudaArrays:
         scale = float(np.cbrt(np.linalg.det(object_to_camera[:3, :3])))
         w, x, y, z = quaternions_from_matrices(object_to_camera[:3, :3] / scale)
         turn = np.array([[w, x, y, z], [-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]])  # q @ turn is their product
-        rows = _rows(part)
-        means, scales, quaternions, opacities, sh = (each[rows] for each in self._arrays(part.gaussians))
+        rows, arrays = _rows(part), self._found(part.gaussians, lambda: _finite_arrays(part.gaussians))
+        means, scales, quaternions, opacities, sh = (each[rows] for each in arrays)
         linear, shift = self._uploaded(object_to_camera[:3, :3].T), self._uploaded(object_to_camera[:3, 3])
         directions = means - self._uploaded(eye_in_object(camera, part))
         directions = directions / torch.linalg.norm(directions, dim=1, keepdim=True)
@@ -188,9 +188,6 @@ class CudaArrays:
             colors = torch.where(tinted, torch.lerp(colors, self._uploaded(np.array(TINT)), TINT_SHARE), colors)
         scales, quaternions = scales * (scale * part.growth), quaternions @ self._uploaded(turn)
         return CameraSpace(means @ linear + shift, scales, quaternions, opacities * part.opacity, colors)
-
-    def _arrays(self, gaussians: Gaussians) -> tuple[Tensor, ...]:
-        return self._found(gaussians, lambda: _finite_arrays(gaussians))
 
     def _found(self, source: object, arrays: Callable[[], tuple[Any, ...]]) -> tuple[Tensor, ...]:
         key = id(source)
@@ -244,9 +241,7 @@ def _finite_arrays(g: Gaussians) -> tuple[np.ndarray, ...]:
 # depth, with one channel per edge between slabs of rain; rain is composited slab by slab in between. Inside a slab rain
 # is assumed to be spread evenly over its depth.
 
-SLABS = 91
-"""91 slabs have 92 edges; with color and depth that makes 96 channels, of which gsplat draws 32 at once."""
-
+SLABS = 91  # 91 slabs have 92 edges; with color and depth that makes 96 channels, of which gsplat draws 32 at once
 _COLUMNS = 1 << 14  # pixel columns of splats that are processed at once
 _OPAQUE = 0.98  # the other renderers end a pixel that would keep less than 1e-4, with up to 2 % of light left
 _FIXED_POINT = 2.0**40  # logarithms are added as integers: the sum, and thus the output, doesn't depend on the order

@@ -1,8 +1,8 @@
 """Object labels: label pass, masks, boxes and visibility of layers and actors."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -69,9 +69,7 @@ def single_channel_grading(channel: int) -> Float64[np.ndarray, "3 4"]:
 
 # Visible objects
 
-MIN_SHARE = 0.5
-"""Minimum share of a pixel's light that an object needs to own the pixel."""
-
+MIN_SHARE = 0.5  # minimum share of a pixel's light that an object needs to own the pixel
 _MIN_HEIGHT_PX = 3.0  # minimum height of an object's outline; smaller ones are skipped
 
 
@@ -111,14 +109,6 @@ class VisibleObject:
         return float(np.linalg.norm(self.center_m))
 
 
-class _ObjectCandidate(NamedTuple):
-    object: SceneObject
-    to_camera: Float64[np.ndarray, "4 4"]
-    size_lwh_m: tuple[float, float, float]
-    truncation: float
-    outline_xyxy: BoxXYXY
-
-
 def visible_objects(
     renderer: Renderer, scene: Scene, objects: Sequence[SceneObject], camera: Camera, time_s: float = 0.0
 ) -> list[VisibleObject]:
@@ -137,13 +127,13 @@ def visible_objects(
             if mask.any():
                 alone = _drawn(renderer, _in_signal_colors([own[first + channel]], 0), camera)[..., 0]
                 visibility = int(mask.sum()) / max(int((mask | (alone >= MIN_SHARE)).sum()), 1)
-                to_camera, size, truncation, box = candidate[1:]
-                found.append(VisibleObject(candidate.object, to_camera, size, mask, visibility, truncation, box))
+                found.append(replace(candidate, mask=mask, visibility=visibility))
     return sorted(found, key=lambda each: each.distance_m)
 
 
-def _in_image(scene: Scene, objects: Sequence[SceneObject], camera: Camera, time_s: float) -> list[_ObjectCandidate]:
-    found: list[_ObjectCandidate] = []
+def _in_image(scene: Scene, objects: Sequence[SceneObject], camera: Camera, time_s: float) -> list[VisibleObject]:
+    """Candidates with boxes in the image, without mask and visibility."""
+    found: list[VisibleObject] = []
     for each in objects:
         pose = each.track.pose(time_s)
         if pose is None or not len(each.rows):
@@ -155,14 +145,12 @@ def _in_image(scene: Scene, objects: Sequence[SceneObject], camera: Camera, time
         within = cut_at_edges(hull, camera)
         if len(within) and np.ptp(hull[:, 1]) >= _MIN_HEIGHT_PX:
             truncation = min(max(1 - area_px(within) / max(area_px(hull), 1e-9), 0.0), 1.0)
-            box = bounding_rectangle(within)
-            found.append(_ObjectCandidate(each, to_camera, (length, width, height), truncation, box))
+            size, nothing, box = (length, width, height), np.zeros((0, 0), np.bool_), bounding_rectangle(within)
+            found.append(VisibleObject(each, to_camera, size, nothing, 0.0, truncation, box))
     return found
 
 
-def _split(
-    scene: Scene, candidates: Sequence[_ObjectCandidate], time_s: float
-) -> tuple[list[DrawItem], list[DrawItem]]:
+def _split(scene: Scene, candidates: Sequence[VisibleObject], time_s: float) -> tuple[list[DrawItem], list[DrawItem]]:
     """Split the scene into the parts that are no object (in black) and one part per object."""
     rest: list[DrawItem] = []
     own: dict[int, DrawItem] = {}

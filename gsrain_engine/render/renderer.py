@@ -48,8 +48,7 @@ class RenderStatistics:
 
 # Images
 
-Color = tuple[float, float, float]
-"""Red, green, blue as display values (sRGB-encoded), 0 to 1."""
+Color = tuple[float, float, float]  # red, green, blue as display values (sRGB-encoded), 0 to 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,8 +104,7 @@ class Renderer(Protocol):
 NEAREST_M, FARTHEST_M = 0.5, 200.0
 """Range of the depth colors: each octave is distinct for small captures and for streets."""
 
-MAX_FRAGMENTS = 256
-"""Upper end of the overdraw colors."""
+MAX_FRAGMENTS = 256  # upper end of the overdraw colors
 
 
 @contextmanager

@@ -125,10 +125,3 @@ def _gather(shape, channels, x0, y0, state, lanes):
             lanes[v + 7 * TILE] += down
             lanes[v + 8 * TILE] += down * dx
             lanes[v + 9 * TILE] += down * dy
-
-
-def blend_colors_backward(
-    shapes: Float[np.ndarray, "n 8"], tiles: TileLists, gradient: Float[np.ndarray, "h w 3"]
-) -> Float[np.ndarray, "n 3"]:
-    """Sum w G over the pixels of each splat: the gradient of its color for fixed geometry."""
-    return compositing.sums_by_splat(shapes, gradient, tiles)

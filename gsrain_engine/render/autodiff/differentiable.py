@@ -13,16 +13,15 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from ...scene.camera import Camera
+from ..cpu.compositing import color_operator_transpose
 from ..cpu.projection import nearest_first
 from ..cpu.tiles import bin_into_tiles
 from ..cuda import view_arguments
-from .blend import BlendedImage, blend, blend_backward, blend_colors_backward
+from .blend import BlendedImage, blend, blend_backward
 from .project import TrainedGaussians, project_backward, project_trained, sh_backward
 
 torch: Any = import_module("torch")
-Tensor = Any
-"""torch is an optional dependency: its types can't be named."""
-
+Tensor = Any  # torch is an optional dependency: its types can't be named
 Backend = Literal["auto", "cpu", "cuda"]
 _DEGREES = {1: 0, 4: 1, 9: 2, 16: 3}
 
@@ -62,12 +61,9 @@ class Footprint:
 class Rendered:
     """Image, alpha and depth with gradients."""
 
-    color: Tensor
-    """(h, w, 3) display color, premultiplied over nothing."""
-    alpha: Tensor
-    """(h, w)"""
-    depth: Tensor
-    """(h, w) sum of view depth (m) by weight: expected depth is depth / alpha."""
+    color: Tensor  # (h, w, 3) display color, premultiplied over nothing
+    alpha: Tensor  # (h, w)
+    depth: Tensor  # (h, w) sum of view depth (m) by weight: expected depth is depth / alpha
     footprint: Footprint
 
 
@@ -177,7 +173,7 @@ class _Render(torch.autograd.Function):
               for each, output in zip(gradients, picture, strict=True))
         )  # fmt: skip
         if not any(ctx.needs_input_grad[i] for i in (0, 1, 2, 3, 5)):
-            sums = blend_colors_backward(splats.shapes, tiles, gradient.color)
+            sums = color_operator_transpose(splats.shapes, gradient.color, tiles, with_squares=False)
             by_harmonics = sh_backward(gaussians, splats, sums, matrix)
             return None, None, None, None, torch.from_numpy(by_harmonics[colors.ndim == 2]), None, None, None
         sums = blend_backward(splats.shapes, splats.channels, tiles, picture, gradient)

@@ -290,7 +290,7 @@ def sh_backward(
     sums: Float[np.ndarray, "n 3"],
     world_to_camera: Float64[np.ndarray, "4 4"],
 ) -> tuple[Float[np.ndarray, "n k 3"], Float[np.ndarray, "_ 3"]]:
-    """Convert the sums of `blend_colors_backward` to gradients of harmonics and display colors alone."""
+    """Convert the sums of `color_operator_transpose` to gradients of harmonics and display colors alone."""
     by_colors, by_display = np.zeros_like(gaussians.colors), np.zeros_like(gaussians.display)
     _colors_back(gaussians.means, *splats[1:], sums, eye_of(world_to_camera), by_colors, by_display)
     return by_colors, by_display

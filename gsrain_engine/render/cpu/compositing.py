@@ -14,8 +14,7 @@ from .fast_math import FAST, exponential, power
 from .projection import MIN_SCENE_CUT, Splats, project
 from .tiles import BATCH, TILE, TileLists, bin_into_tiles
 
-MAX_ALPHA = 0.999
-"""Maximum alpha of a fragment, as in the reference rasterizer."""
+MAX_ALPHA = 0.999  # maximum alpha of a fragment, as in the reference rasterizer
 
 MIN_TRANSMITTANCE = 1e-4
 """Transmittance below which a pixel is finished.
@@ -251,11 +250,8 @@ OPEN, RAIN_SHARE, SCENE_SHARE = 6 * TILE, 7 * TILE, 8 * TILE
 share, and the scene's share before rain; TILE numbers each.
 """
 
-VEIL_SHARE = 6 * TILE
-"""Offset of the rain's share in a column if its color is added at the end."""
-
-RAIN_LINES = 9
-"""Lines of a column in rain."""
+VEIL_SHARE = 6 * TILE  # offset of the rain's share in a column if its color is added at the end
+RAIN_LINES = 9  # lines of a column in rain
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
@@ -306,20 +302,14 @@ def _to_display(linear):
 
 
 def color_operator_transpose(
-    shapes: Float32[np.ndarray, "m 8"], image: Float32[np.ndarray, "h w 3"], tiles: TileLists
-) -> Float32[np.ndarray, "m 4"]:
-    """Sum w(pixel) * image(pixel) over all pixels, per splat; the fourth column is the sum of w^2.
-
-    The weights w are those of `composite`: blending is image = W colors, this is W^T image and the diagonal of W^T W. A
-    splat's sums are taken per tile, then added in tile order: byte-identical at any thread count.
-    """
-    return sums_by_splat(shapes, image, tiles, with_squares=True)
-
-
-def sums_by_splat(
-    shapes: Float[np.ndarray, "m 8"], image: Float[np.ndarray, "h w 3"], tiles: TileLists, *, with_squares: bool = False
+    shapes: Float[np.ndarray, "m 8"], image: Float[np.ndarray, "h w 3"], tiles: TileLists, *, with_squares: bool = True
 ) -> Float[np.ndarray, "m c"]:
-    """Sum w(pixel) * image(pixel) as `color_operator_transpose` does, in the precision of `shapes`."""
+    """Sum w(pixel) * image(pixel) over all pixels, per splat; with squares the fourth column is the sum of w^2.
+
+    The weights w are those of `composite`: blending is image = W colors, this is W^T image and the diagonal of W^T W,
+    in the precision of `shapes`. A splat's sums are taken per tile, then added in tile order: byte-identical at any
+    thread count.
+    """
     by_pair = np.zeros((len(tiles.members), 4 if with_squares else 3), shapes.dtype)
     squares = True if with_squares else None
     _accumulate(shapes, tiles.starts, tiles.members, tiles.columns, image, by_pair, squares)

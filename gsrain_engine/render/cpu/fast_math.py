@@ -107,9 +107,8 @@ def sh_basis(x: np.float32, y: np.float32, z: np.float32, coefficients: int, bas
         basis[9] = np.float32(-0.5900435899266435) * y * (np.float32(3) * x * x - y * y)
         basis[10] = np.float32(2.890611442640554) * x * y * z
         basis[11] = np.float32(-0.4570457994644658) * y * (np.float32(4) * z * z - x * x - y * y)
-        basis[12] = (
-            np.float32(0.3731763325901154) * z * (np.float32(2) * z * z - np.float32(3) * x * x - np.float32(3) * y * y)
-        )
+        three = np.float32(3)
+        basis[12] = np.float32(0.3731763325901154) * z * (np.float32(2) * z * z - three * x * x - three * y * y)
         basis[13] = np.float32(-0.4570457994644658) * x * (np.float32(4) * z * z - x * x - y * y)
         basis[14] = np.float32(1.445305721320277) * z * (x * x - y * y)
         basis[15] = np.float32(-0.5900435899266435) * x * (x * x - np.float32(3) * y * y)

@@ -13,15 +13,11 @@ from ...scene.flags import BitMask
 from ...scene.scene import DrawItem
 from .fast_math import sh_basis
 
-NEAR_M = 0.2
-"""Gaussians with nearer centers are skipped, as in the reference rasterizer."""
-
-DILATION_PX2 = 0.3
-"""Added to the 2D covariance: the pixel's own footprint (3DGS, Kerbl et al. 2023)."""
+NEAR_M = 0.2  # Gaussians with nearer centers are skipped, as in the reference rasterizer
+DILATION_PX2 = 0.3  # added to the 2D covariance: the pixel's own footprint (3DGS, Kerbl et al. 2023)
 
 
-SCENE_ALPHA_CUT = 1 / 255
-"""Alpha below which fragments of the scene are skipped, as in the reference rasterizer."""
+SCENE_ALPHA_CUT = 1 / 255  # alpha below which fragments of the scene are skipped, as in the reference rasterizer
 
 RAIN_ALPHA_CUT = 1 / 65536
 """Alpha below which fragments of rain are skipped: streaks of alpha 0.01 would hardly survive a cut at 1/255."""
@@ -29,17 +25,13 @@ RAIN_ALPHA_CUT = 1 / 65536
 LOG_SCENE_CUT, LOG_RAIN_CUT = float(np.log(SCENE_ALPHA_CUT)), float(np.log(RAIN_ALPHA_CUT))
 """Values of log_cut in `Splats.shapes`, by which rain is distinguished from the scene."""
 
-MIN_SCENE_CUT = np.float32(LOG_SCENE_CUT - 1)
-"""Threshold between the logarithms of rain (below) and scene (above)."""
+MIN_SCENE_CUT = np.float32(LOG_SCENE_CUT - 1)  # threshold between the logarithms of rain (below) and scene (above)
 
 TINT, TINT_SHARE = (1.0, 0.82, 0.15), 0.5
 """Display color of the selection, a warm yellow that is rare in streets, and its share; as in common_tint.glsl."""
 
-FEW = 8192
-"""Number of Gaussians below which a single thread is faster than starting others."""
-
-CHUNK = 512
-"""Gaussians that one thread processes at a time."""
+FEW = 8192  # number of Gaussians below which a single thread is faster than starting others
+CHUNK = 512  # Gaussians that one thread processes at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -172,9 +172,7 @@ def _normal_colors(rows, members, means, scales, quaternions, to_world, eye, col
 
 # Overdraw and ellipsoids
 
-SURFACE_ALPHA = 1 / 4
-"""Alpha on the surface of a Gaussian's ellipsoid."""
-
+SURFACE_ALPHA = 1 / 4  # alpha on the surface of a Gaussian's ellipsoid
 _LOG_SURFACE_ALPHA = np.float32(np.log(SURFACE_ALPHA))
 
 

@@ -7,12 +7,8 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Int32, Int64
 
-TILE = 16
-"""Side of a tile in pixels: a column of it is one 512-bit or two 256-bit vectors of float32."""
-
-BATCH = 32
-"""Splats gathered from memory before they are processed, so that their cache misses overlap."""
-
+TILE = 16  # side of a tile in pixels: a column of it is one 512-bit or two 256-bit vectors of float32
+BATCH = 32  # splats gathered from memory before they are processed, so that their cache misses overlap
 _CHUNKS = 32  # parts of the splat list that are processed in parallel; the result does not depend on it
 _MAX_PAIRS = 1 << 30
 _SLACK_PX = 1e-2  # margin for float32 rounding, so that an ellipse's edge never loses a pixel

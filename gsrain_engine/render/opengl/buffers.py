@@ -12,8 +12,7 @@ from ...scene.flags import BitMask
 from ...scene.gaussians import Gaussians
 from .shaders import Switches
 
-CHUNK = 1 << 19
-"""Gaussians per buffer: 96 MiB at SH degree 3, below llvmpipe's limit of 128 MiB per storage block."""
+CHUNK = 1 << 19  # Gaussians per buffer: 96 MiB at SH degree 3, below llvmpipe's limit of 128 MiB per storage block
 
 _RESTING_BYTES = 1 << 29
 """Memory for arrays that are no longer drawn, so that undo or the other image of a split view finds them."""
@@ -24,8 +23,7 @@ Harmonics = Literal["single", "half", "byte"]
 Reading them limits the frame rate on a GPU: 192, 96 or 56 bytes per Gaussian at SH degree 3.
 """
 
-SH_BITS: dict[Harmonics, int] = {"single": 32, "half": 16, "byte": 8}
-"""Value of the shader macro `SH_BITS`."""
+SH_BITS: dict[Harmonics, int] = {"single": 32, "half": 16, "byte": 8}  # value of the shader macro `SH_BITS`
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +41,7 @@ class GaussianBuffers:
         return zip(self.means_opacities, self.scales, self.quaternions, self.sh, strict=True)
 
 
-WetColors = Float32[np.ndarray, "n k 3"] | None
-"""Second set of harmonics for the same Gaussians, or None."""
-
+WetColors = Float32[np.ndarray, "n k 3"] | None  # second set of harmonics for the same Gaussians, or None
 _Key = tuple[int, ...]
 _Arrays = tuple[Float32[np.ndarray, "..."], ...]
 
@@ -302,11 +298,8 @@ class GrowableBuffer:
 
 # Projected splats
 
-SLOTS_BY_BLOCK = 256
-"""Slots that one workgroup of a projection fills, from the front; each dispatch starts a new block."""
-
-WORK_BYTES = 4 * 9
-"""The draw's command (5 numbers), the number of elements, an indirect dispatch (3)."""
+SLOTS_BY_BLOCK = 256  # slots that one workgroup of a projection fills, from the front; each dispatch starts a new block
+WORK_BYTES = 4 * 9  # the draw's command (5 numbers), the number of elements, an indirect dispatch (3)
 
 COUNT_OFFSET, GROUPS_OFFSET = 20, 24
 """Byte offsets of the number of elements and of the dispatch; the draw's command is first."""

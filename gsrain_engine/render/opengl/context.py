@@ -9,9 +9,7 @@ from typing import Any, Literal
 
 import moderngl
 
-REQUIRED_VERSION = 430
-"""OpenGL 4.3: compute shaders and storage buffers."""
-
+REQUIRED_VERSION = 430  # OpenGL 4.3: compute shaders and storage buffers
 ContextSource = Literal["auto", "egl", "osmesa"]
 
 

@@ -1,6 +1,7 @@
 """OpenGL renderer: projects, sorts by depth and blends quads back to front, all on the GPU."""
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -70,14 +71,21 @@ class SplatRenderer:
         context: OpenGL 4.3 or later.
         precision: Precision of the image. Half is for scenes without rain: it loses part of the haze.
         harmonics: GPU storage of colors.
+        activates: Make the context current to draw and read, so that several can be used alternately on one thread.
     """
 
     name = "opengl"
 
     def __init__(
-        self, context: moderngl.Context, precision: Literal["half", "single"] = "single", harmonics: Harmonics = "half"
+        self,
+        context: moderngl.Context,
+        precision: Literal["half", "single"] = "single",
+        harmonics: Harmonics = "half",
+        *,
+        activates: bool = False,
     ) -> None:
         self.context = context
+        self._active: AbstractContextManager[object] = context if activates else nullcontext()
         self.arrays = GpuArrays(context, harmonics)
         self._dtype = "f2" if precision == "half" else "f4"
         self._projection = ProjectionPass(context, self.arrays)
@@ -115,44 +123,46 @@ class SplatRenderer:
 
         `camera` is in the world (meters). Depth is the scene's own, without rain.
         """
-        self._take_stock()
-        self._drawn = RenderStatistics(
-            gaussians=sum(part.drawn_count for part in parts), stages_ms={"project": 0.0, "sort": 0.0, "draw": 0.0}
-        )
-        falling = rain if look == "splats" else None
-        self._drawn.haze_drawn = falling.haze_drawn if falling is not None else 0
-        self._makes_drops = falling is not None and falling.streak_field is not None
-        before = self.context.detect_framebuffer()
-        self.context.memory_barrier()  # otherwise shaders may overwrite data that the last frame still reads
-        with self._timers.stage("project"):
-            slots = self._projection.project(self._store, parts, camera, falling, look)
-        with self._timers.stage("sort"):
-            self._projection.compact_visible(self._store, self._sort, slots)
-            order = self._sort.sort(self._store.work)
-        with self._timers.stage("draw"):
-            light = falling.light_linear if falling is not None and falling.mixing == "linear" else None
-            with_depth = with_depth or look == "depth"
-            self._blend(order, camera, look, with_depth=with_depth, linear_rain=light is not None)
-            self._image = self._resolve(look, light)
-        before.use()
-        self.arrays.release_unused()
-        if self._is_software:
+        with self._active:
             self._take_stock()
+            self._drawn = RenderStatistics(
+                gaussians=sum(part.drawn_count for part in parts), stages_ms={"project": 0.0, "sort": 0.0, "draw": 0.0}
+            )
+            falling = rain if look == "splats" else None
+            self._drawn.haze_drawn = falling.haze_drawn if falling is not None else 0
+            self._makes_drops = falling is not None and falling.streak_field is not None
+            before = self.context.detect_framebuffer()
+            self.context.memory_barrier()  # otherwise shaders may overwrite data that the last frame still reads
+            with self._timers.stage("project"):
+                slots = self._projection.project(self._store, parts, camera, falling, look)
+            with self._timers.stage("sort"):
+                self._projection.compact_visible(self._store, self._sort, slots)
+                order = self._sort.sort(self._store.work)
+            with self._timers.stage("draw"):
+                light = falling.light_linear if falling is not None and falling.mixing == "linear" else None
+                with_depth = with_depth or look == "depth"
+                self._blend(order, camera, look, with_depth=with_depth, linear_rain=light is not None)
+                self._image = self._resolve(look, light)
+            before.use()
+            self.arrays.release_unused()
+            if self._is_software:
+                self._take_stock()
 
     def read(self) -> Frame:
         """Fetch the last image (and depth, if it was drawn) from the GPU.
 
         Raises `DeviceLostError` if the GPU was reset meanwhile: the data would be invalid.
         """
-        self._take_stock()
-        rgba = self._fetch(self.picture)
-        depth = self._targets["splats"].depth
-        sums = None if depth is None else self._fetch(depth)
-        check_context(self.context)
-        if sums is None:
-            return Frame(rgba)
-        weighted, weight = np.moveaxis(sums, -1, 0)
-        return Frame(rgba, np.where(weight > 0.5, weighted / np.maximum(weight, np.float32(0.5)), np.float32(0)))
+        with self._active:
+            self._take_stock()
+            rgba = self._fetch(self.picture)
+            depth = self._targets["splats"].depth
+            sums = None if depth is None else self._fetch(depth)
+            check_context(self.context)
+            if sums is None:
+                return Frame(rgba)
+            weighted, weight = np.moveaxis(sums, -1, 0)
+            return Frame(rgba, np.where(weight > 0.5, weighted / np.maximum(weight, np.float32(0.5)), np.float32(0)))
 
     def _take_stock(self) -> None:
         """Read the statistics of the last image from the GPU."""
@@ -262,23 +272,3 @@ class Screen:
         self._vertices.render(moderngl.TRIANGLES, vertices=3)
         before.use()
         return self._texture
-
-
-class OffscreenRenderer(SplatRenderer):
-    """`SplatRenderer` that activates its own context, so that several can be used alternately on one thread."""
-
-    def draw(
-        self,
-        parts: Sequence[DrawItem],
-        camera: Camera,
-        rain: RainFrame | None = None,
-        *,
-        with_depth: bool = False,
-        look: RenderMode = "splats",
-    ) -> None:
-        with self.context:
-            super().draw(parts, camera, rain, with_depth=with_depth, look=look)
-
-    def read(self) -> Frame:
-        with self.context:
-            return super().read()

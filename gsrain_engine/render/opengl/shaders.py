@@ -2,6 +2,7 @@
 
 import re
 import time
+from collections import defaultdict
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from typing import Any
@@ -21,8 +22,7 @@ class ShaderError(RuntimeError):
     """Raised if a shader does not compile; contains the driver's message with source files and lines."""
 
 
-Switches = Mapping[str, int]
-"""Macros of a shader, by name."""
+Switches = Mapping[str, int]  # macros of a shader, by name
 
 
 def load_program(context: moderngl.Context, *names: str, switches: Switches | None = None) -> moderngl.Program:
@@ -114,7 +114,7 @@ class GpuTimers:
         self._is_software = is_software(context)
         self._free: list[moderngl.Query] = []
         self._running: list[tuple[str, moderngl.Query]] = []
-        self._stages_ms: dict[str, float] = {}
+        self._stages_ms: dict[str, float] = defaultdict(float)
 
     @contextmanager
     def stage(self, name: str) -> Generator[None]:
@@ -123,7 +123,7 @@ class GpuTimers:
             start = time.perf_counter()
             yield
             self._context.finish()
-            self._add(name, 1000 * (time.perf_counter() - start))
+            self._stages_ms[name] += 1000 * (time.perf_counter() - start)
             return
         query = self._free.pop() if self._free else self._context.query(time=True)
         with query:
@@ -133,11 +133,9 @@ class GpuTimers:
     def collect(self) -> dict[str, float]:
         """Milliseconds by stage since the last call; waits for the GPU if necessary."""
         for name, query in self._running:
-            self._add(name, query.elapsed / 1e6)
+            self._stages_ms[name] += query.elapsed / 1e6
             self._free.append(query)
         self._running.clear()
-        collected, self._stages_ms = self._stages_ms, {}
+        collected = dict(self._stages_ms)
+        self._stages_ms.clear()
         return collected
-
-    def _add(self, name: str, milliseconds: float) -> None:
-        self._stages_ms[name] = self._stages_ms.get(name, 0.0) + milliseconds

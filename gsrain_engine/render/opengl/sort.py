@@ -12,11 +12,8 @@ from .shaders import load_compute_shader
 
 KEY_BITS = 28
 DIGIT_BITS = 4
-KEYS_BY_GROUP = 4096
-"""Keys per workgroup; as in common_radix.glsl."""
-
-KEYS, SLOTS, SORTED_KEYS, SORTED_SLOTS, COUNTS, WORK = 0, 1, 2, 3, 4, 7
-"""Storage bindings of the shaders."""
+KEYS_BY_GROUP = 4096  # keys per workgroup; as in common_radix.glsl
+KEYS, SLOTS, SORTED_KEYS, SORTED_SLOTS, COUNTS, WORK = 0, 1, 2, 3, 4, 7  # storage bindings of the shaders
 
 
 class DepthSort:
