@@ -22,8 +22,7 @@ SMALLEST_MM, LARGEST_MM = 0.1, 8.0
 """Diameter limits: smaller drops are drizzle mist, larger ones break up. The distribution is cut and renormalized."""
 
 CLASSES = 16384
-"""Diameter classes of a drop field: class c is the quantile (c + 1/2) / CLASSES. A drop keeps its class as R changes.
-"""
+"""Diameter classes: class c is the quantile (c + 1/2) / CLASSES, and a drop keeps its class as R changes."""
 
 _MIN_MM_H = 1e-3  # intensity below which drop sizes no longer change
 Velocity = Callable[[Float[np.ndarray, "*n"]], Float[np.ndarray, "*n"]]

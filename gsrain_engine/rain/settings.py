@@ -10,7 +10,7 @@ from .calibration import calibration_names
 
 Vector = tuple[float, float, float]
 CALIBRATED_UP_TO_MM_H = 13.0
-"""Upper end of the published calibration; higher intensities are marked as extrapolated wherever R is shown."""
+"""Upper end of the published calibration; higher intensities are marked as extrapolated in window and reports."""
 
 
 class RegionBox(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

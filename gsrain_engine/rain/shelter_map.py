@@ -63,7 +63,7 @@ class _GaussianPieces(NamedTuple):
     cells: Int32[np.ndarray, " n"]
     heights_m: Float32[np.ndarray, " n"]
     depths: Float32[np.ndarray, " n"]
-    """Optical depth that a piece adds to its cell, seen from above."""
+    """Optical depth that a piece adds to its cell, from above."""
 
 
 class _SolidLayer(NamedTuple):

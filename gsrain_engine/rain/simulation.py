@@ -84,9 +84,8 @@ class RainFrame:
     def _streaks(self) -> tuple[int, Gaussians]:
         if self.streak_field is None:
             return 0, Gaussians.empty()
-        drops = self.streak_field.drops()
-        streaks = self.streak_field.streaks(drops)
-        return len(drops.numbers), Gaussians(*streaks, self._sh(len(streaks.means)))
+        count, streaks = self.streak_field.streaks()
+        return count, Gaussians(*streaks, self._sh(len(streaks.means)))
 
     def _sh(self, count: int) -> Float32[np.ndarray, "n 1 3"]:
         return np.broadcast_to(sh_from_color(self.color.astype(np.float32)[None]), (count, 1, 3)).copy()

@@ -14,9 +14,7 @@ from .shelter_map import ShelterMap
 
 AXIS_RATIO_SLOPE, AXIS_RATIO_OFFSET = -0.07, 1.07  # tau(D) = k D + b for 1 mm < D < 9 mm (paper, eq. 4)
 
-STREAK_REACH = 2.0
-"""Maximum distance of a streak fragment from its drop, in streak lengths (last visible fragment of the outermost copy).
-"""
+STREAK_REACH = 2.0  # maximum distance of the last visible fragment of a streak from its drop, in streak lengths
 
 
 class StreakGaussians(NamedTuple):
@@ -95,9 +93,11 @@ class DropBatch:
     def positions(self, drops: Drops) -> Float64[np.ndarray, "m 3"]:
         return drops.positions(self.period_m) @ self.axes.T + self.center_m
 
-    def streaks(self, drops: Drops) -> StreakGaussians:
+    def streaks(self) -> tuple[int, StreakGaussians]:
+        """Number of drops that may be visible to the camera, and their Gaussians."""
+        drops = self.drops()
         c, positions = drops.class_index, self.positions(drops)
-        return streak_gaussians(positions, self.diameters_mm[c], self.velocities(c), self.shutter, self.rain)
+        return len(c), streak_gaussians(positions, self.diameters_mm[c], self.velocities(c), self.shutter, self.rain)
 
     def velocities(self, class_index: Int64[np.ndarray, " m"]) -> Float64[np.ndarray, "m 3"]:
         """World velocities of drops of some classes in m/s."""
@@ -196,8 +196,8 @@ def _fill(
             if aperture > 0:
                 blur = aperture * abs(1 - depth / focus) / 4
                 sine = across / max(speed, 1e-9)
-                seen_sigma = np.hypot(along_sigma * sine, across_sigma * np.sqrt(max(1 - sine * sine, 0.0)))
-                opacity *= across_sigma / np.hypot(across_sigma, blur) * seen_sigma / np.hypot(seen_sigma, blur)
+                apparent_sigma = np.hypot(along_sigma * sine, across_sigma * np.sqrt(max(1 - sine * sine, 0.0)))
+                opacity *= across_sigma / np.hypot(across_sigma, blur) * apparent_sigma / np.hypot(apparent_sigma, blur)
                 across_sigma, along_sigma = np.hypot(across_sigma, blur), np.hypot(along_sigma, blur)
             reach = _REACH * along_sigma
             # Half-way quaternion from +z; the sign of a streak's axis is free, so never turn by over 90 degrees.

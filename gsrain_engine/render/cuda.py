@@ -262,8 +262,8 @@ class DepthSlabs:
 def split_into_depth_slabs(splats: Splats, slabs: int = SLABS) -> DepthSlabs:
     """Split rain at depths that give each slab the same weight: opacity times the area of its ellipse.
 
-    Only the scene's splats inside a slab are drawn in the wrong order relative to rain; this way that affects a small
-    share of the rain at any depth.
+    Only the scene's splats inside a slab are drawn in the wrong order relative to rain: a small share of the rain at
+    any depth.
     """
     order = splats.nearest_first()
     shapes, depths = splats.shapes[order], splats.colors[order, 3]
@@ -298,11 +298,11 @@ def composite_rain_slabs(rgba: Tensor, by_edge: Tensor, slabs: DepthSlabs, rain:
     alpha = rgba[..., 3]
     rain_share, scene_share = _shares(by_edge, alpha, slabs)
     light = torch.as_tensor(rain.light_linear, device=rgba.device)
-    seen = torch.where(alpha > 0, torch.clamp(scene_share / torch.clamp(alpha, min=1e-30), max=1), 1.0)[..., None]
+    visible = torch.where(alpha > 0, torch.clamp(scene_share / torch.clamp(alpha, min=1e-30), max=1), 1.0)[..., None]
     if rain.mixing == "linear":
-        color = _to_display(seen * _to_linear(rgba[..., :3]) + rain_share[..., None] * light)
+        color = _to_display(visible * _to_linear(rgba[..., :3]) + rain_share[..., None] * light)
     else:
-        color = seen * rgba[..., :3] + rain_share[..., None] * _to_display(light)
+        color = visible * rgba[..., :3] + rain_share[..., None] * _to_display(light)
     rainy = torch.cat([color, (rain_share + scene_share)[..., None]], dim=-1)
     return torch.where(rain_share[..., None] > 0, rainy, rgba)
 

@@ -120,8 +120,8 @@ class ExportSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
             )
         allowed = _CONTAINERS[self.format]
         if self.suffix not in allowed and not (self.suffix == "" and len(self.cameras) > 0):
-            wanted = " or ".join(each or "nothing (a folder)" for each in allowed)
-            raise ValueError(f"{self.output}: {self.format} needs an output that ends in {wanted}")
+            suffixes = " or ".join(each or "nothing (a folder)" for each in allowed)
+            raise ValueError(f"{self.output}: {self.format} needs an output that ends in {suffixes}")
         if self.format == "jpeg" and (others := [each for each in self.passes if each != "color"]):
             raise ValueError(f"{self.output}: JPEG holds colors alone; for the pass {others[0]} take PNG, EXR or NPY")
         if self.is_video and self.size_px is not None and any(side % 2 for side in self.size_px):

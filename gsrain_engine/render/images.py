@@ -29,14 +29,10 @@ def _new_file(path: Path) -> Generator[Path]:
         yield partial
 
 
-def write_png(path: Path | str, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
-    """Write an 8-bit image as PNG; creates missing folders."""
-    _write_png(Path(path), Image.fromarray(pixels))
-
-
-def _write_png(path: Path, image: Image.Image) -> None:
-    with _new_file(path) as partial:
-        image.save(partial, format="PNG")
+def write_png(path: Path | str, pixels: UInt8[np.ndarray, "h w *c"] | UInt16[np.ndarray, "h w"]) -> None:
+    """Write an 8-bit image, or 16-bit gray, as PNG; creates missing folders."""
+    with _new_file(Path(path)) as partial:
+        Image.fromarray(pixels).save(partial, format="PNG")
 
 
 def write_image(path: Path, image: Image.Image) -> None:
@@ -70,7 +66,7 @@ def write_labels(path: Path, labels: UInt16[np.ndarray, "h w"], count: int) -> N
         image = Image.fromarray(labels.astype(np.uint8))
         colors = [(0.0, 0.0, 0.0), *(layer_color(number) for number in range(count))]
         image.putpalette([round(255 * channel) for color in colors for channel in color])
-    _write_png(path, image)
+    write_image(path, image)
 
 
 def _write_array(path: Path, values: Float32[np.ndarray, "..."]) -> None:
@@ -177,10 +173,10 @@ class FrameWriter:
             if files.format == "npy":
                 _write_array(path, frame.depth)
             else:
-                _write_png(path, Image.fromarray(np.rint(np.clip(frame.depth * 100, 0, 65535)).astype(np.uint16)))
+                write_png(path, np.rint(np.clip(frame.depth * 100, 0, 65535)).astype(np.uint16))
         if "alpha" in files.passes:
             alpha = np.rint(np.clip(frame.rgba[..., 3], 0, 1) * 255).astype(np.uint8)
-            _write_png(files.pass_file(number, "alpha"), Image.fromarray(alpha))
+            write_png(files.pass_file(number, "alpha"), alpha)
 
 
 # Display and linear-light colors

@@ -30,12 +30,12 @@ class CocoLabels:
         self._annotations: list[dict[str, Any]] = []
         self._own_classes: dict[str, int] = {}
 
-    def add(self, number: int, time_s: float, camera: Camera, seen: Sequence[VisibleObject], **files: str) -> None:
+    def add(self, number: int, time_s: float, camera: Camera, objects: Sequence[VisibleObject], **files: str) -> None:
         """Add a frame; `files` are its files by kind, of which `file_name` is part of COCO."""
         image_id, size = len(self._images) + 1, {"width": camera.width, "height": camera.height}
         times = {"frame": number, "time_s": time_s, "camera": camera.to_json()}
         self._images.append({"id": image_id, **size, **files, **times})
-        for each in seen:
+        for each in objects:
             self._annotations.append(self._annotation(len(self._annotations) + 1, image_id, each))
 
     @property
@@ -53,9 +53,9 @@ class CocoLabels:
             "categories": [{"id": number, "name": name} for name, number in categories.items()],
         }
 
-    def _annotation(self, number: int, image_id: int, seen: VisibleObject) -> dict[str, Any]:
-        left, top, right, bottom = seen.box_xyxy
-        name = coco_class(seen.object.class_name)
+    def _annotation(self, number: int, image_id: int, item: VisibleObject) -> dict[str, Any]:
+        left, top, right, bottom = item.box_xyxy
+        name = coco_class(item.object.class_name)
         own = self._own_classes
         if name not in COCO_CATEGORIES:
             own.setdefault(name, _FIRST_OWN + len(own))
@@ -64,16 +64,16 @@ class CocoLabels:
             "image_id": image_id,
             "category_id": (COCO_CATEGORIES | own)[name],
             "bbox": [left, top, right - left, bottom - top],
-            "area": int(seen.mask.sum()),
-            "segmentation": encode_rle(seen.mask),
+            "area": int(item.mask.sum()),
+            "segmentation": encode_rle(item.mask),
             "iscrowd": 0,
-            "object": seen.object.id,
-            "visibility": round(seen.visibility, 4),
-            "truncation": round(seen.truncation, 4),
-            "distance_m": round(seen.distance_m, 3),
+            "object": item.object.id,
+            "visibility": round(item.visibility, 4),
+            "truncation": round(item.truncation, 4),
+            "distance_m": round(item.distance_m, 3),
             "box_3d": {
-                "size_lwh_m": [round(side, 4) for side in seen.size_lwh_m],
-                "object_to_camera": seen.to_camera.round(6).tolist(),
+                "size_lwh_m": [round(side, 4) for side in item.size_lwh_m],
+                "object_to_camera": item.to_camera.round(6).tolist(),
             },
         }
 
@@ -88,19 +88,19 @@ _EGO_TO_CAMERA = "0 -1 0 0 0 0 -1 0 1 0 0 0"
 """From x forward, y left, z up (KITTI's lidar) to x right, y down, z forward; without translation."""
 
 
-def label_line(seen: VisibleObject) -> str:
+def label_line(item: VisibleObject) -> str:
     """Type, truncation, occlusion, alpha, 2D box, height, width, length, bottom center, rotation about y."""
-    x, y, z = seen.to_camera[:3, 3]
-    ahead = seen.to_camera[:3, 0]
+    x, y, z = item.to_camera[:3, 3]
+    ahead = item.to_camera[:3, 0]
     turn = float(np.arctan2(-ahead[2], ahead[0]))
     alpha = float((turn - float(np.arctan2(x, z)) + np.pi) % (2 * np.pi) - np.pi)
-    occlusion = 0 if seen.visibility >= _FREE else 1 if seen.visibility >= _PARTLY else 2
-    length, width, height = seen.size_lwh_m
-    box = [edge - 0.5 for edge in seen.box_xyxy]
+    occlusion = 0 if item.visibility >= _FREE else 1 if item.visibility >= _PARTLY else 2
+    length, width, height = item.size_lwh_m
+    box = [edge - 0.5 for edge in item.box_xyxy]
     numbers = [alpha, *box, height, width, length, x, y, z, turn]
-    name = seen.object.class_name
+    name = item.object.class_name
     kind = "Van" if name.lower() == "van" else _CLASSES.get(coco_class(name), "Misc")
-    return f"{kind} {seen.truncation:.2f} {occlusion} " + " ".join(f"{each:.2f}" for each in numbers)
+    return f"{kind} {item.truncation:.2f} {occlusion} " + " ".join(f"{each:.2f}" for each in numbers)
 
 
 def calibration_file(camera: Camera) -> str:
@@ -113,10 +113,10 @@ def calibration_file(camera: Camera) -> str:
     )
 
 
-def instances(seen: Sequence[VisibleObject], camera: Camera) -> UInt16[np.ndarray, "h w"]:
+def instances(objects: Sequence[VisibleObject], camera: Camera) -> UInt16[np.ndarray, "h w"]:
     """Number of the label line, counted from 1, for each pixel; 0 is none."""
     picture = np.zeros((camera.height, camera.width), np.uint16)
-    for line, each in enumerate(seen, start=1):
+    for line, each in enumerate(objects, start=1):
         picture[each.mask] = line
     return picture
 
@@ -147,11 +147,11 @@ def write_object_labels(
         coco = CocoLabels(sequence.scene.name)
         for done, number in enumerate(numbers):
             shot = sequence.shot(number)
-            seen = visible_objects(renderer, sequence.scene, objects, shot.camera, shot.time_s)
+            visible = visible_objects(renderer, sequence.scene, objects, shot.camera, shot.time_s)
             if form == "coco":
-                coco.add(number, shot.time_s, shot.camera, seen, **_names(files, twin, number))
+                coco.add(number, shot.time_s, shot.camera, visible, **_names(files, twin, number))
             else:
-                _write_kitti(files, number, sequence, seen)
+                _write_kitti(files, number, sequence, visible)
             yield Progress((place + (done + 1) / len(numbers)) / len(sequences), f"Labels of frame {number}")
         written.append(_labels_of(form, files))
         if form == "coco":
@@ -192,16 +192,16 @@ def _name(files: ExportFiles, number: int) -> str:
     return f"{files.path.name}/{number:06d}" if files.is_video else files.color(number).name
 
 
-def _write_kitti(files: ExportFiles, number: int, sequence: FrameSequence, seen: Sequence[VisibleObject]) -> None:
+def _write_kitti(files: ExportFiles, number: int, sequence: FrameSequence, objects: Sequence[VisibleObject]) -> None:
     folder, camera = _labels_of("kitti", files), sequence.shot(number).camera
-    lines = "".join(f"{label_line(each)}\n" for each in seen)  # nearest object first
+    lines = "".join(f"{label_line(each)}\n" for each in objects)  # nearest object first
     for kind, text in (("label_2", lines), ("calib", calibration_file(camera))):
         file = folder / kind / f"{number:06d}.txt"
         file.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(file) as partial:
             partial.write_text(text, encoding="ascii")
     (folder / "instance_2").mkdir(parents=True, exist_ok=True)
-    write_labels(folder / "instance_2" / f"{number:06d}.png", instances(seen, camera), 256)
+    write_labels(folder / "instance_2" / f"{number:06d}.png", instances(objects, camera), 256)
 
 
 # COCO masks

@@ -66,10 +66,10 @@ class Frame:
 
     def to_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> UInt8[np.ndarray, "h w 3"]:
         """Return the 8-bit image over a plain background, rounded to nearest."""
-        shown = self.over(background)
-        np.clip(shown, 0, 1, out=shown)  # in place, since every video frame is converted here
-        shown *= 255
-        return np.rint(shown, out=shown).astype(np.uint8)
+        image = self.over(background)
+        np.clip(image, 0, 1, out=image)  # in place, since every video frame is converted here
+        image *= 255
+        return np.rint(image, out=image).astype(np.uint8)
 
 
 @runtime_checkable

@@ -143,9 +143,9 @@ class _Render(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, Tensor, Tensor]:
-        """`inputs` are means, scales, quaternions, opacities, colors, pose, camera and the footprint to fill in."""
-        *arrays, pose, camera, footprint = inputs
-        splats = project_trained(_gaussians(*arrays), camera, _matrix(pose))
+        means, scales, quaternions, opacities, colors, pose, camera, footprint = inputs
+        gaussians = _gaussians(means, scales, quaternions, opacities, colors)
+        splats = project_trained(gaussians, camera, _matrix(pose))
         # Depths are compared in float32, as in all our renderers.
         order, shapes = nearest_first(splats.channels[:, 3]), splats.shapes
         if shapes.dtype != np.float32:
@@ -154,8 +154,8 @@ class _Render(torch.autograd.Function):
         tiles = bin_into_tiles(shapes, order, camera.width, camera.height)
         outputs = tuple(torch.from_numpy(each) for each in blend(splats.shapes, splats.channels, tiles))
         footprint.radii_px = torch.from_numpy(splats.radii_px)
-        ctx.save_for_backward(*arrays, pose, *outputs)
-        ctx.kept = splats, tiles, camera, footprint
+        ctx.save_for_backward(means, scales, quaternions, opacities, colors, pose, *outputs)
+        ctx.inputs = splats, tiles, camera, footprint
         ctx.set_materialize_grads(False)
         return outputs
 
@@ -163,7 +163,7 @@ class _Render(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         *tensors, colors, pose, color, alpha, depth = ctx.saved_tensors
-        splats, tiles, camera, footprint = ctx.kept
+        splats, tiles, camera, footprint = ctx.inputs
         gaussians, matrix = _gaussians(*tensors, colors), _matrix(pose)
         if all(each is None for each in gradients):
             return (None,) * 8

@@ -284,18 +284,18 @@ def add_rain_light(line: Float32[np.ndarray, " nine_tiles"], light_linear: Float
 @no_type_check
 def _to_linear(display):
     """Branch-free sRGB transfer function (IEC 61966-2-1). Colors of Gaussians are never negative."""
-    least, most = np.float32(0.04045), np.float32(1e9)
-    bounded = min(max(display, least), most)
+    knee = np.float32(0.04045)
+    bounded = min(max(display, knee), np.float32(1e9))
     curve = power((bounded + np.float32(0.055)) * np.float32(1 / 1.055), np.float32(2.4))
-    return curve if display > least else display * np.float32(1 / 12.92)
+    return curve if display > knee else display * np.float32(1 / 12.92)
 
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _to_display(linear):
-    least = np.float32(0.0031308)
-    curve = np.float32(1.055) * power(max(linear, least), np.float32(1 / 2.4)) - np.float32(0.055)
-    return curve if linear > least else np.float32(12.92) * linear
+    knee = np.float32(0.0031308)
+    curve = np.float32(1.055) * power(max(linear, knee), np.float32(1 / 2.4)) - np.float32(0.055)
+    return curve if linear > knee else np.float32(12.92) * linear
 
 
 # Transpose of compositing

@@ -165,9 +165,9 @@ class GpuArrays:
         """Free arrays that were uploaded before their first frame and have not been drawn yet."""
         self._drop(self._arrays, [key for key, array in self._arrays.items() if array.is_awaited])
 
-    def release_all_but(self, kept: Iterable[tuple[Gaussians, WetColors]]) -> None:
+    def release_all_but(self, used: Iterable[tuple[Gaussians, WetColors]]) -> None:
         """Free all arrays except those of some sets and their wet colors, for a new scene."""
-        keys = {key for each in kept for key in _sources(*each)}
+        keys = {key for each in used for key in _sources(*each)}
         self._drop(self._arrays, [key for key in self._arrays if key not in keys])
 
     def release_everything(self) -> None:
@@ -182,7 +182,7 @@ class GpuArrays:
             self._leaving += arrays.pop(key).buffers
 
     def keep_harmonics_as(self, harmonics: Harmonics) -> None:
-        """Change the storage of colors; uploaded ones are uploaded again for their next frame.
+        """Change the storage of colors; uploaded ones are replaced for their next frame.
 
         No upload may be in progress.
         """

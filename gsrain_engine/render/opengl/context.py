@@ -210,7 +210,7 @@ class ContextLossMonitor:
     """Remembers that a context is lost, since some drivers report it only once."""
 
     def __init__(self, ask: Callable[[], int]) -> None:
-        """`ask` is the driver's glGetGraphicsResetStatus: 0 if the context works (again)."""
+        """`ask` is the driver's glGetGraphicsResetStatus: 0 if the context works."""
         self.ask = ask
         self._is_lost = False
 

@@ -48,7 +48,7 @@ class RainPass:
             self._set_roofs(shader, field, field.roofs)
         shader.run(masks // 256)
         self._context.memory_barrier()
-        self._scan.run(self._counts.buffer, self.work, masks, by_group=SLOTS_BY_BLOCK, most=field.max_drops)
+        self._scan.run(self._counts.buffer, self.work, masks, by_group=SLOTS_BY_BLOCK, max_elements=field.max_drops)
 
     def project(
         self, store: ProjectedSplatBuffer, field: DropBatch, display_color: Float64[np.ndarray, "3"], first_slot: int
@@ -61,7 +61,7 @@ class RainPass:
             shader, exposure=shutter.exposure_s, still_camera=rain.streak_frame == "world", focal=shutter.focal_px,
             phi=rain.critical_haze_coefficient, haze_opacity=rain.haze_opacity, gain=rain.streak_gain,
             aperture=1e-3 * rain.aperture_mm, focus=rain.focus_distance_m, max_copies=rain.max_copies,
-            most_drops=field.max_drops, display_color=tuple(display_color), near=NEAR_M, first_slot=first_slot,
+            max_drops=field.max_drops, display_color=tuple(display_color), near=NEAR_M, first_slot=first_slot,
             intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy), image_size=(camera.width, camera.height),
         )  # fmt: skip
         store.bind()
@@ -111,9 +111,9 @@ def streak_slots(field: DropBatch) -> int:
 
 def class_rows(field: DropBatch) -> UInt32[np.ndarray, "classes 12"]:
     """Rows in the layout of common_drop_field.glsl."""
-    seen = field.velocities(np.arange(CLASSES))
+    velocities = field.velocities(np.arange(CLASSES))
     if field.rain.streak_frame == "camera":
-        seen = seen - field.shutter.velocity_m_s
+        velocities = velocities - field.shutter.velocity_m_s
     rows = np.empty((CLASSES, 12), np.uint32)
     rows[:, 0:3] = field.where.wraps.view(np.uint32)
     rows[:, 3:6] = field.where.fractions
@@ -121,7 +121,7 @@ def class_rows(field: DropBatch) -> UInt32[np.ndarray, "classes 12"]:
     numbers[:, 6] = field.culling.class_far_m
     numbers[:, 7] = field.culling.class_margin_m
     numbers[:, 8] = 1e-3 * field.diameters_mm
-    numbers[:, 9:12] = seen @ field.shutter.camera.world_to_camera[:3, :3].T
+    numbers[:, 9:12] = velocities @ field.shutter.camera.world_to_camera[:3, :3].T
     return rows
 
 

@@ -174,18 +174,19 @@ class PrefixSum:
         blocks: int,
         *,
         by_group: int,
-        most: int = 0xFFFFFFFF,
+        max_elements: int = 0xFFFFFFFF,
         found: tuple[moderngl.Buffer, int, int] | None = None,
     ) -> None:
         """Scan the counts of blocks in place and fill in `work`.
 
-        Each workgroup of the dispatch processes `by_group` elements, of at most `most`. `found` consists of the work
-        buffer of found drops, the first of their blocks, and the number of blocks per group of drops: all other blocks
-        are empty.
+        Each workgroup of the dispatch processes `by_group` elements, of at most `max_elements`. `found` consists of the
+        work buffer of found drops, the first of their blocks, and the number of blocks per group of drops: all other
+        blocks are empty.
         """
         found_work, fixed, copies = found or (self._nothing_found, blocks, 0)
         for name, value in {
-            "blocks": blocks, "fixed_blocks": fixed, "found_copies": copies, "by_group": by_group, "most": most,
+            "blocks": blocks, "fixed_blocks": fixed, "found_copies": copies, "by_group": by_group,
+            "max_elements": max_elements,
         }.items():  # fmt: skip
             self._shader[name] = value
         for binding, buffer in ((_COUNTS, counts), (_FOUND_WORK, found_work), (_WORK, work)):
