@@ -162,12 +162,12 @@ class _Render(torch.autograd.Function):
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
-        *tensors, colors, pose, color, alpha, depth = ctx.saved_tensors
+        means, scales, quaternions, opacities, colors, pose, *outputs = ctx.saved_tensors
         splats, tiles, camera, footprint = ctx.inputs
-        gaussians, matrix = _gaussians(*tensors, colors), _matrix(pose)
+        gaussians, matrix = _gaussians(means, scales, quaternions, opacities, colors), _matrix(pose)
         if all(each is None for each in gradients):
             return (None,) * 8
-        picture = BlendedImage(*map(_array, (color, alpha, depth)))
+        picture = BlendedImage(*map(_array, outputs))
         gradient = BlendedImage(
             *(np.zeros_like(output) if each is None else _array(each)
               for each, output in zip(gradients, picture, strict=True))
