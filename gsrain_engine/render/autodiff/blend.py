@@ -27,7 +27,8 @@ class BlendedImage(NamedTuple):
 def blend(shapes: Float[np.ndarray, "n 8"], channels: Float[np.ndarray, "n 4"], tiles: TileLists) -> BlendedImage:
     """Blend color and depth of the splats (three channels and one) over nothing, in the precision of `shapes`."""
     rgba, depth = compositing.composite(shapes, channels, tiles)
-    return BlendedImage(np.ascontiguousarray(rgba[..., :3]), np.ascontiguousarray(rgba[..., 3]), depth)
+    color = np.stack([rgba[..., channel] for channel in range(3)], axis=-1)  # faster than a copy of the slice
+    return BlendedImage(color, np.ascontiguousarray(rgba[..., 3]), depth)
 
 
 def blend_backward(

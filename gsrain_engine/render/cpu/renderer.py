@@ -41,10 +41,10 @@ class CpuRenderer:
     ) -> None:
         stages = {"project": 0.0, "sort": 0.0, "draw": 0.0}
         self.statistics = RenderStatistics(sum(part.drawn_count for part in parts), stages_ms=stages)
-        falling = rain if look == "splats" and rain is not None and len(rain.gaussians) else None
         with timed(stages, "project"):
+            falling = rain if look == "splats" and rain is not None and len(rain.gaussians) else None
             if falling is None:
-                splats = color_by_mode(look, project(parts, camera, as_points=look == "points"), parts, camera)
+                splats = _color_by_mode(look, project(parts, camera, as_points=look == "points"), parts, camera)
             else:
                 drops = DrawItem(falling.gaussians, np.eye(4))
                 flags = [*[None] * len(parts), np.ones(drops.drawn_count, np.bool_)]
@@ -119,7 +119,7 @@ def _heat_where(numbers: Float32[np.ndarray, "h w"], there: np.ndarray) -> Float
 # Render modes by color
 
 
-def color_by_mode(look: RenderMode, splats: Splats, parts: Sequence[DrawItem], camera: Camera) -> Splats:
+def _color_by_mode(look: RenderMode, splats: Splats, parts: Sequence[DrawItem], camera: Camera) -> Splats:
     """Color the splats of `parts` by their normals, opacity or layer; other render modes leave them unchanged.
 
     Selected splats are tinted here, too.
