@@ -25,9 +25,8 @@ from gsrain_engine.recolor.recolor import recolor_scene
 from gsrain_engine.recolor.views import TargetView
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.draw import rain_frame_of
-from gsrain_engine.render.hardware import describe_machine
 from gsrain_engine.render.opengl.context import NoOpenGLError
-from gsrain_engine.render.renderer import Color, Renderer, RenderStatistics
+from gsrain_engine.render.renderer import Color, Renderer, RenderStatistics, describe_machine
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene

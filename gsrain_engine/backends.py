@@ -9,16 +9,15 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from .render.cpu.renderer import CpuRenderer
-from .render.hardware import processor_name
 from .render.opengl.context import NoOpenGLError, check_context, is_software, open_context
-from .render.opengl.renderer import OffscreenRenderer, SplatRenderer
-from .render.renderer import Renderer
+from .render.opengl.renderer import SplatRenderer
+from .render.renderer import Renderer, processor_name
 from .scene.camera import Camera
 from .scene.gaussians import Gaussians, sh_from_color
 from .scene.scene import DrawItem
 
 if TYPE_CHECKING:
-    from .render.cuda.renderer import CudaRenderer
+    from .render.cuda import CudaRenderer
 
 Backend = Literal["auto", "opengl", "cpu", "cuda"]
 
@@ -51,7 +50,8 @@ def open_renderer(backend: Backend = "auto") -> Generator[Renderer]:
         return
     try:
         with context:
-            renderer = CpuRenderer() if backend == "auto" and is_software(context) else OffscreenRenderer(context)
+            takes_cpu = backend == "auto" and is_software(context)
+            renderer = CpuRenderer() if takes_cpu else SplatRenderer(context, activates=True)
         yield renderer
     except Exception:
         with context:
@@ -92,7 +92,7 @@ def open_cuda_renderer() -> "CudaRenderer":
         raise NoCudaError("the cuda back end needs an NVIDIA GPU, and torch sees none: use --backend cpu or opengl")
     try:
         gsplat: Any = import_module("gsplat")
-        from .render.cuda.renderer import CudaRenderer
+        from .render.cuda import CudaRenderer
 
         renderer = CudaRenderer(gsplat.rasterization, "cuda")
         renderer.draw([_one_gaussian()], Camera(16, 16, 16.0, 16.0, 8.0, 8.0))

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 from markupsafe import Markup
 
-from ..render.hardware import describe_machine
+from ..render.renderer import describe_machine
 from ..scene.files import whole_file
 from .report_charts import (
     LARGEST_ERROR,

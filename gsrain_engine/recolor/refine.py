@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
-from ..render.autodiff.differentiable import render_gaussians
-from ..render.autodiff.types import Rendered
+from ..render.autodiff.differentiable import Rendered, render_gaussians
 from ..render.cpu.fast_math import harmonics
 from ..render.cpu.projection import view_directions
 from ..scene.gaussians import Gaussians

@@ -7,9 +7,9 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Int64, UInt8, UInt16
 
-from ..render.cpu.compositing import BATCH, MIN_TRANSMITTANCE, ColorOperator, alpha_of, columns_of, is_finished
+from ..render.cpu.compositing import ColorOperator, absorb, alpha_of, column_of, columns_of, is_finished, tile_at
 from ..render.cpu.fast_math import FAST
-from ..render.cpu.tiles import TILE
+from ..render.cpu.tiles import BATCH, TILE
 from .solver import LANES, add_piece, sum_piece
 
 STEP = np.float32(1 / 65535)
@@ -148,11 +148,8 @@ def stored_weights(view: ColorOperator, most_bytes: float = np.inf) -> StoredWei
 def _walk(shapes, tile_starts, members, width, height, counts, starts, places, weights):
     """Composite without colors: count each pair's pieces, or write them at `starts`."""
     columns = (width + TILE - 1) // TILE
-    rows = (len(tile_starts) - 1) // columns
     for place in numba.prange(len(tile_starts) - 1):
-        # Column by column, as in compositing.
-        tile = place % rows * columns + place // rows
-        x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
+        tile, x0, y0 = tile_at(place, tile_starts, columns)
         state = np.zeros((TILE, TILE), np.float32)
         state[: width - x0, : min(TILE, height - y0)] = 1
         steps = np.empty(TILE, np.float32)
@@ -182,15 +179,10 @@ def _walk(shapes, tile_starts, members, width, height, counts, starts, places, w
 @no_type_check
 def _weigh(shape, u, x0, y0, line, steps):
     """Weights of a splat in one column of a tile, as in compositing, in units of `STEP`."""
-    dx = np.float32(u) + (x0 - shape[0])
-    peak = shape[5] + shape[3] * dx * dx
-    start = y0 - (shape[1] + shape[2] * dx)
+    _, peak, start = column_of(shape, u, x0, y0)
     for v in range(TILE):
         dy = start + np.float32(v)
-        before = line[v]
-        weight = before * alpha_of(shape[4] * dy * dy + peak, shape[6])
-        after = before - weight
-        line[v] = after if after >= MIN_TRANSMITTANCE else np.float32(0)
+        weight = absorb(line, v, alpha_of(shape[4] * dy * dy + peak, shape[6], np.float32), np.float32)
         steps[v] = weight * np.float32(65535) + np.float32(0.5)
 
 

@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float64, Shaped
 
 from ..datasets.capture import EGO_HEIGHT_M, Capture, CaptureFrame
-from ..render.autodiff.differentiable import render_gaussians
-from ..render.autodiff.types import Rendered
+from ..render.autodiff.differentiable import Rendered, render_gaussians
 from ..safe_io.numpy_files import read_archive
 from ..safe_io.text_files import printable_line
 from ..scene.camera import Camera

@@ -121,14 +121,14 @@ def test_a_scene_that_is_opened_lets_go_of_the_last_one(context, session):
 def test_giving_up_an_upload_keeps_what_is_shown(context):
     renderer, g, other = SplatRenderer(context), random_gaussians(300, 1), random_gaussians(300, 2)
     renderer.draw([DrawItem(g, np.eye(4))], small_camera())
-    slices = renderer.upload(other, slice_size=100)
+    slices = renderer.arrays.upload(other, slice_size=100)
     for _ in range(7):  # two arrays, and a third of the third
         next(slices)
     slices.close()
     renderer.arrays.release_awaited()
     assert renderer.arrays.missing(g) == 0
     assert renderer.arrays.missing(other) == 300
-    assert len(list(renderer.upload(other, slice_size=100))) == 12
+    assert len(list(renderer.arrays.upload(other, slice_size=100))) == 12
 
 
 class Counting(SplatRenderer):

@@ -44,7 +44,7 @@ class SceneUpload:
     def _missing_slices(self, scene: Scene) -> Iterator[float]:
         for member in scene.members:
             if member.visible:
-                yield from self._renderer.upload(member.gaussians, wet_sh=member.wet_sh)
+                yield from self._renderer.arrays.upload(member.gaussians, wet_sh=member.wet_sh)
 
 
 # Sky color

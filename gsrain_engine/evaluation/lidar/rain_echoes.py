@@ -142,7 +142,7 @@ def drop_field_returns(
 
     A drop is in every beam whose axis passes its center within half the beam's width.
     """
-    drops = field.region_drops()
+    drops = field.drops(in_view=False)
     away = field.positions(drops) - beams.origin_m
     ranges = np.linalg.norm(away, axis=1)
     seen = np.flatnonzero(drops.class_index >= signals.first_detected(ranges))
