@@ -1,4 +1,4 @@
-"""Feature extractors for image distances, with weight-free cell statistics; only Inception's distance is named FID."""
+"""Feature extractors for image distances, by `--extractor` names; only Inception's distance is named FID."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -63,10 +63,7 @@ def resized(image: UInt8[np.ndarray, "h w 3"], width: int, height: int) -> Float
 # Cell statistics
 # The features of "FD-pixels16", without network weights.
 
-CELLS = 4
-SIZE_PX = 128
-PER_CELL = 10
-FEATURES = CELLS * CELLS * PER_CELL
+CELLS, SIZE_PX = 4, 128
 
 
 def cell_statistics(image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, " d"]:
@@ -79,8 +76,9 @@ def cell_statistics(image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, " 
     values = resized(image, SIZE_PX, SIZE_PX).astype(np.float64) / 255
     across, down = np.gradient(values.mean(axis=2), axis=(1, 0))
     slopes = np.stack([across, (across + down) / np.sqrt(2), down, (down - across) / np.sqrt(2)], axis=2)
-    parts = (_means(values), _deviations(values), np.sqrt(_means(slopes**2)))
-    return np.concatenate(parts, axis=2).reshape(-1).astype(np.float32)
+    means = _means(values)
+    deviations = np.sqrt(np.maximum(_means(values**2) - means**2, 0))
+    return np.concatenate((means, deviations, np.sqrt(_means(slopes**2))), axis=2).reshape(-1).astype(np.float32)
 
 
 def _means(values: Float64[np.ndarray, "h w c"]) -> Float64[np.ndarray, "cells cells c"]:
@@ -88,5 +86,31 @@ def _means(values: Float64[np.ndarray, "h w c"]) -> Float64[np.ndarray, "cells c
     return values.reshape(CELLS, height // CELLS, CELLS, width // CELLS, channels).mean(axis=(1, 3))
 
 
-def _deviations(values: Float64[np.ndarray, "h w c"]) -> Float64[np.ndarray, "cells cells c"]:
-    return np.sqrt(np.maximum(_means(values**2) - _means(values) ** 2, 0))
+# Extractors by name
+
+
+def open_extractor(choice: ExtractorChoice) -> Extractor:
+    """Open an extractor.
+
+    Raises ValueError for an unknown name or unsuitable weights, FileNotFoundError with download instructions if weights
+    are missing, and ModuleNotFoundError if it needs torch and torch is missing.
+    """
+    if choice.name not in EXTRACTORS:
+        raise ValueError(f"extractor {choice.name!r}: expected one of {', '.join(EXTRACTORS)}")
+    return EXTRACTORS[choice.name](choice)
+
+
+def _pixels(choice: ExtractorChoice) -> Extractor:
+    if choice.weights is not None:
+        raise ValueError(f"{choice.weights}: the extractor pixels16 takes no weights")
+    described = f"colour and edges of 4x4 cells, {SIZE_PX}x{SIZE_PX} px"
+    return Extractor(metric="FD-pixels16", described=described, features=160, key=None, function=cell_statistics)
+
+
+def _inception(choice: ExtractorChoice) -> Extractor:
+    from .fid_torch_features import open_inception  # torch is an extra
+
+    return open_inception(choice)
+
+
+EXTRACTORS: dict[str, Callable[[ExtractorChoice], Extractor]] = {"inception": _inception, "pixels16": _pixels}

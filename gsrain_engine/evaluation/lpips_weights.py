@@ -3,7 +3,7 @@
 import hashlib
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -73,7 +73,12 @@ def find_lpips_weights(network: Network) -> LpipsWeights:
     files = [file for place in places for file in ([place] if place.is_file() else sorted(place.glob("*")))]
     files = [file for file in files if file.suffix in SUFFIXES]
     faults: list[str] = []
-    for group in (*([file] for file in files), _pair(files, network)):
+    # The heads as originally published, and torchvision's network.
+    heads, body = (f"{network}.pth", f"lpips_{network}.pth"), {"alex": "alexnet", "vgg": "vgg16"}[network]
+    pair = [
+        file for file in files if file.name in heads or (file.suffix in (".pth", ".pt") and file.name.startswith(body))
+    ]
+    for group in (*([file] for file in files), pair):
         try:
             weights = read_lpips_weights(*group)
         except ValueError as error:
@@ -86,16 +91,6 @@ def find_lpips_weights(network: Network) -> LpipsWeights:
     raise FileNotFoundError(f"no weights of LPIPS ({network}) at {looked}{found}: {_HOW}")
 
 
-def _pair(files: Sequence[Path], network: Network) -> list[Path]:
-    """The heads as originally published, and torchvision's network."""
-    heads = (f"{network}.pth", f"lpips_{network}.pth")
-    return [file for file in files if file.name in heads or _is_body(file, network)]
-
-
-def _is_body(file: Path, network: Network) -> bool:
-    return file.suffix in (".pth", ".pt") and file.name.startswith({"alex": "alexnet", "vgg": "vgg16"}[network])
-
-
 def read_lpips_weights(*paths: Path) -> LpipsWeights:
     """Read weights from one file, or from several that complete each other.
 
@@ -106,9 +101,10 @@ def read_lpips_weights(*paths: Path) -> LpipsWeights:
     named = ", ".join(map(str, paths)) or "no file"
     arrays = {name: array for path in paths for name, array in read_arrays(path).items()}
     numbered = sorted(arrays.items(), key=lambda item: [int(digits) for digits in re.findall(r"\d+", item[0])])
-    kernels = tuple(array for _, array in numbered if array.ndim == 4 and array.shape[2] * array.shape[3] > 1)
-    bodies = [name for name, array in numbered if array.ndim == 4 and array.shape[2] * array.shape[3] > 1]
-    biases = tuple(arrays[name] for name in (_bias_of(name) for name in bodies) if name in arrays)
+    bodies = {name: array for name, array in numbered if array.ndim == 4 and array.shape[2] * array.shape[3] > 1}
+    kernels = tuple(bodies.values())
+    bias_names = (re.sub("(weight|kernel)$", "bias", name) for name in bodies)
+    biases = tuple(arrays[name] for name in bias_names if name in arrays)
     heads = {int(found[1]): array.reshape(-1) for name, array in numbered if (found := _HEAD.search(name)) is not None}
     shapes = tuple(kernel.shape[0] for kernel in kernels)
     network = next((name for name, channels in CHANNELS.items() if channels[1:] == shapes), None)
@@ -126,10 +122,6 @@ def read_lpips_weights(*paths: Path) -> LpipsWeights:
 
 
 _HEAD = re.compile(r"(?:^|\.)(?:lin|lins\.|head\.|NetLinLayer_)(\d+)(?:\.|$)")
-
-
-def _bias_of(name: str) -> str:
-    return re.sub("(weight|kernel)$", "bias", name)
 
 
 # Array files
@@ -171,11 +163,11 @@ def write_arrays(path: Path, arrays: Arrays) -> None:
         raise ValueError(f"{path}: expected a name that ends with .safetensors or .npz")
     save = None if path.suffix == ".npz" else _safetensors_module(path).save_file
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as beside:
+    with whole_file(path) as temporary:
         if save is not None:
-            save(contiguous, str(beside))
+            save(contiguous, str(temporary))
         else:
-            with beside.open("wb") as file:  # given a path, NumPy would append its own suffix
+            with temporary.open("wb") as file:  # given a path, NumPy would append its own suffix
                 np.savez(file, **contiguous)
 
 
@@ -210,7 +202,7 @@ def _torch_state(path: Path) -> dict[str, np.ndarray]:
             state: Mapping[str, Any] = torch.load(stream, map_location="cpu", weights_only=True)
         return {name: tensor.float().numpy() for name, tensor in state.items()}
     except Exception as error:  # torch raises many kinds of errors; their message is reported
-        first = str(error).splitlines()[0] if str(error) else type(error).__name__
+        first = next(iter(str(error).splitlines()), type(error).__name__)
         raise ValueError(f"{path}: not a readable file of torch weights: {printable_line(first)}") from None
 
 

@@ -1,6 +1,8 @@
-"""HTML report of a run: figures, curves, images, tables and settings."""
+"""HTML report of a run: figures, curves, images, tables and settings, and fingerprints of its inputs."""
 
-from collections.abc import Iterable, Mapping
+import hashlib
+import os
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,12 +20,11 @@ from .report_charts import (
     format_number,
     jpeg_data_uri,
     png_data_uri,
+    rendered,
     svg_chart,
 )
-from .templates import rendered
 
-MAX_IMAGES = 24
-"""Maximum number of shown views: the best, the worst and evenly spaced ones between; the table lists all."""
+MAX_IMAGES = 24  # maximum number of views: the best, the worst and evenly spaced ones between; the table lists all
 
 # Report contents
 
@@ -146,16 +147,14 @@ def _scores(comparisons: tuple[ImageComparison, ...]) -> Mapping[str, object]:
         "PSNR (dB)": [each.psnr_db for each in comparisons],
         "SSIM": [each.ssim for each in comparisons],
         "LPIPS": [float("nan") if each.lpips is None else each.lpips for each in comparisons],
-        "mean |difference|": [_error(each) for each in comparisons],
+        "mean |difference|": [
+            float(np.nanmean(each.error)) if np.isfinite(each.error).any() else float("nan") for each in comparisons
+        ],
     }
     if all(each.lpips is None for each in comparisons):
         del columns["LPIPS"]
     rows = list(zip((each.name for each in comparisons), *columns.values(), strict=True))
     return {"columns": ["view", *columns], "rows": rows, "means": ["mean", *map(_mean, columns.values())]}
-
-
-def _error(comparison: ImageComparison) -> float:
-    return float(np.nanmean(comparison.error)) if np.isfinite(comparison.error).any() else float("nan")
 
 
 def _charts(curve: ReportCurve) -> Mapping[str, object]:
@@ -194,5 +193,28 @@ def write_report(file: Path, report: RunReport) -> None:
     """
     page = report_page(report)
     file.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(file) as beside:
-        beside.write_text(page, encoding="utf-8")
+    with whole_file(file) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+# Fingerprint of inputs
+
+
+def input_fingerprint(path: Path) -> str:
+    """Return a hash (SHA-256, 16 hex digits) over names, sizes and times of a file, or of all files in a folder.
+
+    Contents are not read, since weights and datasets are large. "absent" for a missing path.
+    """
+    if not path.exists():
+        return "absent"
+    found = hashlib.sha256()
+    for file in [path] if path.is_file() else _files_below(path):
+        about = file.stat()
+        found.update(f"{file.relative_to(path).as_posix()}\0{about.st_size}\0{about.st_mtime_ns}\n".encode())
+    return found.hexdigest()[:16]
+
+
+def _files_below(folder: Path) -> Iterator[Path]:
+    for root, folders, files in os.walk(folder):
+        folders.sort()
+        yield from (Path(root) / name for name in sorted(files) if (Path(root) / name).is_file())

@@ -74,12 +74,6 @@ class RecolorSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     """Limit for stored weights; views beyond it recompute their tiles on each use. With 0, solving the street with 24
     views of 640 px took 7 times as long in total, 1.2 times the CPU time, and 0.73 of the memory."""
 
-    @property
-    def iterations_by_round(self) -> list[int]:
-        """Iterations of each round, as even as possible, the last ones longer."""
-        rounds = min(self.rounds, self.iterations)
-        return [self.iterations * (i + 1) // rounds - self.iterations * i // rounds for i in range(rounds)]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColorProblem:
@@ -109,42 +103,42 @@ class ColorProblem:
     def solve(self, settings: RecolorSettings) -> Generator[SolverStep, None, Solution]:
         """Solve for colors; exposures are estimated first, trust before each round.
 
-        Yields:
-            The solver's steps; their `change` is relative to the prior.
+        Yields the solver's steps; their `change` is relative to the prior.
         """
-        sh = self.prior
         affines, pull = (NO_CHANGE,) * len(self.views), self.prior_weights(settings)
         if settings.exposure and len(self.views) > 1:
             affines = _affines(self.views, len(self.rows))
-        solution = Solution(sh, affines, np.ones(len(self.views)))
-        for turn, iterations in enumerate(settings.iterations_by_round):
+        solution = Solution(self.prior, affines, np.ones(len(self.views)))
+        rounds = min(settings.rounds, settings.iterations)
+        for turn in range(rounds):
+            # As even as possible, the last rounds longer.
+            iterations = settings.iterations * (turn + 1) // rounds - settings.iterations * turn // rounds
             pictures = [view.picture(solution.sh) for view in self.views]
             solution, targets = self._weighed(solution, pictures, settings, is_first=turn == 0)
             offset = solution.sh - self.prior
-            solver = solve_colors(targets, len(self.rows), iterations, pull, offset)
             change = offset
-            for step in solver:
+            for step in solve_colors(targets, len(self.rows), iterations, pull, offset):
                 change = offset + step.change
                 yield SolverStep(step.length, change)
-            solution = Solution(self.prior + change, solution.affines, solution.trust)
+            solution = replace(solution, sh=self.prior + change)
         return solution
 
     def first_targets(self, settings: RecolorSettings) -> list[ColorTarget]:
         """Targets of the views before the first solve, with identity exposures."""
-        beginning = Solution(self.prior, (NO_CHANGE,) * len(self.views), np.ones(len(self.views)))
+        first = Solution(self.prior, (NO_CHANGE,) * len(self.views), np.ones(len(self.views)))
         pictures = [view.picture(self.prior) for view in self.views]
-        return self._weighed(beginning, pictures, settings, is_first=True)[1]
+        return self._weighed(first, pictures, settings, is_first=True)[1]
 
     def _weighed(
         self, solution: Solution, pictures: Sequence[Float32[np.ndarray, "_ _ 3"]], settings: RecolorSettings,
         *, is_first: bool,
     ) -> tuple[Solution, list[ColorTarget]]:  # fmt: skip
         """Compute trust from the images of the current colors, and the targets weighted by it."""
-        affines, trust = solution.affines, solution.trust
+        trust = solution.trust
         counted = [view.seen.counted for view in self.views]
         residuals = [
             affine.undone(view.seen.target.image) * view.seen.alpha[..., None] - picture
-            for view, picture, affine in zip(self.views, pictures, affines, strict=True)
+            for view, picture, affine in zip(self.views, pictures, solution.affines, strict=True)
         ]
         by_pixel = [each.astype(np.float32) for each in counted]
         if settings.robust:
@@ -160,19 +154,19 @@ class ColorProblem:
             ColorTarget(view.seen.weights, view.indices, view.basis, residual, pixels)
             for view, residual, pixels in zip(self.views, residuals, by_pixel, strict=True)
         ]
-        return Solution(solution.sh, affines, trust), targets
+        return replace(solution, trust=trust), targets
 
 
 def _affines(views: Sequence[ProblemView], count: int) -> tuple[ViewAffine, ...]:
     counted = [view.seen.counted.astype(np.float32)[..., None] for view in views]
-    seen = [
+    colors = [
         view.seen.weights.accumulate(own * view.seen.target.image) for view, own in zip(views, counted, strict=True)
     ]
     evidence = [
         np.ascontiguousarray(view.seen.weights.accumulate(np.repeat(own, 3, axis=2))[:, 0])
         for view, own in zip(views, counted, strict=True)
     ]
-    return tuple(view_affines(seen, evidence, [view.indices for view in views], count))
+    return tuple(view_affines(colors, evidence, [view.indices for view in views], count))
 
 
 # Color prior
@@ -265,11 +259,11 @@ def choose_prior_weight(problem: ColorProblem, settings: RecolorSettings) -> Gen
     """
     views = problem.views[:: -(-len(problem.views) // _MAX_VIEWS)]
     spared = views[_SPARED // 2 :: _SPARED]
-    taught = tuple(view for i, view in enumerate(views) if i % _SPARED != _SPARED // 2)
+    fitted = tuple(view for i, view in enumerate(views) if i % _SPARED != _SPARED // 2)
     if len(views) < _SPARED:
         return STRENGTHS[1]
-    trial = replace(problem, views=taught, held_out=spared)
-    best, least = STRENGTHS[0], np.inf
+    trial = replace(problem, views=fitted, held_out=spared)
+    best, lowest = STRENGTHS[0], np.inf
     targets, nothing = trial.first_targets(settings), np.zeros_like(problem.prior)
     for strength in STRENGTHS:
         pull = trial.prior_weights(msgspec.structs.replace(settings, tikhonov=strength))
@@ -277,18 +271,15 @@ def choose_prior_weight(problem: ColorProblem, settings: RecolorSettings) -> Gen
         for step in solve_colors(targets, len(problem.rows), _ITERATIONS, pull, nothing):
             change = step.change
             yield step
-        error = float(np.median([_error(view, problem.prior + change) for view in spared]))
-        if error > least:
+        errors: list[float] = []
+        for view in spared:
+            difference = view.rendered(problem.prior + change)[view.seen.counted]
+            difference = difference - view.seen.target.image[view.seen.counted]
+            errors.append(float(np.mean(difference**2)) if len(difference) else 0.0)
+        if float(np.median(errors)) > lowest:
             break
-        best, least = strength, error
+        best, lowest = strength, float(np.median(errors))
     return best
-
-
-def _error(view: ProblemView, sh: np.ndarray) -> float:
-    """Mean squared error of a view; 0 without valid pixels."""
-    counted = view.seen.counted
-    difference = (view.rendered(sh) - view.seen.target.image)[counted]
-    return float(np.mean(difference**2)) if counted.any() else 0.0
 
 
 # Robust weights (IRLS)

@@ -9,14 +9,13 @@ import numpy as np
 from jaxtyping import Float32
 
 from ..render.autodiff.differentiable import render_gaussians
-from ..render.autodiff.types import Rendered
 from ..render.cpu.fast_math import harmonics
 from ..render.cpu.projection import view_directions
 from ..scene.gaussians import Gaussians
 from ..scene.geometry import quaternions_from_matrices
 from ..scene.progress import Progress
 from ..scene.scene import DrawItem
-from ..training.parameters import FIRST_DECAY, SECOND_DECAY, SplatParameters, adam_step
+from ..training.parameters import FIRST_DECAY, SECOND_DECAY, SplatParameters, adam_step, rotate_quaternions
 from ..training.step import d_ssim, l1
 from .problem import ColorProblem, ProblemView, Solution
 from .solver import SolverStep, add_colors_transposed, evaluate_colors
@@ -39,24 +38,16 @@ class _TrainedMember:
     parameters: SplatParameters
 
     def activated(self, view: ProblemView) -> tuple[Tensor, ...]:
-        """Means, scales, quaternions, opacities and colours in the world, without what is left out."""
-        own, kept = self.parameters, self._drawn()
+        """Means, scales, quaternions, opacities and colors in the world, without what is left out."""
+        own, left_out = self.parameters, self.part.left_out
+        rows = torch.from_numpy((~left_out).indices.astype(np.int64)) if left_out else slice(None)
         scale = float(np.cbrt(np.linalg.det(self.part.to_world[:3, :3])))
-        turn = quaternions_from_matrices(self.part.to_world[:3, :3] / scale)
         matrix = torch.as_tensor(self.part.to_world, dtype=torch.float32)
+        turn = quaternions_from_matrices(self.part.to_world[:3, :3] / scale)
         means = own.tensors["means"] @ matrix[:3, :3].T + matrix[:3, 3]
-        quaternions = own.tensors["quaternions"] @ _product(turn).T
-        return tuple(
-            each[kept]
-            for each in (
-                means, own.scales * scale, quaternions, own.opacities * self.part.opacity, self._colors(view)
-            )
-        )  # fmt: skip
-
-    def _drawn(self) -> Tensor:
-        if not self.part.left_out:
-            return slice(None)
-        return torch.from_numpy((~self.part.left_out).indices.astype(np.int64))
+        quaternions = rotate_quaternions(turn, own.tensors["quaternions"])
+        opacities = own.opacities * self.part.opacity
+        return tuple(each[rows] for each in (means, own.scales * scale, quaternions, opacities, self._colors(view)))
 
     def _colors(self, view: ProblemView) -> Tensor:
         """Display colors; view directions count as fixed, since a step barely changes them."""
@@ -88,27 +79,17 @@ def refine(
         view = views[index]
         visible = view.seen.visible
         parts = [_TrainedMember(p, trained[m.key]) for m, p in zip(visible.members, visible.parts, strict=True)]
-        rendered = _rendered(parts, view)
-        wanted = torch.from_numpy(solution.affines[index].undone(view.seen.target.image))
-        wanted = wanted * rendered.alpha.detach()[..., None]
+        pieces = zip(*(each.activated(view) for each in parts), strict=True)
+        rendered = render_gaussians(*(torch.cat(each) for each in pieces), view.seen.target.camera)
+        target = torch.from_numpy(solution.affines[index].undone(view.seen.target.image))
+        target = target * rendered.alpha.detach()[..., None]
         mask = torch.from_numpy(view.seen.counted)
-        loss = (1 - D_SSIM_SHARE) * l1(rendered.color, wanted, mask)
-        (loss + D_SSIM_SHARE * d_ssim(rendered.color, wanted, mask)).backward()
+        loss = (1 - D_SSIM_SHARE) * l1(rendered.color, target, mask)
+        (loss + D_SSIM_SHARE * d_ssim(rendered.color, target, mask)).backward()
         for moving in parts:
             moving.parameters.step(rates)
             moving.parameters.zero_grad()
     return {key: each.to_gaussians() for key, each in trained.items()}
-
-
-def _rendered(parts: Sequence[_TrainedMember], view: ProblemView) -> Rendered:
-    pieces = zip(*(each.activated(view) for each in parts), strict=True)
-    means, scales, quaternions, opacities, colors = (torch.cat(each) for each in pieces)
-    return render_gaussians(means, scales, quaternions, opacities, colors, view.seen.target.camera)
-
-
-def _product(turn: np.ndarray) -> Tensor:
-    w, x, y, z = turn.tolist()
-    return torch.tensor([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
 
 
 # Photometric refinement of colors
@@ -126,12 +107,7 @@ def photometric_refine(
     """Continue from a solution by Adam, one view per step, with the stored weights and without rasterization.
 
     Unlike least squares it models the renderers' clipping of colors at 0. Trust and exposures of views are unchanged.
-
-    Yields:
-        The loss, and the current change from the prior.
-
-    Returns:
-        The harmonics.
+    Yields the loss and the current change from the prior; returns the harmonics.
     """
     sh = solution.sh.copy()
     n, k = sh.shape[:2]
@@ -163,9 +139,9 @@ def _descend(
     seen = view.seen
     colors = np.float32(0.5) + evaluate_colors(sh, view.indices, view.basis)
     image = torch.from_numpy(seen.weights.blend(np.maximum(colors, np.float32(0)))).requires_grad_()
-    wanted = torch.from_numpy(solution.affines[index].undone(seen.target.image) * seen.alpha[..., None])
+    target = torch.from_numpy(solution.affines[index].undone(seen.target.image) * seen.alpha[..., None])
     mask = torch.from_numpy(seen.counted)
-    loss = (1 - D_SSIM_SHARE) * l1(image, wanted, mask) + D_SSIM_SHARE * d_ssim(image, wanted, mask)
+    loss = (1 - D_SSIM_SHARE) * l1(image, target, mask) + D_SSIM_SHARE * d_ssim(image, target, mask)
     loss.backward()
     gathered = seen.weights.accumulate(np.ascontiguousarray(image.grad.numpy()))
     add_colors_transposed(gradient, view.indices, view.basis, np.where(colors > 0, gathered, np.float32(0)))

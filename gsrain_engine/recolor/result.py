@@ -22,25 +22,21 @@ def write_recolored(path: Path, colors: Mapping[str, Float32[np.ndarray, "_ _ 3"
     path.parent.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, Any] = {"version": np.array(_VERSION), "names": np.array(list(colors), dtype=np.str_)}
     arrays |= {f"sh_{i}": sh for i, sh in enumerate(colors.values())}
-    with whole_file(path) as beside, beside.open("wb") as file:
+    with whole_file(path) as temporary, temporary.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
 
 
 def read_recolored(path: Path | str) -> dict[str, Float32[np.ndarray, "_ _ 3"]]:
-    """Read harmonics by name (`layers/NAME`, `actors/ID`).
-
-    Raises:
-        SceneFormatError: If the file has other content.
-    """
+    """Read harmonics by name (`layers/NAME`, `actors/ID`); raises `SceneFormatError` if the file has other content."""
     try:
         file = read_archive(Path(path))
         version = int(file["version"])
         if version > _VERSION:
             raise SceneFormatError(path, f"version {version} is newer than {_VERSION}, which this program knows")
         colors = {str(name): file[f"sh_{i}"] for i, name in enumerate(file["names"])}
+    except SceneFormatError:
+        raise
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        if isinstance(error, SceneFormatError):
-            raise
         raise SceneFormatError(path, f"not a file of recoloured Gaussians: {printable_line(error)}") from None
     for name, sh in colors.items():
         if sh.dtype != np.float32 or sh.ndim != 3 or sh.shape[2] != 3:

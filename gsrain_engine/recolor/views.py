@@ -87,12 +87,12 @@ def target_views(scene: Scene, capture: Capture, width_px: int) -> Iterator[Targ
 
 
 def observe_view(
-    scene: Scene, members: list[RecolorMember], target: TargetView, ground_m: float, most_bytes: float = np.inf
+    scene: Scene, members: list[RecolorMember], target: TargetView, ground_m: float, max_bytes: float = np.inf
 ) -> ViewObservation:
-    """Render the current scene from a target's camera; weights are stored if they fit into `most_bytes`."""
+    """Render the current scene from a target's camera; weights are stored if they fit into `max_bytes`."""
     visible = visible_members(scene, members, target.time_s)
     view = color_operator(visible.parts, target.camera)
-    weights = weights_of(view, most_bytes)
+    weights = weights_of(view, max_bytes)
     splats = view.splats.indices[weights.rows]
     colors = view.splats.colors[weights.rows]
     is_sky = visible.is_sky[splats].astype(np.float32)
@@ -103,14 +103,11 @@ def observe_view(
     depth = expected(np.ascontiguousarray(geometry[..., 2]), np.ascontiguousarray(solid))
     depth[solid <= _SOLID * alpha] = 0
     sky = expected(np.ascontiguousarray(geometry[..., 1]), alpha)
-    ground = ground_share(depth, up_facing(depth, target.camera), target.camera, ground_m) * (1 - sky)
+    ground = ground_share(
+        depth, np.ascontiguousarray(normals_from_depth(depth, target.camera)[..., 2]), target.camera, ground_m
+    ) * (1 - sky)
     surfaces = alpha[..., None] * np.stack([sky, ground, 1 - sky - ground], axis=-1)
     return ViewObservation(target, visible, weights, splats, clear, alpha, depth, surfaces)
-
-
-def up_facing(depth: Float32[np.ndarray, "h w"], camera: Camera) -> Float32[np.ndarray, "h w"]:
-    """World-up component of the surface normals estimated from depth."""
-    return np.ascontiguousarray(normals_from_depth(depth, camera)[..., 2])
 
 
 def surface_shares(
@@ -137,12 +134,8 @@ def surface_shares(
 # Exposure and white balance
 # Affine color map per view, with their median fixed.
 
-PRIOR_WEIGHT = 1e-3
-"""Tikhonov weight toward the identity, in squared color, for images without contrast."""
-
-SWEEPS = 6
-"""Rounds over all views; each uses the other views' latest maps."""
-
+PRIOR_WEIGHT = 1e-3  # tikhonov weight toward the identity, in squared color, for images without contrast
+SWEEPS = 6  # rounds over all views; each uses the other views' latest maps
 _MIN_PX = 1.0  # minimum weight in pixels, in a view and in all others together, of a Gaussian that constrains exposures
 _MIDDLE = 0.5
 _GAIN_LIMITS = 0.2, 5.0  # bounds that keep a map invertible: a black image has no gain
@@ -172,18 +165,14 @@ def view_affines(
     """Estimate the maps by comparing the same Gaussians across views.
 
     Each view's Gaussians are compared with the mean over all *other* views, weighted by visibility in both: a view
-    can't agree with itself, and the colors need not be known. View-dependent color counts as noise.
-
-    Args:
-        seen: For each view, the sum of weight * color of each splat over the image.
-        evidence: For each view, the sum of each splat's weights in pixels.
-        indices: Row of each splat among all Gaussians.
-        count: Number of Gaussians.
+    can't agree with itself, and the colors need not be known. View-dependent color counts as noise. For each view,
+    `seen` is the sum of weight * color of each splat over the image, `evidence` the sum of its weights in pixels, and
+    `indices` its row among all `count` Gaussians.
     """
-    kept = [np.flatnonzero(each >= _MIN_PX) for each in evidence]
-    means = [own[rows] / each[rows, None] for own, each, rows in zip(seen, evidence, kept, strict=True)]
-    amounts = [each[rows] for each, rows in zip(evidence, kept, strict=True)]
-    places = [each[rows] for each, rows in zip(indices, kept, strict=True)]
+    chosen = [np.flatnonzero(each >= _MIN_PX) for each in evidence]
+    means = [own[rows] / each[rows, None] for own, each, rows in zip(seen, evidence, chosen, strict=True)]
+    amounts = [each[rows] for each, rows in zip(evidence, chosen, strict=True)]
+    places = [each[rows] for each, rows in zip(indices, chosen, strict=True)]
     sums, totals = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
     for mean, amount, place in zip(means, amounts, places, strict=True):
         sums[place] += mean * amount[:, None]
@@ -228,8 +217,7 @@ def _gauge_fixed(affines: Sequence[ViewAffine]) -> list[ViewAffine]:
 
 # Ground height
 
-_LOW_SHARE = 0.05
-"""Quantile for the ground: the lowest part of a street is mostly ground, with fewer stray Gaussians below it."""
+_LOW_SHARE = 0.05  # quantile: the lowest part of a street is mostly ground, with fewer stray Gaussians below it
 
 
 def ground_height_m(scene: Scene) -> float:
@@ -259,11 +247,8 @@ def ground_share(
 ) -> Float32[np.ndarray, "h w"]:
     """Share of ground in each pixel, 0 to 1.
 
-    Args:
-        depth: Along the view axis in meters, 0 where unknown.
-        upness: World-up component of the unit normal, -1..1.
-        camera: In the world (meters, z up).
-        ground_m: Height of the ground in the world.
+    `depth` is along the view axis in meters, 0 where unknown; `upness` is the world-up component of the unit normal,
+    -1..1. The camera is in the world (meters, z up), whose ground is at `ground_m`.
     """
     heights = world_points(depth, camera)[..., 2] - ground_m
     share = _rising(*_FACING_UP, upness.astype(np.float64)) * (1 - _rising(*_BAND_M, heights))

@@ -76,10 +76,9 @@ def ego_masks(
     columns finds the contour along static edges that best separates both. Cameras without clear evidence, and cameras
     that did not move, get no mask.
 
-    Args:
-        views: Undistorted. Sizes may differ by a few pixels, as after per-image undistortion; images with an unusual
-            aspect ratio for their sensor are ignored.
-        depths: Of the static scene, completed down to the lower edge (`completed_depth`).
+    Views are undistorted. Their sizes may differ by a few pixels, as after per-image undistortion; images with an
+    unusual aspect ratio for their sensor are ignored. Depths are those of the static scene, completed down to the lower
+    edge (`completed_depth`).
     """
     found: dict[str, Bool[np.ndarray, "_ _"]] = {}
     for sensor in dict.fromkeys(view.sensor for view in views):
@@ -91,8 +90,12 @@ def ego_masks(
         size = width, max(round(camera.height * width / camera.width), 1)
         own = [_SmallImage(views[row], depths[row], size) for row in rows]
         contour = _contour(_evidence(own))
-        if contour is not None:
-            found[sensor] = _above(contour, own[0].camera, camera)
+        if contour is not None:  # with a margin of one of the small image's pixels
+            scale = camera.width / size[0]
+            columns = (np.arange(camera.width) + 0.5) / scale - 0.5
+            rows_above = np.where(contour < size[1], contour - 1, size[1])
+            first = np.interp(columns, np.arange(len(contour)), rows_above) * scale
+            found[sensor] = np.arange(camera.height)[:, None] < first[None, :]
     return found
 
 
@@ -150,13 +153,13 @@ def _contour(evidence: Float32[np.ndarray, "h w 2"]) -> Float64[np.ndarray, " w"
     gain[:height] = np.cumsum((color - _PRIOR)[::-1], axis=0)[::-1] + _EDGE * edges
     gain[: round(_LOWEST_PART * height)] = -np.inf
     best, back = gain[:, 0].copy(), np.zeros((height + 1, width), np.int64)
-    ways = np.arange(-_STEEPEST, _STEEPEST + 1)
+    steps = np.arange(-_STEEPEST, _STEEPEST + 1)
     for column in range(1, width):
-        source = np.arange(height + 1)[:, None] + ways
+        source = np.arange(height + 1)[:, None] + steps
         values = np.where((source >= 0) & (source <= height), best[np.clip(source, 0, height)], -np.inf)
-        values = values - _SLOPE * np.abs(ways)
+        values = values - _SLOPE * np.abs(steps)
         choice = values.argmax(axis=1)
-        back[:, column] = np.clip(np.arange(height + 1) + ways[choice], 0, height)
+        back[:, column] = np.clip(np.arange(height + 1) + steps[choice], 0, height)
         best = values[np.arange(height + 1), choice] + gain[:, column]
     rows = np.full(width, height)
     rows[-1] = int(best.argmax())
@@ -166,11 +169,3 @@ def _contour(evidence: Float32[np.ndarray, "h w 2"]) -> Float64[np.ndarray, " w"
     if not region.any() or float(color[region].mean()) < _PRIOR + _MIN_GAIN:
         return None
     return rows.astype(np.float64)
-
-
-def _above(rows: Float64[np.ndarray, " w"], small: Camera, camera: Camera) -> Bool[np.ndarray, "h w"]:
-    """Mask of the pixels above a contour found in a smaller image, with a margin of one of its pixels."""
-    scale = camera.width / small.width
-    columns = (np.arange(camera.width) + 0.5) / scale - 0.5
-    first = np.interp(columns, np.arange(len(rows)), np.where(rows < small.height, rows - 1, small.height)) * scale
-    return np.arange(camera.height)[:, None] < first[None, :]

@@ -22,9 +22,8 @@ from gsrain_engine.evaluation.compare_translators import (
     real_images,
     run_comparison,
 )
-from gsrain_engine.evaluation.fid_features import ExtractorChoice
-from gsrain_engine.evaluation.fid_registry import open_extractor
-from gsrain_engine.evaluation.input_fingerprint import input_fingerprint
+from gsrain_engine.evaluation.fid_features import ExtractorChoice, open_extractor
+from gsrain_engine.evaluation.report import input_fingerprint
 from gsrain_engine.presets import shipped_config_names
 from tests.app.picture_sets import write_pictures
 from tests.training.drive_capture import drive_capture

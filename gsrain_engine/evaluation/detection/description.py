@@ -16,8 +16,6 @@ Fit = Literal["letterbox", "letterbox_corner", "stretch"]
 Size = Annotated[int, Meta(ge=32, le=8192)]
 Fraction = Annotated[float, Meta(ge=0, le=1)]
 Deviation = Annotated[float, Meta(gt=0)]
-Stride = Annotated[int, Meta(ge=1, le=512)]
-ClassName = Annotated[str, Meta(min_length=1)]
 
 
 class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -34,7 +32,7 @@ class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
         ),
     ]
     classes: Annotated[
-        tuple[ClassName, ...] | Literal["coco"] | None,
+        tuple[Annotated[str, Meta(min_length=1)], ...] | Literal["coco"] | None,
         Meta(title="Classes", description="Names in the detector's order; left out: those the ONNX file holds."),
     ] = None
     input_size_px: Annotated[
@@ -63,7 +61,7 @@ class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
     ] = "letterbox"
     padding: Annotated[int, Meta(ge=0, le=255, title="Grey of the bars")] = 114
     strides: Annotated[
-        tuple[Stride, ...],
+        tuple[Annotated[int, Meta(ge=1, le=512)], ...],
         Meta(
             min_length=1,
             title="Strides",

@@ -10,16 +10,7 @@ import platformdirs
 from jaxtyping import Float32, Float64, UInt8
 
 from ...scene.objects import COCO_CLASSES
-from .decoders import (
-    BoxCandidates,
-    DecoderInput,
-    OnnxModel,
-    cell_grid,
-    decode_outputs,
-    decoder,
-    non_maximum_suppression,
-    open_onnx,
-)
+from .decoders import DecoderInput, OnnxModel, cell_grid, decode_outputs, decoder, non_maximum_suppression, open_onnx
 from .description import DetectorDescription, Fit, description_names, load_description, named_classes
 
 
@@ -58,23 +49,18 @@ class Detector:
             found = decode_outputs(outputs, DecoderInput(self.description, len(self.classes), *self.input_size_px))
         except ValueError as error:
             raise ValueError(f"{self._model.path}: {error}") from None
+        if decoder(self.description.decode).is_final:
+            chosen = np.argsort(-found.confidences, kind="stable")
+        else:
+            overlap = self.description.suppression_iou
+            chosen = non_maximum_suppression(found.boxes, found.confidences, found.classes, overlap)
         boxes = placement.in_image(found.boxes)
         visible = (boxes[:, 2] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 1])
         return [
             Detection(self.classes[found.classes[i]], float(found.confidences[i]), _corners(boxes[i]))
-            for i in self._chosen(found)
+            for i in chosen[: self.description.most_detections]
             if visible[i]
         ]
-
-    def _chosen(self, found: BoxCandidates) -> np.ndarray:
-        """Indices of the reported boxes, by descending confidence."""
-        if decoder(self.description.decode).is_final:
-            rows = np.argsort(-found.confidences, kind="stable")
-        else:
-            rows = non_maximum_suppression(
-                found.boxes, found.confidences, found.classes, self.description.suppression_iou
-            )
-        return rows[: self.description.most_detections]
 
 
 def open_detector(path: Path, description: str | Path | None = None) -> Detector:
@@ -85,9 +71,9 @@ def open_detector(path: Path, description: str | Path | None = None) -> Detector
     unknown kind, and for a description that does not fit; ModuleNotFoundError if onnxruntime is missing.
     """
     model = open_onnx(path)
-    beside = path.with_suffix(".yaml")
-    if description is None and beside.is_file():
-        description = beside
+    neighbor = path.with_suffix(".yaml")
+    if description is None and neighbor.is_file():
+        description = neighbor
     described = recognize_description(model) if description is None else load_description(description)
     try:
         classes = named_classes(described, model.class_names)
@@ -99,11 +85,11 @@ def open_detector(path: Path, description: str | Path | None = None) -> Detector
 
 def _input_size(model: OnnxModel, description: DetectorDescription) -> tuple[int, int]:
     """Width and height in pixels, fixed by the file or given by the description."""
-    asked = description.input_size_px or (None, None)
-    for axis, fixed, wanted in zip(("wide", "high"), (model.width, model.height), asked, strict=True):
-        if fixed and wanted and fixed != wanted:
-            raise ValueError(f"its input is {fixed} px {axis}, the description says {wanted} (input_size_px)")
-    width, height = model.width or asked[0], model.height or asked[1]
+    described = description.input_size_px or (None, None)
+    for axis, fixed, other in zip(("wide", "high"), (model.width, model.height), described, strict=True):
+        if fixed and other and fixed != other:
+            raise ValueError(f"its input is {fixed} px {axis}, the description says {other} (input_size_px)")
+    width, height = model.width or described[0], model.height or described[1]
     if width is None or height is None:
         raise ValueError("it takes pictures of any size; its description must choose one (input_size_px: [640, 640])")
     return width, height
@@ -175,8 +161,8 @@ def _by_grid(model: OnnxModel) -> str | None:
 
 def _gives_pixels(model: OnnxModel) -> bool:
     """True if centers are in pixels (YOLOv6, YOLOX with --decode_in_inference), so that they span the input."""
-    grey = np.full((1, 3, model.height or 0, model.width or 0), 114, np.float32)
-    centers = model.run(grey)[0][0, :, :2]
+    gray = np.full((1, 3, model.height or 0, model.width or 0), 114, np.float32)
+    centers = model.run(gray)[0][0, :, :2]
     return bool(np.abs(centers).max() > min(model.width or 0, model.height or 0) / 2)
 
 
@@ -222,10 +208,7 @@ def letterbox(picture: tuple[int, int], size: tuple[int, int], fit: Fit) -> Lett
 def network_input(
     image: UInt8[np.ndarray, "h w 3"], placement: Letterbox, size: tuple[int, int], description: DetectorDescription
 ) -> Float32[np.ndarray, "1 3 hi wi"]:
-    """The image (RGB) as network input of `size` (width, height).
-
-    Resized bilinearly without antialiasing, as in the detectors' original code.
-    """
+    """The image (RGB) as network input, resized bilinearly without antialiasing as in the detectors' original code."""
     canvas = np.full((size[1], size[0], 3), description.padding, np.uint8)
     inner = cv2.resize(image, (placement.width, placement.height), interpolation=cv2.INTER_LINEAR)
     rows = slice(placement.top, placement.top + placement.height)
@@ -244,18 +227,14 @@ PLACE = "GSRAIN_DETECTOR"
 _URL = "https://github.com/Megvii-BaseDetection/YOLOX/releases/download/0.1.1rc0/yolox_nano.onnx"
 
 
-def detector_place() -> Path:
-    """Return the file or folder of GSRAIN_DETECTOR, else the detectors folder in the user's data folder."""
-    own = os.environ.get(PLACE)
-    return Path(own) if own else platformdirs.user_data_path("gsrain", appauthor=False) / "detectors"
-
-
 def find_detector() -> Path:
-    """Return the ONNX file of the detector on this machine, the first by name if there are several.
+    """Return the ONNX file of GSRAIN_DETECTOR, else of the detectors folder in the user's data folder.
 
-    Raises FileNotFoundError with the search path and download instructions.
+    It is the first by name if there are several. Raises FileNotFoundError with the search path and download
+    instructions.
     """
-    place = detector_place()
+    own = os.environ.get(PLACE)
+    place = Path(own) if own else platformdirs.user_data_path("gsrain", appauthor=False) / "detectors"
     files = [place] if place.is_file() else sorted(place.glob("*.onnx"))
     if files:
         return files[0]

@@ -4,11 +4,10 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Float64
 
 from ...datasets.capture import TrackedBox
 from ...render.object_labels import bounding_rectangle, convex_outline, cut_at_edges, visible_objects
@@ -71,26 +70,20 @@ def ground_truth_from_boxes(boxes: Sequence[TrackedBox], camera: Camera, time_s:
     truths: list[LabeledObject] = []
     for to_camera, box in placed:
         within = cut_at_edges(convex_outline(box_corners(to_camera, box.size_lwh), camera), camera)
-        own = _filled(within, camera)
+        pixels = np.zeros(covered.shape, np.uint8)
+        if len(within) >= 3:
+            cv2.fillConvexPoly(pixels, np.floor(within).astype(np.int32), 1)
+        own = pixels > 0
         if own.any():
-            visibility = float((own & ~covered).sum() / own.sum())
+            name, visibility = label_class(box.class_name), float((own & ~covered).sum() / own.sum())
             distance = _distance(to_camera, box)
-            truths.append(
-                LabeledObject(box.id, label_class(box.class_name), bounding_rectangle(within), visibility, distance)
-            )
+            truths.append(LabeledObject(box.id, name, bounding_rectangle(within), visibility, distance))
             covered |= own
     return tuple(truths)
 
 
 def _distance(to_camera: Float64[np.ndarray, "4 4"], box: TrackedBox) -> float:
     return float(np.linalg.norm(to_camera[:3, 3] + to_camera[:3, 2] * (box.size_lwh[2] / 2)))
-
-
-def _filled(polygon: Float64[np.ndarray, "c 2"], camera: Camera) -> Bool[np.ndarray, "h w"]:
-    pixels = np.zeros((camera.height, camera.width), np.uint8)
-    if len(polygon) >= 3:
-        cv2.fillConvexPoly(pixels, np.floor(polygon).astype(np.int32), 1)
-    return pixels > 0
 
 
 # Labels from a rendered scene
@@ -103,11 +96,11 @@ def ground_truth_from_scene(
 
     Boxes bound the visible pixels, as human annotators draw them. Rain is not included.
     """
+    found = visible_objects(renderer, scene, objects, camera, time_s)
+    names = [label_class(each.object.class_name) for each in found]
     return tuple(
-        LabeledObject(
-            each.object.id, label_class(each.object.class_name), each.box_xyxy, each.visibility, each.distance_m
-        )
-        for each in visible_objects(renderer, scene, objects, camera, time_s)
+        LabeledObject(each.object.id, name, each.box_xyxy, each.visibility, each.distance_m)
+        for each, name in zip(found, names, strict=True)
     )
 
 
@@ -127,8 +120,19 @@ def read_coco(file: Path) -> dict[str, tuple[LabeledObject, ...]]:
         classes = {int(each["id"]): str(each["name"]) for each in document["categories"]}
         names = {int(each["id"]): str(each["file_name"]) for each in document["images"]}
         found: dict[str, list[LabeledObject]] = {name: [] for name in names.values()}
-        for annotation in document["annotations"]:
-            found[names[int(annotation["image_id"])]].append(_object(annotation, classes))
+        for each in document["annotations"]:
+            left, top, width, height = (float(number) for number in each["bbox"])
+            distance = each.get("distance_m")
+            found[names[int(each["image_id"])]].append(
+                LabeledObject(
+                    id=str(each.get("object", each["id"])),
+                    class_name=label_class(classes[int(each["category_id"])]),
+                    box_xyxy=(left, top, left + width, top + height),
+                    visibility=float(each.get("visibility", 1.0)),
+                    distance_m=None if distance is None else float(distance),
+                    is_ignored=bool(each.get("iscrowd", 0)),
+                )
+            )
     except OSError as error:
         raise ValueError(f"{file}: can't be read ({error.strerror or error})") from None
     except KeyError as error:
@@ -138,19 +142,6 @@ def read_coco(file: Path) -> dict[str, tuple[LabeledObject, ...]]:
     except (ValueError, TypeError, AttributeError, OverflowError) as error:
         raise ValueError(f"{file}: not a COCO file of instances ({printable_line(error)})") from None
     return {name: tuple(objects) for name, objects in found.items()}
-
-
-def _object(annotation: dict[str, Any], classes: dict[int, str]) -> LabeledObject:
-    left, top, width, height = (float(each) for each in annotation["bbox"])
-    distance = annotation.get("distance_m")
-    return LabeledObject(
-        id=str(annotation.get("object", annotation["id"])),
-        class_name=label_class(classes[int(annotation["category_id"])]),
-        box_xyxy=(left, top, left + width, top + height),
-        visibility=float(annotation.get("visibility", 1.0)),
-        distance_m=None if distance is None else float(distance),
-        is_ignored=bool(annotation.get("iscrowd", 0)),
-    )
 
 
 # Class matching

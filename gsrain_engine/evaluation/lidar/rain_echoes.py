@@ -26,6 +26,10 @@ class RainReturns(NamedTuple):
     """Equivalent reflectance of a beam-filling target with the same echo."""
 
     @staticmethod
+    def none() -> "RainReturns":
+        return RainReturns(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+
+    @staticmethod
     def joined(*parts: "RainReturns") -> "RainReturns":
         return RainReturns(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
@@ -64,8 +68,8 @@ class DropReturnModel:
     def reach_m(self) -> float:
         """Range beyond which no drop is detected."""
         ranges = np.arange(0, min(self.sensor.range_m, self.sensor.farthest_m) + _STEP_M, _STEP_M)
-        seen = np.flatnonzero(self.first_detected(ranges) < CLASSES)
-        return float(ranges[seen[-1]]) + _STEP_M if len(seen) else 0.0
+        detected = np.flatnonzero(self.first_detected(ranges) < CLASSES)
+        return float(ranges[detected[-1]]) + _STEP_M if len(detected) else 0.0
 
     @cached_property
     def grid_m(self) -> Float64[np.ndarray, " k"]:
@@ -74,9 +78,9 @@ class DropReturnModel:
 
     @cached_property
     def expected(self) -> Float64[np.ndarray, " k"]:
-        """Mean number of detected drops in a beam up to each range of the grid.
+        """Mean number of detected drops in a beam up to each range of the grid; 0 without rain.
 
-        The integral of N pi/4 w(r)^2 P(D is detected at r) over r. 0 without rain.
+        The integral of N pi/4 w(r)^2 P(D is detected at r) over r.
         """
         shares = 1 - self.first_detected(self.grid_m) / CLASSES
         per_m = self.state.density_m3 * np.pi / 4 * self.sensor.beam_width_m(self.grid_m) ** 2 * shares
@@ -112,9 +116,9 @@ def sample_far_returns(
     beam = np.repeat(np.arange(len(beams)), counts)
     turn = np.arange(len(beam)) - np.repeat(np.cumsum(counts) - counts, counts)
     place, size = draws[beam, 1 + 2 * turn], draws[beam, 2 + 2 * turn]
-    wanted = place * mean[beam]
-    wanted += np.where(wanted > left_out[0][beam], (left_out[1] - left_out[0])[beam], 0)
-    ranges = np.interp(wanted, signals.expected, signals.grid_m)
+    drawn = place * mean[beam]
+    drawn += np.where(drawn > left_out[0][beam], (left_out[1] - left_out[0])[beam], 0)
+    ranges = np.interp(drawn, signals.expected, signals.grid_m)
     smallest = np.minimum(signals.first_detected(ranges), CLASSES - 1)
     classes = smallest + np.floor(size * (CLASSES - smallest)).astype(np.int64)
     return RainReturns(beam, ranges, signals.reflectances(ranges, classes))
@@ -148,7 +152,7 @@ def drop_field_returns(
     seen = np.flatnonzero(drops.class_index >= signals.first_detected(ranges))
     listening = np.flatnonzero(listened_m > 0)
     if not len(seen) or not len(listening):
-        return RainReturns(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+        return RainReturns.none()
     ranges, directions = ranges[seen], away[seen] / ranges[seen, None]
     half_angles = np.arcsin(np.minimum(signals.sensor.beam_width_m(ranges) / 2 / ranges, 1))
     tree = KDTree(beams.directions[listening])

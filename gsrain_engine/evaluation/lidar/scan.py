@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, no_type_check
+from typing import Any, Literal, no_type_check
 
 import msgspec
 import numba
@@ -70,15 +70,6 @@ class RainyScan:
         return np.linalg.norm(self.sweep.points_m[self.is_false].astype(np.float64) - self.sweep.origin_m, axis=1)
 
 
-class _DropReturn(NamedTuple):
-    """The candidate drop return of a beam."""
-
-    beams: Int64[np.ndarray, " m"]
-    ranges_m: Float64[np.ndarray, " m"]
-    reflectances: Float64[np.ndarray, " m"]
-    signals: Float64[np.ndarray, " m"]
-
-
 def scan_in_rain(
     beams: Beams,
     sensor: LidarSensor,
@@ -104,33 +95,44 @@ def scan_in_rain(
         faded *= _wet_road(beams, sensor, rainfall)
     clear = np.where(beams.is_echo, sensor.signal(ranges, beams.reflectances, 0.0), 0.0)
     signals = clear * faded
-    chosen = _answering_drops(beams, sensor, rainfall, anchor_to_world, answer)
     # Threshold returns stay detected without attenuation: rounding must not lose them.
     heard = beams.is_echo & ((signals >= 1) | (faded == 1))
+    drops, drop_signals = _answering_drops(beams, sensor, rainfall, anchor_to_world, answer)
+    if answer == "first":
+        answers = np.ones(len(drops.beams), bool)
+    else:  # always if the echo behind is not detected
+        answers = ~heard[drops.beams]
+        if answer == "strongest":
+            answers |= drop_signals > signals[drops.beams]
+    drops, drop_signals = RainReturns(*(column[answers] for column in drops)), drop_signals[answers]
     by_drop = np.zeros(len(beams), bool)
-    by_drop[chosen.beams] = _drop_answers(answer, chosen, heard, signals)
+    by_drop[drops.beams] = True
     fates = np.full(len(beams), ReturnOutcome.NOTHING, np.int8)
     fates[beams.is_echo] = ReturnOutcome.DROPPED
     fates[heard] = ReturnOutcome.KEPT
     fates[heard & by_drop] = ReturnOutcome.MASKED
-    kept = np.flatnonzero((fates == ReturnOutcome.KEPT) | beams.untouched)
-    false = chosen.beams[by_drop[chosen.beams]]
-    drop = _DropReturn(*(column[by_drop[chosen.beams]] for column in chosen))
+    true = np.flatnonzero((fates == ReturnOutcome.KEPT) | beams.untouched)
     noise = np.random.default_rng([seed, _moment(beams.time_s), 1]).standard_normal(len(beams))
-    moved = noise * _added_sigma(sensor, clear, signals)
+    # The points of a clear sweep already contain their own noise.
+    before, after = (sensor.range_sigma(np.maximum(each, 1)) ** 2 for each in (clear, signals))
+    moved = noise * np.sqrt(np.maximum(after - before, 0))
     moved[beams.untouched] = 0
-    true_points = (beams.points_m + beams.directions * moved[:, None])[kept]
-    spread = drop.ranges_m + noise[false] * sensor.range_sigma(drop.signals)
-    false_points = beams.origin_m + beams.directions[false] * np.maximum(spread, sensor.blind_m)[:, None]
-    order = np.argsort(np.concatenate([kept, false]), kind="stable")
+    true_points = (beams.points_m + beams.directions * moved[:, None])[true]
+    spread = drops.ranges_m + noise[drops.beams] * sensor.range_sigma(drop_signals)
+    false_points = beams.origin_m + beams.directions[drops.beams] * np.maximum(spread, sensor.blind_m)[:, None]
+    order = np.argsort(np.concatenate([true, drops.beams]), kind="stable")
+    intensities = None
+    if beams.intensities is not None:  # the sensor corrects for range but not for rain
+        of_true = beams.intensities[true] * np.where(beams.untouched, 1, faded)[true]
+        of_drops = beams.full_intensity * drops.reflectances * np.exp(-2 * state.extinction_per_m * drops.ranges_m)
+        intensities = np.concatenate([of_true, of_drops]).astype(np.float32)[order]
     points = np.concatenate([true_points, false_points]).astype(np.float32)[order]
-    intensities = _intensities(beams, faded, kept, drop, state.extinction_per_m)
     return RainyScan(
-        sweep=LidarSweep(beams.time_s, points, beams.origin_m, None if intensities is None else intensities[order]),
-        beams=np.concatenate([kept, false])[order],
-        is_false=(np.arange(len(order)) >= len(kept))[order],
+        sweep=LidarSweep(beams.time_s, points, beams.origin_m, intensities),
+        beams=np.concatenate([true, drops.beams])[order],
+        is_false=(np.arange(len(order)) >= len(true))[order],
         fates=fates,
-        signals=np.concatenate([signals[kept], drop.signals])[order],
+        signals=np.concatenate([signals[true], drop_signals])[order],
     )
 
 
@@ -164,10 +166,10 @@ def _answering_drops(
     rainfall: RainSimulation,
     anchor_to_world: Float64[np.ndarray, "4 4"],
     answer: Answer,
-) -> _DropReturn:
-    """The drop of each beam that would be reported without another echo."""
+) -> tuple[RainReturns, Float64[np.ndarray, " m"]]:
+    """The drop of each beam that would be reported without another echo, and its signal."""
     if rainfall.state.intensity_mm_h == 0:
-        return _DropReturn(np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros(0))
+        return RainReturns.none(), np.zeros(0)
     signals = DropReturnModel(sensor, rainfall.state)
     listened = np.where(beams.untouched, 0, np.minimum(beams.ranges_m - sensor.pulse_m, signals.reach_m))
     listened = np.maximum(listened, 0)
@@ -183,40 +185,7 @@ def _answering_drops(
     first = {"strongest": -strength, "first": found.ranges_m, "last": -found.ranges_m}[answer]
     order = np.lexsort((first, found.beams))
     best = order[np.unique(found.beams[order], return_index=True)[1]]
-    return _DropReturn(found.beams[best], found.ranges_m[best], found.reflectances[best], strength[best])
-
-
-def _drop_answers(
-    answer: Answer, drops: _DropReturn, heard: Bool[np.ndarray, " n"], signals: Float64[np.ndarray, " n"]
-) -> Bool[np.ndarray, " m"]:
-    """Mask of the reported drops: always if the echo behind is not detected."""
-    if answer == "first":
-        return np.ones(len(drops.beams), bool)
-    wins = drops.signals > signals[drops.beams] if answer == "strongest" else np.zeros(len(drops.beams), bool)
-    return ~heard[drops.beams] | wins
-
-
-def _added_sigma(
-    sensor: LidarSensor, clear: Float64[np.ndarray, " n"], rainy: Float64[np.ndarray, " n"]
-) -> Float64[np.ndarray, " n"]:
-    """Additional range noise from rain: the points of a clear sweep already contain their own noise."""
-    before, after = (sensor.range_sigma(np.maximum(each, 1)) ** 2 for each in (clear, rainy))
-    return np.sqrt(np.maximum(after - before, 0))
-
-
-def _intensities(
-    beams: Beams,
-    faded: Float64[np.ndarray, " n"],
-    kept: Int64[np.ndarray, " k"],
-    drops: _DropReturn,
-    extinction_per_m: float,
-) -> Float32[np.ndarray, " m"] | None:
-    """Apparent intensity: the sensor corrects for range but not for rain."""
-    if beams.intensities is None:
-        return None
-    true = beams.intensities[kept] * np.where(beams.untouched, 1, faded)[kept]
-    false = beams.full_intensity * drops.reflectances * np.exp(-2 * extinction_per_m * drops.ranges_m)
-    return np.concatenate([true, false]).astype(np.float32)
+    return RainReturns(*(column[best] for column in found)), strength[best]
 
 
 def _moment(time_s: float) -> int:
@@ -232,8 +201,6 @@ _MARGIN_PX = 4
 _LARGEST_PX = 2048
 _ROAD_UP = 0.95
 _ROAD_M = 0.3
-
-# Beams of a measured sweep
 
 MATT = 0.2
 """Default reflectance of all objects, times the cosine of incidence, for sweeps without intensities."""
@@ -261,6 +228,11 @@ def scan_scene(
     cosines = np.abs(np.sum(normals * directions, axis=1))
     found = np.isfinite(ranges)
     points = np.where(found[:, None], origin + directions * np.where(found, ranges, 0)[:, None], origin)
+    ego = scene.ego_to_world(time_s)
+    road_m = scene.ground_m if ego is None else float(ego[2, 3]) - EGO_HEIGHT_M
+    is_road = found & (normals[:, 2] > _ROAD_UP)
+    if road_m is not None:
+        is_road &= np.abs(points[:, 2] - road_m) < _ROAD_M
     return Beams(
         time_s=time_s,
         origin_m=origin,
@@ -268,7 +240,7 @@ def scan_scene(
         ranges_m=ranges,
         points_m=points.astype(np.float32),
         reflectances=matt * cosines,
-        road_cosines=np.where(found & _is_road(scene, time_s, points, normals), cosines, 0.0),
+        road_cosines=np.where(is_road, cosines, 0.0),
         untouched=np.zeros(len(own), bool),
     ).heard_by(sensor)
 
@@ -299,16 +271,6 @@ def _face_camera(sensor: LidarSensor, sensor_to_world: Float64[np.ndarray, "4 4"
     return Camera(2 * half, top + bottom, focal, focal, float(half), float(top), to_camera)
 
 
-def _is_road(
-    scene: Scene, time_s: float, points_m: Float64[np.ndarray, "n 3"], normals: Float64[np.ndarray, "n 3"]
-) -> Bool[np.ndarray, " n"]:
-    """Mask of horizontal surfaces at the height of the road, if that is known."""
-    ego = scene.ego_to_world(time_s)
-    height = scene.ground_m if ego is None else float(ego[2, 3]) - EGO_HEIGHT_M
-    flat = normals[:, 2] > _ROAD_UP
-    return flat if height is None else flat & (np.abs(points_m[:, 2] - height) < _ROAD_M)
-
-
 # Ray-surface intersection
 # Flat Gaussians act as pieces of planes. Blended depth of splat centers is too near on a road at a grazing angle, and
 # lies between two surfaces where it mixes them. Instead, a ray passes through the splats until less than half of its
@@ -332,9 +294,9 @@ class LidarSurfaces:
     @classmethod
     def of(cls, scene: Scene, time_s: float) -> "LidarSurfaces":
         members = [(each, scene.part(each, time_s)) for each in scene.members if each.visible]
-        shown = [(member, part) for member, part in members if part is not None]
-        sky = [np.full(len(p.gaussians), isinstance(m, Layer) and m.kind == "sky") for m, p in shown]
-        return cls(tuple(part for _, part in shown), np.concatenate([np.zeros(0, np.bool_), *sky]))
+        placed = [(member, part) for member, part in members if part is not None]
+        sky = [np.full(len(p.gaussians), isinstance(m, Layer) and m.kind == "sky") for m, p in placed]
+        return cls(tuple(part for _, part in placed), np.concatenate([np.zeros(0, np.bool_), *sky]))
 
     def met_by(
         self, directions: Float64[np.ndarray, "n 3"], camera: Camera
@@ -440,14 +402,16 @@ def _normals(
     to_camera: Float64[np.ndarray, "4 4"],
 ) -> Float64[np.ndarray, "m 3"]:
     scales: Float32[np.ndarray, "m 3"] = part.gaussians.scales[chosen]
-    turns = matrices_from_quaternions(part.gaussians.quaternions[chosen].astype(np.float64))
+    rotations = matrices_from_quaternions(part.gaussians.quaternions[chosen].astype(np.float64))
     shortest = np.argmin(scales, axis=1)
-    along = np.take_along_axis(turns, shortest[:, None, None], axis=2)[:, :, 0] @ to_camera[:3, :3].T
+    along = np.take_along_axis(rotations, shortest[:, None, None], axis=2)[:, :, 0] @ to_camera[:3, :3].T
     ordered = np.sort(scales, axis=1)
     flat = ordered[:, 0] < _FLAT * ordered[:, 1]
     normals = np.where(flat[:, None], along, places)
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
 
+
+# Beams of a measured sweep
 
 RETROREFLECTING = 100.0
 """Intensity of a white Lambertian target on scales beyond 1; higher values are reflectors (as of Velodyne)."""
@@ -477,10 +441,12 @@ def estimate_sensor_range(sweep: LidarSweep, full: float) -> float | None:
     if sweep.intensities is None:
         return None
     ranges = np.linalg.norm(sweep.points_m - sweep.origin_m, axis=1)
-    seen = _reflectances(sweep, full)[ranges > 1]
-    if not len(seen):
-        return None
-    return float(np.quantile(ranges[ranges > 1] * np.sqrt(STATED_REFLECTANCE / seen), _DETECTED_SHARE))
+    reflectances, ranges = _reflectances(sweep, full)[ranges > 1], ranges[ranges > 1]
+    return (
+        float(np.quantile(ranges * np.sqrt(STATED_REFLECTANCE / reflectances), _DETECTED_SHARE))
+        if len(ranges)
+        else None
+    )
 
 
 def sweep_beams(
@@ -494,21 +460,32 @@ def sweep_beams(
     datasets with points in the vehicle's frame) is raised to `ROOF_M`.
     """
     full = full_intensity(sweep) if full is None else full
-    sweep = replace(sweep, origin_m=_origin(sweep, ego))
+    pose = None if ego is None else ego.pose(sweep.time_s)
+    if pose is not None:
+        height = float((sweep.origin_m - pose[:3, 3]) @ pose[:3, 2]) + EGO_HEIGHT_M
+        if height <= _ON_ROAD_M:
+            sweep = replace(sweep, origin_m=sweep.origin_m + (ROOF_M - height) * pose[:3, 2])
     away = sweep.points_m.astype(np.float64) - sweep.origin_m
     ranges = np.linalg.norm(away, axis=1)
     untouched = ranges < max(sensor.clear_m, 1e-3)
     directions = away / np.maximum(ranges, 1e-9)[:, None]
     directions[ranges < 1e-9] = (1, 0, 0)
-    least = sensor.detectable(np.where(untouched, sensor.clear_m, ranges))
+    weakest = sensor.detectable(np.where(untouched, sensor.clear_m, ranges))
+    road_cosines = np.zeros(len(ranges))
+    if pose is not None:
+        up = pose[:3, 2]  # follows the slope under the vehicle
+        heights = (sweep.points_m - pose[:3, 3]) @ up + EGO_HEIGHT_M
+        sensor_height = float((sweep.origin_m - pose[:3, 3]) @ up) + EGO_HEIGHT_M
+        cosines = np.clip((sensor_height - heights) / np.maximum(ranges, 1e-9), 0, 1)
+        road_cosines = np.where(np.abs(heights) < _BEAM_ROAD_M, cosines, 0.0)
     return Beams(
         time_s=sweep.time_s,
         origin_m=sweep.origin_m,
         directions=directions,
         ranges_m=ranges,
         points_m=sweep.points_m,
-        reflectances=np.maximum(_reflectances(sweep, full), least),
-        road_cosines=_road_cosines(sweep, ranges, ego),
+        reflectances=np.maximum(_reflectances(sweep, full), weakest),
+        road_cosines=road_cosines,
         untouched=untouched,
         intensities=sweep.intensities,
         full_intensity=full,
@@ -519,28 +496,6 @@ def _reflectances(sweep: LidarSweep, full: float) -> Float64[np.ndarray, " p"]:
     if sweep.intensities is None:
         return np.full(len(sweep.points_m), MATT)
     return np.maximum(sweep.intensities.astype(np.float64) / full, _SMALLEST_STEPS)
-
-
-def _origin(sweep: LidarSweep, ego: PoseTrack | None) -> Float64[np.ndarray, "3"]:
-    pose = None if ego is None else ego.pose(sweep.time_s)
-    if pose is None:
-        return sweep.origin_m
-    up = pose[:3, 2]
-    height = float((sweep.origin_m - pose[:3, 3]) @ up) + EGO_HEIGHT_M
-    return sweep.origin_m if height > _ON_ROAD_M else sweep.origin_m + (ROOF_M - height) * up
-
-
-def _road_cosines(
-    sweep: LidarSweep, ranges_m: Float64[np.ndarray, " p"], ego: PoseTrack | None
-) -> Float64[np.ndarray, " p"]:
-    pose = None if ego is None else ego.pose(sweep.time_s)
-    if pose is None:
-        return np.zeros(len(ranges_m))
-    up = pose[:3, 2]  # follows the slope under the vehicle
-    heights = (sweep.points_m - pose[:3, 3]) @ up + EGO_HEIGHT_M
-    sensor_height = float((sweep.origin_m - pose[:3, 3]) @ up) + EGO_HEIGHT_M
-    cosines = np.clip((sensor_height - heights) / np.maximum(ranges_m, 1e-9), 0, 1)
-    return np.where(np.abs(heights) < _BEAM_ROAD_M, cosines, 0.0)
 
 
 # Turns
@@ -558,9 +513,9 @@ class LidarTurn:
 
 
 def capture_turns(
-    capture: Capture, sensor: LidarSensor, count: int = 1, *, full: float | None = None, told_range: bool = True
+    capture: Capture, sensor: LidarSensor, count: int = 1, *, full: float | None = None, estimates_range: bool = True
 ) -> Iterator[LidarTurn]:
-    """Yield evenly spaced sweeps of a capture. With `told_range` the sensor's range is estimated from each sweep.
+    """Yield evenly spaced sweeps of a capture. With `estimates_range` the sensor's range is estimated from each sweep.
 
     Raises `ValueError` if there is no sweep, or the capture is not in meters with z up.
     """
@@ -571,14 +526,13 @@ def capture_turns(
     for number in evenly_spaced(len(capture.sweeps), count):
         sweep = capture.sweeps[number]
         scale = full_intensity(sweep) if full is None else full
-        told = estimate_sensor_range(sweep, scale) if told_range else None
+        range_m = estimate_sensor_range(sweep, scale) if estimates_range else None
         own = sensor
-        if told is not None:
-            own = msgspec.structs.replace(sensor, range_m=min(max(told, 1.0), 1000.0))
+        if range_m is not None:
+            own = msgspec.structs.replace(sensor, range_m=min(max(range_m, 1.0), 1000.0))
         pose = None if capture.ego is None else capture.ego.pose(sweep.time_s)
-        frame = (
-            leveled_frame((1.0, 0.0, 0.0), sweep.origin_m) if pose is None else leveled_frame(pose[:3, 0], pose[:3, 3])
-        )
+        forward, origin = ((1.0, 0.0, 0.0), sweep.origin_m) if pose is None else (pose[:3, 0], pose[:3, 3])
+        frame = leveled_frame(forward, origin)
         yield LidarTurn(f"sweep{number:04d}", sweep_beams(sweep, own, capture.ego, scale), frame, own)
 
 
@@ -628,5 +582,5 @@ def write_sweep(path: Path, rainy: RainyScan) -> None:
     if rainy.sweep.intensities is not None:
         columns["intensities"] = rainy.sweep.intensities
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as beside, beside.open("wb") as file:
+    with whole_file(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, **columns)
