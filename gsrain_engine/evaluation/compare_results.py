@@ -193,12 +193,8 @@ def _line(cells: Sequence[str]) -> str:
 # Comparison settings
 # Also the schema of the YAML file.
 
-CLEAR = "clear"
-"""The method that changes nothing: baseline distance of clear images to rainy ones."""
-
-SHIPPED = "comparisons"
-"""Folder of sample_configs with the shipped comparisons."""
-
+CLEAR = "clear"  # the method that changes nothing: baseline distance of clear images to rainy ones
+SHIPPED = "comparisons"  # folder of sample_configs with the shipped comparisons
 _FILES = (
     *("source", "capture", "real", "path", "extractor_weights"),
     *("weights", "images", "base", "normals_weights", "normals_checkout"),

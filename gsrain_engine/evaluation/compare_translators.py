@@ -58,7 +58,6 @@ class ComparisonResult:
     has_cameras: bool
     """True if neighboring views could be compared."""
     notes: tuple[str, ...] = ()
-    """Limitations of the methods, a sentence each."""
 
 
 # Comparison inputs
@@ -109,8 +108,23 @@ def run_comparison(
                 continue
             share = (number + made / len(source.views)) / len(comparison.methods)
             yield Progress(_TRANSFERS * share, f"{method.name}: view {made} of {len(source.views)}")
-    features = yield from _features(folders, real, extractor, cache)
-    rows = yield from _rows(comparison, source, folders, features, extractor)
+    sets: list[ImageSetFeatures] = []
+    for number, each in enumerate([None, *folders]):
+        name, share = "real" if each is None else each.method.name, number / (len(folders) + 1)
+        yield Progress(_TRANSFERS + (_FEATURES - _TRANSFERS) * share, f"{name}: features")
+        sets.append(extract_features(name, real if each is None else open_capture(each.folder), extractor, cache))
+    rows: list[ComparedRow] = []
+    pairs = ComparisonPairs([each.folder for each in folders], comparison.neighbours) if source.has_cameras else None
+    for number, (each, own) in enumerate(zip(folders, sets[1:], strict=True)):
+        name = each.method.name
+        yield Progress(_FEATURES + (1 - _FEATURES) * number / len(folders), f"{name}: distances")
+        distance = distribution_distance(extractor, sets[0], own, resamples=comparison.resamples, seed=comparison.seed)
+        yield Progress(_FEATURES + (1 - _FEATURES) * (number + 0.5) / len(folders), f"{name}: neighbouring views")
+        count, everywhere, dry = (0, None, None) if pairs is None else pairs.agreement(each.folder)
+        rows.append(
+            ComparedRow(name=name, method=each.method.method, distance=distance, pairs=count, everywhere=everywhere,
+                        outside_film=dry, seconds=each.seconds)
+        )  # fmt: skip
     names = choose_figure_views(folders, comparison.shown, comparison.columns)
     figure = comparison_figure(folders, names)
     reused = tuple(each.method.name for each in folders if each.was_reused)
@@ -131,46 +145,8 @@ class MethodFolder:
     seconds: float | None
     """Duration of its transfer, including model loading; None if it was stopped before this was written."""
     was_reused: bool
-    """True if it existed from an earlier run."""
     notes: tuple[str, ...] = ()
     """Limitations of its transfer, a sentence each."""
-
-
-def _features(
-    folders: Sequence[MethodFolder], real: Capture, extractor: Extractor, cache: FeatureCache | None
-) -> Generator[Progress, None, list[ImageSetFeatures]]:
-    """Features of the real images, then of each method's."""
-    features: list[ImageSetFeatures] = []
-    for number, each in enumerate([None, *folders]):
-        name = "real" if each is None else each.method.name
-        share = number / (len(folders) + 1)
-        yield Progress(_TRANSFERS + (_FEATURES - _TRANSFERS) * share, f"{name}: features")
-        features.append(extract_features(name, real if each is None else open_capture(each.folder), extractor, cache))
-    return features
-
-
-def _rows(
-    comparison: TransferComparison,
-    source: ComparedSource,
-    folders: Sequence[MethodFolder],
-    features: Sequence[ImageSetFeatures],
-    extractor: Extractor,
-) -> Generator[Progress, None, list[ComparedRow]]:
-    rows: list[ComparedRow] = []
-    pairs = ComparisonPairs([each.folder for each in folders], comparison.neighbours) if source.has_cameras else None
-    for number, (each, own) in enumerate(zip(folders, features[1:], strict=True)):
-        name = each.method.name
-        yield Progress(_FEATURES + (1 - _FEATURES) * number / len(folders), f"{name}: distances")
-        distance = distribution_distance(
-            extractor, features[0], own, resamples=comparison.resamples, seed=comparison.seed
-        )
-        yield Progress(_FEATURES + (1 - _FEATURES) * (number + 0.5) / len(folders), f"{name}: neighbouring views")
-        count, everywhere, dry = (0, None, None) if pairs is None else pairs.agreement(each.folder)
-        rows.append(
-            ComparedRow(name=name, method=each.method.method, distance=distance, pairs=count, everywhere=everywhere,
-                        outside_film=dry, seconds=each.seconds)
-        )  # fmt: skip
-    return rows
 
 
 _SECONDS = "seconds.json"
@@ -326,10 +302,7 @@ _PAPER, _INK, _FAINT, _EMPTY = (255, 255, 255), (20, 20, 22), (110, 112, 118), (
 
 
 def choose_figure_views(folders: Sequence[MethodFolder], names: Sequence[str], columns: int) -> list[str]:
-    """Choose the figure's views: the named ones, or `columns` evenly spaced ones of the method with the most.
-
-    Raises ValueError for an unknown name.
-    """
+    """The named views, or `columns` even ones of the method with the most; raises ValueError for an unknown name."""
     there = max(([view.clear.name for view in read_transferred(each.folder)] for each in folders), key=len)
     if not names:
         return [there[i] for i in evenly_spaced_indices(len(there), columns)]
@@ -355,7 +328,10 @@ def comparison_figure(folders: Sequence[MethodFolder], names: Sequence[str]) -> 
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(_TEXT_PX)
     lefts = [_GAP_PX + column * (_CELL_PX + _GAP_PX) for column in range(len(names))]
     for left, name in zip(lefts, names, strict=True):
-        draw.text((left, _GAP_PX // 2), _fitting(draw, font, name), _FAINT, font)
+        title = name
+        while draw.textlength(title, font) > _CELL_PX and len(title) > 2:  # frame names of a drive differ at their ends
+            title = f"…{title[2:]}"
+        draw.text((left, _GAP_PX // 2), title, _FAINT, font)
     for row, (method, pictures) in enumerate(rows):
         top = head + row * step
         draw.text((_GAP_PX, top), method, _INK, font)
@@ -370,11 +346,3 @@ def comparison_figure(folders: Sequence[MethodFolder], names: Sequence[str]) -> 
                 filtered = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
                 sheet.paste(Image.fromarray(cv2.resize(picture, size, interpolation=filtered)), box[:2])
     return np.asarray(sheet)
-
-
-def _fitting(draw: ImageDraw.ImageDraw, font: ImageFont.ImageFont | ImageFont.FreeTypeFont, name: str) -> str:
-    """Truncate the start of a name wider than its column: frame names of a drive differ at their ends."""
-    cut = name
-    while draw.textlength(cut, font) > _CELL_PX and len(cut) > 2:
-        cut = f"…{cut[2:]}"
-    return cut

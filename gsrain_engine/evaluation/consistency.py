@@ -138,7 +138,6 @@ class PairAgreement:
 
     of: str
     to: str
-    """The neighbor, which is warped onto the view."""
     matched_share: float
     """Share of the view's pixels that are visible in the neighbor."""
     everywhere: WarpAgreement
@@ -154,7 +153,6 @@ class WarpedPair:
     to: RainyView
     found: Correspondence
     before: Image
-    """The neighbor's clear image, warped onto the view."""
     after: Image
     dry: Mask | None
     """Matched pixels outside the water film; None if the film is unknown."""

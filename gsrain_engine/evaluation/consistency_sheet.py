@@ -25,7 +25,6 @@ class SheetPair(NamedTuple):
     """One transfer's version of a pair."""
 
     title: str
-    """Of the folder."""
     pair: WarpedPair
     has_clear: bool
 

@@ -18,9 +18,9 @@ from .fid_features import Extractor
 from .image_metrics import CONFIDENCE
 
 MIN_IMAGES = 4  # smaller sets are meaningless, and their resamples are almost all alike
-Features = Float[np.ndarray, "_ d"]
-"""One row per image."""
-
+Features = Float[np.ndarray, "_ _"]  # one row per image
+Weights = Float64[np.ndarray, "_ k"]  # of each image, in k resamples
+Pairs = Bool[np.ndarray, "_ _"]
 Advance = Callable[[], object]
 
 
@@ -119,11 +119,7 @@ def distribution_distance(
 
 
 def extract_features(
-    name: str,
-    capture: Capture,
-    extractor: Extractor,
-    cache: "FeatureCache | None",
-    advance: Advance = lambda: None,
+    name: str, capture: Capture, extractor: Extractor, cache: "FeatureCache | None", advance: Advance = lambda: None
 ) -> ImageSetFeatures:
     """Extract features of all images of a capture, displayed as `name`; without a cache, anew each time.
 
@@ -151,8 +147,7 @@ def image_hash(image: UInt8[np.ndarray, "h w 3"]) -> str:
 # Feature cache
 # Keyed by image content and extractor.
 
-PLACE = "GSRAIN_FEATURE_CACHE"
-"""Environment variable with the folder of the feature cache."""
+PLACE = "GSRAIN_FEATURE_CACHE"  # environment variable with the folder of the feature cache
 
 
 class FeatureCache:
@@ -255,10 +250,7 @@ def nuclear_norm(left: Float64[np.ndarray, "n d"], right: Float64[np.ndarray, "m
 
 
 def reduce_dimension(real: Features, fake: Features) -> tuple[Float64[np.ndarray, "n r"], Float64[np.ndarray, "m r"]]:
-    """Return the same points in fewer coordinates, at most one per image, with unchanged distances.
-
-    Speeds up repeated resampling.
-    """
+    """Return the same points with unchanged distances in fewer coordinates, at most one per image, for speed."""
     points = np.concatenate((real, fake)).astype(np.float64)
     points -= points.mean(axis=0)
     if len(points) < points.shape[1]:
@@ -302,11 +294,7 @@ _BLOCK_ROWS = 512
 
 
 def weighted_distances(
-    real: Features,
-    fake: Features,
-    real_weights: Float64[np.ndarray, "_ k"],
-    fake_weights: Float64[np.ndarray, "_ k"],
-    shared: Bool[np.ndarray, "_ _"] | None = None,
+    real: Features, fake: Features, real_weights: Weights, fake_weights: Weights, shared: Pairs | None = None
 ) -> Float64[np.ndarray, " k"]:
     """Unbiased squared maximum mean discrepancies of two sets of features, with the kernel (x.y / d + 1)^3.
 
@@ -331,7 +319,7 @@ def _kernel(rows: Float64[np.ndarray, "_ d"], columns: Float64[np.ndarray, "_ d"
     return cubed
 
 
-def _within(features: Features, weights: Float64[np.ndarray, "_ k"]) -> Float64[np.ndarray, " k"]:
+def _within(features: Features, weights: Weights) -> Float64[np.ndarray, " k"]:
     """Mean over pairs of one set: pairs below the diagonal count twice, the diagonal is excluded."""
     total = np.zeros(weights.shape[1])
     points = features.astype(np.float64)
@@ -346,11 +334,7 @@ def _within(features: Features, weights: Float64[np.ndarray, "_ k"]) -> Float64[
 
 
 def _across(
-    real: Features,
-    fake: Features,
-    real_weights: Float64[np.ndarray, "_ k"],
-    fake_weights: Float64[np.ndarray, "_ k"],
-    shared: Bool[np.ndarray, "_ _"] | None,
+    real: Features, fake: Features, real_weights: Weights, fake_weights: Weights, shared: Pairs | None
 ) -> Float64[np.ndarray, " k"]:
     total = np.zeros(real_weights.shape[1])
     pairs = np.sum(real_weights, axis=0) * np.sum(fake_weights, axis=0)
@@ -402,7 +386,7 @@ def frechet_interval(
 
 
 def kernel_estimate(
-    real: Features, fake: Features, resamples: int, seed: int, shared: Bool[np.ndarray, "_ _"] | None = None
+    real: Features, fake: Features, resamples: int, seed: int, shared: Pairs | None = None
 ) -> tuple[float, Interval]:
     """Return KID and its confidence interval for image sets of these sizes; kernels are computed once for both.
 

@@ -18,7 +18,6 @@ class Extractor:
     described: str
     """Network, weights with their hash, and input size."""
     features: int
-    """Number of features per image."""
     key: str | None
     """Identifies this extractor's features in the cache; None if they are not worth caching."""
     function: Callable[[UInt8[np.ndarray, "h w 3"]], Float32[np.ndarray, " d"]]
@@ -40,7 +39,6 @@ class ExtractorChoice:
     weights: Path | None = None
     """A file; None searches this machine's folders for weights."""
     device: str = "cpu"
-    """Torch device: cpu, cuda."""
     allows_torchscript: bool = False
     """Allow running a TorchScript file of Inception, which contains code, not only numbers."""
 
@@ -88,6 +86,8 @@ def _means(values: Float64[np.ndarray, "h w c"]) -> Float64[np.ndarray, "cells c
 
 # Extractors by name
 
+EXTRACTORS = ("inception", "pixels16")
+
 
 def open_extractor(choice: ExtractorChoice) -> Extractor:
     """Open an extractor.
@@ -97,20 +97,11 @@ def open_extractor(choice: ExtractorChoice) -> Extractor:
     """
     if choice.name not in EXTRACTORS:
         raise ValueError(f"extractor {choice.name!r}: expected one of {', '.join(EXTRACTORS)}")
-    return EXTRACTORS[choice.name](choice)
+    if choice.name == "inception":
+        from .fid_torch_features import open_inception  # torch is an extra
 
-
-def _pixels(choice: ExtractorChoice) -> Extractor:
+        return open_inception(choice)
     if choice.weights is not None:
         raise ValueError(f"{choice.weights}: the extractor pixels16 takes no weights")
     described = f"colour and edges of 4x4 cells, {SIZE_PX}x{SIZE_PX} px"
     return Extractor(metric="FD-pixels16", described=described, features=160, key=None, function=cell_statistics)
-
-
-def _inception(choice: ExtractorChoice) -> Extractor:
-    from .fid_torch_features import open_inception  # torch is an extra
-
-    return open_inception(choice)
-
-
-EXTRACTORS: dict[str, Callable[[ExtractorChoice], Extractor]] = {"inception": _inception, "pixels16": _pixels}

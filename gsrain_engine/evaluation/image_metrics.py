@@ -34,9 +34,7 @@ def with_affine(picture: Image, affine: Float64[np.ndarray, "3 4"]) -> Image:
 
 WINDOW_PX = 11
 WINDOW_SIGMA_PX = 1.5
-C1, C2 = 0.01**2, 0.03**2
-"""Window and constants of Wang et al. 2004, for values of 0..1."""
-
+C1, C2 = 0.01**2, 0.03**2  # window and constants of Wang et al. 2004, for values of 0..1
 HALF_WINDOW_PX = WINDOW_PX // 2
 MIN_WEIGHT = 1e-8  # minimum window weight within the mask for a comparison
 _BAND_ROWS = 32  # rows per band: SSIM runs in bands whose intermediate results fit into the CPU cache

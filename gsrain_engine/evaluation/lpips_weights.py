@@ -19,9 +19,7 @@ from ..safe_io.numpy_files import read_archive
 from ..safe_io.text_files import printable_line
 from ..scene.files import whole_file
 
-PLACE = "GSRAIN_LPIPS_WEIGHTS"
-"""Environment variable with a file of weights, or a folder of such files."""
-
+PLACE = "GSRAIN_LPIPS_WEIGHTS"  # environment variable with a file of weights, or a folder of such files
 Network = Literal["alex", "vgg"]
 
 CHANNELS: dict[str, tuple[int, ...]] = {
@@ -58,19 +56,16 @@ class LpipsWeights:
         write_arrays(path, arrays)
 
 
-def lpips_places() -> tuple[Path, ...]:
-    """Search paths of weights: the file or folder of GSRAIN_LPIPS_WEIGHTS, else the user's data folder."""
+def lpips_place() -> Path:
+    """File or folder with weights: that of GSRAIN_LPIPS_WEIGHTS, else a folder in the user's data folder."""
     own = os.environ.get(PLACE)
-    return (Path(own),) if own else (platformdirs.user_data_path("gsrain", appauthor=False) / "lpips",)
+    return Path(own) if own else platformdirs.user_data_path("gsrain", appauthor=False) / "lpips"
 
 
 def find_lpips_weights(network: Network) -> LpipsWeights:
-    """Read the weights of a network from the search paths.
-
-    Raises FileNotFoundError with download instructions if there are none.
-    """
-    places = lpips_places()
-    files = [file for place in places for file in ([place] if place.is_file() else sorted(place.glob("*")))]
+    """Read a network's weights from the search paths; raises FileNotFoundError with download instructions."""
+    place = lpips_place()
+    files = [place] if place.is_file() else sorted(place.glob("*"))
     files = [file for file in files if file.suffix in SUFFIXES]
     faults: list[str] = []
     # The heads as originally published, and torchvision's network.
@@ -86,9 +81,8 @@ def find_lpips_weights(network: Network) -> LpipsWeights:
             continue
         if weights.network == network:
             return weights
-    looked = ", ".join(map(str, places))
     found = f" ({faults[0]})" if faults and len(files) == 1 else ""
-    raise FileNotFoundError(f"no weights of LPIPS ({network}) at {looked}{found}: {_HOW}")
+    raise FileNotFoundError(f"no weights of LPIPS ({network}) at {place}{found}: {_HOW}")
 
 
 def read_lpips_weights(*paths: Path) -> LpipsWeights:
@@ -128,10 +122,7 @@ _HEAD = re.compile(r"(?:^|\.)(?:lin|lins\.|head\.|NetLinLayer_)(\d+)(?:\.|$)")
 # Read without running any code in them.
 
 SUFFIXES = (".npz", ".safetensors", ".ckpt", ".pth", ".pt")
-ARRAY_SUFFIXES = (".safetensors", ".npz")
-"""Suffixes of files that can be written."""
-
-Arrays = Mapping[str, np.ndarray]
+ARRAY_SUFFIXES = (".safetensors", ".npz")  # suffixes of files that can be written
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
@@ -153,11 +144,8 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
     return _torch_state(path)
 
 
-def write_arrays(path: Path, arrays: Arrays) -> None:
-    """Write arrays as .npz or .safetensors, deterministically and atomically.
-
-    Raises ValueError for another suffix, and if a required package is missing.
-    """
+def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write .npz or .safetensors, deterministically and atomically; raises ValueError for another suffix."""
     contiguous: dict[str, Any] = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     if path.suffix not in ARRAY_SUFFIXES:
         raise ValueError(f"{path}: expected a name that ends with .safetensors or .npz")

@@ -34,14 +34,12 @@ class ReportCurve:
     """A value over the course of a run."""
 
     name: str
-    """Such as "loss" or "held-out PSNR"."""
     steps: Int64[np.ndarray, " n"]
     values: Float64[np.ndarray, " n"]
     times_s: Float64[np.ndarray, " n"] | None = None
     """Since the start."""
     unit: str = ""
     is_logarithmic: bool = False
-    """Use a logarithmic vertical axis."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,23 +90,25 @@ class RunReport:
     problems: tuple[str, ...] = ()
     """Parts of the capture that were skipped, with reasons."""
     machine: Mapping[str, object] = field(default_factory=describe_machine)
-    """Description of the machine."""
     notes: tuple[str, ...] = ()
     """Remarks for readers of the figures, a sentence each."""
     held_out: bool = True
     """True if the comparisons are held-out views; otherwise they are labeled as images."""
     figures: tuple[ReportFigure, ...] = ()
-    """Shown first."""
     tables: tuple[ReportTable, ...] = ()
 
 
 def report_page(report: RunReport) -> str:
     """Return the whole page, byte-identical for the same run: it has no date. All text is escaped."""
+    pictures = report.comparisons
+    if len(pictures) > MAX_IMAGES:
+        ranked = sorted(pictures, key=lambda each: -each.psnr_db)
+        pictures = [ranked[i] for i in np.linspace(0, len(ranked) - 1, MAX_IMAGES).round().astype(int)]
     return rendered(
         "report.html",
         report=report,
         tiles={**_means(report.comparisons, "held-out " if report.held_out else ""), **report.headlines},
-        pictures=_chosen(report.comparisons),
+        pictures=pictures,
         scores=_scores(report.comparisons),
         charts=[_charts(curve) for curve in report.curves],
         longest_s=max(*report.timings.values(), 1e-9) if report.timings else 1.0,
@@ -132,13 +132,6 @@ def _means(comparisons: tuple[ImageComparison, ...], which: str) -> dict[str, st
     if distances:
         rows[f"{which}LPIPS"] = f"{_mean(distances):.3f}"
     return {**rows, f"{which}views" if which else "pictures": str(len(comparisons))}
-
-
-def _chosen(comparisons: tuple[ImageComparison, ...]) -> list[ImageComparison]:
-    if len(comparisons) <= MAX_IMAGES:
-        return list(comparisons)
-    ranked = sorted(comparisons, key=lambda each: -each.psnr_db)
-    return [ranked[i] for i in np.linspace(0, len(ranked) - 1, MAX_IMAGES).round().astype(int)]
 
 
 def _scores(comparisons: tuple[ImageComparison, ...]) -> Mapping[str, object]:
@@ -187,10 +180,7 @@ def _mean(values: Iterable[float]) -> float:
 
 
 def write_report(file: Path, report: RunReport) -> None:
-    """Write a self-contained HTML page with style, curves and images, atomically.
-
-    Missing parent folders are created.
-    """
+    """Write a self-contained HTML page with style, curves and images, atomically, creating missing folders."""
     page = report_page(report)
     file.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(file) as temporary:

@@ -151,9 +151,7 @@ def _bytes(image: Image) -> UInt8[np.ndarray, "hs ws 3"]:
 
 # Data URIs and the error color scale
 
-LARGEST_ERROR = 0.25
-"""Upper end of the error color scale (of 1), the same in all reports for comparability."""
-
+LARGEST_ERROR = 0.25  # upper end of the error color scale (of 1), the same in all reports for comparability
 _JPEG_QUALITY = 88
 _LEFT_OUT = (128, 128, 128)
 _SHADES = 256

@@ -8,7 +8,6 @@ give the angle, and the length, width and rise of the box with the same moments.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from typing import NamedTuple
 
 import cv2
 import msgspec
@@ -24,12 +23,8 @@ from ..scene.camera import Camera
 from ..scene.geometry import linear_to_srgb, srgb_to_linear
 from ..scene.scene import Scene
 
-LINE_PX = 15
-"""Length of the lines of the streak detector."""
-
-FALL_BY_DIAMETER_S = 0.3e-3
-"""D/V of the drops that make visible streaks."""
-
+LINE_PX = 15  # length of the lines of the streak detector
+FALL_BY_DIAMETER_S = 0.3e-3  # D/V of the drops that make visible streaks
 _DIRECTIONS = 12
 _ACROSS_SIGMA_PX = 1.0
 _EDGE_Z, _PEAK_Z = 4.0, 7.0
@@ -108,7 +103,10 @@ def coverage(
 
 def _in_frame(found: "MedianResiduals", number: int, sign: float, drop_levels: float) -> Iterator[tuple[float, ...]]:
     values = np.where(found.still, np.float32(sign) * found.values[number], np.float32(0))
-    z = _line_response(values / found.sigma)
+    normalized = values / found.sigma
+    z = np.full(values.shape, -np.inf, np.float32)  # the largest mean along a short line over all directions
+    for kernel in _line_kernels():
+        np.maximum(z, cv2.filter2D(normalized, -1, kernel), out=z)
     quiet = z[found.still]
     middle = float(np.median(quiet))
     z = (z - middle) / max(_MAD_TO_SIGMA * float(np.median(np.abs(quiet - middle))), 1e-6)
@@ -126,28 +124,18 @@ def _in_frame(found: "MedianResiduals", number: int, sign: float, drop_levels: f
         response = np.where(own, z[part], np.float32(0))
         if response.max() < _PEAK_Z:
             continue
+        # The connected region around the peak: lines that cross a bright streak also respond.
+        _, pieces = cv2.connectedComponents((response > _CORE_SHARE * response.max()).astype(np.uint8), connectivity=8)
+        core = (pieces == pieces.flat[int(response.argmax())]).astype(np.uint8)
         margin = np.ones((2 * _MARGIN_PX + 1,) * 2, np.uint8)  # adds the flanks that the threshold cut off
-        own = (cv2.dilate(_core(response).astype(np.uint8), margin) > 0) & ~others
+        own = (cv2.dilate(core, margin) > 0) & ~others
         box, covered = _box(values[part], own), sign * float(light[part][own].sum())
-        if box is None or covered <= 0 or box.length_px < max(_MIN_LENGTH_PX, _MIN_ELONGATION * box.width_px):
+        if box is None or covered <= 0:
             continue
-        background = float(np.median(found.median[part][own]))
-        x, y, *shape = box
-        yield (number, x + columns.start, y + rows.start, *shape, background, covered)
-
-
-def _core(response: Float32[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Connected region around the peak above a share of it: lines that cross a bright streak also respond."""
-    _, pieces = cv2.connectedComponents((response > _CORE_SHARE * response.max()).astype(np.uint8), connectivity=8)
-    return pieces == pieces.flat[int(response.argmax())]
-
-
-def _line_response(values: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """Largest mean along a short line over all directions."""
-    best = np.full(values.shape, -np.inf, np.float32)
-    for kernel in _line_kernels():
-        np.maximum(best, cv2.filter2D(values, -1, kernel), out=best)
-    return best
+        x, y, angle_deg, length_px, width_px, rise_levels = box
+        if length_px >= max(_MIN_LENGTH_PX, _MIN_ELONGATION * width_px):
+            background, place = float(np.median(found.median[part][own])), (x + columns.start, y + rows.start)
+            yield (number, *place, angle_deg, length_px, width_px, rise_levels, background, covered)
 
 
 @cache
@@ -162,17 +150,8 @@ def _line_kernels() -> tuple[Float32[np.ndarray, "k k"], ...]:
     return tuple(kernels)
 
 
-class _Box(NamedTuple):
-    x: float
-    y: float
-    angle_deg: float
-    length_px: float
-    width_px: float
-    rise_levels: float
-
-
-def _box(values: Float32[np.ndarray, "h w"], own: Bool[np.ndarray, "h w"]) -> _Box | None:
-    """Box with the moments of some pixels; None for noise."""
+def _box(values: Float32[np.ndarray, "h w"], own: Bool[np.ndarray, "h w"]) -> tuple[float, ...] | None:
+    """Center, angle, length, width (px) and rise of the box with the moments of some pixels; None for noise."""
     y, x = np.nonzero(own)
     weights = values[own].astype(np.float64)
     total = float(weights.sum())
@@ -187,17 +166,13 @@ def _box(values: Float32[np.ndarray, "h w"], own: Bool[np.ndarray, "h w"]) -> _B
     # The long axis is (sin a, cos a) in x and y, so a is measured from the vertical.
     angle = np.degrees(np.arctan2(2 * xy, yy - xx) / 2)
     length, width = np.sqrt(12 * (middle + half_difference)), np.sqrt(12 * (middle - half_difference))
-    return _Box(cx, cy, float(angle), float(length), float(width), total / float(length * width))
+    return (cx, cy, float(angle), float(length), float(width), total / float(length * width))
 
 
 # Temporal-median residuals
 
-VISIBLE_LEVELS = 8
-"""A pixel counts as changed if it differs from its median by more gray levels than this."""
-
-RESTLESS_LEVELS = 4.5
-"""Larger typical deviations mean motion in most frames: leaves, water, people. Rain is in few."""
-
+VISIBLE_LEVELS = 8  # a pixel counts as changed if it differs from its median by more gray levels than this
+RESTLESS_LEVELS = 4.5  # larger typical deviations mean motion in most frames: leaves, water, people. Rain is in few
 _MIN_SIGMA = 0.5  # of a level: gray values are integers
 _RESTLESS_MARGIN_PX = 3
 
@@ -240,7 +215,6 @@ class ResidualStatistics:
     still_share: float
     """Of all pixels."""
     background_levels: float
-    """Median over the still pixels of their temporal median."""
     noise_levels: float
     """Median over the still pixels of their typical deviation."""
     std_levels: float
@@ -268,21 +242,16 @@ def residual_statistics(found: MedianResiduals) -> ResidualStatistics:
 
 # Streak statistics
 
-DARK_BAND = (32.0, 64.0)
-"""Background levels for streak comparisons: dark, but above a camera's crushed blacks."""
-
+DARK_BAND = (32.0, 64.0)  # background levels for streak comparisons: dark, but above a camera's crushed blacks
 BANDS = ((0.0, 16.0), (16.0, 32.0), DARK_BAND, (64.0, 96.0), (96.0, 140.0))
 """Background levels by brightness, to test how light adds."""
 
-STEEP_DEG = 45.0
-"""Lines with a larger angle are branches or ripples, not rain."""
-
+STEEP_DEG = 45.0  # lines with a larger angle are branches or ripples, not rain
 LENGTH_EDGES_PX = (0, 10, 20, 30, 40, 60, 80, 120, 160, 240, 1e4)
 ANGLE_EDGES_DEG = tuple(range(-45, 46, 5))
 _MEASURES = ("angle_deg", "length_px", "width_px", "rise_levels", "opacity", "exposure_s")
 _QUANTILES = (10, 50, 90)
-Quantiles = tuple[float, float, float]
-"""The 10, 50 and 90 % quantiles; NaN without streaks."""
+Quantiles = tuple[float, float, float]  # the 10, 50 and 90 % quantiles; NaN without streaks
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -305,9 +274,7 @@ class StreakStatistics:
     exposure_s: Quantiles
     """Estimated from the streaks, see `StreakTable.exposure_s`."""
     length_histogram: tuple[int, ...]
-    """Counts between LENGTH_EDGES_PX."""
     angle_histogram: tuple[int, ...]
-    """Counts between ANGLE_EDGES_DEG."""
 
 
 def streak_statistics(
@@ -344,9 +311,7 @@ def _quantiles(values: Float64[np.ndarray, " n"]) -> Quantiles:
 
 # Simulated rain in front of a photograph
 
-Window = tuple[int, int, int, int]
-"""Left, top, width, height of a part of an image, in pixels."""
-
+Window = tuple[int, int, int, int]  # left, top, width, height of a part of an image, in pixels
 _NO_SCENE = Scene("no scene", (), up=(0.0, 0.0, 1.0))
 
 
@@ -411,7 +376,6 @@ class RealRainComparison:
     labelled_mm_h: float
     """Labeled rain rate of the real sequence."""
     rendered_mm_h: float
-    """Rain rate of the simulation."""
     window: Window
     sky_levels: float
     """Display level of the drops' light: the 90th percentile above the horizon."""

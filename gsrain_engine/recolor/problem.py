@@ -101,10 +101,7 @@ class ColorProblem:
         return pull
 
     def solve(self, settings: RecolorSettings) -> Generator[SolverStep, None, Solution]:
-        """Solve for colors; exposures are estimated first, trust before each round.
-
-        Yields the solver's steps; their `change` is relative to the prior.
-        """
+        """Solve for colors, first the exposures, before each round the trust; steps yield the change from the prior."""
         affines, pull = (NO_CHANGE,) * len(self.views), self.prior_weights(settings)
         if settings.exposure and len(self.views) > 1:
             affines = _affines(self.views, len(self.rows))
@@ -171,9 +168,7 @@ def _affines(views: Sequence[ProblemView], count: int) -> tuple[ViewAffine, ...]
 
 # Color prior
 
-SURFACES = ("sky", "ground", "other")
-"""Kinds of surface, each with its own map."""
-
+SURFACES = ("sky", "ground", "other")  # kinds of surface, each with its own map
 _FEWEST_PIXELS = 200.0
 
 
@@ -284,15 +279,9 @@ def choose_prior_weight(problem: ColorProblem, settings: RecolorSettings) -> Gen
 
 # Robust weights (IRLS)
 
-VIEW_LIMIT = 2.0
-"""A view counts fully up to this multiple of the median view's typical error."""
-
-PIXEL_LIMIT = 6.0
-"""Number of standard deviations beyond which the error of a pixel is no longer squared."""
-
-MIN_SPREAD = 1 / 255
-"""Smallest standard deviation: 8-bit quantization is no disagreement."""
-
+VIEW_LIMIT = 2.0  # a view counts fully up to this multiple of the median view's typical error
+PIXEL_LIMIT = 6.0  # number of standard deviations beyond which the error of a pixel is no longer squared
+MIN_SPREAD = 1 / 255  # smallest standard deviation: 8-bit quantization is no disagreement
 _QUANTILE, _NORMAL = 0.9, 1.645
 """Quantile of the absolute error that estimates the spread, and its value in standard deviations of a normal
 distribution. A high quantile is used because half the pixels of a road or wall are fitted immediately."""

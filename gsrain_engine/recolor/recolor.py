@@ -87,7 +87,6 @@ class RecolorResult:
     setup: ProblemInputs
     solution: Solution
     seconds: dict[str, float]
-    """By stage."""
     lengths: tuple[float, ...]
     """Norm of the preconditioned residual after each step, relative to the start of its round."""
     pull: float
@@ -216,7 +215,6 @@ class RecolorRun:
     recolored: RecolorResult
     report: RunReport
     numbers: dict[str, Any]
-    """Content of the `--json` output."""
 
 
 def recolor_to_capture(
@@ -342,10 +340,7 @@ _SPACING_PX = 3  # subsampling step; every third pixel in each direction suffice
 def prepare_problem(
     scene: Scene, targets: Sequence[TargetView], held_out: Sequence[TargetView], settings: RecolorSettings
 ) -> Generator[Progress, None, ProblemInputs]:
-    """Set up the recoloring of a scene to images; progress covers the set-up alone.
-
-    Raises ValueError without images, or if none shows anything of the scene.
-    """
+    """Set up the recoloring of a scene to images; raises ValueError if none shows anything of the scene."""
     if not targets:
         raise ValueError("recolouring needs at least one picture to recolour to")
     members, ground_m = scene_members(scene), ground_height_m(scene)

@@ -94,11 +94,8 @@ def refine(
 
 # Photometric refinement of colors
 
-D_SSIM_SHARE = 0.2
-"""Of the loss, as in 3DGS (Kerbl et al. 2023, eq. 7)."""
-
-RATE, DIRECTIONAL_RATE = 2.5e-3, 2.5e-3 / 20
-"""For degree 0, and for higher degrees (3DGS)."""
+D_SSIM_SHARE = 0.2  # of the loss, as in 3DGS (Kerbl et al. 2023, eq. 7)
+RATE, DIRECTIONAL_RATE = 2.5e-3, 2.5e-3 / 20  # for degree 0, and for higher degrees (3DGS)
 
 
 def photometric_refine(

@@ -10,8 +10,7 @@ from jaxtyping import Float32, Int64
 
 from .weights import LazyWeights, StoredWeights
 
-TIKHONOV = 0.3
-"""Prior weight: a Gaussian whose squared weights sum to this over all views moves halfway, if alone."""
+TIKHONOV = 0.3  # prior weight: a Gaussian whose squared weights sum to this over all views moves halfway, if alone
 
 
 @dataclass(frozen=True, slots=True, eq=False)

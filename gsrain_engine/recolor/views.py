@@ -185,7 +185,11 @@ def view_affines(
             both = np.where(others >= _MIN_PX, amount * others / np.maximum(totals[place], _MIN_PX), 0)
             affines[v] = _fitted(sums[place] / np.maximum(others, _MIN_PX)[:, None], mean, both.astype(np.float32))
             sums[place] += affines[v].undone(mean) * amount[:, None]
-    return _gauge_fixed(affines)
+    # The same change of scene colors is removed from each map, so that the median map is the identity: a darker scene
+    # with brighter images would fit equally well. The median is robust against a single image of something else.
+    gain = np.median([each.gains for each in affines], axis=0)
+    offset = np.median([each.offsets for each in affines], axis=0)
+    return [ViewAffine(each.gains / gain, each.offsets - each.gains / gain * offset) for each in affines]
 
 
 def _fitted(
@@ -202,17 +206,6 @@ def _fitted(
     gains = 1 + ((total + pull) * product - mean * shift) / determinant
     offsets = ((square + pull) * shift - mean * product) / determinant
     return ViewAffine(np.clip(gains, *_GAIN_LIMITS), offsets)
-
-
-def _gauge_fixed(affines: Sequence[ViewAffine]) -> list[ViewAffine]:
-    """Normalize the median map to the identity: a darker scene with brighter images would otherwise fit equally well.
-
-    The same change of scene colors is removed from each map: A_v becomes A_v M^-1. The median is robust against a
-    single image of something else.
-    """
-    gain = np.median([each.gains for each in affines], axis=0)
-    offset = np.median([each.offsets for each in affines], axis=0)
-    return [ViewAffine(each.gains / gain, each.offsets - each.gains / gain * offset) for each in affines]
 
 
 # Ground height

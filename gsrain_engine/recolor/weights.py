@@ -14,12 +14,8 @@ from ..render.cpu.compositing import BATCH, MIN_TRANSMITTANCE, ColorOperator, al
 from ..render.cpu.fast_math import FAST
 from ..render.cpu.tiles import TILE
 
-STEP = np.float32(1 / 65535)
-"""Weights are stored as multiples of this."""
-
-MIN_PIECE = 8
-"""Smaller weights (0.03 % of all light on the built-in street, a fifth of their number) are dropped."""
-
+STEP = np.float32(1 / 65535)  # weights are stored as multiples of this
+MIN_PIECE = 8  # smaller weights (0.03 % of all light on the built-in street, a fifth of their number) are dropped
 LANES = 8  # pixels per piece, in vertical order
 _PIECES = TILE * TILE // LANES
 

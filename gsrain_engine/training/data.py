@@ -25,7 +25,6 @@ class ReconstructionTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
 
     capture: Path
     output: Path
-    """Scene folder."""
     settings: TrainingSettings
     images: Path | None = None
     """Folder with images that replace the capture's own."""

@@ -40,7 +40,6 @@ class FreeSpaceCarving:
     limits: Float32[np.ndarray, "v rows columns"]
     """Depth along the view axis up to which space is empty; 0 where unknown."""
     trajectory: Float32[np.ndarray, "p 3"]
-    """Positions along the camera trajectory."""
     near: float
     """Distance to the trajectory within which space is empty."""
 

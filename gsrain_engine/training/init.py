@@ -34,12 +34,8 @@ Depths = Sequence[Float32[np.ndarray, "_ _"]]
 Skies = Sequence[Bool[np.ndarray, "_ _"]]
 Trajectory = Float64[np.ndarray, "p 3"]
 
-SURFACE_OPACITY = 0.85
-"""Of Gaussians with known positions: together they are opaque, and gradients still pass."""
-
-RANDOM_OPACITY = 0.1
-"""Of Gaussians with random positions, as in 3DGS (Kerbl et al. 2023)."""
-
+SURFACE_OPACITY = 0.85  # of Gaussians with known positions: together they are opaque, and gradients still pass
+RANDOM_OPACITY = 0.1  # of Gaussians with random positions, as in 3DGS (Kerbl et al. 2023)
 _COVERED = 6 / 9  # gaussians per cell, averaged over 3x3 cells, that count as full coverage
 _COARSER = 1.7  # size of the existing Gaussians over the cell size from which a nearer view adds its own
 _FOR_HOLES = 0.1  # share of the budget reserved for holes
@@ -104,11 +100,7 @@ def _covering(views: Sequence[CaptureFrame], depths: Depths, stride: int, budget
 
 
 def _without_holes(
-    surfels: Surfels,
-    views: Sequence[CaptureFrame],
-    depths: Depths,
-    stride: int,
-    budget: int,
+    surfels: Surfels, views: Sequence[CaptureFrame], depths: Depths, stride: int, budget: int
 ) -> Gaussians:
     """Render the discs in each view and add more where alpha is too low, mostly at seams between views."""
     gaussians, renderer = surfels.gaussians(SURFACE_OPACITY), CpuRenderer()
@@ -260,9 +252,7 @@ def _holes(
 
 # Sky dome
 
-SKY_GAUSSIANS = 8000
-"""On the upper half of the dome they are 1.6 degrees apart: fine enough for clouds, not for leaves."""
-
+SKY_GAUSSIANS = 8000  # on the upper half of the dome they are 1.6 degrees apart: fine enough for clouds, not for leaves
 _LOWEST = float(np.sin(np.radians(-3.0)))  # the dome reaches slightly below the horizon, since streets end before it
 _SPREAD, _SKY_THICKNESS, _OPACITY = 0.75, 0.02, 0.98
 """Sigma along and across the dome over the spacing of directions, and opacity."""
@@ -293,7 +283,17 @@ def initial_sky(
     radius = dome_radius(surface, center, capture.is_metric)
     directions = dome_directions(count, capture.up)
     colors = _colors(directions, center + radius * directions, views, skies)
-    return _dome(directions, center, radius, colors)
+    n, spacing = len(directions), radius * np.sqrt(2 * np.pi * (1 - _LOWEST) / len(directions))
+    # Rotation from x to the direction: halfway quaternion (1 + cos, axis * sin).
+    turns = np.stack([1 + directions[:, 0], np.zeros(n), -directions[:, 2], directions[:, 1]], axis=1)
+    turns[turns[:, 0] < 1e-6] = [0, 0, 0, 1]
+    return Gaussians(
+        (center + radius * directions).astype(np.float32),
+        np.tile(np.array([_SKY_THICKNESS, 1, 1]) * _SPREAD * spacing, (n, 1)).astype(np.float32),
+        normalized(turns).astype(np.float32),
+        np.full(n, _OPACITY, np.float32),
+        sh_from_color(colors),
+    )
 
 
 def dome_radius(surface: Gaussians, center: Float64[np.ndarray, "3"], is_metric: bool) -> float:
@@ -336,46 +336,16 @@ def _colors(
         all_sky = np.concatenate([view.image[sky] for view, sky in zip(views, skies, strict=True)])
         return np.broadcast_to(np.median(all_sky, axis=0).astype(np.float32) / 255, colors.shape).copy()
     colors[known] = [np.median(each, axis=0) / 255 for each in samples if each]
-    colors[~known] = _interpolated(directions[known], colors[known], directions[~known])
+    if not known.all():
+        distance, index = KDTree(directions[known]).query(directions[~known], [*range(1, min(64, known.sum()) + 1)])
+        weight = 1 / np.maximum(distance, 1e-6) ** 2
+        colors[~known] = (weight[..., None] * colors[known][index]).sum(axis=1) / weight.sum(axis=1)[:, None]
     return colors
-
-
-def _interpolated(
-    known: Float64[np.ndarray, "k 3"], colors: Float32[np.ndarray, "k 3"], others: Float64[np.ndarray, "m 3"]
-) -> Float32[np.ndarray, "m 3"]:
-    if not len(others):
-        return np.zeros((0, 3), np.float32)
-    distance, index = KDTree(known).query(others, min(64, len(known)))
-    distance, index = distance.reshape(len(others), -1), index.reshape(len(others), -1)
-    weight = 1 / np.maximum(distance, 1e-6) ** 2
-    return ((weight[..., None] * colors[index]).sum(axis=1) / weight.sum(axis=1)[:, None]).astype(np.float32)
-
-
-def _dome(
-    directions: Float64[np.ndarray, "n 3"],
-    center: Float64[np.ndarray, "3"],
-    radius: float,
-    colors: Float32[np.ndarray, "n 3"],
-) -> Gaussians:
-    n = len(directions)
-    spacing = radius * np.sqrt(2 * np.pi * (1 - _LOWEST) / n)
-    # Rotation from x to the direction: halfway quaternion (1 + cos, axis * sin).
-    turns = np.stack([1 + directions[:, 0], np.zeros(n), -directions[:, 2], directions[:, 1]], axis=1)
-    turns[turns[:, 0] < 1e-6] = [0, 0, 0, 1]
-    return Gaussians(
-        (center + radius * directions).astype(np.float32),
-        np.tile(np.array([_SKY_THICKNESS, 1, 1]) * _SPREAD * spacing, (n, 1)).astype(np.float32),
-        normalized(turns).astype(np.float32),
-        np.full(n, _OPACITY, np.float32),
-        sh_from_color(colors),
-    )
 
 
 # Actors from lidar
 
-MIN_POINTS = 60
-"""Lidar points that an actor needs; fewer do not define a shape."""
-
+MIN_POINTS = 60  # lidar points that an actor needs; fewer do not define a shape
 _MARGIN_M = 0.1
 _LIFT_M = 0.12  # points lower than this in the box may belong to the road
 _MIN_SPACING_M = 0.04

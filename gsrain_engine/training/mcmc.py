@@ -22,7 +22,6 @@ class MCMCSettings:
     """Schedule and strength of relocation and noise; defaults are the paper's for 30,000 steps."""
 
     max_count: int
-    """Maximum number of Gaussians."""
     means_rate: Callable[[int], float]
     """Learning rate of the means at a step; scales the noise."""
     first_step: int = 500
@@ -128,9 +127,7 @@ def _drawn_by_opacity(opacities: Tensor, count: int, generator: Tensor) -> Tenso
 
 # Relocation factors
 
-MAX_COPIES = 51
-"""Larger counts are clamped to this, as in the authors' code: the sums lose precision beyond."""
-
+MAX_COPIES = 51  # larger counts are clamped to this, as in the authors' code: the sums lose precision beyond
 _N, _K = np.ogrid[: MAX_COPIES + 1, :MAX_COPIES]
 _TERMS = comb(_N, _K + 1) * (-1.0) ** _K / np.sqrt(_K + 1)
 """Coefficients (-1)^k C(N, k + 1) / sqrt(k + 1): the double sum of eq. 9, summed over its first index."""

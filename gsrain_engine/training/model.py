@@ -64,7 +64,11 @@ class SplatModel:
                 pieces.append(_ActivatedPart.of(parameters, sh_degree).moved(pose))
                 rows[key] = slice(count, count + len(parameters))
                 count += len(parameters)
-        front = _drawn(pieces, camera)
+        if len(pieces) > 1:
+            harmonics, pad = max(piece.sh.shape[1] for piece in pieces), torch.nn.functional.pad
+            padded = [piece._replace(sh=pad(piece.sh, (0, 0, 0, harmonics - piece.sh.shape[1]))) for piece in pieces]
+            pieces = [_ActivatedPart(*(torch.cat(each) for each in zip(*padded, strict=True)))]
+        front = render_gaussians(*pieces[0], camera)
         sky = None
         if self.sky is not None:  # only its colors are trained
             *shape, sh = _ActivatedPart.of(self.sky, sh_degree)
@@ -123,15 +127,6 @@ def arrays_of(state: Mapping[str, Shaped[np.ndarray, "..."]], part: str) -> dict
     """Arrays of one part of a state, whose names start with the part and a colon."""
     prefix = f"{part}:"
     return {name.removeprefix(prefix): array for name, array in state.items() if name.startswith(prefix)}
-
-
-def _drawn(pieces: list[_ActivatedPart], camera: Camera) -> Rendered:
-    if len(pieces) == 1:
-        return render_gaussians(*pieces[0], camera)
-    harmonics = max(piece.sh.shape[1] for piece in pieces)
-    pad = torch.nn.functional.pad
-    padded = [piece._replace(sh=pad(piece.sh, (0, 0, 0, harmonics - piece.sh.shape[1]))) for piece in pieces]
-    return render_gaussians(*(torch.cat(each) for each in zip(*padded, strict=True)), camera)
 
 
 # Model to scene

@@ -11,9 +11,7 @@ from numba import njit, prange
 from ..scene.gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 
 torch: Any = import_module("torch")
-Tensor = Any
-"""A torch tensor; torch is an optional extra, so its types can't be named here."""
-
+Tensor = Any  # a torch tensor; torch is an optional extra, so its types can't be named here
 NAMES = ("means", "log_scales", "quaternions", "opacity_logits", "sh_dc", "sh_rest")
 _MIN_SCALE, _MIN_OPACITY = 1e-12, 1e-8  # lower bounds of values before their logarithm is taken
 

@@ -166,9 +166,7 @@ def settings_names() -> list[str]:
 
 # Training schedule
 
-LEVELS = 3
-"""Number of image sizes: full, half and quarter."""
-
+LEVELS = 3  # number of image sizes: full, half and quarter
 _TRANSIENTS_FROM = 0.25
 """Share of the steps from which transients are masked: earlier the scene is too rough, later it has overfitted them."""
 

@@ -38,7 +38,6 @@ class TrainingStepResult(NamedTuple):
     """Counted from 0."""
     loss: float
     change: str | None
-    """Summary of the density control's change."""
     shown: Tensor
     """(h, w, 3) render with the image's own exposure applied."""
     truth: Tensor

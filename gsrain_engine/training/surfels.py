@@ -14,9 +14,7 @@ from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians, sh_from_color
 from ..scene.geometry import matrices_from_quaternions, quaternions_from_matrices
 
-SPREAD = 0.6
-"""Standard deviation of a disc over the spacing of discs: they overlap without much blur."""
-
+SPREAD = 0.6  # standard deviation of a disc over the spacing of discs: they overlap without much blur
 _THICKNESS = 0.1  # standard deviation across the surface over the smaller one along it
 _STEEPEST = 16.0  # largest aspect ratio of a disc: surfaces at grazing angles are imprecise
 _SLIGHT, _STEEP, _STRAIGHT = 0.05, 0.5, 0.3

@@ -59,7 +59,6 @@ class EgoMaskReport:
 
     searched: bool
     reason: str
-    """Reason for the decision to search or not."""
     shares: Mapping[str, float] = field(default_factory=dict[str, float])
     """Share (0..1) of the images that the body covers, by camera; cameras without it are omitted."""
 
@@ -171,7 +170,6 @@ class PreparedTraining:
 
     training: Trainer
     held_out: list[TrainingView]
-    """Views excluded from training."""
     perceived: ImageDistance | None
     own_body: "EgoMaskReport"
 
@@ -317,7 +315,11 @@ def start_training(
     if capture.boxes:  # boxes already mark moving objects
         settings = msgspec.structs.replace(settings, transients=0.0)
     schedule = TrainingSchedule(settings, camera_extent(own_views))
-    control = _control(settings, schedule)
+    control: Strategy = MCMCStrategy(
+        MCMCSettings.for_run(settings.steps, settings.gaussians, lambda step: schedule.rates(step)["means"])
+    )
+    if settings.density == "adaptive":
+        control = DefaultStrategy(DefaultStrategySettings.for_run(settings.steps, schedule.extent, settings.gaussians))
     trajectory = camera_trajectory(own_views, own.median_depth)
     free = FreeSpaceCarving.of([view.camera for view in own_views], own.measured, trajectory, settings.free_space)
     training = Trainer(
@@ -355,14 +357,6 @@ def _device(asked: str) -> str:
     if asked == "cuda" and not usable:
         raise ValueError("--device cuda: needs an NVIDIA GPU, torch with CUDA, and gsplat (pip install gsrain[cuda])")
     return "cuda" if usable and asked != "cpu" else "cpu"
-
-
-def _control(settings: TrainingSettings, schedule: TrainingSchedule) -> Strategy:
-    if settings.density == "adaptive":
-        return DefaultStrategy(DefaultStrategySettings.for_run(settings.steps, schedule.extent, settings.gaussians))
-    return MCMCStrategy(
-        MCMCSettings.for_run(settings.steps, settings.gaussians, lambda step: schedule.rates(step)["means"])
-    )
 
 
 def _perceived(lpips: Path | None, device: str) -> ImageDistance | None:

@@ -241,8 +241,7 @@ _DECODERS: dict[str, Decoder] = {
 
 # Box overlap and suppression
 
-Boxes = Float[np.ndarray, "_ 4"]
-"""Rows x1 y1 x2 y2."""
+Boxes = Float[np.ndarray, "_ 4"]  # rows x1 y1 x2 y2
 
 
 def intersection_over_union(

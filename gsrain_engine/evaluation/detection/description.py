@@ -100,10 +100,7 @@ def description_names() -> list[str]:
 
 
 def load_description(name: str | Path) -> DetectorDescription:
-    """Load a shipped description by name, or a file by path.
-
-    Raises ValueError with the file, the field and the allowed values.
-    """
+    """Load a shipped description by name, or a file by path; raises ValueError with the file and the field."""
     return load_config(_FOLDER, name, DetectorDescription, "detector description")
 
 

@@ -189,10 +189,7 @@ class Letterbox:
 
 
 def letterbox(picture: tuple[int, int], size: tuple[int, int], fit: Fit) -> Letterbox:
-    """Place an image of (width, height) in an input of (width, height).
-
-    Margins differ by at most a pixel, the larger one right and below.
-    """
+    """Place an image of (width, height) in an input; margins differ by at most a pixel, the larger right and below."""
     (picture_width, picture_height), (width, height) = picture, size
     if fit == "stretch":
         return Letterbox(picture_width, picture_height, width, height, 0, 0)
@@ -221,9 +218,7 @@ def network_input(
 
 # Detector files
 
-PLACE = "GSRAIN_DETECTOR"
-"""Environment variable with the ONNX file of a detector, or a folder with one."""
-
+PLACE = "GSRAIN_DETECTOR"  # environment variable with the ONNX file of a detector, or a folder with one
 _URL = "https://github.com/Megvii-BaseDetection/YOLOX/releases/download/0.1.1rc0/yolox_nano.onnx"
 
 

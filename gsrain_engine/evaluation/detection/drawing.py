@@ -11,9 +11,7 @@ from .detector import Detection
 from .metrics import LabeledBox, match_detections
 
 Color = tuple[int, int, int]
-Plate = tuple[int, int, int, int]
-"""Left, top, right, bottom of a label's background, in pixels."""
-
+Plate = tuple[int, int, int, int]  # left, top, right, bottom of a label's background, in pixels
 _COLORS: dict[str, Color] = {
     "car": (86, 180, 233),
     "truck": (230, 159, 0),
@@ -48,7 +46,8 @@ def draw_boxes(
     for truth, match in looked_for:
         _dashed(picture, truth.box_xyxy, _FOUND if match.confidence > 0 else _MISSED, unit)
     for each in reversed(drawn):
-        _outlined(cv2.rectangle, picture, each.box_xyxy[:2], each.box_xyxy[2:], class_color(each.class_name), unit)
+        corners = (each.box_xyxy[:2], each.box_xyxy[2:])
+        _outlined(cv2.rectangle, picture, corners, class_color(each.class_name), unit)
     plates: list[Plate] = []
     for each in drawn:
         text = f"{each.class_name} {each.confidence:.2f}"
@@ -75,21 +74,16 @@ def _dashed(picture: np.ndarray, box: Sequence[float], color: Color, unit: float
         for number in range(count):
             first, last = (number + 0.25) / count, (number + 0.75) / count
             pieces = [[a + (b - a) * share for a, b in zip(start, end, strict=True)] for share in (first, last)]
-            _outlined(cv2.line, picture, *pieces, color, unit)
+            _outlined(cv2.line, picture, pieces, color, unit)
 
 
 def _outlined(
-    draw: Callable[..., object],
-    picture: np.ndarray,
-    start: Sequence[float],
-    end: Sequence[float],
-    color: Color,
-    unit: float,
+    draw: Callable[..., object], picture: np.ndarray, ends: Sequence[Sequence[float]], color: Color, unit: float
 ) -> None:
     """Draw a rectangle or a line with a dark outline. OpenCV's (0, 0) is the center of the first pixel."""
-    ends = [[round((value - 0.5) * 2**_SUBPIXEL_BITS) for value in point] for point in (start, end)]
+    fixed = [[round((value - 0.5) * 2**_SUBPIXEL_BITS) for value in point] for point in ends]
     for shade, extra in (((0, 0, 0), 2), (color, 0)):
-        draw(picture, *ends, shade, max(1, round(2 * unit)) + extra, cv2.LINE_AA, _SUBPIXEL_BITS)
+        draw(picture, *fixed, shade, max(1, round(2 * unit)) + extra, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
 def _written(

@@ -181,9 +181,7 @@ def _dress(panel: Axes, title: str, words: str) -> None:
 
 WIDEST_PX = 1920
 _NARROWEST_PX = 240  # minimum width of an image; images that don't fit side by side continue below
-MIN_DRAWN_CONFIDENCE = 0.25
-"""Confidence from which a detection is drawn and counts as found."""
-
+MIN_DRAWN_CONFIDENCE = 0.25  # confidence from which a detection is drawn and counts as found
 _GAP_PX, _LINE_PX, _TEXT_PX = 6, 26, 16
 _PAPER, _INK, _FAINT = (24, 25, 28), (232, 232, 236), (160, 162, 170)
 _SHEET_WORDS = {"original": "as taken", "clear": "without rain"}

@@ -22,8 +22,7 @@ BoxXYXY = tuple[float, float, float, float]
 """Left, top, right, bottom in pixels; the left edge of the first column is 0."""
 
 MIN_VISIBILITY = 0.25
-MIN_HEIGHT_PX = 16.0
-"""Smaller or less visible objects are ignored: neither misses nor false detections."""
+MIN_HEIGHT_PX = 16.0  # smaller or less visible objects are ignored: neither misses nor false detections
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,11 +145,8 @@ def read_coco(file: Path) -> dict[str, tuple[LabeledObject, ...]]:
 
 # Class matching
 
-VEHICLE = "vehicle"
-"""Class of datasets (Waymo Open) and detectors that do not distinguish kinds of vehicles."""
-
-KINDS_OF_VEHICLES = frozenset({"car", "truck", "bus", "van", "trailer"})
-"""COCO classes that match a vehicle."""
+VEHICLE = "vehicle"  # class of datasets (Waymo Open) and detectors that do not distinguish kinds of vehicles
+KINDS_OF_VEHICLES = frozenset({"car", "truck", "bus", "van", "trailer"})  # COCO classes that match a vehicle
 
 
 @cache

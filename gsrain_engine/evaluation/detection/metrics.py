@@ -69,9 +69,7 @@ def average_precision(
 
 
 def _precision(
-    truths: Sequence[Sequence[LabeledBox]],
-    detections: Sequence[Sequence[Detection]],
-    classes: Sequence[str],
+    truths: Sequence[Sequence[LabeledBox]], detections: Sequence[Sequence[Detection]], classes: Sequence[str]
 ) -> Any:
     """Precision by IoU (10), recall (101) and class."""
     try:

@@ -48,8 +48,7 @@ class DetectorProtocol(Protocol):
 
 # Conditions
 
-Kind = Literal["original", "clear", "rainy"]
-"""Original photograph; the scene without rain; the scene in rain."""
+Kind = Literal["original", "clear", "rainy"]  # original photograph; the scene without rain; the scene in rain
 
 
 class Condition(NamedTuple):
@@ -99,7 +98,6 @@ class EvaluatedImage:
     frame: EvaluatedFrame
     trial: Condition
     judgements: Mapping[str, DetectionResult]
-    """By detector."""
     take: Callable[[], UInt8[np.ndarray, "h w 3"]]
     """Renders the image once, on demand: results from an earlier run need no image."""
 
@@ -163,10 +161,7 @@ def evaluate_images(
     trials: Sequence[Condition],
     memory: "ResultCache | None" = None,
 ) -> Iterator[EvaluatedImage]:
-    """Render each image and run each detector on it; view by view, in the order of the trials.
-
-    Results in `memory` are reused; new ones are added to it.
-    """
+    """Render each image and run each detector on it, view by view; results in `memory` are reused, new ones added."""
     for frame in frames:
         for trial in trials:
             take = cache(partial(pictures.take, frame, trial))
@@ -356,10 +351,7 @@ Labels = dict[str, tuple[LabeledObject, ...]]
 
 
 def scene_frames(renderer: Renderer, scene: Scene, placed: Sequence[PlacedCamera]) -> list[EvaluatedFrame]:
-    """Views of a scene with its actors and parked vehicles as ground truth.
-
-    Raises ValueError for a scene without classified objects.
-    """
+    """Views of a scene with its actors and parked vehicles as ground truth; raises ValueError if it has none."""
     objects = scene_objects(scene)
     if not objects:
         raise ValueError(f"scene {scene.name!r} has no actors to be found; --capture or --truth says what is there")

@@ -16,9 +16,7 @@ from .ground_truth import is_same_class
 from .metrics import DistanceRecall, Robustness, average_precision, recall_by_distance, robustness
 from .run import DetectionResult, Kind, ObjectRow
 
-FOUND_FROM = 0.25
-"""Confidence from which an object counts as found in the recalls."""
-
+FOUND_FROM = 0.25  # confidence from which an object counts as found in the recalls
 DISTANCES_M = (0.0, 10.0, 20.0, 30.0, 40.0, 60.0, 100.0)
 
 

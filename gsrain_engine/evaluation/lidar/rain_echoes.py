@@ -167,9 +167,7 @@ def drop_field_returns(
 
 # Optics of water in the near infrared
 
-REFRACTIVE_INDEX = {905: 1.327, 1550: 1.318}
-"""Of water, at wavelengths in nm (Hale and Querry 1973, Applied Optics 12)."""
-
+REFRACTIVE_INDEX = {905: 1.327, 1550: 1.318}  # of water, at wavelengths in nm (Hale and Querry 1973, Applied Optics 12)
 ABSORPTION_PER_MM = {905: 0.007, 1550: 1.09}
 """Of water: 4 pi k / wavelength with k = 5.0e-7 and 1.35e-4 (Hale and Querry 1973; Kou, Labrie and Chylek 1993)."""
 

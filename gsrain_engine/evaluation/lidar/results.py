@@ -20,9 +20,7 @@ from .rain_echoes import DropReturnModel
 from .scan import Answer, LidarTurn, RainyScan, ReturnOutcome, scan_in_rain
 from .sensor import Beams
 
-NEAR_STEP_M = 0.5
-"""Width of the bins for drops near the sensor."""
-
+NEAR_STEP_M = 0.5  # width of the bins for drops near the sensor
 _MIN_NEAR_M = 2.0  # to which fine bins reach at least
 _JUST = 1 + 1e-6
 
@@ -44,7 +42,6 @@ class ReturnCounts:
     masked: Int64[np.ndarray, " k"]
     """Replaced by a drop's return."""
     false: Int64[np.ndarray, " k"]
-    """Drops."""
     range_rmse_m: float
     """Root mean square of the range error that rain adds to kept returns; NaN without any."""
     untouched: int
@@ -82,7 +79,6 @@ class RainRunCounts:
     """Results of one turn in one rain, without the points, to save memory over many runs."""
 
     turn: str
-    """Its name."""
     range_m: float
     """Of the sensor, at 10 %."""
     state: RainProperties
@@ -146,8 +142,7 @@ _VIEWED_SHARE = 0.985
 _ASPECT = 0.66  # height over width of the top view
 _FEWEST = 20  # bins with fewer clear returns are not drawn
 _FEW_ENTRIES = 8  # maximum number of entries for a legend inside its panel; a longer one is placed to its right
-ByIntensity = Mapping[float, Sequence[RainRunCounts]]
-"""All seeds and turns at each rain rate in mm/h."""
+ByIntensity = Mapping[float, Sequence[RainRunCounts]]  # all seeds and turns at each rain rate in mm/h
 
 
 def write_figure(path: Path, shown: RainRun, by_intensity: ByIntensity) -> None:

@@ -37,6 +37,7 @@ from .rain_echoes import (
 from .sensor import STATED_REFLECTANCE, Beams, LidarSensor
 
 Answer = Literal["strongest", "first", "last"]
+Pose = Float64[np.ndarray, "4 4"]
 
 
 class ReturnOutcome(IntEnum):
@@ -61,7 +62,6 @@ class RainyScan:
     is_false: Bool[np.ndarray, " m"]
     """Mask of the points that are drops."""
     fates: Int8[np.ndarray, " n"]
-    """A `ReturnOutcome` for each beam."""
     signals: Float64[np.ndarray, " m"]
     """Power of each point in multiples of the detection threshold; 0 for points unaffected by rain."""
 
@@ -74,7 +74,7 @@ def scan_in_rain(
     beams: Beams,
     sensor: LidarSensor,
     rainfall: RainSimulation,
-    anchor_to_world: Float64[np.ndarray, "4 4"],
+    anchor_to_world: Pose,
     *,
     answer: Answer = "strongest",
     wet_road: bool = True,
@@ -136,9 +136,7 @@ def scan_in_rain(
     )
 
 
-def leveled_frame(
-    forward: Sequence[float] | Float64[np.ndarray, "3"], origin_m: Float64[np.ndarray, "3"]
-) -> Float64[np.ndarray, "4 4"]:
+def leveled_frame(forward: Sequence[float] | Float64[np.ndarray, "3"], origin_m: Float64[np.ndarray, "3"]) -> Pose:
     """Frame of the rain's regions: x along a heading, z up, without tilt."""
     length = float(np.hypot(forward[0], forward[1]))
     x, y = (forward[0] / length, forward[1] / length) if length > 1e-6 else (1.0, 0.0)
@@ -161,11 +159,7 @@ def _wet_road(beams: Beams, sensor: LidarSensor, rainfall: RainSimulation) -> Fl
 
 
 def _answering_drops(
-    beams: Beams,
-    sensor: LidarSensor,
-    rainfall: RainSimulation,
-    anchor_to_world: Float64[np.ndarray, "4 4"],
-    answer: Answer,
+    beams: Beams, sensor: LidarSensor, rainfall: RainSimulation, anchor_to_world: Pose, answer: Answer
 ) -> tuple[RainReturns, Float64[np.ndarray, " m"]]:
     """The drop of each beam that would be reported without another echo, and its signal."""
     if rainfall.state.intensity_mm_h == 0:
@@ -202,13 +196,10 @@ _LARGEST_PX = 2048
 _ROAD_UP = 0.95
 _ROAD_M = 0.3
 
-MATT = 0.2
-"""Default reflectance of all objects, times the cosine of incidence, for sweeps without intensities."""
+MATT = 0.2  # default reflectance of all objects, times the cosine of incidence, for sweeps without intensities
 
 
-def scan_scene(
-    scene: Scene, time_s: float, sensor_to_world: Float64[np.ndarray, "4 4"], sensor: LidarSensor, matt: float = MATT
-) -> Beams:
+def scan_scene(scene: Scene, time_s: float, sensor_to_world: Pose, sensor: LidarSensor, matt: float = MATT) -> Beams:
     """Send the sensor's beams into a scene. `sensor_to_world` is a pose: x forward, y left, z up, meters.
 
     Everything has the same near-infrared reflectance `matt`, times the cosine of incidence, since colors do not
@@ -253,7 +244,7 @@ def _own_directions(sensor: LidarSensor) -> Float64[np.ndarray, "n 3"]:
     return np.stack([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)], axis=-1).reshape(-1, 3)
 
 
-def _face_camera(sensor: LidarSensor, sensor_to_world: Float64[np.ndarray, "4 4"], face: int) -> Camera:
+def _face_camera(sensor: LidarSensor, sensor_to_world: Pose, face: int) -> Camera:
     """A camera that covers a quarter of the beams, with pixels as wide as the azimuth step."""
     focal = min(1 / math.radians(sensor.azimuth_step_deg), _LARGEST_PX / 2)
     half = math.ceil(focal) + _MARGIN_PX
@@ -396,10 +387,7 @@ def _planes(parts: Sequence[DrawItem], indices: Int64[np.ndarray, " m"], camera:
 
 
 def _normals(
-    part: DrawItem,
-    chosen: Int64[np.ndarray, " m"],
-    places: Float64[np.ndarray, "m 3"],
-    to_camera: Float64[np.ndarray, "4 4"],
+    part: DrawItem, chosen: Int64[np.ndarray, " m"], places: Float64[np.ndarray, "m 3"], to_camera: Pose
 ) -> Float64[np.ndarray, "m 3"]:
     scales: Float32[np.ndarray, "m 3"] = part.gaussians.scales[chosen]
     rotations = matrices_from_quaternions(part.gaussians.quaternions[chosen].astype(np.float64))
@@ -416,9 +404,7 @@ def _normals(
 RETROREFLECTING = 100.0
 """Intensity of a white Lambertian target on scales beyond 1; higher values are reflectors (as of Velodyne)."""
 
-ROOF_M = 1.9
-"""Assumed sensor height above the road, a car's roof, if the dataset's origin is on the road."""
-
+ROOF_M = 1.9  # assumed sensor height above the road, a car's roof, if the dataset's origin is on the road
 _ON_ROAD_M = 0.5
 _BEAM_ROAD_M = 0.25  # largest height difference from the road of road points
 _SMALLEST_STEPS = 0.5 / 255  # share of the scale assumed for an intensity of 0, which was rounded down
@@ -507,7 +493,7 @@ class LidarTurn:
 
     name: str
     beams: Beams
-    anchor_to_world: Float64[np.ndarray, "4 4"]
+    anchor_to_world: Pose
     """Frame of the rain's regions: the vehicle's, leveled."""
     sensor: LidarSensor
 
