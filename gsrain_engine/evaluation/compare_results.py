@@ -20,7 +20,7 @@ from ..presets import load_values
 from ..safe_io.errors import convert_checked
 from ..safe_io.text_files import printable_line
 from ..scene.open import STREET
-from .consistency import ViewFolder, WarpAgreement, agreements, open_view_folder, pool_errors
+from .consistency import WarpAgreement, agreements, open_view_folder, pool_errors
 from .fid import DistributionDistance
 
 
@@ -31,7 +31,7 @@ class ComparisonPairs:
         """Find the pairs in the first folder with the most views; raises `CaptureError` for a broken folder."""
         opened = [open_view_folder(folder) for folder in folders]
         fullest = max(opened, key=lambda each: len(each.views))
-        names = _names(fullest)
+        names = fullest.names
         self._pairs = [(names[i], names[j]) for i, j in fullest.chosen(neighbours)]
 
     def agreement(self, folder: Path) -> tuple[int, WarpAgreement | None, WarpAgreement | None]:
@@ -41,15 +41,11 @@ class ComparisonPairs:
         are omitted; None if no pair remains or the film is unknown.
         """
         compared = open_view_folder(folder)
-        index = {name: i for i, name in enumerate(_names(compared))}
+        index = {name: i for i, name in enumerate(compared.names)}
         pairs = [(index[of], index[to]) for of, to in self._pairs if of in index and to in index]
         rows = list(agreements(compared.views, pairs, has_clear=compared.has_clear))
         dry = [row.outside_film for row in rows if row.outside_film is not None]
         return len(rows), pool_errors(row.everywhere for row in rows), pool_errors(dry)
-
-
-def _names(compared: ViewFolder) -> list[str]:
-    return [view.clear.name for view in compared.views]
 
 
 # Comparison table

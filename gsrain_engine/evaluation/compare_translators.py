@@ -13,19 +13,13 @@ import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
+from ..appearance import output_folder
 from ..appearance.base import ClearView, RainyView, Transfer
 from ..appearance.capture_views import capture_views
 from ..appearance.cyclegan_turbo.weight_paths import find_base_model, find_transfer_weights
 from ..appearance.finetune.dataset import DatasetImage, ImageSettings, open_images
 from ..appearance.normal_estimators import WEIGHTS
-from ..appearance.output_folder import (
-    TransferRecord,
-    check_transferred_folder,
-    is_transferred_folder,
-    read_record,
-    read_transferred,
-    write_transferred,
-)
+from ..appearance.output_folder import TransferRecord, read_transferred, write_transferred
 from ..appearance.registry import find_method, open_transfer
 from ..appearance.scene_views import evenly_spaced_indices
 from ..appearance.wet_look.environment import ImageEnvironment, ReflectionEnvironment
@@ -51,9 +45,9 @@ class ComparisonResult:
 
     rows: tuple[ComparedRow, ...]
     figure: UInt8[np.ndarray, "h w 3"]
-    shown: tuple[str, ...]
+    figure_views: tuple[str, ...]
     """Names of the views in the figure."""
-    kept: tuple[str, ...]
+    reused: tuple[str, ...]
     """Methods whose images were reused from an earlier run."""
     has_cameras: bool
     """True if neighboring views could be compared."""
@@ -167,7 +161,7 @@ def check_methods(comparison: TransferComparison, output: Path) -> None:
     """Check inputs early; raises ValueError with the method's row. Learned methods need torch."""
     for each in comparison.methods:
         row = f"method {each.name!r}"
-        check_transferred_folder(output / each.name)
+        output_folder.check_transferred_folder(output / each.name)
         if each.method == CLEAR:
             continue
         needs = find_method(each.method).needs
@@ -215,17 +209,14 @@ def record_of(method: ComparedMethod, source: ComparedSource, comparison: Transf
 def method_folder(
     method: ComparedMethod, source: ComparedSource, comparison: TransferComparison, output: Path
 ) -> Iterator[MethodFolder | int]:
-    """Create or reuse a method's folder: yields the number of finished views, finally the folder.
-
-    Raises the transfer's errors with the method's row as a prefix.
-    """
+    """Create or reuse a method's folder: yields numbers of finished views, then the folder; errors name the method."""
     folder, record = output / method.name, record_of(method, source, comparison)
     if _is_reusable(folder, record):
         try:
             seconds = float(json.loads(read_file(folder / _SECONDS))["seconds"])
         except (OSError, ValueError, KeyError, TypeError):
             seconds = None
-        yield MethodFolder(method, folder, seconds, True, read_record(folder).notes)
+        yield MethodFolder(method, folder, seconds, True, output_folder.read_record(folder).notes)
         return
     started = time.perf_counter()
     try:
@@ -239,14 +230,14 @@ def method_folder(
     seconds = round(time.perf_counter() - started, 3)
     with whole_file(folder / _SECONDS) as temporary:
         temporary.write_text(json.dumps({"seconds": seconds}) + "\n", encoding="utf-8")
-    yield MethodFolder(method, folder, seconds, False, read_record(folder).notes)
+    yield MethodFolder(method, folder, seconds, False, output_folder.read_record(folder).notes)
 
 
 def _is_reusable(folder: Path, record: TransferRecord) -> bool:
-    if not is_transferred_folder(folder):
+    if not output_folder.is_transferred_folder(folder):
         return False
     try:
-        there = read_record(folder)
+        there = output_folder.read_record(folder)
     except CaptureError:
         return False
     return (there.method, there.made_of, dict(there.settings)) == (record.method, record.made_of, dict(record.settings))

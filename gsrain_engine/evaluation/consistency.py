@@ -38,6 +38,10 @@ class ViewFolder:
         return f"{self.folder.name} ({self.method})" if self.method else self.folder.name
 
     @property
+    def names(self) -> list[str]:
+        return [view.clear.name for view in self.views]
+
+    @property
     def has_poses(self) -> bool:
         """True if the camera pose of any view is known."""
         return any(self.views[i].clear.has_pose for i in range(len(self.views)))
@@ -51,7 +55,7 @@ class ViewFolder:
         """Find another folder's pairs in this one by view name; raises ValueError for a missing view."""
         if other is self:
             return list(pairs)
-        mine = {self.views[i].clear.name: i for i in range(len(self.views))}
+        mine = {name: i for i, name in enumerate(self.names)}
         theirs = {i: other.views[i].clear.name for i in {each for pair in pairs for each in pair}}
         missing = sorted(name for name in theirs.values() if name not in mine)
         if missing:

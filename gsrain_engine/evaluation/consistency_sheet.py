@@ -107,7 +107,9 @@ def _legend(width: int) -> Image.Image:
     shades = np.asarray(matplotlib.colormaps["magma"](np.linspace(0, 1, 120)))[:, :3]
     bar = np.repeat(np.rint(255 * shades).astype(np.uint8)[None], _TEXT_PX, axis=0)
     x = _GAP_PX
-    gray, blue = (np.tile(np.uint8(color), (_TEXT_PX, _TEXT_PX, 1)) for color in (_LEFT_OUT, np.rint(255 * _WET)))
+    gray, blue = (
+        np.tile(np.array(color, np.uint8), (_TEXT_PX, _TEXT_PX, 1)) for color in (_LEFT_OUT, np.rint(255 * _WET))
+    )
     for swatch, words in (
         (bar, f"error 0 to {255 * LARGEST_ERROR:.0f} of 255"),
         (gray, "no match"),

@@ -99,32 +99,19 @@ def distribution_distance(
         repeated = len(each) - len(set(each.hashes))
         if repeated:
             warnings.append(f"{repeated} of the {len(each)} {name} pictures repeat others of them")
+    interval = frechet_interval(real.features, fake.features, resamples, seed, advance, value)
     return DistributionDistance(
-        metric=extractor.metric,
-        kernel_metric=extractor.kernel_metric,
-        extractor=extractor.described,
-        features=extractor.features,
-        real=real.name,
-        fake=fake.name,
-        real_pictures=len(real),
-        fake_pictures=len(fake),
-        shared_pictures=in_both,
-        frechet=value,
-        frechet_interval=frechet_interval(real.features, fake.features, resamples, seed, advance, value),
-        kernel=kernel,
-        kernel_interval=kernel_spread,
-        same=same,
-        warnings=tuple(warnings),
-    )
+        metric=extractor.metric, kernel_metric=extractor.kernel_metric, extractor=extractor.described,
+        features=extractor.features, real=real.name, fake=fake.name, real_pictures=len(real), fake_pictures=len(fake),
+        shared_pictures=in_both, frechet=value, frechet_interval=interval, kernel=kernel, kernel_interval=kernel_spread,
+        same=same, warnings=tuple(warnings),
+    )  # fmt: skip
 
 
 def extract_features(
     name: str, capture: Capture, extractor: Extractor, cache: "FeatureCache | None", advance: Advance = lambda: None
 ) -> ImageSetFeatures:
-    """Extract features of all images of a capture, displayed as `name`; without a cache, anew each time.
-
-    Raises `CaptureError` for a broken image, and ValueError for too few.
-    """
+    """Extract features of a capture's images; raises `CaptureError` for a broken image, and ValueError for too few."""
     if len(capture) < MIN_IMAGES:
         raise ValueError(f"{name}: {len(capture)} pictures; a distribution takes at least {MIN_IMAGES}")
     rows: list[Float32[np.ndarray, " d"]] = []

@@ -227,17 +227,6 @@ _STEM: dict[str, Shape] = {
     "Conv2d_3b_1x1": _shape(64, 80),
     "Conv2d_4a_3x3": _shape(80, 192, 3, pad=False),
 }
-
-_POOLED_AFTER = ("Conv2d_2b_3x3", "Conv2d_4a_3x3")
-
-
-_STEM: dict[str, Shape] = {
-    "Conv2d_1a_3x3": _shape(3, 32, 3, stride=2),
-    "Conv2d_2a_3x3": _shape(32, 32, 3, pad=False),
-    "Conv2d_2b_3x3": _shape(32, 64, 3),
-    "Conv2d_3b_1x1": _shape(64, 80),
-    "Conv2d_4a_3x3": _shape(80, 192, 3, pad=False),
-}
 _POOLED_AFTER = ("Conv2d_2b_3x3", "Conv2d_4a_3x3")
 
 

@@ -169,10 +169,7 @@ _Z95 = 1.959963984540054  # standard deviations that contain 95 % of a normal di
 
 
 def wilson_interval(hits: int, of: int) -> tuple[float, float]:
-    """Return the ends of the 95 % confidence interval of hits / of (Wilson 1927); 0..1 without trials.
-
-    For independent trials; also valid for few trials and for shares of 0 or 1.
-    """
+    """Return the 95 % confidence interval of hits / of for independent trials (Wilson 1927); 0..1 for none."""
     if not of:
         return 0.0, 1.0
     z2 = _Z95**2

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
 
+from .image_metrics import Image, Mask
 from .lpips_weights import TAPS, LpipsWeights, find_lpips_weights, read_lpips_weights
 
 torch: Any = import_module("torch")
@@ -35,10 +35,7 @@ class Lpips(torch.nn.Module):
         self.requires_grad_(False)
 
     def forward(self, rendered: Tensor, truth: Tensor) -> Tensor:
-        """Distance of two (h, w, 3) tensors of values 0..1, a scalar with gradients; 0 for equal images.
-
-        Raises ValueError for images of different shapes or with a side under 32 px.
-        """
+        """Distance of two (h, w, 3) tensors of 0..1, with gradients; raises ValueError for shapes it can't compare."""
         if rendered.shape != truth.shape or min(rendered.shape[:2]) < MIN_SIZE_PX:
             sizes = " and ".join(f"{each.shape[1]}x{each.shape[0]}" for each in (rendered, truth))
             raise ValueError(f"LPIPS takes pictures of one size and at least {MIN_SIZE_PX} px a side, not {sizes}")
@@ -48,12 +45,7 @@ class Lpips(torch.nn.Module):
             distance = distance + (head * (_unit(a) - _unit(b)) ** 2).sum(0).mean()
         return distance
 
-    def distance(
-        self,
-        rendered: Float[np.ndarray, "h w 3"],
-        truth: Float[np.ndarray, "h w 3"],
-        mask: Bool[np.ndarray, "h w"] | None = None,
-    ) -> float:
+    def distance(self, rendered: Image, truth: Image, mask: Mask | None = None) -> float:
         """Distance of two float images of values 0..1; pixels outside the mask are copied from `truth`."""
         compared = rendered if mask is None else np.where(mask[..., None], rendered, truth)
         images = (np.ascontiguousarray(each, np.float32) for each in (compared, truth))

@@ -138,7 +138,12 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
         except (ValueError, OSError) as error:
             raise ValueError(f"{path}: not a readable .npz: {printable_line(error)}") from None
     if path.suffix == ".safetensors":
-        return _safetensors(path)
+        load: Any = _safetensors_module(path).load_file
+        check_file(path)
+        try:
+            return load(path)
+        except Exception as error:  # safetensors' error class is not public
+            raise ValueError(f"{path}: not a readable .safetensors: {printable_line(error)}") from None
     if path.suffix == ".ckpt":
         return dict(_flat(read_pickle(path)))
     return _torch_state(path)
@@ -169,15 +174,6 @@ def _safetensors_module(path: Path) -> Any:
         return import_module("safetensors.numpy")
     except ModuleNotFoundError as error:
         raise ValueError(f"{path}: this takes safetensors: pip install safetensors") from error
-
-
-def _safetensors(path: Path) -> dict[str, np.ndarray]:
-    load: Any = _safetensors_module(path).load_file
-    check_file(path)
-    try:
-        return load(path)
-    except Exception as error:  # safetensors' error class is not public
-        raise ValueError(f"{path}: not a readable .safetensors: {printable_line(error)}") from None
 
 
 def _torch_state(path: Path) -> dict[str, np.ndarray]:

@@ -12,17 +12,8 @@ from markupsafe import Markup
 
 from ..render.hardware import describe_machine
 from ..scene.files import whole_file
-from .report_charts import (
-    LARGEST_ERROR,
-    ImageComparison,
-    color_bar_uri,
-    error_map_uri,
-    format_number,
-    jpeg_data_uri,
-    png_data_uri,
-    rendered,
-    svg_chart,
-)
+from . import report_charts as charts
+from .report_charts import ImageComparison
 
 MAX_IMAGES = 24  # maximum number of views: the best, the worst and evenly spaced ones between; the table lists all
 
@@ -104,7 +95,7 @@ def report_page(report: RunReport) -> str:
     if len(pictures) > MAX_IMAGES:
         ranked = sorted(pictures, key=lambda each: -each.psnr_db)
         pictures = [ranked[i] for i in np.linspace(0, len(ranked) - 1, MAX_IMAGES).round().astype(int)]
-    return rendered(
+    return charts.rendered(
         "report.html",
         report=report,
         tiles={**_means(report.comparisons, "held-out " if report.held_out else ""), **report.headlines},
@@ -113,11 +104,11 @@ def report_page(report: RunReport) -> str:
         charts=[_charts(curve) for curve in report.curves],
         longest_s=max(*report.timings.values(), 1e-9) if report.timings else 1.0,
         duration=_duration,
-        largest_error=LARGEST_ERROR,
-        photograph=jpeg_data_uri,
-        drawing=png_data_uri,
-        error_picture=error_map_uri,
-        color_bar=color_bar_uri,
+        largest_error=charts.LARGEST_ERROR,
+        photograph=charts.jpeg_data_uri,
+        drawing=charts.png_data_uri,
+        error_picture=charts.error_map_uri,
+        color_bar=charts.color_bar_uri,
     )
 
 
@@ -154,14 +145,14 @@ def _charts(curve: ReportCurve) -> Mapping[str, object]:
     """A curve over steps and, if its times are known, over time."""
 
     def over(values: Float64[np.ndarray, " n"], unit: str) -> Markup:
-        return svg_chart(values, curve.values, unit, curve.name, curve.is_logarithmic)
+        return charts.svg_chart(values, curve.values, unit, curve.name, curve.is_logarithmic)
 
-    last = format_number(float(curve.values[-1])) if len(curve.values) else ""
-    charts = {"curve": curve, "last": last, "by_step": over(curve.steps.astype(np.float64), "step")}
+    last = charts.format_number(float(curve.values[-1])) if len(curve.values) else ""
+    found = {"curve": curve, "last": last, "by_step": over(curve.steps.astype(np.float64), "step")}
     if curve.times_s is None:
-        return charts
+        return found
     in_minutes = len(curve.times_s) > 0 and curve.times_s.max() > 300
-    return {**charts, "by_time": over(curve.times_s / 60, "minutes") if in_minutes else over(curve.times_s, "seconds")}
+    return {**found, "by_time": over(curve.times_s / 60, "minutes") if in_minutes else over(curve.times_s, "seconds")}
 
 
 def _duration(seconds: float) -> str:
@@ -191,10 +182,7 @@ def write_report(file: Path, report: RunReport) -> None:
 
 
 def input_fingerprint(path: Path) -> str:
-    """Return a hash (SHA-256, 16 hex digits) over names, sizes and times of a file, or of all files in a folder.
-
-    Contents are not read, since weights and datasets are large. "absent" for a missing path.
-    """
+    """Hash (16 hex digits) of names, sizes and times, not contents, of a file or folder; "absent" without one."""
     if not path.exists():
         return "absent"
     found = hashlib.sha256()

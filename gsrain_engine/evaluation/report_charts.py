@@ -1,7 +1,7 @@
 """Images and charts of reports: SVG curves, image comparisons, data URIs, curve styles, and templates."""
 
 import base64
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -126,15 +126,9 @@ class ImageComparison:
         if mask is not None:
             share = _small(mask.astype(np.float32))
             small = np.where(share > 0.5, _small(np.where(mask, error, 0)) / np.maximum(share, 0.5), np.nan)
-        return cls(
-            name,
-            _bytes(rendered),
-            _bytes(truth),
-            small.astype(np.float32),
-            psnr(rendered, truth, mask),
-            ssim(rendered, truth, mask),
-            None if lpips is None else lpips(rendered, truth, mask),
-        )
+        distance = None if lpips is None else lpips(rendered, truth, mask)
+        metrics = psnr(rendered, truth, mask), ssim(rendered, truth, mask), distance
+        return cls(name, _bytes(rendered), _bytes(truth), small.astype(np.float32), *metrics)
 
 
 def _small(values: np.ndarray) -> np.ndarray:
@@ -152,17 +146,16 @@ def _bytes(image: Image) -> UInt8[np.ndarray, "hs ws 3"]:
 # Data URIs and the error color scale
 
 LARGEST_ERROR = 0.25  # upper end of the error color scale (of 1), the same in all reports for comparability
-_JPEG_QUALITY = 88
 _LEFT_OUT = (128, 128, 128)
 _SHADES = 256
 
 
 def jpeg_data_uri(image: UInt8[np.ndarray, "h w 3"]) -> str:
-    return _data_uri(image, ".jpg", "image/jpeg", [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    return _data_uri(image, "jpeg", [cv2.IMWRITE_JPEG_QUALITY, 88])
 
 
 def png_data_uri(image: UInt8[np.ndarray, "h w 3"]) -> str:
-    return _data_uri(image, ".png", "image/png", [])
+    return _data_uri(image, "png")
 
 
 def error_map_uri(error: Float32[np.ndarray, "h w"]) -> str:
@@ -175,7 +168,7 @@ def error_map_uri(error: Float32[np.ndarray, "h w"]) -> str:
 
 def color_bar_uri() -> str:
     """Return the color scale from no error to the largest, left to right, as a data URI."""
-    return _data_uri(_shades()[None], ".png", "image/png", [])
+    return png_data_uri(_shades()[None])
 
 
 def _shades() -> UInt8[np.ndarray, "shades 3"]:
@@ -185,9 +178,9 @@ def _shades() -> UInt8[np.ndarray, "shades 3"]:
     return np.rint(255 * np.asarray(colors)[:, :3]).astype(np.uint8)
 
 
-def _data_uri(image: UInt8[np.ndarray, "h w 3"], ending: str, kind: str, options: list[int]) -> str:
-    _, encoded = cv2.imencode(ending, np.ascontiguousarray(image[..., ::-1]), options)
-    return f"data:{kind};base64,{base64.b64encode(encoded.tobytes()).decode()}"
+def _data_uri(image: UInt8[np.ndarray, "h w 3"], kind: str, options: Sequence[int] = ()) -> str:
+    _, encoded = cv2.imencode(f".{kind}", np.ascontiguousarray(image[..., ::-1]), options)
+    return f"data:image/{kind};base64,{base64.b64encode(encoded.tobytes()).decode()}"
 
 
 # Curve styles

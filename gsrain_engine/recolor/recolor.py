@@ -20,25 +20,16 @@ from ..evaluation.report_charts import ImageComparison
 from ..scene.progress import Progress, subprogress
 from ..scene.scene import Scene
 from ..training.evaluation import validation_indices
-from .problem import (
-    ColorPrior,
-    ColorProblem,
-    ProblemView,
-    RecolorSettings,
-    Solution,
-    choose_prior_weight,
-    error_scale,
-    fit_color_prior,
-    irls_view_weights,
-)  # fmt: skip
+from .problem import ColorProblem, ProblemView, RecolorSettings, Solution, choose_prior_weight, color_prior_of
 from .result import RecolorMember, scene_members, with_colors
-from .solver import SolverStep
+from .solver import Harmonics, SolverStep
 from .views import TargetView, ViewObservation, ground_height_m, observe_view, surface_shares, target_views, thumbnail
 
 _SETUP_DONE, _CHOSEN_DONE, _SOLVED_DONE = 0.4, 0.55, 0.96
 """Shares of the total time, measured on the built-in street with 30 views."""
 
 _Result = TypeVar("_Result")
+Colors = dict[str, Float32[np.ndarray, "_ _ 3"]]  # harmonics by member key
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,12 +56,12 @@ class ProblemInputs:
 
     problem: ColorProblem
     members: tuple[RecolorMember, ...]
-    prior: dict[str, Float32[np.ndarray, "_ _ 3"]]
-    """Mapped clear harmonics by member key."""
+    prior: Colors
+    """Mapped clear harmonics."""
 
-    def colors(self, sh: Float32[np.ndarray, "n k 3"]) -> dict[str, Float32[np.ndarray, "_ _ 3"]]:
+    def colors(self, sh: Harmonics) -> Colors:
         """Harmonics of every member: solved where a view shows the Gaussian, else the mapped clear ones."""
-        result: dict[str, Float32[np.ndarray, "_ _ 3"]] = {}
+        result: Colors = {}
         for member in self.members:
             first, last = np.searchsorted(self.problem.rows, [member.rows.start, member.rows.stop])
             own = self.prior[member.key].copy()
@@ -89,21 +80,17 @@ class RecolorResult:
     seconds: dict[str, float]
     lengths: tuple[float, ...]
     """Norm of the preconditioned residual after each step, relative to the start of its round."""
-    pull: float
+    prior_weight: float
     """Weight of the mapped clear colors, given or selected."""
 
     @property
-    def colors(self) -> dict[str, Float32[np.ndarray, "_ _ 3"]]:
+    def colors(self) -> Colors:
         return self.setup.colors(self.solution.sh)
 
     @property
     def weights_mb(self) -> float:
         problem = self.setup.problem
-        return sum(view.seen.weights.nbytes for view in (*problem.views, *problem.held_out)) / 1e6
-
-    def with_solution(self, solution: Solution) -> "RecolorResult":
-        """Return a copy with other colors and new scores."""
-        return replace(self, solution=solution, views=_view_reports(self.setup, solution))
+        return sum(view.observed.weights.nbytes for view in (*problem.views, *problem.held_out)) / 1e6
 
     @property
     def measured(self) -> list[RecolorViewReport]:
@@ -123,10 +110,10 @@ def recolor_scene(
     started = perf_counter()
     setup = yield from subprogress(prepare_problem(scene, targets, held_out, settings), 0.0, _SETUP_DONE)
     ready = perf_counter()
-    problem, pull = setup.problem, settings.tikhonov
-    if pull is None:
-        pull = yield from _followed(choose_prior_weight(problem, settings), _choosing)
-    settings = msgspec.structs.replace(settings, tikhonov=pull)
+    problem, prior_weight = setup.problem, settings.tikhonov
+    if prior_weight is None:
+        prior_weight = yield from _followed(choose_prior_weight(problem, settings), _choosing)
+    settings = msgspec.structs.replace(settings, tikhonov=prior_weight)
     chosen = perf_counter()
     lengths: list[float] = []
 
@@ -149,7 +136,7 @@ def recolor_scene(
         "measuring": perf_counter() - solved,
     }
     yield Progress(1.0, "Done")
-    return RecolorResult(reports, setup, solution, seconds, tuple(lengths), pull)
+    return RecolorResult(reports, setup, solution, seconds, tuple(lengths), prior_weight)
 
 
 def _followed(
@@ -176,12 +163,12 @@ def _view_reports(setup: ProblemInputs, solution: Solution) -> tuple[RecolorView
     fitted = [(view, trust, False) for view, trust in zip(problem.views, solution.trust.tolist(), strict=True)]
     reports: list[RecolorViewReport] = []
     for view, trust, is_held_out in [*fitted, *((view, 1.0, True) for view in problem.held_out)]:
-        seen = view.seen
-        if seen.counted.any():
-            clear = seen.alpha[..., None] * seen.clear + (1 - seen.alpha[..., None]) * seen.target.image
+        observed = view.observed
+        if observed.counted.any():
+            clear = observed.alpha[..., None] * observed.clear + (1 - observed.alpha[..., None]) * observed.target.image
             pictures = (np.clip(clear, 0, 1), view.rendered(problem.prior), view.rendered(solution.sh))
-            figures = [psnr(picture, seen.target.image, seen.counted) for picture in pictures]
-            reports.append(RecolorViewReport(seen.target.name, is_held_out, trust, *figures))
+            figures = [psnr(picture, observed.target.image, observed.counted) for picture in pictures]
+            reports.append(RecolorViewReport(observed.target.name, is_held_out, trust, *figures))
     return tuple(reports)
 
 
@@ -245,7 +232,7 @@ def recolor_to_capture(
         from .refine import refine  # torch is an extra
 
         problem = recolored.setup.problem
-        eyes = np.stack([view.seen.target.camera.position for view in problem.views])
+        eyes = np.stack([view.observed.target.camera.position for view in problem.views])
         size_m = max(float(np.linalg.norm(eyes - eyes.mean(axis=0), axis=1).max()) * 1.1, 1.0)
         refining = refine(changed, problem.views, recolored.solution, options.refine, size_m)
         changed = yield from subprogress(refining, last, 1.0)
@@ -270,7 +257,8 @@ def _polished(recolored: RecolorResult, options: RecolorOptions) -> Generator[Pr
 
     solution = recolored.solution
     solver = photometric_refine(recolored.setup.problem, solution, options.polish, options.colors.sh_degree)
-    return recolored.with_solution(replace(solution, sh=(yield from _followed(solver, polishing))))
+    solution = replace(solution, sh=(yield from _followed(solver, polishing)))
+    return replace(recolored, solution=solution, views=_view_reports(recolored.setup, solution))
 
 
 def _numbers(scene: Scene, recolored: RecolorResult) -> dict[str, Any]:
@@ -281,7 +269,7 @@ def _numbers(scene: Scene, recolored: RecolorResult) -> dict[str, Any]:
         "gaussians": scene.gaussian_count,
         "views": len(fitted),
         "views_held_out": len(held_out),
-        "width_px": max(view.seen.target.camera.width for view in recolored.setup.problem.views),
+        "width_px": max(view.observed.target.camera.width for view in recolored.setup.problem.views),
         "psnr_before_db": _mean([view.psnr_clear_db for view in recolored.measured]),
         "psnr_mapped_db": _mean([view.psnr_mapped_db for view in recolored.measured]),
         "psnr_held_out_db": _mean([view.psnr_db for view in held_out]),
@@ -289,7 +277,7 @@ def _numbers(scene: Scene, recolored: RecolorResult) -> dict[str, Any]:
         "trust": {view.name: round(view.trust, 4) for view in fitted},
         "seconds_by_stage": {name: round(seconds, 3) for name, seconds in recolored.seconds.items()},
         "weights_mb": round(recolored.weights_mb, 1),
-        "pull": recolored.pull,
+        "pull": recolored.prior_weight,
     }
 
 
@@ -313,9 +301,9 @@ def _run_report(
         (ReportCurve("residual", steps, np.array(recolored.lengths, np.float64), is_logarithmic=True),),
         tuple(
             ImageComparison.measured(
-                view.seen.target.name, view.rendered(recolored.solution.sh), view.seen.target.image, view.seen.counted
+                own.target.name, view.rendered(recolored.solution.sh), own.target.image, own.counted
             )
-            for view in compared if view.seen.counted.any()
+            for view in compared if (own := view.observed).counted.any()
         ),
         recolored.seconds,
         {
@@ -334,7 +322,6 @@ def _run_report(
 # Set-up
 
 _VIEWS_DONE = 0.6  # share of the set-up spent on rendering views, measured on the built-in street
-_SPACING_PX = 3  # subsampling step; every third pixel in each direction suffices for maps of twelve numbers
 
 
 def prepare_problem(
@@ -355,7 +342,7 @@ def prepare_problem(
     fitted = views[: len(targets)]
     if not any(len(view.splats) and view.counted.any() for view in fitted):
         raise ValueError(f"none of the {len(fitted)} cameras sees anything of the scene {scene.name!r}")
-    change = _color_change(fitted, robust=settings.robust)
+    change = color_prior_of(fitted, robust=settings.robust)
     shares = surface_shares(scene, members, fitted, ground_m)
     prior = {member.key: change.of_sh(member.gaussians.sh, own) for member, own in zip(members, shares, strict=True)}
     setup = ProblemInputs(_problem(members, prior, views, len(targets)), tuple(members), prior)
@@ -363,27 +350,8 @@ def prepare_problem(
     return setup
 
 
-def _color_change(views: Sequence[ViewObservation], *, robust: bool) -> ColorPrior:
-    """Fit the color maps to all views, then refit with less weight on views with large errors."""
-    some = [slice(None, None, _SPACING_PX)] * 2
-    clear = [view.clear[*some].reshape(-1, 3) for view in views]
-    changed = [view.target.image[*some].reshape(-1, 3) for view in views]
-    shares = [(view.surfaces * view.counted[..., None])[*some].reshape(-1, 3) for view in views]
-    change = fit_color_prior(clear, changed, shares)
-    if not robust or len(views) < 3:
-        return change
-    errors = [(change.of_colors(x, w) - y)[None] for x, y, w in zip(clear, changed, shares, strict=True)]
-    trust = irls_view_weights(
-        [error_scale(error, (w.sum(axis=1) > 0)[None]) for error, w in zip(errors, shares, strict=True)]
-    )
-    return fit_color_prior(clear, changed, [np.float32(t) * w for t, w in zip(trust, shares, strict=True)])
-
-
 def _problem(
-    members: Sequence[RecolorMember],
-    prior: dict[str, Float32[np.ndarray, "_ _ 3"]],
-    views: Sequence[ViewObservation],
-    fitted: int,
+    members: Sequence[RecolorMember], prior: Colors, views: Sequence[ViewObservation], fitted: int
 ) -> ColorProblem:
     k = max(member.gaussians.sh.shape[1] for member in members)
     is_visible = np.zeros(sum(len(member.gaussians) for member in members), np.bool_)
@@ -398,7 +366,7 @@ def _problem(
     listed = tuple(ProblemView(view, numbers[view.rows], view.basis(k)) for view in views)
     evidence = np.zeros((2, len(rows)), np.float32)
     for view in listed[:fitted]:
-        own = view.seen.weights.squared_sums(view.seen.counted.astype(np.float32))
+        own = view.observed.weights.squared_sums(view.observed.counted.astype(np.float32))
         evidence[0, view.indices] += own
         evidence[1, view.indices] += own * own
     one_view = evidence[1] / np.maximum(evidence[0], np.float32(1e-6))

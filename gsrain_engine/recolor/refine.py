@@ -6,7 +6,6 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32
 
 from ..render.autodiff.differentiable import render_gaussians
 from ..render.cpu.fast_math import harmonics
@@ -18,7 +17,7 @@ from ..scene.scene import DrawItem
 from ..training.parameters import FIRST_DECAY, SECOND_DECAY, SplatParameters, adam_step, rotate_quaternions
 from ..training.step import d_ssim, l1
 from .problem import ColorProblem, ProblemView, Solution
-from .solver import SolverStep, add_colors_transposed, evaluate_colors
+from .solver import Harmonics, SolverStep, add_colors_transposed, evaluate_colors
 
 torch: Any = import_module("torch")
 Tensor = Any
@@ -54,7 +53,7 @@ class _TrainedMember:
         means = self.parameters.tensors["means"].detach().numpy()
         g = self.part.gaussians
         now = self.part._replace(gaussians=Gaussians(means, g.scales, g.quaternions, g.opacities, g.sh))
-        directions = view_directions([now], view.seen.target.camera, np.arange(len(means)))
+        directions = view_directions([now], view.observed.target.camera, np.arange(len(means)))
         basis = torch.from_numpy(harmonics(directions, g.sh.shape[1]))
         return 0.5 + torch.einsum("nk,nkc->nc", basis, self.parameters.sh)
 
@@ -63,10 +62,7 @@ def refine(
     members: dict[str, Gaussians], views: Sequence[ProblemView], solution: Solution, steps: int, size_m: float,
     seed: int = 0,
 ) -> Generator[Progress, None, dict[str, Gaussians]]:  # fmt: skip
-    """Train all parameters of members (recolored Gaussians by key) on the views, one per step.
-
-    The number of Gaussians is unchanged, so that clear colors remain assigned. `size_m` is the size of the scene.
-    """
+    """Train all parameters of members (recolored Gaussians by key) on the views, one a step, in a scene of `size_m`."""
     trained = {key: SplatParameters.from_gaussians(each, each.sh_degree) for key, each in members.items()}
     chosen = np.flatnonzero(solution.trust > 0.1)
     order, turns = np.random.default_rng(seed), np.zeros(0, np.int64)
@@ -77,13 +73,13 @@ def refine(
             turns = order.permutation(chosen)
         index, turns = int(turns[0]), turns[1:]
         view = views[index]
-        visible = view.seen.visible
+        visible = view.observed.visible
         parts = [_TrainedMember(p, trained[m.key]) for m, p in zip(visible.members, visible.parts, strict=True)]
         pieces = zip(*(each.activated(view) for each in parts), strict=True)
-        rendered = render_gaussians(*(torch.cat(each) for each in pieces), view.seen.target.camera)
-        target = torch.from_numpy(solution.affines[index].undone(view.seen.target.image))
+        rendered = render_gaussians(*(torch.cat(each) for each in pieces), view.observed.target.camera)
+        target = torch.from_numpy(solution.affines[index].undone(view.observed.target.image))
         target = target * rendered.alpha.detach()[..., None]
-        mask = torch.from_numpy(view.seen.counted)
+        mask = torch.from_numpy(view.observed.counted)
         loss = (1 - D_SSIM_SHARE) * l1(rendered.color, target, mask)
         (loss + D_SSIM_SHARE * d_ssim(rendered.color, target, mask)).backward()
         for moving in parts:
@@ -100,7 +96,7 @@ RATE, DIRECTIONAL_RATE = 2.5e-3, 2.5e-3 / 20  # for degree 0, and for higher deg
 
 def photometric_refine(
     problem: ColorProblem, solution: Solution, steps: int, sh_degree: int = 3, seed: int = 0
-) -> Generator[SolverStep, None, Float32[np.ndarray, "n k 3"]]:
+) -> Generator[SolverStep, None, Harmonics]:
     """Continue from a solution by Adam, one view per step, with the stored weights and without rasterization.
 
     Unlike least squares it models the renderers' clipping of colors at 0. Trust and exposures of views are unchanged.
@@ -129,17 +125,17 @@ def photometric_refine(
 
 
 def _descend(
-    view: ProblemView, solution: Solution, index: int, sh: Float32[np.ndarray, "n k 3"],
-    gradient: Float32[np.ndarray, "n k 3"],
+    view: ProblemView, solution: Solution, index: int, sh: Harmonics,
+    gradient: Harmonics,
 ) -> float:  # fmt: skip
     """Add one view's gradient with respect to the harmonics; return its loss."""
-    seen = view.seen
+    observed = view.observed
     colors = np.float32(0.5) + evaluate_colors(sh, view.indices, view.basis)
-    image = torch.from_numpy(seen.weights.blend(np.maximum(colors, np.float32(0)))).requires_grad_()
-    target = torch.from_numpy(solution.affines[index].undone(seen.target.image) * seen.alpha[..., None])
-    mask = torch.from_numpy(seen.counted)
+    image = torch.from_numpy(observed.weights.blend(np.maximum(colors, np.float32(0)))).requires_grad_()
+    target = torch.from_numpy(solution.affines[index].undone(observed.target.image) * observed.alpha[..., None])
+    mask = torch.from_numpy(observed.counted)
     loss = (1 - D_SSIM_SHARE) * l1(image, target, mask) + D_SSIM_SHARE * d_ssim(image, target, mask)
     loss.backward()
-    gathered = seen.weights.accumulate(np.ascontiguousarray(image.grad.numpy()))
+    gathered = observed.weights.accumulate(np.ascontiguousarray(image.grad.numpy()))
     add_colors_transposed(gradient, view.indices, view.basis, np.where(colors > 0, gathered, np.float32(0)))
     return float(loss.detach())

@@ -48,10 +48,7 @@ def read_recolored(path: Path | str) -> dict[str, Float32[np.ndarray, "_ _ 3"]]:
 
 
 def with_colors(scene: Scene, colors: Mapping[str, Float32[np.ndarray, "_ _ 3"]]) -> Scene:
-    """Return the scene with wet colors by `layers/NAME` and `actors/ID`; other members are unchanged.
-
-    Colors cover all of a member's Gaussians, or only those not deleted, as in files.
-    """
+    """Return the scene with wet colors by key: of all Gaussians of a member, or of those not deleted, as in files."""
     for key, sh in colors.items():
         member = scene.member(key)
         deleted = member.marks.deleted
@@ -108,8 +105,8 @@ def visible_members(scene: Scene, members: list[RecolorMember], time_s: float) -
     """Select the members visible at a time, with their transforms; grading applies after the solved colors."""
     placed = [
         (member, part._replace(colors=None))
-        for member, shown in zip(members, scene.members, strict=True)
-        if shown.visible and (part := scene.part(shown, time_s)) is not None
+        for member, placed in zip(members, scene.members, strict=True)
+        if placed.visible and (part := scene.part(placed, time_s)) is not None
     ]
     none = np.zeros(0, np.int64)
     return VisibleMembers(
@@ -122,9 +119,9 @@ def visible_members(scene: Scene, members: list[RecolorMember], time_s: float) -
 
 def world_heights(scene: Scene, member: RecolorMember) -> Float32[np.ndarray, " n"]:
     """World z of a layer's Gaussians in meters; for an actor, height above its own bottom."""
-    shown = scene.member(member.key)
-    if isinstance(shown, Layer):
-        to_world = scene.scene_to_world @ shown.to_scene
+    placed = scene.member(member.key)
+    if isinstance(placed, Layer):
+        to_world = scene.scene_to_world @ placed.to_scene
         up, offset = to_world[2, :3], to_world[2, 3]
     else:
         up, offset = np.array([0, 0, scene.metres_per_unit]), 0.0

@@ -8,7 +8,11 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Int64
 
-from .weights import LazyWeights, StoredWeights
+from .weights import LazyWeights, Picture, Plane, SplatColors, StoredWeights
+
+Harmonics = Float32[np.ndarray, "n k 3"]
+Rows = Int64[np.ndarray, " m"]
+Basis = Float32[np.ndarray, "m k"]
 
 TIKHONOV = 0.3  # prior weight: a Gaussian whose squared weights sum to this over all views moves halfway, if alone
 
@@ -18,13 +22,13 @@ class ColorTarget:
     """Data term of one view."""
 
     weights: StoredWeights | LazyWeights
-    indices: Int64[np.ndarray, " m"]
+    indices: Rows
     """Row of each of the view's splats among all unknowns."""
-    basis: Float32[np.ndarray, "m k"]
+    basis: Basis
     """Harmonics in each splat's view direction; 0 disables one."""
-    residual: Float32[np.ndarray, "h w 3"]
+    residual: Picture
     """Premultiplied target image minus the image of the current colors."""
-    trust: Float32[np.ndarray, "h w"]
+    trust: Plane
     """Weight of each pixel, 0 to 1."""
 
 
@@ -33,7 +37,7 @@ class SolverStep(NamedTuple):
 
     length: float
     """Norm of the preconditioned residual relative to the start; usually in (0, 1]."""
-    change: Float32[np.ndarray, "n k 3"]
+    change: Harmonics
     """Current change of the harmonics; the solver overwrites it in later iterations."""
 
 
@@ -41,21 +45,21 @@ def solve_colors(
     targets: Sequence[ColorTarget],
     count: int,
     iterations: int,
-    pull: Float32[np.ndarray, "_ k 1"],
-    offset: Float32[np.ndarray, "n k 3"] | None = None,
-) -> Generator[SolverStep, None, Float32[np.ndarray, "n k 3"]]:
+    prior_weights: Float32[np.ndarray, "_ k 1"],
+    offset: Harmonics | None = None,
+) -> Generator[SolverStep, None, Harmonics]:
     """Find the change d of `count` Gaussians' harmonics that explains the views; yields the state after each iteration.
 
-    It minimizes the sum over views of |sqrt(trust) (W d - residual)|^2, plus pull |d + offset|^2.
+    It minimizes the sum over views of |sqrt(trust) (W d - residual)|^2, plus weights |d + offset|^2.
 
     Preconditioned conjugate gradients on the normal equations (Hestenes and Stiefel 1952) with the exact diagonal as
     Jacobi preconditioner; each iteration applies W of each view and its transpose once, and convergence ends it early.
-    The model is linear: it omits the renderer's max(0, .) on splat colors. `pull` is the prior weight of each Gaussian,
+    The model is linear: it omits the renderer's max(0, .) on splat colors. `prior_weights` are those of each Gaussian,
     or one for all, `offset` the initial difference of the harmonics from their prior, None for zero.
     """
     k = targets[0].basis.shape[1]
-    diagonal = np.broadcast_to(pull, (count, k, 1)).copy()
-    remainder = np.zeros((count, k, 3), np.float32) if offset is None else -pull * offset
+    diagonal = np.broadcast_to(prior_weights, (count, k, 1)).copy()
+    remainder = np.zeros((count, k, 3), np.float32) if offset is None else -prior_weights * offset
     for target in targets:
         squares = target.weights.squared_sums(target.trust)[:, None] * target.basis**2
         diagonal[target.indices] += squares[..., None]
@@ -68,7 +72,7 @@ def solve_colors(
         if slope <= 1e-12 * start:
             break
         image = apply_normal(targets, direction)
-        step = np.float32(slope / _pulled(image, direction, pull))
+        step = np.float32(slope / _curvature(image, direction, prior_weights))
         _advance(change, remainder, direction, image, step)
         before, slope = slope, _sloped(remainder, diagonal)
         _condition(remainder, diagonal, np.float32(slope / before), direction)
@@ -76,7 +80,7 @@ def solve_colors(
     return change
 
 
-def apply_normal(targets: Sequence[ColorTarget], change: Float32[np.ndarray, "n k 3"]) -> Float32[np.ndarray, "n k 3"]:
+def apply_normal(targets: Sequence[ColorTarget], change: Harmonics) -> Harmonics:
     """W^T trust W times a change of the harmonics, summed over the views in order."""
     result = np.zeros_like(change)
     for target in targets:
@@ -87,9 +91,7 @@ def apply_normal(targets: Sequence[ColorTarget], change: Float32[np.ndarray, "n 
 
 @numba.njit(parallel=True, cache=True)
 @no_type_check
-def evaluate_colors(
-    sh: Float32[np.ndarray, "n k 3"], indices: Int64[np.ndarray, " m"], basis: Float32[np.ndarray, "m k"]
-) -> Float32[np.ndarray, "m 3"]:
+def evaluate_colors(sh: Harmonics, indices: Rows, basis: Basis) -> SplatColors:
     """Sum of harmonics of each splat, without the 0.5 of 3DGS."""
     colors = np.empty((len(indices), 3), np.float32)
     for n in numba.prange(len(indices)):
@@ -106,12 +108,7 @@ def evaluate_colors(
 
 @numba.njit(parallel=True, cache=True)
 @no_type_check
-def add_colors_transposed(
-    sh: Float32[np.ndarray, "n k 3"],
-    indices: Int64[np.ndarray, " m"],
-    basis: Float32[np.ndarray, "m k"],
-    colors: Float32[np.ndarray, "m 3"],
-) -> None:
+def add_colors_transposed(sh: Harmonics, indices: Rows, basis: Basis, colors: SplatColors) -> None:
     """Transpose of `evaluate_colors`, added in place; parallel over rows, since indices are unique within a view."""
     for n in numba.prange(len(indices)):
         row = sh[indices[n]]
@@ -160,16 +157,16 @@ def _sloped(remainder, diagonal):
 
 @numba.njit(parallel=True, cache=True)
 @no_type_check
-def _pulled(image, direction, pull):
+def _curvature(image, direction, prior_weights):
     n, k = image.shape[:2]
     sums = np.zeros(_CHUNKS)
     for chunk in numba.prange(_CHUNKS):
         total = 0.0
         for i in range(n * chunk // _CHUNKS, n * (chunk + 1) // _CHUNKS):
-            own = i if len(pull) > 1 else 0
+            own = i if len(prior_weights) > 1 else 0
             for j in range(k):
                 for channel in range(3):
-                    image[i, j, channel] += pull[own, j, 0] * direction[i, j, channel]
+                    image[i, j, channel] += prior_weights[own, j, 0] * direction[i, j, channel]
                     total += direction[i, j, channel] * image[i, j, channel]
         sums[chunk] = total
     return sums.sum()

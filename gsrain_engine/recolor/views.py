@@ -16,7 +16,7 @@ from ..render.cpu.projection import view_directions
 from ..scene.camera import Camera
 from ..scene.scene import Scene
 from .result import RecolorMember, VisibleMembers, scene_members, visible_members, world_heights
-from .weights import LazyWeights, StoredWeights, weights_of
+from .weights import LazyWeights, Picture, Plane, StoredWeights, weights_of
 
 _UNSEEN_WEIGHT_PX = 0.5
 """Total weight in pixels below which a Gaussian's surface kind follows from its height instead of the views."""
@@ -33,7 +33,7 @@ class TargetView:
     camera: Camera
     """In the world (meters, z up)."""
     time_s: float
-    image: Float32[np.ndarray, "h w 3"]
+    image: Picture
     """Display color."""
     mask: Bool[np.ndarray, "h w"] | None = None
     """Mask of valid pixels; None means all."""
@@ -48,12 +48,12 @@ class ViewObservation:
     weights: StoredWeights | LazyWeights
     splats: Int64[np.ndarray, " m"]
     """Index of each splat with nonzero weight, consecutive over the visible parts."""
-    clear: Float32[np.ndarray, "h w 3"]
+    clear: Picture
     """Display color, divided by alpha."""
-    alpha: Float32[np.ndarray, "h w"]
-    depth: Float32[np.ndarray, "h w"]
+    alpha: Plane
+    depth: Plane
     """Meters along the view axis; 0 where only sky is visible."""
-    surfaces: Float32[np.ndarray, "h w 3"]
+    surfaces: Picture
     """Shares of sky, ground and other, weighted by alpha."""
 
     @property
@@ -114,9 +114,9 @@ def surface_shares(
     scene: Scene, members: Sequence[RecolorMember], views: Sequence[ViewObservation], ground_m: float
 ) -> list[Float32[np.ndarray, "_ 3"]]:
     """Surface kind of each Gaussian: from the views, or from its height if hardly visible."""
-    seen = np.zeros((sum(len(member.gaussians) for member in members), 3), np.float32)
+    sums = np.zeros((sum(len(member.gaussians) for member in members), 3), np.float32)
     for view in views:
-        seen[view.rows] += view.weights.accumulate(view.surfaces)
+        sums[view.rows] += view.weights.accumulate(view.surfaces)
     shares: list[Float32[np.ndarray, "_ 3"]] = []
     for member in members:
         guess = np.zeros((len(member.gaussians), 3), np.float32)
@@ -126,7 +126,7 @@ def surface_shares(
             level = ground_m if member.key.startswith("layers/") else -np.inf
             is_low = np.abs(world_heights(scene, member) - level) < _GROUND_HEIGHT_M
             guess[:, 1], guess[:, 2] = is_low, ~is_low
-        mixed = (_UNSEEN_WEIGHT_PX * guess + seen[member.rows]) if not member.is_sky else guess
+        mixed = (_UNSEEN_WEIGHT_PX * guess + sums[member.rows]) if not member.is_sky else guess
         shares.append(mixed / mixed.sum(axis=1, keepdims=True))
     return shares
 
@@ -157,7 +157,7 @@ NO_CHANGE = ViewAffine(np.ones(3), np.zeros(3))
 
 
 def view_affines(
-    seen: Sequence[Float32[np.ndarray, "_ 3"]],
+    colors: Sequence[Float32[np.ndarray, "_ 3"]],
     evidence: Sequence[Float32[np.ndarray, " _"]],
     indices: Sequence[Int64[np.ndarray, " _"]],
     count: int,
@@ -166,11 +166,11 @@ def view_affines(
 
     Each view's Gaussians are compared with the mean over all *other* views, weighted by visibility in both: a view
     can't agree with itself, and the colors need not be known. View-dependent color counts as noise. For each view,
-    `seen` is the sum of weight * color of each splat over the image, `evidence` the sum of its weights in pixels, and
+    `colors` is the sum of weight * color of each splat over the image, `evidence` the sum of its weights in pixels, and
     `indices` its row among all `count` Gaussians.
     """
     chosen = [np.flatnonzero(each >= _MIN_PX) for each in evidence]
-    means = [own[rows] / each[rows, None] for own, each, rows in zip(seen, evidence, chosen, strict=True)]
+    means = [own[rows] / each[rows, None] for own, each, rows in zip(colors, evidence, chosen, strict=True)]
     amounts = [each[rows] for each, rows in zip(evidence, chosen, strict=True)]
     places = [each[rows] for each, rows in zip(indices, chosen, strict=True)]
     sums, totals = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
@@ -198,13 +198,13 @@ def _fitted(
     """Fit the map from scene colors to image colors by weighted ridge regression toward the identity."""
     x, change = scene - np.float32(_MIDDLE), picture - scene
     total = float(trust.sum(dtype=np.float64))
-    pull = PRIOR_WEIGHT * total + 1e-9
+    ridge = PRIOR_WEIGHT * total + 1e-9
     mean, square, shift, product = (
         np.einsum("p,pc->c", trust, each, dtype=np.float64) for each in (x, x * x, change, x * change)
     )
-    determinant = (square + pull) * (total + pull) - mean**2
-    gains = 1 + ((total + pull) * product - mean * shift) / determinant
-    offsets = ((square + pull) * shift - mean * product) / determinant
+    determinant = (square + ridge) * (total + ridge) - mean**2
+    gains = 1 + ((total + ridge) * product - mean * shift) / determinant
+    offsets = ((square + ridge) * shift - mean * product) / determinant
     return ViewAffine(np.clip(gains, *_GAIN_LIMITS), offsets)
 
 
@@ -214,10 +214,7 @@ _LOW_SHARE = 0.05  # quantile: the lowest part of a street is mostly ground, wit
 
 
 def ground_height_m(scene: Scene) -> float:
-    """Height of the ground in meters in the world (z up): the scene's own value, else a low quantile.
-
-    The quantile is the lowest twentieth of the Gaussians with opacity above 0.5; 0 without any.
-    """
+    """Height of the ground in the world in m: the scene's own, else a low quantile of opaque Gaussians, else 0."""
     if scene.ground_m is not None:
         return scene.ground_m
     heights = [np.zeros(0, np.float32)]
@@ -235,9 +232,7 @@ _FACING_UP = (0.6, 0.9)  # upward components of normals from which surfaces may 
 _BAND_M = (0.25, 0.6)  # heights above the ground up to which pixels certainly are ground, and from which they are not
 
 
-def ground_share(
-    depth: Float32[np.ndarray, "h w"], upness: Float32[np.ndarray, "h w"], camera: Camera, ground_m: float
-) -> Float32[np.ndarray, "h w"]:
+def ground_share(depth: Plane, upness: Plane, camera: Camera, ground_m: float) -> Plane:
     """Share of ground in each pixel, 0 to 1.
 
     `depth` is along the view axis in meters, 0 where unknown; `upness` is the world-up component of the unit normal,
@@ -259,7 +254,7 @@ def _rising(low: float, high: float, x: Float64[np.ndarray, "h w"]) -> Float64[n
 _WIDTH_PX = 320
 
 
-def thumbnail(picture: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "_ _ 3"]:
+def thumbnail(picture: Picture) -> UInt8[np.ndarray, "_ _ 3"]:
     """Return an image (display color) downscaled to at most 320 pixels in width."""
     shrink = min(1.0, _WIDTH_PX / picture.shape[1])
     small = cv2.resize(picture, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)

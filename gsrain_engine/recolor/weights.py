@@ -14,6 +14,9 @@ from ..render.cpu.compositing import BATCH, MIN_TRANSMITTANCE, ColorOperator, al
 from ..render.cpu.fast_math import FAST
 from ..render.cpu.tiles import TILE
 
+SplatColors = Float32[np.ndarray, "m 3"]
+Picture = Float32[np.ndarray, "h w 3"]
+Plane = Float32[np.ndarray, "h w"]
 STEP = np.float32(1 / 65535)  # weights are stored as multiples of this
 MIN_PIECE = 8  # smaller weights (0.03 % of all light on the built-in street, a fifth of their number) are dropped
 LANES = 8  # pixels per piece, in vertical order
@@ -48,31 +51,29 @@ class StoredWeights:
         arrays = (self.rows, self.pair_starts, self.splats, self.piece_starts, self.places, self.weights)
         return sum(each.nbytes for each in arrays)
 
-    def blend(self, colors: Float32[np.ndarray, "m 3"]) -> Float32[np.ndarray, "h w 3"]:
+    def blend(self, colors: SplatColors) -> Picture:
         image = np.empty((self.height, self.width, 3), np.float32)
         _blend(self.pair_starts, self.splats, self.piece_starts, self.places, self.weights, colors, image)
         return image
 
-    def accumulate(self, image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "m 3"]:
+    def accumulate(self, image: Picture) -> SplatColors:
         """W transposed times an image: the weighted sum of its pixels for each splat."""
         by_pair = np.empty((len(self.splats), 3), np.float32)
         _gather(self.pair_starts, self.piece_starts, self.places, self.weights, image, by_pair)
         return self._by_splat(by_pair)
 
-    def normal(
-        self, colors: Float32[np.ndarray, "m 3"], trust: Float32[np.ndarray, "h w"]
-    ) -> Float32[np.ndarray, "m 3"]:
+    def normal(self, colors: SplatColors, trust: Plane) -> SplatColors:
         """W transposed times trust times W times colors, tile by tile: weights are read from memory once."""
         by_pair = np.empty((len(self.splats), 3), np.float32)
         _normal(self.pair_starts, self.splats, self.piece_starts, self.places, self.weights, colors, trust, by_pair)
         return self._by_splat(by_pair)
 
-    def squared_sums(self, trust: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, " m"]:
+    def squared_sums(self, trust: Plane) -> Float32[np.ndarray, " m"]:
         by_pair = np.zeros((len(self.splats), 3), np.float32)
         _squares(self.pair_starts, self.piece_starts, self.places, self.weights, trust, by_pair)
         return self._by_splat(by_pair)[:, 0]
 
-    def _by_splat(self, by_pair: Float32[np.ndarray, "pairs 3"]) -> Float32[np.ndarray, "m 3"]:
+    def _by_splat(self, by_pair: Float32[np.ndarray, "pairs 3"]) -> SplatColors:
         sums = np.zeros((len(self.rows), 3), np.float32)
         _add_pairs(self.splats, by_pair, sums)
         return sums
@@ -95,18 +96,16 @@ class LazyWeights:
         splats, tiles = self.view.splats, self.view.tiles
         return splats.shapes.nbytes + splats.colors.nbytes + splats.indices.nbytes + tiles.members.nbytes
 
-    def blend(self, colors: Float32[np.ndarray, "m 3"]) -> Float32[np.ndarray, "h w 3"]:
+    def blend(self, colors: SplatColors) -> Picture:
         return self.view.blend(colors)
 
-    def accumulate(self, image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "m 3"]:
+    def accumulate(self, image: Picture) -> SplatColors:
         return self.view.accumulate(image)
 
-    def normal(
-        self, colors: Float32[np.ndarray, "m 3"], trust: Float32[np.ndarray, "h w"]
-    ) -> Float32[np.ndarray, "m 3"]:
+    def normal(self, colors: SplatColors, trust: Plane) -> SplatColors:
         return self.view.accumulate(self.view.blend(colors) * trust[..., None])
 
-    def squared_sums(self, trust: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, " m"]:
+    def squared_sums(self, trust: Plane) -> Float32[np.ndarray, " m"]:
         """Diagonal of W transposed times trust times W, with trust averaged over each splat."""
         trusted = self.view.accumulate(np.dstack([trust, np.ones_like(trust), trust]))
         return self.view.squared_sums() * trusted[:, 0] / np.maximum(trusted[:, 1], np.float32(1e-12))

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import msgspec
 import numpy as np
-from jaxtyping import Bool, Float32, UInt8
+from jaxtyping import Float32, UInt8
 
 from ..datasets.capture import Capture, CaptureError, CaptureFrame, readable_images
 from ..datasets.image_override import with_images
@@ -14,6 +14,7 @@ from ..datasets.layout_hints import nearest_layout
 from ..datasets.masks import read_camera_masks, with_camera_masks
 from ..datasets.open_capture import open_capture
 from ..datasets.undistort import undistort_frame
+from ..evaluation.image_metrics import Mask
 from ..scene.camera import Camera
 from ..scene.files import shortened
 from .evaluation import validation_indices
@@ -88,11 +89,11 @@ class PyramidLevel:
 
     camera: Camera
     image: UInt8[np.ndarray, "h w 3"]
-    mask: Bool[np.ndarray, "h w"] | None
+    mask: Mask | None
     """Pixels used for training; None means all."""
     depth: Float32[np.ndarray, "h w"] | None
     """Along the view axis; 0 where unmeasured."""
-    sky: Bool[np.ndarray, "h w"] | None
+    sky: Mask | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,17 +102,13 @@ class TrainingView:
 
     name: str
     time_s: float
-    seen: Bool[np.ndarray, "h w"] | None
+    valid: Mask | None
     """Pixels used for evaluation: visible to the lens and allowed by the dataset; None means all."""
     levels: tuple[PyramidLevel, ...]
 
     @classmethod
     def of(
-        cls,
-        view: CaptureFrame,
-        depth: Float32[np.ndarray, "h w"] | None,
-        learned: Bool[np.ndarray, "h w"] | None,
-        sky: Bool[np.ndarray, "h w"] | None,
+        cls, view: CaptureFrame, depth: Float32[np.ndarray, "h w"] | None, learned: Mask | None, sky: Mask | None
     ) -> "TrainingView":
         """Build the image pyramid of an undistorted view."""
         levels = [PyramidLevel(view.camera, view.image, learned, depth, sky)]
@@ -140,17 +137,14 @@ def half_size(level: PyramidLevel) -> PyramidLevel:
     )  # fmt: skip
     even = (slice(0, 2 * height), slice(0, 2 * width))
     image = cv2.resize(level.image[even], (width, height), interpolation=cv2.INTER_AREA)
-    mask, sky = (None if each is None else _all_of_four(each[even]) for each in (level.mask, level.sky))
+    flags = (level.mask, level.sky)
+    mask, sky = (None if each is None else np.asarray(_fours(each[even]).all(axis=(1, 3))) for each in flags)
     depth = None
     if level.depth is not None:
         fours = _fours(level.depth[even])
         nearest = np.where(fours > 0, fours, np.float32(np.inf)).min(axis=(1, 3))
         depth = np.where(np.isfinite(nearest), nearest, np.float32(0))
     return PyramidLevel(camera, image, mask, depth, sky)
-
-
-def _all_of_four(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h2 w2"]:
-    return np.asarray(_fours(mask).all(axis=(1, 3)))
 
 
 def _fours(values: np.ndarray) -> np.ndarray:

@@ -56,8 +56,10 @@ class _SmallImage:
         v = local[..., 1] / z * other.camera.fy + other.camera.cy - 0.5
         inside = np.isfinite(z) & (u >= 0) & (v >= 0) & (u <= other.camera.width - 1) & (v <= other.camera.height - 1)
         planes = cv2.split(other.channels)
-        taken = np.dstack([cv2.remap(p, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR) for p in planes])
-        return np.where(inside[..., None], _difference(taken, self.channels), np.inf).astype(np.float32)
+        sampled = np.dstack(
+            [cv2.remap(p, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR) for p in planes]
+        )
+        return np.where(inside[..., None], _difference(sampled, self.channels), np.inf).astype(np.float32)
 
 
 def _difference(one: Float32[np.ndarray, "h w 5"], other: Float32[np.ndarray, "h w 5"]) -> Float32[np.ndarray, "h w 2"]:
@@ -102,10 +104,7 @@ def ego_masks(
 def mask_ego_vehicle(
     views: Sequence[CaptureFrame], depths: Sequence[Float32[np.ndarray, "_ _"]]
 ) -> tuple[list[CaptureFrame], dict[str, float]]:
-    """Exclude the ego's own body, where `ego_masks` finds one, from the views' masks and log the cameras.
-
-    Returns the views, and by sensor the share (0..1) of its images that the body covers.
-    """
+    """Exclude the ego's body (`ego_masks`) from the views' masks; returns them, and the covered shares by sensor."""
     masks = ego_masks(views, depths)
     shares = {sensor: 1 - float(mask.mean()) for sensor, mask in masks.items()}
     for sensor, share in shares.items():
@@ -136,9 +135,9 @@ def _evidence(own: Sequence[_SmallImage]) -> Float32[np.ndarray, "h w 2"]:
     for each in [own[int(k)] for k in np.linspace(0, len(own) - 1, min(_FRAMES, len(own)))]:
         others = sorted((o for o in own if o is not each), key=lambda o: abs(o.time_s - each.time_s))[:_OTHERS]
         errors = np.sort([each.difference_to(other) for other in others], axis=0)
-        seen = np.isfinite(errors).sum(axis=0)
-        as_world = np.take_along_axis(errors, (seen[None] - 1) // 4, axis=0)[0]  # the lower quartile
-        known = seen[..., :1] > 0
+        visible = np.isfinite(errors).sum(axis=0)
+        as_world = np.take_along_axis(errors, (visible[None] - 1) // 4, axis=0)[0]  # the lower quartile
+        known = visible[..., :1] > 0
         worse = np.where(known, as_world, 0) - _difference(each.channels, middle)
         total += np.where(known, np.clip(worse, -_CLIP, _CLIP), 0)
         count += known

@@ -24,10 +24,7 @@ class RenderScore:
 
 
 def validation_indices(names: Sequence[str], every: int, named: Sequence[str] = ()) -> list[int]:
-    """Indices of the held-out views: the named ones, else every `every`-th from the middle of the first interval.
-
-    Raises ValueError for an unknown name, and if no training view would remain.
-    """
+    """Held-out views: the named ones, else every `every`-th; raises ValueError if one is unknown or no view remains."""
     if named:
         missing = sorted(set(named) - set(names))
         if missing:
@@ -41,11 +38,7 @@ def validation_indices(names: Sequence[str], every: int, named: Sequence[str] = 
 
 
 def score(
-    name: str,
-    rendered: Image,
-    image: UInt8[np.ndarray, "h w 3"],
-    mask: Mask | None,
-    perceived: ImageDistance | None = None,
+    name: str, rendered: Image, image: UInt8[np.ndarray, "h w 3"], mask: Mask | None, lpips: ImageDistance | None = None
 ) -> RenderScore:
     """Measure a render against its ground truth over the pixels of a mask."""
     rendered, truth = np.clip(rendered, 0, 1), image.astype(np.float32) / 255
@@ -55,8 +48,8 @@ def score(
     left[:, middle:] = False
     exposed = with_affine(rendered, fitted_affine(rendered, truth, left))
     psnr_exposed_db = psnr(exposed[:, middle:], truth[:, middle:], whole[:, middle:])
-    lpips = None if perceived is None else perceived(rendered, truth, mask)
-    return RenderScore(name, psnr(rendered, truth, whole), ssim(rendered, truth, mask), psnr_exposed_db, lpips)
+    distance = None if lpips is None else lpips(rendered, truth, mask)
+    return RenderScore(name, psnr(rendered, truth, whole), ssim(rendered, truth, mask), psnr_exposed_db, distance)
 
 
 def mean_of(scores: Sequence[RenderScore], field: str) -> float | None:

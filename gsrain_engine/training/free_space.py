@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 
 from ..scene.camera import Camera
 from .parameters import SplatParameters
-from .surfels import LONGEST
+from .surfels import LONGEST, Depths
 
 torch: Any = import_module("torch")
 _ROWS, _COLUMNS = 48, 80
@@ -45,11 +45,7 @@ class FreeSpaceCarving:
 
     @classmethod
     def of(
-        cls,
-        cameras: Sequence[Camera],
-        depths: Sequence[Float32[np.ndarray, "_ _"]],
-        trajectory: Float64[np.ndarray, "p 3"],
-        share: float,
+        cls, cameras: Sequence[Camera], depths: Depths, trajectory: Float64[np.ndarray, "p 3"], share: float
     ) -> "FreeSpaceCarving | None":
         """Treat a share of each image's depth as free space; None if no image has any depth.
 

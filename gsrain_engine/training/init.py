@@ -11,26 +11,17 @@ from scipy.spatial import KDTree
 
 from ..datasets.capture import Capture, CaptureFrame, TrackedBox
 from ..datasets.completed_depth import completed_depth
-from ..datasets.depth_maps import DepthPriors, camera_height_above_road, depth_priors, measured_depths
+from ..datasets.depth_maps import DepthPriors, camera_height_above_road, depth_priors
 from ..datasets.geometry import lidar_depth
 from ..datasets.masks import box_outline, can_move, is_moving, moving_boxes, pixel_rays, points_in_box, static_mask
-from ..datasets.sky_masks import sky_masks
 from ..render.cpu.renderer import CpuRenderer
 from ..scene.gaussians import Gaussians, sh_from_color
 from ..scene.geometry import normalized, quaternions_from_matrices
 from ..scene.scene import Actor, DrawItem
-from .surfels import (
-    Surfels,
-    camera_trajectory,
-    cell_means,
-    grid_shape,
-    point_colors,
-    projected,
-    split_long_gaussians,
-    surfels_of_view,
-)  # fmt: skip
+from .surfels import Surfels, camera_trajectory, cell_means, point_colors, projected, split_long_gaussians, view_surfels
 
 Depths = Sequence[Float32[np.ndarray, "_ _"]]
+Points = Float64[np.ndarray, "n 3"]
 Skies = Sequence[Bool[np.ndarray, "_ _"]]
 Trajectory = Float64[np.ndarray, "p 3"]
 
@@ -93,7 +84,7 @@ def _covering(views: Sequence[CaptureFrame], depths: Depths, stride: int, budget
     for view, depth in zip(views, depths, strict=True):
         free = np.ones(depth.shape, np.bool_) if view.mask is None else view.mask
         cells = (cell_means(free[..., None], stride)[..., 0] > 0.5) & ~_covered(surfels, view, depth, stride)
-        surfels = Surfels.joined([surfels, surfels_of_view(view, depth, stride, cells)])
+        surfels = Surfels.joined([surfels, view_surfels(view, depth, stride, cells)])
         if len(surfels) > budget:
             return None
     return surfels
@@ -108,7 +99,7 @@ def _without_holes(
         renderer.draw([DrawItem(gaussians, np.eye(4))], view.camera)
         empty = (renderer.read().rgba[..., 3] < _HOLE) & (depth > 0)
         empty = empty if view.mask is None else empty & view.mask
-        more = surfels_of_view(view, depth, stride, cell_means(empty[..., None], stride)[..., 0] > 0.5)
+        more = view_surfels(view, depth, stride, cell_means(empty[..., None], stride)[..., 0] > 0.5)
         room = budget - len(gaussians)
         gaussians = Gaussians.concatenate([gaussians, more.gaussians(SURFACE_OPACITY).take(slice(0, max(room, 0)))])
     return gaussians
@@ -118,7 +109,7 @@ def _covered(
     surfels: Surfels, view: CaptureFrame, depth: Float32[np.ndarray, "h w"], stride: int
 ) -> Bool[np.ndarray, "rows columns"]:
     """Mask of a view's cells with enough Gaussians that are fine enough and not behind the view's surface."""
-    rows, columns = grid_shape(view.camera, stride)
+    rows, columns = -(-view.camera.height // stride), -(-view.camera.width // stride)
     index, row, column, z = projected(surfels.means, view.camera)
     size = np.linalg.norm(surfels.axes[index], axis=2).min(axis=1)
     surface = depth[row, column]
@@ -150,9 +141,7 @@ def _random_gaussians(views: Sequence[CaptureFrame], skies: Skies, budget: int, 
     return round_gaussians(points, colors, RANDOM_OPACITY)
 
 
-def round_gaussians(
-    points: Float64[np.ndarray, "n 3"], colors: Float32[np.ndarray, "n 3"], opacity: float
-) -> Gaussians:
+def round_gaussians(points: Points, colors: Float32[np.ndarray, "n 3"], opacity: float) -> Gaussians:
     """Spheres sized by the mean distance to the three nearest neighbors (Kerbl et al. 2023), outliers clipped."""
     n = len(points)
     sizes = np.ones(n)
@@ -263,20 +252,14 @@ _SAMPLES = 3  # side in pixels of the window averaged for one direction's color 
 
 
 def initial_sky(
-    capture: Capture,
-    views: Sequence[CaptureFrame],
-    surface: Gaussians,
-    skies: Skies | None = None,
-    count: int = SKY_GAUSSIANS,
+    capture: Capture, views: Sequence[CaptureFrame], surface: Gaussians, skies: Skies, count: int = SKY_GAUSSIANS
 ) -> Gaussians:
     """Make a dome of about `count` Gaussians around the scene; empty if no view shows sky.
 
     A direction visible as sky has the median color of its views; others interpolate the known ones, more smoothly with
-    distance, so that views upward or backward also show sky. Views are undistorted; `surface` is the scene under the
-    dome, in the capture's world; sky pixels are found by `sky_masks` if None.
+    distance, so that views upward or backward also show sky. `surface` is the scene under the dome, in the capture's
+    world; `skies` are the sky pixels of the undistorted views.
     """
-    if skies is None:
-        skies = sky_masks(views, measured_depths(capture, views), capture.up)
     if not any(sky.any() for sky in skies):
         return Gaussians.empty()
     center = np.mean([view.camera.position for view in views], axis=0)
@@ -302,7 +285,7 @@ def dome_radius(surface: Gaussians, center: Float64[np.ndarray, "3"], is_metric:
     return max(_BEYOND * far, _MIN_RADIUS) if is_metric else _BEYOND * far
 
 
-def dome_directions(count: int, up: tuple[float, float, float]) -> Float64[np.ndarray, "n 3"]:
+def dome_directions(count: int, up: tuple[float, float, float]) -> Points:
     """Uniformly spread unit vectors above the lowest elevation: a Fibonacci lattice on the upper sphere."""
     height = _LOWEST + (1 - _LOWEST) * (np.arange(count) + 0.5) / count
     angle = np.pi * (3 - np.sqrt(5)) * np.arange(count)
@@ -311,10 +294,7 @@ def dome_directions(count: int, up: tuple[float, float, float]) -> Float64[np.nd
 
 
 def _colors(
-    directions: Float64[np.ndarray, "n 3"],
-    places: Float64[np.ndarray, "n 3"],
-    views: Sequence[CaptureFrame],
-    skies: Skies,
+    directions: Points, places: Points, views: Sequence[CaptureFrame], skies: Skies
 ) -> Float32[np.ndarray, "n 3"]:
     """Median over the views that show a direction's sky; elsewhere an inverse-distance-weighted mean of known ones."""
     samples: list[list[np.ndarray]] = [[] for _ in directions]
@@ -337,7 +317,8 @@ def _colors(
         return np.broadcast_to(np.median(all_sky, axis=0).astype(np.float32) / 255, colors.shape).copy()
     colors[known] = [np.median(each, axis=0) / 255 for each in samples if each]
     if not known.all():
-        distance, index = KDTree(directions[known]).query(directions[~known], [*range(1, min(64, known.sum()) + 1)])
+        found = KDTree(directions[known]).query(directions[~known], min(64, int(known.sum())))
+        distance, index = (each.reshape(int((~known).sum()), -1) for each in found)
         weight = 1 / np.maximum(distance, 1e-6) ** 2
         colors[~known] = (weight[..., None] * colors[known][index]).sum(axis=1) / weight.sum(axis=1)[:, None]
     return colors
@@ -368,12 +349,12 @@ def actor_layers(capture: Capture, views: Sequence[CaptureFrame]) -> tuple[Actor
             continue
         partner = np.arange(2 * len(points)) - len(points)  # below 0 for the points that are not mirror images
         points = np.concatenate([points, points * [1, -1, 1]])
-        colors, seen = _actor_colors(capture, box, points, views)
-        if not seen.any():
+        colors, visible = _actor_colors(capture, box, points, views)
+        if not visible.any():
             continue
-        borrowed = ~seen & (partner >= 0)  # hidden points take the color of their mirror image
+        borrowed = ~visible & (partner >= 0)  # hidden points take the color of their mirror image
         colors[borrowed] = colors[partner[borrowed]]
-        known = seen | (borrowed & seen[partner])
+        known = visible | (borrowed & visible[partner])
         colors[~known] = np.median(colors[known], axis=0)
         gaussians = round_gaussians(points, colors, SURFACE_OPACITY)
         actors.append(

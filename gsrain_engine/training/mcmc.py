@@ -136,11 +136,8 @@ _TERMS = comb(_N, _K + 1) * (-1.0) ** _K / np.sqrt(_K + 1)
 def relocation_factors(opacities: Tensor, copies: Tensor) -> tuple[Tensor, Tensor]:
     """Opacity and scale factor of each of N equal Gaussians that replace one (Kheradmand et al. 2024, eq. 9).
 
-    The stack keeps the original's opacity at the center and its integral along a line through it.
-
-    Args:
-        opacities: (n,) of the originals.
-        copies: (n,) number after the change, original included.
+    The stack keeps the original's opacity at the center and its integral along a line through it. `opacities` (n,) are
+    those of the originals, `copies` (n,) the numbers after the change, originals included.
     """
     count = copies.clamp(max=MAX_COPIES)
     old = opacities.double()

@@ -71,8 +71,8 @@ class SplatModel:
         front = render_gaussians(*pieces[0], camera)
         sky = None
         if self.sky is not None:  # only its colors are trained
-            *shape, sh = _ActivatedPart.of(self.sky, sh_degree)
-            sky = render_gaussians(*(each.detach() for each in shape), sh, camera)
+            part = _ActivatedPart.of(self.sky, sh_degree)
+            sky = render_gaussians(*_ActivatedPart(*(each.detach() for each in part))._replace(sh=part.sh), camera)
         color = front.color if sky is None else front.color + (1 - front.alpha)[..., None] * sky.color
         return TrainingRender(color, front, slice(0, len(self.background)), rows, sky)
 
@@ -237,7 +237,7 @@ def write_training_checkpoint(
         version=_VERSION, step=checkpoint.step, seconds=checkpoint.seconds, capture=capture, settings=settings
     )
     named = {"head": np.frombuffer(msgspec.json.encode(head), np.uint8), **checkpoint.arrays}
-    with whole_file(file) as beside, beside.open("wb") as stream:
+    with whole_file(file) as temporary, temporary.open("wb") as stream:
         np.savez(stream, allow_pickle=False, **named)
 
 

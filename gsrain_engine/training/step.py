@@ -7,19 +7,9 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Shaped, UInt8
+from jaxtyping import Float32, Shaped, UInt8
 
-from ..evaluation.image_metrics import (
-    C1,
-    C2,
-    HALF_WINDOW_PX,
-    MIN_WEIGHT,
-    WINDOW_PX,
-    Image,
-    ImageDistance,
-    check_pair,
-    window,
-)  # fmt: skip
+from ..evaluation.image_metrics import C1, C2, HALF_WINDOW_PX, MIN_WEIGHT, WINDOW_PX, ImageDistance, check_pair, window
 from .data import PyramidLevel, TrainingView
 from .evaluation import RenderScore, score
 from .free_space import FreeSpaceCarving, clear_free_space
@@ -29,16 +19,15 @@ from .strategy import Strategy
 
 torch: Any = import_module("torch")
 Tensor = Any
+Render = Float32[np.ndarray, "h w 3"]
 
 
 class TrainingStepResult(NamedTuple):
     """Result of one training step."""
 
-    step: int
-    """Counted from 0."""
     loss: float
     change: str | None
-    shown: Tensor
+    exposed: Tensor
     """(h, w, 3) render with the image's own exposure applied."""
     truth: Tensor
 
@@ -73,10 +62,10 @@ class Trainer:
         clock.stop("reading")
         self.model.zero_grad()
         picture = self.model.render(level.camera, view.time_s, self.schedule.sh_degree(number))
-        shown = picture.color if self._exposures is None else self._exposures.apply(index, picture.color)
+        exposed = picture.color if self._exposures is None else self._exposures.apply(index, picture.color)
         if self.schedule.leaves_out(number):
-            truth = truth._replace(mask=robust_mask(shown, truth.image, truth.mask, settings.transients))
-        loss = view_loss(picture, shown, truth, settings)
+            truth = truth._replace(mask=robust_mask(exposed, truth.image, truth.mask, settings.transients))
+        loss = view_loss(picture, exposed, truth, settings)
         total = loss.total
         if self._exposures is not None:
             total = total + settings.exposure * self._exposures.penalty(index)
@@ -95,20 +84,23 @@ class Trainer:
             cleared = clear_free_space(number, settings.steps, self.model.background, self._free)
             change = ", ".join(filter(None, (change, cleared))) or None
         clock.stop("density")
-        return TrainingStepResult(number, float(loss.total.detach()), change, shown.detach(), truth.image)
+        return TrainingStepResult(float(loss.total.detach()), change, exposed.detach(), truth.image)
 
-    def render(self, view: TrainingView) -> Image:
+    def render(self, view: TrainingView) -> Render:
         """Render the whole model for a view at full size, without gradients."""
         with torch.no_grad():
             color = self.model.render(view.levels[0].camera, view.time_s).color
         return color.cpu().numpy()
 
     def measure(
-        self, view: TrainingView, perceived: ImageDistance | None = None, rendered: Image | None = None
+        self,
+        view: TrainingView,
+        lpips: ImageDistance | None = None,
+        rendered: Render | None = None,
     ) -> RenderScore:
         """Compare a render, computed here if None, with a view's ground truth."""
         rendered = self.render(view) if rendered is None else rendered
-        return score(view.name, rendered, view.levels[0].image, view.seen, perceived)
+        return score(view.name, rendered, view.levels[0].image, view.valid, lpips)
 
     def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
         arrays = self.model.state()
@@ -138,9 +130,9 @@ class Trainer:
             self._exposures.step(self.schedule.settings.rates.exposure * self.schedule.settings.haste)
 
 
-def comparison_image(shown: Tensor, truth: Tensor) -> UInt8[np.ndarray, "h w 3"]:
+def comparison_image(exposed: Tensor, truth: Tensor) -> UInt8[np.ndarray, "h w 3"]:
     """8-bit image of a render and its ground truth side by side."""
-    both = torch.cat([shown, truth], dim=1).clamp(0, 1)
+    both = torch.cat([exposed, truth], dim=1).clamp(0, 1)
     return (both * 255 + 0.5).to(torch.uint8).cpu().numpy()
 
 
@@ -197,17 +189,17 @@ class Loss(NamedTuple):
     cover: Tensor
 
 
-def view_loss(picture: TrainingRender, shown: Tensor, truth: TrainingTarget, settings: TrainingSettings) -> Loss:
+def view_loss(picture: TrainingRender, exposed: Tensor, truth: TrainingTarget, settings: TrainingSettings) -> Loss:
     """Loss of one render against its target.
 
-    Color is (1 - s) L1 + s D-SSIM (Kerbl et al. 2023, eq. 7) of `shown`, the render with its camera's exposure. Depth
+    Color is (1 - s) L1 + s D-SSIM (Kerbl et al. 2023, eq. 7) of `exposed`, the render with its camera's exposure. Depth
     is |d - m| / (d + m) of expected depth d and measured depth m: independent of scale, and bounded, since a beam that
     grazes an edge may be meters off. Cover is the missing alpha at measured surfaces, and the alpha in front of known
     sky.
     """
-    color = (1 - settings.d_ssim) * l1(shown, truth.image, truth.mask)
+    color = (1 - settings.d_ssim) * l1(exposed, truth.image, truth.mask)
     if settings.d_ssim:
-        color = color + settings.d_ssim * d_ssim(shown, truth.image, truth.mask)
+        color = color + settings.d_ssim * d_ssim(exposed, truth.image, truth.mask)
     nothing = color.new_zeros(())
     depth, cover = nothing, nothing
     if len(truth.hits) and (settings.depth or settings.cover):
@@ -304,7 +296,7 @@ _THRESHOLDS, _TIMES = 0.08, 4.0
 """Color difference (0..1) below which no pixel is masked, and required multiple of the median."""
 
 
-def robust_mask(shown: Tensor, truth: Tensor, mask: Tensor | None, max_share: float) -> Tensor:
+def robust_mask(exposed: Tensor, truth: Tensor, mask: Tensor | None, max_share: float) -> Tensor:
     """(h, w) bool: a mask without the patches where render and image (h, w, 3) differ far more than elsewhere.
 
     Follows robust losses for scenes with distractors (Sabour et al. 2023, section 3.2). Their quantile is only an upper
@@ -315,7 +307,7 @@ def robust_mask(shown: Tensor, truth: Tensor, mask: Tensor | None, max_share: fl
         counts = torch.ones(truth.shape[:2], dtype=torch.bool, device=truth.device) if mask is None else mask
         if not counts.any():
             return counts
-        difference = torch.where(counts, (shown - truth).abs().mean(dim=2), 0)
+        difference = torch.where(counts, (exposed - truth).abs().mean(dim=2), 0)
         reach = max(round(_WINDOW * truth.shape[1] / 2), 1)
         both = torch.stack([difference, counts.to(difference.dtype)])[None]
         mean, part = torch.nn.functional.avg_pool2d(both, 2 * reach + 1, 1, reach)[0]

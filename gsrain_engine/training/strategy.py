@@ -133,14 +133,14 @@ class DefaultStrategy(Strategy):
 
     def _change(self, step: int, parameters: SplatParameters, generator: Tensor) -> str:
         s = self._settings
-        pull = self._notes["pull"] / self._notes["count"].clamp(min=1)
+        gradients = self._notes["pull"] / self._notes["count"].clamp(min=1)
         size = parameters.scales.amax(dim=1)
         gone = parameters.opacities < s.min_opacity
         if s.reset_every and step > s.reset_every:
             gone |= (size > s.largest * s.extent) | (self._notes["radius"] > s.largest_on_screen)
         room = max(s.max_count - len(parameters) + int(gone.sum()), 0)
         wide = self._notes["radius"] > s.split_on_screen
-        growing = _highest(((pull >= s.gradient) | wide) & ~gone, pull + wide * float(pull.max()), room)
+        growing = _highest(((gradients >= s.gradient) | wide) & ~gone, gradients + wide * float(gradients.max()), room)
         large = (size > s.split_from * s.extent) | wide
         split, cloned = growing & large, growing & ~large
         more = [parameters.rows(cloned), _children(parameters.rows(split), generator)]
@@ -149,11 +149,11 @@ class DefaultStrategy(Strategy):
         return f"{int(cloned.sum())} cloned, {int(split.sum())} split, {int(gone.sum())} pruned"
 
 
-def _highest(candidates: Tensor, pull: Tensor, room: int) -> Tensor:
+def _highest(candidates: Tensor, gradients: Tensor, room: int) -> Tensor:
     """The `room` candidates with the highest gradients (each adds one); ties by index."""
     if int(candidates.sum()) <= room:
         return candidates
-    order = torch.argsort(torch.where(candidates, pull, -1), descending=True, stable=True)
+    order = torch.argsort(torch.where(candidates, gradients, -1), descending=True, stable=True)
     chosen = torch.zeros_like(candidates)
     chosen[order[:room]] = True
     return chosen

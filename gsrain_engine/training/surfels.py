@@ -14,6 +14,7 @@ from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians, sh_from_color
 from ..scene.geometry import matrices_from_quaternions, quaternions_from_matrices
 
+Depths = Sequence[Float32[np.ndarray, "_ _"]]
 SPREAD = 0.6  # standard deviation of a disc over the spacing of discs: they overlap without much blur
 _THICKNESS = 0.1  # standard deviation across the surface over the smaller one along it
 _STEEPEST = 16.0  # largest aspect ratio of a disc: surfaces at grazing angles are imprecise
@@ -53,13 +54,10 @@ class Surfels:
         return Gaussians(self.means, scales, rotations, opacities, sh_from_color(self.colors))
 
 
-def surfels_of_view(
+def view_surfels(
     view: CaptureFrame, depth: Float32[np.ndarray, "h w"], stride: int, cells: Bool[np.ndarray, "rows columns"]
 ) -> Surfels:
-    """Make one disc for each wanted cell (`grid_shape`) of stride x stride pixels with a depth, at the cell's center.
-
-    The view is undistorted; its depth is along the view axis, 0 where unknown.
-    """
+    """Make one disc for each wanted cell of stride x stride pixels with a depth along the view axis, at its center."""
     rows, columns = np.nonzero(cells)
     v = np.minimum(rows * stride + stride // 2, view.camera.height - 1)
     u = np.minimum(columns * stride + stride // 2, view.camera.width - 1)
@@ -79,10 +77,7 @@ def surfels_of_view(
 
 
 def depth_slopes(depth: Float32[np.ndarray, "h w"]) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
-    """Relative depth change per pixel, horizontally and vertically; 0 at edges and where depth is unknown.
-
-    Uses the neighbor with the closer inverse depth, which is linear on planes.
-    """
+    """Relative depth change per pixel to the neighbor with closer inverse depth; 0 at edges and where unknown."""
     inverse = np.where(depth > 0, 1 / np.maximum(depth, 1e-6), 0)
     found: list[Float32[np.ndarray, "h w"]] = []
     for axis in (1, 0):
@@ -97,10 +92,6 @@ def depth_slopes(depth: Float32[np.ndarray, "h w"]) -> tuple[Float32[np.ndarray,
         is_surface = (np.abs(change) < _SLIGHT) | ((bend < _STRAIGHT) & (np.abs(change) < _STEEP))
         found.append(np.where(is_surface, -change, 0).astype(np.float32))
     return found[0], found[1]
-
-
-def grid_shape(camera: Camera, stride: int) -> tuple[int, int]:
-    return -(-camera.height // stride), -(-camera.width // stride)
 
 
 def cell_means(pixels: np.ndarray, stride: int) -> Float32[np.ndarray, "rows columns c"]:
@@ -155,10 +146,7 @@ _LONGEST = 0.5  # longest interpolated segment over the typical depth: within it
 
 
 def camera_trajectory(views: Sequence[CaptureFrame], typical_depth: float) -> Float64[np.ndarray, "p 3"]:
-    """Camera positions in the capture's world, interpolated between consecutive images of a sensor.
-
-    Segments that are long relative to the typical depth of the views, in the capture's unit, are not interpolated.
-    """
+    """Camera positions, interpolated between consecutive images of a sensor that are near for the typical depth."""
     places = [view.camera.position for view in views]
     for sensor in dict.fromkeys(view.sensor for view in views):
         own = sorted((view for view in views if view.sensor == sensor), key=lambda view: view.time_s)
@@ -189,10 +177,7 @@ def projected(
 
 
 def point_colors(
-    points: Float[np.ndarray, "p 3"],
-    views: Sequence[CaptureFrame],
-    depths: Sequence[Float32[np.ndarray, "_ _"]],
-    max_views: int = 8,
+    points: Float[np.ndarray, "p 3"], views: Sequence[CaptureFrame], depths: Depths, max_views: int = 8
 ) -> tuple[Float32[np.ndarray, "p 3"], Bool[np.ndarray, " p"]]:
     """Median display color of each point over its nearest views, and a mask of visible points (others are gray).
 

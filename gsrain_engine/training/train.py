@@ -88,7 +88,7 @@ class MeasuredRender:
     score: RenderScore
     rendered: Float32[np.ndarray, "h w 3"]
     truth: UInt8[np.ndarray, "h w 3"]
-    seen: Bool[np.ndarray, "h w"] | None
+    valid: Bool[np.ndarray, "h w"] | None
     """Valid pixels; None means all."""
     is_held_out: bool
 
@@ -138,12 +138,9 @@ class TrainingReport:
 def reconstruct(task: ReconstructionTask, opened: Capture | None = None) -> Generator[Progress, None, TrainingReport]:
     """Fit Gaussians to a capture (read from the task if None) and write the scene and the requested report.
 
-    Yields:
-        Progress, at least once a step. If stopped there, the last checkpoint remains.
-
-    Raises:
-        CaptureError: If the capture can't be read or has nothing to train on.
-        TrainingCheckpointError: If `resume` finds no checkpoint, or one of another training.
+    Yields progress at least once a step; if it is stopped there, the last checkpoint remains. Raises `CaptureError` if
+    the capture can't be read or has nothing to train on, and `TrainingCheckpointError` if `resume` finds no checkpoint,
+    or one of another training.
     """
     yield Progress(0.0, "Reading the capture")
     capture = task.read() if opened is None else opened
@@ -157,7 +154,6 @@ def reconstruct(task: ReconstructionTask, opened: Capture | None = None) -> Gene
     task.output.parent.mkdir(parents=True, exist_ok=True)
     write_scene(scene_of(started.training.model, capture), task.output)
     if task.report is not None:
-        task.report.parent.mkdir(parents=True, exist_ok=True)
         write_training_report(task.report, result)
     task.checkpoint.unlink(missing_ok=True)
     yield Progress(1.0, f"{result.gaussians:,} Gaussians")
@@ -183,7 +179,7 @@ class _TrainingLoop:
         self._held, self._perceived, self._own_body = started.held_out, started.perceived, started.own_body
         self._first, self._curves = 0, TrainingCurves()
         self._before: tuple[RenderScore, ...] = ()
-        self._shown_at = -np.inf
+        self._preview_at = -np.inf
 
     def look_before(self) -> Generator[Progress]:
         yield Progress(_STARTED, "Measuring what it starts from")
@@ -210,8 +206,8 @@ class _TrainingLoop:
             done = self._training.step(number)
             self._curves.add(done.loss, self._training.model.count, self._seconds)
             count, loss, preview = self._training.model.count, self._curves.recent_loss(), None
-            if time.perf_counter() - self._shown_at > _PREVIEW_INTERVAL_S:
-                self._shown_at, preview = time.perf_counter(), comparison_image(done.shown, done.truth)
+            if time.perf_counter() - self._preview_at > _PREVIEW_INTERVAL_S:
+                self._preview_at, preview = time.perf_counter(), comparison_image(done.exposed, done.truth)
             message = f"Step {number + 1:,} of {settings.steps:,}: loss {loss:.4f}, {count:,} Gaussians"
             yield self._progress_at(number, f"{message} ({done.change})" if done.change else message, preview)
             if _is_due(settings.measured_every, number, settings.steps):
@@ -242,7 +238,7 @@ class _TrainingLoop:
         for view, is_held_out in chosen:
             rendered = self._training.render(view)
             score = self._training.measure(view, self._perceived, rendered)
-            pictures.append(MeasuredRender(score, rendered, view.levels[0].image, view.seen, is_held_out))
+            pictures.append(MeasuredRender(score, rendered, view.levels[0].image, view.valid, is_held_out))
             fraction = _TRAINED + (0.98 - _TRAINED) * len(pictures) / len(chosen)
             yield Progress(fraction, f"{view.name}: {score.psnr_db:.2f} dB{'' if is_held_out else ', learned from'}")
         held = [each.score for each in pictures if each.is_held_out]
@@ -288,7 +284,10 @@ def start_training(
     capture: Capture, settings: TrainingSettings, held_out: Sequence[int], lpips: Path | None = None
 ) -> Generator[Progress, None, PreparedTraining]:
     """Prepare everything. Held-out views are used only to find the sky color and the vehicle's own body."""
-    device = _device(settings.device)
+    can_use_cuda = torch.cuda.is_available() and find_spec("gsplat") is not None
+    if settings.device == "cuda" and not can_use_cuda:
+        raise ValueError("--device cuda: needs an NVIDIA GPU, torch with CUDA, and gsplat (pip install gsrain[cuda])")
+    device = "cuda" if can_use_cuda and settings.device != "cpu" else "cpu"
     yield Progress(0.0, f"Reading {len(capture)} pictures")
     views = training_views(capture, settings.width_px)
     yield Progress(0.005, "Looking for surfaces and sky")
@@ -351,14 +350,6 @@ def _model(
     )
 
 
-def _device(asked: str) -> str:
-    """Return "cuda" if requested or usable; raises ValueError if requested but unavailable."""
-    usable = torch.cuda.is_available() and find_spec("gsplat") is not None
-    if asked == "cuda" and not usable:
-        raise ValueError("--device cuda: needs an NVIDIA GPU, torch with CUDA, and gsplat (pip install gsrain[cuda])")
-    return "cuda" if usable and asked != "cpu" else "cpu"
-
-
 def _perceived(lpips: Path | None, device: str) -> ImageDistance | None:
     """LPIPS with VGG16 from a file or from this machine; None if neither is available."""
     try:
@@ -380,7 +371,7 @@ def write_training_report(file: Path, result: TrainingReport) -> None:
     for each in [each for each in result.pictures if each.is_held_out] or result.pictures:
         truth = each.truth.astype(np.float32) / 255
         name = each.score.name if each.is_held_out else f"{each.score.name} (learned from)"
-        compared = ImageComparison.measured(name, np.clip(each.rendered, 0, 1), truth, each.seen)
+        compared = ImageComparison.measured(name, np.clip(each.rendered, 0, 1), truth, each.valid)
         comparisons.append(replace(compared, lpips=each.score.lpips))
     settings = {key: str(value) for key, value in msgspec.to_builtins(result.settings).items()}
     report = RunReport(

@@ -69,7 +69,7 @@ def test_what_a_stopped_run_has_made_is_not_made_again(started, tmp_path):
     assert sorted(each.name for each in (tmp_path / "out").iterdir()) == ["clear"]  # no part of wet is left over
     assert is_transferred_folder(tmp_path / "out" / "clear")
     result = finished(work())
-    assert result.kept == ("clear",)
+    assert result.reused == ("clear",)
     again = finished(work())
     assert again.kept == ("clear", "wet")
     assert markdown_table(again.rows) == markdown_table(result.rows)

@@ -241,8 +241,6 @@ _DECODERS: dict[str, Decoder] = {
 
 # Box overlap and suppression
 
-Boxes = Float[np.ndarray, "_ 4"]  # rows x1 y1 x2 y2
-
 
 def intersection_over_union(
     first: Float[np.ndarray, "n 4"], second: Float[np.ndarray, "m 4"]
@@ -259,11 +257,11 @@ def non_maximum_suppression(
     boxes: Float[np.ndarray, "n 4"],
     confidences: Float[np.ndarray, " n"],
     classes: Int[np.ndarray, " n"],
-    most_iou: float,
+    max_iou: float,
 ) -> Int[np.ndarray, " k"]:
     """Rows of the remaining boxes by descending confidence: greedy non-maximum suppression per class.
 
-    Removes a box if a more confident one of its class overlaps it by more than `most_iou`. Among equal confidences the
+    Removes a box if a more confident one of its class overlaps it by more than `max_iou`. Among equal confidences the
     earlier box stays.
     """
     order = np.argsort(-confidences, kind="stable")
@@ -272,7 +270,7 @@ def non_maximum_suppression(
         best, order = order[0], order[1:]
         remaining.append(int(best))
         overlap = intersection_over_union(boxes[best][None], boxes[order])[0]
-        order = order[(overlap <= most_iou) | (classes[order] != classes[best])]
+        order = order[(overlap <= max_iou) | (classes[order] != classes[best])]
     return np.array(remaining, np.int64)
 
 

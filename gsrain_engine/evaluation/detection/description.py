@@ -8,7 +8,6 @@ from msgspec import Meta
 
 from ...plugins import DECODERS, find_extensions
 from ...presets import load_config, shipped_config_names
-from ...scene.objects import COCO_CLASSES
 
 _FOLDER = "detectors"
 Decode = Literal["end_to_end", "yolo", "yolo_objectness", "yolox", "nanodet"]
@@ -102,13 +101,3 @@ def description_names() -> list[str]:
 def load_description(name: str | Path) -> DetectorDescription:
     """Load a shipped description by name, or a file by path; raises ValueError with the file and the field."""
     return load_config(_FOLDER, name, DetectorDescription, "detector description")
-
-
-def named_classes(description: DetectorDescription, in_file: tuple[str, ...] | None) -> tuple[str, ...]:
-    """Classes of the description, else those in the ONNX file; raises ValueError if neither names any."""
-    if description.classes == "coco":
-        return COCO_CLASSES
-    classes = description.classes or in_file
-    if not classes:
-        raise ValueError("it names no classes; its description must (classes: coco, or a list)")
-    return classes

@@ -11,7 +11,7 @@ from jaxtyping import Float32, Float64, UInt8
 
 from ...scene.objects import COCO_CLASSES
 from .decoders import DecoderInput, OnnxModel, cell_grid, decode_outputs, decoder, non_maximum_suppression, open_onnx
-from .description import DetectorDescription, Fit, description_names, load_description, named_classes
+from .description import DetectorDescription, Fit, description_names, load_description
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,10 +38,7 @@ class Detector:
     _model: OnnxModel = field(repr=False)
 
     def detect(self, image: UInt8[np.ndarray, "h w 3"]) -> list[Detection]:
-        """Detect objects in an image (RGB), by descending confidence.
-
-        Raises ValueError with the file's name if the network's output can't be detections.
-        """
+        """Detect objects in an image (RGB), by descending confidence; raises ValueError for outputs of another form."""
         height, width = image.shape[:2]
         placement = letterbox((width, height), self.input_size_px, self.description.fit)
         outputs = self._model.run(network_input(image, placement, self.input_size_px, self.description))
@@ -76,7 +73,9 @@ def open_detector(path: Path, description: str | Path | None = None) -> Detector
         description = neighbor
     described = recognize_description(model) if description is None else load_description(description)
     try:
-        classes = named_classes(described, model.class_names)
+        classes = COCO_CLASSES if described.classes == "coco" else described.classes or model.class_names
+        if not classes:
+            raise ValueError("it names no classes; its description must (classes: coco, or a list)")
         size = _input_size(model, described)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
@@ -115,10 +114,7 @@ _GRIDS: tuple[tuple[str, tuple[int, ...]], ...] = (
 
 
 def recognize_description(model: OnnxModel) -> DetectorDescription:
-    """Infer the description of a detector from its outputs and from the metadata of ultralytics exports.
-
-    Raises ValueError with the available descriptions if several kinds are possible.
-    """
+    """Infer a detector's description from its outputs and metadata; raises ValueError if several kinds are possible."""
     task = model.metadata.get("task", "detect")
     if task != "detect":
         raise ValueError(f"{model.path}: is made for {task!r}, not for finding boxes (task 'detect')")

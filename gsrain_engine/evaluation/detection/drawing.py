@@ -32,16 +32,16 @@ def draw_boxes(
     image: UInt8[np.ndarray, "h w 3"],
     truths: Sequence[LabeledBox],
     detections: Sequence[Detection],
-    least_confidence: float = 0.25,
+    min_confidence: float = 0.25,
 ) -> UInt8[np.ndarray, "h w 3"]:
     """Return a copy with boxes and labels, which scale with the image.
 
-    Detections of at least `least_confidence` are solid lines in their class color; ground-truth objects are dashed,
+    Detections of at least `min_confidence` are solid lines in their class color; ground-truth objects are dashed,
     white if detected with the right class, red if not.
     """
     picture = np.ascontiguousarray(image).copy()
     unit = max(_MIN_UNIT, picture.shape[0] / 720, picture.shape[1] / 1280)
-    drawn = sorted((each for each in detections if each.confidence >= least_confidence), key=lambda d: -d.confidence)
+    drawn = sorted((each for each in detections if each.confidence >= min_confidence), key=lambda d: -d.confidence)
     looked_for = list(zip(truths, match_detections(truths, drawn), strict=True))
     for truth, match in looked_for:
         _dashed(picture, truth.box_xyxy, _FOUND if match.confidence > 0 else _MISSED, unit)

@@ -91,10 +91,7 @@ def _distance(to_camera: Float64[np.ndarray, "4 4"], box: TrackedBox) -> float:
 def ground_truth_from_scene(
     renderer: Renderer, scene: Scene, objects: Sequence[SceneObject], camera: Camera, time_s: float
 ) -> tuple[LabeledObject, ...]:
-    """Render object masks from a camera in the world (meters); the nearest object first.
-
-    Boxes bound the visible pixels, as human annotators draw them. Rain is not included.
-    """
+    """Boxes of the pixels that objects show a camera in the world (meters), without rain; the nearest object first."""
     found = visible_objects(renderer, scene, objects, camera, time_s)
     names = [label_class(each.object.class_name) for each in found]
     return tuple(
@@ -158,14 +155,10 @@ def label_class(name: str) -> str:
 
 @cache
 def is_same_class(detected: str, labelled: str) -> bool:
-    """Return whether a detected class matches a labeled one.
-
-    Dataset names map to COCO's: Pedestrian is a person. A vehicle matches any of `KINDS_OF_VEHICLES`, in both
-    directions.
-    """
-    seen, label = label_class(detected), label_class(labelled)
-    general = seen if label == VEHICLE else label if seen == VEHICLE else None
-    return seen == label or general in KINDS_OF_VEHICLES
+    """True if classes are the same by `label_class`, or one is a vehicle and the other of `KINDS_OF_VEHICLES`."""
+    detection, label = label_class(detected), label_class(labelled)
+    general = detection if label == VEHICLE else label if detection == VEHICLE else None
+    return detection == label or general in KINDS_OF_VEHICLES
 
 
 def can_detect_class(classes: Collection[str], labelled: str) -> bool:

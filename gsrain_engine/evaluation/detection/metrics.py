@@ -218,10 +218,7 @@ class DistanceRecall:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % confidence interval of the recall (Wilson 1927); 0..1 without objects.
-
-        Assumes independent objects; too narrow for frames of one drive, which are not independent.
-        """
+        """95 % confidence interval (Wilson 1927), 0..1 without objects; too narrow for frames of one drive."""
         return wilson_interval(self.found, self.objects)
 
 
@@ -229,12 +226,12 @@ def recall_by_distance(
     distances_m: Float[np.ndarray, " n"],
     confidences: Float[np.ndarray, " n"],
     edges_m: Sequence[float],
-    least_confidence: float = 0.25,
+    min_confidence: float = 0.25,
 ) -> tuple[DistanceRecall, ...]:
     """Recall between neighboring `edges_m` (a bin includes its nearer edge, not its farther one).
 
     The share of labeled objects that were found, 0 to 1, higher is better; with Wilson's interval (1927). An object is
-    found if the confidence of its match (`ObjectMatch.confidence`, 0 if missed) is at least `least_confidence`. Objects
+    found if the confidence of its match (`ObjectMatch.confidence`, 0 if missed) is at least `min_confidence`. Objects
     outside the edges do not count. Raises ValueError for edges that do not increase.
     """
     edges = np.asarray(edges_m, float)
@@ -242,7 +239,7 @@ def recall_by_distance(
         raise ValueError(
             f"distances between which recall is taken must rise, not {', '.join(f'{e:g}' for e in edges)} m"
         )
-    found = (confidences >= least_confidence) & (confidences > 0)
+    found = (confidences >= min_confidence) & (confidences > 0)
     bins: list[DistanceRecall] = []
     for near, far in pairwise(edges):
         inside = (distances_m >= near) & (distances_m < far)

@@ -177,11 +177,7 @@ def evaluate_images(
 
 
 def evaluate_detections(
-    detector: str,
-    frame: EvaluatedFrame,
-    trial: Condition,
-    detections: Sequence[Detection],
-    classes: tuple[str, ...] = (),
+    detector: str, frame: EvaluatedFrame, trial: Condition, detections: Sequence[Detection], classes: Sequence[str] = ()
 ) -> DetectionResult:
     """Match detections with the objects of a view; `classes` are those of the detector, if known.
 
@@ -302,8 +298,8 @@ class ResultCache:
                 valid.append(line)
                 self._known[_image(read.key, read.judgement.trial)] = read.judgement
         if len(valid) < len(lines):
-            with whole_file(self._file) as beside:
-                beside.write_bytes(b"".join(valid))
+            with whole_file(self._file) as temporary:
+                temporary.write_bytes(b"".join(valid))
         return len(self._known)
 
     def known(self, detector: str, frame: EvaluatedFrame, trial: Condition) -> DetectionResult | None:

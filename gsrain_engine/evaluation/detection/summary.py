@@ -87,6 +87,7 @@ class DistanceScore:
 
 
 _Weather = tuple[str, Kind, float]
+_WITHOUT_RAIN: dict[Kind, tuple[Kind, ...]] = {"rainy": ("clear", "original"), "clear": ("original",), "original": ()}
 
 
 def scores(rows: Sequence[ObjectRow], judgements: Sequence[DetectionResult]) -> list[ScoreByIntensity]:
@@ -105,8 +106,7 @@ def scores(rows: Sequence[ObjectRow], judgements: Sequence[DetectionResult]) -> 
             continue
         own = lines[weather]
         precision = _precisions(by_seed)
-        without: tuple[Kind, ...] = {"rainy": ("clear", "original"), "clear": ("original",)}.get(weather[1], ())
-        bases = [(weather[0], each, 0.0) for each in without if (weather[0], each, 0.0) in pictures]
+        bases = [(weather[0], each, 0.0) for each in _WITHOUT_RAIN[weather[1]] if (weather[0], each, 0.0) in pictures]
         change = None
         if bases:  # the condition without rain that differs least
             changes = [

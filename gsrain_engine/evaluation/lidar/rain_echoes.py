@@ -124,7 +124,7 @@ def sample_far_returns(
     return RainReturns(beam, ranges, signals.reflectances(ranges, classes))
 
 
-def span_in_box(beams: Beams, box: RegionBox, frame: Float64[np.ndarray, "4 4"]) -> _Span:
+def box_span(beams: Beams, box: RegionBox, frame: Float64[np.ndarray, "4 4"]) -> _Span:
     """Entry and exit range of each beam in a box of a frame, in meters; 0 and 0 for a miss."""
     turn = frame[:3, :3]
     origin, directions = turn.T @ (beams.origin_m - frame[:3, 3]), beams.directions @ turn
@@ -142,27 +142,24 @@ def span_in_box(beams: Beams, box: RegionBox, frame: Float64[np.ndarray, "4 4"])
 def drop_field_returns(
     field: DropBatch, beams: Beams, listened_m: Float64[np.ndarray, " n"], signals: DropReturnModel
 ) -> RainReturns:
-    """Find the field's drops that are in beams at its time and are detected, each nearer than `listened_m`.
-
-    A drop is in every beam whose axis passes its center within half the beam's width.
-    """
+    """Find the field's detected drops nearer than `listened_m`, each in every beam whose width contains its center."""
     drops = field.region_drops()
     away = field.positions(drops) - beams.origin_m
     ranges = np.linalg.norm(away, axis=1)
-    seen = np.flatnonzero(drops.class_index >= signals.first_detected(ranges))
+    detected = np.flatnonzero(drops.class_index >= signals.first_detected(ranges))
     listening = np.flatnonzero(listened_m > 0)
-    if not len(seen) or not len(listening):
+    if not len(detected) or not len(listening):
         return RainReturns.none()
-    ranges, directions = ranges[seen], away[seen] / ranges[seen, None]
+    ranges, directions = ranges[detected], away[detected] / ranges[detected, None]
     half_angles = np.arcsin(np.minimum(signals.sensor.beam_width_m(ranges) / 2 / ranges, 1))
     tree = KDTree(beams.directions[listening])
     met = tree.query_ball_point(directions, 2 * np.sin(half_angles / 2), return_sorted=True)
     counts = np.array([len(each) for each in met])
-    drop = np.repeat(np.arange(len(seen)), counts)
+    drop = np.repeat(np.arange(len(detected)), counts)
     beam = listening[np.fromiter((index for each in met for index in each), np.int64, int(counts.sum()))]
     nearer = ranges[drop] < listened_m[beam]
     drop, beam = drop[nearer], beam[nearer]
-    return RainReturns(beam, ranges[drop], signals.reflectances(ranges[drop], drops.class_index[seen[drop]]))
+    return RainReturns(beam, ranges[drop], signals.reflectances(ranges[drop], drops.class_index[detected[drop]]))
 
 
 # Optics of water in the near infrared

@@ -57,16 +57,9 @@ class ReturnCounts:
         true = ~rainy.is_false & ~beams.untouched[rainy.beams]
         away = rainy.sweep.points_m[true].astype(np.float64) - beams.origin_m
         added = np.linalg.norm(away, axis=1) - beams.ranges_m[rainy.beams[true]]
-        return cls(
-            edges_m=edges,
-            clear=kept + dropped + masked,
-            kept=kept,
-            dropped=dropped,
-            masked=masked,
-            false=_binned(rainy.false_ranges_m, edges),
-            range_rmse_m=float(np.sqrt(np.mean(added**2))) if len(added) else float("nan"),
-            untouched=int(beams.untouched.sum()),
-        )
+        rmse = float(np.sqrt(np.mean(added**2))) if len(added) else float("nan")
+        false, untouched = _binned(rainy.false_ranges_m, edges), int(beams.untouched.sum())
+        return cls(edges, kept + dropped + masked, kept, dropped, masked, false, rmse, untouched)
 
     def return_share(self) -> Float64[np.ndarray, " k"]:
         """Share of the clear returns that are kept, 0..1; NaN without clear returns."""
@@ -110,20 +103,15 @@ def rain_runs(
     reach_m = max(_MIN_NEAR_M, *(DropReturnModel(sensor, state).reach_m for state in states))
     near_edges = tuple(float(NEAR_STEP_M * k) for k in range(int(np.ceil(reach_m / NEAR_STEP_M)) + 1))
     clear = sensor.signal(beams.ranges_m[beams.is_echo], beams.reflectances[beams.is_echo], 0.0)
+    at_threshold = int(np.sum(clear < _JUST))
     for intensity in intensities_mm_h:
         for seed in seeds:
             rainfall = RainSimulation.start(RainSettings(intensity_mm_h=intensity, seed=seed))
             rainy = scan_in_rain(beams, sensor, rainfall, turn.anchor_to_world, answer=answer, wet_road=wet_road)
-            counts = RainRunCounts(
-                turn=turn.name,
-                range_m=sensor.range_m,
-                state=rainfall.state,
-                seed=seed,
-                wetness=rainfall.wetness_at(beams.time_s) if wet_road else 0.0,
-                at_threshold=int(np.sum(clear < _JUST)),
-                tally=ReturnCounts.of(beams, rainy),
-                near=ReturnCounts.of(beams, rainy, near_edges),
-            )
+            wetness = rainfall.wetness_at(beams.time_s) if wet_road else 0.0
+            tallies = ReturnCounts.of(beams, rainy), ReturnCounts.of(beams, rainy, near_edges)
+            state = rainfall.state
+            counts = RainRunCounts(turn.name, sensor.range_m, state, seed, wetness, at_threshold, *tallies)
             yield RainRun(turn, rainy, counts)
 
 
@@ -145,26 +133,26 @@ _FEW_ENTRIES = 8  # maximum number of entries for a legend inside its panel; a l
 ByIntensity = Mapping[float, Sequence[RainRunCounts]]  # all seeds and turns at each rain rate in mm/h
 
 
-def write_figure(path: Path, shown: RainRun, by_intensity: ByIntensity) -> None:
+def write_figure(path: Path, run: RainRun, by_intensity: ByIntensity) -> None:
     """Draw the figure and write it (PNG) atomically."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as temporary:
-        draw_figure(shown, by_intensity).savefig(temporary, format="png", dpi=_DPI)
+        draw_figure(run, by_intensity).savefig(temporary, format="png", dpi=_DPI)
 
 
-def draw_figure(shown: RainRun, by_intensity: ByIntensity) -> Figure:
+def draw_figure(run: RainRun, by_intensity: ByIntensity) -> Figure:
     """Draw one turn from above, clear and in its rain, and the counts of all turns by range."""
     figure = Figure(figsize=_SIZE_INCHES, layout="constrained")
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.08)  # pyright: ignore
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(2, 2, height_ratios=(1.45, 1))
-    beams = shown.turn.beams
+    beams = run.turn.beams
     echoes = beams.is_echo
     reach = float(np.quantile(beams.ranges_m[echoes], _VIEWED_SHARE))
     clear = figure.add_subplot(grid[0, 0])
-    _dots(clear, _from_above(shown.turn, beams.points_m[echoes]), _CLEAR)
-    _frame(clear, shown.turn, reach, f"clear: {int(echoes.sum()):,} returns")
-    _draw_rain(figure.add_subplot(grid[0, 1]), shown, reach)
+    _dots(clear, _from_above(run.turn, beams.points_m[echoes]), _CLEAR)
+    _frame(clear, run.turn, reach, f"clear: {int(echoes.sum()):,} returns")
+    _draw_rain(figure.add_subplot(grid[0, 1]), run, reach)
     _draw_return_share(figure.add_subplot(grid[1, 0]), by_intensity)
     _draw_false(figure.add_subplot(grid[1, 1]), by_intensity)
     return figure
@@ -176,8 +164,8 @@ def _from_above(turn: LidarTurn, points_m: Float32[np.ndarray, "n 3"]) -> Float6
     return (away @ turn.anchor_to_world[:3, :3])[:, :2]
 
 
-def _draw_rain(axes: Axes, shown: RainRun, reach_m: float) -> None:
-    turn, rainy = shown.turn, shown.rainy
+def _draw_rain(axes: Axes, run: RainRun, reach_m: float) -> None:
+    turn, rainy = run.turn, run.rainy
     true, points = ~rainy.is_false & ~turn.beams.untouched[rainy.beams], rainy.sweep.points_m
     _dots(axes, _from_above(turn, points[true]), _CLEAR, f"kept {int(true.sum()):,}")
     for fate, color, title in (
@@ -189,7 +177,7 @@ def _draw_rain(axes: Axes, shown: RainRun, reach_m: float) -> None:
     false = points[rainy.is_false]
     _dots(axes, _from_above(turn, false), _FALSE, f"drops {len(false):,}", size=5.0)
     count = len(rainy.beams) - int(turn.beams.untouched.sum())
-    _frame(axes, turn, reach_m, f"{shown.counts.state.intensity_mm_h:g} mm/h: {count:,} returns")
+    _frame(axes, turn, reach_m, f"{run.counts.state.intensity_mm_h:g} mm/h: {count:,} returns")
     axes.legend(loc="upper right", fontsize=8, framealpha=0.9, markerscale=3, handletextpad=0.2)
 
 

@@ -26,14 +26,7 @@ from ...scene.camera import Camera
 from ...scene.files import whole_file
 from ...scene.geometry import matrices_from_quaternions
 from ...scene.scene import DrawItem, Layer, PoseTrack, Scene
-from .rain_echoes import (
-    DropReturnModel,
-    RainReturns,
-    drop_field_returns,
-    sample_far_returns,
-    span_in_box,
-    wet_road_share,
-)
+from .rain_echoes import DropReturnModel, RainReturns, box_span, drop_field_returns, sample_far_returns, wet_road_share
 from .sensor import STATED_REFLECTANCE, Beams, LidarSensor
 
 Answer = Literal["strongest", "first", "last"]
@@ -169,7 +162,7 @@ def _answering_drops(
     listened = np.maximum(listened, 0)
     view = RainCamera(Camera.from_fov(1, 1, 45.0, np.eye(4)), anchor_to_world, np.zeros(3))
     field = rainfall.streak_field(beams.time_s, view)
-    simulated = span_in_box(beams, rainfall.rain.streak_region, anchor_to_world)
+    simulated = box_span(beams, rainfall.rain.streak_region, anchor_to_world)
     seed = np.random.default_rng([rainfall.rain.seed, _moment(beams.time_s), 2]).integers(2**63)
     found = RainReturns.joined(
         drop_field_returns(field, beams, listened, signals),
@@ -210,12 +203,15 @@ def scan_scene(scene: Scene, time_s: float, sensor_to_world: Pose, sensor: Lidar
     origin = sensor_to_world[:3, 3].copy()
     ranges, normals = np.full(len(own), np.inf), np.zeros((len(own), 3))
     azimuths = np.degrees(np.arctan2(own[:, 1], own[:, 0]))
-    surfaces = LidarSurfaces.of(scene, time_s)
+    placed = [(each, part) for each in scene.members if each.visible and (part := scene.part(each, time_s)) is not None]
+    parts = [part for _, part in placed]
+    sky = [np.full(len(p.gaussians), isinstance(m, Layer) and m.kind == "sky") for m, p in placed]
+    is_sky = np.concatenate([np.zeros(0, np.bool_), *sky])
     faces = np.round(azimuths / _FACE_DEG).astype(int) % 4
     for face in np.unique(faces).tolist():
         mine = np.flatnonzero(faces == face)
         camera = _face_camera(sensor, sensor_to_world, face)
-        ranges[mine], normals[mine] = surfaces.met_by(directions[mine], camera)
+        ranges[mine], normals[mine] = _surfaces_met(parts, is_sky, directions[mine], camera)
     cosines = np.abs(np.sum(normals * directions, axis=1))
     found = np.isfinite(ranges)
     points = np.where(found[:, None], origin + directions * np.where(found, ranges, 0)[:, None], origin)
@@ -275,40 +271,27 @@ _FARTHEST_OFF = 0.5  # largest distance of a ray-plane intersection from the spl
 _SAME_SHARE, _SAME_M = 0.03, 0.05  # splats within this distance of the median depth belong to the same surface
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LidarSurfaces:
-    """Visible parts of a scene at a time, with a mask of their sky Gaussians."""
+def _surfaces_met(
+    parts: Sequence[DrawItem], is_sky: Bool[np.ndarray, " g"], directions: Float64[np.ndarray, "n 3"], camera: Camera
+) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, "n 3"]]:
+    """Ranges in meters (infinite without a surface) and world normals that face the camera.
 
-    parts: tuple[DrawItem, ...]
-    is_sky: Bool[np.ndarray, " n"]
-
-    @classmethod
-    def of(cls, scene: Scene, time_s: float) -> "LidarSurfaces":
-        members = [(each, scene.part(each, time_s)) for each in scene.members if each.visible]
-        placed = [(member, part) for member, part in members if part is not None]
-        sky = [np.full(len(p.gaussians), isinstance(m, Layer) and m.kind == "sky") for m, p in placed]
-        return cls(tuple(part for _, part in placed), np.concatenate([np.zeros(0, np.bool_), *sky]))
-
-    def met_by(
-        self, directions: Float64[np.ndarray, "n 3"], camera: Camera
-    ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, "n 3"]]:
-        """Ranges in meters (infinite without a surface) and world normals that face the camera.
-
-        Unit `directions` in the world start at the camera and fall into its image, whose pixel size sets the resolution
-        of the Gaussians.
-        """
-        splats = project(self.parts, camera)
-        tiles = bin_into_tiles(splats.shapes, splats.nearest_first(), camera.width, camera.height)
-        turn = camera.world_to_camera[:3, :3]
-        own = directions @ turn.T
-        rays = own / own[:, 2:]
-        planes = np.column_stack([_planes(self.parts, splats.indices, camera), splats.colors[:, 3]])
-        places = np.stack([camera.cx + camera.fx * rays[:, 0], camera.cy + camera.fy * rays[:, 1]], axis=1)
-        found = np.zeros((len(rays), 4))
-        is_sky = self.is_sky[splats.indices]
-        _meet(splats.shapes, tiles.starts, tiles.members, tiles.columns, planes, is_sky, rays, places, found)
-        there = found[:, 0] > 0
-        return np.where(there, found[:, 0] / own[:, 2], np.inf), found[:, 1:] @ turn
+    Unit `directions` in the world start at the camera and fall into its image, whose pixel size sets the resolution
+    of the Gaussians.
+    """
+    splats = project(parts, camera)
+    tiles = bin_into_tiles(splats.shapes, splats.nearest_first(), camera.width, camera.height)
+    turn = camera.world_to_camera[:3, :3]
+    own = directions @ turn.T
+    rays = own / own[:, 2:]
+    planes = np.column_stack([_planes(parts, splats.indices, camera), splats.colors[:, 3]])
+    places = np.stack([camera.cx + camera.fx * rays[:, 0], camera.cy + camera.fy * rays[:, 1]], axis=1)
+    found = np.zeros((len(rays), 4))
+    _meet(
+        splats.shapes, tiles.starts, tiles.members, tiles.columns, planes, is_sky[splats.indices], rays, places, found
+    )
+    there = found[:, 0] > 0
+    return np.where(there, found[:, 0] / own[:, 2], np.inf), found[:, 1:] @ turn
 
 
 @numba.njit(parallel=True, cache=True)
@@ -525,10 +508,7 @@ def capture_turns(
 def scene_turns(
     scene: Scene, sensor: LidarSensor, times_s: Sequence[float], *, matt: float = MATT, height_m: float = ROOF_M
 ) -> Iterator[LidarTurn]:
-    """Yield virtual turns of a level sensor on the ego vehicle's roof, `height_m` over the road.
-
-    Raises `ValueError` for a scene without an ego track, and for times without the vehicle.
-    """
+    """Yield virtual turns of a level sensor `height_m` over the road; raises ValueError without an ego vehicle."""
     for number, time_s in enumerate(times_s):
         ego = scene.ego_to_world(time_s)
         if ego is None:
