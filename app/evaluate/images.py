@@ -18,16 +18,17 @@ from gsrain_engine.datasets.image_override import find_images
 from gsrain_engine.datasets.io.images import is_image, read_labels
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.evaluation.fid import (
-    CONFIDENCE,
+    EXTRACTORS,
     DistributionDistance,
     FeatureCache,
     Interval,
     distribution_distance,
     extract_features,
     image_hash,
+    open_extractor,
 )
-from gsrain_engine.evaluation.fid_features import EXTRACTORS, Extractor, ExtractorChoice, open_extractor
-from gsrain_engine.evaluation.image_metrics import ImageDistance, MeanInterval, check_pair, mean_interval
+from gsrain_engine.evaluation.fid_features import Extractor, ExtractorChoice
+from gsrain_engine.evaluation.image_metrics import CONFIDENCE, ImageDistance, MeanInterval, check_pair, mean_interval
 from gsrain_engine.evaluation.lpips_weights import ARRAY_SUFFIXES, hash_of, read_lpips_weights, write_arrays
 from gsrain_engine.evaluation.report import ReportTable, RunReport, input_fingerprint, write_report
 from gsrain_engine.evaluation.report_charts import ImageComparison

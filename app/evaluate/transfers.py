@@ -33,8 +33,8 @@ from gsrain_engine.evaluation.compare_translators import (
     real_images,
     run_comparison,
 )
-from gsrain_engine.evaluation.fid import FeatureCache
-from gsrain_engine.evaluation.fid_features import Extractor, ExtractorChoice, open_extractor
+from gsrain_engine.evaluation.fid import FeatureCache, open_extractor
+from gsrain_engine.evaluation.fid_features import Extractor, ExtractorChoice
 from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, input_fingerprint, write_report
 from gsrain_engine.presets import shipped_config_names
 from gsrain_engine.scene.files import whole_file

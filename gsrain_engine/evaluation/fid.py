@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
 from ..datasets.capture import Capture
 from ..safe_io.limits import open_file
 from ..scene.files import whole_file
-from .fid_features import Extractor
+from .fid_features import SIZE_PX, Extractor, ExtractorChoice, cell_statistics
 from .image_metrics import CONFIDENCE
 
 MIN_IMAGES = 4  # smaller sets are meaningless, and their resamples are almost all alike
@@ -129,6 +129,29 @@ def image_hash(image: UInt8[np.ndarray, "h w 3"]) -> str:
     found = hashlib.sha256(np.array(image.shape, np.int64).tobytes())
     found.update(image.tobytes())
     return found.hexdigest()
+
+
+# Extractors by their `--extractor` names
+
+EXTRACTORS = ("inception", "pixels16")
+
+
+def open_extractor(choice: ExtractorChoice) -> Extractor:
+    """Open an extractor.
+
+    Raises ValueError for an unknown name or unsuitable weights, FileNotFoundError with download instructions if weights
+    are missing, and ModuleNotFoundError if it needs torch and torch is missing.
+    """
+    if choice.name not in EXTRACTORS:
+        raise ValueError(f"extractor {choice.name!r}: expected one of {', '.join(EXTRACTORS)}")
+    if choice.name == "inception":
+        from .fid_torch_features import open_inception  # torch is an extra
+
+        return open_inception(choice)
+    if choice.weights is not None:
+        raise ValueError(f"{choice.weights}: the extractor pixels16 takes no weights")
+    described = f"colour and edges of 4x4 cells, {SIZE_PX}x{SIZE_PX} px"
+    return Extractor(metric="FD-pixels16", described=described, features=160, key=None, function=cell_statistics)
 
 
 # Feature cache

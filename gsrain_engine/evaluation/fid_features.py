@@ -1,4 +1,4 @@
-"""Feature extractors for image distances, by `--extractor` names; only Inception's distance is named FID."""
+"""Feature extractors for image distances, with weight-free cell statistics; only Inception's distance is named FID."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -82,26 +82,3 @@ def cell_statistics(image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, " 
 def _means(values: Float64[np.ndarray, "h w c"]) -> Float64[np.ndarray, "cells cells c"]:
     height, width, channels = values.shape
     return values.reshape(CELLS, height // CELLS, CELLS, width // CELLS, channels).mean(axis=(1, 3))
-
-
-# Extractors by name
-
-EXTRACTORS = ("inception", "pixels16")
-
-
-def open_extractor(choice: ExtractorChoice) -> Extractor:
-    """Open an extractor.
-
-    Raises ValueError for an unknown name or unsuitable weights, FileNotFoundError with download instructions if weights
-    are missing, and ModuleNotFoundError if it needs torch and torch is missing.
-    """
-    if choice.name not in EXTRACTORS:
-        raise ValueError(f"extractor {choice.name!r}: expected one of {', '.join(EXTRACTORS)}")
-    if choice.name == "inception":
-        from .fid_torch_features import open_inception  # torch is an extra
-
-        return open_inception(choice)
-    if choice.weights is not None:
-        raise ValueError(f"{choice.weights}: the extractor pixels16 takes no weights")
-    described = f"colour and edges of 4x4 cells, {SIZE_PX}x{SIZE_PX} px"
-    return Extractor(metric="FD-pixels16", described=described, features=160, key=None, function=cell_statistics)

@@ -7,13 +7,9 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from gsrain_engine.evaluation.fid_features import (  # noqa: E402  # noqa: E402
-    EXTRACTORS,
-    ExtractorChoice,
-    open_extractor,
-    resized,
-)
-from gsrain_engine.evaluation.fid_torch_features import (  # noqa: E402  # noqa: E402
+from gsrain_engine.evaluation.fid import EXTRACTORS, open_extractor  # noqa: E402
+from gsrain_engine.evaluation.fid_features import ExtractorChoice, resized  # noqa: E402
+from gsrain_engine.evaluation.fid_torch_features import (  # noqa: E402
     INCEPTION_PLACE,
     Inception,
     build_with_weights,

@@ -106,7 +106,9 @@ def scores(rows: Sequence[ObjectRow], judgements: Sequence[DetectionResult]) -> 
             continue
         own = lines[weather]
         precision = _precisions(by_seed)
-        bases = [(weather[0], each, 0.0) for each in _WITHOUT_RAIN[weather[1]] if (weather[0], each, 0.0) in pictures]
+        bases: list[_Weather] = [
+            (weather[0], each, 0.0) for each in _WITHOUT_RAIN[weather[1]] if (weather[0], each, 0.0) in pictures
+        ]
         change = None
         if bases:  # the condition without rain that differs least
             changes = [
