@@ -44,6 +44,7 @@ from .step import Trainer, comparison_image
 from .strategy import DefaultStrategy, DefaultStrategySettings, Strategy
 from .surfels import camera_trajectory
 
+torch: Any = import_module("torch")
 logger = logging.getLogger("gsrain")
 _STARTED, _TRAINED = 0.04, 0.95  # shares of the total progress at which training starts and ends
 _PREVIEW_INTERVAL_S = 2.0
@@ -115,6 +116,10 @@ class TrainingReport:
         return [each.score for each in self.pictures if each.is_held_out]
 
     @property
+    def learned(self) -> list[RenderScore]:
+        return [each.score for each in self.pictures if not each.is_held_out]
+
+    @property
     def numbers(self) -> dict[str, Any]:
         """The figures that a command reports; None if no view was held out."""
         return {
@@ -125,7 +130,7 @@ class TrainingReport:
             "psnr_held_out_exposed_db": mean_of(self.held_out, "psnr_exposed_db"),
             "ssim_held_out": mean_of(self.held_out, "ssim"),
             "lpips_held_out": mean_of(self.held_out, "lpips"),
-            "psnr_learned_db": mean_of([each.score for each in self.pictures if not each.is_held_out], "psnr_db"),
+            "psnr_learned_db": mean_of(self.learned, "psnr_db"),
             "views": len(self.capture),
             "held_out": [asdict(each) for each in self.held_out],
             "steps": len(self.curves.losses),
@@ -276,7 +281,8 @@ def _is_due(every: int, number: int, steps: int) -> bool:
     return every > 0 and (number + 1) % every == 0 and number + 1 < steps
 
 
-torch: Any = import_module("torch")
+# Preparation
+
 _INITIAL_SHARE = 0.7  # initial share of the allowed Gaussians; the rest is left to density control
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float, Float64, Int64
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -158,7 +158,7 @@ def draw_figure(run: RainRun, by_intensity: ByIntensity) -> Figure:
     return figure
 
 
-def _from_above(turn: LidarTurn, points_m: Float32[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
+def _from_above(turn: LidarTurn, points_m: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
     """Coordinates ahead and to the left of the vehicle, in meters."""
     away = points_m.astype(np.float64) - turn.anchor_to_world[:3, 3]
     return (away @ turn.anchor_to_world[:3, :3])[:, :2]
