@@ -232,19 +232,19 @@ def _gsplat() -> Finding:
 def find_lpips() -> Finding:
     """Look for LPIPS weights and read them, since a file may be damaged or hold something else."""
     name = "LPIPS weights (a quality measure of reports)"
-    from gsrain_engine.evaluation.lpips_weights import find_lpips_weights, lpips_places
+    from gsrain_engine.evaluation.lpips_weights import find_lpips_weights, lpips_place
 
-    places = ", ".join(map(str, lpips_places()))
+    place = lpips_place()
     try:
         find_lpips_weights("vgg")
-        return Finding(name, True, f"VGG16 at {places}")
+        return Finding(name, True, f"VGG16 at {place}")
     except FileNotFoundError as error:
         missing = str(error)
     try:
         find_lpips_weights("alex")
     except FileNotFoundError:
         return Finding(name, False, missing)
-    return Finding(name, False, f"only AlexNet at {places}, used where --lpips names its file; {missing}")
+    return Finding(name, False, f"only AlexNet at {place}, used where --lpips names its file; {missing}")
 
 
 def find_inception() -> Finding:

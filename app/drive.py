@@ -297,7 +297,7 @@ def _opened(name: str, wet: bool) -> Scene:
     if not wet:
         return scene
     # Loading kernels takes a second, so import them only here.
-    from gsrain_engine.recolor.wet_scene import wet_scene
+    from gsrain_engine.recolor.recolor import wet_scene
 
     from .progress import followed
 

@@ -324,7 +324,7 @@ def _check_outputs(
 
 def _made_rainy(scene: Scene) -> Scene:
     # Loading kernels takes a second, so import them only here.
-    from gsrain_engine.recolor.wet_scene import wet_scene
+    from gsrain_engine.recolor.recolor import wet_scene
 
     return followed(wet_scene(scene))
 

@@ -83,7 +83,7 @@ def reconstruct(
     check_writable(page, json)
     require_torch("gsrain reconstruct")
     # Loading torch takes two seconds, so import it only after the checks.
-    from gsrain_engine.training.task import ReconstructionTask
+    from gsrain_engine.training.data import ReconstructionTask
     from gsrain_engine.training.train import reconstruct as work
 
     task = ReconstructionTask(

@@ -7,7 +7,7 @@ from typing import get_args
 from PIL import Image, ImageDraw, ImageFont
 
 from app.main import run
-from gsrain_engine.recolor.wet_scene import wet_scene
+from gsrain_engine.recolor.recolor import wet_scene
 from gsrain_engine.render.renderer import RenderMode
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.open import load_scene

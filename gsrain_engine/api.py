@@ -55,11 +55,11 @@ if TYPE_CHECKING:
     from .rain.simulation import RainSimulation as RainSimulation
     from .rain.simulation import RainSimulation as Rainfall
     from .recolor.problem import RecolorSettings as RecolorSettings
-    from .recolor.rainy_scene import rainy_scene as rainy_scene
+    from .recolor.recolor import rainy_scene as rainy_scene
     from .recolor.recolor import recolor_scene as recolor_scene
+    from .recolor.recolor import wet_scene as wet_scene
     from .recolor.result import with_colors as with_colors
     from .recolor.views import TargetView as TargetView
-    from .recolor.wet_scene import wet_scene as wet_scene
     from .render.export import render_video as film
     from .render.export import render_video as render_video
     from .render.export_settings import ExportSettings as ExportSettings
@@ -155,8 +155,8 @@ TOPICS: dict[str, dict[str, str]] = {
         "psnr": "evaluation.image_metrics",
     },
     "Wet colours": {
-        "wet_scene": "recolor.wet_scene",
-        "rainy_scene": "recolor.rainy_scene",
+        "wet_scene": "recolor.recolor",
+        "rainy_scene": "recolor.recolor",
         "ViewChoice": "appearance.scene_views",
         "chosen_cameras": "appearance.scene_views",
         "scene_views": "appearance.scene_views",

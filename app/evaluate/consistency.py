@@ -23,8 +23,7 @@ from gsrain_engine.evaluation.consistency import (
     warped_pair,
 )
 from gsrain_engine.evaluation.consistency_sheet import SheetPair, consistency_sheet
-from gsrain_engine.evaluation.input_fingerprint import input_fingerprint
-from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, write_report
+from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, input_fingerprint, write_report
 from gsrain_engine.render.images import write_image
 from gsrain_engine.scene.open import file_hash
 

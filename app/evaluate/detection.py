@@ -44,7 +44,6 @@ from gsrain_engine.evaluation.detection.run import (
     EvaluatedImage,
     ObjectRow,
     ResultCache,
-    ResultCacheProtocol,
     conditions_of,
     evaluate_images,
     object_rows,
@@ -63,8 +62,7 @@ from gsrain_engine.evaluation.detection.summary import (
     write_csv,
     write_parquet,
 )
-from gsrain_engine.evaluation.input_fingerprint import input_fingerprint
-from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, write_report
+from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, input_fingerprint, write_report
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import OVERCAST
 from gsrain_engine.render.renderer import Renderer
@@ -259,7 +257,7 @@ class PreparedSource:
         return conditions_of(intensities_mm_h, seeds, originals=originals, scene=not self.pictures.is_in_front)
 
     def judged(
-        self, detectors: Sequence[Detector], trials: Sequence[Condition], memory: ResultCacheProtocol | None = None
+        self, detectors: Sequence[Detector], trials: Sequence[Condition], memory: ResultCache | None = None
     ) -> Iterator[EvaluatedImage]:
         """Run each detector on each view in each condition, skipping results in the cache."""
         return evaluate_images(self.pictures, detectors, self.frames, trials, memory)
@@ -639,7 +637,7 @@ def opened_source(renderer: Renderer, asked: DetectionSource, rain: RainSettings
 def _of_scene(renderer: Renderer, asked: DetectionSource, rain: RainSettings) -> PreparedSource:
     scene = load_sorted_scene(asked.source)
     if asked.is_wet:
-        from gsrain_engine.recolor.wet_scene import wet_scene  # kernels take a second to load
+        from gsrain_engine.recolor.recolor import wet_scene  # kernels take a second to load
 
         scene = followed(wet_scene(scene))
     if asked.capture is not None:

@@ -18,21 +18,20 @@ from gsrain_engine.datasets.image_override import find_images
 from gsrain_engine.datasets.io.images import is_image, read_labels
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.evaluation.fid import (
-    CONFIDENCE,
+    EXTRACTORS,
     DistributionDistance,
     FeatureCache,
     Interval,
     distribution_distance,
     extract_features,
     image_hash,
+    open_extractor,
 )
 from gsrain_engine.evaluation.fid_features import Extractor, ExtractorChoice
-from gsrain_engine.evaluation.fid_registry import EXTRACTORS, open_extractor
-from gsrain_engine.evaluation.image_metrics import MeanInterval, check_pair, mean_interval
-from gsrain_engine.evaluation.input_fingerprint import input_fingerprint
+from gsrain_engine.evaluation.image_metrics import CONFIDENCE, ImageDistance, MeanInterval, check_pair, mean_interval
 from gsrain_engine.evaluation.lpips_weights import ARRAY_SUFFIXES, hash_of, read_lpips_weights, write_arrays
-from gsrain_engine.evaluation.report import ReportTable, RunReport, write_report
-from gsrain_engine.evaluation.report_charts import Distance, ImageComparison
+from gsrain_engine.evaluation.report import ReportTable, RunReport, input_fingerprint, write_report
+from gsrain_engine.evaluation.report_charts import ImageComparison
 
 from ..console import Console, Table, bold, print
 from ..options import (
@@ -152,7 +151,9 @@ def _mask(folder: Path, view: CaptureFrame) -> Mask:
     return read_labels(file) > 0
 
 
-def _compared(name: str, shown: Image, truth: Image, mask: Mask | None, distance: Distance | None) -> ImageComparison:
+def _compared(
+    name: str, shown: Image, truth: Image, mask: Mask | None, distance: ImageDistance | None
+) -> ImageComparison:
     a, b = (picture.astype(np.float32) / np.float32(255) for picture in (shown, truth))
     try:
         check_pair(a.shape, b.shape, None if mask is None else mask.shape)
@@ -460,7 +461,7 @@ def inception_weights(
 # LPIPS weights by name or file
 
 
-def perceived_distance(weights: str) -> Distance:
+def perceived_distance(weights: str) -> ImageDistance:
     """Open LPIPS of alex, vgg or a file. Raises ValueError or FileNotFoundError if that is not possible."""
     try:
         from gsrain_engine.evaluation.lpips import Lpips  # torch is an extra

@@ -14,12 +14,11 @@ import numpy as np
 from cyclopts import Parameter
 from PIL import Image
 
-from gsrain_engine.evaluation.input_fingerprint import input_fingerprint
 from gsrain_engine.evaluation.lidar.results import RainRun, RainRunCounts, ReturnCounts, write_figure
 from gsrain_engine.evaluation.lidar.results import rain_runs as lidar_runs
 from gsrain_engine.evaluation.lidar.scan import Answer, LidarTurn, capture_turns, scene_turns, write_sweep
 from gsrain_engine.evaluation.lidar.sensor import SENSORS, LidarSensor
-from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, write_report
+from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, input_fingerprint, write_report
 from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.safe_io.text_files import read_whole, yaml_values
 from gsrain_engine.scene.files import file_word, whole_file
@@ -94,7 +93,7 @@ def lidar(
     check_writable(output / "lidar.png", output / "report.html", json, folders=[output])
     lock_outputs(output)
     chosen = _sensor(sensor, range_10, least_reflectance)
-    count, turns = _turns(source, chosen, sweeps, reflectance, full_intensity, told_range=range_10 is None)
+    count, turns = _turns(source, chosen, sweeps, reflectance, full_intensity, estimates_range=range_10 is None)
     by_intensity: dict[float, list[RainRunCounts]] = {}
     shown: RainRun | None = None
     with progress_bar("Raining", count * len(intensities) * seeds) as advance:
@@ -102,9 +101,9 @@ def lidar(
             for run in lidar_runs(turn, intensities, range(seeds), answer=answer, wet_road=wet_road):
                 if write_sweeps:
                     write_sweep(output / "sweeps" / _name(run), run.rainy)
-                if shown is None or run.state.intensity_mm_h > shown.state.intensity_mm_h:
+                if shown is None or run.counts.state.intensity_mm_h > shown.counts.state.intensity_mm_h:
                     shown = run
-                by_intensity.setdefault(run.state.intensity_mm_h, []).append(run.without_points)
+                by_intensity.setdefault(run.counts.state.intensity_mm_h, []).append(run.counts)
                 advance()
     if shown is None:
         raise ValueError(f"{source}: no turn of a lidar came of it")
@@ -129,7 +128,7 @@ def _inputs(source: str, sensor: str) -> dict[str, str]:
 
 
 def _turns(
-    source: str, sensor: LidarSensor, count: int, reflectance: float, full: float | None, told_range: bool
+    source: str, sensor: LidarSensor, count: int, reflectance: float, full: float | None, estimates_range: bool
 ) -> tuple[int, Iterator[LidarTurn]]:
     """Return the number of turns, and the turns."""
     if names_scene(source):
@@ -144,12 +143,12 @@ def _turns(
     from gsrain_engine.datasets.open_capture import open_capture
 
     capture = open_capture(source)
-    found = capture_turns(capture, sensor, count, full=full, told_range=told_range)
+    found = capture_turns(capture, sensor, count, full=full, estimates_range=estimates_range)
     return min(count, len(capture.sweeps)), found
 
 
 def _name(run: RainRun) -> str:
-    return f"{file_word(run.turn.name)}_rain{run.state.intensity_mm_h:g}_seed{run.seed}.npz"
+    return f"{file_word(run.turn.name)}_rain{run.counts.state.intensity_mm_h:g}_seed{run.counts.seed}.npz"
 
 
 def _intensities(text: str) -> list[float]:

@@ -10,14 +10,16 @@ from typing import Annotated, Any, Literal
 from cyclopts import Parameter
 
 from gsrain_engine.datasets.rainsense import RainSequence, find_rain_sequences
-from gsrain_engine.evaluation.real_rain import (
+from gsrain_engine.evaluation.streaks import (
+    ANGLE_EDGES_DEG,
+    LENGTH_EDGES_PX,
     FrameStatistics,
     RealRainComparison,
+    Window,
     above_horizon,
     compare_with_real_rain,
     evenly_chosen,
 )
-from gsrain_engine.evaluation.streaks import ANGLE_EDGES_DEG, LENGTH_EDGES_PX, Window
 from gsrain_engine.rain.settings import RainSettings
 
 from ..console import Console, Table

@@ -33,11 +33,9 @@ from gsrain_engine.evaluation.compare_translators import (
     real_images,
     run_comparison,
 )
-from gsrain_engine.evaluation.fid import FeatureCache
+from gsrain_engine.evaluation.fid import FeatureCache, open_extractor
 from gsrain_engine.evaluation.fid_features import Extractor, ExtractorChoice
-from gsrain_engine.evaluation.fid_registry import open_extractor
-from gsrain_engine.evaluation.input_fingerprint import input_fingerprint
-from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, write_report
+from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, input_fingerprint, write_report
 from gsrain_engine.presets import shipped_config_names
 from gsrain_engine.scene.files import whole_file
 from gsrain_engine.scene.open import scene_hash
@@ -153,8 +151,8 @@ def _numbers(
         "real_pictures": len(real),
         "resamples": told.resamples,
         "seed": told.seed,
-        "shown": list(result.shown),
-        "kept": list(result.kept),
+        "shown": list(result.figure_views),
+        "kept": list(result.reused),
         "notes": list(result.notes),
         "rows": [plain_row(row) for row in result.rows],
         "settings": msgspec.to_builtins(told, enc_hook=str),
@@ -206,7 +204,7 @@ def transfers_page(result: ComparisonResult, told: TransferComparison, facts: Ma
         title="Comparison of transfers",
         settings={**facts, **about, **methods},
         headlines={f"{distance.metric}, {row.name}": f"{row.distance.frechet:.4g}" for row in rows},
-        figures=(ReportFigure("Views by method", result.figure, ", ".join(result.shown), is_photograph=True),),
+        figures=(ReportFigure("Views by method", result.figure, ", ".join(result.figure_views), is_photograph=True),),
         tables=(ReportTable("Methods", tuple(rows[0].values), values, caption=caption),),
         notes=tuple(notes),
     )
@@ -250,8 +248,8 @@ def print_transfers(result: ComparisonResult, console: Console) -> None:
         console.print(_WITHOUT_CAMERAS, soft_wrap=True)
     for note in result.notes:
         console.print(note, soft_wrap=True, markup=False)
-    if result.kept:
-        console.print(f"Not run again, for their pictures stand: {', '.join(result.kept)}.", soft_wrap=True)
+    if result.reused:
+        console.print(f"Not run again, for their pictures stand: {', '.join(result.reused)}.", soft_wrap=True)
     for row in result.rows:
         for warning in row.distance.warnings:
             console.print(f"{row.name}, {distance.metric}: {warning}.", soft_wrap=True, markup=False)
