@@ -11,27 +11,32 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsrain_engine.plugins import (
-    AGENTS,
-    CAPTURE_FORMATS,
-    DECODERS,
-    DISDROMETERS,
-    EVALUATIONS,
-    GROUPS,
-    PANELS,
-    SCENE_FORMATS,
-    TRANSFERS,
-    EntryPointGroup,
-    Extension,
-    find_extensions,
-)
+from gsrain_engine import plugins
+from gsrain_engine.plugins import Extension, find_extensions
 from gsrain_engine.safe_io.text_files import printable_line
 
 from .console import print
-from .options import JsonFile, check_writable, has_display, write_numbers
+from .options import JsonFile, has_display
+from .outputs import check_writable, write_numbers
 
 _FEW_SPLATS, _MANY_SPLATS = (100_000,), (1_000_000, 3_000_000)
 """Numbers of splats for the depth sort test, on software OpenGL and on a GPU."""
+
+_PACKAGES = {
+    "torch": ("gsrain reconstruct, and --photometric-steps and --refine of gsrain recolor", "jobs"),
+    "diffusers": ("gsrain transfer --method cyclegan-turbo", "diffusion"),
+    "transformers": ("the text encoder of cyclegan-turbo", "diffusion"),
+    "peft": ("gsrain train-transfer", "diffusion"),
+    "onnxruntime": ("the detectors of gsrain evaluate detection", "evaluate"),
+    "pycocotools": ("average precision in gsrain evaluate detection", "evaluate"),
+    "pyarrow": ("gsrain sweep, roll-outs as Parquet, Waymo Perception v2", "drive"),
+    "distributed": ("gsrain sweep on a Dask cluster", "drive"),
+    "gymnasium": ("the environments gsrain/Drive-v0 and gsrain/DrivePlan-v0", "drive"),
+    "mcap": ("roll-outs for Foxglove", "drive"),
+    "scenariogeneration": ("writing OpenSCENARIO and OpenDRIVE", "drive"),
+    "protobuf": ("Waymo Perception v1 (TFRecord files)", "waymo"),
+}
+"""Purpose and extra of optional packages, by name on PyPI."""
 
 
 class Finding(NamedTuple):
@@ -44,44 +49,27 @@ class Finding(NamedTuple):
 
 
 def doctor(*, json: JsonFile = None) -> int:
-    """Look for everything that GSRAIN can use. Exit code 1 where something needed is missing or wrong."""
+    """List what GSRAIN can use on this machine. Exit code 1 if something required is missing or wrong."""
     check_writable(json)
-    video = _video()
-    needed = [_opengl(), _threads()] if is_frozen() else [_opengl(), video, _threads()]
+    video, threads = _video(), _threads()
+    opengl = _tried("OpenGL without a window (EGL)", lambda: _describe_context("egl"))
+    needed = [opengl, threads] if is_frozen() else [opengl, video, threads]
     tested = find_depth_order()
+    packages = {name: _package(name) for name in _PACKAGES}
+    first = [packages.pop("torch"), _cuda(), _gsplat(), find_lpips(), find_inception()]
+    diffusion = [packages.pop(name) for name in ("diffusers", "transformers", "peft")]
+    weights = [find_base_model(), find_text_encoder(), find_transfer_weights(), find_clip_model()]
+    detectors = [packages.pop("onnxruntime"), find_detector_file()]
     optional = [
-        *([video] if is_frozen() else []),
-        _osmesa(),
-        _display(),
-        _package("torch", "gsrain reconstruct, and --polish and --refine of gsrain recolor", "jobs"),
-        _cuda(),
-        _gsplat(),
-        find_lpips(),
-        find_inception(),
-        _package("diffusers", "gsrain transfer --method cyclegan-turbo", "diffusion"),
-        _package("transformers", "the text encoder of cyclegan-turbo", "diffusion"),
-        _package("peft", "gsrain train-transfer", "diffusion"),
-        find_base_model(),
-        find_text_encoder(),
-        find_transfer_weights(),
-        find_clip_model(),
-        _package("onnxruntime", "the detectors of gsrain evaluate detection", "evaluate"),
-        find_detector_file(),
-        _package("pycocotools", "average precision in gsrain evaluate detection", "evaluate"),
-        _package("pyarrow", "gsrain sweep, roll-outs as Parquet, Waymo Perception v2", "drive"),
-        _package("distributed", "gsrain sweep on a Dask cluster", "drive"),
-        _package("gymnasium", "the environments gsrain/Drive-v0 and gsrain/DrivePlan-v0", "drive"),
-        _package("mcap", "roll-outs for Foxglove", "drive"),
-        _package("scenariogeneration", "writing OpenSCENARIO and OpenDRIVE", "drive"),
-        _package("protobuf", "Waymo Perception v1 (TFRecord files)", "waymo"),
-    ]
-    added = [_tried(f"{each.group.noun} {each.name}", partial(describe, each), "") for each in installed_extensions()]
-    every = (*needed, *tested, *optional, *added)
-    for finding in every:
-        missing = "MISSING" if finding in needed else "broken " if finding in added else "absent "
-        missing = "WRONG  " if finding in tested else missing
-        mark = "ok     " if finding.found else missing
-        print(f"{mark} {finding.name}: {finding.what}")
+        *([video] if is_frozen() else []), _osmesa(), _display(), *first, *diffusion, *weights, *detectors,
+        *packages.values(),
+    ]  # fmt: skip
+    added = [_tried(f"{each.group.noun} {each.name}", partial(describe, each)) for each in installed_extensions()]
+    marks = {"MISSING": needed, "WRONG  ": tested, "absent ": optional, "broken ": added}
+    for missing, findings in marks.items():
+        for each in findings:
+            print(f"{'ok     ' if each.found else missing} {each.name}: {each.what}")
+    every = [each for findings in marks.values() for each in findings]
     write_numbers(json, {each.name: {"found": each.found, "what": each.what} for each in every})
     return 0 if all(each.found for each in (*needed, *tested)) else 1
 
@@ -91,23 +79,16 @@ def is_frozen() -> bool:
     return getattr(sys, "frozen", False)
 
 
-def _tried(name: str, attempt: Callable[[], str], remedy: str) -> Finding:
+def _tried(name: str, attempt: Callable[[], str], remedy: str = "") -> Finding:
     try:
         return Finding(name, True, attempt())
     except Exception as error:  # a missing library may raise anything: its message is the finding
         return Finding(name, False, f"{printable_line(error)} {remedy}".strip())
 
 
-def _opengl() -> Finding:
-    return _tried("OpenGL without a window (EGL)", lambda: _describe_context("egl"), "")
-
-
 def _osmesa() -> Finding:
-    return _tried(
-        "OSMesa (stands in where EGL is missing)",
-        lambda: _describe_context("osmesa"),
-        "(optional; Debian 13 no longer has it)",
-    )
+    name, remedy = "OSMesa (stands in where EGL is missing)", "(optional; Debian 13 no longer has it)"
+    return _tried(name, lambda: _describe_context("osmesa"), remedy)
 
 
 def _describe_context(source: str) -> str:
@@ -182,8 +163,8 @@ def _display() -> Finding:
     return Finding("display", False, "no DISPLAY: rendering to files works, the window does not")
 
 
-def _package(name: str, purpose: str, extra: str) -> Finding:
-    """Look for a package of an extra, by its name on PyPI."""
+def _package(name: str) -> Finding:
+    purpose, extra = _PACKAGES[name]
     try:
         return Finding(name, True, f"{metadata.version(name)}, for {purpose}")
     except metadata.PackageNotFoundError:
@@ -214,7 +195,7 @@ def _cuda() -> Finding:
             raise RuntimeError("torch sees no CUDA device; jobs run on the processor.")
         return torch.cuda.get_device_name()
 
-    return _tried("CUDA", device, "")
+    return _tried("CUDA", device)
 
 
 def _gsplat() -> Finding:
@@ -226,7 +207,7 @@ def _gsplat() -> Finding:
         with open_renderer("cuda") as renderer:
             return f"--backend cuda draws on {device_of(renderer)}"
 
-    return _tried("gsplat (draws and trains on CUDA GPUs)", device, "")
+    return _tried("gsplat (draws and trains on CUDA GPUs)", device)
 
 
 def find_lpips() -> Finding:
@@ -251,20 +232,16 @@ def find_inception() -> Finding:
     """Look for Inception's weights, which define FID; they are read if torch is installed."""
 
     def file() -> str:
-        from gsrain_engine.evaluation.fid_torch_features import (
-            inception_weights,
-            inception_weights_file,
-            is_torchscript,
-        )
+        from gsrain_engine.evaluation import fid_torch_features as features
 
-        found = inception_weights_file()
-        if is_torchscript(found):
+        found = features.inception_weights_file()
+        if features.is_torchscript(found):
             return f"{found}, TorchScript: gsrain evaluate fid takes it with --torchscript"
         if importlib.util.find_spec("torch") is not None:
-            inception_weights(found)
+            features.inception_weights(found)
         return str(found)
 
-    return _tried("Inception weights (of FID)", file, "")
+    return _tried("Inception weights (of FID)", file)
 
 
 def find_detector_file() -> Finding:
@@ -279,7 +256,7 @@ def find_detector_file() -> Finding:
         wide, high = open_detector(found).input_size_px
         return f"{found} (sees {wide} x {high} px)"
 
-    return _tried("detector (camera-idm of gsrain drive)", file, "")
+    return _tried("detector (camera-idm of gsrain drive)", file)
 
 
 def find_base_model() -> Finding:
@@ -293,28 +270,23 @@ def find_base_model() -> Finding:
         check_base_complete(found)
         return str(found)
 
-    return _tried("SD-Turbo (base of cyclegan-turbo)", folder, "")
+    return _tried("SD-Turbo (base of cyclegan-turbo)", folder)
 
 
 def find_text_encoder() -> Finding:
     """Look for the text encoder, needed only once, because its encoded captions are cached."""
-    from gsrain_engine.appearance.cyclegan_turbo.weight_paths import (
-        base_model_folders,
-        captions_file,
-        is_base_model,
-        text_encoder_folder,
-    )
+    from gsrain_engine.appearance.cyclegan_turbo import weight_paths as paths
 
     def place() -> str:
-        if captions_file().is_file():
-            return f"not needed: its captions are kept in {captions_file()}"
-        bases = [base for base in base_model_folders() if is_base_model(base)]
-        folder = text_encoder_folder(bases[0]) if bases else None
+        if paths.captions_file().is_file():
+            return f"not needed: its captions are kept in {paths.captions_file()}"
+        base = next(filter(paths.is_base_model, paths.base_model_folders()), None)
+        folder = None if base is None else paths.text_encoder_folder(base)
         if folder is None:
             raise FileNotFoundError("comes with SD-Turbo (text_encoder, tokenizer); needed once, to encode captions")
         return str(folder)
 
-    return _tried("text encoder of SD-Turbo", place, "")
+    return _tried("text encoder of SD-Turbo", place)
 
 
 def find_transfer_weights() -> Finding:
@@ -325,72 +297,49 @@ def find_transfer_weights() -> Finding:
         found = find_transfer_weights()
         return f"{found} ({found.stat().st_size / 1e6:,.0f} MB)"
 
-    return _tried("transfer weights (of cyclegan-turbo)", file, "")
+    return _tried("transfer weights (of cyclegan-turbo)", file)
 
 
 def find_clip_model() -> Finding:
     """Look for the vision model behind the discriminators of transfer training."""
     from gsrain_engine.appearance.finetune.settings import find_clip
 
-    return _tried("CLIP ViT-B/32 (for gsrain train-transfer)", lambda: str(find_clip()), "")
+    return _tried("CLIP ViT-B/32 (for gsrain train-transfer)", lambda: str(find_clip()))
 
 
 # Extensions of other installed packages
 
 
 def installed_extensions() -> list[Extension]:
-    return [each for group in GROUPS for each in find_extensions(group)]
+    return [each for group in plugins.GROUPS for each in find_extensions(group)]
 
 
 def describe(extension: Extension) -> str:
     """Load an extension as the program would, and return its origin. Raises ValueError if it is unusable."""
-    _CHECKS[extension.group](extension)
+    if extension.group is plugins.SCENE_FORMATS:
+        from gsrain_engine.scene.formats.registry import format_of
+
+        format_of(Path(f"scene.{extension.name}"))
+    elif extension.group is plugins.TRANSFERS:
+        from gsrain_engine.appearance.registry import find_method
+
+        find_method(extension.name)
+    elif extension.group is plugins.DECODERS:
+        from gsrain_engine.evaluation.detection.decoders import decoder
+
+        decoder(extension.name)
+    elif extension.group is plugins.PANELS:
+        from ui.panels.registry import Panel
+
+        extension.load(Panel)
+    elif extension.group is plugins.DISDROMETERS:
+        from gsrain_engine.disdrometer.open import LogFormat
+
+        extension.load(LogFormat)
+    elif extension.group is plugins.CAPTURE_FORMATS:
+        from gsrain_engine.datasets.open_capture import CaptureFormat
+
+        extension.load(CaptureFormat)
+    else:  # agents and evaluations
+        extension.load_callable()
     return f"{extension.place} of {extension.package} {extension.version}".rstrip()
-
-
-def _scene_format(extension: Extension) -> None:
-    from gsrain_engine.scene.formats.registry import format_of
-
-    format_of(Path(f"scene.{extension.name}"))
-
-
-def _transfer(extension: Extension) -> None:
-    from gsrain_engine.appearance.registry import find_method
-
-    find_method(extension.name)
-
-
-def _decoder(extension: Extension) -> None:
-    from gsrain_engine.evaluation.detection.decoders import decoder
-
-    decoder(extension.name)
-
-
-def _panel(extension: Extension) -> None:
-    from ui.panels.registry import Panel
-
-    extension.load(Panel)
-
-
-def _disdrometer(extension: Extension) -> None:
-    from gsrain_engine.disdrometer.open import LogFormat
-
-    extension.load(LogFormat)
-
-
-def _capture_format(extension: Extension) -> None:
-    from gsrain_engine.datasets.open_capture import CaptureFormat
-
-    extension.load(CaptureFormat)
-
-
-_CHECKS: dict[EntryPointGroup, Callable[[Extension], object]] = {
-    AGENTS: Extension.load_callable,
-    CAPTURE_FORMATS: _capture_format,
-    DECODERS: _decoder,
-    DISDROMETERS: _disdrometer,
-    EVALUATIONS: Extension.load_callable,
-    PANELS: _panel,
-    SCENE_FORMATS: _scene_format,
-    TRANSFERS: _transfer,
-}
