@@ -7,7 +7,7 @@ the standard streams anywhere else in the program.
 
 import logging
 import sys
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import contextmanager, suppress
 from typing import IO, TYPE_CHECKING, Any, TypeVar
 
@@ -67,6 +67,24 @@ def table_of(left: str, right: str = "", **options: Any) -> Table:
     for title in filter(None, right.split(",")):
         table.add_column(title, no_wrap=True, justify="right")
     return table
+
+
+def rows_table(columns: Mapping[str, str], rows: Iterable[Any]) -> Table:
+    """Return a table without lines: a format by title, such as `{0.name}` or `{0[views]:,}`, for each row.
+
+    A cell stays empty if the row lacks its value, or has None.
+    """
+    table = Table(*columns, box=None)
+    for row in rows:
+        table.add_row(*(_cell(each, row) for each in columns.values()))
+    return table
+
+
+def _cell(form: str, row: Any) -> str:
+    try:
+        return form.format(row)
+    except (KeyError, TypeError):
+        return ""
 
 
 def print(*words: object, file: IO[str] | None = None) -> None:
