@@ -59,13 +59,12 @@ def bold(text: str) -> Text:
     return Text(escape_invisible(text), "bold")
 
 
-def table_of(left: str, right: str = "", **options: Any) -> Table:
-    """Return a table without lines: its columns, separated by commas, those of `right` right-aligned; no cell wraps."""
+def table_of(left: str, right: str = "", *, wraps: bool = False, **options: Any) -> Table:
+    """Return a table without lines: its columns, separated by commas, those of `right` right-aligned."""
     table = Table(box=None, **options)
-    for title in filter(None, left.split(",")):
-        table.add_column(title, no_wrap=True)
-    for title in filter(None, right.split(",")):
-        table.add_column(title, no_wrap=True, justify="right")
+    for titles, justify in ((left, "left"), (right, "right")):
+        for title in filter(None, titles.split(",")):
+            table.add_column(title, no_wrap=not wraps, justify=justify)
     return table
 
 

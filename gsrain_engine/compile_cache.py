@@ -16,7 +16,8 @@ from pathlib import Path
 import platformdirs
 
 _HERE = Path(__file__).parent
-_SOURCES = _HERE / "raster", _HERE / "rain"  # folders with kernels that call those of other files
+_SOURCES = _HERE / "render" / "cpu", _HERE / "render" / "autodiff", _HERE / "rain"
+"""Folders with kernels that call those of other files."""
 _FRAME_SOURCES = *_SOURCES, _HERE / "scene"  # folders of all kernels of a frame
 _CACHED_VERSIONS = 2
 _UNUSED_S = 3600.0  # age after which an unused folder may be removed; a process that still uses it only compiles again

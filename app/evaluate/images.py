@@ -31,23 +31,24 @@ from gsrain_engine.evaluation.fid_registry import EXTRACTORS, open_extractor
 from gsrain_engine.evaluation.image_metrics import MeanInterval, check_pair, mean_interval
 from gsrain_engine.evaluation.input_fingerprint import input_fingerprint
 from gsrain_engine.evaluation.lpips_weights import ARRAY_SUFFIXES, hash_of, read_lpips_weights, write_arrays
-from gsrain_engine.evaluation.report import ReportTable, RunReport, write_report
+from gsrain_engine.evaluation.report import ReportTable, RunReport
 from gsrain_engine.evaluation.report_charts import Distance, ImageComparison
 
-from ..console import Console, Table, bold, print
-from ..options import (
-    AllowOutside,
-    JsonFileOrScreen,
+from ..console import Console, Table, bold, print, progress_bar
+from ..options import AllowOutside, JsonFileOrScreen, check_within, let_names_lead_outside
+from ..outputs import (
     check_ending,
     check_page,
     check_writable,
-    let_names_lead_outside,
+    provenance_lines,
+    run_provenance,
+    set_hash,
     table_stream,
     write_numbers,
+    write_page,
 )
-from ..progress import progress_bar
-from .run_facts import provenance_lines, run_provenance, set_hash, write_report_numbers
 
+Report = Annotated[Path | None, Parameter(help="Also write an HTML page, with the numbers as JSON next to it.")]
 _COLUMNS = 120
 _MAX_ROWS = 40
 Mask = Bool[np.ndarray, "h w"]
@@ -55,26 +56,21 @@ Image = UInt8[np.ndarray, "h w 3"]
 
 
 def images(
-    shown: Annotated[Path, Parameter(name="A", help="A picture, a folder of pictures, or a capture.")],
+    shown: Annotated[Path, Parameter(name="A", help="An image, a folder of images, or a capture.")],
     truth: Annotated[
-        Path,
-        Parameter(name="B", help="What they should be: pictures of the same names and sizes; of a picture any other."),
+        Path, Parameter(name="B", help="Reference images of the same names and sizes; for a single image, any one.")
     ],
     /,
     *,
     masks: Annotated[
         Path | None,
-        Parameter(
-            help="Mask, or folder of masks NAME.png: what is not black is compared. Default: those of B, if it has any."
-        ),
+        Parameter(help="Mask, or folder of masks NAME.png, black where ignored; default: those of B, if it has any."),
     ] = None,
     lpips: Annotated[
         str | None, Parameter(help="LPIPS too: alex or vgg of this machine's weights, or a file of weights.")
     ] = None,
     seed: Annotated[int, Parameter(help="Same seed, same intervals.")] = 0,
-    report: Annotated[
-        Path | None, Parameter(help="Also write a page of HTML with the pictures, and the numbers as JSON beside it.")
-    ] = None,
+    report: Report = None,
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
 ) -> None:
@@ -85,7 +81,7 @@ def images(
     let_names_lead_outside(allow_outside)
     check_page(report, json)
     pairs, left_out = _pairs(shown, truth)
-    distance = None if lpips is None else perceived_distance(lpips)
+    distance = None if lpips is None else open_lpips(lpips)
     rows: list[ImageComparison] = []
     shares: list[float] = []
     hashes: list[tuple[str, str]] = []
@@ -97,28 +93,27 @@ def images(
             hashes.append((image_hash(pictures[0]), image_hash(pictures[1])))
             shares.append(1.0 if mask is None else float(mask.mean()))
             advance()
-    means = {name: mean_interval(values, seed) for name, values in _columns(rows).items()}
-    _print(rows, means, Console(file=table_stream(json), width=_COLUMNS, highlight=False))
+    columns = {name: [getattr(row, name) for row in rows] for name in ("psnr_db", "ssim", "lpips")}
+    columns = {name: values for name, values in columns.items() if None not in values}
+    means = {name: mean_interval(values, seed) for name, values in columns.items()}
+    _print(rows, means, Console(file=table_stream(json), width=_COLUMNS))
     if left_out:
         print(f"{left_out} pictures have no other of their name, and are left out", file=sys.stderr)
     settings = {"pictures": str(shown), "truth": str(truth), "lpips": lpips, "seed": seed, "left_out": left_out}
-    facts = run_provenance(_inputs(hashes, shown, truth, masks), ("scikit-image", "torch"))
-    numbers = {**settings, **facts, "means": _means(means), "rows": _numbers(rows, shares)}
+    first, second = (set_hash(each) for each in zip(*hashes, strict=True))
+    inputs = {f"pictures {shown}": first, f"truth {truth}": second}
+    if masks is not None:
+        inputs[f"masks {masks}"] = input_fingerprint(masks)
+    facts = run_provenance(inputs, ("scikit-image", "torch"))
+    plain_means = {
+        name: {part: _finite(value) for part, value in each._asdict().items()} for name, each in means.items()
+    }
+    numbers = {**settings, **facts, "means": plain_means, "rows": _numbers(rows, shares)}
     write_numbers(json, numbers)
     if report is not None:
-        told = {**settings, **provenance_lines(facts)}
-        write_report(
-            report, RunReport(title="Pictures compared", settings=told, comparisons=tuple(rows), held_out=False)
-        )
-        beside = write_report_numbers(report, json, numbers)
-        print(f"wrote {report}" + (f", {beside}" if beside else ""), file=sys.stderr)
-
-
-def _inputs(hashes: Sequence[tuple[str, str]], shown: Path, truth: Path, masks: Path | None) -> dict[str, str]:
-    """Return hashes of the compared images, and of the masks' names, sizes and times."""
-    first, second = (set_hash(each) for each in zip(*hashes, strict=True))
-    found = {f"pictures {shown}": first, f"truth {truth}": second}
-    return found if masks is None else found | {f"masks {masks}": input_fingerprint(masks)}
+        lines = {**settings, **provenance_lines(facts)}
+        page = RunReport(title="Pictures compared", settings=lines, comparisons=tuple(rows), held_out=False)
+        write_page(report, page, json, numbers)
 
 
 def _pairs(shown: Path, truth: Path) -> tuple[list[tuple[CaptureFrame, CaptureFrame]], int]:
@@ -161,37 +156,22 @@ def _compared(name: str, shown: Image, truth: Image, mask: Mask | None, distance
         raise ValueError(f"{name}: {error}") from None
 
 
-def _columns(rows: Sequence[ImageComparison]) -> dict[str, list[float]]:
-    columns = {"psnr_db": [row.psnr_db for row in rows], "ssim": [row.ssim for row in rows]}
-    lpips = [row.lpips for row in rows if row.lpips is not None]
-    return {**columns, "lpips": lpips} if lpips else columns
-
-
 def _print(rows: Sequence[ImageComparison], means: dict[str, MeanInterval], console: Console) -> None:
     titles = {"psnr_db": "PSNR dB", "ssim": "SSIM", "lpips": "LPIPS"}
     table = Table("picture", *(titles[name] for name in means), box=None)
     for row in rows if len(rows) <= _MAX_ROWS else sorted(rows, key=lambda row: row.psnr_db)[:_MAX_ROWS]:
         cells = [f"{row.psnr_db:.2f}", f"{row.ssim:.4f}", *([] if row.lpips is None else [f"{row.lpips:.4f}"])]
         table.add_row(row.name, *cells)
-    told = f"mean of {len(rows)}" + (f", above the {_MAX_ROWS} worst" if len(rows) > _MAX_ROWS else "")
-    table.add_row(bold(told), *(bold(f"{each.mean:.4g}") for each in means.values()))
+    title = f"mean of {len(rows)}" + (f", above the {_MAX_ROWS} worst" if len(rows) > _MAX_ROWS else "")
+    table.add_row(bold(title), *(bold(f"{each.mean:.4g}") for each in means.values()))
     table.add_row("95 % of such means", *(f"{each.low:.4g} to {each.high:.4g}" for each in means.values()))
     console.print(table)
 
 
-def _means(means: dict[str, MeanInterval]) -> dict[str, Any]:
-    return {name: {part: _finite(value) for part, value in each._asdict().items()} for name, each in means.items()}
-
-
 def _numbers(rows: Sequence[ImageComparison], shares: Sequence[float]) -> list[dict[str, Any]]:
     return [
-        {
-            "name": row.name,
-            "psnr_db": _finite(row.psnr_db),
-            "ssim": row.ssim,
-            "lpips": row.lpips,
-            "compared_share": share,
-        }
+        {"name": row.name, "psnr_db": _finite(row.psnr_db), "ssim": row.ssim, "lpips": row.lpips}
+        | {"compared_share": share}
         for row, share in zip(rows, shares, strict=True)
     ]
 
@@ -204,7 +184,6 @@ def _finite(value: float) -> float | None:
 # FID and KID
 
 _FID_COLUMNS = 200
-_MIN_RESAMPLES, _MAX_RESAMPLES = 20, 10_000
 _RESAMPLES, _MANY, _MIN_DEFAULT = 200, 500, 40  # for many images each resample takes seconds, and the values vary less
 
 _CAPTION = (
@@ -216,35 +195,28 @@ _log = logging.getLogger(__name__)
 
 
 def fid(
-    real: Annotated[Path, Parameter(name="REAL", help="Folder of pictures, or a capture: what cameras saw.")],
+    real: Annotated[Path, Parameter(name="REAL", help="Folder of real images, or a capture.")],
     fake: Annotated[
         tuple[Path, ...],
-        Parameter(name="FAKE", help="Folders of pictures, captures, or what gsrain transfer wrote; each by itself."),
+        Parameter(name="FAKE", help="Folders of images, captures, or output folders of gsrain transfer."),
     ],
     /,
     *,
     extractor: Annotated[
-        str,
-        Parameter(
-            help=f"What looks at the pictures, several with commas: {', '.join(EXTRACTORS)}. Only the first is FID."
-        ),
+        str, Parameter(help=f"Feature extractors, with commas: {', '.join(EXTRACTORS)}. Only the first one gives FID.")
     ] = "inception",
     weights: Annotated[Path | None, Parameter(help="File of the extractor's weights; default: this machine's.")] = None,
     torchscript: Annotated[
-        bool, Parameter(negative="", help="Let a TorchScript file of Inception run: it brings a program of its own.")
+        bool, Parameter(negative="", help="Allow a TorchScript file of Inception, which contains a program.")
     ] = False,
-    device: Annotated[Literal["cpu", "cuda"], Parameter(help="Where torch computes features.")] = "cpu",
+    device: Annotated[Literal["cpu", "cuda"], Parameter(help="Device on which torch computes features.")] = "cpu",
     resamples: Annotated[
         int | None,
-        Parameter(
-            help="How often pictures are drawn again for the intervals. Default: 200, fewer of over 500 pictures."
-        ),
+        Parameter(help="Bootstrap resamples for the intervals; default: 200, fewer for over 500 images."),
     ] = None,
     seed: Annotated[int, Parameter(help="Same seed, same intervals.")] = 0,
-    cache: Annotated[bool, Parameter(help="Keep features of pictures, and use kept ones.")] = True,
-    report: Annotated[
-        Path | None, Parameter(help="Also write a page of HTML, with the numbers as JSON beside it.")
-    ] = None,
+    cache: Annotated[bool, Parameter(help="Read and write cached features of images.")] = True,
+    report: Report = None,
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
 ) -> None:
@@ -255,37 +227,30 @@ def fid(
     """
     let_names_lead_outside(allow_outside)
     names = [name.strip() for name in extractor.split(",")]
-    _check(names, weights, resamples)
-    check_page(report, json)
-    kept = FeatureCache() if cache else None
-    extractors = [
-        _extractor(ExtractorChoice(name=name, weights=weights, device=device, allows_torchscript=torchscript))
-        for name in names
-    ]
-    sets = [(folder, _opened(folder)) for folder in (real, *fake)]
-    most = max(len(capture) for _, capture in sets)
-    times = resamples or max(_RESAMPLES * _MANY // max(most, _MANY), _MIN_DEFAULT)
-    hashes: dict[str, str] = {}
-    rows = [row for each in extractors for row in _rows(each, sets, kept, times, seed, hashes)]
-    _print_fid(rows, Console(file=table_stream(json), width=_FID_COLUMNS, highlight=False))
-    settings = {"resamples": times, "seed": seed, "confidence": CONFIDENCE}
-    facts = run_provenance(hashes, ("torch", "onnxruntime"))
-    numbers = {**settings, **facts, "rows": [_fid_numbers(row) for row in rows]}
-    write_numbers(json, numbers)
-    if report is not None:
-        write_report(report, _page(rows, {**settings, **provenance_lines(facts)}))
-        beside = write_report_numbers(report, json, numbers)
-        print(f"wrote {report}" + (f", {beside}" if beside else ""), file=sys.stderr)
-
-
-def _check(names: Sequence[str], weights: Path | None, resamples: int | None) -> None:
     for name in names:
         if name not in EXTRACTORS:
             raise ValueError(f"--extractor {name}: expected one of {', '.join(EXTRACTORS)}")
     if weights is not None and len(names) > 1:
         raise ValueError("--weights: belongs to one extractor, several are chosen")
-    if resamples is not None and not _MIN_RESAMPLES <= resamples <= _MAX_RESAMPLES:
-        raise ValueError(f"--resamples {resamples}: must be within {_MIN_RESAMPLES}..{_MAX_RESAMPLES}")
+    check_within("--resamples", resamples, 20, 10_000)
+    check_page(report, json)
+    features = FeatureCache() if cache else None
+    extractors = [
+        extractor_of(ExtractorChoice(name=name, weights=weights, device=device, allows_torchscript=torchscript))
+        for name in names
+    ]
+    sets = [(folder, _opened(folder)) for folder in (real, *fake)]
+    largest = max(len(capture) for _, capture in sets)
+    times = resamples or max(_RESAMPLES * _MANY // max(largest, _MANY), _MIN_DEFAULT)
+    hashes: dict[str, str] = {}
+    rows = [row for each in extractors for row in _rows(each, sets, features, times, seed, hashes)]
+    _print_fid(rows, Console(file=table_stream(json), width=_FID_COLUMNS))
+    settings = {"resamples": times, "seed": seed, "confidence": CONFIDENCE}
+    facts = run_provenance(hashes, ("torch", "onnxruntime"))
+    numbers = {**settings, **facts, "rows": [_fid_numbers(row) for row in rows]}
+    write_numbers(json, numbers)
+    if report is not None:
+        write_page(report, _page(rows, {**settings, **provenance_lines(facts)}), json, numbers)
 
 
 def _opened(folder: Path) -> Capture:
@@ -295,11 +260,12 @@ def _opened(folder: Path) -> Capture:
     return capture
 
 
-def _extractor(choice: ExtractorChoice) -> Extractor:
+def extractor_of(choice: ExtractorChoice, option: str = "--extractor") -> Extractor:
+    """Open an extractor. Raises ValueError, which names the package, if one is missing."""
     try:
         return open_extractor(choice)
     except ModuleNotFoundError as error:
-        raise ValueError(f"--extractor {choice.name} needs {error.name}: pip install 'gsrain[evaluate]'") from None
+        raise ValueError(f"{option} {choice.name} needs {error.name}: pip install 'gsrain[evaluate]'") from None
 
 
 def _rows(
@@ -326,26 +292,20 @@ def _print_fid(rows: Sequence[DistributionDistance], console: Console) -> None:
         "set", "distance", "", "95 %", "same", "kernel distance", "x 1000", "95 %", "N real", "N", "extractor", box=None
     )
     for row in rows:
+        kernel = Interval(1000 * row.kernel_interval.low, 1000 * row.kernel_interval.high)
         table.add_row(
-            _short(row.fake),
-            row.metric,
-            bold(f"{row.frechet:.4g}"),
-            _range(row.frechet_interval),
+            _short(row.fake), row.metric, bold(f"{row.frechet:.4g}"), _range(row.frechet_interval),
             f"{row.same.mean:.4g} ({_range(row.same.interval)})",
-            row.kernel_metric,
-            bold(f"{1000 * row.kernel:.4g}"),
-            _range(Interval(1000 * row.kernel_interval.low, 1000 * row.kernel_interval.high)),
-            str(row.real_pictures),
-            str(row.fake_pictures),
-            row.extractor,
-        )
+            row.kernel_metric, bold(f"{1000 * row.kernel:.4g}"), _range(kernel),
+            str(row.real_pictures), str(row.fake_pictures), row.extractor,
+        )  # fmt: skip
     console.print(table)
     console.print(
         f'Compared with {rows[0].real}. "same": what the distance would be of two sets so large of one distribution.'
     )
     for row in rows:
         for warning in row.warnings:
-            console.print(f"{_short(row.fake)}, {row.metric}: {warning}.", soft_wrap=True, markup=False)
+            console.print(f"{_short(row.fake)}, {row.metric}: {warning}.", soft_wrap=True)
 
 
 def _short(folder: str) -> str:
@@ -373,43 +333,27 @@ def _page(rows: Sequence[DistributionDistance], settings: dict[str, Any]) -> Run
         title="Distances of distributions",
         settings={"real pictures": rows[0].real, **sets, **settings},
         headlines={f"{row.metric} of {_short(row.fake)}": f"{row.frechet:.4g}" for row in rows},
-        tables=(_frechet_table(rows), _kernel_table(rows)),
+        tables=(
+            ReportTable("Frechet distances", _FRECHET_COLUMNS, tuple(map(_frechet_row, rows)), caption=_CAPTION),
+            ReportTable("Kernel distances", _KERNEL_COLUMNS, tuple(map(_kernel_row, rows)), caption=_KERNEL_CAPTION),
+        ),
         notes=notes,
     )
 
 
-def _frechet_table(rows: Sequence[DistributionDistance]) -> ReportTable:
-    columns = ("set", "distance", "value", "low", "high", "same", "N real", "N", "extractor")
-    values = tuple(
-        (
-            _short(row.fake),
-            row.metric,
-            row.frechet,
-            *row.frechet_interval,
-            row.same.mean,
-            row.real_pictures,
-            row.fake_pictures,
-            row.extractor,
-        )
-        for row in rows
-    )
-    return ReportTable("Frechet distances", columns, values, caption=_CAPTION)
+_FRECHET_COLUMNS = ("set", "distance", "value", "low", "high", "same", "N real", "N", "extractor")
+_KERNEL_COLUMNS = ("set", "distance", "x 1000", "low", "high", "N real", "N", "extractor")
+_KERNEL_CAPTION = "Expected to be 0 for sets of one distribution."
 
 
-def _kernel_table(rows: Sequence[DistributionDistance]) -> ReportTable:
-    columns = ("set", "distance", "x 1000", "low", "high", "N real", "N", "extractor")
-    values = tuple(
-        (
-            _short(row.fake),
-            row.kernel_metric,
-            *(1000 * each for each in (row.kernel, *row.kernel_interval)),
-            row.real_pictures,
-            row.fake_pictures,
-            row.extractor,
-        )
-        for row in rows
-    )
-    return ReportTable("Kernel distances", columns, values, caption="Expected to be 0 for sets of one distribution.")
+def _frechet_row(row: DistributionDistance) -> tuple[Any, ...]:
+    values = row.frechet, *row.frechet_interval, row.same.mean
+    return (_short(row.fake), row.metric, *values, row.real_pictures, row.fake_pictures, row.extractor)
+
+
+def _kernel_row(row: DistributionDistance) -> tuple[Any, ...]:
+    values = (1000 * each for each in (row.kernel, *row.kernel_interval))
+    return (_short(row.fake), row.kernel_metric, *values, row.real_pictures, row.fake_pictures, row.extractor)
 
 
 # Published weights as plain arrays
@@ -457,16 +401,12 @@ def inception_weights(
     print(f"{output}: Inception of FID, {output.stat().st_size / 1e6:.1f} MB, SHA-256 {hash_of(output)[:16]}")
 
 
-# LPIPS weights by name or file
-
-
-def perceived_distance(weights: str) -> Distance:
+def open_lpips(weights: str) -> Distance:
     """Open LPIPS of alex, vgg or a file. Raises ValueError or FileNotFoundError if that is not possible."""
     try:
         from gsrain_engine.evaluation.lpips import Lpips  # torch is an extra
         from gsrain_engine.evaluation.lpips_weights import find_lpips_weights, read_lpips_weights
     except ModuleNotFoundError as error:
         raise ValueError(f"--lpips needs {error.name}: pip install 'gsrain[jobs]'") from None
-    if weights == "alex" or weights == "vgg":
-        return Lpips(find_lpips_weights(weights)).distance
-    return Lpips(read_lpips_weights(Path(weights))).distance
+    found = find_lpips_weights(weights) if weights in ("alex", "vgg") else read_lpips_weights(Path(weights))
+    return Lpips(found).distance
