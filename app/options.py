@@ -180,7 +180,7 @@ def option_error(message: str, fields: Collection[str], names: Mapping[str, str]
     if place := _PLACE.search(message):
         return f"{named(place[1])}: {message[: place.start()]}"
     # Errors of a type's own checks name the fields: "last_s must be above first_s ..."
-    return _WORD.sub(lambda word: named(word[0]) if word[0] in fields else word[0], message)
+    return _WORD.sub(lambda word: named(word[0]) if word[0] in fields or word[0] in names else word[0], message)
 
 
 def reject_non_finite(_kind: Any, value: Any) -> None:

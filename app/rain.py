@@ -29,7 +29,9 @@ from .scene import Columns
 
 _COLUMNS = 120  # table width, also if the output is a file
 
-CalibrationOptions = options_of(FitOptions, "half_width smallest_mm resamples seed", default="Default: {}.")
+CalibrationOptions = options_of(
+    FitOptions, "half_width smallest_mm resamples seed", {"intensities_mm_h": "intensities"}, default="Default: {}."
+)
 
 
 def calibrate(

@@ -73,7 +73,7 @@ class RainOptions(
 RecordingOptions = options_of(
     ExportSettings,
     "fps first_s last_s supersampling motion_blur cameras passes twin codec quality",
-    {"size_px": "size", "first_s": "from time", "last_s": "to", "twin": "clear-pair"},
+    {"size_px": "size", "first_s": "time from", "last_s": "to", "twin": "clear-pair"},
     {
         "fps": "Frames per second, 0.1..1000.",
         "cameras": "Rig cameras instead of a path: RIG, RIG/NAME, NAME or all; several with commas.",

@@ -54,8 +54,7 @@ def has_kernels() -> bool:
 
 def mark_kernels() -> None:
     """Mark the cache folder as holding all kernels of a frame; does nothing if the disk can't be written."""
-    mark = _mark()
-    if mark is not None:
+    if (mark := _mark()) is not None:
         with suppress(OSError):
             mark.touch()
 
@@ -72,7 +71,10 @@ def kernel_cache(root: Path, version: str, sources: Iterable[Path]) -> Path:
     with suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
-        _remove_old(root)
+        used = {each: each.stat().st_mtime for each in root.iterdir() if each.is_dir()}
+        for old in sorted(used, key=used.__getitem__, reverse=True)[_CACHED_VERSIONS:]:
+            if time.time() - used[old] > _UNUSED_S:
+                shutil.rmtree(old, ignore_errors=True)  # another process may be removing it too
     return folder
 
 
@@ -131,13 +133,6 @@ def _key(version: str, sources: Iterable[Path]) -> str:
         status = file.stat()
         digest.update(f"\n{file} {status.st_mtime_ns} {status.st_size}".encode())
     return digest.hexdigest()[:16]
-
-
-def _remove_old(root: Path) -> None:
-    used = {folder: folder.stat().st_mtime for folder in root.iterdir() if folder.is_dir()}
-    for folder in sorted(used, key=used.__getitem__, reverse=True)[_CACHED_VERSIONS:]:
-        if time.time() - used[folder] > _UNUSED_S:
-            shutil.rmtree(folder, ignore_errors=True)  # another process may be removing it too
 
 
 # OpenMP threads

@@ -28,17 +28,13 @@ AGENTS = EntryPointGroup("gsrain.agents", "agent", "a callable that takes `Agent
 CAPTURE_FORMATS = EntryPointGroup("gsrain.capture_formats", "capture format", "a `CaptureFormat`")
 DECODERS = EntryPointGroup("gsrain.decoders", "decoder", "a `Decoder` for what a detector gives")
 DISDROMETERS = EntryPointGroup("gsrain.disdrometers", "disdrometer format", "a `LogFormat`")
-
 EVALUATIONS = EntryPointGroup(
     "gsrain.evaluations", "evaluation", "a function whose parameters are the options of a command"
 )
-
 PANELS = EntryPointGroup("gsrain.panels", "panel", "a `Panel`")
-
 SCENE_FORMATS = EntryPointGroup(
     "gsrain.scene_formats", "scene format", "a `Format`; the entry's name is the suffix, no dot"
 )
-
 TRANSFERS = EntryPointGroup("gsrain.transfers", "transfer", "a `TransferMethod` of the entry's name")
 GROUPS = (AGENTS, CAPTURE_FORMATS, DECODERS, DISDROMETERS, EVALUATIONS, PANELS, SCENE_FORMATS, TRANSFERS)
 """All groups; docs/extending.md has an example of each."""

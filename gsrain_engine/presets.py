@@ -68,28 +68,20 @@ def resolve_from_folder(folder: Path, name: str) -> str:
     """
     file, python, _ = name.partition(".py:")
     place = folder / (f"{file}.py" if python else name)
-    is_there = os.path.exists(place)  # noqa: PTH110  that of Path raises where a name is too long
-    return os.path.normpath(folder / name) if name and is_there else name
+    exists = os.path.exists(place)  # noqa: PTH110  that of Path raises where a name is too long
+    return os.path.normpath(folder / name) if name and exists else name
 
 
-def _resolve_names(values: Any, folder: Path, files: Collection[str], known: Collection[str]) -> Any:
+def _resolve_names(
+    values: Any, folder: Path, files: Collection[str], known: Collection[str], *, is_name: bool = False
+) -> Any:
     """Return plain values with the names in the fields `files`, at any depth, resolved from `folder`."""
     if isinstance(values, list):
-        return [_resolve_names(each, folder, files, known) for each in values]
-    if not isinstance(values, dict):
-        return values
-    return {
-        key: _named(each, folder, files, known) if key in files else _resolve_names(each, folder, files, known)
-        for key, each in values.items()
-    }
-
-
-def _named(value: Any, folder: Path, files: Collection[str], known: Collection[str]) -> Any:
-    if isinstance(value, list):
-        return [_named(each, folder, files, known) for each in value]
-    if isinstance(value, str):
-        return value if value in known else resolve_from_folder(folder, value)
-    return _resolve_names(value, folder, files, known)
+        return [_resolve_names(each, folder, files, known, is_name=is_name) for each in values]
+    if isinstance(values, dict):
+        return {key: _resolve_names(each, folder, files, known, is_name=key in files) for key, each in values.items()}
+    is_path = is_name and isinstance(values, str) and values not in known
+    return resolve_from_folder(folder, values) if is_path else values
 
 
 def _data(folder: str, name: str, what: str) -> bytes:

@@ -354,7 +354,7 @@ def _listed(counts: Mapping[str, int]) -> str:
 def unnamed_object_notes(numbers: DetectionNumbers) -> list[str]:
     """Return a sentence for each detector that has no class for some of the objects."""
     return [
-        f"Not choice of {name}, which has no word for them: {_listed(each)}."
+        f"Not asked of {name}, which has no word for them: {_listed(each)}."
         for name, each in numbers.not_named.items()
         if each
     ]

@@ -1,5 +1,7 @@
 """Settings and schedule of a training."""
 
+from typing import get_type_hints
+
 import msgspec
 import numpy as np
 import pytest
