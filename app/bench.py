@@ -14,7 +14,6 @@ from typing import Annotated, Any, get_args
 
 import msgspec
 import numpy as np
-from cyclopts import Parameter
 from jaxtyping import Float32
 
 from gsrain_engine.backends import Backend, device_of, open_renderer
@@ -38,19 +37,11 @@ from gsrain_engine.scene.progress import run_to_end
 from gsrain_engine.scene.scene import Scene
 
 from .console import Console, progress_bar, rows_table
-from .options import (
-    RAIN_OPTIONS,
-    JsonFileOrScreen,
-    check_within,
-    converted_options,
-    parse_size,
-    split_list,
-)
+from .options import RAIN_OPTIONS, JsonFileOrScreen, check_within, converted_options, option, parse_size, split_list
 from .outputs import check_writable, table_stream, write_numbers
 
 Scenes = Annotated[
-    str,
-    Parameter(help="Names with commas between: random-200k (SH degree 0), random-3m (degree 3), street, or files."),
+    str, option("Names with commas between: random-200k (SH degree 0), random-3m (degree 3), street, or files.")
 ]
 
 _WARM_UP = 2  # untimed frames before the first timed one: kernels and shaders compile, buffers reach their size
@@ -63,14 +54,13 @@ def render(
     *,
     scenes: Scenes = _SCENES,
     backends: Annotated[
-        str | None, Parameter(help="auto, cpu, opengl, cuda; default: what auto takes, then cpu and opengl if present.")
+        str | None, option("auto, cpu, opengl, cuda; default: what auto takes, then cpu and opengl if present.")
     ] = None,
-    sizes: Annotated[str, Parameter(help="WIDTHxHEIGHT,... in pixels.")] = "960x640",
+    sizes: Annotated[str, option("WIDTHxHEIGHT,... in pixels.")] = "960x640",
     rain: Annotated[
-        str,
-        Parameter(name=["--rain", "--intensity"], help="Intensities in mm/h of the preset paper; 0 is clear."),
+        str, option("Intensities in mm/h of the preset paper; 0 is clear.", "--rain", "--intensity")
     ] = "0,8.5",
-    frames: Annotated[int, Parameter(help="Timed frames, after two untimed ones.")] = 20,
+    frames: Annotated[int, option("Timed frames, after two untimed ones.")] = 20,
     json: JsonFileOrScreen = None,
 ) -> dict[str, Any]:
     """Time frames of fixed scenes: create rain, render, read back. Medians by back end, size and rain."""
@@ -261,9 +251,9 @@ def loading(
     *,
     scenes: Scenes = "random-200k,random-1m",
     formats: Annotated[
-        str, Parameter(help="With commas between: folder (a scene folder), .ply, .splat, .spz.")
+        str, option("With commas between: folder (a scene folder), .ply, .splat, .spz.")
     ] = "folder,.ply,.splat,.spz",
-    repeats: Annotated[int, Parameter(help="Number of times that each is read.")] = 3,
+    repeats: Annotated[int, option("Number of times that each is read.")] = 3,
     json: JsonFileOrScreen = None,
 ) -> dict[str, Any]:
     """Time writing and reading scenes, from the system's file cache. Medians, by scene and format."""
@@ -338,9 +328,9 @@ _HALF_HEIGHT, _WET_SHARE = 0.5, 0.6
 def recoloring(
     *,
     scenes: Scenes = "random-200k,street",
-    views: Annotated[int, Parameter(help="Number of images, along the scene's drive or around its middle.")] = 8,
-    size: Annotated[str, Parameter(help="WIDTHxHEIGHT of the images in pixels.")] = "480x320",
-    iterations: Annotated[int, Parameter(help="Steps of conjugate gradients.")] = 12,
+    views: Annotated[int, option("Number of images, along the scene's drive or around its middle.")] = 8,
+    size: Annotated[str, option("WIDTHxHEIGHT of the images in pixels.")] = "480x320",
+    iterations: Annotated[int, option("Steps of conjugate gradients.")] = 12,
     json: JsonFileOrScreen = None,
 ) -> dict[str, Any]:
     """Time recoloring scenes to darkened images of themselves: setup, choosing, solving, measuring."""

@@ -4,10 +4,10 @@ import importlib.util
 import shlex
 import sys
 from collections.abc import Callable
-from functools import partial
+from functools import partial, wraps
 from importlib import metadata
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -52,8 +52,7 @@ def doctor(*, json: JsonFile = None) -> int:
     """List what GSRAIN can use on this machine. Exit code 1 if something required is missing or wrong."""
     check_writable(json)
     video, threads = _video(), _threads()
-    opengl = _tried("OpenGL without a window (EGL)", lambda: _describe_context("egl"))
-    needed = [opengl, threads] if is_frozen() else [opengl, video, threads]
+    needed = [_opengl(), threads] if is_frozen() else [_opengl(), video, threads]
     tested = find_depth_order()
     packages = {name: _package(name) for name in _PACKAGES}
     first = [packages.pop("torch"), _cuda(), _gsplat(), find_lpips(), find_inception()]
@@ -86,15 +85,29 @@ def _tried(name: str, attempt: Callable[[], str], remedy: str = "") -> Finding:
         return Finding(name, False, f"{printable_line(error)} {remedy}".strip())
 
 
-def _osmesa() -> Finding:
-    name, remedy = "OSMesa (stands in where EGL is missing)", "(optional; Debian 13 no longer has it)"
-    return _tried(name, lambda: _describe_context("osmesa"), remedy)
+def finding(name: str, remedy: str = "") -> Callable[[Callable[[], str]], Callable[[], Finding]]:
+    """Make a check of a function that returns what it has found, or raises why it is missing."""
+
+    def decorated(attempt: Callable[[], str]) -> Callable[[], Finding]:
+        return wraps(attempt)(lambda: _tried(name, attempt, remedy))
+
+    return decorated
 
 
-def _describe_context(source: str) -> str:
+@finding("OpenGL without a window (EGL)")
+def _opengl() -> str:
+    return _describe_context("egl")
+
+
+@finding("OSMesa (stands in where EGL is missing)", "(optional; Debian 13 no longer has it)")
+def _osmesa() -> str:
+    return _describe_context("osmesa")
+
+
+def _describe_context(source: Literal["egl", "osmesa"]) -> str:
     from gsrain_engine.render.opengl.context import is_software, open_context
 
-    context = open_context("egl" if source == "egl" else "osmesa")
+    context = open_context(source)
     with context:
         kind = "software" if is_software(context) else "GPU"
         return f"{context.info['GL_RENDERER']}, OpenGL {context.version_code / 100:.1f} ({kind})"
@@ -137,30 +150,27 @@ def _video() -> Finding:
     return _tried("video", encoders, "(left out of frozen programs)" if is_frozen() else "pip install av")
 
 
-def _threads() -> Finding:
-    def layer() -> str:
-        import numba
+@finding("compiled kernels", "On Debian: apt-get install libgomp1")
+def _threads() -> str:
+    import numba
 
-        @numba.njit(parallel=True)
-        def count(values: np.ndarray) -> float:
-            total = 0.0
-            for i in numba.prange(len(values)):
-                total += values[i]
-            return total
+    @numba.njit(parallel=True)
+    def count(values: np.ndarray) -> float:
+        total = 0.0
+        for i in numba.prange(len(values)):
+            total += values[i]
+        return total
 
-        count(np.ones(8))
-        name = numba.threading_layer()
-        if name == "workqueue":  # Numba's own layer, which aborts the process
-            raise RuntimeError("libgomp is missing: two threads that draw at once would end the program.")
-        return f"Numba {numba.__version__}, {name}, {numba.get_num_threads()} threads"
-
-    return _tried("compiled kernels", layer, "On Debian: apt-get install libgomp1")
+    count(np.ones(8))
+    name = numba.threading_layer()
+    if name == "workqueue":  # Numba's own layer, which aborts the process
+        raise RuntimeError("libgomp is missing: two threads that draw at once would end the program.")
+    return f"Numba {numba.__version__}, {name}, {numba.get_num_threads()} threads"
 
 
 def _display() -> Finding:
-    if has_display():
-        return Finding("display", True, "the window can open")
-    return Finding("display", False, "no DISPLAY: rendering to files works, the window does not")
+    missing = "no DISPLAY: rendering to files works, the window does not"
+    return Finding("display", has_display(), "the window can open" if has_display() else missing)
 
 
 def _package(name: str) -> Finding:
@@ -184,30 +194,24 @@ def how_to_add(extra: str) -> str:
     return f"{python} -m pip install {requirement}"
 
 
-def _cuda() -> Finding:
+@finding("CUDA")
+def _cuda() -> str:
     if importlib.util.find_spec("torch") is None:
-        return Finding("CUDA", False, "not looked for: torch is not installed")
+        raise RuntimeError("not looked for: torch is not installed")
+    import torch
 
-    def device() -> str:
-        import torch
-
-        if not torch.cuda.is_available():
-            raise RuntimeError("torch sees no CUDA device; jobs run on the processor.")
-        return torch.cuda.get_device_name()
-
-    return _tried("CUDA", device)
+    if not torch.cuda.is_available():
+        raise RuntimeError("torch sees no CUDA device; jobs run on the processor.")
+    return torch.cuda.get_device_name()
 
 
-def _gsplat() -> Finding:
+@finding("gsplat (draws and trains on CUDA GPUs)")
+def _gsplat() -> str:
     """Open `--backend cuda`: gsplat is installed without its kernels and compiles them itself."""
+    from gsrain_engine.backends import device_of, open_renderer
 
-    def device() -> str:
-        from gsrain_engine.backends import device_of, open_renderer
-
-        with open_renderer("cuda") as renderer:
-            return f"--backend cuda draws on {device_of(renderer)}"
-
-    return _tried("gsplat (draws and trains on CUDA GPUs)", device)
+    with open_renderer("cuda") as renderer:
+        return f"--backend cuda draws on {device_of(renderer)}"
 
 
 def find_lpips() -> Finding:
@@ -228,83 +232,72 @@ def find_lpips() -> Finding:
     return Finding(name, False, f"only AlexNet at {places}, used where --lpips names its file; {missing}")
 
 
-def find_inception() -> Finding:
+@finding("Inception weights (of FID)")
+def find_inception() -> str:
     """Look for Inception's weights, which define FID; they are read if torch is installed."""
+    from gsrain_engine.evaluation import fid_torch_features as features
 
-    def file() -> str:
-        from gsrain_engine.evaluation import fid_torch_features as features
-
-        found = features.inception_weights_file()
-        if features.is_torchscript(found):
-            return f"{found}, TorchScript: gsrain evaluate fid takes it with --torchscript"
-        if importlib.util.find_spec("torch") is not None:
-            features.inception_weights(found)
-        return str(found)
-
-    return _tried("Inception weights (of FID)", file)
+    found = features.inception_weights_file()
+    if features.is_torchscript(found):
+        return f"{found}, TorchScript: gsrain evaluate fid takes it with --torchscript"
+    if importlib.util.find_spec("torch") is not None:
+        features.inception_weights(found)
+    return str(found)
 
 
-def find_detector_file() -> Finding:
+@finding("detector (camera-idm of gsrain drive)")
+def find_detector_file() -> str:
     """Look for the detector of the agent camera-idm; it is opened if onnxruntime is installed."""
+    from gsrain_engine.evaluation.detection.detector import find_detector, open_detector
 
-    def file() -> str:
-        from gsrain_engine.evaluation.detection.detector import find_detector, open_detector
-
-        found = find_detector()
-        if importlib.util.find_spec("onnxruntime") is None:
-            return str(found)
-        wide, high = open_detector(found).input_size_px
-        return f"{found} (sees {wide} x {high} px)"
-
-    return _tried("detector (camera-idm of gsrain drive)", file)
-
-
-def find_base_model() -> Finding:
-    """Look for SD-Turbo, the base of cyclegan-turbo, in diffusers' layout: complete, and of the right architecture."""
-    from gsrain_engine.appearance.cyclegan_turbo.model import check_base, sd_turbo
-    from gsrain_engine.appearance.cyclegan_turbo.weight_paths import check_base_complete, find_base_model
-
-    def folder() -> str:
-        found = find_base_model()
-        check_base(found, sd_turbo())
-        check_base_complete(found)
+    found = find_detector()
+    if importlib.util.find_spec("onnxruntime") is None:
         return str(found)
+    wide, high = open_detector(found).input_size_px
+    return f"{found} (sees {wide} x {high} px)"
 
-    return _tried("SD-Turbo (base of cyclegan-turbo)", folder)
+
+@finding("SD-Turbo (base of cyclegan-turbo)")
+def find_base_model() -> str:
+    """Look for SD-Turbo, the base of cyclegan-turbo, in diffusers' layout: complete, and of the right architecture."""
+    from gsrain_engine.appearance.cyclegan_turbo import weight_paths as paths
+    from gsrain_engine.appearance.cyclegan_turbo.model import check_base, sd_turbo
+
+    found = paths.find_base_model()
+    check_base(found, sd_turbo())
+    paths.check_base_complete(found)
+    return str(found)
 
 
-def find_text_encoder() -> Finding:
+@finding("text encoder of SD-Turbo")
+def find_text_encoder() -> str:
     """Look for the text encoder, needed only once, because its encoded captions are cached."""
     from gsrain_engine.appearance.cyclegan_turbo import weight_paths as paths
 
-    def place() -> str:
-        if paths.captions_file().is_file():
-            return f"not needed: its captions are kept in {paths.captions_file()}"
-        base = next(filter(paths.is_base_model, paths.base_model_folders()), None)
-        folder = None if base is None else paths.text_encoder_folder(base)
-        if folder is None:
-            raise FileNotFoundError("comes with SD-Turbo (text_encoder, tokenizer); needed once, to encode captions")
-        return str(folder)
-
-    return _tried("text encoder of SD-Turbo", place)
+    if paths.captions_file().is_file():
+        return f"not needed: its captions are kept in {paths.captions_file()}"
+    base = next(filter(paths.is_base_model, paths.base_model_folders()), None)
+    folder = None if base is None else paths.text_encoder_folder(base)
+    if folder is None:
+        raise FileNotFoundError("comes with SD-Turbo (text_encoder, tokenizer); needed once, to encode captions")
+    return str(folder)
 
 
-def find_transfer_weights() -> Finding:
+@finding("transfer weights (of cyclegan-turbo)")
+def find_transfer_weights() -> str:
     """Look for the weights that turn SD-Turbo into a transfer."""
-    from gsrain_engine.appearance.cyclegan_turbo.weight_paths import find_transfer_weights
+    from gsrain_engine.appearance.cyclegan_turbo import weight_paths as paths
 
-    def file() -> str:
-        found = find_transfer_weights()
-        return f"{found} ({found.stat().st_size / 1e6:,.0f} MB)"
-
-    return _tried("transfer weights (of cyclegan-turbo)", file)
+    found = paths.find_transfer_weights()
+    return f"{found} ({found.stat().st_size / 1e6:,.0f} MB)"
 
 
-def find_clip_model() -> Finding:
+@finding("CLIP ViT-B/32 (for gsrain train-transfer)")
+def find_clip_model() -> str:
     """Look for the vision model behind the discriminators of transfer training."""
     from gsrain_engine.appearance.finetune.settings import find_clip
 
-    return _tried("CLIP ViT-B/32 (for gsrain train-transfer)", lambda: str(find_clip()))
+    return str(find_clip())
 
 
 # Extensions of other installed packages

@@ -39,14 +39,16 @@ from gsrain_engine.sweep.expansion import software
 
 from .console import print, print_lines, progress_bar
 from .options import (
+    BACKEND,
     RAIN_OPTIONS,
-    BackendHelp,
     Exposure,
     JsonFile,
     Preset,
     Wet,
     check_within,
     converted_options,
+    flag,
+    option,
     parse_intensities,
     split_words,
 )
@@ -71,32 +73,28 @@ class DriverOptions:
 
     agent: Annotated[
         list[str] | None,
-        Parameter(
-            help="Agent that drives: constant-velocity, oracle-idm, camera-idm, neuroncap-baseline, http, hugsim, or "
+        flag(
+            "Agent that drives: constant-velocity, oracle-idm, camera-idm, neuroncap-baseline, http, hugsim, or "
             "one of an installed package (entry points gsrain.agents); FILE.py or FILE.py:NAME is a class of your own. "
-            "May be given several times. Default: camera-idm if a detector is found, else oracle-idm.",
-            negative="",
+            "May be given several times. Default: camera-idm if a detector is found, else oracle-idm."
         ),
     ] = None
-    detector: Annotated[Path | None, Parameter(help="ONNX file of camera-idm's detector.")] = None
+    detector: Annotated[Path | None, option("ONNX file of camera-idm's detector.")] = None
     description: Annotated[
-        str | None, Parameter(help="Description of the detector: a shipped name such as yolox, or a YAML file.")
+        str | None, option("Description of the detector: a shipped name such as yolox, or a YAML file.")
     ] = None
-    url: Annotated[str | None, Parameter(help="Address of the agent http, such as http://localhost:9000.")] = None
+    url: Annotated[str | None, option("Address of the agent http, such as http://localhost:9000.")] = None
     hugsim_dir: Annotated[
-        Path | None, Parameter(help="Folder with the pipes of HUGSIM's protocol: UniAD, VAD or LTF drives.")
+        Path | None, option("Folder with the pipes of HUGSIM's protocol: UniAD, VAD or LTF drives.")
     ] = None
     hugsim_client: Annotated[
-        str | None,
-        Parameter(help="Command that starts the client; without one, start it yourself on the folder.", negative=""),
+        str | None, flag("Command that starts the client; without one, start it yourself on the folder.")
     ] = None
     hugsim_wait: Annotated[
-        float, Parameter(help="Seconds to wait for the client's first plan; at most 60 of them for each later one.")
+        float, option("Seconds to wait for the client's first plan; at most 60 of them for each later one.")
     ] = 120.0
-    hugsim_all: Annotated[
-        bool, Parameter(help="Send the client depth and semantic classes too, which takes longer.", negative="")
-    ] = False
-    channel_order: Annotated[Literal["rgb", "bgr"], Parameter(help="Of the images in HUGSIM's protocol.")] = "rgb"
+    hugsim_all: Annotated[bool, flag("Send the client depth and semantic classes too, which takes longer.")] = False
+    channel_order: Annotated[Literal["rgb", "bgr"], option("Of the images in HUGSIM's protocol.")] = "rgb"
 
     def names(self) -> list[str]:
         """Return the names of the chosen agents. Raises ValueError for unknown or contradictory ones."""
@@ -149,9 +147,9 @@ class DriverOptions:
 def drive(
     scenario: Annotated[
         str | None,
-        Parameter(
-            name="SCENARIO.yaml",
-            help="A shipped scenario by name or a file: ours, HUGSIM's YAML or OpenSCENARIO; default: stationary-lead.",
+        option(
+            "A shipped scenario by name or a file: ours, HUGSIM's YAML or OpenSCENARIO; default: stationary-lead.",
+            "SCENARIO.yaml",
         ),
     ] = None,
     /,
@@ -159,31 +157,25 @@ def drive(
     driver: DriverOptions | None = None,
     rain: Annotated[
         str | None,
-        Parameter(
-            name=["--rain", "--intensity"],
-            help="Intensities in mm/h, 0..100, with commas between; default: the scenario's.",
-        ),
+        option("Intensities in mm/h, 0..100, with commas between; default: the scenario's.", "--rain", "--intensity"),
     ] = None,
-    seed: Annotated[
-        int | None, Parameter(help="Same seed, same drops and the same drive; default: the scenario's.")
-    ] = None,
+    seed: Annotated[int | None, option("Same seed, same drops and the same drive; default: the scenario's.")] = None,
     preset: Preset = None,
     exposure: Exposure = None,
-    scene: Annotated[str | None, Parameter(help="Scene file or folder; default: the scenario's.")] = None,
+    scene: Annotated[str | None, option("Scene file or folder; default: the scenario's.")] = None,
     wet: Wet = False,
-    rig: Annotated[str | None, Parameter(help="Camera rig; default: the scenario's, else the first.")] = None,
-    width: Annotated[int | None, Parameter(help="Width of the images in pixels; default: the scenario's.")] = None,
-    duration: Annotated[float | None, Parameter(help="Maximum duration in seconds; default: the scenario's.")] = None,
+    rig: Annotated[str | None, option("Camera rig; default: the scenario's, else the first.")] = None,
+    width: Annotated[int | None, option("Width of the images in pixels; default: the scenario's.")] = None,
+    duration: Annotated[float | None, option("Maximum duration in seconds; default: the scenario's.")] = None,
     output: Annotated[
-        Path | None,
-        Parameter(name=["--output", "-o"], help="Output folder; default: drive-NAME in the working folder."),
+        Path | None, option("Output folder; default: drive-NAME in the working folder.", "--output", "-o")
     ] = None,
-    video: Annotated[bool | None, Parameter(help="Write a video of each run; default: if there is only one.")] = None,
-    fps: Annotated[float, Parameter(help="Frame rate of the videos.")] = 10.0,
+    video: Annotated[bool | None, option("Write a video of each run; default: if there is only one.")] = None,
+    fps: Annotated[float, option("Frame rate of the videos.")] = 10.0,
     export: Annotated[
-        str, Parameter(help="Other formats of each run, with commas: parquet, mcap (Foxglove), xosc (OpenSCENARIO).")
+        str, option("Other formats of each run, with commas: parquet, mcap (Foxglove), xosc (OpenSCENARIO).")
     ] = "",
-    backend: Annotated[Backend, BackendHelp] = "auto",
+    backend: Annotated[Backend, BACKEND] = "auto",
     json: JsonFile = None,
 ) -> None:
     """Test a driver in the rain: an agent sees the scene and plans, and the vehicle follows its plan.

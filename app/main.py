@@ -19,7 +19,7 @@ from gsrain_engine.plugins import EVALUATIONS, Extension, ExtensionError, find_e
 from gsrain_engine.scene.files import sentence_of
 
 from .console import Console, console_log, use_any_encoding
-from .options import JsonFileOrScreen, Preset, has_display, parse_whole_numbers, reject_non_finite
+from .options import JsonFileOrScreen, Preset, flag, has_display, option, parse_whole_numbers, reject_non_finite
 from .outputs import check_writable, release_outputs, table_stream, write_numbers
 
 if TYPE_CHECKING:
@@ -54,10 +54,7 @@ COMMANDS = {
         "Fit Gaussians to a capture: images with cameras, and lidar or COLMAP points if it has them.",
     ),
     "transfer": ("app.translate:transfer", "Make clear views of a scene, or the images of a capture, look rainy."),
-    "recolor": (
-        "app.train:recolor",
-        "Re-optimize a scene's colors for images with another look; its geometry stays.",
-    ),
+    "recolor": ("app.train:recolor", "Re-optimize a scene's colors for images with another look; its geometry stays."),
     "sweep": (
         "app.sweep:sweep",
         "Run many drives or renders: every combination of scenes, scenarios, intensities, seeds and agents.",
@@ -133,13 +130,13 @@ app = App(
 
 @app.default
 def view(
-    scene: Annotated[str | None, Parameter(help="Scene file or folder; default: the built-in street.")] = None,
+    scene: Annotated[str | None, option("Scene file or folder; default: the built-in street.")] = None,
     /,
     *,
     preset: Preset = None,
-    wet: Annotated[bool, Parameter(help="Start with the wet look, as its panel does.", negative="")] = False,
+    wet: Annotated[bool, flag("Start with the wet look, as its panel does.")] = False,
     backend: Annotated[
-        Literal["auto", "opengl", "cpu"], Parameter(help="Renderer; auto is OpenGL on a GPU, else the CPU.")
+        Literal["auto", "opengl", "cpu"], option("Renderer; auto is OpenGL on a GPU, else the CPU.")
     ] = "auto",
 ) -> None:
     """Open a scene in the window."""
@@ -174,8 +171,7 @@ benchmarks.command("app.bench:recoloring", name="recoloring", help="Time recolor
 def bench_all(
     *,
     scenes: Annotated[
-        str,
-        Parameter(help="Names with commas between: random-200k (SH degree 0), random-3m (degree 3), street, or files."),
+        str, option("Names with commas between: random-200k (SH degree 0), random-3m (degree 3), street, or files.")
     ] = "random-200k,street",
     json: JsonFileOrScreen = None,
 ) -> None:

@@ -18,23 +18,30 @@ from gsrain_engine.trusted_code import UntrustedCodeError, trust, trust_permanen
 
 from .console import print
 
-JsonFile = Annotated[Path | None, Parameter(name="--json", help="Write the reported numbers to this file.")]
+
+def option(help: str, *names: str, **settings: Any) -> Parameter:
+    """Describe an option: its help, and its names if they are not that of the parameter."""
+    return Parameter(name=names or None, help=help, **settings)
+
+
+def flag(help: str) -> Parameter:
+    """Describe an option without a value and without a negative."""
+    return Parameter(help=help, negative="")
+
+
+JsonFile = Annotated[Path | None, option("Write the reported numbers to this file.", "--json")]
 JsonFileOrScreen = Annotated[
-    Path | None,
-    Parameter(name="--json", help="Write the numbers to this file; - prints them.", allow_leading_hyphen=True),
+    Path | None, option("Write the numbers to this file; - prints them.", "--json", allow_leading_hyphen=True)
 ]
 AllowOutside = Annotated[
-    bool,
-    Parameter(
-        name="--allow-outside",
-        negative="",
-        help="Read files that a capture's own files name outside of its folder: absolute, by .., or through links.",
-    ),
+    bool, flag("Read files that a capture's own files name outside of its folder: absolute, by .., or through links.")
 ]
-Preset = Annotated[str | None, Parameter(help="Rain preset (clear, 1.2, 8.5, 12.0, paper) or a preset file.")]
-Exposure = Annotated[float | None, Parameter(help="Shutter time in seconds; default: the camera's own.")]
-Wet = Annotated[bool, Parameter(help="Compute wet colors of the scene first, as the wet look of the window does.")]
-BackendHelp = Parameter(help="Renderer; auto is OpenGL on a GPU, else the CPU.")
+Preset = Annotated[str | None, option("Rain preset (clear, 1.2, 8.5, 12.0, paper) or a preset file.")]
+Exposure = Annotated[float | None, option("Shutter time in seconds; default: the camera's own.")]
+Wet = Annotated[bool, option("Compute wet colors of the scene first, as the wet look of the window does.")]
+RAIN = ("--rain", "--intensity")
+"""Names of the options for intensities."""
+BACKEND = option("Renderer; auto is OpenGL on a GPU, else the CPU.")
 
 
 # Options made from settings
@@ -97,7 +104,7 @@ def options_of(
             ending = "" if value is None or value is False or value == "" else default.format(value)
             text = (help or {}).get(name) or _help(hints[name])
             options = [f"--{each}" for each in names.get(name, name).replace("_", "-").split()]
-            parameter = Parameter(name=options, help=f"{text} {ending}".rstrip())
+            parameter = option(f"{text} {ending}".rstrip(), *options)
             made.append((name, Annotated[(str if _is_tuple(kind, name) else plain[name]) | None, parameter], None))
         else:
             made.append((name, types[name], None))
@@ -145,10 +152,10 @@ def _drop_density(kind: Any, tokens: Sequence[Token]) -> str:
 
 DropDensity = Annotated[
     Literal["flux", "table"] | None,
-    Parameter(
-        name="--drop-density",
+    option(
+        "Number of drops. flux: as many as the intensity needs; table: that of the calibration's table.",
+        "--drop-density",
         converter=_drop_density,
-        help="Number of drops. flux: as many as the intensity needs; table: that of the calibration's table.",
     ),
 ]
 
@@ -270,10 +277,9 @@ def has_display() -> bool:
 
 Trust = Annotated[
     bool,
-    Parameter(
-        help="Run Python code that the file names (agents, programs of estimators) without asking. It can do all that "
-        "you can, so read it first.",
-        negative="",
+    flag(
+        "Run Python code that the file names (agents, programs of estimators) without asking. It can do all that you "
+        "can, so read it first."
     ),
 ]
 

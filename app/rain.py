@@ -7,7 +7,6 @@ from typing import Annotated, Any
 
 import msgspec
 import numpy as np
-from cyclopts import Parameter
 from jaxtyping import Float64
 
 from gsrain_engine.disdrometer.file_summary import MeasuredFile, MeasurementSummary, open_disdrometer_file
@@ -23,7 +22,7 @@ from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 
 from .console import Console, Table, print, print_lines, progress_bar
-from .options import RAIN_OPTIONS, DropDensity, JsonFile, Preset, check_within, options_of
+from .options import RAIN_OPTIONS, DropDensity, JsonFile, Preset, check_within, flag, option, options_of
 from .outputs import check_ending, check_writable, write_numbers
 from .scene import Columns
 
@@ -35,23 +34,19 @@ CalibrationOptions = options_of(
 
 
 def calibrate(
-    files: Annotated[list[Path], Parameter(help="Disdrometer files of one instrument; gzip is fine.")],
+    files: Annotated[list[Path], option("Disdrometer files of one instrument; gzip is fine.")],
     /,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Calibration file to write, .yaml.")],
-    plot: Annotated[Path | None, Parameter(help="Figure of spectra, fits and closure: .png, .pdf or .svg.")] = None,
-    name: Annotated[str | None, Parameter(help="Name of the calibration; default: that of the file.")] = None,
+    output: Annotated[Path, option("Calibration file to write, .yaml.", "--output", "-o")],
+    plot: Annotated[Path | None, option("Figure of spectra, fits and closure: .png, .pdf or .svg.")] = None,
+    name: Annotated[str | None, option("Name of the calibration; default: that of the file.")] = None,
     intensities: Annotated[
-        str | None, Parameter(help="Centers of the intensity bins in mm/h, with commas between; default: 0.3 to 90.")
+        str | None, option("Centers of the intensity bins in mm/h, with commas between; default: 0.3 to 90.")
     ] = None,
     fit: CalibrationOptions | None = None,
     columns: Columns = None,
     force: Annotated[
-        bool,
-        Parameter(
-            negative="",
-            help="Fit even if the drops' rain rate is not 0.7 to 1.4 times the instrument's own, or r is below 0.9.",
-        ),
+        bool, flag("Fit even if the drops' rain rate is not 0.7 to 1.4 times the instrument's own, or r is below 0.9.")
     ] = False,
     json: JsonFile = None,
 ) -> None:
@@ -194,12 +189,10 @@ def disdrometer(
     *,
     rain: DisdrometerOptions | None = None,
     preset: Preset = None,
-    area: Annotated[float, Parameter(help="Catching area in m².")] = 0.5,
-    seconds: Annotated[float, Parameter(help="Simulated duration of the measurement in seconds.")] = 60.0,
-    record: Annotated[float, Parameter(help="Seconds per record: one spectrum each.")] = 60.0,
-    output: Annotated[
-        Path | None, Parameter(name=["--output", "-o"], help="Write the spectra to this netCDF file (.nc).")
-    ] = None,
+    area: Annotated[float, option("Catching area in m².")] = 0.5,
+    seconds: Annotated[float, option("Simulated duration of the measurement in seconds.")] = 60.0,
+    record: Annotated[float, option("Seconds per record: one spectrum each.")] = 60.0,
+    output: Annotated[Path | None, option("Write the spectra to this netCDF file (.nc).", "--output", "-o")] = None,
     json: JsonFile = None,
 ) -> None:
     """Count simulated drops through a horizontal area; report their rain rate and sizes.

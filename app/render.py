@@ -30,14 +30,15 @@ from gsrain_engine.scene.scene import Scene
 
 from .console import print, progress_bar, run_with_progress
 from .options import (
+    BACKEND,
     RAIN_OPTIONS,
-    BackendHelp,
     DropDensity,
     JsonFile,
     Preset,
     StructOptions,
     Wet,
     check_within,
+    option,
     options_of,
     parse_size,
 )
@@ -85,40 +86,35 @@ RecordingOptions = options_of(
 
 
 def render(
-    scene: Annotated[str | None, Parameter(help="Scene file or folder; default: the built-in street.")] = None,
+    scene: Annotated[str | None, option("Scene file or folder; default: the built-in street.")] = None,
     /,
     *,
     output: Annotated[
-        Path,
-        Parameter(
-            name=["--output", "-o"], help="PNG, JPEG, EXR, NPY, MP4, WebM, or a folder for PNG, JPEG or EXR frames."
-        ),
+        Path, option("PNG, JPEG, EXR, NPY, MP4, WebM, or a folder for PNG, JPEG or EXR frames.", "--output", "-o")
     ],
     rain: RainOptions | None = None,
     recording: RecordingOptions | None = None,
-    camera: Annotated[Path | None, Parameter(help="Camera file (JSON) in the scene's own units and axes.")] = None,
+    camera: Annotated[Path | None, option("Camera file (JSON) in the scene's own units and axes.")] = None,
     camera_path: Annotated[
-        Path | None, Parameter(help="Camera path: ours, nerfstudio's camera_path.json or 3DGS's cameras.json.")
+        Path | None, option("Camera path: ours, nerfstudio's camera_path.json or 3DGS's cameras.json.")
     ] = None,
-    size: Annotated[str | None, Parameter(help="WIDTHxHEIGHT in pixels; default 960x640, or the camera's own.")] = None,
+    size: Annotated[str | None, option("WIDTHxHEIGHT in pixels; default 960x640, or the camera's own.")] = None,
     speed: Annotated[
-        float | None, Parameter(help="Speed along the camera path in m/s; default: its own times, else walking pace.")
+        float | None, option("Speed along the camera path in m/s; default: its own times, else walking pace.")
     ] = None,
-    duration: Annotated[
-        float | None, Parameter(help="Seconds of video; default: the path's length, at most 10.")
-    ] = None,
-    frame: Annotated[int | None, Parameter(help="Render only this frame of the path or drive, counted from 0.")] = None,
-    depth: Annotated[bool, Parameter(help="Add depth to the passes: PNG (16 bit, cm), NPY (m) or EXR (m).")] = False,
+    duration: Annotated[float | None, option("Seconds of video; default: the path's length, at most 10.")] = None,
+    frame: Annotated[int | None, option("Render only this frame of the path or drive, counted from 0.")] = None,
+    depth: Annotated[bool, option("Add depth to the passes: PNG (16 bit, cm), NPY (m) or EXR (m).")] = False,
     labels: Annotated[
         LabelFormat | None,
-        Parameter(help="Write 2D and 3D boxes, visibility, instance masks of actors and parked vehicles, with depth."),
+        option("Write 2D and 3D boxes, visibility, instance masks of actors and parked vehicles, with depth."),
     ] = None,
     mode: Annotated[
-        RenderMode, Parameter(help="Render mode: splats for the image; the others show the scene without rain.")
+        RenderMode, option("Render mode: splats for the image; the others show the scene without rain.")
     ] = "splats",
     wet: Wet = False,
     orientation: Orientation | None = None,
-    backend: Annotated[Backend, BackendHelp] = "auto",
+    backend: Annotated[Backend, BACKEND] = "auto",
     json: JsonFile = None,
 ) -> int:
     """Render a scene in the rain: an image, a video, frames, or raw floats (premultiplied, before tone mapping)."""

@@ -33,18 +33,11 @@ from gsrain_engine.scene.scene import Actor, Layer, Scene, bounds
 from gsrain_engine.scene.transforms import with_wetness_baked
 
 from .console import print, print_lines, progress_bar, table_of, wide_console
-from .options import AllowOutside, JsonFile, check_within, let_names_lead_outside
-from .outputs import (
-    check_image,
-    check_scene_folder,
-    check_scene_target,
-    check_writable,
-    lock_outputs,
-    write_numbers,
-)
+from .options import AllowOutside, JsonFile, check_within, flag, let_names_lead_outside, option
+from .outputs import check_image, check_scene_folder, check_scene_target, check_writable, lock_outputs, write_numbers
 
 Columns = Annotated[
-    Path | None, Parameter(help="YAML file that describes the columns of a disdrometer table of unknown format.")
+    Path | None, option("YAML file that describes the columns of a disdrometer table of unknown format.")
 ]
 
 
@@ -55,9 +48,9 @@ class Orientation:
 
     up: Annotated[
         Axis | None,
-        Parameter(help="Axis of the scene that points up; default for Gaussian files: -y.", allow_leading_hyphen=True),
+        option("Axis of the scene that points up; default for Gaussian files: -y.", allow_leading_hyphen=True),
     ] = None
-    meters_per_unit: Annotated[float | None, Parameter(help="Length of one scene unit in meters.")] = None
+    meters_per_unit: Annotated[float | None, option("Length of one scene unit in meters.")] = None
 
     def __post_init__(self) -> None:
         if self.meters_per_unit is not None and not UNIT_M[0] <= self.meters_per_unit <= UNIT_M[1]:
@@ -80,13 +73,13 @@ def names_scene(name: str) -> bool:
 
 def info(
     scene: Annotated[
-        str, Parameter(help='Scene file or folder, a capture, or a disdrometer file; "street" is the built-in scene.')
+        str, option('Scene file or folder, a capture, or a disdrometer file; "street" is the built-in scene.')
     ],
     /,
     *,
-    check: Annotated[bool, Parameter(negative="", help="Capture: read all images, and check the poses.")] = False,
+    check: Annotated[bool, flag("Capture: read all images, and check the poses.")] = False,
     overlay: Annotated[
-        Path | None, Parameter(help="Capture: write an image of some views with points and boxes drawn into them.")
+        Path | None, option("Capture: write an image of some views with points and boxes drawn into them.")
     ] = None,
     columns: Columns = None,
     allow_outside: AllowOutside = False,
@@ -311,32 +304,28 @@ def _counted(count: int, noun: str) -> str:
 
 
 def convert(
-    source: Annotated[str, Parameter(help="Scene file or folder: .ply .compressed.ply .splat .spz .ksplat .sog.")],
-    target: Annotated[Path, Parameter(help="File to write (.ply .splat .spz), or a folder for a scene folder.")],
+    source: Annotated[str, option("Scene file or folder: .ply .compressed.ply .splat .spz .ksplat .sog.")],
+    target: Annotated[Path, option("File to write (.ply .splat .spz), or a folder for a scene folder.")],
     /,
     *,
     wetness: Annotated[
-        float | None,
-        Parameter(help="Bake in the colors of a wetness, 0 clear to 1 soaked; default for a file: clear."),
+        float | None, option("Bake in the colors of a wetness, 0 clear to 1 soaked; default for a file: clear.")
     ] = None,
     orientation: Orientation | None = None,
-    level: Annotated[
-        bool, Parameter(help="Find the ground, and rotate the scene until it is level.", negative="")
-    ] = False,
+    level: Annotated[bool, flag("Find the ground, and rotate the scene until it is level.")] = False,
     camera_height: Annotated[
         float | None,
-        Parameter(help="Level the scene, and scale it until the recorded cameras are this many meters above ground."),
+        option("Level the scene, and scale it until the recorded cameras are this many meters above ground."),
     ] = None,
     drive: Annotated[
         str | None,
-        Parameter(
-            help="Add an ego vehicle with a front camera that drives along a camera path: own for the scene's, or a "
+        option(
+            "Add an ego vehicle with a front camera that drives along a camera path: own for the scene's, or a "
             "file (ours, nerfstudio's, cameras.json of 3DGS). gsrain drive needs one."
         ),
     ] = None,
     speed: Annotated[
-        float | None,
-        Parameter(help="Speed in m/s along the path of --drive; default: its own times, else walking pace."),
+        float | None, option("Speed in m/s along the path of --drive; default: its own times, else walking pace.")
     ] = None,
     json: JsonFile = None,
 ) -> None:
@@ -426,14 +415,12 @@ def timed_path(
 
 
 def street(
-    directory: Annotated[Path, Parameter(help="Folder to write: DIR/scene is a scene folder, DIR/images a capture.")],
+    directory: Annotated[Path, option("Folder to write: DIR/scene is a scene folder, DIR/images a capture.")],
     /,
     *,
-    rig: Annotated[
-        str, Parameter(help="Camera rig that photographs the street: waymo_front3 or nuscenes.")
-    ] = "waymo_front3",
-    moments: Annotated[int, Parameter(help="Number of moments of the drive to photograph; 0 for none.")] = 4,
-    width: Annotated[int, Parameter(help="Width of the images in pixels.")] = 960,
+    rig: Annotated[str, option("Camera rig that photographs the street: waymo_front3 or nuscenes.")] = "waymo_front3",
+    moments: Annotated[int, option("Number of moments of the drive to photograph; 0 for none.")] = 4,
+    width: Annotated[int, option("Width of the images in pixels.")] = 960,
     json: JsonFile = None,
 ) -> None:
     """Write the built-in street: Gaussians, tracks, rigs, and true images with depth, normals and labels."""

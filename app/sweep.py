@@ -9,7 +9,6 @@ from pathlib import Path, PurePath
 from typing import Annotated, Any
 
 import msgspec
-from cyclopts import Parameter
 
 from gsrain_engine.backends import Backend
 from gsrain_engine.sweep.executors import DaskCluster, Executor, LocalPool, SerialExecutor
@@ -21,36 +20,32 @@ from gsrain_engine.sweep.settings import load_sweep, sweep_names
 from gsrain_engine.trusted_code import check_trusted
 
 from .console import Console, print, run_with_progress, table_of
-from .options import JsonFile, Trust, check_within, split_words, with_trust
+from .options import JsonFile, Trust, check_within, flag, option, split_words, with_trust
 from .outputs import check_writable, lock_outputs, write_numbers
 
 SOME_FAILED, INTERRUPTED = 1, 130
 
 
 def sweep(
-    sweep: Annotated[str, Parameter(help=f"YAML file, or a shipped sweep: {', '.join(sweep_names())}.")],
+    sweep: Annotated[str, option(f"YAML file, or a shipped sweep: {', '.join(sweep_names())}.")],
     /,
     *,
     output: Annotated[
-        Path | None,
-        Parameter(name=["--output", "-o"], help="Folder for rows and tables; default: that of the sweep."),
+        Path | None, option("Folder for rows and tables; default: that of the sweep.", "--output", "-o")
     ] = None,
     workers: Annotated[
-        int | None, Parameter(help="Processes on this machine; default: half of its cores; 0: this process.")
+        int | None, option("Processes on this machine; default: half of its cores; 0: this process.")
     ] = None,
     shard: Annotated[
-        str | None,
-        Parameter(help="Run only share i of n, as i/n from 1: $SLURM_ARRAY_TASK_ID/$SLURM_ARRAY_TASK_COUNT."),
+        str | None, option("Run only share i of n, as i/n from 1: $SLURM_ARRAY_TASK_ID/$SLURM_ARRAY_TASK_COUNT.")
     ] = None,
-    dask: Annotated[str | None, Parameter(help="Run on a Dask cluster: address of its scheduler.")] = None,
+    dask: Annotated[str | None, option("Run on a Dask cluster: address of its scheduler.")] = None,
     dask_resources: Annotated[
-        str, Parameter(help="Resources of a Dask worker that a job needs, as NAME=AMOUNT, with commas: GPU=1.")
+        str, option("Resources of a Dask worker that a job needs, as NAME=AMOUNT, with commas: GPU=1.")
     ] = "",
-    retry_failed: Annotated[bool, Parameter(negative="", help="Repeat jobs that have failed.")] = False,
-    summarize_only: Annotated[
-        bool, Parameter(negative="", help="Run nothing; write tables and figures of existing rows.")
-    ] = False,
-    backend: Annotated[Backend | None, Parameter(help="Renderer; default: that of the sweep.")] = None,
+    retry_failed: Annotated[bool, flag("Repeat jobs that have failed.")] = False,
+    summarize_only: Annotated[bool, flag("Run nothing; write tables and figures of existing rows.")] = False,
+    backend: Annotated[Backend | None, option("Renderer; default: that of the sweep.")] = None,
     trust: Trust = False,
     json: JsonFile = None,
 ) -> int:

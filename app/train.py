@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
-from cyclopts import Parameter
 
 from gsrain_engine.appearance.scene_views import OWN_WIDTH_PX
 from gsrain_engine.datasets.capture import Capture
@@ -22,6 +21,7 @@ from .options import (
     JsonFile,
     converted_options,
     let_names_lead_outside,
+    option,
     option_error,
     options_of,
     split_words,
@@ -30,10 +30,8 @@ from .outputs import check_scene_folder, check_writable, lock_outputs, report_pa
 
 _COLUMNS = 110
 
-SceneFolder = Annotated[Path, Parameter(name=["--output", "-o"], help="Scene folder to write.")]
-Report = Annotated[
-    Path | None, Parameter(help="HTML report of the run; default: SCENE.report.html in the folder of SCENE.")
-]
+SceneFolder = Annotated[Path, option("Scene folder to write.", "--output", "-o")]
+Report = Annotated[Path | None, option("HTML report of the run; default: SCENE.report.html in the folder of SCENE.")]
 TrainingOptions = options_of(
     TrainingSettings,
     "steps width_px gaussians density sh_degree seed own_body device",
@@ -43,25 +41,24 @@ TrainingOptions = options_of(
 
 
 def reconstruct(
-    capture: Annotated[Path, Parameter(help="COLMAP, nerfstudio, DGP, nuScenes, KITTI, Waymo, or a capture folder.")],
+    capture: Annotated[Path, option("COLMAP, nerfstudio, DGP, nuScenes, KITTI, Waymo, or a capture folder.")],
     /,
     *,
     output: SceneFolder,
-    images: Annotated[Path | None, Parameter(help="Folder of images that replace the capture's own.")] = None,
+    images: Annotated[Path | None, option("Folder of images that replace the capture's own.")] = None,
     masks: Annotated[
-        Path | None, Parameter(help="Folder with a mask for each camera, named like it: white pixels are trained on.")
+        Path | None, option("Folder with a mask for each camera, named like it: white pixels are trained on.")
     ] = None,
     config: Annotated[
-        str | None,
-        Parameter(help=f"Settings: {', '.join(settings_names())}, or a YAML file; options replace its values."),
+        str | None, option(f"Settings: {', '.join(settings_names())}, or a YAML file; options replace its values.")
     ] = None,
     options: TrainingOptions | None = None,
     held_out: Annotated[
-        str | None, Parameter(help="Hold out every Nth view for measuring (0: none), or these names, with commas.")
+        str | None, option("Hold out every Nth view for measuring (0: none), or these names, with commas.")
     ] = None,
-    resume: Annotated[bool, Parameter(help="Continue from the checkpoint of a stopped run.")] = False,
+    resume: Annotated[bool, option("Continue from the checkpoint of a stopped run.")] = False,
     report: Report = None,
-    lpips: Annotated[Path | None, Parameter(help="Weights of LPIPS; default: those of this machine, if any.")] = None,
+    lpips: Annotated[Path | None, option("Weights of LPIPS; default: those of this machine, if any.")] = None,
     allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
@@ -156,24 +153,20 @@ SolverOptions = options_of(
 
 
 def recolor(
-    scene: Annotated[str, Parameter(help="Scene file or folder; street is the built-in street.")],
+    scene: Annotated[str, option("Scene file or folder; street is the built-in street.")],
     /,
     *,
-    images: Annotated[Path, Parameter(help="Capture with cameras; or, with --capture, a folder of changed images.")],
+    images: Annotated[Path, option("Capture with cameras; or, with --capture, a folder of changed images.")],
     output: SceneFolder,
     capture: Annotated[
-        Path | None, Parameter(help="Capture with the cameras; images are matched by name: SENSOR/NAME or NAME.")
+        Path | None, option("Capture with the cameras; images are matched by name: SENSOR/NAME or NAME.")
     ] = None,
-    replace: Annotated[bool, Parameter(help="Replace the clear colors instead of adding wet ones.")] = False,
+    replace: Annotated[bool, option("Replace the clear colors instead of adding wet ones.")] = False,
     solver: SolverOptions | None = None,
-    held_out: Annotated[int, Parameter(help="Hold out every Nth view for measuring; 0: none.")] = 8,
-    width: Annotated[int, Parameter(help="Wider images are downscaled to this width in pixels.")] = OWN_WIDTH_PX,
-    photometric_steps: Annotated[
-        int, Parameter(help="Final steps on absolute differences and structure; needs torch.")
-    ] = 0,
-    refine: Annotated[
-        bool, Parameter(help=f"Train all parameters in {_REFINE_STEPS} final steps; needs torch")
-    ] = False,
+    held_out: Annotated[int, option("Hold out every Nth view for measuring; 0: none.")] = 8,
+    width: Annotated[int, option("Wider images are downscaled to this width in pixels.")] = OWN_WIDTH_PX,
+    photometric_steps: Annotated[int, option("Final steps on absolute differences and structure; needs torch.")] = 0,
+    refine: Annotated[bool, option(f"Train all parameters in {_REFINE_STEPS} final steps; needs torch")] = False,
     report: Report = None,
     allow_outside: AllowOutside = False,
     json: JsonFile = None,

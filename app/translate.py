@@ -37,7 +37,9 @@ from .options import (
     Trust,
     check_paths,
     check_within,
+    flag,
     let_names_lead_outside,
+    option,
     options_of,
     with_trust,
 )
@@ -93,16 +95,15 @@ class MethodOptions(
 
     method: Annotated[
         str,
-        Parameter(
-            help="wet: computed, no weights; cyclegan-turbo: the paper's model; images: --images; or one of an "
+        option(
+            "wet: computed, no weights; cyclegan-turbo: the paper's model; images: --images; or one of an "
             "installed package."
         ),
     ] = "wet"
     rain: Annotated[
-        float | None,
-        Parameter(name=["--rain", "--intensity"], help="wet: wetness of steady rain of this intensity in mm/h."),
+        float | None, option("wet: wetness of steady rain of this intensity in mm/h.", "--rain", "--intensity")
     ] = None
-    no_normals: Annotated[bool, Parameter(help="cyclegan-turbo: same as --normals none.", negative="")] = False
+    no_normals: Annotated[bool, flag("cyclegan-turbo: same as --normals none.")] = False
 
     def checked(self) -> TransferSettings:
         """Return the settings. Raises ValueError, which names the option, for invalid ones."""
@@ -130,14 +131,14 @@ class MethodOptions(
 
 
 def transfer(
-    source: Annotated[str, Parameter(help="Scene file or folder, street (the built-in one), or a capture.")],
+    source: Annotated[str, option("Scene file or folder, street (the built-in one), or a capture.")],
     /,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder to write: a capture of rainy images.")],
+    output: Annotated[Path, option("Folder to write: a capture of rainy images.", "--output", "-o")],
     method: MethodOptions | None = None,
     views: ViewChoiceOptions | None = None,
-    capture: Annotated[Path | None, Parameter(help="Capture with the recorded cameras of a scene.")] = None,
-    contact_sheet: Annotated[Path | None, Parameter(help="Also write an image of some views before and after.")] = None,
+    capture: Annotated[Path | None, option("Capture with the recorded cameras of a scene.")] = None,
+    contact_sheet: Annotated[Path | None, option("Also write an image of some views before and after.")] = None,
     allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
@@ -259,20 +260,14 @@ FinetuneOptions = options_of(
 
 
 def train_transfer(
-    config: Annotated[str, Parameter(help=f"YAML file, or shipped settings: {', '.join(finetuning_names())}.")],
+    config: Annotated[str, option(f"YAML file, or shipped settings: {', '.join(finetuning_names())}.")],
     /,
     *,
-    output: Annotated[
-        Path, Parameter(name=["--output", "-o"], help="Folder for weights, checkpoint, losses, samples.")
-    ],
-    resume: Annotated[bool, Parameter(help="Continue from the checkpoint in FOLDER.", negative="")] = False,
+    output: Annotated[Path, option("Folder for weights, checkpoint, losses, samples.", "--output", "-o")],
+    resume: Annotated[bool, flag("Continue from the checkpoint in FOLDER.")] = False,
     options: FinetuneOptions | None = None,
-    clear: Annotated[
-        list[Path] | None, Parameter(help="Captures or folders of clear images, instead of CONFIG's.", negative="")
-    ] = None,
-    rainy: Annotated[
-        list[Path] | None, Parameter(help="Captures or folders of rainy images, instead of CONFIG's.", negative="")
-    ] = None,
+    clear: Annotated[list[Path] | None, flag("Captures or folders of clear images, instead of CONFIG's.")] = None,
+    rainy: Annotated[list[Path] | None, flag("Captures or folders of rainy images, instead of CONFIG's.")] = None,
     trust: Trust = False,
     allow_outside: AllowOutside = False,
     json: JsonFile = None,

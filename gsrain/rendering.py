@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from functools import cache
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 import PIL.Image
@@ -97,6 +97,24 @@ class Image:
         return file.getvalue()
 
 
+class Clip(TypedDict, total=False):
+    """Settings of a clip; see `frames`."""
+
+    size: tuple[int, int] | None
+    fps: float
+    start: float
+    end: float | None
+
+
+class VideoClip(Clip, total=False):
+    """Settings of a video; see `render_video`."""
+
+    clear_pair: bool
+    supersampling: int
+    motion_blur: int
+    quality: int | None
+
+
 class Renderer:
     """Renders without a window: `with gr.Renderer("cpu") as r: r.render(scene, rain, camera)`.
 
@@ -141,18 +159,15 @@ class Renderer:
         rain: RainSettings | None = None,
         path: CameraPath | Camera | None = None,
         *,
-        size: tuple[int, int] | None = None,
-        fps: float = 30.0,
-        start: float = 0.0,
-        end: float | None = None,
         depth: bool = False,
+        **clip: Unpack[Clip],
     ) -> Iterator[Image]:
         """Render the frames of a clip one by one; see `gr.frames`."""
-        recording = _recording("frames", path, size, fps, start, end)
+        export = _export("frames", path, clip)
         with self._lock:
             self._check_open()
             viewpoint = path or default_path(scene, *DEFAULT_SIZE_PX)
-            made = film_frames(self._renderer, recording, scene, rain or RainSettings(), viewpoint, with_depth=depth)
+            made = film_frames(self._renderer, export, scene, rain or RainSettings(), viewpoint, with_depth=depth)
         return self._frames(made)
 
     def render_video(
@@ -162,28 +177,18 @@ class Renderer:
         path: CameraPath | Camera | None,
         output: Path | str,
         *,
-        size: tuple[int, int] | None = None,
-        fps: float = 30.0,
-        start: float = 0.0,
-        end: float | None = None,
-        clear_pair: bool = False,
-        supersampling: int = 1,
-        motion_blur: int = 1,
-        quality: int | None = None,
         progress: Callable[[Progress], object] | None = None,
+        **clip: Unpack[VideoClip],
     ) -> Path:
         """Render a clip to a file; see `gr.render_video`."""
-        recording = _recording(
-            str(output), path, size, fps, start, end,
-            twin=clear_pair, supersampling=supersampling, motion_blur=motion_blur, quality=quality,
-        )  # fmt: skip
+        export = _export(str(output), path, clip)
         with self._lock:
             self._check_open()
             viewpoint = path or default_path(scene, *DEFAULT_SIZE_PX)
-            for step in film(self._renderer, recording, scene, rain or RainSettings(), viewpoint):
+            for step in film(self._renderer, export, scene, rain or RainSettings(), viewpoint):
                 if progress is not None:
                     progress(step)
-        return recording.path
+        return export.path
 
     def close(self) -> None:
         """Free the device; calling it again does nothing."""
@@ -333,7 +338,7 @@ def _shared(backend: Backend) -> Renderer:
 def _still_camera(
     scene: Scene, camera: Camera | CameraPath | None, size: tuple[int, int] | None, time: float
 ) -> Camera:
-    width, height = _recording("image.png", camera, size, 30.0, time, None).size_px or DEFAULT_SIZE_PX
+    width, height = _export("image.png", camera, {"size": size, "start": time}).size_px or DEFAULT_SIZE_PX
     match camera:
         case None:
             return home_camera(scene, width, height)
@@ -343,17 +348,12 @@ def _still_camera(
             return camera.camera(time, width, height)
 
 
-def _recording(
-    output: str,
-    viewpoint: Camera | CameraPath | None,
-    size: tuple[int, int] | None,
-    fps: float,
-    start: float,
-    end: float | None,
-    **settings: Any,
-) -> ExportSettings:
+def _export(output: str, viewpoint: Camera | CameraPath | None, clip: Clip | VideoClip) -> ExportSettings:
     """Return checked settings of a clip; errors name the argument."""
     own = None if isinstance(viewpoint, Camera) else DEFAULT_SIZE_PX
-    values = {"output": output, "size_px": size or own, "fps": fps, "first_s": start, "last_s": end} | settings
-    fields = {"size": "size_px", "start": "first_s", "end": "last_s", "clear_pair": "twin"}
-    return checked_settings(values, ExportSettings, fields)
+    values = {_FIELDS.get(name, name): value for name, value in clip.items()} | {"size_px": clip.get("size") or own}
+    return checked_settings(values | {"output": output}, ExportSettings, _FIELDS)
+
+
+_FIELDS = {"size": "size_px", "start": "first_s", "end": "last_s", "clear_pair": "twin"}
+"""Fields of `ExportSettings` by argument, if their names differ."""

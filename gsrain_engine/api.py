@@ -8,22 +8,21 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-_PLACES = {
-    each.asname or each.name: (f"gsrain_engine.{node.module}", each.name)
-    for node in ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")).body
-    if isinstance(node, ast.ImportFrom)
-    for each in node.names
-}
-"""Module, and name there, of each name."""
+_STUB = ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")).body
+_PLACES = {each.name: str(node.module) for node in _STUB if isinstance(node, ast.ImportFrom) for each in node.names}
+"""Module of each name, relative to `gsrain_engine`."""
+
+_RENAMED = {ast.unparse(node.targets[0]): ast.unparse(node.value) for node in _STUB if isinstance(node, ast.Assign)}
+"""Names of version 0.1, and those of today."""
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _PLACES:
+    present = _RENAMED.get(name, name)
+    if present not in _PLACES:
         raise AttributeError(f"gsrain_engine.api has no {name!r}")
-    module, present = _PLACES[name]
-    found = globals()[name] = getattr(import_module(module), present)
+    found = globals()[name] = getattr(import_module(f"gsrain_engine.{_PLACES[present]}"), present)
     return found
 
 
 def __dir__() -> list[str]:
-    return sorted(name for name, (_, present) in _PLACES.items() if name == present)
+    return sorted(_PLACES)

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from cyclopts import Parameter
 from jaxtyping import UInt8
 from PIL import Image
 
@@ -29,16 +28,8 @@ from gsrain_engine.render.images import write_image
 from gsrain_engine.scene.scene_hash import file_hash
 
 from ..console import Console, bold, print, progress_bar, table_of
-from ..options import AllowOutside, JsonFileOrScreen, check_within, let_names_lead_outside
-from ..outputs import (
-    check_image,
-    check_page,
-    provenance_lines,
-    run_provenance,
-    table_stream,
-    write_numbers,
-    write_page,
-)
+from ..options import AllowOutside, JsonFileOrScreen, check_within, let_names_lead_outside, option
+from ..outputs import check_image, check_page, provenance_lines, run_provenance, table_stream, write_numbers, write_page
 from .images import open_lpips
 
 _COLUMNS = 150
@@ -46,26 +37,23 @@ _COLUMNS = 150
 
 def consistency(
     folders: Annotated[
-        tuple[Path, ...],
-        Parameter(name="DIR", help="Output folders of gsrain transfer, or captures with depth, to compare."),
+        tuple[Path, ...], option("Output folders of gsrain transfer, or captures with depth, to compare.", "DIR")
     ],
     /,
     *,
-    neighbors: Annotated[int, Parameter(help="Number of neighbors that each view is compared with.")] = 2,
+    neighbors: Annotated[int, option("Number of neighbors that each view is compared with.")] = 2,
     water_film: Annotated[
-        float, Parameter(help="Minimum share of reflected light, 0..1, of a pixel of the water film.")
+        float, option("Minimum share of reflected light, 0..1, of a pixel of the water film.")
     ] = FILM_SHARE,
-    width: Annotated[int | None, Parameter(help="Maximum width of a capture's images; default: 960.")] = None,
+    width: Annotated[int | None, option("Maximum width of a capture's images; default: 960.")] = None,
     lpips: Annotated[
         str | None,
-        Parameter(help="LPIPS too: alex (some seconds a pair) or vgg (slower) of this machine, or a file of weights."),
+        option("LPIPS too: alex (some seconds a pair) or vgg (slower) of this machine, or a file of weights."),
     ] = None,
-    contact_sheet: Annotated[
-        Path | None, Parameter(help="Image of some pairs, warped, with their errors (.png).")
-    ] = None,
-    contact_sheet_pairs: Annotated[int, Parameter(help="Number of pairs on that image.")] = 4,
+    contact_sheet: Annotated[Path | None, option("Image of some pairs, warped, with their errors (.png).")] = None,
+    contact_sheet_pairs: Annotated[int, option("Number of pairs on that image.")] = 4,
     report: Annotated[
-        Path | None, Parameter(help="Also write an HTML page with that image, and the numbers as JSON next to it.")
+        Path | None, option("Also write an HTML page with that image, and the numbers as JSON next to it.")
     ] = None,
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,

@@ -12,7 +12,6 @@ from typing import Annotated, Any
 
 import msgspec
 import numpy as np
-from cyclopts import Parameter
 from jaxtyping import Float64, UInt8
 from PIL import Image
 
@@ -74,16 +73,18 @@ from gsrain_engine.scene.scene_hash import file_hash, scene_hash
 
 from ..console import Console, print, progress_bar, table_of
 from ..options import (
+    BACKEND,
     RAIN_OPTIONS,
     AllowOutside,
-    BackendHelp,
     Exposure,
     JsonFile,
     Preset,
     Wet,
     check_within,
     converted_options,
+    flag,
     let_names_lead_outside,
+    option,
     parse_intensities,
     split_words,
 )
@@ -96,50 +97,43 @@ _COLUMNS = 150
 
 def detection(
     source: Annotated[
-        str | None, Parameter(name="SCENE|CAPTURE", help="Scene or capture; without one, the built-in street.")
+        str | None, option("Scene or capture; without one, the built-in street.", "SCENE|CAPTURE")
     ] = None,
     /,
     *,
-    detector: Annotated[
-        list[Path], Parameter(help="ONNX file of a detector; may be given several times.", negative="")
-    ],
+    detector: Annotated[list[Path], flag("ONNX file of a detector; may be given several times.")],
     description: Annotated[
         list[str] | None,
-        Parameter(
-            help="Description of the detectors, one for all or one each: a shipped name such as yolox, or a YAML file. "
-            "Default: FILE.yaml next to the ONNX file, else from the file itself.",
-            negative="",
+        flag(
+            "Description of the detectors, one for all or one each: a shipped name such as yolox, or a YAML file. "
+            "Default: FILE.yaml next to the ONNX file, else from the file itself."
         ),
     ] = None,
     rain: Annotated[
-        str,
-        Parameter(
-            name=["--rain", "--intensity"], help="Intensities in mm/h, 0..100, with commas; 0 is always included."
-        ),
+        str, option("Intensities in mm/h, 0..100, with commas; 0 is always included.", "--rain", "--intensity")
     ] = "0,1.2,8.5,12",
-    seeds: Annotated[int, Parameter(help="Number of rains of each intensity: seeds 0 to N-1.")] = 5,
-    frames: Annotated[int, Parameter(help="Number of moments of the drive; of a capture, images of each camera.")] = 4,
-    first: Annotated[float | None, Parameter(name="--from", help="First moment in seconds of scene time.")] = None,
-    last: Annotated[float | None, Parameter(name="--to", help="Last moment in seconds of scene time.")] = None,
+    seeds: Annotated[int, option("Number of rains of each intensity: seeds 0 to N-1.")] = 5,
+    frames: Annotated[int, option("Number of moments of the drive; of a capture, images of each camera.")] = 4,
+    first: Annotated[float | None, option("First moment in seconds of scene time.", "--from")] = None,
+    last: Annotated[float | None, option("Last moment in seconds of scene time.", "--to")] = None,
     cameras: Annotated[
-        str, Parameter(help="Rig cameras, with commas: RIG/NAME, NAME or all. Default: ahead; of a capture all.")
+        str, option("Rig cameras, with commas: RIG/NAME, NAME or all. Default: ahead; of a capture all.")
     ] = "",
-    width: Annotated[int, Parameter(help="Width of the images in pixels.")] = 960,
+    width: Annotated[int, option("Width of the images in pixels.")] = 960,
     capture: Annotated[
-        Path | None, Parameter(help="Capture that the scene was reconstructed from: its images are tested too.")
+        Path | None, option("Capture that the scene was reconstructed from: its images are tested too.")
     ] = None,
     truth: Annotated[
-        Path | None, Parameter(help="COCO file with the ground truth of the capture; default: its 3D boxes.")
+        Path | None, option("COCO file with the ground truth of the capture; default: its 3D boxes.")
     ] = None,
     wet: Wet = False,
     preset: Preset = None,
     exposure: Exposure = None,
-    backend: Annotated[Backend, BackendHelp] = "auto",
+    backend: Annotated[Backend, BACKEND] = "auto",
     output: Annotated[
-        Path | None,
-        Parameter(name=["--output", "-o"], help="Folder for tables (CSV, Parquet), figures, report.html and numbers."),
+        Path | None, option("Folder for tables (CSV, Parquet), figures, report.html and numbers.", "--output", "-o")
     ] = None,
-    video: Annotated[Path | None, Parameter(help="MP4 or WebM: the views in each rain with the detections.")] = None,
+    video: Annotated[Path | None, option("MP4 or WebM: the views in each rain with the detections.")] = None,
     allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:

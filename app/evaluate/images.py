@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from cyclopts import Parameter
 from jaxtyping import Bool, UInt8
 
 from gsrain_engine.datasets.capture import Capture, CaptureFrame
@@ -35,7 +34,7 @@ from gsrain_engine.evaluation.report import ReportTable, RunReport
 from gsrain_engine.evaluation.report_charts import Distance, ImageComparison
 
 from ..console import Console, Table, bold, print, progress_bar
-from ..options import AllowOutside, JsonFileOrScreen, check_within, let_names_lead_outside
+from ..options import AllowOutside, JsonFileOrScreen, check_within, flag, let_names_lead_outside, option
 from ..outputs import (
     check_ending,
     check_page,
@@ -48,7 +47,7 @@ from ..outputs import (
     write_page,
 )
 
-Report = Annotated[Path | None, Parameter(help="Also write an HTML page, with the numbers as JSON next to it.")]
+Report = Annotated[Path | None, option("Also write an HTML page, with the numbers as JSON next to it.")]
 _COLUMNS = 120
 _MAX_ROWS = 40
 Mask = Bool[np.ndarray, "h w"]
@@ -56,20 +55,18 @@ Image = UInt8[np.ndarray, "h w 3"]
 
 
 def images(
-    shown: Annotated[Path, Parameter(name="A", help="An image, a folder of images, or a capture.")],
-    truth: Annotated[
-        Path, Parameter(name="B", help="Reference images of the same names and sizes; for a single image, any one.")
-    ],
+    shown: Annotated[Path, option("An image, a folder of images, or a capture.", "A")],
+    truth: Annotated[Path, option("Reference images of the same names and sizes; for a single image, any one.", "B")],
     /,
     *,
     masks: Annotated[
         Path | None,
-        Parameter(help="Mask, or folder of masks NAME.png, black where ignored; default: those of B, if it has any."),
+        option("Mask, or folder of masks NAME.png, black where ignored; default: those of B, if it has any."),
     ] = None,
     lpips: Annotated[
-        str | None, Parameter(help="LPIPS too: alex or vgg of this machine's weights, or a file of weights.")
+        str | None, option("LPIPS too: alex or vgg of this machine's weights, or a file of weights.")
     ] = None,
-    seed: Annotated[int, Parameter(help="Same seed, same intervals.")] = 0,
+    seed: Annotated[int, option("Same seed, same intervals.")] = 0,
     report: Report = None,
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
@@ -195,27 +192,23 @@ _log = logging.getLogger(__name__)
 
 
 def fid(
-    real: Annotated[Path, Parameter(name="REAL", help="Folder of real images, or a capture.")],
+    real: Annotated[Path, option("Folder of real images, or a capture.", "REAL")],
     fake: Annotated[
-        tuple[Path, ...],
-        Parameter(name="FAKE", help="Folders of images, captures, or output folders of gsrain transfer."),
+        tuple[Path, ...], option("Folders of images, captures, or output folders of gsrain transfer.", "FAKE")
     ],
     /,
     *,
     extractor: Annotated[
-        str, Parameter(help=f"Feature extractors, with commas: {', '.join(EXTRACTORS)}. Only the first one gives FID.")
+        str, option(f"Feature extractors, with commas: {', '.join(EXTRACTORS)}. Only the first one gives FID.")
     ] = "inception",
-    weights: Annotated[Path | None, Parameter(help="File of the extractor's weights; default: this machine's.")] = None,
-    torchscript: Annotated[
-        bool, Parameter(negative="", help="Allow a TorchScript file of Inception, which contains a program.")
-    ] = False,
-    device: Annotated[Literal["cpu", "cuda"], Parameter(help="Device on which torch computes features.")] = "cpu",
+    weights: Annotated[Path | None, option("File of the extractor's weights; default: this machine's.")] = None,
+    torchscript: Annotated[bool, flag("Allow a TorchScript file of Inception, which contains a program.")] = False,
+    device: Annotated[Literal["cpu", "cuda"], option("Device on which torch computes features.")] = "cpu",
     resamples: Annotated[
-        int | None,
-        Parameter(help="Bootstrap resamples for the intervals; default: 200, fewer for over 500 images."),
+        int | None, option("Bootstrap resamples for the intervals; default: 200, fewer for over 500 images.")
     ] = None,
-    seed: Annotated[int, Parameter(help="Same seed, same intervals.")] = 0,
-    cache: Annotated[bool, Parameter(help="Read and write cached features of images.")] = True,
+    seed: Annotated[int, option("Same seed, same intervals.")] = 0,
+    cache: Annotated[bool, option("Read and write cached features of images.")] = True,
     report: Report = None,
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
@@ -358,13 +351,13 @@ def _kernel_row(row: DistributionDistance) -> tuple[Any, ...]:
 
 # Published weights as plain arrays
 
-_Output = Annotated[Path, Parameter(name=["--output", "-o"], help="File to write: .safetensors, or .npz.")]
+_Output = Annotated[Path, option("File to write: .safetensors, or .npz.", "--output", "-o")]
 
 
 def lpips_weights(
     files: Annotated[
         tuple[Path, ...],
-        Parameter(name="IN", help="A file of LPIPS weights, or two: the published heads and torchvision's network."),
+        option("A file of LPIPS weights, or two: the published heads and torchvision's network.", "IN"),
     ],
     /,
     *,
@@ -383,10 +376,7 @@ def lpips_weights(
 
 
 def inception_weights(
-    file: Annotated[Path, Parameter(name="IN", help="pt_inception-2015-12-05-6726825d.pth of pytorch-fid.")],
-    /,
-    *,
-    output: _Output,
+    file: Annotated[Path, option("pt_inception-2015-12-05-6726825d.pth of pytorch-fid.", "IN")], /, *, output: _Output
 ) -> None:
     """Convert the Inception weights of FID to plain arrays. Nothing in the file is run."""
     try:

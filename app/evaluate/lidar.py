@@ -10,7 +10,6 @@ from typing import Annotated, Any
 
 import msgspec
 import numpy as np
-from cyclopts import Parameter
 from jaxtyping import Int64
 from PIL import Image
 
@@ -26,7 +25,7 @@ from gsrain_engine.scene.files import file_word
 from gsrain_engine.scene.scene_hash import file_hash, scene_hash
 
 from ..console import Console, Table, progress_bar
-from ..options import AllowOutside, JsonFileOrScreen, check_within, let_names_lead_outside, parse_intensities
+from ..options import AllowOutside, JsonFileOrScreen, check_within, let_names_lead_outside, option, parse_intensities
 from ..outputs import claim_outputs, provenance_lines, run_provenance, table_stream, write_numbers, write_text
 from ..scene import names_scene
 
@@ -38,33 +37,30 @@ _Runs = Mapping[float, Sequence[RainRunCounts]]
 
 def lidar(
     source: Annotated[
-        str, Parameter(name="SCENE|CAPTURE", help="Scene to scan, or capture with lidar sweeps; default: the street.")
+        str, option("Scene to scan, or capture with lidar sweeps; default: the street.", "SCENE|CAPTURE")
     ] = "street",
     /,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder for figure, table and sweeps.")],
-    rain: Annotated[
-        str, Parameter(name=["--rain", "--intensity"], help="Intensities in mm/h, with commas between.")
-    ] = "0,1.2,8.5,12",
-    seeds: Annotated[int, Parameter(help="Number of rains of each intensity: seeds 0, 1, ...")] = 5,
-    sweeps: Annotated[int, Parameter(help="Number of lidar turns, evenly over the capture or the drive.")] = 1,
-    sensor: Annotated[str, Parameter(help=f"{', '.join(SENSORS)} (beams, or nm), or a YAML file of a sensor.")] = "64",
+    output: Annotated[Path, option("Folder for figure, table and sweeps.", "--output", "-o")],
+    rain: Annotated[str, option("Intensities in mm/h, with commas between.", "--rain", "--intensity")] = "0,1.2,8.5,12",
+    seeds: Annotated[int, option("Number of rains of each intensity: seeds 0, 1, ...")] = 5,
+    sweeps: Annotated[int, option("Number of lidar turns, evenly over the capture or the drive.")] = 1,
+    sensor: Annotated[str, option(f"{', '.join(SENSORS)} (beams, or nm), or a YAML file of a sensor.")] = "64",
     range_10: Annotated[
         float | None,
-        Parameter(help="Range in m at which 10 % of reflectance is just detected; default: from a capture's sweeps."),
+        option("Range in m at which 10 % of reflectance is just detected; default: from a capture's sweeps."),
     ] = None,
     min_reflectance: Annotated[
         float | None,
-        Parameter(help="Minimum reflectance detected at close range, 0..0.1: sets false returns; 0: constant gain."),
+        option("Minimum reflectance detected at close range, 0..0.1: sets false returns; 0: constant gain."),
     ] = None,
-    answer: Annotated[Answer, Parameter(help="Reported echo of a beam.")] = "strongest",
-    wet_road: Annotated[bool, Parameter(help="Water on the road reflects grazing beams away.")] = True,
+    answer: Annotated[Answer, option("Reported echo of a beam.")] = "strongest",
+    wet_road: Annotated[bool, option("Water on the road reflects grazing beams away.")] = True,
     full_intensity: Annotated[
-        float | None,
-        Parameter(help="A capture's intensity of a white matt surface; default: 1, or 100 if values exceed 1."),
+        float | None, option("A capture's intensity of a white matt surface; default: 1, or 100 if values exceed 1.")
     ] = None,
-    reflectance: Annotated[float, Parameter(help="Near-infrared reflectance of all surfaces of a scene.")] = 0.2,
-    write_sweeps: Annotated[bool, Parameter(help="Write each sweep in rain (.npz).")] = True,
+    reflectance: Annotated[float, option("Near-infrared reflectance of all surfaces of a scene.")] = 0.2,
+    write_sweeps: Annotated[bool, option("Write each sweep in rain (.npz).")] = True,
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
 ) -> None:

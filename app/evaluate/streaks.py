@@ -7,8 +7,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from cyclopts import Parameter
-
 from gsrain_engine.datasets.rainsense import RainSequence, find_rain_sequences
 from gsrain_engine.evaluation.real_rain import (
     FrameStatistics,
@@ -21,7 +19,7 @@ from gsrain_engine.evaluation.streaks import ANGLE_EDGES_DEG, LENGTH_EDGES_PX, W
 from gsrain_engine.rain.settings import RainSettings
 
 from ..console import Console, Table, progress_bar, table_of
-from ..options import JsonFileOrScreen, check_within, converted_options
+from ..options import JsonFileOrScreen, check_within, converted_options, option
 from ..outputs import check_writable, table_stream, write_numbers
 
 _OPTIONS = {"intensity_mm_h": "rain", "aperture_mm": "aperture", "rain_light": "blend-space"}
@@ -31,26 +29,25 @@ _log = logging.getLogger(__name__)
 
 
 def streaks(
-    real: Annotated[Path, Parameter(name="REAL_DIR", help="RainSense, or one or more of its sequences.")],
+    real: Annotated[Path, option("RainSense, or one or more of its sequences.", "REAL_DIR")],
     /,
     *,
     rain: Annotated[
-        float | None,
-        Parameter(name=["--rain", "--intensity"], help="Rendered intensity in mm/h; default: that of each sequence."),
+        float | None, option("Rendered intensity in mm/h; default: that of each sequence.", "--rain", "--intensity")
     ] = None,
-    exposure: Annotated[str, Parameter(help="Rendered shutter times in seconds, with commas between.")] = "0.004,0.016",
-    frames: Annotated[int, Parameter(help="Number of frames of each sequence to measure, and to render.")] = 16,
+    exposure: Annotated[str, option("Rendered shutter times in seconds, with commas between.")] = "0.004,0.016",
+    frames: Annotated[int, option("Number of frames of each sequence to measure, and to render.")] = 16,
     window: Annotated[
-        str | None, Parameter(help="LEFT,TOP,WIDTH,HEIGHT in pixels; default: the image above the horizon.")
+        str | None, option("LEFT,TOP,WIDTH,HEIGHT in pixels; default: the image above the horizon.")
     ] = None,
     blend_space: Annotated[
-        Literal["linear", "display"], Parameter(help="Space in which a drop's light adds: linear light, or display.")
+        Literal["linear", "display"], option("Space in which a drop's light adds: linear light, or display.")
     ] = "linear",
-    streak_gain: Annotated[float, Parameter(help="Multiplies the opacity of rendered streaks; 1 is physical.")] = 1.0,
+    streak_gain: Annotated[float, option("Multiplies the opacity of rendered streaks; 1 is physical.")] = 1.0,
     aperture: Annotated[
-        float, Parameter(help="Lens opening in mm; drops nearer than its focus, 10 m, blur with it. 0: all sharp.")
+        float, option("Lens opening in mm; drops nearer than its focus, 10 m, blur with it. 0: all sharp.")
     ] = 0.0,
-    seed: Annotated[int, Parameter(help="Same seed, same drops.")] = 0,
+    seed: Annotated[int, option("Same seed, same drops.")] = 0,
     json: JsonFileOrScreen = None,
 ) -> None:
     """Measure rain streaks in the frames of a static camera, and in our rain over the same background."""

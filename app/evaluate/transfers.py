@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
-from cyclopts import Parameter
 from PIL import Image
 
 from gsrain_engine.appearance.registry import find_method
@@ -41,7 +40,7 @@ from gsrain_engine.scene.files import whole_file
 from gsrain_engine.scene.scene_hash import scene_hash
 
 from ..console import Console, bold, print, run_with_progress, table_of
-from ..options import AllowOutside, JsonFileOrScreen, Trust, let_names_lead_outside, split_words, with_trust
+from ..options import AllowOutside, JsonFileOrScreen, Trust, let_names_lead_outside, option, split_words, with_trust
 from ..outputs import (
     claim_outputs,
     provenance_lines,
@@ -59,15 +58,13 @@ _COLUMNS = 160
 
 def transfers(
     comparison: Annotated[
-        str, Parameter(help=f"YAML file, or a shipped comparison: {', '.join(shipped_config_names(SHIPPED))}.")
+        str, option(f"YAML file, or a shipped comparison: {', '.join(shipped_config_names(SHIPPED))}.")
     ],
     /,
     *,
-    output: Annotated[
-        Path, Parameter(name=["--output", "-o"], help="Folder for images, table, figure; a second run resumes.")
-    ],
-    only: Annotated[str, Parameter(help="Run only these methods, by name, with commas.")] = "",
-    device: Annotated[Literal["cpu", "cuda"], Parameter(help="Device on which torch computes features.")] = "cpu",
+    output: Annotated[Path, option("Folder for images, table, figure; a second run resumes.", "--output", "-o")],
+    only: Annotated[str, option("Run only these methods, by name, with commas.")] = "",
+    device: Annotated[Literal["cpu", "cuda"], option("Device on which torch computes features.")] = "cpu",
     trust: Trust = False,
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,

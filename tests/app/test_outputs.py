@@ -43,7 +43,7 @@ OUTPUTS = {
     "evaluate lidar": ["none -o OUT", "none -o ok --json OUT"],
 }
 """Command lines with OUT in each place of a file or folder that is written; what they read is not there."""
-_WRITTEN = {"output", "target", "directory", "json", "sheet", "plot", "report", "video", "overlay"}
+_WRITTEN = {"output", "target", "directory", "json", "contact_sheet", "plot", "report", "video", "overlay"}
 LINES = [f"{command} {rest}" for command, lines in OUTPUTS.items() for rest in lines]
 
 
