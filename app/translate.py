@@ -11,18 +11,14 @@ import numpy as np
 from cyclopts import Parameter
 from jaxtyping import Bool, Float64
 
+from gsrain_engine.appearance import output_folder
 from gsrain_engine.appearance.base import ClearView, RainyView, SkippedCounts, TransferSettings
+from gsrain_engine.appearance.capture_views import capture_views
 from gsrain_engine.appearance.finetune.settings import FinetuningSettings, finetuning_names, load_finetuning
 from gsrain_engine.appearance.finetune.task import FinetuneResult, FinetuneTask
-from gsrain_engine.appearance.output_folder import (
-    ContactSheet,
-    TransferRecord,
-    check_transferred_folder,
-    write_transferred,
-)
 from gsrain_engine.appearance.registry import find_method, open_transfer
-from gsrain_engine.appearance.scene_views import OWN_WIDTH_PX, ViewChoice, chosen_cameras, chosen_views
-from gsrain_engine.appearance.wet_look.environment import ReflectionEnvironment
+from gsrain_engine.appearance.scene_views import OWN_WIDTH_PX, ViewChoice, chosen_cameras, chosen_views, scene_views
+from gsrain_engine.appearance.wet_look.environment import ImageEnvironment, ReflectionEnvironment, SceneEnvironment
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.editor.jobs.training import HOW_TO_GET_DIFFUSION, require_torch
 from gsrain_engine.editor.jobs.training import train_transfer as work
@@ -152,13 +148,13 @@ def transfer(
     chosen.check()
     check_image("--contact-sheet", contact_sheet)
     check_writable(contact_sheet, json, folders=[output])
-    check_transferred_folder(output)
+    output_folder.check_transferred_folder(output)
     lock_outputs(output)
     opened = source_views(source, choice, capture)
     model = open_transfer(chosen.method, settings, opened.surroundings)
     values = msgspec.to_builtins(settings, enc_hook=str) | msgspec.to_builtins(choice) | {"width_px": opened.width_px}
-    record = TransferRecord(chosen.method, opened.name, values, opened.to_world)
-    rainy = write_transferred(output, model.transferred(opened.views), record, opened.mask)
+    record = output_folder.TransferRecord(chosen.method, opened.name, values, opened.to_world)
+    rainy = output_folder.write_transferred(output, model.transferred(opened.views), record, opened.mask)
     numbers = {"method": chosen.method, "width_px": opened.width_px}
     numbers |= _write_views(rainy, len(opened.views), contact_sheet)
     for note in numbers["notes"]:
@@ -172,7 +168,7 @@ def transfer(
 
 def _write_views(rainy: Iterator[RainyView], count: int, sheet: Path | None) -> dict[str, Any]:
     """Make the views with a progress bar; returns the numbers of `--json`."""
-    started, films, pictures = time.perf_counter(), list[float](), ContactSheet(count)
+    started, films, pictures = time.perf_counter(), list[float](), output_folder.ContactSheet(count)
     made, left_out = 0, SkippedCounts()
     with progress_bar("Rainy views", count, draws=True) as advance:
         for view in rainy:
@@ -219,35 +215,21 @@ def source_views(source: str, choice: ViewChoice, capture: Path | None) -> Sourc
     Raises ValueError, which names the option, if the choice doesn't fit.
     """
     if names_scene(source):
-        return _of_scene(source, choice, capture)
+        if choice.source == "recorded" and capture is None:
+            raise ValueError("--views recorded needs --capture, where the cameras come from")
+        scene = load_scene(source)
+        placed = chosen_cameras(scene, choice, None if capture is None else open_capture(capture), OWN_WIDTH_PX)
+        views, around = scene_views(scene, placed), SceneEnvironment(scene)
+        width_px = max(each.camera.width for each in placed)
+        return SourceViews(scene.name, views, around, scene.scene_to_world, width_px, lambda name: None)
     if choice.source not in ("auto", "recorded"):
         raise ValueError(f"--views {choice.source}: {source} is a capture, whose views are those of its pictures")
     if capture is not None:
         raise ValueError(f"--capture: {source} is a capture itself")
-    return _of_capture(Path(source), choice)
-
-
-def _of_scene(source: str, choice: ViewChoice, capture: Path | None) -> SourceViews:
-    from gsrain_engine.appearance.scene_views import scene_views  # kernels take a second to load
-    from gsrain_engine.appearance.wet_look.environment import SceneEnvironment
-
-    if choice.source == "recorded" and capture is None:
-        raise ValueError("--views recorded needs --capture, where the cameras come from")
-    scene = load_scene(source)
-    placed = chosen_cameras(scene, choice, None if capture is None else open_capture(capture), OWN_WIDTH_PX)
-    width_px = max(each.camera.width for each in placed)
-    views, around = scene_views(scene, placed), SceneEnvironment(scene)
-    return SourceViews(scene.name, views, around, scene.scene_to_world, width_px, lambda name: None)
-
-
-def _of_capture(source: Path, choice: ViewChoice) -> SourceViews:
-    from gsrain_engine.appearance.capture_views import capture_views
-    from gsrain_engine.appearance.wet_look.environment import ImageEnvironment
-
     max_px = choice.width_px or OWN_WIDTH_PX
-    capture = chosen_views(open_capture(source), choice)
-    views, width_px = capture_views(capture, max_px), max(min(max_px, view.camera.width) for view in capture)
-    return SourceViews(capture.name, views, ImageEnvironment(), views.to_world, width_px, views.mask)
+    opened = chosen_views(open_capture(Path(source)), choice)
+    views, width_px = capture_views(opened, max_px), max(min(max_px, view.camera.width) for view in opened)
+    return SourceViews(opened.name, views, ImageEnvironment(), views.to_world, width_px, views.mask)
 
 
 # gsrain train-transfer

@@ -26,36 +26,12 @@ from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.datasets.capture import Capture, CaptureFrame
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.undistort import undistort_frame
+from gsrain_engine.evaluation.detection import run as evaluation
+from gsrain_engine.evaluation.detection import summary
 from gsrain_engine.evaluation.detection.detector import Detector, open_detector
 from gsrain_engine.evaluation.detection.figures import detection_sheet, figure_pixels, object_figure, precision_figure
 from gsrain_engine.evaluation.detection.ground_truth import MIN_HEIGHT_PX, MIN_VISIBILITY, read_coco
 from gsrain_engine.evaluation.detection.metrics import Robustness
-from gsrain_engine.evaluation.detection.run import (
-    FINISHED_FILE,
-    ConditionRenderer,
-    DetectionResult,
-    EvaluatedFrame,
-    EvaluatedImage,
-    ObjectRow,
-    ResultCache,
-    conditions_of,
-    evaluate_images,
-    object_rows,
-    recorded_frames,
-    scene_frames,
-)
-from gsrain_engine.evaluation.detection.summary import (
-    FOUND_FROM,
-    DistanceScore,
-    ScoreByIntensity,
-    SeedSpread,
-    distance_scores,
-    plain,
-    robustness_of,
-    scores,
-    write_csv,
-    write_parquet,
-)
 from gsrain_engine.evaluation.input_fingerprint import input_fingerprint
 from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, write_report
 from gsrain_engine.rain.settings import RainSettings, load_preset
@@ -165,7 +141,7 @@ def detection(
     with open_renderer(backend) as renderer:
         prepared = opened_source(renderer, chosen, converted_options(values, RainSettings, RAIN_OPTIONS))
         originals = all(frame.original is not None for frame in prepared.frames)
-        trials = conditions_of(
+        trials = evaluation.conditions_of(
             tuple(intensities), tuple(range(seeds)), originals=originals, scene=not prepared.pictures.is_in_front
         )
         collector = DetectionVideo(video, prepared.frame_rate)
@@ -179,7 +155,7 @@ def detection(
                 progress_bar("Detecting", len(prepared.frames) * len(trials), draws=True)
             )
             open_files.callback(collector.close)
-            for image in evaluate_images(prepared.pictures, detectors, prepared.frames, trials, cache):
+            for image in evaluation.evaluate_images(prepared.pictures, detectors, prepared.frames, trials, cache):
                 collector.add(image)
                 advance()
             collector.finish_view()
@@ -215,8 +191,8 @@ class PreparedSource:
     """Views with their ground truth, and the renderer of their images."""
 
     name: str
-    pictures: ConditionRenderer
-    frames: list[EvaluatedFrame]
+    pictures: evaluation.ConditionRenderer
+    frames: list[evaluation.EvaluatedFrame]
     frame_rate: float
     """Frame rate of a video of the views."""
     inputs: dict[str, str]
@@ -236,7 +212,7 @@ def open_cache(
     files: Sequence[Path],
     backend: str,
     is_wet: bool,
-) -> ResultCache:
+) -> evaluation.ResultCache:
     """Open the cached results in a folder, and report how many of an earlier run are still valid."""
     inputs = {
         "inputs": source.inputs,
@@ -251,10 +227,10 @@ def open_cache(
         each.name: file_hash(file) + msgspec.json.encode(each.description, order="sorted").decode()
         for each, file in zip(detectors, files, strict=True)
     }
-    cache = ResultCache(folder / FINISHED_FILE, inputs, used)
+    cache = evaluation.ResultCache(folder / evaluation.FINISHED_FILE, inputs, used)
     count = cache.read(source.frames)
     if count:
-        print(f"{folder / FINISHED_FILE}: {count} pictures judged before")
+        print(f"{folder / evaluation.FINISHED_FILE}: {count} pictures judged before")
     return cache
 
 
@@ -265,9 +241,9 @@ def open_cache(
 class DetectionNumbers:
     """Results of the command."""
 
-    rows: list[ObjectRow]
-    scores: list[ScoreByIntensity]
-    distances: list[DistanceScore]
+    rows: list[evaluation.ObjectRow]
+    scores: list[summary.ScoreByIntensity]
+    distances: list[summary.DistanceScore]
     robustness: dict[str, Robustness]
     settings: dict[str, Any]
     not_named: dict[str, dict[str, int]]
@@ -280,14 +256,14 @@ class DetectionNumbers:
             "settings": self.settings,
             "robustness": {n: {k: None if v != v else v for k, v in each.items()} for n, each in left.items()},
             "not_named": self.not_named,
-            "scores": [plain(each) for each in self.scores],
-            "recall_by_distance": [plain(each) for each in self.distances],
+            "scores": [summary.plain(each) for each in self.scores],
+            "recall_by_distance": [summary.plain(each) for each in self.distances],
             "rows": [row.plain() for row in self.rows],
         }
 
 
 def detection_numbers(
-    judgements: Sequence[DetectionResult],
+    judgements: Sequence[evaluation.DetectionResult],
     detectors: Sequence[Detector],
     files: Sequence[Path],
     backend: str,
@@ -295,7 +271,7 @@ def detection_numbers(
     seeds: int,
 ) -> DetectionNumbers:
     """Compute all numbers. Raises ValueError if no view shows a detectable object."""
-    rows = [row for each in judgements for row in object_rows(each)]
+    rows = [row for each in judgements for row in evaluation.object_rows(each)]
     not_named = _not_named(judgements)
     if not rows and any(not_named.values()):
         words = "; ".join(f"{name} has no word for {_listed(each)}" for name, each in not_named.items() if each)
@@ -305,7 +281,7 @@ def detection_numbers(
             f"{source.name}: none of {len(source.frames)} views shows an object of {MIN_HEIGHT_PX:g} px or more, "
             f"{MIN_VISIBILITY:.0%} visible; choose others by --frames, --from, --to, --cameras or --width"
         )
-    scored = scores(rows, judgements)
+    scored = summary.scores(rows, judgements)
     camera = source.frames[0].shot.camera
     rain = msgspec.to_builtins(source.pictures.rain)
     del rain["intensity_mm_h"], rain["seed"]
@@ -322,16 +298,17 @@ def detection_numbers(
         "rain": rain,
         "rain_before_pictures": source.pictures.is_in_front,
         "least_iou": 0.5,
-        "found_from_confidence": FOUND_FROM,
+        "found_from_confidence": summary.FOUND_FROM,
         "least_height_px": MIN_HEIGHT_PX,
         "least_visibility": MIN_VISIBILITY,
         "backend": backend,
         "versions": {name: version_of(name) for name in _PACKAGES},
     }
-    return DetectionNumbers(rows, scored, distance_scores(rows), robustness_of(scored), settings, not_named)
+    distances, robustness = summary.distance_scores(rows), summary.robustness_of(scored)
+    return DetectionNumbers(rows, scored, distances, robustness, settings, not_named)
 
 
-def _not_named(judgements: Sequence[DetectionResult]) -> dict[str, dict[str, int]]:
+def _not_named(judgements: Sequence[evaluation.DetectionResult]) -> dict[str, dict[str, int]]:
     found: dict[str, set[tuple[str, str, str]]] = {each.detector: set() for each in judgements}
     for each in judgements:
         found[each.detector] |= {(each.frame, truth.id, truth.class_name) for truth in each.not_named}
@@ -354,9 +331,9 @@ def unnamed_object_notes(numbers: DetectionNumbers) -> list[str]:
     ]
 
 
-def print_scores(scored: Sequence[ScoreByIntensity], console: Console) -> None:
+def print_scores(scored: Sequence[summary.ScoreByIntensity], console: Console) -> None:
     """Print one line for each detector and condition: means over seeds, and the lowest and highest seed."""
-    columns = f"objects,confidence,change,recall@{FOUND_FROM:g},IoU,flips,mAP50,mAP"
+    columns = f"objects,confidence,change,recall@{summary.FOUND_FROM:g},IoU,flips,mAP50,mAP"
     table = table_of("detector,picture,mm/h", columns, wraps=True)
     for each in scored:
         table.add_row(
@@ -371,7 +348,7 @@ def print_scores(scored: Sequence[ScoreByIntensity], console: Console) -> None:
     )
 
 
-def _spread(spread: SeedSpread) -> str:
+def _spread(spread: summary.SeedSpread) -> str:
     return f"{spread.mean:.3f} ({spread.low:.3f}..{spread.high:.3f})"
 
 
@@ -404,14 +381,14 @@ class DetectionVideo:
 
     def __init__(self, file: Path | None, fps: float) -> None:
         """`file` is the video to write, or None."""
-        self.results: list[DetectionResult] = []
+        self.results: list[evaluation.DetectionResult] = []
         self.samples: list[tuple[str, _Sheet]] = []
         self.frames = 0
         self._file, self._fps = file, fps
         self._video: VideoWriter | None = None
-        self._view: list[EvaluatedImage] = []
+        self._view: list[evaluation.EvaluatedImage] = []
 
-    def add(self, image: EvaluatedImage) -> None:
+    def add(self, image: evaluation.EvaluatedImage) -> None:
         """Add the next image; the images of a view must be consecutive."""
         self.results += image.judgements.values()
         if self._view and self._view[0].frame is not image.frame:
@@ -444,8 +421,8 @@ def write_outputs(folder: Path, numbers: DetectionNumbers, samples: list[tuple[s
     """Write tables, figures and the report into a folder; returns the names of the files."""
     folder.mkdir(parents=True, exist_ok=True)
     written = ["rows.csv", "detection.json"]
-    write_csv(folder / "rows.csv", numbers.rows)
-    if write_parquet(folder / "rows.parquet", numbers.rows):
+    summary.write_csv(folder / "rows.csv", numbers.rows)
+    if summary.write_parquet(folder / "rows.parquet", numbers.rows):
         written.append("rows.parquet")
     write_text(folder / "detection.json", json.dumps(numbers.plain, indent=1) + "\n")
     figures = {
@@ -567,16 +544,16 @@ def _of_scene(renderer: Renderer, choice: DetectionSource, rain: RainSettings) -
         capture = _chosen(open_capture(choice.capture), choice)
         placed = chosen_cameras(scene, ViewChoice(source="recorded", width_px=choice.width_px), capture)
         labels = None if choice.truth is None else read_coco(choice.truth)
-        frames = recorded_frames(scene, placed, capture, labels)
+        frames = evaluation.recorded_frames(scene, placed, capture, labels)
     else:
         if choice.truth is not None:
             raise ValueError("--truth: needs --capture, whose pictures the file is about")
         placed = _placed(scene, choice)
-        frames = scene_frames(renderer, scene, placed)
+        frames = evaluation.scene_frames(renderer, scene, placed)
     sky = sky_color(renderer, scene, placed[0].camera, placed[0].time_s)
     inputs = {"scene": scene_hash(choice.source)} | _hashes(choice)
     return PreparedSource(
-        scene.name, ConditionRenderer(renderer, scene, rain, sky), frames, _frame_rate(placed), inputs
+        scene.name, evaluation.ConditionRenderer(renderer, scene, rain, sky), frames, _frame_rate(placed), inputs
     )
 
 
@@ -590,8 +567,8 @@ def _of_capture(renderer: Renderer, choice: DetectionSource, rain: RainSettings)
     world = Scene(capture.name, up=capture.up, ego=capture.ego)
     placed = [_of_view(undistort_frame(view), world, capture, choice.width_px) for view in capture]
     labels = None if choice.truth is None else read_coco(choice.truth)
-    frames = recorded_frames(world, placed, capture, labels)
-    pictures = ConditionRenderer(renderer, world, rain, SkyColor(OVERCAST, False), is_in_front=True)
+    frames = evaluation.recorded_frames(world, placed, capture, labels)
+    pictures = evaluation.ConditionRenderer(renderer, world, rain, SkyColor(OVERCAST, False), is_in_front=True)
     inputs = {"capture": input_fingerprint(Path(str(choice.source)))} | _hashes(choice)
     return PreparedSource(capture.name, pictures, frames, _frame_rate(placed), inputs)
 
