@@ -53,12 +53,10 @@ _COLUMNS = 120  # table width, also if the output is a file
 def render(
     *,
     scenes: Scenes = _SCENES,
-    backends: Annotated[
-        str | None, option("auto, cpu, opengl, cuda; default: what auto takes, then cpu and opengl if present.")
-    ] = None,
+    backends: Annotated[str | None, option("auto, cpu, opengl, cuda, with commas; default: all but cuda.")] = None,
     sizes: Annotated[str, option("WIDTHxHEIGHT,... in pixels.")] = "960x640",
     rain: Annotated[
-        str, option("Intensities in mm/h of the preset paper; 0 is clear.", "--rain", "--intensity")
+        str, option("Intensities of the preset paper in mm/h; 0 is clear.", "--rain", "--intensity")
     ] = "0,8.5",
     frames: Annotated[int, option("Timed frames, after two untimed ones.")] = 20,
     json: JsonFileOrScreen = None,

@@ -5,7 +5,7 @@ import shlex
 import sys
 from collections.abc import Callable
 from functools import partial, wraps
-from importlib import metadata
+from importlib import import_module, metadata
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -309,7 +309,10 @@ def installed_extensions() -> list[Extension]:
 
 def describe(extension: Extension) -> str:
     """Load an extension as the program would, and return its origin. Raises ValueError if it is unusable."""
-    if extension.group is plugins.SCENE_FORMATS:
+    if extension.group in _KINDS:
+        module, _, kind = _KINDS[extension.group].partition(":")
+        extension.load(getattr(import_module(module), kind))
+    elif extension.group is plugins.SCENE_FORMATS:
         from gsrain_engine.scene.formats.registry import format_of
 
         format_of(Path(f"scene.{extension.name}"))
@@ -321,18 +324,14 @@ def describe(extension: Extension) -> str:
         from gsrain_engine.evaluation.detection.decoders import decoder
 
         decoder(extension.name)
-    elif extension.group is plugins.PANELS:
-        from ui.panels.registry import Panel
-
-        extension.load(Panel)
-    elif extension.group is plugins.DISDROMETERS:
-        from gsrain_engine.disdrometer.open import LogFormat
-
-        extension.load(LogFormat)
-    elif extension.group is plugins.CAPTURE_FORMATS:
-        from gsrain_engine.datasets.open_capture import CaptureFormat
-
-        extension.load(CaptureFormat)
     else:  # agents and evaluations
         extension.load_callable()
     return f"{extension.place} of {extension.package} {extension.version}".rstrip()
+
+
+_KINDS = {
+    plugins.PANELS: "ui.panels.registry:Panel",
+    plugins.DISDROMETERS: "gsrain_engine.disdrometer.open:LogFormat",
+    plugins.CAPTURE_FORMATS: "gsrain_engine.datasets.open_capture:CaptureFormat",
+}
+"""Types of extensions that are values."""

@@ -1,7 +1,7 @@
 """`gsrain drive [SCENARIO.yaml]`: closed-loop simulation of scene, rain and agent, and its output files."""
 
 import traceback
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -29,7 +29,7 @@ from gsrain_engine.simulation.metrics.summary import ScoredRun, compare_drives, 
 from gsrain_engine.simulation.obstacles import drivable_of
 from gsrain_engine.simulation.playback import RolloutPlayback
 from gsrain_engine.simulation.rollout import BACKGROUND, Rollout
-from gsrain_engine.simulation.rollout_io import write_rollout
+from gsrain_engine.simulation.rollout_io import write_rollout, write_rollout_parquet
 from gsrain_engine.simulation.route import recorded_route
 from gsrain_engine.simulation.scenario import Scenario
 from gsrain_engine.simulation.scenario_io import load_scenario
@@ -156,8 +156,7 @@ def drive(
     *,
     driver: DriverOptions | None = None,
     rain: Annotated[
-        str | None,
-        option("Intensities in mm/h, 0..100, with commas between; default: the scenario's.", "--rain", "--intensity"),
+        str | None, option("Intensities in mm/h, with commas; default: the scenario's.", "--rain", "--intensity")
     ] = None,
     seed: Annotated[int | None, option("Same seed, same drops and the same drive; default: the scenario's.")] = None,
     preset: Preset = None,
@@ -167,13 +166,11 @@ def drive(
     rig: Annotated[str | None, option("Camera rig; default: the scenario's, else the first.")] = None,
     width: Annotated[int | None, option("Width of the images in pixels; default: the scenario's.")] = None,
     duration: Annotated[float | None, option("Maximum duration in seconds; default: the scenario's.")] = None,
-    output: Annotated[
-        Path | None, option("Output folder; default: drive-NAME in the working folder.", "--output", "-o")
-    ] = None,
+    output: Annotated[Path | None, option("Output folder; default: drive-NAME.", "--output", "-o")] = None,
     video: Annotated[bool | None, option("Write a video of each run; default: if there is only one.")] = None,
     fps: Annotated[float, option("Frame rate of the videos.")] = 10.0,
     export: Annotated[
-        str, option("Other formats of each run, with commas: parquet, mcap (Foxglove), xosc (OpenSCENARIO).")
+        str, option("Also write runs as parquet, mcap (Foxglove), xosc (OpenSCENARIO), with commas.")
     ] = "",
     backend: Annotated[Backend, BACKEND] = "auto",
     json: JsonFile = None,
@@ -314,10 +311,13 @@ class DriveFiles:
         check_within("--fps", self.fps, 1, 60)
 
     def of(self, scenario: str, agent: str, intensity_mm_h: float, seed: int, suffix: str) -> Path:
-        return self.folder / f"{_drive_word(scenario, agent)}_{intensity_mm_h:g}mm_seed{seed}{suffix}"
+        name = self.figure(scenario, agent).stem
+        return self.folder / f"{name}_{intensity_mm_h:g}mm_seed{seed}{suffix}"
 
     def figure(self, scenario: str, agent: str) -> Path:
-        return self.folder / f"{_drive_word(scenario, agent)}.png"
+        """Return the figure of an agent in a scenario; the two names are shortened separately."""
+        word = f"{shortened(scenario, _WORD_BYTES)}_{shortened(agent, _WORD_BYTES)}"
+        return self.folder / f"{file_word(word, 2 * _WORD_BYTES + 1)}.png"
 
     def planned(
         self, scenario: str, agents: Sequence[str], rains_mm_h: Sequence[float], seed: int, *, films: bool
@@ -331,11 +331,6 @@ class DriveFiles:
         ]
         figures = [self.figure(scenario, agent) for agent in agents]
         return [self.folder / name for name in ("report.html", "table.md", "table.csv")] + figures + runs
-
-
-def _drive_word(scenario: str, agent: str) -> str:
-    """Return the common start of the file names of an agent in a scenario; long names are shortened separately."""
-    return file_word(f"{shortened(scenario, _WORD_BYTES)}_{shortened(agent, _WORD_BYTES)}", 2 * _WORD_BYTES + 1)
 
 
 def write_drives(
@@ -375,7 +370,7 @@ def _write_run(files: DriveFiles, run: ScoredRun, scene: Scene, renderer: Render
     write_rollout(file(".jsonl"), rollout)
     written = [file(".jsonl")]
     for kind in sorted(files.exports):
-        _EXPORTERS[kind](file(f".{kind}"), rollout, scene)
+        _export(kind, file(f".{kind}"), rollout, scene)
         written.append(file(f".{kind}"))
     if "xosc" in files.exports:  # the road file that it refers to
         written.append(file(".xodr"))
@@ -388,26 +383,14 @@ def _write_run(files: DriveFiles, run: ScoredRun, scene: Scene, renderer: Render
     return written
 
 
-def _write_parquet(path: Path, rollout: Rollout, scene: Scene) -> None:
-    from gsrain_engine.simulation.rollout_io import write_rollout_parquet
+def _export(kind: str, path: Path, rollout: Rollout, scene: Scene) -> None:
+    if kind == "parquet":
+        write_rollout_parquet(path, rollout)
+    elif kind == "mcap":
+        from gsrain_engine.simulation.interop.mcap import write_rollout_mcap
 
-    write_rollout_parquet(path, rollout)
+        write_rollout_mcap(path, rollout, recorded_route(scene))
+    else:
+        from gsrain_engine.simulation.interop.openscenario_write import write_openscenario
 
-
-def _write_mcap(path: Path, rollout: Rollout, scene: Scene) -> None:
-    from gsrain_engine.simulation.interop.mcap import write_rollout_mcap
-
-    write_rollout_mcap(path, rollout, recorded_route(scene))
-
-
-def _write_xosc(path: Path, rollout: Rollout, scene: Scene) -> None:
-    from gsrain_engine.simulation.interop.openscenario_write import write_openscenario
-
-    write_openscenario(path, msgspec.convert(rollout.scenario, Scenario), scene)
-
-
-_EXPORTERS: Mapping[str, Callable[[Path, Rollout, Scene], None]] = {
-    "parquet": _write_parquet,
-    "mcap": _write_mcap,
-    "xosc": _write_xosc,
-}
+        write_openscenario(path, msgspec.convert(rollout.scenario, Scenario), scene)

@@ -32,44 +32,22 @@ _HARMLESS = frozenset({"--help", "-h", "--version"})  # options that need no wor
 # Import strings: each command loads its modules when it runs, so that the window opens immediately.
 COMMANDS = {
     "render": ("app.render:render", "Render a scene in the rain: an image, a video, frames, or raw floats."),
-    "info": (
-        "app.scene:info",
-        "Print the contents of a scene, a capture or a disdrometer file; --check finds wrong images and poses.",
-    ),
+    "info": ("app.scene:info", "Print the contents of a scene, a capture or a disdrometer file, and check captures."),
     "convert": ("app.scene:convert", "Convert between scene formats."),
     "street": (
         "app.scene:street",
-        "Write the built-in street: scene, tracks, camera rig, images with depth, normals and labels.",
+        "Write the built-in street as a scene, and as images with depth, normals and labels.",
     ),
-    "calibrate": (
-        "app.rain:calibrate",
-        "Fit a rain calibration to disdrometer files: drop numbers, sizes and speeds by intensity.",
-    ),
-    "disdrometer": (
-        "app.rain:disdrometer",
-        "Measure the simulated rain with a virtual disdrometer, and compare it with the set intensity.",
-    ),
-    "reconstruct": (
-        "app.train:reconstruct",
-        "Fit Gaussians to a capture: images with cameras, and lidar or COLMAP points if it has them.",
-    ),
+    "calibrate": ("app.rain:calibrate", "Fit drop numbers, sizes and speeds by intensity to disdrometer files."),
+    "disdrometer": ("app.rain:disdrometer", "Measure the simulated rain with a virtual disdrometer."),
+    "reconstruct": ("app.train:reconstruct", "Fit Gaussians to a capture: images with cameras, and lidar or points."),
     "transfer": ("app.translate:transfer", "Make clear views of a scene, or the images of a capture, look rainy."),
     "recolor": ("app.train:recolor", "Re-optimize a scene's colors for images with another look; its geometry stays."),
-    "sweep": (
-        "app.sweep:sweep",
-        "Run many drives or renders: every combination of scenes, scenarios, intensities, seeds and agents.",
-    ),
-    "train-transfer": (
-        "app.translate:train_transfer",
-        "Fine-tune the transfer CycleGAN-Turbo on clear and rainy images (LoRA).",
-    ),
+    "sweep": ("app.sweep:sweep", "Run drives or renders for all combinations of scenes, scenarios, rain and agents."),
+    "train-transfer": ("app.translate:train_transfer", "Fine-tune CycleGAN-Turbo on clear and rainy images (LoRA)."),
     "drive": ("app.drive:drive", "Test a driver in the rain: a closed loop of scene, rain and agent."),
-    "doctor": (
-        "app.doctor:doctor",
-        "List the optional features of GSRAIN that work on this machine, and missing ones.",
-    ),
+    "doctor": ("app.doctor:doctor", "List which features of GSRAIN work on this machine, and how to get the others."),
 }
-
 _CONSISTENCY = """Agreement of neighboring views, before and after a transfer.
 
 Views are warped onto their neighbors by depth. The error after a transfer should equal the error before: differences
@@ -90,20 +68,11 @@ _EVALUATIONS = {
     "streaks": ("app.evaluate.streaks:streaks", "Compare rendered rain streaks with real ones."),
     "consistency": ("app.evaluate.consistency:consistency", _CONSISTENCY),
     "fid": ("app.evaluate.images:fid", "FID and KID of images to real ones, with confidence intervals."),
-    "transfers": (
-        "app.evaluate.transfers:transfers",
-        "Compare transfers with each other, as the paper does: table and figure of a YAML file, resumable.",
-    ),
+    "transfers": ("app.evaluate.transfers:transfers", "Compare transfers, as the paper does: table and figure."),
     "images": ("app.evaluate.images:images", "PSNR, SSIM and LPIPS of images with equal names."),
     "lpips-weights": ("app.evaluate.images:lpips_weights", "Convert LPIPS weights to plain arrays."),
-    "inception-weights": (
-        "app.evaluate.images:inception_weights",
-        "Convert the Inception weights of FID to plain arrays.",
-    ),
-    "detection": (
-        "app.evaluate.detection:detection",
-        "Effect of rain on object detectors: confidence, boxes, classes and mAP by intensity.",
-    ),
+    "inception-weights": ("app.evaluate.images:inception_weights", "Convert Inception weights (FID) to plain arrays."),
+    "detection": ("app.evaluate.detection:detection", "Effect of rain on object detectors, by intensity."),
     "lidar": ("app.evaluate.lidar:lidar", "A lidar in the rain: true, lost and false returns by range."),
 }
 

@@ -253,13 +253,6 @@ def check_within(option: str, value: float | None, low: float, high: float, unit
         raise ValueError(f"{option} {value:g}: must be within {low:g}..{high:g}{unit and f' {unit}'}")
 
 
-def check_paths(paths: Mapping[str, Path | None]) -> None:
-    """Raise ValueError for the first path, by option, at which there is nothing; None is ignored."""
-    for option, path in paths.items():
-        if path is not None and not path.exists():
-            raise ValueError(f"--{option.replace('_', '-')} {path}: no such file or folder")
-
-
 def let_names_lead_outside(allowed: bool) -> None:
     """Apply `AllowOutside` for the duration of the command."""
     if allowed:

@@ -40,9 +40,7 @@ def calibrate(
     output: Annotated[Path, option("Calibration file to write, .yaml.", "--output", "-o")],
     plot: Annotated[Path | None, option("Figure of spectra, fits and closure: .png, .pdf or .svg.")] = None,
     name: Annotated[str | None, option("Name of the calibration; default: that of the file.")] = None,
-    intensities: Annotated[
-        str | None, option("Centers of the intensity bins in mm/h, with commas between; default: 0.3 to 90.")
-    ] = None,
+    intensities: Annotated[str | None, option("Centers of the bins in mm/h, with commas; default: 0.3 to 90.")] = None,
     fit: CalibrationOptions | None = None,
     columns: Columns = None,
     force: Annotated[
@@ -57,7 +55,13 @@ def calibrate(
     to 1.4, or r below 0.9: snow, insects, other classes), nothing is fitted without --force. `gsrain info FILE` prints
     the same.
     """
-    options = (fit or CalibrationOptions()).settings(**_bins(intensities))
+    bins: dict[str, list[float]] = {}
+    if intensities is not None:
+        try:
+            bins["intensities_mm_h"] = [float(each) for each in intensities.split(",")]
+        except ValueError:
+            raise ValueError(f"--intensities {intensities}: expected numbers in mm/h such as 1.2,8.5,12") from None
+    options = (fit or CalibrationOptions()).settings(**bins)
     if output.suffix not in (".yaml", ".yml"):
         raise ValueError(f"{output}: expected a name that ends with .yaml")
     if plot is not None:
@@ -86,13 +90,6 @@ def calibrate(
     for path in (output, plot, json):
         if path is not None:
             print(path)
-
-
-def _bins(intensities: str | None) -> dict[str, list[float]]:
-    try:
-        return {} if intensities is None else {"intensities_mm_h": [float(each) for each in intensities.split(",")]}
-    except ValueError:
-        raise ValueError(f"--intensities {intensities}: expected numbers in mm/h such as 1.2,8.5,12") from None
 
 
 def _numbers(

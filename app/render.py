@@ -89,29 +89,20 @@ def render(
     scene: Annotated[str | None, option("Scene file or folder; default: the built-in street.")] = None,
     /,
     *,
-    output: Annotated[
-        Path, option("PNG, JPEG, EXR, NPY, MP4, WebM, or a folder for PNG, JPEG or EXR frames.", "--output", "-o")
-    ],
+    output: Annotated[Path, option("PNG, JPEG, EXR, NPY, MP4, WebM, or a folder for frames.", "--output", "-o")],
     rain: RainOptions | None = None,
     recording: RecordingOptions | None = None,
     camera: Annotated[Path | None, option("Camera file (JSON) in the scene's own units and axes.")] = None,
-    camera_path: Annotated[
-        Path | None, option("Camera path: ours, nerfstudio's camera_path.json or 3DGS's cameras.json.")
-    ] = None,
+    camera_path: Annotated[Path | None, option("Camera path: ours, nerfstudio's, or 3DGS's cameras.json.")] = None,
     size: Annotated[str | None, option("WIDTHxHEIGHT in pixels; default 960x640, or the camera's own.")] = None,
     speed: Annotated[
-        float | None, option("Speed along the camera path in m/s; default: its own times, else walking pace.")
+        float | None, option("Speed on the camera path in m/s; default: its own, or walking pace.")
     ] = None,
     duration: Annotated[float | None, option("Seconds of video; default: the path's length, at most 10.")] = None,
     frame: Annotated[int | None, option("Render only this frame of the path or drive, counted from 0.")] = None,
     depth: Annotated[bool, option("Add depth to the passes: PNG (16 bit, cm), NPY (m) or EXR (m).")] = False,
-    labels: Annotated[
-        LabelFormat | None,
-        option("Write 2D and 3D boxes, visibility, instance masks of actors and parked vehicles, with depth."),
-    ] = None,
-    mode: Annotated[
-        RenderMode, option("Render mode: splats for the image; the others show the scene without rain.")
-    ] = "splats",
+    labels: Annotated[LabelFormat | None, option("Also write boxes, visibility, instance masks and depth.")] = None,
+    mode: Annotated[RenderMode, option("splats for the image; others show the scene without rain.")] = "splats",
     wet: Wet = False,
     orientation: Orientation | None = None,
     backend: Annotated[Backend, BACKEND] = "auto",

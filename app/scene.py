@@ -72,15 +72,11 @@ def names_scene(name: str) -> bool:
 
 
 def info(
-    scene: Annotated[
-        str, option('Scene file or folder, a capture, or a disdrometer file; "street" is the built-in scene.')
-    ],
+    scene: Annotated[str, option('Scene, capture or disdrometer file; "street" is the built-in scene.')],
     /,
     *,
     check: Annotated[bool, flag("Capture: read all images, and check the poses.")] = False,
-    overlay: Annotated[
-        Path | None, option("Capture: write an image of some views with points and boxes drawn into them.")
-    ] = None,
+    overlay: Annotated[Path | None, option("Capture: write an image of views with points and boxes.")] = None,
     columns: Columns = None,
     allow_outside: AllowOutside = False,
     json: JsonFile = None,
@@ -308,14 +304,11 @@ def convert(
     target: Annotated[Path, option("File to write (.ply .splat .spz), or a folder for a scene folder.")],
     /,
     *,
-    wetness: Annotated[
-        float | None, option("Bake in the colors of a wetness, 0 clear to 1 soaked; default for a file: clear.")
-    ] = None,
+    wetness: Annotated[float | None, option("Bake in the colors of a wetness, 0..1; default for a file: 0.")] = None,
     orientation: Orientation | None = None,
     level: Annotated[bool, flag("Find the ground, and rotate the scene until it is level.")] = False,
     camera_height: Annotated[
-        float | None,
-        option("Level the scene, and scale it until the recorded cameras are this many meters above ground."),
+        float | None, option("Level the scene, and scale it to this height of its cameras in m.")
     ] = None,
     drive: Annotated[
         str | None,
@@ -324,9 +317,7 @@ def convert(
             "file (ours, nerfstudio's, cameras.json of 3DGS). gsrain drive needs one."
         ),
     ] = None,
-    speed: Annotated[
-        float | None, option("Speed in m/s along the path of --drive; default: its own times, else walking pace.")
-    ] = None,
+    speed: Annotated[float | None, option("Speed of --drive in m/s; default: its own times, or walking pace.")] = None,
     json: JsonFile = None,
 ) -> None:
     """Convert a scene. A scene folder stores orientation and unit.

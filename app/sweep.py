@@ -30,19 +30,11 @@ def sweep(
     sweep: Annotated[str, option(f"YAML file, or a shipped sweep: {', '.join(sweep_names())}.")],
     /,
     *,
-    output: Annotated[
-        Path | None, option("Folder for rows and tables; default: that of the sweep.", "--output", "-o")
-    ] = None,
-    workers: Annotated[
-        int | None, option("Processes on this machine; default: half of its cores; 0: this process.")
-    ] = None,
-    shard: Annotated[
-        str | None, option("Run only share i of n, as i/n from 1: $SLURM_ARRAY_TASK_ID/$SLURM_ARRAY_TASK_COUNT.")
-    ] = None,
+    output: Annotated[Path | None, option("Output folder; default: that of the sweep.", "--output", "-o")] = None,
+    workers: Annotated[int | None, option("Processes; default: half of the cores; 0: this process.")] = None,
+    shard: Annotated[str | None, option("Run only share i of n, as i/n from 1, such as 1/8.")] = None,
     dask: Annotated[str | None, option("Run on a Dask cluster: address of its scheduler.")] = None,
-    dask_resources: Annotated[
-        str, option("Resources of a Dask worker that a job needs, as NAME=AMOUNT, with commas: GPU=1.")
-    ] = "",
+    dask_resources: Annotated[str, option("Resources that a job needs, as NAME=AMOUNT, with commas: GPU=1.")] = "",
     retry_failed: Annotated[bool, flag("Repeat jobs that have failed.")] = False,
     summarize_only: Annotated[bool, flag("Run nothing; write tables and figures of existing rows.")] = False,
     backend: Annotated[Backend | None, option("Renderer; default: that of the sweep.")] = None,
@@ -161,16 +153,14 @@ def print_cells(cells: Sequence[Mapping[str, Any]]) -> None:
             *([PurePath(cell["scene"]).name] if several else []), cell["scenario"], cell["agent"],
             f"{cell['intensity_mm_h']:g}",
             f"{cell['runs']}" + (f" + {cell['failed']} failed" if cell["failed"] else ""),
-            "-" if collisions is None else f"{cell['collisions']} ({_share(collisions)})",
+            "-" if collisions is None else "{collisions} ({low:.0f} to {high:.0f} %)".format(
+                collisions=cell["collisions"], low=100 * collisions["low"], high=100 * collisions["high"]
+            ),
             *(_mean(cell["means"].get(name)) for name in _COLUMN_TITLES),
         )  # fmt: skip
     console = Console(width=_COLUMNS)
     console.print(table)
     console.print("In brackets: intervals of 95 %, over the seeds.", style="dim")
-
-
-def _share(spread: Mapping[str, float]) -> str:
-    return f"{100 * spread['low']:.0f} to {100 * spread['high']:.0f} %"
 
 
 def _mean(spread: Mapping[str, float] | None) -> str:

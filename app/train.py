@@ -7,6 +7,7 @@ import msgspec
 
 from gsrain_engine.appearance.scene_views import OWN_WIDTH_PX
 from gsrain_engine.datasets.capture import Capture
+from gsrain_engine.datasets.image_override import with_images
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.editor.jobs.training import require_torch
 from gsrain_engine.evaluation.report import write_report
@@ -46,16 +47,10 @@ def reconstruct(
     *,
     output: SceneFolder,
     images: Annotated[Path | None, option("Folder of images that replace the capture's own.")] = None,
-    masks: Annotated[
-        Path | None, option("Folder with a mask for each camera, named like it: white pixels are trained on.")
-    ] = None,
-    config: Annotated[
-        str | None, option(f"Settings: {', '.join(settings_names())}, or a YAML file; options replace its values.")
-    ] = None,
+    masks: Annotated[Path | None, option("Folder with a mask for each camera: white is trained on.")] = None,
+    config: Annotated[str | None, option(f"Settings: {', '.join(settings_names())}, or a YAML file.")] = None,
     options: TrainingOptions | None = None,
-    held_out: Annotated[
-        str | None, option("Hold out every Nth view for measuring (0: none), or these names, with commas.")
-    ] = None,
+    held_out: Annotated[str | None, option("Hold out every Nth view (0: none), or these names, with commas.")] = None,
     resume: Annotated[bool, option("Continue from the checkpoint of a stopped run.")] = False,
     report: Report = None,
     lpips: Annotated[Path | None, option("Weights of LPIPS; default: those of this machine, if any.")] = None,
@@ -158,9 +153,7 @@ def recolor(
     *,
     images: Annotated[Path, option("Capture with cameras; or, with --capture, a folder of changed images.")],
     output: SceneFolder,
-    capture: Annotated[
-        Path | None, option("Capture with the cameras; images are matched by name: SENSOR/NAME or NAME.")
-    ] = None,
+    capture: Annotated[Path | None, option("Capture with the cameras; images are matched by name.")] = None,
     replace: Annotated[bool, option("Replace the clear colors instead of adding wet ones.")] = False,
     solver: SolverOptions | None = None,
     held_out: Annotated[int, option("Hold out every Nth view for measuring; 0: none.")] = 8,
@@ -189,7 +182,9 @@ def recolor(
     check_writable(page, json)
     if photometric_steps or refine:
         require_torch("--photometric-steps" if photometric_steps else "--refine")
-    pictures = _images(images, capture)
+    pictures = open_capture(capture or images)
+    if capture is not None:
+        pictures = with_images(pictures, images)
     run = run_with_progress(recolor_to_capture(load_scene(scene), pictures, options))
     write_scene(run.scene, output)
     _print_recolor(run, pictures)
@@ -197,14 +192,6 @@ def recolor(
     write_report(page, run.report)
     print(page)
     write_numbers(json, run.numbers)
-
-
-def _images(images: Path, capture: Path | None) -> Capture:
-    if capture is None:
-        return open_capture(images)
-    from gsrain_engine.datasets.image_override import with_images
-
-    return with_images(open_capture(capture), images)
 
 
 def _print_recolor(run: Any, images: Capture) -> None:

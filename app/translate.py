@@ -31,7 +31,6 @@ from .options import (
     AllowOutside,
     JsonFile,
     Trust,
-    check_paths,
     check_within,
     flag,
     let_names_lead_outside,
@@ -120,8 +119,10 @@ class MethodOptions(
         method = find_method(self.method)
         if method.needs is not None and getattr(self, method.needs) is None:
             raise ValueError(f"--method {self.method} needs --{method.needs}")
-        names = ("weights", "base", "images", "normals_weights", "normals_checkout")
-        check_paths({name: getattr(self, name) for name in names})
+        for name in ("weights", "base", "images", "normals_weights", "normals_checkout"):
+            path: Path | None = getattr(self, name)
+            if path is not None and not path.exists():
+                raise ValueError(f"--{name.replace('_', '-')} {path}: no such file or folder")
         if method.needs_torch:
             require_torch(f"--method {self.method}", HOW_TO_GET_DIFFUSION)
 

@@ -201,7 +201,7 @@ def trust_permanently(codes: Iterable[Code]) -> None:
                 path.chmod(0o600)  # the new file inherits the permissions of the old one
             with whole_file(path) as temporary:
                 temporary.touch(mode=0o600)
-                temporary.write_bytes(msgspec.json.format(msgspec.json.encode(_Answers(trusted=known)), indent=1))
+                temporary.write_bytes(msgspec.json.format(msgspec.json.encode({"trusted": known}), indent=1))
     except OSError as error:
         logger.warning("%s: the answer is not remembered: %s", path, error.strerror or error)
 
@@ -210,13 +210,8 @@ def answers_file() -> Path:
     return Path(platformdirs.user_config_dir("gsrain", appauthor=False)) / "trusted_code.json"
 
 
-class _Answers(msgspec.Struct, frozen=True):
-    trusted: dict[str, str]
-    """Digest to the path at which it was first allowed."""
-
-
 def _remembered() -> dict[str, str]:
-    """Remembered answers; empty if the file is missing, damaged, or writable by other users."""
+    """Paths of allowed code, by digest; empty if the file is missing, damaged, or writable by other users."""
     path = answers_file()
     try:
         with open_file(path, _MAX_BYTES) as file:
@@ -225,8 +220,8 @@ def _remembered() -> dict[str, str]:
             if hasattr(os, "getuid") and (by_others or status.st_uid != os.getuid()):
                 logger.warning("%s: others could have written it, so no answer in it counts", path)
                 return {}
-            return msgspec.json.decode(file.read(), type=_Answers).trusted
-    except (OSError, msgspec.DecodeError, UnicodeDecodeError):
+            return msgspec.json.decode(file.read(), type=dict[str, dict[str, str]])["trusted"]
+    except (OSError, KeyError, msgspec.DecodeError, UnicodeDecodeError):
         return {}
 
 

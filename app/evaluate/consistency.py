@@ -36,25 +36,16 @@ _COLUMNS = 150
 
 
 def consistency(
-    folders: Annotated[
-        tuple[Path, ...], option("Output folders of gsrain transfer, or captures with depth, to compare.", "DIR")
-    ],
+    folders: Annotated[tuple[Path, ...], option("Output folders of gsrain transfer, or captures with depth.", "DIR")],
     /,
     *,
     neighbors: Annotated[int, option("Number of neighbors that each view is compared with.")] = 2,
-    water_film: Annotated[
-        float, option("Minimum share of reflected light, 0..1, of a pixel of the water film.")
-    ] = FILM_SHARE,
+    water_film: Annotated[float, option("Minimum share of reflected light, 0..1, of water film.")] = FILM_SHARE,
     width: Annotated[int | None, option("Maximum width of a capture's images; default: 960.")] = None,
-    lpips: Annotated[
-        str | None,
-        option("LPIPS too: alex (some seconds a pair) or vgg (slower) of this machine, or a file of weights."),
-    ] = None,
+    lpips: Annotated[str | None, option("LPIPS too: alex, vgg (slower), or a file of weights.")] = None,
     contact_sheet: Annotated[Path | None, option("Image of some pairs, warped, with their errors (.png).")] = None,
     contact_sheet_pairs: Annotated[int, option("Number of pairs on that image.")] = 4,
-    report: Annotated[
-        Path | None, option("Also write an HTML page with that image, and the numbers as JSON next to it.")
-    ] = None,
+    report: Annotated[Path | None, option("Also write an HTML page, with the numbers as JSON next to it.")] = None,
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
 ) -> None:

@@ -72,9 +72,7 @@ _COLUMNS = 150
 
 
 def detection(
-    source: Annotated[
-        str | None, option("Scene or capture; without one, the built-in street.", "SCENE|CAPTURE")
-    ] = None,
+    source: Annotated[str | None, option("Scene or capture; default: the built-in street.", "SCENE|CAPTURE")] = None,
     /,
     *,
     detector: Annotated[list[Path], flag("ONNX file of a detector; may be given several times.")],
@@ -86,28 +84,24 @@ def detection(
         ),
     ] = None,
     rain: Annotated[
-        str, option("Intensities in mm/h, 0..100, with commas; 0 is always included.", "--rain", "--intensity")
+        str, option("Intensities in mm/h, with commas; 0 is always included.", "--rain", "--intensity")
     ] = "0,1.2,8.5,12",
     seeds: Annotated[int, option("Number of rains of each intensity: seeds 0 to N-1.")] = 5,
     frames: Annotated[int, option("Number of moments of the drive; of a capture, images of each camera.")] = 4,
     first: Annotated[float | None, option("First moment in seconds of scene time.", "--from")] = None,
     last: Annotated[float | None, option("Last moment in seconds of scene time.", "--to")] = None,
     cameras: Annotated[
-        str, option("Rig cameras, with commas: RIG/NAME, NAME or all. Default: ahead; of a capture all.")
+        str, option("Rig cameras, with commas: RIG/NAME, NAME or all. Default: ahead; capture: all.")
     ] = "",
     width: Annotated[int, option("Width of the images in pixels.")] = 960,
-    capture: Annotated[
-        Path | None, option("Capture that the scene was reconstructed from: its images are tested too.")
-    ] = None,
-    truth: Annotated[
-        Path | None, option("COCO file with the ground truth of the capture; default: its 3D boxes.")
-    ] = None,
+    capture: Annotated[Path | None, option("Capture of the scene, whose images are tested too.")] = None,
+    truth: Annotated[Path | None, option("COCO file with ground truth of the capture; default: its 3D boxes.")] = None,
     wet: Wet = False,
     preset: Preset = None,
     exposure: Exposure = None,
     backend: Annotated[Backend, BACKEND] = "auto",
     output: Annotated[
-        Path | None, option("Folder for tables (CSV, Parquet), figures, report.html and numbers.", "--output", "-o")
+        Path | None, option("Folder for tables, figures, report.html and numbers.", "--output", "-o")
     ] = None,
     video: Annotated[Path | None, option("MP4 or WebM: the views in each rain with the detections.")] = None,
     allow_outside: AllowOutside = False,
@@ -337,7 +331,8 @@ def print_scores(scored: Sequence[summary.ScoreByIntensity], console: Console) -
     table = table_of("detector,picture,mm/h", columns, wraps=True)
     for each in scored:
         table.add_row(
-            each.detector, each.picture, f"{each.intensity_mm_h:g}", str(each.objects), _spread(each.confidence),
+            each.detector, each.picture, f"{each.intensity_mm_h:g}", str(each.objects),
+            f"{each.confidence.mean:.3f} ({each.confidence.low:.3f}..{each.confidence.high:.3f})",
             "" if each.change is None else _change(each.change.mean, each.change.low, each.change.high),
             f"{each.recall.mean:.0%}", f"{each.iou.mean:.2f}", f"{each.flips.mean:.0%}",
             f"{each.map50.mean:.3f}", f"{each.map.mean:.3f}",
@@ -346,10 +341,6 @@ def print_scores(scored: Sequence[summary.ScoreByIntensity], console: Console) -
     console.print(
         "Means over objects and seeds, misses as 0 (lowest..highest seed); change from without rain, 95 % over seeds."
     )
-
-
-def _spread(spread: summary.SeedSpread) -> str:
-    return f"{spread.mean:.3f} ({spread.low:.3f}..{spread.high:.3f})"
 
 
 def _change(mean: float, low: float, high: float) -> str:

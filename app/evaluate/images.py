@@ -33,19 +33,9 @@ from gsrain_engine.evaluation.lpips_weights import ARRAY_SUFFIXES, hash_of, read
 from gsrain_engine.evaluation.report import ReportTable, RunReport
 from gsrain_engine.evaluation.report_charts import Distance, ImageComparison
 
+from .. import outputs
 from ..console import Console, Table, bold, print, progress_bar
 from ..options import AllowOutside, JsonFileOrScreen, check_within, flag, let_names_lead_outside, option
-from ..outputs import (
-    check_ending,
-    check_page,
-    check_writable,
-    provenance_lines,
-    run_provenance,
-    set_hash,
-    table_stream,
-    write_numbers,
-    write_page,
-)
 
 Report = Annotated[Path | None, option("Also write an HTML page, with the numbers as JSON next to it.")]
 _COLUMNS = 120
@@ -60,12 +50,9 @@ def images(
     /,
     *,
     masks: Annotated[
-        Path | None,
-        option("Mask, or folder of masks NAME.png, black where ignored; default: those of B, if it has any."),
+        Path | None, option("Mask or folder of masks NAME.png, black where ignored; default: those of B.")
     ] = None,
-    lpips: Annotated[
-        str | None, option("LPIPS too: alex or vgg of this machine's weights, or a file of weights.")
-    ] = None,
+    lpips: Annotated[str | None, option("LPIPS too: alex, vgg (slower), or a file of weights.")] = None,
     seed: Annotated[int, option("Same seed, same intervals.")] = 0,
     report: Report = None,
     allow_outside: AllowOutside = False,
@@ -76,7 +63,7 @@ def images(
     PSNR in dB and SSIM (at most 1) are higher for closer images, LPIPS (0 for equal ones) is lower.
     """
     let_names_lead_outside(allow_outside)
-    check_page(report, json)
+    outputs.check_page(report, json)
     pairs, left_out = _pairs(shown, truth)
     distance = None if lpips is None else open_lpips(lpips)
     rows: list[ImageComparison] = []
@@ -93,24 +80,29 @@ def images(
     columns = {name: [getattr(row, name) for row in rows] for name in ("psnr_db", "ssim", "lpips")}
     columns = {name: values for name, values in columns.items() if None not in values}
     means = {name: mean_interval(values, seed) for name, values in columns.items()}
-    _print(rows, means, Console(file=table_stream(json), width=_COLUMNS))
+    _print(rows, means, Console(file=outputs.table_stream(json), width=_COLUMNS))
     if left_out:
         print(f"{left_out} pictures have no other of their name, and are left out", file=sys.stderr)
     settings = {"pictures": str(shown), "truth": str(truth), "lpips": lpips, "seed": seed, "left_out": left_out}
-    first, second = (set_hash(each) for each in zip(*hashes, strict=True))
+    first, second = (outputs.set_hash(each) for each in zip(*hashes, strict=True))
     inputs = {f"pictures {shown}": first, f"truth {truth}": second}
     if masks is not None:
         inputs[f"masks {masks}"] = input_fingerprint(masks)
-    facts = run_provenance(inputs, ("scikit-image", "torch"))
+    facts = outputs.run_provenance(inputs, ("scikit-image", "torch"))
     plain_means = {
         name: {part: _finite(value) for part, value in each._asdict().items()} for name, each in means.items()
     }
-    numbers = {**settings, **facts, "means": plain_means, "rows": _numbers(rows, shares)}
-    write_numbers(json, numbers)
+    plain_rows = [
+        {"name": row.name, "psnr_db": _finite(row.psnr_db), "ssim": row.ssim, "lpips": row.lpips}
+        | {"compared_share": share}
+        for row, share in zip(rows, shares, strict=True)
+    ]
+    numbers = {**settings, **facts, "means": plain_means, "rows": plain_rows}
+    outputs.write_numbers(json, numbers)
     if report is not None:
-        lines = {**settings, **provenance_lines(facts)}
+        lines = {**settings, **outputs.provenance_lines(facts)}
         page = RunReport(title="Pictures compared", settings=lines, comparisons=tuple(rows), held_out=False)
-        write_page(report, page, json, numbers)
+        outputs.write_page(report, page, json, numbers)
 
 
 def _pairs(shown: Path, truth: Path) -> tuple[list[tuple[CaptureFrame, CaptureFrame]], int]:
@@ -165,14 +157,6 @@ def _print(rows: Sequence[ImageComparison], means: dict[str, MeanInterval], cons
     console.print(table)
 
 
-def _numbers(rows: Sequence[ImageComparison], shares: Sequence[float]) -> list[dict[str, Any]]:
-    return [
-        {"name": row.name, "psnr_db": _finite(row.psnr_db), "ssim": row.ssim, "lpips": row.lpips}
-        | {"compared_share": share}
-        for row, share in zip(rows, shares, strict=True)
-    ]
-
-
 def _finite(value: float) -> float | None:
     """Replace infinity, the PSNR of equal images, which JSON lacks."""
     return value if math.isfinite(value) else None
@@ -193,9 +177,7 @@ _log = logging.getLogger(__name__)
 
 def fid(
     real: Annotated[Path, option("Folder of real images, or a capture.", "REAL")],
-    fake: Annotated[
-        tuple[Path, ...], option("Folders of images, captures, or output folders of gsrain transfer.", "FAKE")
-    ],
+    fake: Annotated[tuple[Path, ...], option("Folders of images, captures, or folders of gsrain transfer.", "FAKE")],
     /,
     *,
     extractor: Annotated[
@@ -204,9 +186,7 @@ def fid(
     weights: Annotated[Path | None, option("File of the extractor's weights; default: this machine's.")] = None,
     torchscript: Annotated[bool, flag("Allow a TorchScript file of Inception, which contains a program.")] = False,
     device: Annotated[Literal["cpu", "cuda"], option("Device on which torch computes features.")] = "cpu",
-    resamples: Annotated[
-        int | None, option("Bootstrap resamples for the intervals; default: 200, fewer for over 500 images.")
-    ] = None,
+    resamples: Annotated[int | None, option("Bootstrap resamples; default: 200, fewer for over 500 images.")] = None,
     seed: Annotated[int, option("Same seed, same intervals.")] = 0,
     cache: Annotated[bool, option("Read and write cached features of images.")] = True,
     report: Report = None,
@@ -226,7 +206,7 @@ def fid(
     if weights is not None and len(names) > 1:
         raise ValueError("--weights: belongs to one extractor, several are chosen")
     check_within("--resamples", resamples, 20, 10_000)
-    check_page(report, json)
+    outputs.check_page(report, json)
     features = FeatureCache() if cache else None
     extractors = [
         extractor_of(ExtractorChoice(name=name, weights=weights, device=device, allows_torchscript=torchscript))
@@ -237,13 +217,13 @@ def fid(
     times = resamples or max(_RESAMPLES * _MANY // max(largest, _MANY), _MIN_DEFAULT)
     hashes: dict[str, str] = {}
     rows = [row for each in extractors for row in _rows(each, sets, features, times, seed, hashes)]
-    _print_fid(rows, Console(file=table_stream(json), width=_FID_COLUMNS))
+    _print_fid(rows, Console(file=outputs.table_stream(json), width=_FID_COLUMNS))
     settings = {"resamples": times, "seed": seed, "confidence": CONFIDENCE}
-    facts = run_provenance(hashes, ("torch", "onnxruntime"))
+    facts = outputs.run_provenance(hashes, ("torch", "onnxruntime"))
     numbers = {**settings, **facts, "rows": [_fid_numbers(row) for row in rows]}
-    write_numbers(json, numbers)
+    outputs.write_numbers(json, numbers)
     if report is not None:
-        write_page(report, _page(rows, {**settings, **provenance_lines(facts)}), json, numbers)
+        outputs.write_page(report, _page(rows, {**settings, **outputs.provenance_lines(facts)}), json, numbers)
 
 
 def _opened(folder: Path) -> Capture:
@@ -272,7 +252,7 @@ def _rows(
     """Extract features of all sets and compare each set with the first; adds hashes of their pixels to `hashes`."""
     with progress_bar("Looking at pictures", sum(len(capture) for _, capture in sets)) as advance:
         looked = [extract_features(str(folder), capture, extractor, cache, advance) for folder, capture in sets]
-    hashes |= {each.name: set_hash(each.hashes) for each in looked}
+    hashes |= {each.name: outputs.set_hash(each.hashes) for each in looked}
     with progress_bar("Resampling", 2 * resamples * (len(sets) - 1)) as advance:
         return [
             distribution_distance(extractor, looked[0], each, resamples=resamples, seed=seed, advance=advance)
@@ -356,8 +336,7 @@ _Output = Annotated[Path, option("File to write: .safetensors, or .npz.", "--out
 
 def lpips_weights(
     files: Annotated[
-        tuple[Path, ...],
-        option("A file of LPIPS weights, or two: the published heads and torchvision's network.", "IN"),
+        tuple[Path, ...], option("A file of LPIPS weights, or the published heads and torchvision's.", "IN")
     ],
     /,
     *,
@@ -367,8 +346,8 @@ def lpips_weights(
 
     Nothing in a file is run: pickles may hold arrays and containers, no more.
     """
-    check_ending("--output", output, ARRAY_SUFFIXES)
-    check_writable(output)
+    outputs.check_ending("--output", output, ARRAY_SUFFIXES)
+    outputs.check_writable(output)
     weights = read_lpips_weights(*files)
     weights.write(output)
     title = {"alex": "AlexNet", "vgg": "VGG16"}[weights.network]
@@ -382,8 +361,8 @@ def inception_weights(
     try:
         from gsrain_engine.evaluation.fid_torch_features import inception_weights as read  # torch is an extra
 
-        check_ending("--output", output, ARRAY_SUFFIXES)
-        check_writable(output)
+        outputs.check_ending("--output", output, ARRAY_SUFFIXES)
+        outputs.check_writable(output)
         weights = read(file)
     except ModuleNotFoundError as error:
         raise ValueError(f"inception-weights needs {error.name}: pip install 'gsrain[evaluate]'") from None

@@ -36,9 +36,7 @@ _Runs = Mapping[float, Sequence[RainRunCounts]]
 
 
 def lidar(
-    source: Annotated[
-        str, option("Scene to scan, or capture with lidar sweeps; default: the street.", "SCENE|CAPTURE")
-    ] = "street",
+    source: Annotated[str, option("Scene, or capture with lidar; default: the street.", "SCENE|CAPTURE")] = "street",
     /,
     *,
     output: Annotated[Path, option("Folder for figure, table and sweeps.", "--output", "-o")],
@@ -47,17 +45,15 @@ def lidar(
     sweeps: Annotated[int, option("Number of lidar turns, evenly over the capture or the drive.")] = 1,
     sensor: Annotated[str, option(f"{', '.join(SENSORS)} (beams, or nm), or a YAML file of a sensor.")] = "64",
     range_10: Annotated[
-        float | None,
-        option("Range in m at which 10 % of reflectance is just detected; default: from a capture's sweeps."),
+        float | None, option("Range in m at which 10 % reflectance is detected; default: from a capture.")
     ] = None,
     min_reflectance: Annotated[
-        float | None,
-        option("Minimum reflectance detected at close range, 0..0.1: sets false returns; 0: constant gain."),
+        float | None, option("Minimum reflectance detected at close range, 0..0.1; 0: constant gain.")
     ] = None,
     answer: Annotated[Answer, option("Reported echo of a beam.")] = "strongest",
     wet_road: Annotated[bool, option("Water on the road reflects grazing beams away.")] = True,
     full_intensity: Annotated[
-        float | None, option("A capture's intensity of a white matt surface; default: 1, or 100 if values exceed 1.")
+        float | None, option("A capture's intensity of white; default: 1, or 100 if values exceed 1.")
     ] = None,
     reflectance: Annotated[float, option("Near-infrared reflectance of all surfaces of a scene.")] = 0.2,
     write_sweeps: Annotated[bool, option("Write each sweep in rain (.npz).")] = True,
@@ -252,11 +248,6 @@ def _spread(counts: Sequence[int]) -> str:
 
 # HTML page
 
-_NOTES = (
-    "False returns hang on the sensor's least reflectance near by, which makers don't state.",
-    "Spreads are those of the drops: they say nothing of other places.",
-)
-
 
 def write_lidar_page(file: Path, figure: Path, by_intensity: _Runs, report: Mapping[str, Any]) -> None:
     """Write the page; `report` are the numbers of `--json`, `figure` is the first image."""
@@ -270,7 +261,10 @@ def write_lidar_page(file: Path, figure: Path, by_intensity: _Runs, report: Mapp
         figures=(ReportFigure("From above, and by range", pixels),),
         tables=(_totals(by_intensity), _page_by_range(by_intensity)),
         headlines={"runs of each intensity": str(len(next(iter(by_intensity.values()))))},
-        notes=_NOTES,
+        notes=(
+            "False returns depend on the sensor's minimum reflectance at close range, which makers don't state.",
+            "Spreads are those of the drops, not of other places.",
+        ),
     )
     write_report(file, page)
 

@@ -33,20 +33,16 @@ def streaks(
     /,
     *,
     rain: Annotated[
-        float | None, option("Rendered intensity in mm/h; default: that of each sequence.", "--rain", "--intensity")
+        float | None, option("Rendered mm/h; default: that of each sequence.", "--rain", "--intensity")
     ] = None,
     exposure: Annotated[str, option("Rendered shutter times in seconds, with commas between.")] = "0.004,0.016",
     frames: Annotated[int, option("Number of frames of each sequence to measure, and to render.")] = 16,
-    window: Annotated[
-        str | None, option("LEFT,TOP,WIDTH,HEIGHT in pixels; default: the image above the horizon.")
-    ] = None,
+    window: Annotated[str | None, option("LEFT,TOP,WIDTH,HEIGHT in pixels; default: above the horizon.")] = None,
     blend_space: Annotated[
         Literal["linear", "display"], option("Space in which a drop's light adds: linear light, or display.")
     ] = "linear",
     streak_gain: Annotated[float, option("Multiplies the opacity of rendered streaks; 1 is physical.")] = 1.0,
-    aperture: Annotated[
-        float, option("Lens opening in mm; drops nearer than its focus, 10 m, blur with it. 0: all sharp.")
-    ] = 0.0,
+    aperture: Annotated[float, option("Lens opening in mm, which blurs drops nearer than its focus, 10 m.")] = 0.0,
     seed: Annotated[int, option("Same seed, same drops.")] = 0,
     json: JsonFileOrScreen = None,
 ) -> None:

@@ -39,17 +39,9 @@ from gsrain_engine.presets import shipped_config_names
 from gsrain_engine.scene.files import whole_file
 from gsrain_engine.scene.scene_hash import scene_hash
 
+from .. import outputs
 from ..console import Console, bold, print, run_with_progress, table_of
 from ..options import AllowOutside, JsonFileOrScreen, Trust, let_names_lead_outside, option, split_words, with_trust
-from ..outputs import (
-    claim_outputs,
-    provenance_lines,
-    run_provenance,
-    table_stream,
-    version_of,
-    write_numbers,
-    write_text,
-)
 from ..scene import names_scene
 from .images import extractor_of
 
@@ -58,7 +50,7 @@ _COLUMNS = 160
 
 def transfers(
     comparison: Annotated[
-        str, option(f"YAML file, or a shipped comparison: {', '.join(shipped_config_names(SHIPPED))}.")
+        str, option(f"YAML file, or shipped comparison: {', '.join(shipped_config_names(SHIPPED))}.")
     ],
     /,
     *,
@@ -78,7 +70,8 @@ def transfers(
     settings = with_trust(lambda: load_comparison(comparison), trust)
     names = tuple(split_words(only))
     settings = settings.only(names) if names else settings
-    claim_outputs(output / "table.md", json, folders=[output, *(output / each.name for each in settings.methods)])
+    folders = [output, *(output / each.name for each in settings.methods)]
+    outputs.claim_outputs(output / "table.md", json, folders=folders)
     for each in settings.methods:
         if each.method != CLEAR and find_method(each.method).needs_torch:
             require_torch(f"method {each.name!r}", HOW_TO_GET_DIFFUSION)
@@ -88,8 +81,8 @@ def transfers(
     source, real = _opened(settings)
     result = run_with_progress(run_comparison(settings, source, real, extractor, FeatureCache(), output))
     numbers = {
-        "gsrain": version_of("gsrain"),
-        **run_provenance(_inputs(settings, source), ("torch", "diffusers", "onnxruntime")),
+        "gsrain": outputs.version_of("gsrain"),
+        **outputs.run_provenance(_inputs(settings, source), ("torch", "diffusers", "onnxruntime")),
         "comparison": comparison,
         "source": source.name,
         "views": len(source.views),
@@ -102,16 +95,17 @@ def transfers(
         "rows": [plain_row(row) for row in result.rows],
         "settings": msgspec.to_builtins(settings, enc_hook=str),
     }
-    write_text(output / "table.md", markdown_table(result.rows))
-    write_text(output / "table.csv", comparison_csv(result.rows))
-    write_text(output / "table.json", json_text.dumps(numbers, indent=1) + "\n")
+    outputs.write_text(output / "table.md", markdown_table(result.rows))
+    outputs.write_text(output / "table.csv", comparison_csv(result.rows))
+    outputs.write_text(output / "table.json", json_text.dumps(numbers, indent=1) + "\n")
     with whole_file(output / "figure.png") as temporary:
         Image.fromarray(result.figure).save(temporary, "png")
-    views = {"views": f"{len(source.views)} of {source.name}", "real pictures": len(real)}
-    write_report(output / "report.html", transfers_page(result, settings, {**views, **provenance_lines(numbers)}))
-    print_transfers(result, Console(file=table_stream(json), width=_COLUMNS))
+    facts = {"views": f"{len(source.views)} of {source.name}", "real pictures": len(real)}
+    facts |= outputs.provenance_lines(numbers)
+    write_report(output / "report.html", transfers_page(result, settings, facts))
+    print_transfers(result, Console(file=outputs.table_stream(json), width=_COLUMNS))
     print(f"wrote {output}: table.md, table.csv, table.json, figure.png, report.html", file=sys.stderr)
-    write_numbers(json, numbers)
+    outputs.write_numbers(json, numbers)
 
 
 def _opened(settings: TransferComparison) -> tuple[ComparedSource, Capture]:
