@@ -55,6 +55,10 @@ def wide_console() -> Console:
     return Console(soft_wrap=True, width=_WIDE_COLUMNS)
 
 
+def counted(count: int, noun: str) -> str:
+    return f"{count:,} {noun}" + ("" if count == 1 else "s")
+
+
 def bold(text: str) -> Text:
     return Text(escape_invisible(text), "bold")
 

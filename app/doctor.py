@@ -4,6 +4,7 @@ import importlib.util
 import shlex
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial, wraps
 from importlib import import_module, metadata
 from pathlib import Path
@@ -54,15 +55,9 @@ def doctor(*, json: JsonFile = None) -> int:
     video, threads = _video(), _threads()
     needed = [_opengl(), threads] if is_frozen() else [_opengl(), video, threads]
     tested = find_depth_order()
-    packages = {name: _package(name) for name in _PACKAGES}
-    first = [packages.pop("torch"), _cuda(), _gsplat(), find_lpips(), find_inception()]
-    diffusion = [packages.pop(name) for name in ("diffusers", "transformers", "peft")]
-    weights = [find_base_model(), find_text_encoder(), find_transfer_weights(), find_clip_model()]
-    detectors = [packages.pop("onnxruntime"), find_detector_file()]
-    optional = [
-        *([video] if is_frozen() else []), _osmesa(), _display(), *first, *diffusion, *weights, *detectors,
-        *packages.values(),
-    ]  # fmt: skip
+    weights = (find_lpips, find_inception, find_base_model, find_text_encoder, find_transfer_weights, find_clip_model)
+    optional = [each() for each in (_osmesa, _display, _cuda, _gsplat, *weights, find_detector_file)]
+    optional = [*([video] if is_frozen() else []), *optional, *map(_package, _PACKAGES)]
     added = [_tried(f"{each.group.noun} {each.name}", partial(describe, each)) for each in installed_extensions()]
     marks = {"MISSING": needed, "WRONG  ": tested, "absent ": optional, "broken ": added}
     for missing, findings in marks.items():
@@ -214,22 +209,21 @@ def _gsplat() -> str:
         return f"--backend cuda draws on {device_of(renderer)}"
 
 
-def find_lpips() -> Finding:
+@finding("LPIPS weights (a quality measure of reports)")
+def find_lpips() -> str:
     """Look for LPIPS weights and read them, since a file may be damaged or hold something else."""
-    name = "LPIPS weights (a quality measure of reports)"
     from gsrain_engine.evaluation.lpips_weights import find_lpips_weights, lpips_places
 
     places = ", ".join(map(str, lpips_places()))
     try:
         find_lpips_weights("vgg")
-        return Finding(name, True, f"VGG16 at {places}")
+        return f"VGG16 at {places}"
     except FileNotFoundError as error:
         missing = str(error)
-    try:
+    with suppress(FileNotFoundError):
         find_lpips_weights("alex")
-    except FileNotFoundError:
-        return Finding(name, False, missing)
-    return Finding(name, False, f"only AlexNet at {places}, used where --lpips names its file; {missing}")
+        missing = f"only AlexNet at {places}, used where --lpips names its file; {missing}"
+    raise FileNotFoundError(missing)
 
 
 @finding("Inception weights (of FID)")

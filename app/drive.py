@@ -101,8 +101,7 @@ class DriverOptions:
         asked = list(dict.fromkeys(self.agent or []))
         if self.hugsim_dir is not None and asked not in ([], [HUGSIM]):
             raise ValueError("--hugsim-dir is for the agent hugsim alone; leave out --agent")
-        if not 0 < self.hugsim_wait <= 86_400:
-            raise ValueError(f"--hugsim-wait {self.hugsim_wait:g}: must be above 0 and at most 86400 s")
+        check_within("--hugsim-wait", self.hugsim_wait, 0, 86_400, "s", is_open=True)
         known = (*agent_names(), HUGSIM)
         unknown = next((name for name in asked if name not in known and agent_file(name) is None), None)
         if unknown is not None:
@@ -266,8 +265,7 @@ def _drive(simulation: Simulation, agent: Agent) -> str | None:
 def _with_options(
     scenario: Scenario, scene: str | None, rig: str | None, width: int | None, duration: float | None
 ) -> Scenario:
-    if duration is not None and not 0 < duration <= _MAX_S:
-        raise ValueError(f"--duration {duration:g}: must be above 0 and at most {_MAX_S:g} s")
+    check_within("--duration", duration, 0, _MAX_S, "s", is_open=True)
     if width is not None and not (64 <= width <= 4096 and width % 2 == 0):
         raise ValueError(f"--width {width}: must be even and within 64..4096 px")
     values = {"scene": scene, "rig": rig, "picture_width_px": width, "duration_s": duration}

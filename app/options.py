@@ -247,10 +247,17 @@ def split_list(option: str, text: str) -> list[str]:
     return words
 
 
-def check_within(option: str, value: float | None, low: float, high: float, unit: str = "") -> None:
-    """Raise ValueError, which names the option, for a value out of bounds; None is ignored."""
-    if value is not None and not low <= value <= high:
-        raise ValueError(f"{option} {value:g}: must be within {low:g}..{high:g}{unit and f' {unit}'}")
+def check_within(
+    option: str, value: float | None, low: float, high: float, unit: str = "", *, is_open: bool = False
+) -> None:
+    """Raise ValueError, which names the option, for a value out of bounds; None is ignored.
+
+    With `is_open`, `low` itself is not allowed.
+    """
+    if value is not None and (not low <= value <= high or (is_open and value == low)):
+        bounds = "above {} and at most {}" if is_open else "within {}..{}"
+        allowed = bounds.format(_number(low), _number(high)) + (unit and f" {unit}")
+        raise ValueError(f"{option} {value:g}: must be {allowed}")
 
 
 def let_names_lead_outside(allowed: bool) -> None:

@@ -45,7 +45,6 @@ from .options import (
 from .outputs import check_writable, lock_outputs, write_numbers
 from .scene import Orientation, TimedPath, timed_path
 
-_MAX_LISTED = 6
 _FILE_ENDINGS = (".png", ".jpg", ".jpeg", ".exr", ".npy", ".mp4", ".webm", ".json")
 """Extensions of written files; any other output is a folder, even with dots: frames.clear, clip.depth."""
 
@@ -111,8 +110,7 @@ def render(
     """Render a scene in the rain: an image, a video, frames, or raw floats (premultiplied, before tone mapping)."""
     rain_options = rain or RainOptions()
     export = _export_settings(recording or RecordingOptions(), output, size, with_depth=depth or labels is not None)
-    if duration is not None and not 0 < duration <= 36000:
-        raise ValueError(f"--duration {duration:g}: must be above 0 and at most 36000 s")
+    check_within("--duration", duration, 0, 36_000, "s", is_open=True)
     if frame is not None and frame < 0:
         raise ValueError(f"--frame {frame}: must be 0 or more")
     if frame is not None and camera is not None and export.is_still:
@@ -219,9 +217,7 @@ def _record(
 
 
 def _listed(paths: list[Path]) -> str:
-    if len(paths) <= _MAX_LISTED:
-        return " and ".join(map(str, paths))
-    return f"{paths[0]} and {len(paths) - 1} more"
+    return " and ".join(map(str, paths)) if len(paths) <= 6 else f"{paths[0]} and {len(paths) - 1} more"
 
 
 def _describe(simulation: RainSimulation, first_s: float) -> str:

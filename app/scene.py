@@ -32,7 +32,7 @@ from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Actor, Layer, Scene, bounds
 from gsrain_engine.scene.transforms import with_wetness_baked
 
-from .console import print, print_lines, progress_bar, table_of, wide_console
+from .console import counted, print, print_lines, progress_bar, table_of, wide_console
 from .options import AllowOutside, JsonFile, check_within, flag, let_names_lead_outside, option
 from .outputs import check_image, check_scene_folder, check_scene_target, check_writable, lock_outputs, write_numbers
 
@@ -53,8 +53,7 @@ class Orientation:
     meters_per_unit: Annotated[float | None, option("Length of one scene unit in meters.")] = None
 
     def __post_init__(self) -> None:
-        if self.meters_per_unit is not None and not UNIT_M[0] <= self.meters_per_unit <= UNIT_M[1]:
-            raise ValueError(f"--meters-per-unit {self.meters_per_unit:g}: must be within 0.000001..1000000")
+        check_within("--meters-per-unit", self.meters_per_unit, *UNIT_M)
 
     def of(self, scene: Scene) -> Scene:
         """Return the scene in the chosen orientation; rotating it drops its ground height."""
@@ -252,20 +251,20 @@ def _checked(capture: Capture) -> tuple[Capture, tuple[PoseCheck, ...]]:
 def _print_capture(summary: CaptureSummary, kind: str, checks: tuple[PoseCheck, ...], checked: bool) -> None:
     console = wide_console()
     lasts = f" over {summary.seconds:.1f} s" if summary.seconds >= 0.05 else ""
-    console.print(f"{summary.name}: {kind}, {_counted(summary.views, 'view')}{lasts}")
+    console.print(f"{summary.name}: {kind}, {counted(summary.views, 'view')}{lasts}")
     if summary.has_poses:
         up = ", ".join(f"{round(value, 3) + 0.0:g}" for value in summary.up)
         console.print(f"{_places(summary)}; up = ({up})")
     if summary.points:
-        console.print(f"{_counted(summary.points, 'point')} on surfaces")
+        console.print(f"{counted(summary.points, 'point')} on surfaces")
     if summary.sweeps:
-        console.print(f"lidar: {_counted(summary.sweeps, 'sweep')}, {_counted(summary.lidar_points, 'point')}")
+        console.print(f"lidar: {counted(summary.sweeps, 'sweep')}, {counted(summary.lidar_points, 'point')}")
     if summary.boxes:
         console.print(f"boxes: {', '.join(f'{count} {name}' for name, count in summary.boxes.items())}")
     if summary.has:
         console.print(f"each view has: {', '.join(summary.has)}")
-    for name, counted in summary.attributes.items():
-        console.print(f"{name}: {', '.join(f'{value} ({count})' for value, count in counted.items())}")
+    for name, counts in summary.attributes.items():
+        console.print(f"{name}: {', '.join(f'{value} ({count})' for value, count in counts.items())}")
     table = table_of("camera,views,size,focal length px,field of view,lens")
     for each in summary.sensors:
         size = f"{each.width}x{each.height}"
@@ -290,10 +289,6 @@ def _places(summary: CaptureSummary) -> str:
     unit = "m" if summary.is_metric else "units of unknown length"
     course = f", on a way of {summary.course:.2f}" if summary.course > 0 else ""
     return f"cameras stood within {' x '.join(f'{size:.2f}' for size in sizes)} {unit}{course}"
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count:,} {noun}" + ("" if count == 1 else "s")
 
 
 # gsrain convert

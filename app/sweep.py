@@ -19,7 +19,7 @@ from gsrain_engine.sweep.run import SweepRun, agent_codes, run_sweep
 from gsrain_engine.sweep.settings import load_sweep, sweep_names
 from gsrain_engine.trusted_code import check_trusted
 
-from .console import Console, print, run_with_progress, table_of
+from .console import Console, counted, print, run_with_progress, table_of
 from .options import JsonFile, Trust, check_within, flag, option, split_words, with_trust
 from .outputs import check_writable, lock_outputs, write_numbers
 
@@ -63,14 +63,14 @@ def sweep(
     if not summarize_only:
         with_trust(lambda: check_trusted(sweep, agent_codes(to_do)), trust)
         folder.describe(settings, jobs)
-        print(f"{folder.path}: {_count(len(share), 'job')}, {len(share) - len(to_do)} with a row", file=sys.stderr)
+        print(f"{folder.path}: {counted(len(share), 'job')}, {len(share) - len(to_do)} with a row", file=sys.stderr)
         try:
             with ExitStack() as stack:
                 engine = _engine(workers, dask, resources, stack)
                 stack.enter_context(_sigterm_as_ctrl_c())
                 run = run_with_progress(stack.enter_context(closing(run_sweep(to_do, engine, folder))))
         except KeyboardInterrupt:
-            left = _count(len(folder.to_do(share)), "job")
+            left = counted(len(folder.to_do(share)), "job")
             print(f"stopped with {left} to do; the same command goes on from there", file=sys.stderr)
             return INTERRUPTED
     numbers: dict[str, Any] = {"done": run.done, "kept": len(share) - len(to_do)}
@@ -122,14 +122,10 @@ def _print(folder: SweepFolder, numbers: dict[str, Any]) -> None:
     if numbers["cells"]:
         print_cells(numbers["cells"])
     done = numbers["rows"] - numbers["failed"]
-    print(f"{folder.path}: {done} of {_count(numbers['jobs'], 'job')} finished, {numbers['failed']} failed")
+    print(f"{folder.path}: {done} of {counted(numbers['jobs'], 'job')} finished, {numbers['failed']} failed")
     for error, count in numbers["errors"].items():
         print(f"  {count} x {error}")
     print("wrote table.parquet, table.csv, summary.json, report.html" + (", figures" if numbers["cells"] else ""))
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number:,} {what}" if number == 1 else f"{number:,} {what}s"
 
 
 # Table of drives, a row per agent and intensity
@@ -148,16 +144,14 @@ def print_cells(cells: Sequence[Mapping[str, Any]]) -> None:
     right = ",".join(("R (mm/h),drives,collisions", *_COLUMN_TITLES.values()))
     table = table_of("scene,scenario,agent" if several else "scenario,agent", right, pad_edge=False)
     for cell in cells:
-        collisions = cell["collision_rate"]
-        table.add_row(
-            *([PurePath(cell["scene"]).name] if several else []), cell["scenario"], cell["agent"],
-            f"{cell['intensity_mm_h']:g}",
-            f"{cell['runs']}" + (f" + {cell['failed']} failed" if cell["failed"] else ""),
-            "-" if collisions is None else "{collisions} ({low:.0f} to {high:.0f} %)".format(
-                collisions=cell["collisions"], low=100 * collisions["low"], high=100 * collisions["high"]
-            ),
-            *(_mean(cell["means"].get(name)) for name in _COLUMN_TITLES),
-        )  # fmt: skip
+        rate, failed = cell["collision_rate"], f" + {cell['failed']} failed" if cell["failed"] else ""
+        collisions = "-"
+        if rate is not None:
+            collisions = f"{cell['collisions']} ({100 * rate['low']:.0f} to {100 * rate['high']:.0f} %)"
+        scene = [PurePath(cell["scene"]).name] if several else []
+        means = (_mean(cell["means"].get(name)) for name in _COLUMN_TITLES)
+        drives = f"{cell['intensity_mm_h']:g}", f"{cell['runs']}{failed}", collisions
+        table.add_row(*scene, cell["scenario"], cell["agent"], *drives, *means)
     console = Console(width=_COLUMNS)
     console.print(table)
     console.print("In brackets: intervals of 95 %, over the seeds.", style="dim")

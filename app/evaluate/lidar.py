@@ -24,7 +24,7 @@ from gsrain_engine.safe_io.text_files import read_whole, yaml_values
 from gsrain_engine.scene.files import file_word
 from gsrain_engine.scene.scene_hash import file_hash, scene_hash
 
-from ..console import Console, Table, progress_bar
+from ..console import Console, Table, progress_bar, table_of
 from ..options import AllowOutside, JsonFileOrScreen, check_within, let_names_lead_outside, option, parse_intensities
 from ..outputs import claim_outputs, provenance_lines, run_provenance, table_stream, write_numbers, write_text
 from ..scene import names_scene
@@ -70,9 +70,8 @@ def lidar(
     intensities = parse_intensities(rain)
     check_within("--seeds", seeds, 1, 1000)
     check_within("--sweeps", sweeps, 1, 1000)
-    for name, value, high in (("--reflectance", reflectance, 1.0), ("--full-intensity", full_intensity, 1e6)):
-        if value is not None and not 0 < value <= high:
-            raise ValueError(f"{name} {value:g}: must be within 0..{high:g}")
+    check_within("--reflectance", reflectance, 0, 1, is_open=True)
+    check_within("--full-intensity", full_intensity, 0, 1e6, is_open=True)
     claim_outputs(output / "lidar.png", output / "report.html", json, folders=[output])
     chosen = _sensor(sensor, range_10, min_reflectance)
     count, turns = _turns(source, chosen, sweeps, reflectance, full_intensity, told_range=range_10 is None)
@@ -194,9 +193,7 @@ def write_lidar_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 def print_lidar(by_intensity: _Runs, sensor: LidarSensor, console: Console) -> None:
     """Print means over seeds and turns, and the shares of kept returns by range."""
-    table = Table(
-        *["mm/h", "beta 1/km", "wetness", "clear", "kept", "too weak", "behind a drop", "drops", "noise mm"], box=None
-    )
+    table = table_of("mm/h,beta 1/km,wetness,clear,kept,too weak,behind a drop,drops,noise mm", wraps=True)
     for intensity, runs in by_intensity.items():
         tallies = [run.tally for run in runs]
         clear, kept = (int(np.sum([getattr(each, name) for each in tallies])) for name in ("clear", "kept"))
