@@ -59,11 +59,11 @@ class StructOptions:
 
     def changes(self) -> dict[str, Any]:
         """Return the values of the options that were set, by field."""
-        values = {name: getattr(self, name, None) for name in get_type_hints(self.kind)}
+        own = [each.name for each in fields(self) if each.name in get_type_hints(self.kind)]
+        values = {name: value for name in own if (value := getattr(self, name)) is not None}
         return {
             name: split_words(value) if isinstance(value, str) and _is_tuple(self.kind, name) else value
             for name, value in values.items()
-            if value is not None
         }
 
     def settings(self, base: Any = None, **values: Any) -> Any:
@@ -102,7 +102,7 @@ def options_of(
             value = defaults[name]
             value = ",".join(value) if isinstance(value, tuple) else _number(value) if type(value) is float else value
             ending = "" if value is None or value is False or value == "" else default.format(value)
-            text = (help or {}).get(name) or _help(hints[name])
+            text = (help or {}).get(name) or _help(hints[name]) + " Several with commas." * _is_tuple(kind, name)
             options = [f"--{each}" for each in names.get(name, name).replace("_", "-").split()]
             parameter = option(f"{text} {ending}".rstrip(), *options)
             made.append((name, Annotated[(str if _is_tuple(kind, name) else plain[name]) | None, parameter], None))

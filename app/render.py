@@ -74,12 +74,7 @@ RecordingOptions = options_of(
     ExportSettings,
     "fps first_s last_s supersampling motion_blur cameras passes twin codec quality",
     {"size_px": "size", "first_s": "time from", "last_s": "to", "twin": "clear-pair"},
-    {
-        "fps": "Frames per second, 0.1..1000.",
-        "cameras": "Rig cameras instead of a path: RIG, RIG/NAME, NAME or all; several with commas.",
-        "passes": "color, depth (16 bit, cm), alpha, labels (layer or actor of each pixel); several with commas.",
-        "quality": "Rate factor, lower is better: 0..51 (h264), 0..63 (vp9, av1); JPEG: 1..100, higher is better.",
-    },
+    {"quality": "Rate factor, lower is better: 0..51 (H.264), 0..63 (VP9, AV1); JPEG: 1..100, higher is better."},
     default="Default: {}.",
 )
 

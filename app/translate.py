@@ -49,7 +49,6 @@ ViewChoiceOptions = options_of(
         "source": "Of a scene: recorded (see --capture), rig (along the ego's path), path, around; default: auto.",
         "count": "Number of views, evenly; default: 24, of a recording all.",
         "width_px": "Width of images in px; a capture's are never enlarged. Default: their own, at most 960.",
-        "sensors": "Only these cameras of the rig or recording, commas between.",
     },
 )
 
@@ -61,27 +60,14 @@ class MethodOptions(
         TransferSettings,
         "wetness seed images weights base normals normals_weights normals_checkout guide mutual_attention neighbours "
         "side_px tile_px device precision",
-        {
-            "guide": "conditioning",
-            "mutual_attention": "cross-view-attention",
-            "neighbours": "neighbors",
-            "side_px": "side",
-            "tile_px": "tile",
-        },
+        {"guide": "conditioning", "mutual_attention": "cross-view-attention", "neighbours": "neighbors"}
+        | {"side_px": "side", "tile_px": "tile"},
         {
             "wetness": "wet: 0 dry, 1 soaked, from which gsrain recolor makes wet colors.",
             "seed": "wet: positions of puddles and clouds.",
-            "images": "images: folder with images, matched by name: SENSOR/NAME or NAME.",
-            "weights": "cyclegan-turbo: file with its weights, else see gsrain doctor.",
+            "normals_checkout": "Your own copy of DSINE's program.",
             "base": "cyclegan-turbo: SD-Turbo's folder, else see gsrain doctor.",
             "normals": "cyclegan-turbo: source of surface normals.",
-            "guide": "cyclegan-turbo: how normals become one channel; luma as in the paper.",
-            "mutual_attention": "cyclegan-turbo: whether each view attends to its neighbors (eq. 16-19).",
-            "neighbours": "cyclegan-turbo: number of these neighbors.",
-            "side_px": "cyclegan-turbo: shorter side in px of its input.",
-            "tile_px": "cyclegan-turbo: side in px of tiles; default: in one piece.",
-            "device": "cyclegan-turbo: where it runs.",
-            "precision": "cyclegan-turbo: of its numbers; bfloat16 blurs what one step amplifies.",
         },
         default="Default: {}.",
     )

@@ -1,7 +1,6 @@
 """`gsrain evaluate detection`: effect of rain on object detectors."""
 
 import hashlib
-import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -36,13 +35,13 @@ from gsrain_engine.evaluation.input_fingerprint import input_fingerprint
 from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, write_report
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import OVERCAST
+from gsrain_engine.render.images import write_image
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.sequence import find_rig_cameras
 from gsrain_engine.render.sky_color import SkyColor, sky_color
 from gsrain_engine.render.video import SUFFIXES as VIDEO_SUFFIXES
 from gsrain_engine.render.video import VideoWriter
 from gsrain_engine.safe_io.limits import open_file
-from gsrain_engine.scene.files import whole_file
 from gsrain_engine.scene.open import load_sorted_scene
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.scene.scene_hash import file_hash, scene_hash
@@ -64,7 +63,7 @@ from ..options import (
     parse_intensities,
     split_words,
 )
-from ..outputs import check_ending, claim_outputs, command_line, version_of, write_numbers, write_text
+from ..outputs import check_ending, claim_outputs, command_line, version_of, write_numbers
 from ..render import wet_look
 from ..scene import names_scene
 
@@ -415,22 +414,19 @@ def write_outputs(folder: Path, numbers: DetectionNumbers, samples: list[tuple[s
     summary.write_csv(folder / "rows.csv", numbers.rows)
     if summary.write_parquet(folder / "rows.parquet", numbers.rows):
         written.append("rows.parquet")
-    write_text(folder / "detection.json", json.dumps(numbers.plain, indent=1) + "\n")
+    write_numbers(folder / "detection.json", numbers.plain)
     figures = {
-        "confidence.png": ("Confidence", figure_pixels(object_figure(numbers.rows, "confidence")), _BANDS),
-        "iou.png": ("Overlap of boxes", figure_pixels(object_figure(numbers.rows, "iou")), _BANDS),
-        "precision.png": ("Average precision", figure_pixels(precision_figure(numbers.scores)), _BANDS),
+        "confidence.png": ReportFigure("Confidence", figure_pixels(object_figure(numbers.rows, "confidence")), _BANDS),
+        "iou.png": ReportFigure("Overlap of boxes", figure_pixels(object_figure(numbers.rows, "iou")), _BANDS),
+        "precision.png": ReportFigure("Average precision", figure_pixels(precision_figure(numbers.scores)), _BANDS),
     }
-    images = {name: image for name, (_, image, _) in figures.items()}
-    images |= {f"view_{number}.png": sheet for number, (_, sheet) in enumerate(samples)}
-    for name, image in images.items():
-        with whole_file(folder / name) as temporary:
-            Image.fromarray(image).save(temporary, format="PNG")
-    shown = [ReportFigure(title, image, caption) for title, image, caption in figures.values()]
     caption = "Full lines: found. Dashed: labelled, red where it was missed."
-    shown += [ReportFigure(name, sheet, caption, is_photograph=True) for name, sheet in samples]
-    write_report(folder / "report.html", _report(numbers, shown))
-    return [*written, *images, "report.html"]
+    for number, (name, sheet) in enumerate(samples):
+        figures[f"view_{number}.png"] = ReportFigure(name, sheet, caption, is_photograph=True)
+    for name, figure in figures.items():
+        write_image(folder / name, Image.fromarray(figure.pixels))
+    write_report(folder / "report.html", _report(numbers, list(figures.values())))
+    return [*written, *figures, "report.html"]
 
 
 def _report(numbers: DetectionNumbers, figures: list[ReportFigure]) -> RunReport:

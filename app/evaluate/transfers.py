@@ -1,6 +1,5 @@
 """`gsrain evaluate transfers COMPARISON.yaml -o DIR`: comparison of transfers as in the paper."""
 
-import json as json_text
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,33 +9,18 @@ import msgspec
 from PIL import Image
 
 from gsrain_engine.appearance.registry import find_method
+from gsrain_engine.appearance.scene_views import chosen_views
 from gsrain_engine.datasets.capture import Capture
+from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.editor.jobs.training import HOW_TO_GET_DIFFUSION, require_torch
-from gsrain_engine.evaluation.compare_results import (
-    CLEAR,
-    SHIPPED,
-    ComparedMethod,
-    TransferComparison,
-    comparison_csv,
-    load_comparison,
-    markdown_table,
-    plain_row,
-)
-from gsrain_engine.evaluation.compare_translators import (
-    ComparedSource,
-    ComparisonResult,
-    capture_source,
-    check_methods,
-    held_out_images,
-    real_images,
-    run_comparison,
-)
+from gsrain_engine.evaluation import compare_results as results
+from gsrain_engine.evaluation import compare_translators as translators
 from gsrain_engine.evaluation.fid import FeatureCache
 from gsrain_engine.evaluation.fid_features import ExtractorChoice
 from gsrain_engine.evaluation.input_fingerprint import input_fingerprint
 from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, write_report
 from gsrain_engine.presets import shipped_config_names
-from gsrain_engine.scene.files import whole_file
+from gsrain_engine.render.images import write_image
 from gsrain_engine.scene.scene_hash import scene_hash
 
 from .. import outputs
@@ -50,7 +34,7 @@ _COLUMNS = 160
 
 def transfers(
     comparison: Annotated[
-        str, option(f"YAML file, or shipped comparison: {', '.join(shipped_config_names(SHIPPED))}.")
+        str, option(f"YAML file, or shipped comparison: {', '.join(shipped_config_names(results.SHIPPED))}.")
     ],
     /,
     *,
@@ -67,19 +51,19 @@ def transfers(
     whose images are in DIR, made with the same settings, are not run again.
     """
     let_names_lead_outside(allow_outside)
-    settings = with_trust(lambda: load_comparison(comparison), trust)
+    settings = with_trust(lambda: results.load_comparison(comparison), trust)
     names = tuple(split_words(only))
     settings = settings.only(names) if names else settings
     folders = [output, *(output / each.name for each in settings.methods)]
     outputs.claim_outputs(output / "table.md", json, folders=folders)
     for each in settings.methods:
-        if each.method != CLEAR and find_method(each.method).needs_torch:
+        if each.method != results.CLEAR and find_method(each.method).needs_torch:
             require_torch(f"method {each.name!r}", HOW_TO_GET_DIFFUSION)
-    check_methods(settings, output)
+    translators.check_methods(settings, output)
     choice = ExtractorChoice(name=settings.extractor, weights=settings.extractor_weights, device=device)
     extractor = extractor_of(choice, "extractor")
     source, real = _opened(settings)
-    result = run_with_progress(run_comparison(settings, source, real, extractor, FeatureCache(), output))
+    result = run_with_progress(translators.run_comparison(settings, source, real, extractor, FeatureCache(), output))
     numbers = {
         "gsrain": outputs.version_of("gsrain"),
         **outputs.run_provenance(_inputs(settings, source), ("torch", "diffusers", "onnxruntime")),
@@ -92,14 +76,13 @@ def transfers(
         "shown": list(result.shown),
         "kept": list(result.kept),
         "notes": list(result.notes),
-        "rows": [plain_row(row) for row in result.rows],
+        "rows": [results.plain_row(row) for row in result.rows],
         "settings": msgspec.to_builtins(settings, enc_hook=str),
     }
-    outputs.write_text(output / "table.md", markdown_table(result.rows))
-    outputs.write_text(output / "table.csv", comparison_csv(result.rows))
-    outputs.write_text(output / "table.json", json_text.dumps(numbers, indent=1) + "\n")
-    with whole_file(output / "figure.png") as temporary:
-        Image.fromarray(result.figure).save(temporary, "png")
+    outputs.write_text(output / "table.md", results.markdown_table(result.rows))
+    outputs.write_text(output / "table.csv", results.comparison_csv(result.rows))
+    outputs.write_numbers(output / "table.json", numbers)
+    write_image(output / "figure.png", Image.fromarray(result.figure))
     facts = {"views": f"{len(source.views)} of {source.name}", "real pictures": len(real)}
     facts |= outputs.provenance_lines(numbers)
     write_report(output / "report.html", transfers_page(result, settings, facts))
@@ -108,30 +91,26 @@ def transfers(
     outputs.write_numbers(json, numbers)
 
 
-def _opened(settings: TransferComparison) -> tuple[ComparedSource, Capture]:
+def _opened(settings: results.TransferComparison) -> tuple[translators.ComparedSource, Capture]:
     if settings.pictures is not None:
-        return held_out_images(settings.pictures, settings.width_px)
+        return translators.held_out_images(settings.pictures, settings.width_px)
     assert settings.source is not None
-    real = real_images(settings.real, settings.width_px)
+    real = translators.real_images(settings.real, settings.width_px)
     choice = msgspec.structs.replace(settings.views, width_px=settings.width_px)
-    if names_scene(settings.source):
-        from ..translate import source_views  # kernels take a second to load
+    if not names_scene(settings.source):
+        capture = chosen_views(open_capture(settings.source), choice)
+        stamp = input_fingerprint(Path(settings.source))
+        return translators.capture_source(capture, settings.width_px, stamp), real
+    from ..translate import source_views  # kernels take a second to load
 
-        opened = source_views(settings.source, choice, settings.capture)
-        stamps = "-".join(
-            input_fingerprint(Path(each)) for each in (settings.source, settings.capture) if each is not None
-        )
-        return ComparedSource(
-            opened.name, opened.views, opened.surroundings, opened.to_world, opened.mask, True, stamps
-        ), real
-    from gsrain_engine.appearance.scene_views import chosen_views
-    from gsrain_engine.datasets.open_capture import open_capture
-
-    capture = chosen_views(open_capture(settings.source), choice)
-    return capture_source(capture, settings.width_px, input_fingerprint(Path(settings.source))), real
+    opened = source_views(settings.source, choice, settings.capture)
+    files = [each for each in (settings.source, settings.capture) if each is not None]
+    stamp = "-".join(input_fingerprint(Path(each)) for each in files)
+    views = opened.views, opened.surroundings, opened.to_world, opened.mask
+    return translators.ComparedSource(opened.name, *views, True, stamp), real
 
 
-def _inputs(settings: TransferComparison, source: ComparedSource) -> dict[str, str]:
+def _inputs(settings: results.TransferComparison, source: translators.ComparedSource) -> dict[str, str]:
     """Return hashes of the inputs: of a scene's bytes, and of names, sizes and times of all other files."""
     is_scene = settings.source is not None and names_scene(settings.source)
     found = {"clear views": scene_hash(settings.source) if is_scene else source.stamp}
@@ -148,7 +127,9 @@ def _inputs(settings: TransferComparison, source: ComparedSource) -> dict[str, s
 _WITHOUT_CAMERAS = "Nobody knows where these pictures were taken: whether views agree with each other is not measured."
 
 
-def transfers_page(result: ComparisonResult, settings: TransferComparison, facts: Mapping[str, object]) -> RunReport:
+def transfers_page(
+    result: translators.ComparisonResult, settings: results.TransferComparison, facts: Mapping[str, object]
+) -> RunReport:
     """Lay out the page of a comparison; `facts` come first among its settings."""
     rows, distance = result.rows, result.rows[0].distance
     caption = (
@@ -172,7 +153,7 @@ def transfers_page(result: ComparisonResult, settings: TransferComparison, facts
     )
 
 
-def print_transfers(result: ComparisonResult, console: Console) -> None:
+def print_transfers(result: translators.ComparisonResult, console: Console) -> None:
     """Print the table, the reused methods, and warnings about the distances."""
     distance = result.rows[0].distance
     kernel = f"{distance.kernel_metric} x1000"
@@ -203,7 +184,7 @@ def print_transfers(result: ComparisonResult, console: Console) -> None:
             console.print(f"{row.name}, {distance.metric}: {warning}.", soft_wrap=True)
 
 
-def _changed(method: ComparedMethod) -> str:
+def _changed(method: results.ComparedMethod) -> str:
     values = msgspec.to_builtins(method, enc_hook=str)
     defaults = {each.name: each.default for each in msgspec.structs.fields(method)}
     own = {key: value for key, value in values.items() if key not in ("name", "method") and value != defaults[key]}
