@@ -236,5 +236,5 @@ def export_command(recording: ExportSettings, project: str) -> str:
     if recording.format != plain.format:
         words += ["--codec", recording.codec]
     if recording.twin:
-        words.append("--twin")
+        words.append("--clear-pair")
     return shlex.join(words)

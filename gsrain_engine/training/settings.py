@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -152,12 +152,6 @@ def load_settings(name: str | Path | None = None, **changes: Any) -> TrainingSet
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
     return convert_checked(values | changed, TrainingSettings)
-
-
-def help_of(name: str) -> str:
-    """Description of a setting with its default, for a command's help."""
-    hint = get_type_hints(TrainingSettings, include_extras=True)[name]
-    return f"{hint.__metadata__[-1].description} Default: {getattr(TrainingSettings(), name)}."
 
 
 def settings_names() -> list[str]:

@@ -333,7 +333,7 @@ def start_training(
     if not capture.is_metric:
         logger.info(
             "%s: nothing tells how long a metre is; set the scene's scale before it rains (in the window, or by "
-            "gsrain convert --metres-per-unit)", capture.name,
+            "gsrain convert --meters-per-unit)", capture.name,
         )  # fmt: skip
     return PreparedTraining(training, [ready[i] for i in held_out], _perceived(lpips, device), own_body)
 
