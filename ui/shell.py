@@ -10,7 +10,7 @@ from gsrain_engine.editor.editor import Editor
 from .commands.base import Command, chord
 from .commands.registry import ACTION_GROUPS, ACTIONS
 from .panels.rain import WARNING
-from .tools.registry import TOOLS
+from .tools import TOOLS
 from .widgets.text import label
 
 

@@ -1,7 +1,6 @@
 """A session in the window: live view, panels and menus. Importing this loads the engine."""
 
 import logging
-import threading
 import time
 
 import moderngl
@@ -10,23 +9,16 @@ from imgui_bundle import hello_imgui, imgui
 from gsrain_engine.editor.drawing.live_view import LiveView, MosaicImages
 from gsrain_engine.editor.drawing.textures import CachedTexture, CaptureTextures, JobPreviews
 from gsrain_engine.editor.editor import Editor, WindowBackend
-from gsrain_engine.editor.jobs.job import remove_abandoned_job_folders
 from gsrain_engine.editor.timeline import FrameClock
-from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.render.opengl.context import DeviceLostError
 
 from .dialogs import CommandPalette, about_page, draw_questions, keyboard_page
 from .panels.registry import all_panels
-from .restart import restart_state
 from .shell import act_on_keys, draw_menus, status_bar
-from .style import apply_style
 from .viewport.panel import viewport_panel
 from .widgets.fields import answer_dialogs
 
 logger = logging.getLogger("gsrain")
-_RESTARTED = "The graphics driver has restarted, and so has this window; jobs have ended."
-_WITH_CHANGES = " What was changed is here, still to be saved; it can't be undone any more."
-
 _SPACES = {
     "left": "LeftSpace",
     "left bottom": "LeftBottomSpace",
@@ -39,25 +31,6 @@ _FOR_THREADS_S = 0.001  # sleep per frame while threads work: without it they ra
 _IDLE_FPS = 0.3  # A frame costs 80 ms in software rendering; events wake up the window immediately
 _WATCHING_FPS = 10.0  # frame rate for progress bars while workers run without user input
 _WAITING_FPS = 30.0  # frame rate for an animated bar: the awaited work needs the CPU more
-
-
-def begin_session(scene: str | None, rain: RainSettings | None, wet: bool = False) -> Editor:
-    """Begin a session that opens a scene (None is the built-in street) in the background, and makes it rainy if `wet`.
-
-    After a lost graphics context it continues with the state of the previous window.
-    """
-    session, left = Editor(rain=rain), restart_state()
-    if left is not None and left.kept is not None:
-        session.files.go_on_at(left.kept)
-    else:
-        session.open((left and left.scene) or scene or "street")
-        if wet:
-            session.rainy.make_soon()
-    if left is not None:
-        session.problem = _RESTARTED + (_WITH_CHANGES if left.kept is not None else "")
-    session.files.offer_recovery()
-    threading.Thread(target=remove_abandoned_job_folders, name="tidy up", daemon=True).start()
-    return session
 
 
 class Workspace:
@@ -74,7 +47,6 @@ class Workspace:
         self._pace = FrameClock()
         self._capture = session.captures.capture
         self._last_problem = ""
-        self._style = session.preferences
 
     def dockable_windows(self) -> list[hello_imgui.DockableWindow]:
         windows: list[hello_imgui.DockableWindow] = []
@@ -96,9 +68,6 @@ class Workspace:
 
     def update(self) -> None:
         """Advance time. Call it once per frame, before drawing."""
-        if self.session.preferences != self._style:
-            self._style = self.session.preferences
-            apply_style(self._style)
         session = self.session
         session.update(self._pace.step(imgui.get_io().delta_time))
         if session.is_working:

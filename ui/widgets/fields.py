@@ -1,11 +1,11 @@
 """Widgets for settings (title, unit, bounds and help come from a field's `Meta`), keyframes, and file dialogs."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 from imgui_bundle import ImVec2, ImVec4, icons_fontawesome_6, im_file_dialog, imgui
@@ -15,10 +15,7 @@ from gsrain_engine.rain.keyframes import Keyed
 from gsrain_engine.rain.settings import RainSettings, RegionBox
 from gsrain_engine.scene.formats.registry import writable_suffixes
 
-LABEL_WIDTH = 0.42
-"""Share of a panel's width for labels; longer ones take more."""
-
-_SIDE_MARGIN_EM = 1.0
+_LABEL_WIDTH = 0.42  # share of a panel's width for labels; longer ones take more
 
 
 @dataclass(frozen=True)
@@ -34,8 +31,12 @@ class FieldInfo:
     multiple_of: int = 1
     none: str | None = None
     """Text for an optional number that is None; None if the number is required."""
-    usual: float = 0.0
+    initial: float = 0.0
     """Value of an optional number when it is enabled."""
+
+    @property
+    def label(self) -> str:
+        return f"{self.title} ({self.unit})" if self.unit else self.title
 
 
 @cache
@@ -51,17 +52,14 @@ def field_info(name: str, owner: type[msgspec.Struct] = RainSettings) -> FieldIn
     high = meta.le if meta.le is not None else extra.get("le", 1.0)
     none = str(extra.get("none", "none")) if is_optional and kind in (int, float) else None
     default = next(each for each in msgspec.structs.fields(owner) if each.name == name).default
-    usual = extra.get("usual", default if isinstance(default, int | float) else low)
-    multiple = int(meta.multiple_of or 1)
-    return FieldInfo(
-        meta.title or name, extra.get("unit", ""), meta.description or "", low, high, choices, multiple, none, usual
-    )
+    initial = extra.get("usual", default if isinstance(default, int | float) else low)
+    multiple, unit = int(meta.multiple_of or 1), extra.get("unit", "")
+    return FieldInfo(meta.title or name, unit, meta.description or "", low, high, choices, multiple, none, initial)
 
 
 def label(name: str) -> None:
     """Draw a field's title with its help as tooltip, and move to the position of its widget."""
-    info = field_info(name)
-    plain_label(f"{info.title} ({info.unit})" if info.unit else info.title, info.help)
+    plain_label(field_info(name).label, field_info(name).help)
 
 
 def plain_label(text: str, help_text: str) -> None:
@@ -70,10 +68,8 @@ def plain_label(text: str, help_text: str) -> None:
     imgui.text(text)
     if help_text:
         imgui.set_item_tooltip(help_text)
-    at = max(
-        LABEL_WIDTH * imgui.get_window_width(), imgui.calc_text_size(text).x + _SIDE_MARGIN_EM * imgui.get_font_size()
-    )
-    imgui.same_line(at)
+    width = imgui.calc_text_size(text).x + imgui.get_font_size()
+    imgui.same_line(max(_LABEL_WIDTH * imgui.get_window_width(), width))
     imgui.set_next_item_width(-1)
 
 
@@ -141,7 +137,6 @@ def end_gesture_when_released(session: Editor) -> None:
 # Fields of any settings: metadata and type select the widget
 
 _Settings = TypeVar("_Settings", bound=msgspec.Struct)
-ALL_FILES = "All files{.*}"
 
 
 def edit_field(settings: _Settings, name: str, *, label: str | None = None, step: int = 1) -> _Settings:
@@ -151,25 +146,25 @@ def edit_field(settings: _Settings, name: str, *, label: str | None = None, step
     """
     info, value = field_info(name, type(settings)), getattr(settings, name)
     if isinstance(value, bool):
-        changed, value = _checkbox(name, info, value)
+        changed, value = imgui.checkbox(f"{info.title}###{name}", value)
     else:
-        plain_label(label or (f"{info.title} ({info.unit})" if info.unit else info.title), info.help)
+        plain_label(label or info.label, info.help)
         if info.none is not None:
             switched, value = _optional_toggle(name, info, value)
             if switched or value is None:
-                return _with(settings, name, value) if switched else settings
+                return msgspec.structs.replace(settings, **{name: value}) if switched else settings
         if info.choices:
-            changed, value = _combo(name, info.choices, value)
+            changed, at = imgui.combo(f"##{name}", info.choices.index(value), list(info.choices))
+            value = info.choices[at]
         elif isinstance(value, int):
             step = max(step, info.multiple_of)
             changed, value = imgui.input_int(f"##{name}", value, step, 10 * step)
             value = int(min(max(round(value / info.multiple_of) * info.multiple_of, info.low), info.high))
         else:
-            changed, value = imgui.slider_float(
-                f"##{name}", value, info.low, info.high, "%.4g", imgui.SliderFlags_.always_clamp
-            )
-        imgui.set_item_tooltip(info.help)
-    return _with(settings, name, value) if changed else settings
+            flags = imgui.SliderFlags_.always_clamp
+            changed, value = imgui.slider_float(f"##{name}", value, info.low, info.high, "%.4g", flags)
+    imgui.set_item_tooltip(info.help)
+    return msgspec.structs.replace(settings, **{name: value}) if changed else settings
 
 
 def path_field(
@@ -182,8 +177,7 @@ def path_field(
     info, present = field_info(name, type(settings)), getattr(settings, name)
     value = "" if present is None else str(present)
     plain_label(label or info.title, info.help)
-    beside = imgui.get_frame_height() + imgui.get_style().item_spacing.x
-    imgui.set_next_item_width(-beside)
+    imgui.set_next_item_width(-keyframe_button_width())
     _, typed = imgui.input_text_with_hint(f"##{name}", "none chosen", value)
     # A half-typed path doesn't exist yet: accept it only after editing.
     if imgui.is_item_deactivated_after_edit():
@@ -191,12 +185,8 @@ def path_field(
     imgui.set_item_tooltip(f"{info.help}\n{value}".strip())
     imgui.same_line()
     if square_button(icons_fontawesome_6.ICON_FA_FOLDER_OPEN, f"choose {name}"):
-        ask_what_to_open(f"{info.title}{'' if kinds else ' (folder)'}", kinds, lambda chosen: take(_first(chosen)))
+        ask_what_to_open(f"{info.title}{'' if kinds else ' (folder)'}", kinds, lambda chosen: take(str(chosen[0])))
     imgui.set_item_tooltip("Choose a file..." if kinds else "Choose a folder...")
-
-
-def _first(chosen: Sequence[Path]) -> str:
-    return str(chosen[0])
 
 
 def _optional_toggle(name: str, info: FieldInfo, value: float | None) -> tuple[bool, float | None]:
@@ -207,43 +197,28 @@ def _optional_toggle(name: str, info: FieldInfo, value: float | None) -> tuple[b
     imgui.set_next_item_width(-1)
     if not is_given:
         imgui.text_disabled(info.none or "")
-    return changed, (value if is_given and value is not None else info.usual if is_given else None)
-
-
-def _checkbox(name: str, info: FieldInfo, value: bool) -> tuple[bool, bool]:
-    changed, value = imgui.checkbox(f"{info.title}###{name}", value)
-    imgui.set_item_tooltip(info.help)
-    return changed, value
-
-
-def _combo(name: str, choices: Sequence[str], value: str) -> tuple[bool, str]:
-    changed, at = imgui.combo(f"##{name}", choices.index(value), list(choices))
-    return changed, choices[at]
-
-
-def _with(settings: _Settings, name: str, value: Any) -> _Settings:
-    return msgspec.structs.replace(settings, **{name: value})
+        return changed, None
+    return changed, info.initial if value is None else value
 
 
 # Keyframe diamond: gray without keyframes, lit with some, bright at a keyframe's time
 
-KEYED = ImVec4(0.95, 0.66, 0.25, 1.0)
-HERE = ImVec4(1.0, 0.93, 0.45, 1.0)
+_KEYED = ImVec4(0.95, 0.66, 0.25, 1.0)
+_HERE = ImVec4(1.0, 0.93, 0.45, 1.0)
 _TITLES = {"intensity_mm_h": "intensity", "wind_m_s": "wind", "exposure_s": "exposure"}
 
 
 def keyframe_button_width() -> float:
+    """Width of a square button with its gap."""
     return imgui.get_frame_height() + imgui.get_style().item_spacing.x
 
 
 def keyframe_button(session: Editor, name: Keyed) -> None:
-    weather, now_s, title = session.weather, session.clock.time_s, _TITLES[name]
-    is_keyed = weather.is_keyed(name)
-    present = weather.key_at(now_s)
-    is_here = present is not None and getattr(present, name) is not None
+    now_s, title = session.clock.time_s, _TITLES[name]
+    is_keyed, is_here = session.weather.is_keyed(name), _is_keyed_now(session, name)
     imgui.same_line()
     imgui.push_style_color(imgui.Col_.button, ImVec4(0, 0, 0, 0))
-    color = HERE if is_here else KEYED if is_keyed else imgui.get_style_color_vec4(imgui.Col_.text_disabled)
+    color = _HERE if is_here else _KEYED if is_keyed else imgui.get_style_color_vec4(imgui.Col_.text_disabled)
     imgui.push_style_color(imgui.Col_.text, color)
     clicked = square_button(icons_fontawesome_6.ICON_FA_DIAMOND, f"key {name}")
     imgui.pop_style_color(2)
@@ -262,8 +237,7 @@ def keyframe_button(session: Editor, name: Keyed) -> None:
 def toggle_keyframe(session: Editor, name: Keyed) -> None:
     """Set a field's keyframe at the current time to its current value, or remove the one there."""
     weather, now_s, title = session.weather, session.clock.time_s, _TITLES[name]
-    present = weather.key_at(now_s)
-    if present is not None and getattr(present, name) is not None:
+    if _is_keyed_now(session, name):
         session.set_weather(f"Remove the key of the {title}", weather.without_key(now_s, name))
         return
     value = getattr(session.rain_now, name)
@@ -272,11 +246,16 @@ def toggle_keyframe(session: Editor, name: Keyed) -> None:
     session.set_weather(f"Key the {title}", weather.with_key(now_s, **{name: value}))
 
 
+def _is_keyed_now(session: Editor, name: Keyed) -> bool:
+    present = session.weather.key_at(session.clock.time_s)
+    return present is not None and getattr(present, name) is not None
+
+
 def tint_keyframed(session: Editor, name: Keyed) -> int:
     """Tint the frame of the next field if it has keyframes; returns the number of colors to pop."""
     if not session.weather.is_keyed(name):
         return 0
-    imgui.push_style_color(imgui.Col_.frame_bg, ImVec4(KEYED.x, KEYED.y, KEYED.z, 0.22))
+    imgui.push_style_color(imgui.Col_.frame_bg, ImVec4(_KEYED.x, _KEYED.y, _KEYED.z, 0.22))
     return 1
 
 
@@ -290,15 +269,10 @@ def keyframed_slider(session: Editor, name: Keyed, *, high: float) -> None:
 # File dialogs, answered by a callback in a later frame
 
 Answer = Callable[[list[Path]], None]
+_open: dict[str, tuple[Answer, list[str]]] = {}
+"""Answers to open dialogs by title, and names that a save dialog returns for an empty one, such as `.ply` or `.*`."""
 
-
-class _Waiting(NamedTuple):
-    answer: Answer
-    nameless: frozenset[str]
-    """Names that a save dialog returns for an empty name: a bare suffix, such as `.ply` or `.*`."""
-
-
-_waiting: dict[str, _Waiting] = {}  # open dialogs by title; there is one window
+ALL_FILES = "All files{.*}"
 SCENE_FOLDERS = "Scene folders{.*}"
 
 
@@ -309,34 +283,27 @@ def exported_kinds() -> str:
 
 def ask_what_to_open(title: str, kinds: str, answer: Answer, *, several: bool = False) -> None:
     """Open a dialog for existing files; `kinds` as in "Scenes{.ply,.spz},All files{.*}"."""
-    _waiting[title] = _Waiting(answer, frozenset())
+    _open[title] = answer, []
     im_file_dialog.FileDialog.instance().open(title, title, kinds, several)
 
 
 def ask_where_to_save(title: str, kinds: str, answer: Answer) -> None:
-    ends = re.findall(r"[{,](\.[^,{}]*)", kinds)
-    _waiting[title] = _Waiting(answer, frozenset(ends))
+    _open[title] = answer, re.findall(r"[{,](\.[^,{}]*)", kinds)
     im_file_dialog.FileDialog.instance().save(title, title, kinds)
 
 
 def answer_dialogs(session: Editor) -> None:
     """Handle closed dialogs. Call it once per frame."""
     dialogs = im_file_dialog.FileDialog.instance()
-    for title in list(_waiting):
-        if not dialogs.is_done(title):
-            continue
-        waiting = _waiting.pop(title)
+    for title in [each for each in _open if dialogs.is_done(each)]:
+        answer, suffixes = _open.pop(title)
         chosen = [Path(each.path()) for each in dialogs.get_results()] if dialogs.has_result() else []
         dialogs.close()
-        if any(path.name in waiting.nameless for path in chosen):
+        if any(path.name in suffixes for path in chosen):
             session.problem = f"{title}: no name was typed; choose a folder, then type a name behind File name."
         elif chosen:
-            waiting.answer([_meant(path) for path in chosen])
-
-
-def _meant(path: Path) -> Path:
-    """Return the typed path: the dialog appends the chosen type's suffix to a name without one, even `.*`."""
-    return path.with_suffix("") if path.suffix == ".*" else path
+            # The dialog appends the chosen type's suffix to a name without one, even `.*`.
+            answer([path.with_suffix("") if path.suffix == ".*" else path for path in chosen])
 
 
 # Square icon button

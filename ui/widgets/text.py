@@ -24,6 +24,13 @@ def readings(table: str, rows: Iterable[tuple[str, str, str]]) -> None:
     imgui.end_table()
 
 
+def inline_text(text: str, *, faint: bool = False) -> None:
+    """Draw text in line with the widget that comes next."""
+    imgui.align_text_to_frame_padding()
+    (imgui.text_disabled if faint else imgui.text)(text)
+    imgui.same_line()
+
+
 # Names from files: their text must not act as a label's id, change the text direction or crash the window
 
 _HIDDEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
