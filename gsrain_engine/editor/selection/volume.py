@@ -14,8 +14,6 @@ from ...scene.scene import DrawItem, Scene
 from ..edits.gaussians import CropBox
 from .candidates import Candidate, Found, base_color, candidates, select_similar_colors, selected, visible_gaussians
 
-_MIN_RADIUS_M = 0.01
-
 
 @dataclass(frozen=True)
 class Sphere:
@@ -27,8 +25,8 @@ class Sphere:
     def reaching(self, eye_m: Float64[np.ndarray, "3"], sight: Float64[np.ndarray, "3"]) -> "Sphere":
         """Return the sphere around the same center that a line of sight touches; `sight` is a unit vector."""
         to_center = self.middle - eye_m
-        beside = to_center - (to_center @ sight) * sight
-        return replace(self, radius_m=max(float(np.linalg.norm(beside)), _MIN_RADIUS_M))
+        across = to_center - (to_center @ sight) * sight
+        return replace(self, radius_m=max(float(np.linalg.norm(across)), 0.01))
 
     @property
     def middle(self) -> Float64[np.ndarray, "3"]:
@@ -162,9 +160,7 @@ def _reached(
 
 # Flood fill
 
-NEIGHBORS = 8
-"""Number of neighbors that defines the spacing."""
-
+_NEIGHBORS = 8  # number of neighbors that defines the spacing
 _ROOM = 1 << 40  # factor to combine member and Gaussian index into one number; no member has more Gaussians
 _EDGE = 1 << 20  # maximum number of cells from the seed: three numbers of 21 bits form a key
 
@@ -183,19 +179,13 @@ def flood_select(
     similar = select_similar_colors(scene, time_s, base_color(seed.part, index), tolerance)
     points, owners = world_points(own, similar)
     at = int(np.searchsorted(owners[:, 0] * _ROOM + owners[:, 1], own.index(seed) * _ROOM + index))
-    side = reach * _spacing(points, at)
+    squares, nearest = ((points - points[at]) ** 2).sum(axis=1), min(_NEIGHBORS, len(points) - 1)
+    side = reach * max(float(np.sqrt(np.partition(squares, nearest)[nearest])), 1e-6)
     cells = np.floor((points - points[at]) / side + 0.5)
     flags = np.zeros(len(points), np.bool_)
     near = np.flatnonzero(np.abs(cells).max(axis=1) < _EDGE)
     flags[near] = _connected(cells[near].astype(np.int64), int(np.searchsorted(near, at)))
     return masks_by_member(own, owners[flags])
-
-
-def _spacing(points: Float64[np.ndarray, "m 3"], at: int) -> float:
-    """Distance in meters from one point to its eighth nearest; never 0."""
-    squares = ((points - points[at]) ** 2).sum(axis=1)
-    nearest = min(NEIGHBORS, len(points) - 1)
-    return max(float(np.sqrt(np.partition(squares, nearest)[nearest])), 1e-6)
 
 
 @numba.njit(cache=True)
