@@ -45,9 +45,8 @@ if TYPE_CHECKING:
     from .workspace import Workspace
 
 logger = logging.getLogger("gsrain")
+# Sent to programs when the machine shuts down or the user logs out
 _ENDINGS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""Signals sent to programs when the machine shuts down or the user logs out."""
-
 _DRIVER_RESTARTS_S = 5.0  # maximum time for a driver to recover before a window that lost its context restarts
 
 
@@ -148,7 +147,13 @@ class MainWindow:
         content.default_imgui_window_type = hello_imgui.DefaultImGuiWindowType.provide_full_screen_dock_space
         content.show_menu_bar = content.show_status_bar = True
         content.show_menu_app = content.show_menu_view = content.show_status_fps = False
-        parameters.docking_params.docking_splits = _splits()
+        parameters.docking_params.docking_splits = [
+            hello_imgui.DockingSplit("MainDockSpace", "RightSpace", imgui.Dir.right, 0.28),
+            hello_imgui.DockingSplit("RightSpace", "RightBottomSpace", imgui.Dir.down, 0.41),
+            hello_imgui.DockingSplit("MainDockSpace", "BottomSpace", imgui.Dir.down, 0.24),
+            hello_imgui.DockingSplit("MainDockSpace", "LeftSpace", imgui.Dir.left, 0.25),
+            hello_imgui.DockingSplit("LeftSpace", "LeftBottomSpace", imgui.Dir.down, 0.5),
+        ]
         viewport = hello_imgui.DockableWindow("View", "MainDockSpace", self._draw_viewport)
         viewport.can_be_closed = viewport.include_in_view_menu = False
         # Overlays never make the viewport scroll; a scroll bar that comes and goes would change its size.
@@ -277,16 +282,6 @@ class MainWindow:
         implot.destroy_context()
 
 
-def _splits() -> list[hello_imgui.DockingSplit]:
-    return [
-        hello_imgui.DockingSplit("MainDockSpace", "RightSpace", imgui.Dir.right, 0.28),
-        hello_imgui.DockingSplit("RightSpace", "RightBottomSpace", imgui.Dir.down, 0.41),
-        hello_imgui.DockingSplit("MainDockSpace", "BottomSpace", imgui.Dir.down, 0.24),
-        hello_imgui.DockingSplit("MainDockSpace", "LeftSpace", imgui.Dir.left, 0.25),
-        hello_imgui.DockingSplit("LeftSpace", "LeftBottomSpace", imgui.Dir.down, 0.5),
-    ]
-
-
 # Window icon
 
 SIZES_PX = (16, 24, 32, 48, 64, 256)
@@ -365,10 +360,7 @@ def restart_state() -> RestartState | None:
 
 
 def restart_program(left: RestartState, lived_s: float) -> NoReturn:
-    """Replace this process by a new one, after a window that was open for `lived_s` seconds.
-
-    Raises `OSError` after several restarts in a row.
-    """
+    """Replace this process after `lived_s` seconds; raises `OSError` after several restarts in a row."""
     times = 1 + (int(os.environ.get(_TIMES, "0")) if lived_s < _A_WHILE_S else 0)
     if times > _MAX_IN_A_ROW:
         raise OSError(f"the graphics card was lost {times} times in a row: its driver does not come back")

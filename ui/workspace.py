@@ -2,6 +2,7 @@
 
 import logging
 import time
+from functools import partial
 
 import moderngl
 from imgui_bundle import hello_imgui, imgui
@@ -20,13 +21,9 @@ from .widgets.fields import answer_dialogs
 
 logger = logging.getLogger("gsrain")
 _SPACES = {
-    "left": "LeftSpace",
-    "left bottom": "LeftBottomSpace",
-    "right": "RightSpace",
-    "right bottom": "RightBottomSpace",
+    "left": "LeftSpace", "left bottom": "LeftBottomSpace", "right": "RightSpace", "right bottom": "RightBottomSpace",
     "bottom": "BottomSpace",
-}
-
+}  # fmt: skip
 _FOR_THREADS_S = 0.001  # sleep per frame while threads work: without it they rarely get the interpreter
 _IDLE_FPS = 0.3  # A frame costs 80 ms in software rendering; events wake up the window immediately
 _WATCHING_FPS = 10.0  # frame rate for progress bars while workers run without user input
@@ -49,12 +46,9 @@ class Workspace:
         self._last_problem = ""
 
     def dockable_windows(self) -> list[hello_imgui.DockableWindow]:
-        windows: list[hello_imgui.DockableWindow] = []
-        panels = all_panels()
+        windows, panels = list[hello_imgui.DockableWindow](), all_panels()
         for panel in panels:
-            window = hello_imgui.DockableWindow(
-                panel.title, _SPACES[panel.side], lambda panel=panel: panel.draw(self.session)
-            )
+            window = hello_imgui.DockableWindow(panel.title, _SPACES[panel.side], partial(panel.draw, self.session))
             is_first_there = panel.side not in [each.side for each in panels[: panels.index(panel)]]
             window.focus_window_at_next_frame = is_first_there
             window.can_be_closed = False  # a close button on each tab takes too much width; View > Panels hides them
@@ -96,20 +90,16 @@ class Workspace:
         if not self.session.view.dialog and self.session.questions.present is None:
             act_on_keys(self.session)
         answer_dialogs(self.session)
-        self._show_new_capture()
+        capture = self.session.captures.capture
+        if capture is not self._capture:
+            self._capture = capture
+            if capture is not None:  # the view shows nothing of a capture without poses
+                imgui.set_window_focus("Capture")
         viewport_panel(self.session, self._textures)
         self._palette.draw(self.session)
         keyboard_page(self.session)
         about_page(self.session)
         draw_questions(self.session)
-
-    def _show_new_capture(self) -> None:
-        """Bring the Capture panel to the front after opening one: the view shows nothing of a capture without poses."""
-        present = self.session.captures.capture
-        if present is not self._capture:
-            self._capture = present
-            if present is not None:
-                imgui.set_window_focus("Capture")
 
     def _textures(self, width: int, height: int) -> list[int]:
         try:

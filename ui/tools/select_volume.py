@@ -168,9 +168,6 @@ def _is_dropped(session: Editor, volume: Volume, name: str) -> bool:
     return is_dropped
 
 
-# Crop
-
-
 class CropTool(BoxFaceTool):
     """Tool that deletes everything outside a box."""
 

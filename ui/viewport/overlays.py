@@ -12,7 +12,7 @@ from gsrain_engine.editor.capture_view import LARGE_PX, THUMBNAIL_PX, ImageReque
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.matching import MatchResult
 from gsrain_engine.editor.overlays import Frustum, KeyHandle, drag_in_view, frustums, image_grid, path_overlay_of
-from gsrain_engine.editor.overlays_drive import BoxMark, DetectionBox, RolloutOverlay, detection_boxes, rollout_overlay
+from gsrain_engine.editor.overlays_drive import BoxMark, DetectionBox, detection_boxes, rollout_overlay
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.simulation.metrics.collisions import LONGEST_S
 
@@ -326,7 +326,10 @@ def drive_overlay(session: Editor, viewport: Viewport) -> bool:
     inside = drives.chase.mode == "front camera"
     drawing = rollout_overlay(rollout, session.clock.time_s, viewport.shot.camera, from_inside=inside)
     if drives.show_plan:
-        _draw_plan(viewport, drawing)
+        draw_lines(viewport, drawing.driven_px.tolist(), _DRIVEN, 2.0)
+        draw_lines(viewport, drawing.plan_px.tolist(), _PLAN, 2.5, outline=2.0)
+        for x, y, radius in drawing.dots:
+            draw_dot(viewport, (x, y), _PLAN, radius)
     if drives.show_boxes:
         for box in drawing.boxes:
             _draw_box(viewport, box)
@@ -336,13 +339,6 @@ def drive_overlay(session: Editor, viewport: Viewport) -> bool:
             _draw_detection(viewport, detection)
     _draw_figures(session, viewport)
     return False
-
-
-def _draw_plan(viewport: Viewport, drawing: RolloutOverlay) -> None:
-    draw_lines(viewport, drawing.driven_px.tolist(), _DRIVEN, 2.0)
-    draw_lines(viewport, drawing.plan_px.tolist(), _PLAN, 2.5, outline=2.0)
-    for x, y, radius in drawing.dots:
-        draw_dot(viewport, (x, y), _PLAN, radius)
 
 
 def _draw_box(viewport: Viewport, box: BoxMark) -> None:
@@ -423,9 +419,6 @@ def draw_divider(session: Editor, labels: tuple[str, str], corner: ImVec2, width
         paper = (0.0, 0.0, 0.0, 0.55)
         draw_card(label, ImVec2(at, corner.y + _LABEL_PX), paper=paper, padding=(5, 2), rounding=3.0)
     draw.pop_clip_rect()
-
-
-# Preview next to the live view
 
 
 def preview_side(session: Editor, corner: ImVec2, width: int, height: int) -> tuple[str, str] | None:

@@ -167,10 +167,7 @@ _HEIGHT_EM, _LEGEND_EM = 12.0, 4.5
 def plot(
     title: str, x: str, y: str, *, log_x: bool = False, log_y: bool = False, legend: bool = False
 ) -> Generator[bool]:
-    """Begin a plot as wide as the panel, with its axis titles; yields True if it is visible and can be drawn into.
-
-    A legend is below it; plots with the same lines in the same order need only one.
-    """
+    """Begin a plot as wide as the panel; yields True if it can be drawn into. A legend is below it."""
     flags = implot.Flags_.no_menus | implot.Flags_.no_box_select | implot.Flags_.no_mouse_text
     if not legend:
         flags |= implot.Flags_.no_legend

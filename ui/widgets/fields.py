@@ -140,10 +140,7 @@ _Settings = TypeVar("_Settings", bound=msgspec.Struct)
 
 
 def edit_field(settings: _Settings, name: str, *, label: str | None = None, step: int = 1) -> _Settings:
-    """Draw a field's widget; returns the updated settings.
-
-    `label` replaces a title that is too long for a panel; `step` is the increment of an integer's buttons.
-    """
+    """Draw a field's widget and return the settings; `label` replaces a long title, `step` is that of an integer."""
     info, value = field_info(name, type(settings)), getattr(settings, name)
     if isinstance(value, bool):
         changed, value = imgui.checkbox(f"{info.title}###{name}", value)
@@ -304,9 +301,6 @@ def answer_dialogs(session: Editor) -> None:
         elif chosen:
             # The dialog appends the chosen type's suffix to a name without one, even `.*`.
             answer([path.with_suffix("") if path.suffix == ".*" else path for path in chosen])
-
-
-# Square icon button
 
 
 def square_button(icon: str, name: str) -> bool:

@@ -100,11 +100,9 @@ def _escaping(function: Callable[..., Any], words: Callable[[str], str] | None =
 
 def _visible(value: Any) -> Any:
     if isinstance(value, str):
-        return value if value.isascii() and value.isprintable() else _HIDDEN.sub(_escape, value)
+        return (
+            value if value.isascii() and value.isprintable() else _HIDDEN.sub(lambda found: repr(found[0])[1:-1], value)
+        )
     if isinstance(value, list) and value and isinstance(value[0], str):  # the choices of a combo box
         return [_all_words(_visible(each)) for each in value]
     return value
-
-
-def _escape(found: re.Match[str]) -> str:
-    return repr(found[0])[1:-1]

@@ -26,14 +26,11 @@ from ..viewport_state import PendingScene
 from .textures import CpuTexture
 
 logger = logging.getLogger("gsrain")
-_STAND_IN_GAUSSIANS = 1_000_000
-"""Larger scenes wait for the CPU kernels: software OpenGL would take minutes and twice the memory."""
-
+_STAND_IN_GAUSSIANS = 1_000_000  # larger scenes wait for the CPU kernels: software OpenGL would take minutes
 _LOADING_S = 2.0  # time to load cached kernels, also on a busy machine; after it, kernels are assumed to need compiling
 _UPLOAD_S = 0.01  # time per frame for uploading slices of a scene
 _ASIDE = 1 / 4  # share of the Gaussians in small images next to the viewport, during playback
-_CHUNK_SIZE = 1 << 16
-"""Number of new Gaussians that a frame uploads directly; for more, the last scene stays visible during the upload."""
+_CHUNK_SIZE = 1 << 16  # number of new Gaussians that a frame uploads directly; for more, the last scene stays visible
 
 
 class LiveView:
@@ -143,10 +140,7 @@ class LiveView:
         return [pane.texture for pane in self._panes[-len(self.session.split_panes) :]]
 
     def draw_aside(self, scene: Scene, shot: RenderView, screen: Screen) -> moderngl.Texture | None:
-        """Draw a small image next to the viewport, in its rain, after `draw`; None while nothing can be drawn.
-
-        During playback it uses a quarter of the Gaussians, or fewer if the viewport uses fewer.
-        """
+        """Draw a small image next to the viewport after `draw`, with fewer Gaussians in playback, or None."""
         session = self.session
         if not self._can_draw or (not self._on_cpu and self._upload.missing(scene) > _CHUNK_SIZE):
             return None
@@ -381,15 +375,11 @@ class SceneUpload:
 
 # Sky color, sampled again when the scene has changed, one image a frame, so that no frame stalls
 
-_QUICK = 60_000
-"""Number of Gaussians that a first sample draws; larger scenes get a second, full one as soon as nothing moves."""
+_QUICK = 60_000  # number of Gaussians that a first sample draws; a second, full one follows when nothing moves
 
 
 class SkyColorSampler:
-    """Sky color of the last sample, and the sample in progress.
-
-    The first sample finishes at once. Later ones keep the last color until they are done.
-    """
+    """Sky color of the last sample; the first sample finishes immediately, later ones over several frames."""
 
     def __init__(self) -> None:
         self._sampled: Hashable = None

@@ -156,9 +156,6 @@ class JobPreviews:
         session.previews = {job: texture for job, each in self._cached.items() if (texture := each.texture) is not None}
 
 
-# Images of the CPU renderer
-
-
 class CpuTexture:
     """A CPU renderer, whose kernels compile in the background, and the texture of its images."""
 

@@ -25,10 +25,7 @@ def moved_actor(actor: Actor, similarity: Float64[np.ndarray, "4 4"]) -> Actor:
 
 
 def turn_actor(scene: Scene, key: str, left_deg: float) -> Scene:
-    """Rotate an actor to the left about its own z axis, at every time; its positions stay.
-
-    Raises `ValueError` if there is no such actor or it is locked.
-    """
+    """Rotate an unlocked actor to the left about its own z axis, at every time; its positions stay."""
     actor = _unlocked_actor(scene, key)
     half = np.radians(left_deg) / 2
     turn = np.broadcast_to([np.cos(half), 0.0, 0.0, np.sin(half)], actor.track.quaternions_wxyz.shape)
@@ -69,14 +66,10 @@ def _unlocked_actor(scene: Scene, key: str) -> Actor:
 
 # Ego drive along a camera path
 
-RIG = "drive"
-"""Name of the rig that `drive_along` creates."""
-
+RIG = "drive"  # name of the rig that `drive_along` creates
 _STEP_M = 0.5  # minimum distance of samples: closer ones show the camera's shaking rather than the route
 _SAMPLES_PER_S, _MAX_SAMPLES = 10.0, 20_000
-_AHEAD_COS = 0.5
-"""Minimum cosine to the direction of travel (60 degrees) at which the camera's orientation is used for the rig."""
-
+_AHEAD_COS = 0.5  # minimum cosine to the direction of travel at which the rig has the camera's orientation
 _LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Camera axes (x right, y down, z forward) to ego axes (x forward, y left, z up), looking straight ahead."""
 
@@ -160,10 +153,7 @@ def set_ego_start(scene: Scene, ground_point_m: Float64[np.ndarray, "3"], headin
 
 
 def set_origin(scene: Scene, point_m: Float64[np.ndarray, "3"]) -> Scene:
-    """Move everything so that a point of the world becomes its origin: layers, actors, ego, camera path, ground.
-
-    Locked layers move too, so that relative positions stay.
-    """
+    """Move everything, also locked layers, so that a point of the world becomes its origin."""
     shift = np.eye(4)
     shift[:3, 3] = -np.linalg.inv(scene.scene_to_world)[:3, :3] @ point_m
     return replace(

@@ -62,9 +62,6 @@ def _with(member: Layer | Actor, **masks: BitMask | None) -> Layer | Actor:
     return member if same else replace(member, marks=replace(member.marks, **masks))
 
 
-# Crop box
-
-
 @dataclass(frozen=True)
 class CropBox:
     """An upright box in the world, meters, rotated about z."""
@@ -143,9 +140,6 @@ def crop(scene: Scene, box: CropBox) -> Scene:
         return _with(member, selected=selected if selected else None, deleted=_or(marks.deleted, outside))
 
     return edit_members(scene, cropped)
-
-
-# Compaction
 
 
 def deleted_count(scene: Scene) -> int:

@@ -25,10 +25,7 @@ from .members import (
 
 
 def duplicate(scene: Scene, key: str) -> Scene:
-    """Insert a copy of a member after it, under a unique name; its arrays are shared.
-
-    Raises `ValueError` if there is no such member.
-    """
+    """Insert a copy of a member after it, under a unique name; its arrays are shared."""
     copy = replace(with_unique_name(scene, find_member(scene, key)), locked=False)
     return insert_after(scene, key, copy)
 
@@ -167,14 +164,8 @@ def _in_frame_of(first: Layer, layer: Layer, *, bake: bool) -> Gaussians:
     return transform_gaussians(bake_item(part), np.eye(4) if same else np.linalg.inv(first.to_scene) @ layer.to_scene)
 
 
-# Import
-
-
 def import_scene(scene: Scene, other: Scene) -> Scene:
-    """Add all members of another scene so that the world frames agree: meters, z up, one origin.
-
-    Names are made unique, selection sets are added. A scene without members becomes the other.
-    """
+    """Add the members and selection sets of another scene, so that the world frames agree, under unique names."""
     if not scene.members:
         return other
     to_scene = np.linalg.inv(scene.scene_to_world) @ other.scene_to_world

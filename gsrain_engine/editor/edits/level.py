@@ -11,16 +11,11 @@ from ...scene.geometry import matrices_from_quaternions
 from ...scene.scene import Scene
 
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
-"""A direction along an axis of a scene."""
-
 UNIT_M = (1e-6, 1e6)
 """Range of valid lengths of a scene unit, in meters."""
 
-_SAMPLES = 100_000
-_TRIES = 400
-_STEEPEST_COS = 0.5
-"""Minimum cosine of the ground's slope (60 degrees); steeper ground means that `up` is entirely wrong."""
-
+_SAMPLES, _TRIES = 100_000, 400
+_STEEPEST_COS = 0.5  # minimum cosine of the ground's slope; steeper ground means that `up` is entirely wrong
 _FLAT = 0.6  # maximum ratio of the thinnest axis of a flat Gaussian to its middle one
 _TOLERANCE = 0.008  # maximum distance of ground points from the plane, as a share of the scene's extent
 _BELOW = 2.0  # votes that a plane loses per sample below it: a roof has more of the scene below it than lies on it
@@ -163,9 +158,6 @@ def _samples(
         points.append(gaussians.means.astype(np.float64) @ part.to_world[:3, :3].T + part.to_world[:3, 3])
         normals.append(np.where(flat[:, None], thinnest @ (part.to_world[:3, :3] / scale).T, 0.0))
     return np.concatenate(points), np.concatenate(normals)
-
-
-# Scale
 
 
 def set_length(scene: Scene, measured_m: float, true_m: float) -> Scene:

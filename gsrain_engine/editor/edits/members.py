@@ -57,9 +57,6 @@ def insert_after(scene: Scene, key: str, added: Layer | Actor) -> Scene:
     return with_members(scene, (*scene.members[: at + 1], added, *scene.members[at + 1 :]))
 
 
-# Unique names
-
-
 def with_unique_name(scene: Scene, member: Layer | Actor, name: str | None = None) -> Layer | Actor:
     """Return a member under a name that no other of its kind has; with `name`, a member of the scene is renamed."""
     used = {each.name for each in scene.members if type(each) is type(member)}
@@ -73,9 +70,6 @@ def unique_name(name: str, used: Collection[str]) -> str:
         return name
     stem = re.sub(r" \d+$", "", name) or name
     return next(each for number in count(2) if (each := f"{stem} {number}") not in used)
-
-
-# New Gaussians
 
 
 def with_gaussians_of(scene: Scene, other: Scene) -> Scene:

@@ -17,10 +17,7 @@ Similarity = Float64[np.ndarray, "4 4"]
 
 
 def move_member(scene: Scene, key: str, delta: Similarity) -> Scene:
-    """Move a layer, or an actor with its whole track, by a similarity of the world (meters, z up).
-
-    Raises `ValueError` if there is no such member or it is locked.
-    """
+    """Move an unlocked layer, or actor with its whole track, by a similarity of the world (meters, z up)."""
     member, step = find_unlocked_member(scene, key), _in_scene(scene, delta)
     if isinstance(member, Layer):
         return scene.with_member(key, to_scene=step @ member.to_scene)
@@ -70,10 +67,7 @@ def preview_move(scene: Scene, key: str | None, delta: Similarity, time_s: float
 
 
 def pivot(scene: Scene, key: str | None, time_s: float = 0.0) -> Float64[np.ndarray, "3"] | None:
-    """Pivot of a member, or with None of the selection: the middle of its centers, in the world. None if empty.
-
-    The middle is the median along each axis, which is robust to outliers.
-    """
+    """Median center, in the world, of a member, or with None of the selection; None if it is empty."""
     places: list[Float64[np.ndarray, "n 3"]] = []
     for member in scene.members:
         to_scene = member.pose_at(time_s)

@@ -94,9 +94,6 @@ def selectable_count(scene: Scene) -> int:
     return sum(visible_gaussians(member).size for member in editable(scene))
 
 
-# Base colors
-
-
 def base_colors(part: DrawItem) -> Float32[np.ndarray, "n 3"]:
     """Display color of each Gaussian from its degree-0 harmonics, graded as drawn, within 0..1."""
     colors = part.gaussians.sh[:, 0].copy()

@@ -21,11 +21,7 @@ from .candidates import candidates
 
 Depths = Literal["all through", "front-most", "to a depth"]
 
-MIN_SHARE = 0.05
-"""Minimum visible share of a Gaussian to count as front-most.
-
-Behind one opaque surface the visible share is 0.05 at most; overlapping neighbors on a surface keep more.
-"""
+_MIN_SHARE = 0.05  # behind one opaque surface a Gaussian has at most this share; overlapping neighbors on it have more
 
 
 @dataclass(frozen=True)
@@ -57,7 +53,7 @@ def select_in_screen_shape(
         box = int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
         for key, shares in visible_shares(scene, shot, box).items():
             if key in found:
-                found[key] = found[key] & BitMask.of(shares >= MIN_SHARE)
+                found[key] = found[key] & BitMask.of(shares >= _MIN_SHARE)
     return found
 
 
@@ -180,8 +176,7 @@ def outlines(pixels: Bool[np.ndarray, "h w"]) -> list[Float64[np.ndarray, "_ 2"]
 
 # Visible shares
 
-_MAX_PIXELS = 120_000
-"""Maximum size of the image for visible shares: coarser than the screen's, and several times faster."""
+_MAX_PIXELS = 120_000  # of the image for visible shares: coarser than the screen's, and several times faster
 
 
 def visible_shares(

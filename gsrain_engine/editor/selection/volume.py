@@ -10,7 +10,7 @@ import scipy
 from jaxtyping import Bool, Float64, Int64
 
 from ...scene.flags import BitMask
-from ...scene.scene import DrawItem, Scene
+from ...scene.scene import Scene
 from ..edits.gaussians import CropBox
 from .candidates import Candidate, Found, base_color, candidates, select_similar_colors, selected, visible_gaussians
 
@@ -58,15 +58,14 @@ def placed_on(box: CropBox, point_m: Float64[np.ndarray, "3"]) -> CropBox:
 
 def in_volume(scene: Scene, time_s: float, volume: Volume) -> dict[str, BitMask]:
     """Find the Gaussians with centers in a volume at a time, also those outside the image."""
-    return {each.key: BitMask.of(_inside(each.part, volume)) for each in candidates(scene, time_s)}
-
-
-def _inside(part: DrawItem, volume: Volume) -> Bool[np.ndarray, " n"]:
-    flags = np.empty(len(part.gaussians), np.bool_)
     to_unit = volume.to_unit if isinstance(volume, Sphere) else np.linalg.inv(volume.to_world)
-    to_unit = np.ascontiguousarray((to_unit @ part.to_world)[:3])
-    _find_inside(part.gaussians.means, to_unit, isinstance(volume, Sphere), flags)
-    return flags
+    found: dict[str, BitMask] = {}
+    for key, part in candidates(scene, time_s):
+        flags = np.empty(len(part.gaussians), np.bool_)
+        own_to_unit = np.ascontiguousarray((to_unit @ part.to_world)[:3])
+        _find_inside(part.gaussians.means, own_to_unit, isinstance(volume, Sphere), flags)
+        found[key] = BitMask.of(flags)
+    return found
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -90,10 +89,7 @@ def _find_inside(means, m, is_round, flags):
 def world_points(
     members: Sequence[Candidate], among: Found
 ) -> tuple[Float64[np.ndarray, "m 3"], Int64[np.ndarray, "m 2"]]:
-    """Centers in the world (meters) of Gaussians, and their owners: index of the member, index of the Gaussian.
-
-    In the order of members, then of Gaussians.
-    """
+    """Centers in the world (meters) of Gaussians, and their owners: indices of member and Gaussian, in this order."""
     points, owners = [np.zeros((0, 3))], [np.zeros((0, 2), np.int64)]
     for number, each in enumerate(members):
         mask = among.get(each.key)
@@ -191,10 +187,7 @@ def flood_select(
 @numba.njit(cache=True)
 @no_type_check
 def _connected(cells: Int64[np.ndarray, "m 3"], seed: int) -> Bool[np.ndarray, " m"]:
-    """Flag the points whose cells connect to the seed's through neighboring cells.
-
-    Cells are stored in a hash table with open addressing, at most half full.
-    """
+    """Flag the points whose cells connect to the seed's through neighbors, by a hash table at most half full."""
     size = 16
     while size < 2 * len(cells):
         size *= 2

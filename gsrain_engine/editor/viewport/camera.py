@@ -203,10 +203,7 @@ def default_path(scene: Scene, width: int, height: int) -> CameraPath:
 def orbit_around(
     scene: Scene, width: int, height: int, duration_s: float = ORBIT_S, sweep_deg: float = ORBIT_DEG
 ) -> CameraPath:
-    """Orbit around a scene's middle, from one side of its home camera to the other. World frame.
-
-    Raises `ValueError` if the duration is not above 0.
-    """
+    """Orbit in the world around a scene's middle, centered at its home camera; the duration must be above 0."""
     if not duration_s > 0:
         raise ValueError(f"an orbit of {duration_s:g} s: its time must be above 0 s")
     return orbit_path(find_scene_core(scene).middle, home_camera(scene, width, height), duration_s, sweep_deg)

@@ -78,12 +78,9 @@ def _stand_behind(vehicle: VehicleMoment, navigation: OrbitCamera) -> None:
     navigation.vertical_fov_deg = _FOV_DEG
 
 
-# Camera that follows an actor at its offset, while the user may look around
-
-
 @dataclass(slots=True)
 class ActorFollower:
-    """Followed actor and its last pose. World frame, meters."""
+    """Camera that follows an actor at its offset, while the user may look around. World frame, meters."""
 
     key: str = ""
     """Key of the actor; "" for none."""

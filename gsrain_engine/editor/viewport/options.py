@@ -94,9 +94,7 @@ LEVELS = (
 )  # fmt: skip
 """First fewer Gaussians, then fewer pixels."""
 
-SETTLED_S = 0.15
-"""Time without motion after which full quality returns."""
-
+SETTLED_S = 0.15  # time without motion after which full quality returns
 _TOLERANCE = 1.15
 _PROMISING = 0.55  # share of the target frame time below which a finer level is tried
 _FORGET_AFTER = 45  # frames after which a level that was too slow may be tried again

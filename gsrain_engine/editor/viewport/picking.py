@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Float32, Float64, Int64
 
 from ...rain.simulation import mean_linear_color
 from ...render.cpu.projection import Splats, project
@@ -69,24 +69,14 @@ def pick(
 def _weights(parts: list[DrawItem], splats: Splats) -> tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
     """Rows of splats that cover the pixel, nearest first, and their blending weights."""
     order = splats.nearest_first().astype(np.int64)
-    order = order[_is_drawn(parts, splats.indices[order])]
+    drawn = [np.ones(len(each.gaussians), bool) if each.left_out is None else ~each.left_out.flags for each in parts]
+    order = order[np.concatenate([*drawn, np.zeros(0, bool)])[splats.indices[order]]]
     shapes = splats.shapes[order].astype(np.float64)
     dx, dy = 0.5 - shapes[:, 0], 0.5 - shapes[:, 1]
     log_alpha = shapes[:, 5] + shapes[:, 3] * dx**2 + shapes[:, 4] * (dy - shapes[:, 2] * dx) ** 2
     alpha = np.where(log_alpha > shapes[:, 6], np.minimum(np.exp(log_alpha), 0.999), 0.0)
     transmittance = np.cumprod(1 - alpha)
     return order, alpha * np.concatenate([[1.0], transmittance[:-1]])[: len(alpha)]
-
-
-def _is_drawn(parts: list[DrawItem], indices: Int64[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
-    drawn = np.ones(len(indices), bool)
-    first = 0
-    for part in parts:
-        own = (indices >= first) & (indices < first + len(part.gaussians))
-        if part.left_out is not None:
-            drawn[own] = ~part.left_out.flags[indices[own] - first]
-        first += len(part.gaussians)
-    return drawn
 
 
 def _surface_point(part: DrawItem, index: int, camera: Camera, x: float, y: float) -> Float64[np.ndarray, "3"]:
@@ -102,8 +92,6 @@ def _surface_point(part: DrawItem, index: int, camera: Camera, x: float, y: floa
     depth = max(float(-(start @ along) / (along @ along)), 0.0)
     return camera.position + depth * sight
 
-
-# Projection
 
 NEAR_M = 0.05
 
@@ -193,12 +181,9 @@ def gizmo_delta(
     return frame_at(start[:3, 3]) @ delta @ frame_at(-start[:3, 3])
 
 
-# Color of a part of the image without rain, for drops if no sky is found
-
-
 @dataclass(frozen=True, slots=True)
 class SkyColorPick:
-    """A rectangle of the image, in shares of its width and height from the upper left corner."""
+    """Rectangle for the color of drops if no sky is found, in shares of the image from its upper left corner."""
 
     left: float
     top: float
