@@ -6,27 +6,22 @@ import numpy as np
 from imgui_bundle import icons_fontawesome_6, imgui
 from jaxtyping import Float64
 
+from gsrain_engine.editor import rain_regions as regions
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.rain_regions import (
-    BoxFaceDrag,
-    FaceHandle,
-    RegionName,
-    face_handles,
-    frustum_lines,
-    inset_view,
-    project_edges,
-)
+from gsrain_engine.editor.rain_regions import FaceHandle, RegionName
 from gsrain_engine.editor.viewport.picking import SkyColorPick
 from gsrain_engine.rain.settings import HAZE_REGION, STREAK_REGION, RegionBox
 from gsrain_engine.render.draw import RenderView, rain_anchor
 
 from ..panels.rain import PICK_TOOL
 from ..widgets.draw import WHITE, Rgba, Viewport, draw_hint, draw_line, draw_point, draw_words
+from ..widgets.fields import help_button
 from ..widgets.text import inline_text
 from .base import DragTool, Tool, draw_rectangle
 
 _COLORS = {"streak_region": (0.45, 0.85, 1.0, 1.0), "haze_region": (1.0, 0.8, 0.45, 1.0)}
 _LABELS: dict[RegionName, str] = {"streak_region": "Streak region", "haze_region": "Haze region"}
+_HELP = {"streak_region": "Where drops are simulated one by one.", "haze_region": "Where far drops are haze."}
 _WHOLE = {"streak_region": STREAK_REGION, "haze_region": HAZE_REGION}
 _GRIP_PX = 11.0
 _CAMERA = (0.62, 0.62, 0.66, 0.9)
@@ -39,7 +34,7 @@ class RegionTool(Tool):
     icon = icons_fontawesome_6.ICON_FA_CLOUD_SHOWERS_HEAVY
     help = "Drag the dots: each moves one face of the region that drops, or haze, stand in."
     _region: RegionName = "streak_region"
-    _drag: BoxFaceDrag | None = None
+    _drag: regions.BoxFaceDrag | None = None
     _frozen: RenderView | None = None
 
     def draw(self, session: Editor, viewport: Viewport) -> bool:
@@ -48,12 +43,12 @@ class RegionTool(Tool):
         anchor = rain_anchor(session.displayed_scene, session.displayed_rain, viewport.shot)
         _edges(viewport, box, anchor, _COLORS[self._region])
         inset = self._inset(viewport, box, anchor)
-        handles = face_handles(box, anchor, viewport.shot.camera)
-        outside = face_handles(box, anchor, inset.shot.camera, inset=0.0)
+        handles = regions.face_handles(box, anchor, viewport.shot.camera)
+        outside = regions.face_handles(box, anchor, inset.shot.camera, inset=0.0)
         place, there = (inset, outside) if inset.hovered else (viewport, handles)
         under = _under_mouse(place, there)
         if under is not None and self._drag is None and imgui.is_mouse_clicked(imgui.MouseButton_.left):
-            self._drag = BoxFaceDrag(under, box, self._region, place.shot.camera, place.mouse_px)
+            self._drag = regions.BoxFaceDrag(under, box, self._region, place.shot.camera, place.mouse_px)
             self._frozen = inset.shot
         self._move_face(session, viewport, inset)
         lit = self._drag.handle if self._drag is not None else under
@@ -62,7 +57,7 @@ class RegionTool(Tool):
         draw.add_rect_filled(inset.corner, far, imgui.get_color_u32((0.05, 0.06, 0.08, 0.82)), 5.0)
         ink = imgui.get_color_u32((0.8, 0.8, 0.8, 0.8))
         draw.add_text(inset.on_screen(8, 5), ink, "From outside: drag the dots")
-        for start, end in frustum_lines(viewport.shot.camera, 0.45 * float(min(box.size_m))):
+        for start, end in regions.frustum_lines(viewport.shot.camera, 0.45 * float(min(box.size_m))):
             draw_line(inset, start, end, _CAMERA)
         _edges(inset, box, anchor, _COLORS[self._region])
         self._dots(inset, box, outside, lit, labeled=True)
@@ -83,7 +78,7 @@ class RegionTool(Tool):
         em = imgui.get_font_size()
         width, height = int(min(15 * em, 0.5 * viewport.width)), int(min(11 * em, 0.5 * viewport.height))
         corner = viewport.on_screen(viewport.width - width - 0.6 * em, viewport.height - height - 0.6 * em)
-        shot = self._frozen if self._frozen is not None else inset_view(box, anchor, width, height)
+        shot = self._frozen if self._frozen is not None else regions.inset_view(box, anchor, width, height)
         inset = Viewport(corner, width, height, shot, viewport.hovered, viewport.active)
         x, y = inset.mouse_px
         return replace(inset, hovered=viewport.hovered and 0 <= x < width and 0 <= y < height)
@@ -92,19 +87,16 @@ class RegionTool(Tool):
         for region, label in _LABELS.items():
             if imgui.radio_button(label, self._region == region):
                 self._region, self._drag = region, None
-            imgui.set_item_tooltip(
-                "Where drops are simulated one by one." if region == "streak_region" else "Where far drops are haze."
-            )
+            imgui.set_item_tooltip(_HELP[region])
             imgui.same_line()
         x, y, z = getattr(session.rain, self._region).size_m
         imgui.align_text_to_frame_padding()
         imgui.text_disabled(f"{x:.1f} x {y:.1f} x {z:.1f} m")
         imgui.set_item_tooltip("Ahead, across, upward; numbers of both corners are in the Rain panel under Regions.")
         imgui.same_line()
-        if imgui.button("Reset##region"):
+        if help_button("Reset##region", "The region of the paper's setup."):
             label = f"Reset the {_LABELS[self._region].lower()}"
             session.change_rain(label, None, **{self._region: _WHOLE[self._region]})
-        imgui.set_item_tooltip("The region of the paper's setup.")
 
     def _move_face(self, session: Editor, viewport: Viewport, inset: Viewport) -> None:
         """Move the dragged face with the mouse, until the button is released."""
@@ -123,7 +115,7 @@ class RegionTool(Tool):
 
 def _edges(viewport: Viewport, box: RegionBox, anchor: Float64[np.ndarray, "4 4"], color: Rgba) -> None:
     draw = imgui.get_window_draw_list()
-    for start, end in project_edges(box, anchor, viewport.shot.camera).tolist():
+    for start, end in regions.project_edges(box, anchor, viewport.shot.camera).tolist():
         draw.add_line(viewport.on_screen(*start), viewport.on_screen(*end), imgui.get_color_u32(color), 2.0)
 
 

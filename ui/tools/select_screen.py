@@ -15,18 +15,8 @@ from gsrain_engine.editor.selection.volume import flood_select
 from gsrain_engine.editor.viewport.picking import PickResult, pick
 
 from ..widgets.draw import Viewport, is_clicked
-from .base import (
-    DARK,
-    LIGHT,
-    DragTool,
-    Pixel,
-    Tool,
-    drag_number,
-    draw_faint_line,
-    draw_polyline,
-    draw_rectangle,
-    same_line_if_fits,
-)
+from . import base
+from .base import same_line_if_fits
 
 MODIFIERS = "Shift adds, Ctrl removes, both intersect."
 _DEPTH_HELP = (
@@ -36,7 +26,7 @@ _DEPTH_HELP = (
 )
 
 
-class ShapeTool(DragTool):
+class ShapeTool(base.DragTool):
     """A shape drawn with the left button; the release selects the Gaussians in it."""
 
     selects_by_click = False
@@ -74,7 +64,7 @@ class ShapeTool(DragTool):
         if options.depths == "to a depth":
             same_line_if_fits(5.5)
             help_text = "How deep, in metres from the camera along its view axis."
-            _, options.depth_m = drag_number(
+            _, options.depth_m = base.drag_number(
                 "##depth_m", options.depth_m, 0.1, (0.2, 2000.0), "%.1f m", help_text, 5.5, flags=0
             )
         same_line_if_fits(6)
@@ -94,7 +84,7 @@ class RectangleTool(ShapeTool):
     help = f"Drag from corner to corner. {MODIFIERS}"
 
     def outline(self, session: Editor, viewport: Viewport) -> None:
-        draw_rectangle(viewport, self.points[0], self.points[-1])
+        base.draw_rectangle(viewport, self.points[0], self.points[-1])
 
     def mask(self, session: Editor, width: int, height: int) -> Bool[np.ndarray, "h w"]:
         return screen.rectangle(self.points[0], self.points[-1], width, height)
@@ -109,8 +99,8 @@ class LassoTool(ShapeTool):
     help = f"Drag around what to select. {MODIFIERS}"
 
     def outline(self, session: Editor, viewport: Viewport) -> None:
-        draw_polyline(viewport, self.points)
-        draw_faint_line(viewport, self.points[-1], self.points[0])
+        base.draw_polyline(viewport, self.points)
+        base.draw_faint_line(viewport, self.points[-1], self.points[0])
 
     def mask(self, session: Editor, width: int, height: int) -> Bool[np.ndarray, "h w"]:
         return screen.polygon(self.points, width, height)
@@ -147,14 +137,14 @@ class PolygonTool(LassoTool):
     def outline(self, session: Editor, viewport: Viewport) -> None:
         if viewport.hovered:
             for end in {self.points[0], self.points[-1]}:
-                draw_faint_line(viewport, end, viewport.mouse_px)
-        draw_polyline(viewport, self.points)
+                base.draw_faint_line(viewport, end, viewport.mouse_px)
+        base.draw_polyline(viewport, self.points)
         draw = imgui.get_window_draw_list()
         for corner in self.points:
             closes = corner is self.points[0] and len(self.points) >= 3 and _is_mouse_at(viewport, corner)
             center = viewport.on_screen(*corner)
-            draw.add_circle_filled(center, _KNOB_PX if closes else _KNOB_PX - 2, imgui.get_color_u32(DARK))
-            draw.add_circle_filled(center, _KNOB_PX - (2 if closes else 3.5), imgui.get_color_u32(LIGHT))
+            draw.add_circle_filled(center, _KNOB_PX if closes else _KNOB_PX - 2, imgui.get_color_u32(base.DARK))
+            draw.add_circle_filled(center, _KNOB_PX - (2 if closes else 3.5), imgui.get_color_u32(base.LIGHT))
 
     def options(self, session: Editor) -> None:
         super().options(session)
@@ -167,7 +157,7 @@ class PolygonTool(LassoTool):
 _KNOB_PX = 7.0  # half the width of a corner's knob
 
 
-def _is_mouse_at(viewport: Viewport, at: Pixel) -> bool:
+def _is_mouse_at(viewport: Viewport, at: base.Pixel) -> bool:
     x, y = viewport.mouse_px
     return max(abs(x - at[0]), abs(y - at[1])) <= _KNOB_PX + 2
 
@@ -190,13 +180,13 @@ class BrushTool(ShapeTool):
         super().draw(session, viewport)
         if viewport.hovered or viewport.active:
             draw, at = imgui.get_window_draw_list(), viewport.on_screen(*viewport.mouse_px)
-            for color, width in ((DARK, 3.5), (LIGHT, 1.5)):
+            for color, width in ((base.DARK, 3.5), (base.LIGHT, 1.5)):
                 draw.add_circle(at, options.brush_radius_px, imgui.get_color_u32(color), 0, width)
         return True
 
     def outline(self, session: Editor, viewport: Viewport) -> None:
         for edge in screen.outlines(self.mask(session, viewport.width, viewport.height)):
-            draw_polyline(viewport, edge.tolist(), closed=True)
+            base.draw_polyline(viewport, edge.tolist(), closed=True)
 
     def mask(self, session: Editor, width: int, height: int) -> Bool[np.ndarray, "h w"]:
         return screen.stroke(self.points, session.selecting.brush_radius_px, width, height)
@@ -206,7 +196,7 @@ class BrushTool(ShapeTool):
         super().options(session)
         same_line_if_fits(7)
         help_text = "Radius of the brush in pixels ([ and ])."
-        _, options.brush_radius_px = drag_number(
+        _, options.brush_radius_px = base.drag_number(
             "##radius", options.brush_radius_px, 0.5, _RADII_PX, "radius %.0f px", help_text, 7
         )
 
@@ -217,7 +207,7 @@ _STEP = 1.2
 # Gaussians alike the one under the mouse
 
 
-class ColorPickTool(Tool):
+class ColorPickTool(base.Tool):
     """Click on a color to select it everywhere."""
 
     name = "Colour pick"
@@ -247,7 +237,7 @@ class ColorPickTool(Tool):
             "How far red, green and blue may each differ from the colour under the mouse, 0..1.\n"
             "Drag, or double-click to type."
         )
-        _, options.tolerance = drag_number(
+        _, options.tolerance = base.drag_number(
             "##tolerance", options.tolerance, 0.005, (0, 1), "tolerance %.2f", help_text, 9
         )
 
@@ -272,7 +262,7 @@ class FloodTool(ColorPickTool):
         help_text = (
             "Over how wide a gap the flood runs, in spacings: the distance to the eighth nearest alike Gaussian there."
         )
-        _, options.flood_reach = drag_number(
+        _, options.flood_reach = base.drag_number(
             "##reach", options.flood_reach, 0.05, (0.5, 20.0), "reach %.1f spacings", help_text, 9
         )
 

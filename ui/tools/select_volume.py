@@ -11,17 +11,9 @@ from gsrain_engine.editor.selection.volume import Sphere, Volume, in_volume, pla
 from gsrain_engine.scene.scene import Scene
 
 from ..widgets.draw import WHITE, YELLOW, Viewport, draw_hint, draw_line, draw_point
+from ..widgets.fields import help_button
 from ..widgets.text import inline_text
-from .base import (
-    CLAMP,
-    DragTool,
-    Tool,
-    drag_number,
-    drag_vector,
-    draw_polyline,
-    point_under_mouse,
-    same_line_if_fits,
-)
+from .base import CLAMP, DragTool, Tool, drag_number, drag_vector, draw_polyline, point_under_mouse, same_line_if_fits
 from .select_screen import MODIFIERS, mode_now, mode_options
 
 _FIRST_SIZE_M = (2.0, 2.0, 2.0)
@@ -159,13 +151,10 @@ def _apply(session: Editor, time_s: float, volume: Volume, name: str) -> None:
 def _is_dropped(session: Editor, volume: Volume, name: str) -> bool:
     """Draw the buttons of a volume; returns True if it is to be removed."""
     same_line_if_fits(11)
-    if imgui.button(f"Apply##{name}"):
+    if help_button(f"Apply##{name}", "Select what is inside (Enter), whether the camera sees it or not."):
         _apply(session, session.clock.time_s, volume, name)
-    imgui.set_item_tooltip("Select what is inside (Enter), whether the camera sees it or not.")
     imgui.same_line()
-    is_dropped = imgui.button(f"Drop##{name}")
-    imgui.set_item_tooltip(f"Take the {name} away; the selection stays.")
-    return is_dropped
+    return help_button(f"Drop##{name}", f"Take the {name} away; the selection stays.")
 
 
 class CropTool(BoxFaceTool):
@@ -185,13 +174,12 @@ class CropTool(BoxFaceTool):
 
     def options(self, session: Editor) -> None:
         box = self._box_of(session.scene)
-        if imgui.button("Apply##crop"):
+        help_text = "Delete what lies outside, of background layers that are shown and not locked."
+        if help_button("Apply##crop", help_text):
             session.edit("Crop to the box", crop, box)
-        imgui.set_item_tooltip("Delete what lies outside, of background layers that are shown and not locked.")
         imgui.same_line()
-        if imgui.button("Reset##crop"):
+        if help_button("Reset##crop", "Put the box around most of what can be seen."):
             box = box_around(session.scene)
-        imgui.set_item_tooltip("Put the box around most of what can be seen.")
         imgui.same_line()
         changed, yaw = drag_number("##yaw", box.yaw_deg, 0.5, (-180, 180), "%.1f°", _YAW_HELP, 5, flags=0)
         if changed:

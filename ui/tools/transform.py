@@ -15,6 +15,7 @@ from gsrain_engine.editor.viewport.picking import Handle, frame_at
 from gsrain_engine.scene.scene import Scene
 
 from ..widgets.draw import Gizmo, Viewport, draw_hint, draw_line, draw_point, draw_words
+from ..widgets.fields import help_button
 from ..widgets.text import inline_text
 from .base import Tool, clicked_point, drag_number
 
@@ -122,10 +123,10 @@ class LevelTool(Tool):
         return False
 
     def options(self, session: Editor) -> None:
-        if imgui.button("From the ground"):
+        help_text = "Find the largest low plane of the scene and make it level; it becomes the ground."
+        if help_button("From the ground", help_text):
             self._points_m = ()
             session.edit("Level by the ground", level.level_from_ground)
-        imgui.set_item_tooltip("Find the largest low plane of the scene and make it level; it becomes the ground.")
         imgui.same_line()
         inline_text("ground at")
         help_text = "Height of the ground in the world, in metres: rain falls down to it."
@@ -137,9 +138,8 @@ class LevelTool(Tool):
         if imgui.is_item_deactivated():
             session.end_gesture()
         imgui.same_line()
-        if imgui.button("Clear##level"):
+        if help_button("Clear##level", "Forget the points that were clicked."):
             self._points_m = ()
-        imgui.set_item_tooltip("Forget the points that were clicked.")
 
 
 class OriginTool(Tool):
@@ -229,14 +229,13 @@ class MeasureTool(Tool):
         _, self.true_m = imgui.input_float("##true length", self.true_m, 0, 0, "%.3f m")
         imgui.set_item_tooltip("How long it truly is, in metres.")
         imgui.same_line()
-        if imgui.button("Set scale") and length is not None:
+        help_text = "Let the whole scene grow or shrink so that the line is as long as this."
+        if help_button("Set scale", help_text) and length is not None:
             session.edit("Set the scale", level.set_length, length, self.true_m)
-        imgui.set_item_tooltip("Let the whole scene grow or shrink so that the line is as long as this.")
         imgui.end_disabled()
         imgui.same_line()
-        if imgui.button("Clear##measure"):
+        if help_button("Clear##measure", "Forget both points."):
             self._points_m = ()
-        imgui.set_item_tooltip("Forget both points.")
 
     @property
     def _length_m(self) -> float | None:

@@ -16,6 +16,7 @@ from ..commands.base import chord_name
 from ..commands.registry import ACTIONS
 from ..tools import TOOLS
 from ..widgets.draw import Viewport, draw_lines
+from ..widgets.fields import help_button
 from ..widgets.text import label
 from .overlays import OVERLAYS, draw_divider, preview_side
 
@@ -199,8 +200,7 @@ def view_bar(session: Editor) -> None:
 
 
 def _view_button(icon: str, name: str, help_text: str) -> bool:
-    clicked = imgui.button(f"{icon}###{name}")
-    imgui.set_item_tooltip(f"{name}: {help_text}")
+    clicked = help_button(f"{icon}###{name}", f"{name}: {help_text}")
     imgui.same_line()
     return clicked
 
@@ -263,13 +263,11 @@ def _draw_problem(session: Editor, problem: str, corner: ImVec2, width: int, hei
             if imgui.button("Close"):
                 session.problem = None
             imgui.same_line()
-            if imgui.button("Details"):
+            if help_button("Details", "Show the log, which has the rest."):
                 imgui.set_window_focus("Log")
-            imgui.set_item_tooltip("Show the log, which has the rest.")
             imgui.same_line()
-            if imgui.button("Copy"):
+            if help_button("Copy", "Put the sentence on the clipboard."):
                 imgui.set_clipboard_text(problem)
-            imgui.set_item_tooltip("Put the sentence on the clipboard.")
 
 
 @contextmanager

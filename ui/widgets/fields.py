@@ -303,6 +303,13 @@ def answer_dialogs(session: Editor) -> None:
             answer([path.with_suffix("") if path.suffix == ".*" else path for path in chosen])
 
 
+def help_button(label: str, help_text: str) -> bool:
+    """Draw a button with a tooltip; returns True if clicked."""
+    clicked = imgui.button(label)
+    imgui.set_item_tooltip(help_text)
+    return clicked
+
+
 def square_button(icon: str, name: str) -> bool:
     """Draw a centered icon button; returns True if clicked. `name` distinguishes it from others in the panel."""
     side = imgui.get_frame_height()

@@ -100,9 +100,8 @@ def _escaping(function: Callable[..., Any], words: Callable[[str], str] | None =
 
 def _visible(value: Any) -> Any:
     if isinstance(value, str):
-        return (
-            value if value.isascii() and value.isprintable() else _HIDDEN.sub(lambda found: repr(found[0])[1:-1], value)
-        )
+        is_plain = value.isascii() and value.isprintable()
+        return value if is_plain else _HIDDEN.sub(lambda found: repr(found[0])[1:-1], value)
     if isinstance(value, list) and value and isinstance(value[0], str):  # the choices of a combo box
         return [_all_words(_visible(each)) for each in value]
     return value

@@ -51,7 +51,7 @@ def attribute_inputs(scene: Scene, time_s: float, camera: Camera) -> dict[str, A
     numbers = {member.key: number for number, member in enumerate(scene.members, 1)}
     ground = scene.ground_m or 0.0
     own = candidates(scene, time_s)
-    return {each.key: AttributeInputs(each.part, numbers[each.key], ground, camera) for each in own}
+    return {key: AttributeInputs(part, numbers[key], ground, camera) for key, part in own.items()}
 
 
 def select_attribute_range(

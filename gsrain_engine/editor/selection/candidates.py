@@ -3,7 +3,7 @@
 import operator
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float32
@@ -17,18 +17,10 @@ Found = Mapping[str, BitMask]
 """Gaussians found by a tool, by the keys of their members; members without any may be absent."""
 
 
-class Candidate(NamedTuple):
-    """A member at a time."""
-
-    key: str
-    part: DrawItem
-    """Its Gaussians, and their similarity to the world (meters)."""
-
-
-def candidates(scene: Scene, time_s: float) -> list[Candidate]:
-    """Selectable members at a time, without actors that are absent then."""
-    parts = [(member.key, scene.part(member, time_s)) for member in editable(scene)]
-    return [Candidate(key, part) for key, part in parts if part is not None]
+def candidates(scene: Scene, time_s: float) -> dict[str, DrawItem]:
+    """Parts of selectable members at a time, by their keys, without actors that are absent then."""
+    parts = {member.key: scene.part(member, time_s) for member in editable(scene)}
+    return {key: part for key, part in parts.items() if part is not None}
 
 
 def editable(scene: Scene) -> Iterator[Layer | Actor]:
@@ -115,9 +107,9 @@ def select_similar_colors(
 ) -> dict[str, BitMask]:
     """Find Gaussians whose base color differs by at most `tolerance` (0..1) in each channel."""
     found: dict[str, BitMask] = {}
-    for each in candidates(scene, time_s):
-        difference = base_colors(each.part)
+    for key, part in candidates(scene, time_s).items():
+        difference = base_colors(part)
         difference -= color
         near = np.abs(difference, out=difference) <= tolerance
-        found[each.key] = BitMask.of(near[:, 0] & near[:, 1] & near[:, 2])
+        found[key] = BitMask.of(near[:, 0] & near[:, 1] & near[:, 2])
     return found

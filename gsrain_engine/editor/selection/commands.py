@@ -6,27 +6,19 @@ from itertools import count
 from ...scene.scene import Scene
 from ..document import EditedDocument
 from ..edits.gaussians import CropBox
+from . import candidates
 from .attributes import AttributeHistogram
-from .candidates import (
-    Found,
-    Mode,
-    all_selected,
-    combine_selection,
-    inverted,
-    none_selected,
-    selected_count,
-    selections,
-)
+from .candidates import Found, Mode
 from .screen import DepthMode, Depths
-from .volume import Sphere, expand, selection_boundary
+from .volume import Sphere, near_selection
 
 
 def select(session: EditedDocument, found: Found, mode: Mode, by: str) -> None:
     """Combine found Gaussians with the selection; no undo step if nothing changes. `by` ends the step's label."""
-    before, after = session.scene, combine_selection(session.scene, found, mode)
+    before, after = session.scene, candidates.combine_selection(session.scene, found, mode)
     if after is before:
         return
-    now, then = selected_count(after), selected_count(before)
+    now, then = candidates.selected_count(after), candidates.selected_count(before)
     named = {
         "set": f"Select {now:,} by {by}" if now else f"Select none by {by}",
         "add": f"Add {now - then:,} by {by}",
@@ -37,38 +29,39 @@ def select(session: EditedDocument, found: Found, mode: Mode, by: str) -> None:
 
 
 def select_all(session: EditedDocument) -> None:
-    _change(session, "Select all {:,}", all_selected(session.scene))
+    _change(session, "Select all {:,}", candidates.all_selected(session.scene))
 
 
 def select_none(session: EditedDocument) -> None:
-    _change(session, "Select none", none_selected(session.scene))
+    _change(session, "Select none", candidates.none_selected(session.scene))
 
 
 def invert(session: EditedDocument) -> None:
-    _change(session, "Invert selection to {:,}", inverted(session.scene))
+    _change(session, "Invert selection to {:,}", candidates.inverted(session.scene))
 
 
 def grow(session: EditedDocument, distance_m: float) -> None:
     """Add Gaussians within a distance of the selection."""
-    scene = combine_selection(session.scene, expand(session.scene, session.clock.time_s, distance_m), "add")
+    found = near_selection(session.scene, session.clock.time_s, distance_m)
+    scene = candidates.combine_selection(session.scene, found, "add")
     _change(session, f"Grow selection by {distance_m:.3g} m to {{:,}}", scene)
 
 
 def shrink(session: EditedDocument, distance_m: float) -> None:
     """Deselect Gaussians within a distance of unselected ones."""
-    found = selection_boundary(session.scene, session.clock.time_s, distance_m)
-    scene = combine_selection(session.scene, found, "remove")
+    found = near_selection(session.scene, session.clock.time_s, distance_m, inside=True)
+    scene = candidates.combine_selection(session.scene, found, "remove")
     _change(session, f"Shrink selection by {distance_m:.3g} m to {{:,}}", scene)
 
 
 def _change(session: EditedDocument, label: str, scene: Scene) -> None:
     """Make a scene with another selection an undo step; `label` has a place for the number of selected Gaussians."""
     if scene is not session.scene:
-        session.set_scene(label.format(selected_count(scene)), scene)
+        session.set_scene(label.format(candidates.selected_count(scene)), scene)
 
 
 def has_selection(session: EditedDocument) -> bool:
-    return bool(selections(session.scene))
+    return bool(candidates.selections(session.scene))
 
 
 # Selection sets
@@ -79,7 +72,7 @@ def save_set(session: EditedDocument, name: str | None = None) -> bool:
 
     Without a selection or a name, sets `problem` and returns False.
     """
-    sets, now = session.scene.selections, selections(session.scene)
+    sets, now = session.scene.selections, candidates.selections(session.scene)
     name = (unused_set_name(session.scene) if name is None else name).strip()
     if not (now and name):
         trouble = "a selection set needs a name" if now else "nothing is selected that a selection set could keep"

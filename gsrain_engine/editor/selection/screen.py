@@ -47,7 +47,7 @@ def select_in_screen_shape(
     depth = reach.depth_m if reach.depths == "to a depth" else np.inf
     find = _touched if reach.touching else _centered
     own = candidates(scene, shot.time_s)
-    found = {each.key: BitMask.of(find(each.part, shot.camera, pixels, depth)) for each in own}
+    found = {key: BitMask.of(find(part, shot.camera, pixels, depth)) for key, part in own.items()}
     if reach.depths == "front-most":
         columns, rows = np.flatnonzero(pixels.any(axis=0)), np.flatnonzero(pixels.any(axis=1))
         box = int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
