@@ -50,15 +50,10 @@ def about_page(session: Editor) -> None:
 
 
 _MOUSE_AND_FLIGHT = [
-    ("Left drag", "Orbit, or what the tool does"),
-    ("Right drag", "Look around"),
-    ("Middle drag", "Move sideways and up"),
-    ("Wheel", "Nearer, farther"),
-    ("Ctrl+Wheel", "Fly faster or slower"),
-    ("W A S D", "Fly forward, left, back, right"),
-    ("Q E", "Fly down, up"),
-    ("Shift", "Fly four times as fast"),
-]
+    ("Left drag", "Orbit, or what the tool does"), ("Right drag", "Look around"),
+    ("Middle drag", "Move sideways and up"), ("Wheel", "Nearer, farther"), ("Ctrl+Wheel", "Fly faster or slower"),
+    ("W A S D", "Fly forward, left, back, right"), ("Q E", "Fly down, up"), ("Shift", "Fly four times as fast"),
+]  # fmt: skip
 
 
 def keyboard_page(session: Editor) -> None:

@@ -290,8 +290,6 @@ _OF_WINDOWS_PX = 64  # larger ones are for menus, and would slow down the start
 
 def set_window_icon(window: Any) -> None:
     """Set the window's icon. Wayland windows have none of their own: the desktop entry names it there."""
-    import glfw  # imgui_bundle has to come before it, and images need neither
-
     if glfw.get_platform() in (glfw.PLATFORM_X11, glfw.PLATFORM_WIN32):
         icons = [(size, size, read_icon(size).tolist()) for size in SIZES_PX if size <= _OF_WINDOWS_PX]
         glfw.set_window_icon(window, len(icons), icons)  # lists: for Pillow's images glfw calls a deprecated function

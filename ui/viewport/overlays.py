@@ -191,13 +191,10 @@ def _draw_placed_image(viewport: Viewport, texture: int, grid: Grid, opacity: fl
 # Matching
 
 _WORDS: dict[MatchOutcome, str] = {
-    MatchOutcome.MATCHED: "matched",
-    MatchOutcome.HIDDEN: "hidden there",
-    MatchOutcome.EDGE: "edge of something",
-    MatchOutcome.MOVING: "may have moved",
-    MatchOutcome.UNKNOWN: "depth unknown",
+    MatchOutcome.MATCHED: "matched", MatchOutcome.HIDDEN: "hidden there", MatchOutcome.EDGE: "edge of something",
+    MatchOutcome.MOVING: "may have moved", MatchOutcome.UNKNOWN: "depth unknown",
     MatchOutcome.OUTSIDE: "outside that view",
-}
+}  # fmt: skip
 _CELLS = (8, 6)
 _MIN_SHARE = 0.005  # minimum share of the image for an entry in the legend
 _LINE = ImVec4(0.35, 0.95, 0.6, 0.85)
@@ -309,12 +306,9 @@ _EGO = ImVec4(0.45, 0.78, 1.0, 0.95)
 _HIT = ImVec4(1.0, 0.3, 0.25, 1.0)
 _DETECTION_COLOR = ImVec4(1.0, 0.5, 0.85, 0.95)
 _ENDS = {
-    "time": "The time of the scenario is over",
-    "completed": "The end of the route",
-    "off route": "Too far off the route",
-    "agent": "The agent has ended the drive",
-    "stopped": "The drive was stopped",
-}
+    "time": "The time of the scenario is over", "completed": "The end of the route",
+    "off route": "Too far off the route", "agent": "The agent has ended the drive", "stopped": "The drive was stopped",
+}  # fmt: skip
 
 
 def drive_overlay(session: Editor, viewport: Viewport) -> bool:

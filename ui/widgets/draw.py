@@ -200,6 +200,7 @@ def points(label: str, x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"
 _GIZMO = imguizmo.im_guizmo
 
 _SIZE = 0.17  # share of the viewport
+_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # to OpenGL's axes: x right, y up, z backward
 _STEPS = {"translate": 0.5, "rotate": 15.0, "scale": 0.1}  # meters, degrees and factors that Ctrl snaps to
 
 
@@ -236,7 +237,7 @@ class Gizmo:
         camera = viewport.shot.camera
         with _hide_viewport_button(viewport):
             _GIZMO.manipulate(
-                _GIZMO.Matrix16(picking.opengl_view(camera)),
+                _GIZMO.Matrix16(picking.column_major(_FLIP @ camera.world_to_camera)),
                 _GIZMO.Matrix16(picking.opengl_projection(camera)),
                 _GIZMO.OPERATION[handle],
                 _GIZMO.MODE.world if handle != "scale" else _GIZMO.MODE.local,
@@ -249,7 +250,7 @@ class Gizmo:
         if not held:
             self.let_go()
             return None, hovered
-        self._start, self._present = start, picking.from_column_major(matrix.values)
+        self._start, self._present = start, matrix.values.astype(np.float64).reshape(4, 4).T
         return picking.gizmo_delta(handle, start, self._present), True
 
 

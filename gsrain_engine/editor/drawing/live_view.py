@@ -60,8 +60,7 @@ class LiveView:
         self._staged: PendingScene | None = None
         self._preparing: Iterator[None] = iter(())
         self._upload = SceneUpload(self._opengl)
-        self._is_uploading = False
-        """True if a pane still shows an older scene."""
+        self._is_uploading = False  # a pane still shows an older scene
         self._upload_until = 0.0
         self._thinnings: dict[float, LodSubset] = {}
         self._thinned = session.scene
@@ -213,16 +212,12 @@ class LiveView:
         state = (_fingerprint(session, side, shot), detail.gaussians, self._on_cpu)
         if state == pane.state or not self._can_draw:
             return False
+        rainfall = side.rainfall if side.scene.members else None  # the rain has nothing to fall on yet
+        selection, thinning = view.show_selection and session.screenshot is None, self._thinning(detail)
         draw_view(
-            self._renderer,
-            side.scene,
-            side.rainfall if side.scene.members else None,  # the rain has nothing to fall on yet
-            session.sky,
-            shot,
-            look=view.look,
-            thinning=self._thinning(detail),
-            selection=view.show_selection and session.screenshot is None,
-        )
+            self._renderer, side.scene, rainfall, session.sky, shot, look=view.look, thinning=thinning,
+            selection=selection,
+        )  # fmt: skip
         pane.texture = pane.screen.show(self._picture(), view.background, 2.0**view.gain_ev)
         pane.state, pane.scene = state, side.scene
         return True

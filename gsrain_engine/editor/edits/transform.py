@@ -82,13 +82,10 @@ def pivot(scene: Scene, key: str | None, time_s: float = 0.0) -> Float64[np.ndar
     return np.concatenate(places).mean(axis=0) if places else None
 
 
-_MIDDLE_SAMPLES = 100_000
-
-
 @scene_cache(maxsize=32)
 def _middle(gaussians: Gaussians, selected: BitMask | None) -> Float64[np.ndarray, "3"]:
     means = gaussians.means if selected is None else gaussians.means[selected.indices]
-    return np.median(means[:: -(-len(means) // _MIDDLE_SAMPLES) or 1], axis=0).astype(np.float64)
+    return np.median(means[:: -(-len(means) // 100_000) or 1], axis=0).astype(np.float64)  # of that many at most
 
 
 def _in_scene(scene: Scene, delta: Similarity) -> Similarity:
@@ -137,16 +134,12 @@ def _hiding(marks: SelectionFlags, mask: BitMask) -> SelectionFlags:
 
 
 def _dragged(member: Layer | Actor, selected: BitMask, to_scene: Similarity) -> Layer:
+    kind = member.kind if isinstance(member, Layer) else "background"
+    marks = _hiding(member.marks, _complement(selected))
     return Layer(
-        f"{member.key} dragged",
-        member.gaussians,
-        member.kind if isinstance(member, Layer) else "background",
-        to_scene,
-        opacity=member.opacity,
-        grading=member.grading,
-        marks=_hiding(member.marks, _complement(selected)),
-        wet_sh=member.wet_sh,
-    )
+        f"{member.key} dragged", member.gaussians, kind, to_scene, opacity=member.opacity, grading=member.grading,
+        marks=marks, wet_sh=member.wet_sh,
+    )  # fmt: skip
 
 
 @scene_cache(maxsize=64)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple, no_type_check
 
 import numba
@@ -58,11 +58,9 @@ def select_attribute_range(
     scene: Scene, time_s: float, camera: Camera, name: str, low: float, high: float
 ) -> dict[str, BitMask]:
     """Find Gaussians with an attribute within [low, high]."""
-    found: dict[str, BitMask] = {}
-    for key, read in attribute_inputs(scene, time_s, camera).items():
-        values = read_attribute(name, read)
-        found[key] = BitMask.of((values >= low) & (values <= high))
-    return found
+    inputs = attribute_inputs(scene, time_s, camera)
+    values = {key: read_attribute(name, read) for key, read in inputs.items()}
+    return {key: BitMask.of((own >= low) & (own <= high)) for key, own in values.items()}
 
 
 def layer_names(scene: Scene) -> dict[int, str]:
@@ -122,10 +120,6 @@ def _saturation(read: AttributeInputs) -> np.ndarray:
     return (high - low) / np.maximum(high, np.float32(1e-6))
 
 
-def _channel(channel: int) -> Callable[[AttributeInputs], np.ndarray]:
-    return lambda read: base_colors(read.part)[:, channel]
-
-
 ATTRIBUTES: Mapping[str, Attribute] = {
     "opacity": Attribute("", "Largest alpha of a Gaussian, 0..1.", lambda read: read.part.gaussians.opacities,
                          bounds=(0.0, 1.0)),
@@ -136,9 +130,9 @@ ATTRIBUTES: Mapping[str, Attribute] = {
     "depth": Attribute("m", "Along the view axis of the camera; below 0 behind it.",
                        lambda read: camera_depths(read.part, read.camera), by_camera=True),
     "distance": Attribute("m", "From the camera.", _distance, logarithmic=True, by_camera=True),
-    "red": Attribute("", "Of the base colour as it is displayed, 0..1.", _channel(0)),
-    "green": Attribute("", "Of the base colour as it is displayed, 0..1.", _channel(1)),
-    "blue": Attribute("", "Of the base colour as it is displayed, 0..1.", _channel(2)),
+    "red": Attribute("", "Of the base colour as it is displayed, 0..1.", lambda read: base_colors(read.part)[:, 0]),
+    "green": Attribute("", "Of the base colour as it is displayed, 0..1.", lambda read: base_colors(read.part)[:, 1]),
+    "blue": Attribute("", "Of the base colour as it is displayed, 0..1.", lambda read: base_colors(read.part)[:, 2]),
     "hue": Attribute("°", "0 red, 120 green, 240 blue.", lambda read: _hues(base_colors(read.part)),
                      bounds=(0.0, 360.0)),
     "saturation": Attribute("", "0 grey, 1 a pure colour.", _saturation, bounds=(0.0, 1.0)),
@@ -173,15 +167,14 @@ class Histogram(NamedTuple):
         return int(self.shown[(middles >= low) & (middles <= high)].sum())
 
 
-@dataclass(slots=True)
 class AttributeHistogram:
     """Histograms of one attribute at a time."""
 
-    _values: dict[str, tuple[object, Float32[np.ndarray, " n"]]] = field(
-        default_factory=dict[str, "tuple[object, Float32[np.ndarray, ' n']]"]
-    )
     _inputs: object = None
     _histogram: Histogram | None = None
+
+    def __init__(self) -> None:
+        self._values: dict[str, tuple[object, Float32[np.ndarray, " n"]]] = {}
 
     def of(self, scene: Scene, shot: RenderView, name: str) -> Histogram:
         """Return the histogram of an attribute over selectable Gaussians, for the camera of `shot`."""
@@ -211,8 +204,8 @@ class AttributeHistogram:
         """Compute an attribute, or its logarithm, unless none of its inputs have changed."""
         part = read.part
         colors = None if part.colors is None else part.colors.tobytes()
-        depends_on = (part.gaussians, part.to_world.tobytes(), colors, read.ground_m, name, read.number)
-        depends_on = (*depends_on, *_view(shot, name))
+        transform, view = part.to_world.tobytes(), _view(shot, name)
+        depends_on = (part.gaussians, transform, colors, read.ground_m, name, read.number, *view)
         if key in self._values and self._values[key][0] == depends_on:
             return self._values[key]
         values = read_attribute(name, read)

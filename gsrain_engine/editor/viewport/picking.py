@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float64, Int64
 
 from ...rain.simulation import mean_linear_color
 from ...render.cpu.projection import Splats, project
@@ -128,11 +128,6 @@ Handle = Literal["translate", "rotate", "scale"]
 _FAR_M = 5000.0
 
 
-def opengl_view(camera: Camera) -> list[float]:
-    """World to eye in OpenGL's axes (x right, y up, z backward)."""
-    return column_major(np.diag([1.0, -1.0, -1.0, 1.0]) @ camera.world_to_camera)
-
-
 def opengl_projection(camera: Camera) -> list[float]:
     """Eye to OpenGL clip space, with the camera's focal lengths and center."""
     matrix = np.zeros((4, 4))
@@ -146,11 +141,6 @@ def opengl_projection(camera: Camera) -> list[float]:
 
 def column_major(matrix: Float64[np.ndarray, "4 4"]) -> list[float]:
     return matrix.T.ravel().tolist()
-
-
-def from_column_major(values: Float32[np.ndarray, "16"]) -> Float64[np.ndarray, "4 4"]:
-    """Matrix from sixteen numbers, column by column."""
-    return values.astype(np.float64).reshape(4, 4).T
 
 
 def frame_at(point_m: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
