@@ -19,10 +19,7 @@ _STILL_PX = 4.0  # movement up to this distance is a click
 
 
 class Tool:
-    """A tool that draws over the viewport and may use the left mouse button.
-
-    `session.view.tool` is the name of the active tool; "" is plain navigation.
-    """
+    """A tool that draws over the viewport and may use the left button; `session.view.tool` names the active one."""
 
     name: str
     """Name on its button and in the command palette, such as "Lasso"."""

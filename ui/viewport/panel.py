@@ -123,18 +123,17 @@ def tool_bar(session: Editor, corner: ImVec2, height: float) -> float:
     imgui.set_cursor_screen_pos(ImVec2(corner.x + 8, corner.y + 8))
     imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(4, 4))
     imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(_GAP, _GAP))
-    with _card("tools", 0, imgui.Col_.window_bg, 0.82, imgui.ChildFlags_.auto_resize_x) as is_open:
-        if is_open:
-            if _tool_button(icons.ICON_FA_ARROW_POINTER, "Navigate", session.view.tool == "", side):
-                session.view.tool = ""
-            imgui.set_item_tooltip("Navigate: the left button orbits (Esc).")
-            for number, tool in enumerate(TOOLS, start=1):
-                if number % columns:
-                    imgui.same_line()
-                if _tool_button(tool.icon, tool.name, session.view.tool == tool.name, side):
-                    session.view.tool = "" if session.view.tool == tool.name else tool.name
-                key = f" ({chord_name(int(tool.key))})" if tool.key is not None else ""
-                imgui.set_item_tooltip(f"{tool.name}{key}: {tool.help}")
+    with _card("tools", 0, imgui.Col_.window_bg, 0.82, imgui.ChildFlags_.auto_resize_x):
+        if _tool_button(icons.ICON_FA_ARROW_POINTER, "Navigate", session.view.tool == "", side):
+            session.view.tool = ""
+        imgui.set_item_tooltip("Navigate: the left button orbits (Esc).")
+        for number, tool in enumerate(TOOLS, start=1):
+            if number % columns:
+                imgui.same_line()
+            if _tool_button(tool.icon, tool.name, session.view.tool == tool.name, side):
+                session.view.tool = "" if session.view.tool == tool.name else tool.name
+            key = f" ({chord_name(int(tool.key))})" if tool.key is not None else ""
+            imgui.set_item_tooltip(f"{tool.name}{key}: {tool.help}")
     imgui.pop_style_var(2)
     return 8 + columns * (side + _GAP) + 8
 
@@ -154,13 +153,12 @@ def tool_options(session: Editor, corner: ImVec2, left: float, width: float) -> 
         return
     imgui.set_cursor_screen_pos(ImVec2(corner.x + left, corner.y + 8))
     imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(8, 5))
-    with _card("tool options", max(width - left - 8, 50), imgui.Col_.window_bg, 0.82) as is_open:
-        if is_open:
-            imgui.align_text_to_frame_padding()
-            imgui.text(tool.name)
-            imgui.set_item_tooltip(tool.help)
-            imgui.same_line(0, 12)
-            tool.options(session)
+    with _card("tool options", max(width - left - 8, 50), imgui.Col_.window_bg, 0.82):
+        imgui.align_text_to_frame_padding()
+        imgui.text(tool.name)
+        imgui.set_item_tooltip(tool.help)
+        imgui.same_line(0, 12)
+        tool.options(session)
     imgui.pop_style_var()
 
 
@@ -242,10 +240,9 @@ _MARGIN = 10.0
 def _draw_busy(words: str, corner: ImVec2, width: int, height: int) -> None:
     wide = min(_NOTICE_WIDTH_EM * imgui.get_font_size(), width - 2 * _MARGIN)
     imgui.set_cursor_screen_pos(ImVec2(corner.x + (width - wide) / 2, corner.y + 0.4 * height))
-    with _card("busy", wide, imgui.Col_.popup_bg, 0.94, imgui.ChildFlags_.borders) as is_open:
-        if is_open:
-            imgui.text_wrapped(words)
-            imgui.progress_bar(-imgui.get_time(), ImVec2(-1, 0), "")
+    with _card("busy", wide, imgui.Col_.popup_bg, 0.94, imgui.ChildFlags_.borders):
+        imgui.text_wrapped(words)
+        imgui.progress_bar(-imgui.get_time(), ImVec2(-1, 0), "")
 
 
 def _draw_problem(session: Editor, problem: str, corner: ImVec2, width: int, height: int) -> None:
@@ -255,31 +252,31 @@ def _draw_problem(session: Editor, problem: str, corner: ImVec2, width: int, hei
     text_height = imgui.calc_text_size(words, False, wide - 2 * padding.x).y
     tall = text_height + 2 * padding.y + imgui.get_frame_height_with_spacing()
     imgui.set_cursor_screen_pos(ImVec2(corner.x + width - wide - _MARGIN, corner.y + height - tall - _MARGIN))
-    with _card("problem", wide, imgui.Col_.popup_bg, 0.94, imgui.ChildFlags_.borders) as is_open:
-        if is_open:
-            imgui.push_style_color(imgui.Col_.text, (0.95, 0.45, 0.38, 1.0))
-            imgui.text_wrapped(words)
-            imgui.pop_style_color()
-            if imgui.button("Close"):
-                session.problem = None
-            imgui.same_line()
-            if help_button("Details", "Show the log, which has the rest."):
-                imgui.set_window_focus("Log")
-            imgui.same_line()
-            if help_button("Copy", "Put the sentence on the clipboard."):
-                imgui.set_clipboard_text(problem)
+    with _card("problem", wide, imgui.Col_.popup_bg, 0.94, imgui.ChildFlags_.borders):
+        imgui.push_style_color(imgui.Col_.text, (0.95, 0.45, 0.38, 1.0))
+        imgui.text_wrapped(words)
+        imgui.pop_style_color()
+        if imgui.button("Close"):
+            session.problem = None
+        imgui.same_line()
+        if help_button("Details", "Show the log, which has the rest."):
+            imgui.set_window_focus("Log")
+        imgui.same_line()
+        if help_button("Copy", "Put the sentence on the clipboard."):
+            imgui.set_clipboard_text(problem)
 
 
 @contextmanager
 def _card(
     name: str, width: float, background: imgui.Col_, opacity: float, flags: imgui.ChildFlags_ | int = 0
-) -> Generator[bool]:
-    """Begin a card over the viewport that is as tall as its content; yields True if it is visible."""
+) -> Generator[None]:
+    """Begin a card over the viewport that is as tall as its content."""
     color = imgui.get_style_color_vec4(background)
     imgui.push_style_color(imgui.Col_.child_bg, (color.x, color.y, color.z, opacity))
     imgui.push_style_var(imgui.StyleVar_.child_rounding, 5.0)
     flags |= imgui.ChildFlags_.auto_resize_y | imgui.ChildFlags_.always_use_window_padding
-    yield imgui.begin_child(name, ImVec2(width, 0), flags)
+    imgui.begin_child(name, ImVec2(width, 0), flags)
+    yield
     imgui.end_child()
     imgui.pop_style_var()
     imgui.pop_style_color()

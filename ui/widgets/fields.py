@@ -57,9 +57,11 @@ def field_info(name: str, owner: type[msgspec.Struct] = RainSettings) -> FieldIn
     return FieldInfo(meta.title or name, unit, meta.description or "", low, high, choices, multiple, none, initial)
 
 
-def label(name: str) -> None:
+def label(name: str) -> FieldInfo:
     """Draw a field's title with its help as tooltip, and move to the position of its widget."""
-    plain_label(field_info(name).label, field_info(name).help)
+    info = field_info(name)
+    plain_label(info.label, info.help)
+    return info
 
 
 def plain_label(text: str, help_text: str) -> None:
@@ -77,8 +79,7 @@ def slider(
     session: Editor, name: str, *, high: float | None = None, logarithmic: bool = False, beside_px: float = 0.0
 ) -> None:
     """Edit the current value of a number between its bounds; one drag is one undo step. `beside_px` stays free."""
-    info = field_info(name)
-    label(name)
+    info = label(name)
     if beside_px:
         imgui.set_next_item_width(-beside_px)
     flags = imgui.SliderFlags_.always_clamp | (imgui.SliderFlags_.logarithmic if logarithmic else 0)
@@ -90,8 +91,7 @@ def slider(
 
 
 def integer(session: Editor, name: str) -> None:
-    info = field_info(name)
-    label(name)
+    info = label(name)
     changed, value = imgui.input_int(f"##{name}", getattr(session.rain, name))
     if changed:
         session.change_rain(info.title, name, **{name: int(min(max(value, info.low), info.high, 2**31 - 1))})
@@ -99,8 +99,7 @@ def integer(session: Editor, name: str) -> None:
 
 
 def choice(session: Editor, name: str) -> None:
-    info = field_info(name)
-    label(name)
+    info = label(name)
     present = info.choices.index(getattr(session.rain, name))
     changed, picked = imgui.combo(f"##{name}", present, list(info.choices))
     if changed:

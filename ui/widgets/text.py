@@ -51,10 +51,7 @@ _ONLY_WORDS = ("separator_text", "progress_bar")
 
 
 def label(name: str, identity: str = "") -> str:
-    """Return a widget's label that shows a name; `identity` distinguishes equal names.
-
-    Dear ImGui hides text after ## and uses text after ### as the identity; in a name they are plain text.
-    """
+    """Return a widget's label that shows a name as it is, even with ##; `identity` distinguishes equal names."""
     return f"{visible_name(name)}##{plain_identity(identity)}" if identity else visible_name(name)
 
 
@@ -68,10 +65,7 @@ def plain_identity(name: str) -> str:
 
 
 def escape_all_text() -> None:
-    """Make every function of Dear ImGui that takes text escape characters that can't be drawn, from now on.
-
-    Panels don't have to do so: names come from files, and invalid Unicode would crash the window.
-    """
+    """Make Dear ImGui's functions escape text that can't be drawn: names from files would crash the window."""
     for name in _DRAWING:
         function = getattr(imgui, name)
         if not hasattr(function, "__wrapped__"):

@@ -1,7 +1,4 @@
-"""Textures of captures, jobs and CPU renders, and the capture points on the GPU.
-
-All live in the window's OpenGL context and on its thread.
-"""
+"""Textures of captures, jobs and CPU renders, and capture points, in the window's OpenGL context and thread."""
 
 import logging
 import threading

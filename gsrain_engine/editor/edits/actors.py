@@ -34,10 +34,7 @@ def turn_actor(scene: Scene, key: str, left_deg: float) -> Scene:
 
 
 def retime_actor(scene: Scene, key: str, start_s: float, duration_s: float) -> Scene:
-    """Change the start and duration of an actor's track; a track of one sample only shifts.
-
-    Raises `ValueError` if there is no such actor, it is locked, or the duration is not above 0.
-    """
+    """Change start and duration (above 0) of an unlocked actor's track; a track of one sample only shifts."""
     actor = _unlocked_actor(scene, key)
     if not (duration_s > 0 and np.isfinite([start_s, duration_s]).all()):
         raise ValueError(f"The drive of {actor.name} must last longer than 0 s, not {duration_s:g} s.")

@@ -56,10 +56,7 @@ class FloaterSearch:
     """Floaters of each layer by its key, with the Gaussians that were searched."""
 
     def run(self) -> Iterator[Progress]:
-        """Search; `found` is complete at the end. A million Gaussians take seconds.
-
-        Gaussians of a far shell, such as the sky dome of a single-file scene, are never floaters.
-        """
+        """Search; `found` is complete at the end. Gaussians of a far shell, such as a sky dome, are never floaters."""
         layers = [each for each in self.scene.layers if is_editable(each) and each.kind == "background"]
         parts = [self.scene.part(each) for each in self.scene.layers if each.visible and each.kind == "background"]
         shell = core_bounds([part for part in parts if part is not None]).shell

@@ -65,10 +65,7 @@ def remove(scene: Scene, key: str) -> Scene:
 
 
 def rename(scene: Scene, key: str, name: str) -> Scene:
-    """Rename a member, with a number appended if the name is in use; selection sets follow.
-
-    Raises `ValueError` if there is no such member, and for an empty name.
-    """
+    """Rename a member, with a number appended if the name is in use; selection sets follow."""
     member, name = find_member(scene, key), name.strip()
     if not name:
         raise ValueError("A name can't be empty.")

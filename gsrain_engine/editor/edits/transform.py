@@ -26,10 +26,7 @@ def move_member(scene: Scene, key: str, delta: Similarity) -> Scene:
 
 
 def move_selected(scene: Scene, delta: Similarity, time_s: float = 0.0) -> Scene:
-    """Move the selected Gaussians by a similarity of the world; those of actors at their pose at a time.
-
-    Only arrays that change are copied: a translation leaves scales, quaternions and harmonics untouched.
-    """
+    """Move the selected Gaussians by a similarity of the world, those of actors at a time; copies only what changes."""
     step = _in_scene(scene, delta)
 
     def placed(member: Layer | Actor) -> Layer | Actor:
@@ -200,10 +197,7 @@ def layer_pose(scene: Scene, key: str, time_s: float = 0.0) -> Pose | None:
 
 
 def set_layer_pose(scene: Scene, key: str, pose: Pose, time_s: float = 0.0) -> Scene:
-    """Move a member to a pose as `layer_pose` returns it; an actor with its whole track.
-
-    Raises `ValueError` if there is none, it is locked, it is absent at the time, or the scale is not above 0.
-    """
+    """Move an unlocked member, present at the time, to a pose as `layer_pose` returns it; actors with their track."""
     member = find_unlocked_member(scene, key)
     if not pose.scale > 0:
         raise ValueError(f"The scale of {member.name} must be above 0, not {pose.scale:g}.")

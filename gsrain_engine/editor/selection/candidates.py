@@ -46,10 +46,7 @@ _COMBINE: dict[Mode, Callable[[BitMask, BitMask], BitMask]] = {
 
 
 def combine_selection(scene: Scene, found: Found, mode: Mode) -> Scene:
-    """Combine found Gaussians with the selection; returns the same scene object if nothing changes.
-
-    Hidden and deleted Gaussians never become selected; hidden or locked members keep their selection.
-    """
+    """Combine found, shown Gaussians with the selection of editable members; the same scene if nothing changes."""
     for member in editable(scene):
         own = found.get(member.key) or BitMask.none(len(member.gaussians))
         mask = _COMBINE[mode](selected(member), own & visible_gaussians(member))

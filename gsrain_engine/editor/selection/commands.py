@@ -68,10 +68,7 @@ def has_selection(session: EditedDocument) -> bool:
 
 
 def save_set(session: EditedDocument, name: str | None = None) -> bool:
-    """Save the selection as a set (name None: an unused one); replaces a set of that name.
-
-    Without a selection or a name, sets `problem` and returns False.
-    """
+    """Save the selection as a set (None: an unused name); on error sets `problem` and returns False."""
     sets, now = session.scene.selections, candidates.selections(session.scene)
     name = (unused_set_name(session.scene) if name is None else name).strip()
     if not (now and name):

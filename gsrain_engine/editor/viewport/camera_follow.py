@@ -94,10 +94,7 @@ class ActorFollower:
         self.key, self._pose, self.velocity_m_s = key, None, None
 
     def ride(self, scene: Scene, time_s: float, navigation: OrbitCamera) -> None:
-        """Move and turn the camera with the actor since the last call.
-
-        While the actor is absent the camera stays; a jump in time moves the camera at once.
-        """
+        """Move and turn the camera with the actor since the last call; it stays while the actor is absent."""
         actor = next((each for each in scene.actors if each.key == self.key), None)
         pose = _level_pose(scene, actor, time_s) if actor is not None else None
         before, self.velocity_m_s = self._pose, None
