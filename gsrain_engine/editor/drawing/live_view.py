@@ -93,11 +93,11 @@ class LiveView:
         if session.view.harmonics != self._opengl.arrays.harmonics:
             self._opengl.arrays.keep_harmonics_as(session.view.harmonics)
             self._upload.give_up()
-            self._staged = None  # its upload starts again
+            self._staged = None  # its upload starts over
         self._is_uploading, self._upload_until = False, time.perf_counter() + _UPLOAD_S
         self._prepare_staged()
-        sides = session.split_panes
-        for pane in self._panes[: -len(sides)]:
+        contents = session.split_panes
+        for pane in self._panes[: -len(contents)]:
             pane.state = pane.scene = None
         self._release_closed_scene()
         detail = self._choose_detail(session.shot(width, height))
@@ -109,8 +109,8 @@ class LiveView:
         if self._can_draw:
             self._sample_sky(shot)
         # The last pane, on the right, is the document itself: statistics are those of its image.
-        started, has_drawn, panes = time.perf_counter(), False, self._panes[-len(sides) :]
-        for side, pane in zip(sides, panes, strict=True):
+        started, has_drawn, panes = time.perf_counter(), False, self._panes[-len(contents) :]
+        for side, pane in zip(contents, panes, strict=True):
             has_drawn = self._draw_pane(side, pane, shot, detail)
         if self._cpu is not None and (has_drawn or not self._can_draw) and session.scene.gaussian_count:
             self._cpu.compile()  # after the first image, which compiling would delay
@@ -368,7 +368,7 @@ class SceneUpload:
         self._renderer.arrays.release_awaited()
 
 
-# Sky color, sampled again when the scene has changed, one image a frame, so that no frame stalls
+# Sky color, sampled after each change of the scene, one image a frame, so that no frame stalls
 
 _QUICK = 60_000  # number of Gaussians that a first sample draws; a second, full one follows when nothing moves
 
@@ -488,7 +488,7 @@ class MosaicImages:
         return None if texture is None else Texture(texture.glo, texture.width, texture.height)
 
 
-_STEP_S = 0.05  # half the time over which the ego vehicle's velocity is taken
+_STEP_S = 0.05  # half the time over which the ego vehicle's velocity is averaged
 
 
 def _state(session: Editor, scene: Scene, camera: RigCamera) -> Hashable:

@@ -96,7 +96,7 @@ class CropBox:
         direction = self.to_world[:3, axis] / (self.size_m[axis] / 2) * (1.0 if upper else -1.0)
         face = self.face_m(axis, upper)
         across = sight - (sight @ direction) * direction
-        if across @ across < 1e-6:  # seen end-on
+        if across @ across < 1e-6:  # the axis points at the eye
             return self
         # Signed distance along `direction` from the face to the axis point nearest to the line of sight.
         by_m = float((eye_m - face) @ (direction - (sight @ direction) / (across @ across) * across))
