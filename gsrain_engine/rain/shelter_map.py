@@ -83,14 +83,18 @@ def shelter_map_of(scene: Scene) -> ShelterMap | None:
     layers = [layer for layer in scene.layers if layer.visible and layer.kind == "background"]
     poses = [np.ascontiguousarray(scene.scene_to_world @ layer.to_scene).tobytes() for layer in layers]
     solids = zip(layers, poses, strict=True)
-    return _roofs_of_solids(tuple(_SolidLayer(e.gaussians, pose, e.marks.left_out, e.opacity) for e, pose in solids))
+    return _roofs_of_solids(
+        tuple(_SolidLayer(each.gaussians, pose, each.marks.left_out, each.opacity) for each, pose in solids)
+    )
 
 
 @scene_cache(maxsize=2)
 def _roofs_of_solids(solids: tuple[_SolidLayer, ...]) -> ShelterMap | None:
     poses = [np.frombuffer(each.to_world).reshape(4, 4) for each in solids]
-    items = zip(solids, poses, strict=True)
-    return build_shelter_map([DrawItem(e.gaussians, p, left_out=e.left_out, opacity=e.opacity) for e, p in items])
+    layers = zip(solids, poses, strict=True)
+    return build_shelter_map(
+        [DrawItem(each.gaussians, pose, left_out=each.left_out, opacity=each.opacity) for each, pose in layers]
+    )
 
 
 def build_shelter_map(parts: Sequence[DrawItem]) -> ShelterMap | None:
@@ -117,11 +121,12 @@ def build_shelter_map(parts: Sequence[DrawItem]) -> ShelterMap | None:
 
 def _grid(parts: Sequence[DrawItem]) -> _HeightGrid:
     """Grid over the area that contains most Gaussians."""
-    boxes = [np.stack(robust_bounds(part.gaussians, share=0.999)) for part in parts]
-    corners = [np.stack([each.ravel() for each in np.meshgrid(*box.T)], axis=1) for box in boxes]
-    corners = [c @ p.to_world[:3, :3].T + p.to_world[:3, 3] for c, p in zip(corners, parts, strict=True)]
-    corners = np.concatenate(corners)[:, :2]
-    low, high = corners.min(axis=0) - CELL_M, corners.max(axis=0) + CELL_M
+    corners: list[Float64[np.ndarray, "8 2"]] = []
+    for part in parts:
+        box = np.stack(robust_bounds(part.gaussians, share=0.999))
+        local = np.stack([each.ravel() for each in np.meshgrid(*box.T)], axis=1)
+        corners.append((local @ part.to_world[:3, :3].T + part.to_world[:3, 3])[:, :2])
+    low, high = np.min(corners, axis=(0, 1)) - CELL_M, np.max(corners, axis=(0, 1)) + CELL_M
     size = np.minimum(np.ceil((high - low) / CELL_M), _MAX_CELLS).astype(int)
     return _HeightGrid((low + high) / 2 - size * CELL_M / 2, int(size[0]), int(size[1]))
 

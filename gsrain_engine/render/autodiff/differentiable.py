@@ -177,8 +177,8 @@ class _Render(torch.autograd.Function):
             by_harmonics = sh_backward(gaussians, splats, sums, matrix)
             return None, None, None, None, torch.from_numpy(by_harmonics[colors.ndim == 2]), None, None, None
         sums = blend_backward(splats.shapes, splats.channels, tiles, picture, gradient)
-        found, by_pose = project_backward(gaussians, splats, sums, camera, matrix)
-        footprint.gradients = torch.from_numpy(found.on_screen)
+        found, on_screen, by_pose = project_backward(gaussians, splats, sums, camera, matrix)
+        footprint.gradients = torch.from_numpy(on_screen)
         by_colors = found.display if colors.ndim == 2 else found.colors
         arrays = (found.means, found.scales, found.quaternions, found.opacities, by_colors)
         by_pose = torch.from_numpy(by_pose).to(pose.dtype) if ctx.needs_input_grad[5] else None

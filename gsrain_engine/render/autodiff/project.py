@@ -148,42 +148,33 @@ def _color(mean, sh, eye, basis):
 # Backward pass of projection
 
 
-class GaussianGradients(NamedTuple):
-    """Loss gradients with respect to each array of `TrainedGaussians`; zero rows for Gaussians that are not drawn."""
-
-    means: Float[np.ndarray, "n 3"]
-    scales: Float[np.ndarray, "n 3"]
-    quaternions: Float[np.ndarray, "n 4"]
-    opacities: Float[np.ndarray, " n"]
-    colors: Float[np.ndarray, "n k 3"]
-    display: Float[np.ndarray, "_ 3"]
-    on_screen: Float[np.ndarray, " n"]
-    """Length of the gradient with respect to the center in the image (px)."""
-
-
 def project_backward(
     gaussians: TrainedGaussians,
     splats: TrainedSplats,
     sums: Float[np.ndarray, "n 10"],
     camera: Camera,
     world_to_camera: Float64[np.ndarray, "4 4"],
-) -> tuple[GaussianGradients, Float64[np.ndarray, "4 4"]]:
-    """Convert the sums of `blend_backward` to gradients of the Gaussians and of the elements of `world_to_camera`.
+) -> tuple[TrainedGaussians, Float[np.ndarray, " n"], Float64[np.ndarray, "4 4"]]:
+    """Convert the sums of `blend_backward` to a loss's gradients by the Gaussians and by `world_to_camera`.
+
+    In between, the length of the gradient by each center in the image (px). Rows of Gaussians not drawn are zero.
 
     The chain of EWA splatting: shape -> 2D covariance -> Jacobian (which depends on the mean) and axes -> mean, scale,
     unnormalized quaternion, pose; and color -> harmonics -> view direction -> mean and eye.
     """
-    arrays = GaussianGradients(*map(np.zeros_like, [*gaussians, gaussians.opacities]))
+    found, on_screen = TrainedGaussians(*map(np.zeros_like, gaussians)), np.zeros_like(gaussians.opacities)
     eye = eye_of(world_to_camera)
     by_chunk = np.zeros((-(-len(gaussians.means) // CHUNK), 15))
-    _project_back(*gaussians, *splats, sums, world_to_camera, eye, projection.intrinsics_of(camera), *arrays, by_chunk)
+    _project_back(
+        *gaussians, *splats, sums, world_to_camera, eye, projection.intrinsics_of(camera), *found, on_screen, by_chunk
+    )
     total = by_chunk.sum(axis=0)
     pose = np.zeros((4, 4))
     pose[:3] = total[:12].reshape(3, 4)
     # The eye satisfies R eye + t = 0: it moves by -R^-1 (dR eye + dt).
     by_eye = np.linalg.solve(world_to_camera[:3, :3].T, total[12:])
     pose[:3] -= np.outer(by_eye, np.append(eye, 1))
-    return arrays, pose
+    return found, on_screen, pose
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
