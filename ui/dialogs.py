@@ -159,7 +159,7 @@ _PALETTE_TITLE = "Find a command"
 _LINES = 14
 
 
-class _Row(NamedTuple):
+class _PaletteRow(NamedTuple):
     name: str
     keys: str
     help: str
@@ -200,7 +200,7 @@ class CommandPalette:
         if chosen is not None:
             chosen.run()
 
-    def _list(self, found: list[_Row]) -> _Row | None:
+    def _list(self, found: list[_PaletteRow]) -> _PaletteRow | None:
         """Draw the list; returns the row that is clicked or entered in this frame."""
         chosen = None
         enter = imgui.is_key_pressed(imgui.Key.enter) or imgui.is_key_pressed(imgui.Key.keypad_enter)
@@ -228,17 +228,19 @@ def matches(name: str, typed: str) -> bool:
     return all(word in name.lower() for word in typed.lower().split())
 
 
-def _rows(session: Editor) -> list[_Row]:
+def _rows(session: Editor) -> list[_PaletteRow]:
     rows = [
-        _Row(each.title(session), each.key_names, each.help, each.is_possible(session), partial(each.perform, session))
+        _PaletteRow(
+            each.title(session), each.key_names, each.help, each.is_possible(session), partial(each.perform, session)
+        )
         for each in ACTIONS
     ]
     for tool in TOOLS:
         keys = chord_name(int(tool.key)) if tool.key is not None else ""
         rows.append(
-            _Row(f"Tool: {tool.name}", keys, tool.help, True, partial(setattr, session.view, "tool", tool.name))
+            _PaletteRow(f"Tool: {tool.name}", keys, tool.help, True, partial(setattr, session.view, "tool", tool.name))
         )
     for window in panel_windows():
         show = partial(bring_to_front, window)
-        rows.append(_Row(f"Panel: {window.label.partition('###')[0]}", "", "Bring it to the front.", True, show))
+        rows.append(_PaletteRow(f"Panel: {window.label.partition('###')[0]}", "", "Bring it to the front.", True, show))
     return rows

@@ -58,15 +58,16 @@ def begin_session(scene: str | None, rain: "RainSettings | None", wet: bool = Fa
     from gsrain_engine.editor.editor import Editor
     from gsrain_engine.editor.jobs.job import remove_abandoned_job_folders
 
-    session, left = Editor(rain=rain), restart_state()
-    if left is not None and left.autosave is not None:
-        session.files.go_on_at(left.autosave)
+    session, restarts = Editor(rain=rain), _TIMES in os.environ
+    autosave, left = os.environ.pop(_AUTOSAVE, ""), os.environ.pop(_SCENE, "")
+    if restarts and autosave:
+        session.files.go_on_at(Path(autosave))
     else:
-        session.open((left and left.scene) or scene or "street")
+        session.open((restarts and left) or scene or "street")
         if wet:
             session.rainy.make_soon()
-    if left is not None:
-        session.problem = _RESTARTED + (_WITH_CHANGES if left.autosave is not None else "")
+    if restarts:
+        session.problem = _RESTARTED + (_WITH_CHANGES if autosave else "")
     session.files.offer_recovery()
     threading.Thread(target=remove_abandoned_job_folders, name="tidy up", daemon=True).start()
     return session
@@ -349,12 +350,6 @@ class RestartState(NamedTuple):
     """Path of its unsaved changes."""
     scene: str | None = None
     """Scene that was open."""
-
-
-def restart_state() -> RestartState | None:
-    """Return the state to continue with, or None if the user started this window. Call it only once."""
-    autosave, scene = os.environ.pop(_AUTOSAVE, ""), os.environ.pop(_SCENE, "")
-    return RestartState(Path(autosave) if autosave else None, scene or None) if _TIMES in os.environ else None
 
 
 def restart_program(left: RestartState, lived_s: float) -> NoReturn:

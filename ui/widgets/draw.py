@@ -76,8 +76,8 @@ class Viewport:
 
     def pixel(self, point_m: Float64[np.ndarray, "3"]) -> tuple[float, float] | None:
         """Return the pixel of a world point; None behind the camera."""
-        seen = picking.project_point(point_m, self.shot.camera)
-        return seen and (seen.x, seen.y)
+        projected = picking.project_point(point_m, self.shot.camera)
+        return projected and (projected.x, projected.y)
 
 
 # Points, lines and text at positions of the world, and of the viewport
@@ -172,8 +172,8 @@ def plot(
     if not legend:
         flags |= implot.Flags_.no_legend
     height = (_HEIGHT_EM + (_LEGEND_EM if legend else 0)) * imgui.get_font_size()
-    seen = implot.begin_plot(title, ImVec2(-1, height), flags)
-    if seen:
+    is_open = implot.begin_plot(title, ImVec2(-1, height), flags)
+    if is_open:
         fit = implot.AxisFlags_.auto_fit | implot.AxisFlags_.no_highlight
         implot.setup_axes(x, y, fit, fit)
         if legend:
@@ -182,8 +182,8 @@ def plot(
             implot.setup_axis_scale(implot.ImAxis_.x1, implot.Scale_.log10)
         if log_y:
             implot.setup_axis_scale(implot.ImAxis_.y1, implot.Scale_.log10)
-    yield seen
-    if seen:
+    yield is_open
+    if is_open:
         implot.end_plot()
 
 

@@ -188,11 +188,11 @@ def path_field(
 
 def _optional_toggle(name: str, info: FieldInfo, value: float | None) -> tuple[bool, float | None]:
     """Draw the checkbox of an optional number, with the text for None if off; the number's widget comes after it."""
-    changed, is_given = imgui.checkbox(f"##{name} given", value is not None)
+    changed, is_on = imgui.checkbox(f"##{name} given", value is not None)
     imgui.set_item_tooltip(f"{info.help}\nOff: {info.none}.")
     imgui.same_line()
     imgui.set_next_item_width(-1)
-    if not is_given:
+    if not is_on:
         imgui.text_disabled(info.none or "")
         return changed, None
     return changed, info.initial if value is None else value

@@ -221,8 +221,8 @@ def _view(shot: RenderView, name: str) -> tuple[bytes, ...]:
 def _range(
     values: dict[str, Float32[np.ndarray, " n"]], masks: dict[str, BitMask], attribute: Attribute, *, step: bool
 ) -> tuple[float, float]:
-    shown = [own[masks[key].flags] for key, own in values.items() if masks[key]]
-    every = np.concatenate([np.zeros(0, np.float32), *(own[:: max(1, len(own) // _SAMPLE)] for own in shown)])
+    visible = [own[masks[key].flags] for key, own in values.items() if masks[key]]
+    every = np.concatenate([np.zeros(0, np.float32), *(own[:: max(1, len(own) // _SAMPLE)] for own in visible)])
     every = every[np.isfinite(every)]
     if not len(every):
         return (-1.0, 0.0) if attribute.logarithmic else (0.0, 1.0)

@@ -189,18 +189,18 @@ def visible_shares(
     top, right, bottom in pixels, the last two exclusive.
     """
     members = [member for member in scene.members if member.visible]
-    shown = [(member.key, part) for member in members if (part := scene.part(member, shot.time_s)) is not None]
-    weights = color_operator([strip_sh(part) for _, part in shown], _cut_out(shot.camera, box))
+    owned = [(member.key, part) for member in members if (part := scene.part(member, shot.time_s)) is not None]
+    weights = color_operator([strip_sh(part) for _, part in owned], _cut_out(shot.camera, box))
     ones = np.ones((weights.tiles.height, weights.tiles.width, 3), np.float32)
     gathered = color_operator_transpose(weights.splats.shapes, ones, weights.tiles)
     sums, squared = gathered[:, 0], gathered[:, 3]  # of each splat's weights, in one pass over the image
     opacities = np.exp(weights.splats.shapes[:, 5])
-    shares = np.zeros(sum(len(part.gaussians) for _, part in shown), np.float32)
+    shares = np.zeros(sum(len(part.gaussians) for _, part in owned), np.float32)
     is_visible = sums > 0
     visible = 2 * squared[is_visible] / (opacities[is_visible] * sums[is_visible])
     shares[weights.splats.indices[is_visible]] = np.minimum(visible, 1)
-    ends = np.cumsum([len(part.gaussians) for _, part in shown])[:-1]
-    return {key: own for (key, _), own in zip(shown, np.split(shares, ends), strict=True)}
+    ends = np.cumsum([len(part.gaussians) for _, part in owned])[:-1]
+    return {key: own for (key, _), own in zip(owned, np.split(shares, ends), strict=True)}
 
 
 def _cut_out(camera: Camera, box: tuple[int, int, int, int]) -> Camera:

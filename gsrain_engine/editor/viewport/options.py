@@ -96,7 +96,7 @@ LEVELS = (
 SETTLED_S = 0.15  # time without motion after which full quality returns
 _TOLERANCE = 1.15
 _PROMISING = 0.55  # share of the target frame time below which a finer level is tried
-_FORGET_AFTER = 45  # frames after which a level that was too slow may be tried again
+_FORGET_AFTER = 45  # frames after which a level that was too slow may be tried once more
 
 
 @dataclass(slots=True)
@@ -108,7 +108,7 @@ class AdaptiveQuality:
     _level: int = 0
     _rested_s: float = math.inf
     _too_slow: dict[int, int] = field(default_factory=dict[int, int])
-    """Levels that missed the target, with the number of frames until they may be tried again."""
+    """Levels that missed the target, with the number of frames until they may be tried once more."""
 
     @property
     def detail(self) -> QualityLevel:
