@@ -73,7 +73,7 @@ _EVALUATIONS = {
     "lpips-weights": ("app.evaluate.images:lpips_weights", "Convert LPIPS weights to plain arrays."),
     "inception-weights": ("app.evaluate.images:inception_weights", "Convert Inception weights (FID) to plain arrays."),
     "detection": ("app.evaluate.detection:detection", "Effect of rain on object detectors, by intensity."),
-    "lidar": ("app.evaluate.lidar:lidar", "A lidar in the rain: true, lost and false returns by range."),
+    "lidar": ("app.evaluate.lidar:lidar", "A lidar in rain: true, lost and false returns by range."),
 }
 
 OLD_OPTIONS = {

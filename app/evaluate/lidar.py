@@ -223,7 +223,7 @@ def _return_share_by_range(by_intensity: _Runs) -> Table:
     shown = [k for k in range(len(clear)) if clear[k] >= _FEWEST * len(first)]
     table = Table("mm/h", *(ends[k] for k in shown), box=None)
     for intensity, runs in by_intensity.items():
-        kept, clear = _kept_and_clear(runs)
+        kept, clear = _returned_and_clear(runs)
         table.add_row(f"{intensity:g}", *(f"{kept[k] / clear[k]:.1%}" for k in shown))
     return table
 
@@ -233,7 +233,7 @@ def _ends(runs: Sequence[RainRunCounts]) -> list[str]:
     return [f"{a:g}-{b:g} m" if math.isfinite(b) else f"> {a:g} m" for a, b in pairwise(edges)]
 
 
-def _kept_and_clear(runs: Sequence[RainRunCounts]) -> list[Int64[np.ndarray, " bins"]]:
+def _returned_and_clear(runs: Sequence[RainRunCounts]) -> list[Int64[np.ndarray, " bins"]]:
     return [np.sum([getattr(run.tally, name) for run in runs], axis=0) for name in ("kept", "clear")]
 
 
@@ -284,7 +284,7 @@ def _totals(by_intensity: _Runs) -> ReportTable:
 def _page_by_range(by_intensity: _Runs) -> ReportTable:
     rows: list[tuple[str | float | None, ...]] = []
     for intensity, runs in by_intensity.items():
-        pairs = zip(*_kept_and_clear(runs), strict=True)
+        pairs = zip(*_returned_and_clear(runs), strict=True)
         rows.append((f"{intensity:g}", *(float(100 * kept / clear) if clear else None for kept, clear in pairs)))
     columns = ("mm/h", *_ends(next(iter(by_intensity.values()))))
     caption = "Per cent of the returns in clear weather."
