@@ -50,4 +50,9 @@ def followed(work: Generator[Step, None, _Result]) -> _Result:
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         shown = bar.add_task("Reading", total=1.0)
-        return run_to_end(work, lambda step: bar.update(shown, completed=step.fraction, description=step.message))
+
+        def show(step: Step) -> None:
+            message = step.message if step.warning is None else f"{step.message}. Warning: {step.warning}"
+            bar.update(shown, completed=step.fraction, description=message)
+
+        return run_to_end(work, show)

@@ -55,7 +55,7 @@ def begin_session(scene: str | None, rain: RainSettings | None, wet: bool = Fals
             session.rainy.make_soon()
     if left is not None:
         session.problem = _RESTARTED + (_WITH_CHANGES if left.kept is not None else "")
-    session.files.offer_recovery()
+    session.files.recovery.look()
     threading.Thread(target=remove_abandoned_job_folders, name="tidy up", daemon=True).start()
     return session
 

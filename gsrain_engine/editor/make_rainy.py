@@ -1,6 +1,6 @@
 """Setup of "Make it rainy": method, views, preview and job. Not part of the document."""
 
-from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import get_args
 
 import msgspec
@@ -11,24 +11,12 @@ from ..appearance.cyclegan_turbo.weight_paths import find_base_model, find_trans
 from ..appearance.registry import METHODS, TransferMethod, find_method
 from ..appearance.scene_views import Source, ViewChoice
 from .files import SceneFiles
-from .jobs.job import BackgroundJob, SceneJob
-from .jobs.make_rainy import (
-    MAKE_RAINY_TITLE,
-    MakeRainyJobKind,
-    PreviewedView,
-    PreviewSettings,
-    TransferPreviewJob,
-    TransferRequest,
-)
+from .jobs.job import Job
+from .jobs.make_rainy import PreviewedView, PreviewSettings, TransferRequest, make_rainy_job, preview_job
 from .jobs.training import HOW_TO_GET_DIFFUSION, has_torch
 from .services import EditorServices
 from .viewport.options import Texture
 
-QUICK_VIEWS = 8
-"""Number of views for a first result within seconds."""
-
-QUICK_WIDTH_PX = 480
-PREVIEW_WIDTH_PX = 640
 COMPARED_MM_H = 8.5
 """Rain of a comparison if no rain is set, because scenes are dry without."""
 
@@ -36,19 +24,19 @@ COMPARED_MM_H = 8.5
 class WetLookController:
     """The user's choices and the results so far. Main thread only."""
 
-    def __init__(self, scene_files: SceneFiles, files: ThreadPoolExecutor) -> None:
-        """Start with the method that has no requirements; `files` is the thread that writes scenes for workers."""
+    def __init__(self, scene_files: SceneFiles) -> None:
+        """Start with the method that has no requirements, and few views, for a first result within seconds."""
         self.method = METHODS[0].name
         self.settings = TransferSettings()
-        self.choice = ViewChoice(count=QUICK_VIEWS, width_px=QUICK_WIDTH_PX)
-        self.preview_width_px = PREVIEW_WIDTH_PX
+        self.choice = ViewChoice(count=8, width_px=480)
+        self.preview_width_px = 640
         self.previewed: PreviewedView | None = None
         self.texture: Texture | None = None
         self.viewport_px: tuple[int, int] = (960, 640)
         """Size of the viewport at the last frame."""
-        self._scene_files, self._files = scene_files, files
-        self._preview: TransferPreviewJob | None = None
-        self._is_wanted = False
+        self._scene_files = scene_files
+        self._preview: Job[None] | None = None
+        self._starts_soon = False
 
     @property
     def row(self) -> TransferMethod:
@@ -65,7 +53,7 @@ class WetLookController:
 
     def why_not(self, session: EditorServices) -> str | None:
         """Reason why the scene can't be made rainy now, in one sentence, or None."""
-        return self.why_no_transfer or why_no_views(session, self.choice.source) or self._why_wait(session)
+        return self.why_no_transfer or why_no_views(session, self.choice.source) or session.why_wait
 
     def why_no_preview(self, session: EditorServices) -> str | None:
         """Reason why there can't be a preview now, or None."""
@@ -73,17 +61,12 @@ class WetLookController:
             return "Pictures of another program are of the chosen views alone: there is none from here."
         if not session.scene.gaussian_count:
             return "There is no scene yet to be made rainy."
-        return self.why_no_transfer or self._why_wait(session)
+        return self.why_no_transfer or session.why_wait
 
     @property
     def why_no_transfer(self) -> str | None:
         """Missing requirements of the method, or None."""
         return missing_requirements(self.row, self.settings)
-
-    def _why_wait(self, session: EditorServices) -> str | None:
-        if session.running_jobs:
-            return f"Wait for {session.running_jobs[0].title}, or cancel it."
-        return "Wait for the scene that is being brought into the picture." if session.staged is not None else None
 
     # Preview
 
@@ -95,11 +78,18 @@ class WetLookController:
         """Start to transfer the viewport's view; the result appears next to the live image."""
         if self.why_no_preview(session) is not None:
             return
-        shot = session.shot(*self.viewport_px)
-        nothing = np.zeros((1, 1, 3), np.uint8)
-        wanted = PreviewedView(nothing, shot.camera, shot.time_s, session.scene, self.recipe)
-        self._preview = TransferPreviewJob(wanted, self.preview_width_px, self._scene_files.known, self._files)
-        session.start(self._preview)
+        shot, no_pixels = session.shot(*self.viewport_px), np.zeros((1, 1, 3), np.uint8)
+        view = PreviewedView(no_pixels, shot.camera, shot.time_s, session.scene, self.recipe)
+
+        def take(*_: object) -> None:
+            if job.progress.preview is None:
+                raise ValueError("the transfer has made no picture")
+            self.previewed = replace(view, pixels=job.progress.preview)
+            session.view.split = "now | preview"
+            session.jobs = [each for each in session.jobs if each is not job]  # the image replaces the entry
+
+        self._preview = job = preview_job(view, self.preview_width_px, self._scene_files.known, take)
+        session.start(job)
 
     def fits(self, session: EditorServices) -> bool:
         """Return whether the preview matches the viewport's view."""
@@ -110,7 +100,7 @@ class WetLookController:
         """Describe changes since the preview was made; None if there are none, or no preview."""
         if self.previewed is None:
             return None
-        if not self.previewed.is_made_by(self.recipe):
+        if self.previewed.recipe != self.recipe:
             return "The settings have changed since."
         return None if self.fits(session) else "The view has changed since."
 
@@ -123,18 +113,11 @@ class WetLookController:
             session.clock.seek(self.previewed.time_s)
 
     def poll(self, session: EditorServices) -> None:
-        """Process a finished preview, and start a job that waits for a scene. Once a frame."""
-        if self._is_wanted and session.scene.gaussian_count and self._why_wait(session) is None:
-            self._is_wanted = False
+        """Start a job that waits for a scene. Once a frame."""
+        if self._starts_soon and session.scene.gaussian_count and session.why_wait is None:
+            self._starts_soon = False
             session.problem = self.why_not(session) or session.problem
             self.make(session)
-        if self._preview is None or self._preview.state == "running":
-            return
-        done, self._preview = self._preview, None
-        if done.result is not None:
-            self.previewed = done.result
-            session.view.split = "now | preview"
-            session.jobs = [each for each in session.jobs if each is not done]  # the image replaces the entry
 
     # Job
 
@@ -144,26 +127,17 @@ class WetLookController:
             return
         capture = session.captures.path if uses_capture(session, self.choice.source) else None
         order = TransferRequest(self.method, self.settings, self.choice, capture, session.captures.allows_outside)
-        session.start(SceneJob(MakeRainyJobKind(session.scene, self._scene_files.known, order), self._files))
+        session.start(make_rainy_job(session, self._scene_files.known, order))
 
     def make_soon(self) -> None:
         """Start the job as soon as a scene is open."""
-        self._is_wanted = True
-
-    def newest(self, session: EditorServices) -> tuple[int, BackgroundJob] | None:
-        """Return the last job of this kind, with its index among all jobs."""
-        own = [(i, job) for i, job in enumerate(session.jobs) if _is_own(job)]
-        return own[-1] if own else None
+        self._starts_soon = True
 
     def compare(self, session: EditorServices) -> None:
         """Show the clear scene next to the rainy one; if there is no rain, add some as an undo step."""
         session.view.split = "clear | rainy"
         if session.wetness_now == 0:
             session.change_rain("Rain to compare", intensity_mm_h=COMPARED_MM_H, wetness=None)
-
-
-def _is_own(job: BackgroundJob) -> bool:
-    return isinstance(job, TransferPreviewJob) or (isinstance(job, SceneJob) and job.title == MAKE_RAINY_TITLE)
 
 
 # View sources

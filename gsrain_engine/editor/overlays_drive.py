@@ -1,7 +1,6 @@
-"""Viewport overlays of drives: boxes, plan, driven path, and detections; and the layout of the camera mosaic."""
+"""Viewport overlays of drives: boxes, plan, driven path, and detections."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
 import msgspec
@@ -11,11 +10,10 @@ from msgspec import Meta
 
 from ..scene.camera import Camera
 from ..scene.geometry import EDGES, box_corners
-from ..scene.scene import RigCamera, Scene
+from ..scene.scene import RigCamera
 from ..simulation.rollout import RolloutStep
 from ..simulation.traffic.base import RoadUser
-from .drive_playback import RolloutInScene
-from .viewport.options import Texture
+from .drive import RolloutInScene
 from .viewport.picking import project_lines, project_point
 
 _ABOVE_ROAD_M = 0.04
@@ -184,47 +182,3 @@ def _moved(x: float, y: float, front: RigCamera, camera: Camera) -> tuple[float,
     """Convert a pixel of the rig's camera to one of another camera at the same position."""
     right, down = (x - front.cx) / front.fx, (y - front.cy) / front.fy
     return camera.fx * right + camera.cx, camera.fy * down + camera.cy
-
-
-# Camera mosaic
-
-_WIDTH_STEP_PX = 16
-
-
-@dataclass(slots=True)
-class CameraMosaic:
-    """Requests of the mosaic panel, and its images."""
-
-    rig: str = ""
-    """Name of the rig; an unknown name selects the first."""
-    width_px: int = 240
-    """Width of each image."""
-    is_requested: bool = False
-    """True if the panel is visible; set again in each frame."""
-    is_behind: bool = False
-    """True if images are outdated."""
-    pictures: dict[str, Texture] = field(default_factory=dict[str, Texture])
-    """By camera."""
-
-    def want(self, width_px: float) -> None:
-        """Request the images at about this width."""
-        self.is_requested = True
-        self.width_px = max(64, _WIDTH_STEP_PX * round(width_px / _WIDTH_STEP_PX))
-
-    def cameras(self, scene: Scene) -> tuple[RigCamera, ...]:
-        if not scene.rigs:
-            return ()
-        return scene.rigs.get(self.rig) or next(iter(scene.rigs.values()))
-
-
-def mosaic_rows(cameras: Sequence[RigCamera]) -> list[list[RigCamera]]:
-    """Arrange cameras: those that look ahead in the upper row, the others below, each from left to right."""
-    ahead = [each for each in cameras if each.camera_to_ego[0, 2] > 0]
-    behind = [each for each in cameras if each.camera_to_ego[0, 2] <= 0]
-    rows = [sorted(ahead, key=_leftness, reverse=True), sorted(behind, key=_leftness, reverse=True)]
-    return [row for row in rows if row]
-
-
-def _leftness(camera: RigCamera) -> float:
-    """Component to the left of a camera's viewing direction."""
-    return float(np.round(camera.camera_to_ego[1, 2], 6))

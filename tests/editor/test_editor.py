@@ -78,7 +78,7 @@ def test_open_and_save(session, tmp_path):
     assert session.scene.name == "other"
     assert session.history.undo_label is None
     session.change_rain("Intensity", intensity_mm_h=7.0)
-    session.save(tmp_path / "saved")
+    session.files.save_to(tmp_path / "saved")
     settle(session)
     saved = read_scene(tmp_path / "saved")
     assert saved.rain["intensity_mm_h"] == 7.0

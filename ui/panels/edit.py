@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import msgspec
 from imgui_bundle import ImVec2, imgui
 
-from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.editor import FLOATERS_TITLE, Editor
 from gsrain_engine.editor.edits.actors import duration_of, retime_actor, start_of, turn_actor
 from gsrain_engine.editor.edits.floaters import FloaterRules
 from gsrain_engine.editor.edits.gaussians import (
@@ -19,7 +19,6 @@ from gsrain_engine.editor.edits.gaussians import (
 )
 from gsrain_engine.editor.edits.layers import duplicate, remove
 from gsrain_engine.editor.edits.transform import Pose, layer_pose, set_layer_pose
-from gsrain_engine.editor.jobs.floaters import TITLE, FloaterJob
 from gsrain_engine.scene.scene import Actor, Layer
 
 from ..widgets.fields import end_gesture_when_released, field_info, plain_label
@@ -108,24 +107,24 @@ def floater_fields(session: Editor) -> None:
         changed, value = imgui.slider_float(f"##{name}", value, 0.0, high, written if value else "off", flags)
         if changed:
             _chosen.rules = msgspec.structs.replace(_chosen.rules, **{name: value})
-    jobs = [job for job in session.jobs if isinstance(job, FloaterJob)]
-    job = jobs[-1] if jobs else None
+    newest, count = session.newest_job("floaters"), session.floater_count
+    job = None if newest is None else newest[1]
     if job is not None and job.state == "running":
         imgui.progress_bar(job.progress.fraction, (-1, 0), job.progress.message)
         if imgui.button("Cancel##floaters", (-1, 0)):
             job.cancel()
         imgui.set_item_tooltip("Stop searching; the selection stays as it was.")
         return
-    if imgui.button(TITLE, (-1, 0)):
-        session.start(FloaterJob(session.scene, _chosen.rules))
+    if imgui.button(FLOATERS_TITLE, (-1, 0)):
+        session.find_floaters(_chosen.rules)
     imgui.set_item_tooltip(
         "Select what any one of the rules calls a floater, in background layers that are not locked."
     )
-    is_latest = session.history.undo_label == TITLE
-    if job is not None and job.found_count is not None and (is_latest or not job.found_count):
+    is_latest = session.history.undo_label == FLOATERS_TITLE
+    if job is not None and count is not None and (is_latest or not count):
         imgui.text_wrapped(job.progress.message + ".")
-        if job.found_count:
-            if imgui.button(f"Delete {job.found_count:,} floaters", (-1, 0)):
+        if count:
+            if imgui.button(f"Delete {count:,} floaters", (-1, 0)):
                 session.edit("Delete floaters", delete_selected)
             imgui.set_item_tooltip("Delete what was found; undo brings it back.")
 

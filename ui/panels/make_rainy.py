@@ -137,7 +137,7 @@ def _preview(session: Editor) -> None:
 
 
 def _make(session: Editor) -> None:
-    rainy, newest = session.rainy, session.rainy.newest(session)
+    rainy, newest = session.rainy, session.newest_job("make rainy", "preview")
     if newest is not None and newest[1].state == "running":
         imgui.separator_text(newest[1].title)
         job_fields(session, newest[1], newest[0])

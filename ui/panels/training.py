@@ -11,14 +11,7 @@ from imgui_bundle import icons_fontawesome_6, imgui
 from gsrain_engine.appearance.finetune.settings import finetuning_names
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.finetune import FinetuneChoice
-from gsrain_engine.editor.jobs.job import SceneJob
-from gsrain_engine.editor.jobs.training import (
-    HOW_TO_GET_TORCH,
-    Losses,
-    RecolorJobKind,
-    ReconstructionJobKind,
-    has_torch,
-)
+from gsrain_engine.editor.jobs.training import HOW_TO_GET_TORCH, Losses, has_torch, recolor_job, reconstruction_job
 from gsrain_engine.training.settings import TrainingSettings, load_settings, settings_names
 
 from ..widgets.draw import line, plot
@@ -68,16 +61,16 @@ def reconstruct_fields(session: Editor) -> None:
     if not captures.capture.has_poses:
         imgui.text_wrapped("Nothing tells where the cameras stood: let COLMAP find it, and open its folder.")
         return
-    newest = _newest(session)
+    newest = session.newest_job("reconstruct", "recolor")
     if newest is not None and newest[1].state == "running":
         job_fields(session, newest[1], newest[0])
         return
-    why_not = _why_not(session)
+    why_not = session.why_wait
     if has_torch():
         _settings()
         if _button("Reconstruct", _RECONSTRUCT_HELP, why_not):
-            session.start_task(
-                ReconstructionJobKind(captures.path, _chosen.settings, allow_outside=captures.allows_outside)
+            session.start(
+                reconstruction_job(session, captures.path, _chosen.settings, allow_outside=captures.allows_outside)
             )
     else:
         imgui.text_wrapped(f"To reconstruct, torch is needed, which is not installed: {HOW_TO_GET_TORCH}")
@@ -92,13 +85,6 @@ def reconstruct_fields(session: Editor) -> None:
         job_fields(session, newest[1], newest[0])
 
 
-def _why_not(session: Editor) -> str | None:
-    """Return why no job can start now, or None."""
-    if session.running_jobs:
-        return f"Wait for {session.running_jobs[0].title}, or cancel it."
-    return "Wait for the scene that is being brought into the picture." if session.staged is not None else None
-
-
 def _button(label: str, help_text: str, why_not: str | None) -> bool:
     imgui.begin_disabled(why_not is not None)
     is_pressed = imgui.button(label, (-1, 0))
@@ -107,19 +93,9 @@ def _button(label: str, help_text: str, why_not: str | None) -> bool:
     return is_pressed
 
 
-def _newest(session: Editor) -> tuple[int, SceneJob] | None:
-    """Return the last of these jobs, with its index in all jobs."""
-    own = [
-        (number, job)
-        for number, job in enumerate(session.jobs)
-        if isinstance(job, SceneJob) and isinstance(job.task, ReconstructionJobKind | RecolorJobKind)
-    ]
-    return own[-1] if own else None
-
-
 def _recolor(session: Editor, capture: Path, chosen: list[Path]) -> None:
     images, allowed = chosen[0] if chosen else None, session.captures.allows_outside
-    session.start_task(RecolorJobKind(session.scene, session.files.known, capture, images, allow_outside=allowed))
+    session.start(recolor_job(session, session.files.known, capture, images, allow_outside=allowed))
 
 
 def _settings() -> None:
@@ -199,11 +175,11 @@ def transfer_training_fields(session: Editor) -> None:
         return
     imgui.separator_text(job.title)
     job_fields(session, job, session.jobs.index(job))
-    if job.warning is not None:
+    if job.progress.warning is not None:
         imgui.push_style_color(imgui.Col_.text, WARNING)
-        imgui.text_wrapped(f"{icons_fontawesome_6.ICON_FA_TRIANGLE_EXCLAMATION}  {job.warning}")
+        imgui.text_wrapped(f"{icons_fontawesome_6.ICON_FA_TRIANGLE_EXCLAMATION}  {job.progress.warning}")
         imgui.pop_style_color()
-    _curves(job.losses)
+    _curves(studio.losses)
 
 
 def _choices(session: Editor) -> None:

@@ -117,7 +117,7 @@ def matching_overlay(session: Editor, viewport: Viewport) -> bool:
 def drive_overlay(session: Editor, viewport: Viewport) -> bool:
     """Draw the roll-out at the current time; never uses the mouse."""
     drives = session.drives
-    shown = drives.placed_in(session)
+    shown = drives.placed_in(session.scene)
     if shown is None:
         return False
     inside = drives.chase.mode == "front camera"
@@ -443,7 +443,7 @@ def _draw_detection(viewport: Viewport, seen: DetectionBox) -> None:
 def _figures(session: Editor, viewport: Viewport) -> None:
     """Draw the ego vehicle's current state at the lower edge; above it, the collision."""
     drives = session.drives
-    step, playing, shown = drives.step_now(session), drives.playing, drives.placed_in(session)
+    step, playing, shown = drives.step_now(session), drives.playing, drives.placed_in(session.scene)
     if step is None or playing is None or shown is None:
         return
     time_s = shown.own_time_s(session.clock.time_s)

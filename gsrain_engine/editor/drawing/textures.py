@@ -5,7 +5,7 @@ All live in the window's OpenGL context and on its thread.
 
 import logging
 import threading
-from typing import get_args
+from typing import Any, get_args
 
 import moderngl
 import numpy as np
@@ -24,7 +24,7 @@ from ...scene.lod_order import sort_into_lod_order
 from ...scene.scene import DrawItem
 from ..capture_view import ImageRequest, PointSample
 from ..editor import Editor
-from ..jobs.job import BackgroundJob
+from ..jobs.job import Job
 from ..services import EditorServices
 from ..viewport.options import Texture
 
@@ -120,7 +120,7 @@ class JobPreviews:
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
-        self._kept: dict[BackgroundJob, CachedTexture] = {}
+        self._kept: dict[Job[Any], CachedTexture] = {}
 
     def update(self, session: EditorServices) -> None:
         """Upload new previews and update `session.previews`. Once a frame."""
