@@ -8,7 +8,7 @@ import shutil
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -104,15 +104,6 @@ class RecoveryCandidate(msgspec.Struct, frozen=True):
         return self.place / _SCENE
 
 
-class FolderClaim(NamedTuple):
-    """Result of claiming a scene folder for this process."""
-
-    is_alone: bool
-    """True if no other process has the folder open."""
-    found: RecoveryCandidate | None = None
-    """Autosave that a process left there when it died."""
-
-
 class Autosave:
     """The autosave of one process, and the locks that mark this process as alive.
 
@@ -126,10 +117,11 @@ class Autosave:
         self._about: AutosaveEntry | None = None
         self._locks: dict[Path, FileLock] = {}
 
-    def enter(self, home: Path | None, recovered: Path | None = None) -> FolderClaim:
+    def enter(self, home: Path | None, recovered: Path | None = None) -> tuple[bool, RecoveryCandidate | None]:
         """Switch to another document and remove the autosave of the previous one.
 
-        `home` is the scene folder of the document, `recovered` the autosave to continue with.
+        `home` is the scene folder of the document, `recovered` the autosave to continue with. Returns True if no other
+        process has the folder open, and the autosave that a process left there when it died.
         """
         if self.place != recovered:
             self.remove()
@@ -140,8 +132,8 @@ class Autosave:
         if recovered is not None and self._hold(recovered):
             self.place = recovered
         if place is None:
-            return FolderClaim(True)
-        return FolderClaim(self._hold(place), None if self.place == place else self.found(place))
+            return True, None
+        return self._hold(place), None if self.place == place else self.found(place)
 
     def found(self, place: Path) -> RecoveryCandidate | None:
         """Return the autosave at a place, or None if another living process owns it."""
@@ -165,9 +157,7 @@ class Autosave:
     def write(self, scene: Scene, stamp: FileFingerprint | None, known: FileCache) -> None:
         """Write an autosave next to the scene folder, or in the state folder if that is not possible.
 
-        Raises:
-            SceneFormatError: If the document could not be read again.
-            OSError: If it can't be written anywhere.
+        Raises SceneFormatError if the document could not be read again, OSError if it can't be written anywhere.
         """
         about = AutosaveEntry.of(scene.name, self._home, stamp)
         place = self.place or self._folder_next_to_scene() or self._new_place()
@@ -191,10 +181,10 @@ class Autosave:
 
     def _folder_next_to_scene(self) -> Path | None:
         """Autosave folder next to the scene; None if another process owns it or it holds something to recover."""
-        if self._home is None or autosave_folder(self._home) not in self._locks:
+        here = autosave_folder(self._home) if self._home is not None else None
+        if here is None or here not in self._locks or self.found(here) is not None:
             return None
-        here = autosave_folder(self._home)
-        if self.found(here) is not None or not os.access(here.parent, os.W_OK):
+        if not os.access(here.parent, os.W_OK):
             return None
         if here.exists():  # a process was killed before it wrote anything
             _remove(here)
@@ -216,9 +206,9 @@ class Autosave:
 
     def remove(self) -> None:
         """Remove the autosave, after the document was saved or discarded."""
-        place, self.place, self._about = self.place, None, None
-        if place is not None:
-            _remove(place)
+        if self.place is not None:
+            _remove(self.place)
+        self.place = self._about = None
 
     def discard(self, place: Path) -> None:
         """Remove an autosave, unless another living process uses it."""

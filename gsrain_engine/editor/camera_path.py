@@ -42,7 +42,9 @@ from .timeline import KeyframeDrag
 from .viewport.camera import front_camera
 from .viewport_state import ViewportState
 
+logger = logging.getLogger("gsrain")
 _VIEW_SIZE = (960, 640)
+_TOLERANCE_M = 0.05  # maximum deviation of a simplified path from its drive: less than the width of a lens
 _DEFAULT_GAP_S = 2.0  # gap between the last keyframe and an appended one, if the path has no gap to derive it from
 
 
@@ -69,8 +71,7 @@ def add_keyframe(session: ViewportState, time_s: float | None = None) -> None:
     path = session.scene.path
     is_new = path is None or keyframe_at(path, time_s) is None
     keyed = with_keyframe(path, time_s, _viewport_camera(session))
-    set_path(session, "Add camera key" if is_new else "Update camera key", keyed.path)
-    session.timeline.key = keyed.key
+    _set_keyed(session, "Add camera key" if is_new else "Update camera key", keyed)
 
 
 def append_keyframe(session: ViewportState) -> None:
@@ -86,38 +87,32 @@ def append_keyframe(session: ViewportState) -> None:
 
 
 def update_keyframe(session: ViewportState, key: int) -> None:
-    path = session.scene.path
-    if path is not None:
-        set_path(
-            session, "Update camera key", with_keyframe(path, float(path.times_s[key]), _viewport_camera(session)).path
+    if (path := session.scene.path) is not None:
+        camera = _viewport_camera(session)
+        _set_keyed(
+            session, "Update camera key", with_keyframe(path, float(path.times_s[key]), camera)._replace(key=key)
         )
-        session.timeline.key = key
 
 
 def delete_keyframe(session: ViewportState, key: int) -> None:
-    path = session.scene.path
-    if path is not None:
-        set_path(session, "Delete camera key", without_keyframe(path, key))
-        session.timeline.key = None
+    if (path := session.scene.path) is not None:
+        _replace_path(session, "Delete camera key", without_keyframe(path, key))
 
 
 def delete_path(session: ViewportState) -> None:
     """Delete all keyframes; riding along then follows the scene's own path again."""
     if session.scene.path is not None:
-        set_path(session, "Delete camera path", None)
-        session.timeline.key = None
+        _replace_path(session, "Delete camera path", None)
 
 
 def retime_keyframe(session: ViewportState, key: int, time_s: float) -> None:
-    path = session.scene.path
-    if path is not None:
-        _take(session, "Move camera key", move_keyframe(path, key, nearest_frame_time(session, time_s)))
+    if (path := session.scene.path) is not None:
+        _set_keyed(session, "Move camera key", move_keyframe(path, key, nearest_frame_time(session, time_s)))
 
 
 def copy_keyframe(session: ViewportState, key: int, time_s: float) -> None:
-    path = session.scene.path
-    if path is not None:
-        _take(session, "Copy camera key", copy_keyframe_to(path, key, nearest_frame_time(session, time_s)))
+    if (path := session.scene.path) is not None:
+        _set_keyed(session, "Copy camera key", copy_keyframe_to(path, key, nearest_frame_time(session, time_s)))
 
 
 def place_keyframe(
@@ -134,7 +129,7 @@ def place_keyframe(
     path = session.scene.path
     if path is None:
         return
-    to_scene = np.linalg.inv(session.scene.scene_to_world)
+    to_scene = _to_scene(session)
     position = None if position_m is None else to_scene[:3, :3] @ position_m + to_scene[:3, 3]
     quaternion = None
     if look is not None:
@@ -161,14 +156,10 @@ def begin_drag(session: ViewportState, key: int, *, copies: bool = False, in_vie
 
 def drag_in_time(session: ViewportState, seconds: float) -> None:
     """Move the dragged keyframe by an offset in seconds from its time at the start of the drag."""
-    drag = session.timeline.drag
-    if drag is None:
-        return
-    time_s = max(0.0, nearest_frame_time(session, float(drag.path.times_s[drag.key]) + seconds))
-    if drag.copies:
-        _take(session, "Copy camera key", copy_keyframe_to(drag.path, drag.key, time_s), "drag a key")
-    else:
-        _take(session, "Move camera key", move_keyframe(drag.path, drag.key, time_s), "drag a key")
+    if (drag := session.timeline.drag) is not None:
+        time_s = max(0.0, nearest_frame_time(session, float(drag.path.times_s[drag.key]) + seconds))
+        label, change = ("Copy", copy_keyframe_to) if drag.copies else ("Move", move_keyframe)
+        _set_keyed(session, f"{label} camera key", change(drag.path, drag.key, time_s), "drag a key")
 
 
 def end_drag(session: ViewportState) -> None:
@@ -181,8 +172,7 @@ def end_drag(session: ViewportState) -> None:
 
 def change_path(session: ViewportState, label: str, **fields: object) -> None:
     """Set interpolation, easing or loop."""
-    path = session.scene.path
-    if path is not None:
+    if (path := session.scene.path) is not None:
         set_path(session, label, replace(path, **fields))
 
 
@@ -190,15 +180,12 @@ def circle_target(session: ViewportState, duration_s: float = 12.0) -> None:
     """Replace the path by a full circle around the orbit target that starts at the current view."""
     session.stop_riding()
     circle = circle_path(session.navigation.target, session.shot(*_VIEW_SIZE).camera, duration_s)
-    set_path(session, "Circle around the target", circle.moved(np.linalg.inv(session.scene.scene_to_world)))
-    session.timeline.key = None
+    _replace_path(session, "Circle around the target", circle.moved(_to_scene(session)))
 
 
 def reverse_path(session: ViewportState) -> None:
-    path = session.scene.path
-    if path is not None:
-        set_path(session, "Reverse camera path", reverse_path_time(path))
-        session.timeline.key = None
+    if (path := session.scene.path) is not None:
+        _replace_path(session, "Reverse camera path", reverse_path_time(path))
 
 
 def stretch_path(session: ViewportState, duration_s: float) -> None:
@@ -213,19 +200,25 @@ def stretch_path(session: ViewportState, duration_s: float) -> None:
 
 
 def _viewport_camera(session: ViewportState) -> Camera:
-    camera = session.shot(*_VIEW_SIZE).camera
-    return camera.moved(np.linalg.inv(session.scene.scene_to_world))
+    return session.shot(*_VIEW_SIZE).camera.moved(_to_scene(session))
 
 
-def _take(session: ViewportState, label: str, keyed: EditedKeyframe, gesture: str | None = None) -> None:
+def _to_scene(session: ViewportState) -> Float64[np.ndarray, "4 4"]:
+    """Similarity from the world to the scene."""
+    return np.linalg.inv(session.scene.scene_to_world)
+
+
+def _set_keyed(session: ViewportState, label: str, keyed: EditedKeyframe, gesture: str | None = None) -> None:
     set_path(session, label, keyed.path, gesture)
     session.timeline.key = keyed.key
 
 
-# Import, export, and paths from recorded drives
+def _replace_path(session: ViewportState, label: str, path: CameraPath | None) -> None:
+    set_path(session, label, path)
+    session.timeline.key = None
 
-logger = logging.getLogger("gsrain")
-_TOLERANCE_M = 0.05  # maximum deviation of a simplified path from its drive: less than the width of a lens
+
+# Import, export, and paths from recorded drives
 
 
 def import_path(session: ViewportState, file: Path) -> None:
@@ -233,15 +226,13 @@ def import_path(session: ViewportState, file: Path) -> None:
     try:
         path = read_camera_path(file)
     except SceneFormatError as error:
-        session.problem = str(error)
-        logger.error("%s", error)
+        session.report_problem(str(error))
     else:
         path = path if path.start_s >= 0 else shift_path_time(path, -path.start_s)  # scene time starts at 0
         if not path.is_timed:
             path = with_constant_speed(path, WALKING_M_S / session.scene.metres_per_unit)
             logger.info("%s has no times: it is flown at walking pace, %g m/s", file.name, WALKING_M_S)
-        set_path(session, f"Import {file.name}", path)
-        session.timeline.key = None
+        _replace_path(session, f"Import {file.name}", path)
         logger.info("Imported %s: %d keys, %.1f s", file.name, len(path.times_s), path.duration_s)
 
 
@@ -262,10 +253,8 @@ def export_training_cameras(session: ViewportState, file: Path) -> None:
 
 def rig_cameras(session: ViewportState) -> list[RigCamera]:
     """Cameras of all rigs if the scene has an ego track, else none."""
-    scene = session.scene
-    if scene.ego is None or not len(scene.ego.times):
-        return []
-    return [camera for rig in scene.rigs.values() for camera in rig]
+    ego = session.scene.ego
+    return [] if ego is None or not len(ego.times) else [each for rig in session.scene.rigs.values() for each in rig]
 
 
 def path_from_drive(session: ViewportState, camera: RigCamera | None = None, every_s: float = 0.0) -> None:
@@ -278,8 +267,7 @@ def path_from_drive(session: ViewportState, camera: RigCamera | None = None, eve
         session.problem = "This scene has no ego vehicle with a camera, so there is no drive to take a path from."
         return
     few = simplify(drive, _TOLERANCE_M) if every_s <= 0 else resample(drive, every_s)
-    set_path(session, "Camera path from the drive", few.moved(np.linalg.inv(session.scene.scene_to_world)))
-    session.timeline.key = None
+    _replace_path(session, "Camera path from the drive", few.moved(_to_scene(session)))
     logger.info("Path from the drive: %d keys of %d samples", len(few.times_s), len(drive.times_s))
 
 
@@ -289,8 +277,7 @@ def snap_keyframe(session: ViewportState, key: int) -> None:
     if drive is None:
         session.problem = "This scene has no ego vehicle with a camera, so there is no drive to snap to."
     elif path is not None:
-        to_scene = np.linalg.inv(session.scene.scene_to_world)
-        set_path(session, "Snap camera key to the drive", snap_key_to(path, key, drive.moved(to_scene)))
+        set_path(session, "Snap camera key to the drive", snap_key_to(path, key, drive.moved(_to_scene(session))))
 
 
 def _drive(session: ViewportState, camera: RigCamera | None) -> CameraPath | None:
@@ -301,12 +288,10 @@ def _drive(session: ViewportState, camera: RigCamera | None) -> CameraPath | Non
 def _export(session: ViewportState, file: Path, write: Callable[[Path, CameraPath], None]) -> None:
     """Write the path in scene units and axes; an error is set as `problem`."""
     file = file if file.suffix else file.with_suffix(".json")
-    path = session.scene.path or session.path.moved(np.linalg.inv(session.scene.scene_to_world))
     try:
-        write(file, path)
+        write(file, session.scene.path or session.path.moved(_to_scene(session)))
     except OSError as error:
-        session.problem = f"{file}: the camera path can't be written: {error.strerror or error}"
-        logger.error("%s", session.problem)
+        session.report_problem(f"{file}: the camera path can't be written: {error.strerror or error}")
     else:
         logger.info("Exported %s", file)
 
@@ -327,10 +312,8 @@ def nearest_frame_time(session: ViewportState, time_s: float) -> float:
 
 def go_to_keyframe(session: ViewportState, key: int) -> None:
     """Select a keyframe and look through it: pause at its time and follow the path."""
-    path = session.scene.path
-    if path is not None:
-        session.timeline.key = key
-        session.clock.playing = False
+    if (path := session.scene.path) is not None:
+        session.timeline.key, session.clock.playing = key, False
         session.clock.seek(float(path.times_s[key]))
         session.view.follow_path = True
 

@@ -147,9 +147,7 @@ class CaptureController:
     @property
     def listed(self) -> list[int]:
         """Indices of the views of the selected camera, in order."""
-        if self.capture is None:
-            return []
-        return [i for i, view in enumerate(self.capture) if self.sensor in ("", view.sensor)]
+        return [i for i, view in enumerate(self.capture or ()) if self.sensor in ("", view.sensor)]
 
     @property
     def has_times(self) -> bool:
@@ -193,8 +191,7 @@ class CaptureController:
 
     def step(self, session: ViewportState, steps: int) -> None:
         """Select the view a number of steps further in the list, wrapping around."""
-        listed = self.listed
-        if listed:
+        if listed := self.listed:
             at = listed.index(self.chosen) if self.chosen in listed else -1 if steps > 0 else 0
             self.look_from(session, listed[(at + steps) % len(listed)])
 

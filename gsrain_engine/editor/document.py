@@ -127,7 +127,7 @@ class EditedDocument:
         keyed = {name: value for name, value in fields.items() if self.weather.is_keyed(name) and value is not None}
         rain = msgspec.structs.replace(self.rain, **fields)
         weather = self.weather.with_key(at_s, **keyed) if keyed else self.weather
-        self._go_to_rain(label, rain, weather, gesture)
+        self.set_rain(label, rain, gesture, weather)
 
     @property
     def weather(self) -> RainKeyframes:
@@ -140,14 +140,13 @@ class EditedDocument:
 
     def set_weather(self, label: str, weather: RainKeyframes, gesture: str | None = None) -> None:
         """Set the rain keyframes; drops in the air continue from their positions."""
-        self._go_to_rain(label, self.rain, weather, gesture)
+        self.set_rain(label, self.rain, gesture, weather)
 
-    def set_rain(self, label: str, rain: RainSettings, gesture: str | None = None) -> None:
-        """Set the rain; drops in the air continue from their positions. Fields with keyframes keep those."""
-        self._go_to_rain(label, rain, self.weather, gesture)
-
-    def _go_to_rain(self, label: str, rain: RainSettings, weather: RainKeyframes, gesture: str | None) -> None:
-        present = self.history.present
+    def set_rain(
+        self, label: str, rain: RainSettings, gesture: str | None = None, weather: RainKeyframes | None = None
+    ) -> None:
+        """Set the rain, and keyframes if given; drops in the air continue from their positions."""
+        present, weather = self.history.present, weather or self.weather
         if rain != present.rain or weather != present.weather:
             self.history.record(label, replace(present, rain=rain, weather=weather), gesture)
             self._follow_document()

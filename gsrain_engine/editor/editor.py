@@ -201,7 +201,9 @@ class Editor(EditorServices):
             self._roofs.look_at(self.scene)
         self.lab.poll()
         self.captures.poll()
-        self._ask_about_outside()
+        if self.captures.refused is not None:
+            self._ask_about_outside(*self.captures.refused)
+            self.captures.refused = None
         self.matching.poll(self)
         self.drives.poll(self)
         for job in self.running_jobs:
@@ -280,11 +282,8 @@ class Editor(EditorServices):
             self._other_rainfall = RainSimulation.start(rain, weather=weather)
         return self._other_rainfall
 
-    def _ask_about_outside(self) -> None:
+    def _ask_about_outside(self, path: Path, why: str) -> None:
         """Ask before files outside of a capture's folder are read."""
-        if self.captures.refused is None:
-            return
-        (path, why), self.captures.refused = self.captures.refused, None
         text = f"{why.partition('; --allow')[0]}. Read files outside of its folder?"
         yes = Answer("Read them", lambda: self.captures.open(path, allow_outside=True), "Open it with those files.")
         self.questions.ask(Question("Files outside of the capture", text, (yes, Answer("Cancel", do_nothing))))

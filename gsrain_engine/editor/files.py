@@ -26,7 +26,6 @@ from ..scene.transforms import lost_when_flattened
 from .autosave import (
     Autosave,
     FileFingerprint,
-    FolderClaim,
     RecoveryCandidate,
     fingerprint_of,
     has_changed,
@@ -461,8 +460,7 @@ def recent_files() -> list[Path]:
 def update_recent_files(path: Path, *, add: bool = True) -> list[Path]:
     """Put a scene at the head of the list, or remove it, keeping entries of other windows; return the list.
 
-    Raises:
-        OSError: If the list can't be written.
+    Raises OSError if it can't be written.
     """
     folder = state_folder()
     folder.mkdir(parents=True, exist_ok=True)
@@ -504,7 +502,7 @@ class Recovery:
         """Document of the last autosave."""
         self._changed_at: float | None = None
         self._tasks = ThreadTasks(thread)
-        self._entering: ThreadTask[FolderClaim] | None = None
+        self._entering: ThreadTask[tuple[bool, RecoveryCandidate | None]] | None = None
         self._writing: ThreadTask[None] | None = None
         self._has_failed = False
         self._put_off: set[Path] = set()
@@ -562,8 +560,7 @@ class Recovery:
     def left_at(self, place: Path) -> RecoveryCandidate:
         """Return the autosave of the previous window and never ask about it; for the thread.
 
-        Raises:
-            OSError: If it is gone or belongs to another process.
+        Raises OSError if it is gone or belongs to another process.
         """
         self._put_off.add(place)
         found = self._autosave.found(place)
@@ -597,9 +594,10 @@ class Recovery:
 
         self._writing = self._tasks.start(lambda: self._autosave.write(scene, stamp, known), take, fail)
 
-    def _take_entered(self, entered: FolderClaim) -> None:
-        if entered.is_alone:
-            self._offer([entered.found] if entered.found is not None else [])
+    def _take_entered(self, entered: tuple[bool, RecoveryCandidate | None]) -> None:
+        is_alone, found = entered
+        if is_alone:
+            self._offer([found] if found is not None else [])
             return
         text = (
             f"{self._home} is open in another window of the program. "

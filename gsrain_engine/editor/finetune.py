@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
-from ..appearance.finetune.settings import FinetuningSettings, code_of, load_finetuning
+from ..appearance.finetune.settings import code_of, load_finetuning
 from ..appearance.finetune.task import FinetuneTask
 from ..safe_io.text_files import printable_line
 from ..trusted_code import UntrustedCodeError, trust_permanently
@@ -66,8 +66,14 @@ class FinetuneController:
         """Start, or resume from the folder's checkpoint; errors in the settings are set as `problem`."""
         if self.why_not(session) is not None:
             return
+        choice, output = self.choice, self.choice.output
+        assert output is not None, "asked for before"
+        changes: dict[str, Any] = {"steps": choice.steps or None}
+        for look, path in (("clear", choice.clear), ("rainy", choice.rainy)):
+            changes[look] = None if path is None else [{"path": str(path)}]
         try:
-            task = self._task(resume=resume)
+            settings = load_finetuning(choice.config, **changes)
+            task = FinetuneTask(settings=settings, output=output, resume=resume, code=code_of(settings))
         except UntrustedCodeError as error:
             self._ask(session, error, resume)
             return
@@ -93,12 +99,3 @@ class FinetuneController:
         no = Answer("Don't run it", do_nothing, "Nothing is begun.")
         yes = Answer("Run it", run, "Runs it now, and does not ask again for these very contents.")
         session.questions.ask(Question("Run Python code?", text, (no, yes, Answer("Cancel", do_nothing))))
-
-    def _task(self, *, resume: bool) -> FinetuneTask:
-        choice = self.choice
-        assert choice.output is not None, "asked for before"
-        changes: dict[str, Any] = {"steps": choice.steps or None}
-        for look, path in (("clear", choice.clear), ("rainy", choice.rainy)):
-            changes[look] = None if path is None else [{"path": str(path)}]
-        settings: FinetuningSettings = load_finetuning(choice.config, **changes)
-        return FinetuneTask(settings=settings, output=choice.output, resume=resume, code=code_of(settings))

@@ -98,11 +98,9 @@ class WetLookController:
 
     def what_is_stale(self, session: EditorServices) -> str | None:
         """Describe changes since the preview was made; None if there are none, or no preview."""
-        if self.previewed is None:
-            return None
-        if self.previewed.recipe != self.recipe:
+        if self.previewed is not None and self.previewed.recipe != self.recipe:
             return "The settings have changed since."
-        return None if self.fits(session) else "The view has changed since."
+        return None if self.previewed is None or self.fits(session) else "The view has changed since."
 
     def look_from_preview(self, session: EditorServices) -> None:
         """Return to the view of the preview."""
@@ -125,7 +123,10 @@ class WetLookController:
         """Start the job for the session's scene, if all preconditions hold."""
         if self.why_not(session) is not None:
             return
-        capture = session.captures.path if uses_capture(session, self.choice.source) else None
+        source = self.choice.source  # "auto" uses the open capture only if the user confirmed that it fits
+        is_sure = session.captures.in_scene_axes is True and why_no_views(session, "recorded") is None
+        uses_capture = source == "recorded" or (source == "auto" and is_sure)
+        capture = session.captures.path if uses_capture else None
         order = TransferRequest(self.method, self.settings, self.choice, capture, session.captures.allows_outside)
         session.start(make_rainy_job(session, self._scene_files.known, order))
 
@@ -173,12 +174,6 @@ def why_no_views(session: EditorServices, source: Source) -> str | None:
     return None
 
 
-def uses_capture(session: EditorServices, source: Source) -> bool:
-    """Return whether a source uses the open capture; `auto` does only if the user confirmed that it fits."""
-    is_sure = session.captures.in_scene_axes is True and why_no_views(session, "recorded") is None
-    return source == "recorded" or (source == "auto" and is_sure)
-
-
 # Requirements of transfers, checked before a worker starts
 
 
@@ -188,9 +183,9 @@ def missing_requirements(method: TransferMethod, settings: TransferSettings) -> 
         return f"{method.title} needs torch, which is not installed: {HOW_TO_GET_DIFFUSION}"
     if method.needs == "images" and settings.images is None:
         return f"{method.title}: choose a folder of pictures first."
-    for place in (getattr(settings, name) for name in ("weights", "images", "base") if name in method.uses):
-        if place is not None and not place.exists():
-            return f"{place}: is not there; choose another place."
+    for path in (getattr(settings, name) for name in ("weights", "images", "base") if name in method.uses):
+        if path is not None and not path.exists():
+            return f"{path}: is not there; choose another place."
     try:
         if "weights" in method.uses and settings.weights is None:
             find_transfer_weights()

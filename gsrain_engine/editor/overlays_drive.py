@@ -1,7 +1,7 @@
 """Viewport overlays of drives: boxes, plan, driven path, and detections."""
 
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import msgspec
 import numpy as np
@@ -63,7 +63,9 @@ def rollout_overlay(shown: RolloutInScene, clock_s: float, camera: Camera, *, fr
         boxes.append(_box(_ego(shown, time_s), camera, is_hit=hit is not None, is_ego=True))
     plan = planned_points_m(shown, step, time_s)
     driven = _driven(shown, time_s) if not from_inside else np.zeros((0, 3))
-    dots = [dot for place in plan[1:] if (dot := _dot(place, camera)) is not None]
+    seen = [point for place in plan[1:] if (point := project_point(place, camera)) is not None]
+    radii_px = [float(np.clip(_DOT_M * camera.fx / each.depth_m, _MIN_PX, _MAX_PX)) for each in seen]
+    dots = [PlanDot(each.x, each.y, radius_px) for each, radius_px in zip(seen, radii_px, strict=True)]
     return RolloutOverlay(boxes, _projected(plan, camera), dots, _projected(driven, camera))
 
 
@@ -113,13 +115,6 @@ def _projected(places: Float64[np.ndarray, "n 3"], camera: Camera) -> Float64[np
     return project_lines(np.stack([fine[:-1], fine[1:]], axis=1), camera)
 
 
-def _dot(place: Float64[np.ndarray, "3"], camera: Camera) -> PlanDot | None:
-    seen = project_point(place, camera)
-    if seen is None:
-        return None
-    return PlanDot(seen.x, seen.y, float(np.clip(_DOT_M * camera.fx / seen.depth_m, _MIN_PX, _MAX_PX)))
-
-
 # Detections of a camera agent, from the notes of its roll-out
 
 _MIN_CONFIDENCE = 0.25
@@ -157,7 +152,10 @@ def detection_boxes(step: RolloutStep, front: RigCamera, camera: Camera) -> list
 
     Empty if the agent noted none, or if its notes have another format.
     """
-    notes = _read(step.notes)
+    try:
+        notes = msgspec.convert(step.notes, _AgentNotes)
+    except msgspec.ValidationError:
+        return []
     found: list[DetectionBox] = []
     for each in notes.detections:
         is_lead = notes.lead is not None and notes.lead.box_xyxy == each.box_xyxy
@@ -169,13 +167,6 @@ def detection_boxes(step: RolloutStep, front: RigCamera, camera: Camera) -> list
             words += f", {notes.lead.gap_m:.1f} m"
         found.append(DetectionBox(_moved(x0, y0, front, camera), _moved(x1, y1, front, camera), words, is_lead))
     return found
-
-
-def _read(notes: dict[str, Any]) -> _AgentNotes:
-    try:
-        return msgspec.convert(notes, _AgentNotes)
-    except msgspec.ValidationError:
-        return _AgentNotes()
 
 
 def _moved(x: float, y: float, front: RigCamera, camera: Camera) -> tuple[float, float]:

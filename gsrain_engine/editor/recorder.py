@@ -111,18 +111,16 @@ class RenderQueue:
         except ValueError as error:
             self._session.problem = describe_error("It can't be recorded", error)
             return
-        self._session.questions.before_replacing(
-            export_outputs(recording, names), lambda: self._start(recording, scene)
-        )
 
-    def _start(self, recording: ExportSettings, scene: Scene) -> None:
-        session, home = self._session, self._scene_files.home
-        notes = []
-        if scene.path is session.scene.path:
-            saved = " once the scene is saved" if home is None or self._scene_files.has_changes else ""
-            command = export_command(recording, str(home or "PROJECT"))
-            notes = [f"The same from the command line{saved}: {command}"]
-        session.start(export_job(scene, recording, self._scene_files.known, notes))
+        def start() -> None:
+            session, files, notes = self._session, self._scene_files, []
+            if scene.path is session.scene.path:
+                saved = " once the scene is saved" if files.home is None or files.has_changes else ""
+                command = export_command(recording, str(files.home or "PROJECT"))
+                notes = [f"The same from the command line{saved}: {command}"]
+            session.start(export_job(scene, recording, files.known, notes))
+
+        self._session.questions.before_replacing(export_outputs(recording, names), start)
 
     def _sequences(self, recording: ExportSettings) -> dict[str, FrameSequence]:
         session = self._session

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 
@@ -19,14 +19,6 @@ from .viewport_state import ViewportState
 Work = Job[Any] | ThreadTask[Any]
 
 
-class _PendingAction(NamedTuple):
-    """Action to run after some work has ended."""
-
-    work: tuple[Work, ...]
-    act: Callable[[], None]
-    question: Question
-
-
 class EditorServices(ViewportState):
     """A viewport with the services shared by the editor's components."""
 
@@ -41,7 +33,8 @@ class EditorServices(ViewportState):
         self.captures = CaptureController(self)
         self.questions = Questions()
         self._files = files
-        self._awaited: _PendingAction | None = None
+        self._awaited: tuple[tuple[Work, ...], Callable[[], None], Question] | None = None
+        """Work, the action to run after it has ended, and the question that is open meanwhile."""
         self._preferences = PreferencesStore(files)
         if self._preferences.trouble is not None:
             self.questions.ask(Question("Preferences", self._preferences.trouble, (Answer("OK", do_nothing),)))
@@ -87,7 +80,7 @@ class EditorServices(ViewportState):
             cancel = Answer("Cancel", self._wait_no_more, f"Don't {what}; the work goes on.")
             answers = (Answer(f"Stop {them}", stop, losses), cancel) if jobs else (cancel,)
             question = Question("Waiting", text, answers, progress, enter_answers=not jobs)
-            self._awaited = _PendingAction(running, act, question)
+            self._awaited = running, act, question
             if any(each.state == "running" for each in running):
                 self.questions.ask(question)
 
@@ -114,17 +107,16 @@ class EditorServices(ViewportState):
 
     def _go_on_when_idle(self) -> None:
         """Run the waiting action after its work has ended; drop it if work failed."""
-        awaited = self._awaited
-        if awaited is None or any(each.state == "running" for each in awaited.work):
-            return
-        self._wait_no_more()
-        if all(each.state != "failed" for each in awaited.work):
-            awaited.act()
+        work, act, _ = self._awaited or ((), do_nothing, None)
+        if all(each.state != "running" for each in work):
+            self._wait_no_more()
+            if all(each.state != "failed" for each in work):
+                act()
 
     def _wait_no_more(self) -> None:
-        awaited, self._awaited = self._awaited, None
-        if awaited is not None:
-            self.questions.withdraw(awaited.question)
+        if self._awaited is not None:
+            self.questions.withdraw(self._awaited[2])
+            self._awaited = None
 
     # Preferences
 

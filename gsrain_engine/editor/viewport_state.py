@@ -115,7 +115,6 @@ class ViewportState(EditedDocument):
             self.stop_riding()
 
     def stop_riding(self) -> None:
-        """Leave the camera path, at the camera's present pose."""
         self.chase.let_go()
         if self.view.follow_path:
             self.navigation.look_like(self.shot(*_VIEW_SIZE).camera)

@@ -102,7 +102,7 @@ def _drag(session: Editor) -> None:
         return
     moved = imgui.get_mouse_drag_delta(_LEFT, _DRAG_PX).x
     if moved:
-        timeline.drag = timeline.drag.begun()
+        timeline.drag = timeline.drag._replace(has_moved=True)
     if timeline.drag.has_moved:
         camera_path.drag_in_time(session, timeline.ruler.seconds(moved))
         imgui.set_tooltip(f"{camera_path.active_keyframe_time(session):.2f} s")

@@ -147,7 +147,7 @@ def _drag(session: Editor, viewport: Viewport) -> None:
     if drag is None:
         return
     if moved.x or moved.y:
-        session.timeline.drag = drag = drag.begun()
+        session.timeline.drag = drag = drag._replace(has_moved=True)
     if drag.has_moved:
         drag_in_view(session, viewport.shot, (moved.x, moved.y), upright=imgui.get_io().key_shift)
     if not imgui.is_mouse_down(_LEFT):

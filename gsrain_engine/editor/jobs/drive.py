@@ -102,9 +102,7 @@ class LoadedRollout:
 def load_rollout(path: Path, *, is_own: bool = True) -> LoadedRollout:
     """Read a roll-out; `is_own` is false for a temporary file of a job.
 
-    Raises:
-        ValueError: For an invalid roll-out, with the file and the line.
-        OSError: If the file can't be read.
+    Raises ValueError, with the file and the line, or OSError.
     """
     rollout, file = read_any_rollout(path), path.with_suffix(_METRICS_SUFFIX)
     try:
@@ -270,9 +268,7 @@ def rollout_video_job(scene: Scene, rollout: Rollout, video: Path, fps: float, k
 def render_video_in_worker(scene_folder: Path, rollout: Path, film: Path, fps: float) -> Iterator[Progress]:
     """Worker: render a video; on SIGTERM, closes the file first.
 
-    Raises:
-        ValueError: If the scene has no rig, or not the actors of the roll-out.
-        OSError: If the video can't be written.
+    Raises ValueError if the scene has no rig, or not the actors of the roll-out.
     """
     # Matplotlib loads slowly: not before the first video.
     from ...simulation.video import RolloutVideo, render_rollout_video

@@ -99,8 +99,9 @@ class Job(Generic[_Result]):
 
     def wait(self, timeout_s: float) -> None:
         """Wait until `poll` has something to process."""
-        futures: tuple[Future[Any] | None, ...] = self._preparing, self._snapshot, self._reading
-        if pending := [each for each in futures if each is not None]:
+        stages: list[Future[Any] | None] = [self._preparing, self._snapshot, self._reading]
+        pending: list[Future[Any]] = [each for each in stages if each is not None]
+        if pending:
             wait_for(pending, timeout_s)
         elif self._worker is not None:
             self._worker.wait(timeout_s)

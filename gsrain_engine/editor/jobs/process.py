@@ -36,20 +36,22 @@ _NICENESS = 10  # on POSIX systems; keeps the window responsive
 _OUT_OF_MEMORY = "the machine ran out of memory: close other programs, or work with smaller images or fewer Gaussians"
 
 
-class WorkerProcess:
+class _Worker:
+    """State of a running function."""
+
+    state: JobState = "running"
+    progress = Progress(0.0, "Starting")
+    error: str | None = None
+    """Error in one line; `details` has the traceback."""
+    details: str | None = None
+
+
+class WorkerProcess(_Worker):
     """A function running in another process. Call `poll` once a frame."""
 
     def __init__(self, work: Work, *arguments: Any) -> None:
-        """Start the process. Arguments must be picklable; pass large ones by file.
-
-        Raises any error of process creation.
-        """
+        """Start the process; raises any error of its creation. Arguments must be picklable; pass large ones by file."""
         context = multiprocessing.get_context("spawn")
-        self.state: JobState = "running"
-        self.progress = Progress(0.0, "Starting")
-        self.error: str | None = None
-        """Error in one line; `details` has the traceback."""
-        self.details: str | None = None
         self._messages, theirs = context.Pipe(duplex=False)
         self._image = SharedImage()
         arguments = (theirs, self._image.name, work, arguments)
@@ -169,15 +171,11 @@ def _sentence(error: Exception) -> str:
     return sentence_of(error) if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {error}"
 
 
-class WorkerThread:
+class WorkerThread(_Worker):
     """A function running in a thread of this process, with the interface of a `WorkerProcess`."""
 
     def __init__(self, work: Work, *arguments: Any) -> None:
         """Start the thread."""
-        self.state: JobState = "running"
-        self.progress = Progress(0.0, "Starting")
-        self.error: str | None = None
-        self.details: str | None = None
         thread = futures.ThreadPoolExecutor(max_workers=1)
         self._running = thread.submit(self._run, work, arguments)
         thread.shutdown(wait=False)

@@ -1,7 +1,6 @@
 """What a person prepares before a drive."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -57,7 +56,6 @@ def test_rains_of_a_drive():
     assert [(each.intensity_mm_h, each.exposure_s) for each in one.rains(present)] == [(7.0, 0.01)]
     four = msgspec.structs.replace(settings, rain="paper's four")
     assert [each.intensity_mm_h for each in four.rains(present)] == [0.0, 1.2, 8.5, 12.0]
-    assert msgspec.structs.replace(four, detector=Path("a.onnx")).options.detector == Path("a.onnx")
 
 
 def test_the_mosaic_shows_the_rig_as_one_would_look_for_it():
