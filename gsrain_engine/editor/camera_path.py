@@ -4,9 +4,9 @@ Keyframes are given by index.
 """
 
 import logging
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float64
@@ -43,6 +43,7 @@ from .viewport.camera import front_camera
 from .viewport_state import ViewportState
 
 logger = logging.getLogger("gsrain")
+PathFormat = Literal["keyframes", "nerfstudio", "training cameras"]
 _VIEW_SIZE = (960, 640)
 _TOLERANCE_M = 0.05  # maximum deviation of a simplified path from its drive: less than the width of a lens
 _DEFAULT_GAP_S = 2.0  # gap between the last keyframe and an appended one, if the path has no gap to derive it from
@@ -236,19 +237,24 @@ def import_path(session: ViewportState, file: Path) -> None:
         logger.info("Imported %s: %d keys, %.1f s", file.name, len(path.times_s), path.duration_s)
 
 
-def export_path(session: ViewportState, file: Path) -> None:
-    """Write the current path as GSRAIN JSON: keyframes and interpolation."""
-    _export(session, file, write_camera_path)
+def export_path(session: ViewportState, file: Path, form: PathFormat = "keyframes") -> None:
+    """Write the current path, in scene units and axes; an error is set as `problem`.
 
-
-def export_nerfstudio(session: ViewportState, file: Path) -> None:
-    """Write every frame of the path as nerfstudio's camera_path.json."""
-    _export(session, file, lambda target, path: write_nerfstudio_path(target, path, session.timeline.fps))
-
-
-def export_training_cameras(session: ViewportState, file: Path) -> None:
-    """Write every frame of the path as 3DGS training cameras."""
-    _export(session, file, lambda target, path: write_training_cameras(target, path, session.timeline.fps))
+    `keyframes` is GSRAIN's JSON, with the interpolation; the other formats have every frame: nerfstudio's
+    camera_path.json, and 3DGS training cameras.
+    """
+    file = file if file.suffix else file.with_suffix(".json")
+    path = session.scene.path or session.path.moved(_to_scene(session))
+    try:
+        if form == "keyframes":
+            write_camera_path(file, path)
+        else:
+            write = write_nerfstudio_path if form == "nerfstudio" else write_training_cameras
+            write(file, path, session.timeline.fps)
+    except OSError as error:
+        session.report_problem(f"{file}: the camera path can't be written: {error.strerror or error}")
+    else:
+        logger.info("Exported %s", file)
 
 
 def rig_cameras(session: ViewportState) -> list[RigCamera]:
@@ -283,17 +289,6 @@ def snap_keyframe(session: ViewportState, key: int) -> None:
 def _drive(session: ViewportState, camera: RigCamera | None) -> CameraPath | None:
     camera = camera or front_camera(session.scene)
     return None if camera is None else rig_camera_path(session.scene, camera, *_VIEW_SIZE)
-
-
-def _export(session: ViewportState, file: Path, write: Callable[[Path, CameraPath], None]) -> None:
-    """Write the path in scene units and axes; an error is set as `problem`."""
-    file = file if file.suffix else file.with_suffix(".json")
-    try:
-        write(file, session.scene.path or session.path.moved(_to_scene(session)))
-    except OSError as error:
-        session.report_problem(f"{file}: the camera path can't be written: {error.strerror or error}")
-    else:
-        logger.info("Exported %s", file)
 
 
 # Timeline positions

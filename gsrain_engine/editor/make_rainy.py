@@ -11,7 +11,6 @@ from ..appearance.cyclegan_turbo.weight_paths import find_base_model, find_trans
 from ..appearance.registry import METHODS, TransferMethod, find_method
 from ..appearance.scene_views import Source, ViewChoice
 from .files import SceneFiles
-from .jobs.job import Job
 from .jobs.make_rainy import PreviewedView, PreviewSettings, TransferRequest, make_rainy_job, preview_job
 from .jobs.training import HOW_TO_GET_DIFFUSION, has_torch
 from .services import EditorServices
@@ -35,7 +34,6 @@ class WetLookController:
         self.viewport_px: tuple[int, int] = (960, 640)
         """Size of the viewport at the last frame."""
         self._scene_files = scene_files
-        self._preview: Job[None] | None = None
         self._starts_soon = False
 
     @property
@@ -70,10 +68,6 @@ class WetLookController:
 
     # Preview
 
-    @property
-    def is_previewing(self) -> bool:
-        return self._preview is not None and self._preview.state == "running"
-
     def preview(self, session: EditorServices) -> None:
         """Start to transfer the viewport's view; the result appears next to the live image."""
         if self.why_no_preview(session) is not None:
@@ -88,7 +82,7 @@ class WetLookController:
             session.view.split = "now | preview"
             session.jobs = [each for each in session.jobs if each is not job]  # the image replaces the entry
 
-        self._preview = job = preview_job(view, self.preview_width_px, self._scene_files.known, take)
+        job = preview_job(view, self.preview_width_px, self._scene_files.known, take)
         session.start(job)
 
     def fits(self, session: EditorServices) -> bool:

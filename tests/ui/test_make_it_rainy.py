@@ -31,7 +31,7 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
         clear, before = driver.picture(), session.scene
         driver.click(f"{PANEL}###preview")
         assert rainy.why_not(session) == "Wait for Preview, or cancel it."
-        driver.until(lambda: not rainy.is_previewing, 1_000_000)
+        driver.until(lambda: not session.running_jobs, 1_000_000)
         driver.frames()
         assert session.problem is None
         assert rainy.previewed.pixels.shape[1] == 96

@@ -284,12 +284,12 @@ def _files(session: Editor) -> None:
         ask_for_export(session)
     if _menu_item("Every frame (nerfstudio)...", "A camera_path.json as ns-render reads it, at the film's frame rate."):
         title = "Export for nerfstudio"
-        ask_where_to_save(title, _JSON, lambda chosen: camera_path.export_nerfstudio(session, chosen[0]))
+        ask_where_to_save(title, _JSON, lambda chosen: camera_path.export_path(session, chosen[0], "nerfstudio"))
     if _menu_item(
         "Every frame (3DGS cameras.json)...", "A list of cameras at the film's frame rate; it knows no times."
     ):
         title = "Export as 3DGS cameras"
-        ask_where_to_save(title, _JSON, lambda chosen: camera_path.export_training_cameras(session, chosen[0]))
+        ask_where_to_save(title, _JSON, lambda chosen: camera_path.export_path(session, chosen[0], "training cameras"))
     imgui.end_menu()
 
 

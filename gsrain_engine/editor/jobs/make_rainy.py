@@ -124,17 +124,16 @@ def make_rainy(copy: Path, order: TransferRequest, output: Path, report: Path) -
     yield Progress(0.0, "Reading the scene")
     scene = read_scene(copy)
     compared = ComparisonReport(_opened(order.method, order.settings, scene))
-    rainy = yield from _with_colors_by(compared, scene, order)
+    rainy = yield from rainy_by(scene, order, compared)
     write_report(report, compared.report(rainy, order.method))
     write_colors(output, rainy)
 
 
-def rainy_by(scene: Scene, order: TransferRequest) -> Generator[Progress, None, Scene]:
+def rainy_by(
+    scene: Scene, order: TransferRequest, transfer: Transfer | None = None
+) -> Generator[Progress, None, Scene]:
     """Give a scene the wet colors of a request, in this process; yields and raises as `rainy_scene` does."""
-    return (yield from _with_colors_by(_opened(order.method, order.settings, scene), scene, order))
-
-
-def _with_colors_by(transfer: Transfer, scene: Scene, order: TransferRequest) -> Generator[Progress, None, Scene]:
+    transfer = transfer or _opened(order.method, order.settings, scene)
     capture = None if order.capture is None else open_capture(order.capture, allow_outside=order.allow_outside)
     views = scene_views(scene, chosen_cameras(scene, order.choice, capture))
     # Images that are not consistent with each other need the robust steps and an exposure each.
