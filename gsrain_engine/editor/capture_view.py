@@ -255,19 +255,16 @@ def sample_points(capture: Capture) -> PointSample | None:
     if sum(map(len, lidar)):
         measured = np.concatenate(lidar).astype(np.float64)
         positions.append(measured)
-        colors.append(_height_colors(measured @ np.asarray(capture.up)))
+        heights = measured @ np.asarray(capture.up)
+        low, high = np.percentile(heights, (2, 98))
+        shares = np.clip((heights - low) / max(high - low, 1e-9), 0, 1)
+        turbo = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0, ::-1]
+        colors.append(np.asarray(turbo[np.rint(shares * 255).astype(int)], np.uint8))
     return PointSample(np.concatenate(positions).astype(np.float32), np.concatenate(colors), total)
 
 
 def _chosen(count: int, share: float, rng: np.random.Generator) -> np.ndarray:
     return np.arange(count) if share >= 1 else np.sort(rng.choice(count, int(count * share), replace=False))
-
-
-def _height_colors(heights: Float64[np.ndarray, " n"]) -> UInt8[np.ndarray, "n 3"]:
-    low, high = np.percentile(heights, (2, 98))
-    shares = np.clip((heights - low) / max(high - low, 1e-9), 0, 1)
-    turbo = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0, ::-1]
-    return np.asarray(turbo[np.rint(shares * 255).astype(int)], np.uint8)
 
 
 # Images of the capture

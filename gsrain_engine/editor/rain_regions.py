@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 from itertools import product
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -188,30 +188,22 @@ def frustum_lines(camera: Camera, length_m: float) -> Float64[np.ndarray, "8 2 3
 # Outlines
 
 
-class RegionOutline(NamedTuple):
-    """Edges of a region."""
-
-    name: str
-    lines_px: Float64[np.ndarray, "m 2 2"]
-    """Start and end of each edge in front of the camera, as x, y in image pixels."""
-
-
-def region_outlines(session: ViewportState, width: int, height: int) -> list[RegionOutline]:
-    """Project the regions that the view options show."""
-    shown = []
+def region_outlines(session: ViewportState, width: int, height: int) -> dict[str, Float64[np.ndarray, "m 2 2"]]:
+    """Edges of the regions that the view options show, by name; see `project_edges`."""
+    boxes: dict[str, RegionBox] = {}
     if session.view.show_streak_region:
-        shown.append(("streak region", session.rain.streak_region))
+        boxes["streak region"] = session.rain.streak_region
     if session.view.show_haze_region:
-        shown.append(("haze region", session.rain.haze_region))
+        boxes["haze region"] = session.rain.haze_region
     shot = session.shot(width, height)
     anchor = rain_anchor(session.displayed_scene, session.displayed_rain, shot)
-    return [RegionOutline(name, project_edges(box, anchor, shot.camera)) for name, box in shown]
+    return {name: project_edges(box, anchor, shot.camera) for name, box in boxes.items()}
 
 
 def project_edges(
     box: RegionBox, anchor_to_world: Float64[np.ndarray, "4 4"], camera: Camera
 ) -> Float64[np.ndarray, "m 2 2"]:
-    """Project the twelve edges of a box, clipped at the near plane."""
+    """Start and end of the twelve edges of a box, as x, y in image pixels, clipped at the near plane."""
     corners = np.array(list(product(*zip(box.minimum_m, box.maximum_m, strict=True))))
     in_world = corners @ anchor_to_world[:3, :3].T + anchor_to_world[:3, 3]
     return project_lines(in_world[EDGES], camera)

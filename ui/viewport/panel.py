@@ -66,9 +66,9 @@ def viewport_panel(session: Editor, textures_of: TexturesOf) -> None:
 
 def _outlines(session: Editor, corner: ImVec2, width: int, height: int) -> None:
     draw = imgui.get_window_draw_list()
-    for outline in region_outlines(session, width, height):
-        color = imgui.get_color_u32(_OUTLINE[outline.name])
-        for (x0, y0), (x1, y1) in outline.lines_px.tolist():
+    for name, lines_px in region_outlines(session, width, height).items():
+        color = imgui.get_color_u32(_OUTLINE[name])
+        for (x0, y0), (x1, y1) in lines_px.tolist():
             draw.add_line(ImVec2(corner.x + x0, corner.y + y0), ImVec2(corner.x + x1, corner.y + y1), color, 1.5)
 
 
