@@ -11,28 +11,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float64
 
+from ..scene import camera_path_edit as edits
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath, circle_path
-from ..scene.camera_path_edit import (
-    WALKING_M_S,
-    EditedKeyframe,
-    ViewAngles,
-    copy_keyframe_to,
-    keyframe_at,
-    move_keyframe,
-    place_keyframe_at,
-    resample,
-    reverse_path_time,
-    shift_path_time,
-    simplify,
-    snap_key_to,
-    stretch_path_time,
-    view_angles,
-    view_rotation,
-    with_constant_speed,
-    with_keyframe,
-    without_keyframe,
-)
 from ..scene.camera_path_io import read_camera_path, write_camera_path, write_nerfstudio_path, write_training_cameras
 from ..scene.files import SceneFormatError
 from ..scene.geometry import matrices_from_quaternions, quaternions_from_matrices
@@ -70,8 +51,8 @@ def add_keyframe(session: ViewportState, time_s: float | None = None) -> None:
     """Add the current view as a keyframe at a time (default: the clock's), replacing a keyframe at the same time."""
     time_s = nearest_frame_time(session, session.clock.time_s if time_s is None else time_s)
     path = session.scene.path
-    is_new = path is None or keyframe_at(path, time_s) is None
-    keyed = with_keyframe(path, time_s, _viewport_camera(session))
+    is_new = path is None or edits.keyframe_at(path, time_s) is None
+    keyed = edits.with_keyframe(path, time_s, _viewport_camera(session))
     _set_keyed(session, "Add camera key" if is_new else "Update camera key", keyed)
 
 
@@ -91,13 +72,13 @@ def update_keyframe(session: ViewportState, key: int) -> None:
     if (path := session.scene.path) is not None:
         camera = _viewport_camera(session)
         _set_keyed(
-            session, "Update camera key", with_keyframe(path, float(path.times_s[key]), camera)._replace(key=key)
+            session, "Update camera key", edits.with_keyframe(path, float(path.times_s[key]), camera)._replace(key=key)
         )
 
 
 def delete_keyframe(session: ViewportState, key: int) -> None:
     if (path := session.scene.path) is not None:
-        _replace_path(session, "Delete camera key", without_keyframe(path, key))
+        _replace_path(session, "Delete camera key", edits.without_keyframe(path, key))
 
 
 def delete_path(session: ViewportState) -> None:
@@ -108,12 +89,12 @@ def delete_path(session: ViewportState) -> None:
 
 def retime_keyframe(session: ViewportState, key: int, time_s: float) -> None:
     if (path := session.scene.path) is not None:
-        _set_keyed(session, "Move camera key", move_keyframe(path, key, nearest_frame_time(session, time_s)))
+        _set_keyed(session, "Move camera key", edits.move_keyframe(path, key, nearest_frame_time(session, time_s)))
 
 
 def copy_keyframe(session: ViewportState, key: int, time_s: float) -> None:
     if (path := session.scene.path) is not None:
-        _set_keyed(session, "Copy camera key", copy_keyframe_to(path, key, nearest_frame_time(session, time_s)))
+        _set_keyed(session, "Copy camera key", edits.copy_keyframe_to(path, key, nearest_frame_time(session, time_s)))
 
 
 def place_keyframe(
@@ -122,7 +103,7 @@ def place_keyframe(
     label: str,
     *,
     position_m: Float64[np.ndarray, "3"] | None = None,
-    look: ViewAngles | None = None,
+    look: edits.ViewAngles | None = None,
     vertical_fov_deg: float | None = None,
     gesture: str | None = None,
 ) -> None:
@@ -135,13 +116,13 @@ def place_keyframe(
     quaternion = None
     if look is not None:
         turn = to_scene[:3, :3] / np.cbrt(np.linalg.det(to_scene[:3, :3]))
-        quaternion = quaternions_from_matrices(turn @ view_rotation(look))
-    set_path(session, label, place_keyframe_at(path, key, position, quaternion, vertical_fov_deg), gesture)
+        quaternion = quaternions_from_matrices(turn @ edits.view_rotation(look))
+    set_path(session, label, edits.place_keyframe_at(path, key, position, quaternion, vertical_fov_deg), gesture)
 
 
-def key_angles(session: ViewportState, key: int) -> ViewAngles:
+def key_angles(session: ViewportState, key: int) -> edits.ViewAngles:
     """Heading, pitch and roll of a keyframe in the world."""
-    return view_angles(matrices_from_quaternions(session.path.quaternions_wxyz[key]))
+    return edits.view_angles(matrices_from_quaternions(session.path.quaternions_wxyz[key]))
 
 
 # Dragging
@@ -159,7 +140,7 @@ def drag_in_time(session: ViewportState, seconds: float) -> None:
     """Move the dragged keyframe by an offset in seconds from its time at the start of the drag."""
     if (drag := session.timeline.drag) is not None:
         time_s = max(0.0, nearest_frame_time(session, float(drag.path.times_s[drag.key]) + seconds))
-        label, change = ("Copy", copy_keyframe_to) if drag.copies else ("Move", move_keyframe)
+        label, change = ("Copy", edits.copy_keyframe_to) if drag.copies else ("Move", edits.move_keyframe)
         _set_keyed(session, f"{label} camera key", change(drag.path, drag.key, time_s), "drag a key")
 
 
@@ -186,7 +167,7 @@ def circle_target(session: ViewportState, duration_s: float = 12.0) -> None:
 
 def reverse_path(session: ViewportState) -> None:
     if (path := session.scene.path) is not None:
-        _replace_path(session, "Reverse camera path", reverse_path_time(path))
+        _replace_path(session, "Reverse camera path", edits.reverse_path_time(path))
 
 
 def stretch_path(session: ViewportState, duration_s: float) -> None:
@@ -195,7 +176,7 @@ def stretch_path(session: ViewportState, duration_s: float) -> None:
     if path is None or path.duration_s <= 0:
         return
     try:
-        set_path(session, "Stretch camera path", stretch_path_time(path, duration_s / path.duration_s))
+        set_path(session, "Stretch camera path", edits.stretch_path_time(path, duration_s / path.duration_s))
     except ValueError as error:
         session.problem = str(error)
 
@@ -209,7 +190,7 @@ def _to_scene(session: ViewportState) -> Float64[np.ndarray, "4 4"]:
     return np.linalg.inv(session.scene.scene_to_world)
 
 
-def _set_keyed(session: ViewportState, label: str, keyed: EditedKeyframe, gesture: str | None = None) -> None:
+def _set_keyed(session: ViewportState, label: str, keyed: edits.EditedKeyframe, gesture: str | None = None) -> None:
     set_path(session, label, keyed.path, gesture)
     session.timeline.key = keyed.key
 
@@ -229,10 +210,10 @@ def import_path(session: ViewportState, file: Path) -> None:
     except SceneFormatError as error:
         session.report_problem(str(error))
     else:
-        path = path if path.start_s >= 0 else shift_path_time(path, -path.start_s)  # scene time starts at 0
+        path = path if path.start_s >= 0 else edits.shift_path_time(path, -path.start_s)  # scene time starts at 0
         if not path.is_timed:
-            path = with_constant_speed(path, WALKING_M_S / session.scene.metres_per_unit)
-            logger.info("%s has no times: it is flown at walking pace, %g m/s", file.name, WALKING_M_S)
+            path = edits.with_constant_speed(path, edits.WALKING_M_S / session.scene.metres_per_unit)
+            logger.info("%s has no times: it is flown at walking pace, %g m/s", file.name, edits.WALKING_M_S)
         _replace_path(session, f"Import {file.name}", path)
         logger.info("Imported %s: %d keys, %.1f s", file.name, len(path.times_s), path.duration_s)
 
@@ -272,7 +253,7 @@ def path_from_drive(session: ViewportState, camera: RigCamera | None = None, eve
     if drive is None:
         session.problem = "This scene has no ego vehicle with a camera, so there is no drive to take a path from."
         return
-    few = simplify(drive, _TOLERANCE_M) if every_s <= 0 else resample(drive, every_s)
+    few = edits.simplify(drive, _TOLERANCE_M) if every_s <= 0 else edits.resample(drive, every_s)
     _replace_path(session, "Camera path from the drive", few.moved(_to_scene(session)))
     logger.info("Path from the drive: %d keys of %d samples", len(few.times_s), len(drive.times_s))
 
@@ -283,7 +264,7 @@ def snap_keyframe(session: ViewportState, key: int) -> None:
     if drive is None:
         session.problem = "This scene has no ego vehicle with a camera, so there is no drive to snap to."
     elif path is not None:
-        set_path(session, "Snap camera key to the drive", snap_key_to(path, key, drive.moved(_to_scene(session))))
+        set_path(session, "Snap camera key to the drive", edits.snap_key_to(path, key, drive.moved(_to_scene(session))))
 
 
 def _drive(session: ViewportState, camera: RigCamera | None) -> CameraPath | None:

@@ -176,8 +176,8 @@ class Editor(EditorServices):
     def swap_in(self) -> None:
         """Show the staged scene, whose Gaussians are ready for the next frame.
 
-        A scene that replaces the document stays staged while a question about the document is open; never one about an
-        empty document, nor one that waits for jobs to end before it closes the document.
+        A scene that replaces the document stays staged while a question is open, unless the document is empty or closes
+        as soon as jobs have ended.
         """
         staged = self.staged
         is_asked = bool(self.scene.members) and self.questions.present is not None and self._awaited is None

@@ -23,14 +23,7 @@ from ..scene.formats.scene_folder import SCENE_FILE, FileCache
 from ..scene.open import folder_to_read, is_built_in_street, load_sorted_scene, scene_folder_of
 from ..scene.scene import Scene
 from ..scene.transforms import lost_when_flattened
-from .autosave import (
-    Autosave,
-    FileFingerprint,
-    RecoveryCandidate,
-    fingerprint_of,
-    has_changed,
-    saved_scene,
-)
+from .autosave import Autosave, FileFingerprint, RecoveryCandidate, fingerprint_of, has_changed, saved_scene
 from .document import Document
 from .edits.layers import import_scene
 from .jobs.job import ThreadTask, ThreadTasks
