@@ -206,9 +206,9 @@ class Autosave:
 
     def remove(self) -> None:
         """Remove the autosave, after the document was saved or discarded."""
-        if self.place is not None:
-            _remove(self.place)
-        self.place = self._about = None
+        place, self.place, self._about = self.place, None, None
+        if place is not None:
+            _remove(place)
 
     def discard(self, place: Path) -> None:
         """Remove an autosave, unless another living process uses it."""

@@ -71,7 +71,7 @@ class SceneFiles:
         """Scene folder that the document came from or was saved to, used by Save."""
         self.recent: list[Path] = recent_files()
         """Latest first."""
-        self.place_wanted: Callable[[Path], None] | None = None
+        self.place_request: Callable[[Path], None] | None = None
         """Set while the user has to choose where to save; called with the answer."""
         self.loose_results: Callable[[], list[str]] = list
         """Returns the names of unsaved results that are lost with this document."""
@@ -268,7 +268,7 @@ class SceneFiles:
         if self.home is not None:
             self.save_to(self.home, act)
         else:
-            self.place_wanted = lambda path: self.save_as(path, act)
+            self.place_request = lambda path: self.save_as(path, act)
 
     def save_to(self, path: Path, act: Callable[[], None] = do_nothing) -> None:
         """Save to a scene folder; ask first if another program has changed it."""
@@ -281,7 +281,7 @@ class SceneFiles:
             return
 
         def elsewhere() -> None:
-            self.place_wanted = lambda chosen: self.save_as(chosen, act)
+            self.place_request = lambda chosen: self.save_as(chosen, act)
 
         self._ask(
             "Changed on disk",

@@ -162,15 +162,15 @@ def frustums(cameras: RecordedCameras, views: Sequence[int], length_m: float, ca
         return []
     eyes = cameras.eyes[nearest]
     corners = eyes[:, None] + length_m * cameras.rays[nearest]
-    sides = np.stack([np.broadcast_to(eyes[:, None], corners.shape), corners], axis=2)
+    rays = np.stack([np.broadcast_to(eyes[:, None], corners.shape), corners], axis=2)
     far = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2)
-    lines = np.concatenate([sides, far], axis=1)  # (frustums, 8 lines, 2 ends, 3)
+    lines = np.concatenate([rays, far], axis=1)  # (frustums, 8 lines, 2 ends, 3)
     depth = lines @ camera.world_to_camera[2, :3] + camera.world_to_camera[2, 3]
-    seen = (depth > NEAR_M).any(axis=2).sum(axis=1)
-    drawn = np.split(project_lines(lines.reshape(-1, 2, 3), camera), np.cumsum(seen)[:-1])
+    counts = (depth > NEAR_M).any(axis=2).sum(axis=1)
+    drawn = np.split(project_lines(lines.reshape(-1, 2, 3), camera), np.cumsum(counts)[:-1])
     return [
-        Frustum(int(view), seen and (seen.x, seen.y), own)
-        for view, seen, own in zip(nearest, (project_point(each, camera) for each in eyes), drawn, strict=True)
+        Frustum(int(view), eye and (eye.x, eye.y), own)
+        for view, eye, own in zip(nearest, (project_point(each, camera) for each in eyes), drawn, strict=True)
         if len(own)
     ]
 

@@ -63,9 +63,9 @@ def rollout_overlay(shown: RolloutInScene, clock_s: float, camera: Camera, *, fr
         boxes.append(_box(_ego(shown, time_s), camera, is_hit=hit is not None, is_ego=True))
     plan = planned_points_m(shown, step, time_s)
     driven = _driven(shown, time_s) if not from_inside else np.zeros((0, 3))
-    seen = [point for place in plan[1:] if (point := project_point(place, camera)) is not None]
-    radii_px = [float(np.clip(_DOT_M * camera.fx / each.depth_m, _MIN_PX, _MAX_PX)) for each in seen]
-    dots = [PlanDot(each.x, each.y, radius_px) for each, radius_px in zip(seen, radii_px, strict=True)]
+    points = [point for place in plan[1:] if (point := project_point(place, camera)) is not None]
+    radii_px = [float(np.clip(_DOT_M * camera.fx / each.depth_m, _MIN_PX, _MAX_PX)) for each in points]
+    dots = [PlanDot(each.x, each.y, radius_px) for each, radius_px in zip(points, radii_px, strict=True)]
     return RolloutOverlay(boxes, _projected(plan, camera), dots, _projected(driven, camera))
 
 

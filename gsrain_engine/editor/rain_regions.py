@@ -167,8 +167,8 @@ def inset_view(box: RegionBox, anchor_to_world: Float64[np.ndarray, "4 4"], widt
     middle = turn @ np.array(box.center_m) + anchor_to_world[:3, 3]
     direction = turn @ (_FROM / np.linalg.norm(_FROM))
     pose = look_at(middle + direction, middle, np.array([0.0, 0.0, 1.0]))
-    sides = np.array(list(product((-0.5, 0.5), repeat=3))) * np.array(box.size_m)
-    x, y, z = (sides @ turn.T @ pose[:3, :3].T).T
+    corners = np.array(list(product((-0.5, 0.5), repeat=3))) * np.array(box.size_m)
+    x, y, z = (corners @ turn.T @ pose[:3, :3].T).T
     high = np.tan(np.radians(_FOV_DEG) / 2) * _FILLED
     away = float(np.max(np.maximum(np.abs(x) * height / width, np.abs(y)) / high - z))
     pose = look_at(middle + away * direction, middle, np.array([0.0, 0.0, 1.0]))

@@ -106,7 +106,7 @@ def test_a_view_that_can_not_be_used_is_left(session, sessions, home):
 def test_what_has_no_folder_asks_for_a_place(sessions, tmp_path):
     session = sessions(small_scene("new"))
     session.files.save()
-    session.files.place_wanted(tmp_path / "placed")
+    session.files.place_request(tmp_path / "placed")
     settle(session)
     assert session.files.home == tmp_path / "placed"
     assert read_scene(tmp_path / "placed").name == "new"
@@ -137,7 +137,7 @@ def test_an_export_is_a_copy_and_the_document_stays_unsaved(sessions, home, tmp_
     assert session.questions.present.title == "Unsaved changes" and not session.is_leaving
     answer(session, "Save")
     if source != "folder":
-        files.place_wanted(tmp_path / "placed")
+        files.place_request(tmp_path / "placed")
         settle(session)
     assert session.is_leaving and files.home == (home if source == "folder" else tmp_path / "placed")
 
@@ -313,7 +313,7 @@ def test_a_file_changed_by_someone_else_is_noticed(session, home, tmp_path, labe
     assert session.questions.present.title == "Changed on disk"
     answer(session, label)
     if label == "Save as...":
-        session.files.place_wanted(tmp_path / "mine")
+        session.files.place_request(tmp_path / "mine")
         settle(session)
         assert read_scene(tmp_path / "mine").name == "crossing"
     assert (read_scene(home).name, session.scene.name) == (on_disk, here)
