@@ -155,7 +155,12 @@ def run_with_progress(work: "Generator[Progress, None, _Result]") -> _Result:
     console = Console(stderr=True)
     with _bar(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("Reading", total=1.0)
-        return run_to_end(work, lambda step: bar.update(task, completed=step.fraction, description=step.message))
+
+        def show(step: "Progress") -> None:
+            message = step.message if step.warning is None else f"{step.message}. Warning: {step.warning}"
+            bar.update(task, completed=step.fraction, description=message)
+
+        return run_to_end(work, show)
 
 
 def _bar(*counts: progress.ProgressColumn, **options: Any) -> progress.Progress:

@@ -12,7 +12,7 @@ from statistics import median, quantiles
 from swap_stall import FrameCost, Turning
 
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.jobs.training import ReconstructionJobKind
+from gsrain_engine.editor.jobs.training import reconstruction_job
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.render.opengl.context import open_context
 from gsrain_engine.render.renderer import describe_machine
@@ -33,7 +33,7 @@ def main() -> None:
         turning = Turning(context, session, "auto", (width, height))
         turning.settle()
         found = {"alone": _summary([turning.frame() for _ in range(arguments.frames)])}
-        session.start_task(ReconstructionJobKind(arguments.capture, load_settings("laptop", measured_every=0)))
+        session.start(reconstruction_job(session, arguments.capture, load_settings("laptop", measured_every=0)))
         (job,) = session.jobs
         while job.state == "running" and not job.progress.message.startswith("Step"):
             turning.frame()

@@ -59,7 +59,7 @@ def main() -> None:
         home = Path(folder) / "scene"
         session = Editor(random_scene(arguments.scene))
         gaussians = session.scene.members[0].gaussians
-        results = {"save for the first time": waited(session, lambda: session.save(home))}
+        results = {"save for the first time": waited(session, lambda: session.files.save_to(home))}
         chosen = np.random.default_rng(0).random(len(gaussians)) < 0.3
         changes = {
             "marks": {"marks": SelectionFlags(deleted=BitMask.of(chosen))},

@@ -8,7 +8,6 @@ import numpy as np
 
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.floaters import FloaterRules
-from gsrain_engine.editor.jobs.floaters import FloaterJob
 from gsrain_engine.editor.selection.candidates import combine_selection
 from gsrain_engine.scene.flags import BitMask
 from ui.commands.registry import ACTIONS
@@ -151,7 +150,7 @@ class Person:
 
     def _jobs(self) -> Iterator[None]:
         session = self._session
-        session.start(FloaterJob(session.scene, FloaterRules()))
+        session.find_floaters(FloaterRules())
         yield from self._until(lambda: not session.running_jobs)
         self._do("Undo")
         session.rainy.preview(session)
@@ -179,7 +178,7 @@ class Person:
         session = self._session
         self._do("Close the scene")
         yield from self._until(lambda: not session.scene.members)
-        session.clear_jobs()
+        session.jobs = session.running_jobs
         yield from self._until(lambda: not session.is_working and all(each.done() for each in session.pending_files))
         yield from self._for(3.0)  # the program gives memory back after a second
         self.is_at_rest = True

@@ -151,7 +151,7 @@ def costs_of_swap(turning: Turning, fields: dict[str, Any] | None) -> list[Frame
         session.undo()
     else:
         changed = session.scene.with_member(session.scene.members[0].key, **fields)
-        session.stage(PendingScene("swap", changed, only_wet_colors="wet_sh" in fields))
+        session.staged = PendingScene("swap", changed, only_wet_colors="wet_sh" in fields)
     costs: list[FrameCost] = []
     until, after = time.perf_counter() + _LONGEST_S, 0
     while after < _AFTER and time.perf_counter() < until:

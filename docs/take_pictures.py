@@ -211,7 +211,7 @@ def picture_wet(camera: Photographer) -> None:
     camera.take("wet_clear", "View", _TOOL_WIDTH)
     camera.ctx.window_focus("//Make it rainy")
     session.rainy.preview(session)
-    while session.rainy.is_previewing or session.view.split == "off":
+    while session.running_jobs or session.view.split == "off":
         camera.frames(1)
     camera.ctx.mouse_move("//Make it rainy/###preview")
     camera.take("wet_look")

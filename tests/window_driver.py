@@ -3,7 +3,6 @@
 import os
 import shutil
 import signal
-from multiprocessing.connection import wait
 
 import numpy as np
 import pytest
@@ -74,9 +73,8 @@ class Driver:
 
     def let_workers_work(self):
         """Draw no frames that would only take the processor from a worker which has nothing to say yet."""
-        workers = [getattr(job, "_worker", None) for job in self.session.running_jobs]
-        if heard := [worker.waitable for worker in workers if worker is not None]:
-            wait(heard, timeout=0.1)
+        for job in self.session.running_jobs:
+            job.wait(0.1)
 
     def click(self, item):
         self.ctx.window_focus("//" + item.split("/")[2])  # bring its tab to the front

@@ -95,7 +95,7 @@ _WIDTH_EM = 34.0
 
 def draw_questions(session: Editor) -> None:
     """Draw the current question until it is answered, and the save dialog if one is requested."""
-    save, session.files.place_wanted = session.files.place_wanted, None
+    save, session.files.place_request = session.files.place_request, None
     if save is not None:
         ask_where_to_save("Save the scene", SCENE_FOLDERS, lambda chosen: save(chosen[0]))
     question = session.questions.present

@@ -68,7 +68,7 @@ def begin_session(scene: str | None, rain: "RainSettings | None", wet: bool = Fa
             session.rainy.make_soon()
     if restarts:
         session.problem = _RESTARTED + (_WITH_CHANGES if autosave else "")
-    session.files.offer_recovery()
+    session.files.recovery.look()
     threading.Thread(target=remove_abandoned_job_folders, name="tidy up", daemon=True).start()
     return session
 
@@ -181,7 +181,7 @@ class MainWindow:
             return
         rollouts = [Path(each) for each in paths if Path(each).suffix.lower() in ROLLOUT_SUFFIXES]
         for path in rollouts:
-            self.workspace.session.drives.open(path)
+            self.workspace.session.drives.open(self.workspace.session, path)
         if not rollouts:
             self.workspace.session.open(paths[0])
 
@@ -189,7 +189,7 @@ class MainWindow:
         """Let the session decide about closing, since there may be unsaved changes."""
         if self.workspace is not None:
             glfw.set_window_should_close(glfw_utils.glfw_window_hello_imgui(), False)
-            self.workspace.session.files.keep()  # a desktop that logs out doesn't wait for an answer
+            self.workspace.session.files.recovery.keep()  # a desktop that logs out doesn't wait for an answer
             self.workspace.session.request_quit()
 
     def end(self, by: int) -> None:
@@ -201,7 +201,7 @@ class MainWindow:
         driver_failed = isinstance(failure, moderngl.Error)
         self.failure = OSError(f"the graphics driver has failed: {failure}") if driver_failed else failure
         if self._session is not None:
-            self._session.files.keep()
+            self._session.files.recovery.keep()
 
     @property
     def left(self) -> "RestartState":

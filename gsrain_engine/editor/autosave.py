@@ -8,7 +8,7 @@ import shutil
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -25,8 +25,7 @@ from .viewport_state import ViewportState
 
 logger = logging.getLogger("gsrain")
 _SCENE, _ABOUT = "scene", "autosave.json"
-_LONGEST_NAME = 200
-"""Maximum length in bytes of a scene folder's name within its autosave's name; file systems allow 255."""
+_MAX_NAME_BYTES = 200  # of a scene folder's name within its autosave's name; file systems allow 255
 
 # Change detection of scene folders
 
@@ -39,6 +38,32 @@ class FileFingerprint(msgspec.Struct, frozen=True, kw_only=True):
     digest: str
 
 
+def fingerprint_of(folder: Path) -> FileFingerprint | None:
+    """State of a scene folder now; None if it holds no scene."""
+    file = folder / SCENE_FILE
+    try:
+        status, data = file.stat(), read_file(file)
+    except OSError:
+        return None
+    digest = hashlib.blake2b(data, digest_size=16).hexdigest()
+    return FileFingerprint(modified_ns=status.st_mtime_ns, size=len(data), digest=digest)
+
+
+def has_changed(folder: Path, since: FileFingerprint | None) -> bool:
+    """Return whether the folder holds a scene with other content; a new modification time alone does not count."""
+    try:
+        status = (folder / SCENE_FILE).stat()
+    except OSError:
+        return False  # gone: nothing can be overwritten
+    if since is not None and (status.st_mtime_ns, status.st_size) == (since.modified_ns, since.size):
+        return False
+    now = fingerprint_of(folder)
+    return now is not None and (since is None or now.digest != since.digest)
+
+
+# Autosave
+
+
 class AutosaveEntry(msgspec.Struct, frozen=True, kw_only=True):
     """Scene folder and state that an autosave belongs to."""
 
@@ -49,6 +74,16 @@ class AutosaveEntry(msgspec.Struct, frozen=True, kw_only=True):
     """The same path as bytes, for names that are not valid Unicode."""
     stamp: FileFingerprint | None = None
     """State of that folder when the document came from it."""
+
+    @classmethod
+    def of(cls, name: str, home: Path | None, stamp: FileFingerprint | None) -> "AutosaveEntry":
+        if home is None:
+            return cls(name=name, stamp=stamp)
+        in_bytes = os.fsencode(home)
+        try:
+            return cls(name=name, home=in_bytes.decode(), stamp=stamp)
+        except UnicodeDecodeError:
+            return cls(name=name, home_bytes=in_bytes, stamp=stamp)
 
     @property
     def folder(self) -> Path | None:
@@ -69,15 +104,6 @@ class RecoveryCandidate(msgspec.Struct, frozen=True):
         return self.place / _SCENE
 
 
-class FolderClaim(NamedTuple):
-    """Result of claiming a scene folder for this process."""
-
-    is_alone: bool
-    """True if no other process has the folder open."""
-    found: RecoveryCandidate | None = None
-    """Autosave that a process left there when it died."""
-
-
 class Autosave:
     """The autosave of one process, and the locks that mark this process as alive.
 
@@ -85,32 +111,29 @@ class Autosave:
     """
 
     def __init__(self) -> None:
+        self.place: Path | None = None
+        """Folder of the current autosave; None if there is no autosave."""
         self._home: Path | None = None
-        self._place: Path | None = None
         self._about: AutosaveEntry | None = None
         self._locks: dict[Path, FileLock] = {}
 
-    @property
-    def place(self) -> Path | None:
-        """Folder of the current autosave; None if there is no autosave."""
-        return self._place
-
-    def enter(self, home: Path | None, recovered: Path | None = None) -> FolderClaim:
+    def enter(self, home: Path | None, recovered: Path | None = None) -> tuple[bool, RecoveryCandidate | None]:
         """Switch to another document and remove the autosave of the previous one.
 
-        `home` is the scene folder of the document, `recovered` the autosave to continue with.
+        `home` is the scene folder of the document, `recovered` the autosave to continue with. Returns True if no other
+        process has the folder open, and the autosave that a process left there when it died.
         """
-        if self._place != recovered:
+        if self.place != recovered:
             self.remove()
-        self._home, self._place, self._about = home, None, None
+        self._home, self.place, self._about = home, None, None
         place = autosave_folder(home) if home is not None else None
         for other in [each for each in self._locks if each not in (place, recovered)]:
             self._locks.pop(other).release()
         if recovered is not None and self._hold(recovered):
-            self._place = recovered
+            self.place = recovered
         if place is None:
-            return FolderClaim(True)
-        return FolderClaim(self._hold(place), None if self._place == place else self.found(place))
+            return True, None
+        return self._hold(place), None if self.place == place else self.found(place)
 
     def found(self, place: Path) -> RecoveryCandidate | None:
         """Return the autosave at a place, or None if another living process owns it."""
@@ -134,12 +157,10 @@ class Autosave:
     def write(self, scene: Scene, stamp: FileFingerprint | None, known: FileCache) -> None:
         """Write an autosave next to the scene folder, or in the state folder if that is not possible.
 
-        Raises:
-            SceneFormatError: If the document could not be read again.
-            OSError: If it can't be written anywhere.
+        Raises SceneFormatError if the document could not be read again, OSError if it can't be written anywhere.
         """
-        about = _about(scene.name, self._home, stamp)
-        place = self._place or self._folder_next_to_scene() or self._new_place()
+        about = AutosaveEntry.of(scene.name, self._home, stamp)
+        place = self.place or self._folder_next_to_scene() or self._new_place()
         try:
             self._write_at(place, about, scene, known)
         except OSError as error:
@@ -147,14 +168,23 @@ class Autosave:
                 raise
             # The disk is full or refuses writes; another disk may work.
             logger.warning("The autosave can't be in %s: %s", place.parent, sentence_of(error))
-            self._write_elsewhere(place, about, scene, known)
+            other, self._about = self._new_place(), None
+            try:
+                self._write_at(other, about, scene, known)
+            except BaseException:
+                _remove(other)
+                if other in self._locks:
+                    self._locks.pop(other).release()
+                self.place, self._about = place if (place / _ABOUT).exists() else None, None
+                raise
+            _remove(place)  # the earlier autosave, only now
 
     def _folder_next_to_scene(self) -> Path | None:
         """Autosave folder next to the scene; None if another process owns it or it holds something to recover."""
-        if self._home is None or autosave_folder(self._home) not in self._locks:
+        here = autosave_folder(self._home) if self._home is not None else None
+        if here is None or here not in self._locks or self.found(here) is not None:
             return None
-        here = autosave_folder(self._home)
-        if self.found(here) is not None or not os.access(here.parent, os.W_OK):
+        if not os.access(here.parent, os.W_OK):
             return None
         if here.exists():  # a process was killed before it wrote anything
             _remove(here)
@@ -165,31 +195,18 @@ class Autosave:
         self._hold(place)
         return place
 
-    def _write_elsewhere(self, before: Path, about: AutosaveEntry, scene: Scene, known: FileCache) -> None:
-        """Write to the state folder, and remove the earlier autosave only after that succeeded."""
-        place, self._about = self._new_place(), None
-        try:
-            self._write_at(place, about, scene, known)
-        except BaseException:
-            _remove(place)
-            if place in self._locks:
-                self._locks.pop(place).release()
-            self._place, self._about = before if (before / _ABOUT).exists() else None, None
-            raise
-        _remove(before)
-
     def _write_at(self, place: Path, about: AutosaveEntry, scene: Scene, known: FileCache) -> None:
         place.mkdir(parents=True, exist_ok=True)
         if about != self._about:
             with whole_file(place / _ABOUT) as file:
                 file.write_bytes(msgspec.json.encode(about))
             self._about = about
-        self._place = place
+        self.place = place
         write_scene_folder(scene, place / _SCENE, known, linking=True, in_drawing_order=True)
 
     def remove(self) -> None:
         """Remove the autosave, after the document was saved or discarded."""
-        place, self._place, self._about = self._place, None, None
+        place, self.place, self._about = self.place, None, None
         if place is not None:
             _remove(place)
 
@@ -219,19 +236,9 @@ class Autosave:
 def autosave_folder(home: Path) -> Path:
     """Path of the autosave of a scene folder."""
     name = os.fsencode(home.name)
-    if len(name) > _LONGEST_NAME:
-        name = name[:_LONGEST_NAME] + b"." + hashlib.blake2b(name, digest_size=6).hexdigest().encode()
+    if len(name) > _MAX_NAME_BYTES:
+        name = name[:_MAX_NAME_BYTES] + b"." + hashlib.blake2b(name, digest_size=6).hexdigest().encode()
     return home.with_name(f".{os.fsdecode(name)}.autosave")
-
-
-def _about(name: str, home: Path | None, stamp: FileFingerprint | None) -> AutosaveEntry:
-    if home is None:
-        return AutosaveEntry(name=name, stamp=stamp)
-    in_bytes = os.fsencode(home)
-    try:
-        return AutosaveEntry(name=name, home=in_bytes.decode(), stamp=stamp)
-    except UnicodeDecodeError:
-        return AutosaveEntry(name=name, home_bytes=in_bytes, stamp=stamp)
 
 
 def _remove(place: Path) -> None:
@@ -259,41 +266,7 @@ def _unsaved() -> Path:
     return state_folder() / "unsaved"
 
 
-def fingerprint_of(folder: Path) -> FileFingerprint | None:
-    """State of a scene folder now; None if it holds no scene."""
-    file = folder / SCENE_FILE
-    try:
-        status, data = file.stat(), read_file(file)
-    except OSError:
-        return None
-    digest = hashlib.blake2b(data, digest_size=16).hexdigest()
-    return FileFingerprint(modified_ns=status.st_mtime_ns, size=len(data), digest=digest)
-
-
-def has_changed(folder: Path, since: FileFingerprint | None) -> bool:
-    """Return whether the folder holds a scene with other content; a new modification time alone does not count."""
-    try:
-        status = (folder / SCENE_FILE).stat()
-    except OSError:
-        return False  # gone: nothing can be overwritten
-    if since is not None and (status.st_mtime_ns, status.st_size) == (since.modified_ns, since.size):
-        return False
-    now = fingerprint_of(folder)
-    return now is not None and (since is None or now.digest != since.digest)
-
-
-# The document as one scene
-
-
-def saved_scene(session: ViewportState) -> Scene:
-    """The scene with its rain, weather, and current view."""
-    weather = msgspec.to_builtins(session.weather) if session.weather.keys else None
-    return replace(
-        session.scene, rain=msgspec.to_builtins(session.rain), weather=weather, view=capture_view_state(session)
-    )
-
-
-# Saved view
+# The document as one scene, with its view
 
 _Triple = tuple[float, float, float]
 
@@ -315,11 +288,11 @@ class SavedView(msgspec.Struct, frozen=True, kw_only=True):
     look: RenderMode = "splats"
 
 
-def capture_view_state(session: ViewportState) -> dict[str, Any]:
-    """Return the current view as plain values."""
+def saved_scene(session: ViewportState) -> Scene:
+    """The scene with its rain, weather, and current view."""
     eye, view = session.navigation, session.view
     x, y, z = eye.position.tolist()
-    kept = SavedView(
+    saved_view = SavedView(
         position=(x, y, z),
         heading=float(eye.heading),
         pitch=float(eye.pitch),
@@ -331,18 +304,19 @@ def capture_view_state(session: ViewportState) -> dict[str, Any]:
         gain_ev=view.gain_ev,
         look=view.look,
     )
-    return msgspec.to_builtins(kept)
+    rain, weather, saved_view = map(msgspec.to_builtins, (session.rain, session.weather, saved_view))
+    return replace(session.scene, rain=rain, weather=weather if session.weather.keys else None, view=saved_view)
 
 
 def restore_view(session: ViewportState, values: Mapping[str, Any]) -> None:
     """Restore the view saved with a scene; invalid values are logged and ignored."""
     try:
-        kept = msgspec.convert(values, SavedView)
+        saved = msgspec.convert(values, SavedView)
     except msgspec.ValidationError as error:
         logger.warning("%s: the saved view can't be used: %s", session.scene.name, error)
         return
     session.navigation = OrbitCamera(
-        np.array(kept.position), kept.heading, kept.pitch, kept.distance_m, kept.vertical_fov_deg, kept.speed_m_s
+        np.array(saved.position), saved.heading, saved.pitch, saved.distance_m, saved.vertical_fov_deg, saved.speed_m_s
     )
-    session.clock.time_s = kept.time_s
-    session.view.background, session.view.gain_ev, session.view.look = kept.background, kept.gain_ev, kept.look
+    session.clock.time_s = saved.time_s
+    session.view.background, session.view.gain_ev, session.view.look = saved.background, saved.gain_ev, saved.look

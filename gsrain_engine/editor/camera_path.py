@@ -4,35 +4,16 @@ Keyframes are given by index.
 """
 
 import logging
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float64
 
+from ..scene import camera_path_edit as edits
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath, circle_path
-from ..scene.camera_path_edit import (
-    WALKING_M_S,
-    EditedKeyframe,
-    ViewAngles,
-    copy_keyframe_to,
-    keyframe_at,
-    move_keyframe,
-    place_keyframe_at,
-    resample,
-    reverse_path_time,
-    shift_path_time,
-    simplify,
-    snap_key_to,
-    stretch_path_time,
-    view_angles,
-    view_rotation,
-    with_constant_speed,
-    with_keyframe,
-    without_keyframe,
-)
 from ..scene.camera_path_io import read_camera_path, write_camera_path, write_nerfstudio_path, write_training_cameras
 from ..scene.files import SceneFormatError
 from ..scene.geometry import matrices_from_quaternions, quaternions_from_matrices
@@ -42,7 +23,10 @@ from .timeline import KeyframeDrag
 from .viewport.camera import front_camera
 from .viewport_state import ViewportState
 
+logger = logging.getLogger("gsrain")
+PathFormat = Literal["keyframes", "nerfstudio", "training cameras"]
 _VIEW_SIZE = (960, 640)
+_TOLERANCE_M = 0.05  # maximum deviation of a simplified path from its drive: less than the width of a lens
 _DEFAULT_GAP_S = 2.0  # gap between the last keyframe and an appended one, if the path has no gap to derive it from
 
 
@@ -67,10 +51,9 @@ def add_keyframe(session: ViewportState, time_s: float | None = None) -> None:
     """Add the current view as a keyframe at a time (default: the clock's), replacing a keyframe at the same time."""
     time_s = nearest_frame_time(session, session.clock.time_s if time_s is None else time_s)
     path = session.scene.path
-    is_new = path is None or keyframe_at(path, time_s) is None
-    keyed = with_keyframe(path, time_s, _viewport_camera(session))
-    set_path(session, "Insert keyframe" if is_new else "Update keyframe", keyed.path)
-    session.timeline.key = keyed.key
+    is_new = path is None or edits.keyframe_at(path, time_s) is None
+    keyed = edits.with_keyframe(path, time_s, _viewport_camera(session))
+    _set_keyed(session, "Insert keyframe" if is_new else "Update keyframe", keyed)
 
 
 def append_keyframe(session: ViewportState) -> None:
@@ -86,38 +69,32 @@ def append_keyframe(session: ViewportState) -> None:
 
 
 def update_keyframe(session: ViewportState, key: int) -> None:
-    path = session.scene.path
-    if path is not None:
-        set_path(
-            session, "Update keyframe", with_keyframe(path, float(path.times_s[key]), _viewport_camera(session)).path
+    if (path := session.scene.path) is not None:
+        camera = _viewport_camera(session)
+        _set_keyed(
+            session, "Update keyframe", edits.with_keyframe(path, float(path.times_s[key]), camera)._replace(key=key)
         )
-        session.timeline.key = key
 
 
 def delete_keyframe(session: ViewportState, key: int) -> None:
-    path = session.scene.path
-    if path is not None:
-        set_path(session, "Delete keyframe", without_keyframe(path, key))
-        session.timeline.key = None
+    if (path := session.scene.path) is not None:
+        _replace_path(session, "Delete keyframe", edits.without_keyframe(path, key))
 
 
 def delete_path(session: ViewportState) -> None:
     """Delete all keyframes; following the path then uses the scene's own path again."""
     if session.scene.path is not None:
-        set_path(session, "Delete camera path", None)
-        session.timeline.key = None
+        _replace_path(session, "Delete camera path", None)
 
 
 def retime_keyframe(session: ViewportState, key: int, time_s: float) -> None:
-    path = session.scene.path
-    if path is not None:
-        _take(session, "Move keyframe", move_keyframe(path, key, nearest_frame_time(session, time_s)))
+    if (path := session.scene.path) is not None:
+        _set_keyed(session, "Move keyframe", edits.move_keyframe(path, key, nearest_frame_time(session, time_s)))
 
 
 def copy_keyframe(session: ViewportState, key: int, time_s: float) -> None:
-    path = session.scene.path
-    if path is not None:
-        _take(session, "Copy keyframe", copy_keyframe_to(path, key, nearest_frame_time(session, time_s)))
+    if (path := session.scene.path) is not None:
+        _set_keyed(session, "Copy keyframe", edits.copy_keyframe_to(path, key, nearest_frame_time(session, time_s)))
 
 
 def place_keyframe(
@@ -126,7 +103,7 @@ def place_keyframe(
     label: str,
     *,
     position_m: Float64[np.ndarray, "3"] | None = None,
-    look: ViewAngles | None = None,
+    look: edits.ViewAngles | None = None,
     vertical_fov_deg: float | None = None,
     gesture: str | None = None,
 ) -> None:
@@ -134,18 +111,18 @@ def place_keyframe(
     path = session.scene.path
     if path is None:
         return
-    to_scene = np.linalg.inv(session.scene.scene_to_world)
+    to_scene = _to_scene(session)
     position = None if position_m is None else to_scene[:3, :3] @ position_m + to_scene[:3, 3]
     quaternion = None
     if look is not None:
         turn = to_scene[:3, :3] / np.cbrt(np.linalg.det(to_scene[:3, :3]))
-        quaternion = quaternions_from_matrices(turn @ view_rotation(look))
-    set_path(session, label, place_keyframe_at(path, key, position, quaternion, vertical_fov_deg), gesture)
+        quaternion = quaternions_from_matrices(turn @ edits.view_rotation(look))
+    set_path(session, label, edits.place_keyframe_at(path, key, position, quaternion, vertical_fov_deg), gesture)
 
 
-def key_angles(session: ViewportState, key: int) -> ViewAngles:
+def key_angles(session: ViewportState, key: int) -> edits.ViewAngles:
     """Heading, pitch and roll of a keyframe in the world."""
-    return view_angles(matrices_from_quaternions(session.path.quaternions_wxyz[key]))
+    return edits.view_angles(matrices_from_quaternions(session.path.quaternions_wxyz[key]))
 
 
 # Dragging
@@ -161,14 +138,10 @@ def begin_drag(session: ViewportState, key: int, *, copies: bool = False, in_vie
 
 def drag_in_time(session: ViewportState, seconds: float) -> None:
     """Move the dragged keyframe by an offset in seconds from its time at the start of the drag."""
-    drag = session.timeline.drag
-    if drag is None:
-        return
-    time_s = max(0.0, nearest_frame_time(session, float(drag.path.times_s[drag.key]) + seconds))
-    if drag.copies:
-        _take(session, "Copy keyframe", copy_keyframe_to(drag.path, drag.key, time_s), "drag a key")
-    else:
-        _take(session, "Move keyframe", move_keyframe(drag.path, drag.key, time_s), "drag a key")
+    if (drag := session.timeline.drag) is not None:
+        time_s = max(0.0, nearest_frame_time(session, float(drag.path.times_s[drag.key]) + seconds))
+        label, change = ("Copy", edits.copy_keyframe_to) if drag.copies else ("Move", edits.move_keyframe)
+        _set_keyed(session, f"{label} keyframe", change(drag.path, drag.key, time_s), "drag a key")
 
 
 def end_drag(session: ViewportState) -> None:
@@ -181,8 +154,7 @@ def end_drag(session: ViewportState) -> None:
 
 def change_path(session: ViewportState, label: str, **fields: object) -> None:
     """Set interpolation, easing or loop."""
-    path = session.scene.path
-    if path is not None:
+    if (path := session.scene.path) is not None:
         set_path(session, label, replace(path, **fields))
 
 
@@ -190,15 +162,12 @@ def circle_target(session: ViewportState, duration_s: float = 12.0) -> None:
     """Replace the path by a full circle around the orbit target that starts at the current view."""
     session.stop_riding()
     circle = circle_path(session.navigation.target, session.shot(*_VIEW_SIZE).camera, duration_s)
-    set_path(session, "Circle around the target", circle.moved(np.linalg.inv(session.scene.scene_to_world)))
-    session.timeline.key = None
+    _replace_path(session, "Circle around the target", circle.moved(_to_scene(session)))
 
 
 def reverse_path(session: ViewportState) -> None:
-    path = session.scene.path
-    if path is not None:
-        set_path(session, "Reverse camera path", reverse_path_time(path))
-        session.timeline.key = None
+    if (path := session.scene.path) is not None:
+        _replace_path(session, "Reverse camera path", edits.reverse_path_time(path))
 
 
 def stretch_path(session: ViewportState, duration_s: float) -> None:
@@ -207,25 +176,31 @@ def stretch_path(session: ViewportState, duration_s: float) -> None:
     if path is None or path.duration_s <= 0:
         return
     try:
-        set_path(session, "Stretch camera path", stretch_path_time(path, duration_s / path.duration_s))
+        set_path(session, "Stretch camera path", edits.stretch_path_time(path, duration_s / path.duration_s))
     except ValueError as error:
         session.problem = str(error)
 
 
 def _viewport_camera(session: ViewportState) -> Camera:
-    camera = session.shot(*_VIEW_SIZE).camera
-    return camera.moved(np.linalg.inv(session.scene.scene_to_world))
+    return session.shot(*_VIEW_SIZE).camera.moved(_to_scene(session))
 
 
-def _take(session: ViewportState, label: str, keyed: EditedKeyframe, gesture: str | None = None) -> None:
+def _to_scene(session: ViewportState) -> Float64[np.ndarray, "4 4"]:
+    """Similarity from the world to the scene."""
+    return np.linalg.inv(session.scene.scene_to_world)
+
+
+def _set_keyed(session: ViewportState, label: str, keyed: edits.EditedKeyframe, gesture: str | None = None) -> None:
     set_path(session, label, keyed.path, gesture)
     session.timeline.key = keyed.key
 
 
-# Import, export, and paths from recorded drives
+def _replace_path(session: ViewportState, label: str, path: CameraPath | None) -> None:
+    set_path(session, label, path)
+    session.timeline.key = None
 
-logger = logging.getLogger("gsrain")
-_TOLERANCE_M = 0.05  # maximum deviation of a simplified path from its drive: less than the width of a lens
+
+# Import, export, and paths from recorded drives
 
 
 def import_path(session: ViewportState, file: Path) -> None:
@@ -233,39 +208,40 @@ def import_path(session: ViewportState, file: Path) -> None:
     try:
         path = read_camera_path(file)
     except SceneFormatError as error:
-        session.problem = str(error)
-        logger.error("%s", error)
+        session.report_problem(str(error))
     else:
-        path = path if path.start_s >= 0 else shift_path_time(path, -path.start_s)  # scene time starts at 0
+        path = path if path.start_s >= 0 else edits.shift_path_time(path, -path.start_s)  # scene time starts at 0
         if not path.is_timed:
-            path = with_constant_speed(path, WALKING_M_S / session.scene.metres_per_unit)
-            logger.info("%s has no times: it is flown at walking pace, %g m/s", file.name, WALKING_M_S)
-        set_path(session, f"Import {file.name}", path)
-        session.timeline.key = None
+            path = edits.with_constant_speed(path, edits.WALKING_M_S / session.scene.metres_per_unit)
+            logger.info("%s has no times: it is flown at walking pace, %g m/s", file.name, edits.WALKING_M_S)
+        _replace_path(session, f"Import {file.name}", path)
         logger.info("Imported %s: %d keyframes, %.1f s", file.name, len(path.times_s), path.duration_s)
 
 
-def export_path(session: ViewportState, file: Path) -> None:
-    """Write the current path as GSRAIN JSON: keyframes and interpolation."""
-    _export(session, file, write_camera_path)
+def export_path(session: ViewportState, file: Path, form: PathFormat = "keyframes") -> None:
+    """Write the current path, in scene units and axes; an error is set as `problem`.
 
-
-def export_nerfstudio(session: ViewportState, file: Path) -> None:
-    """Write every frame of the path as nerfstudio's camera_path.json."""
-    _export(session, file, lambda target, path: write_nerfstudio_path(target, path, session.timeline.fps))
-
-
-def export_training_cameras(session: ViewportState, file: Path) -> None:
-    """Write every frame of the path as 3DGS training cameras."""
-    _export(session, file, lambda target, path: write_training_cameras(target, path, session.timeline.fps))
+    `keyframes` is GSRAIN's JSON, with the interpolation; the other formats have every frame: nerfstudio's
+    camera_path.json, and 3DGS training cameras.
+    """
+    file = file if file.suffix else file.with_suffix(".json")
+    path = session.scene.path or session.path.moved(_to_scene(session))
+    try:
+        if form == "keyframes":
+            write_camera_path(file, path)
+        else:
+            write = write_nerfstudio_path if form == "nerfstudio" else write_training_cameras
+            write(file, path, session.timeline.fps)
+    except OSError as error:
+        session.report_problem(f"{file}: the camera path can't be written: {error.strerror or error}")
+    else:
+        logger.info("Exported %s", file)
 
 
 def rig_cameras(session: ViewportState) -> list[RigCamera]:
     """Cameras of all rigs if the scene has an ego track, else none."""
-    scene = session.scene
-    if scene.ego is None or not len(scene.ego.times):
-        return []
-    return [camera for rig in scene.rigs.values() for camera in rig]
+    ego = session.scene.ego
+    return [] if ego is None or not len(ego.times) else [each for rig in session.scene.rigs.values() for each in rig]
 
 
 def path_from_drive(session: ViewportState, camera: RigCamera | None = None, every_s: float = 0.0) -> None:
@@ -277,9 +253,8 @@ def path_from_drive(session: ViewportState, camera: RigCamera | None = None, eve
     if drive is None:
         session.problem = "This scene has no ego vehicle with a camera, so there is no drive to take a path from."
         return
-    few = simplify(drive, _TOLERANCE_M) if every_s <= 0 else resample(drive, every_s)
-    set_path(session, "Camera path from the drive", few.moved(np.linalg.inv(session.scene.scene_to_world)))
-    session.timeline.key = None
+    few = edits.simplify(drive, _TOLERANCE_M) if every_s <= 0 else edits.resample(drive, every_s)
+    _replace_path(session, "Camera path from the drive", few.moved(_to_scene(session)))
     logger.info("Path from the drive: %d keyframes of %d samples", len(few.times_s), len(drive.times_s))
 
 
@@ -289,26 +264,12 @@ def snap_keyframe(session: ViewportState, key: int) -> None:
     if drive is None:
         session.problem = "This scene has no ego vehicle with a camera, so there is no drive to snap to."
     elif path is not None:
-        to_scene = np.linalg.inv(session.scene.scene_to_world)
-        set_path(session, "Snap keyframe to the drive", snap_key_to(path, key, drive.moved(to_scene)))
+        set_path(session, "Snap keyframe to the drive", edits.snap_key_to(path, key, drive.moved(_to_scene(session))))
 
 
 def _drive(session: ViewportState, camera: RigCamera | None) -> CameraPath | None:
     camera = camera or front_camera(session.scene)
     return None if camera is None else rig_camera_path(session.scene, camera, *_VIEW_SIZE)
-
-
-def _export(session: ViewportState, file: Path, write: Callable[[Path, CameraPath], None]) -> None:
-    """Write the path in scene units and axes; an error is set as `problem`."""
-    file = file if file.suffix else file.with_suffix(".json")
-    path = session.scene.path or session.path.moved(np.linalg.inv(session.scene.scene_to_world))
-    try:
-        write(file, path)
-    except OSError as error:
-        session.problem = f"{file}: the camera path can't be written: {error.strerror or error}"
-        logger.error("%s", session.problem)
-    else:
-        logger.info("Exported %s", file)
 
 
 # Timeline positions
@@ -327,10 +288,8 @@ def nearest_frame_time(session: ViewportState, time_s: float) -> float:
 
 def go_to_keyframe(session: ViewportState, key: int) -> None:
     """Select a keyframe and look through it: pause at its time and follow the path."""
-    path = session.scene.path
-    if path is not None:
-        session.timeline.key = key
-        session.clock.playing = False
+    if (path := session.scene.path) is not None:
+        session.timeline.key, session.clock.playing = key, False
         session.clock.seek(float(path.times_s[key]))
         session.view.follow_path = True
 

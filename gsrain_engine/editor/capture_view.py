@@ -5,16 +5,17 @@ from collections import OrderedDict
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
-from ..datasets.capture import Capture, CaptureError, CaptureFrame, OutsideError
+from ..datasets.capture import Capture, CaptureFrame, OutsideError
+from ..datasets.undistort import undistort_frame
 from ..scene.scene import Scene, rotation_to_z_up
+from .jobs.job import ThreadTask, ThreadTasks
 from .overlays import RecordedCameras, fov_to_fit_deg, frustum_length
 from .viewport.options import Texture
 from .viewport_state import ViewportState
@@ -22,10 +23,7 @@ from .viewport_state import ViewportState
 logger = logging.getLogger("gsrain")
 _ALIKE = float(np.cos(np.radians(20.0)))
 """Tolerance of the up directions: users level a scene by a few degrees, other data sets have another up axis."""
-
 _SAME_PLACE = 1e-6  # relative tolerance of pose entries within which the viewport camera equals that of the image
-
-# Point sample
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +39,8 @@ class PointSample:
 class CaptureController:
     """The open capture. Main thread only; call `poll` once a frame."""
 
-    def __init__(self) -> None:
+    def __init__(self, session: ViewportState) -> None:
+        self._session = session
         self.capture: Capture | None = None
         self.path: Path | None = None
         """Path that the capture was read from."""
@@ -68,8 +67,8 @@ class CaptureController:
         """True if files outside of the capture's folder that its files refer to may be read."""
         self.refused: tuple[Path, str] | None = None
         """Capture that was not opened because its files refer to others outside of its folder, and the message."""
-        self._opening: tuple[Path, Future[tuple[Capture, PointSample | None]]] | None = None
-        self._allowing = False
+        self._tasks = ThreadTasks(self._thread)
+        self._opening: ThreadTask[tuple[Capture, PointSample | None]] | None = None
         self.in_scene_axes: bool | None = None
         """The user's choice if the capture has the scene's units and axes; None if not set."""
         self._cameras: tuple[Float64[np.ndarray, "4 4"], RecordedCameras] | None = None
@@ -82,10 +81,25 @@ class CaptureController:
 
         A capture that refers to files outside of its folder is put in `refused`, unless `allow_outside` is set.
         """
+
+        def take(read: tuple[Capture, PointSample | None]) -> None:
+            self._opening, self.allows_outside = None, allow_outside
+            self._enter(path, *read)
+
+        def fail(error: Exception) -> None:
+            self._opening = None
+            if isinstance(error, OutsideError):
+                self.refused = path, str(error)
+                logger.error("%s", error)
+            else:
+                self._session.report_problem(str(error))
+
+        if self._opening is not None:
+            self._opening.state = "cancelled"
         self.refused = None
-        self._allowing = allow_outside
-        read = partial(_read, allow_outside=True) if allow_outside else _read
-        self._opening = path, self._thread.submit(read, path)
+        self._opening = self._tasks.start(
+            lambda: _read(path, allow_outside), take, fail, message=f"Reading {path.name}"
+        )
 
     def close_capture(self) -> None:
         self.capture = self.path = self.points = self.pictures = self._snapped = None
@@ -95,27 +109,20 @@ class CaptureController:
     @property
     def busy(self) -> str | None:
         """Description of the read in progress, or None."""
-        return None if self._opening is None else f"Reading {self._opening[0].name}"
+        return None if self._opening is None else self._opening.progress.message
+
+    @property
+    def pending(self) -> list[Future[Any]]:
+        """Reads in progress, to wait for where there are no frames."""
+        return [*self._tasks.futures, *(self.pictures.pending if self.pictures is not None else [])]
 
     @property
     def is_working(self) -> bool:
         """True while something is being read, so that frames must be drawn."""
         return self.busy is not None or (self.pictures is not None and self.pictures.is_reading)
 
-    def poll(self, session: ViewportState) -> None:
-        if self._opening is not None and self._opening[1].done():
-            (path, reading), self._opening = self._opening, None
-            try:
-                capture, points = reading.result()
-            except OutsideError as error:
-                self.refused = path, str(error)
-                logger.error("%s", error)
-            except (CaptureError, OSError, ValueError, MemoryError) as error:
-                session.problem = str(error)
-                logger.error("%s", error)
-            else:
-                self._enter(path, capture, points)
-                self.allows_outside = self._allowing
+    def poll(self) -> None:
+        self._tasks.poll()
         if self.pictures is not None:
             self.pictures.poll()
 
@@ -140,9 +147,7 @@ class CaptureController:
     @property
     def listed(self) -> list[int]:
         """Indices of the views of the selected camera, in order."""
-        if self.capture is None:
-            return []
-        return [i for i, view in enumerate(self.capture) if self.sensor in ("", view.sensor)]
+        return [i for i, view in enumerate(self.capture or ()) if self.sensor in ("", view.sensor)]
 
     @property
     def has_times(self) -> bool:
@@ -159,8 +164,8 @@ class CaptureController:
         """Return whether the capture has the scene's units and axes: the user's choice, else if up directions agree."""
         if self.in_scene_axes is not None or self.capture is None:
             return self.in_scene_axes is not False
-        alike = float(np.dot(_unit(scene.up), _unit(self.capture.up)))
-        return bool(scene.members) and alike > _ALIKE
+        ups = [np.asarray(each, np.float64) / np.linalg.norm(each) for each in (scene.up, self.capture.up)]
+        return bool(scene.members) and float(np.dot(*ups)) > _ALIKE
 
     def to_world(self, scene: Scene) -> Float64[np.ndarray, "4 4"]:
         """Similarity from the capture to the world (meters, z up).
@@ -186,8 +191,7 @@ class CaptureController:
 
     def step(self, session: ViewportState, steps: int) -> None:
         """Select the view a number of steps further in the list, wrapping around."""
-        listed = self.listed
-        if listed:
+        if listed := self.listed:
             at = listed.index(self.chosen) if self.chosen in listed else -1 if steps > 0 else 0
             self.look_from(session, listed[(at + steps) % len(listed)])
 
@@ -216,21 +220,17 @@ class CaptureController:
         return index if np.allclose(now, pose, rtol=0, atol=_SAME_PLACE * max(1.0, float(np.abs(pose).max()))) else None
 
 
-def _unit(direction: tuple[float, float, float]) -> Float64[np.ndarray, "3"]:
-    return np.asarray(direction, np.float64) / np.linalg.norm(direction)
-
-
-def _read(path: Path, allow_outside: bool = False) -> tuple[Capture, PointSample | None]:
+def _read(path: Path, allow_outside: bool) -> tuple[Capture, PointSample | None]:
     from ..datasets.open_capture import open_capture  # loads every reader
 
     capture = open_capture(path, allow_outside=allow_outside)
     return capture, sample_points(capture)
 
 
+# Point sample
+
 MAX_POINTS = 120_000
 """Number of points that software OpenGL draws in a few milliseconds."""
-
-_PLAIN = (205, 210, 215)
 
 
 def sample_points(capture: Capture) -> PointSample | None:
@@ -249,25 +249,22 @@ def sample_points(capture: Capture) -> PointSample | None:
     if capture.points_m is not None and given:
         chosen = _chosen(given, share, rng)
         positions.append(capture.points_m[chosen])
-        plain = np.tile(np.array(_PLAIN, np.uint8), (len(chosen), 1))
+        plain = np.tile(np.array((205, 210, 215), np.uint8), (len(chosen), 1))
         colors.append(plain if capture.point_colors is None else capture.point_colors[chosen])
     lidar = [sweep.points_m[_chosen(len(sweep.points_m), share, rng)] for sweep in capture.sweeps]
     if sum(map(len, lidar)):
         measured = np.concatenate(lidar).astype(np.float64)
         positions.append(measured)
-        colors.append(_height_colors(measured @ np.asarray(capture.up)))
+        heights = measured @ np.asarray(capture.up)
+        low, high = np.percentile(heights, (2, 98))
+        shares = np.clip((heights - low) / max(high - low, 1e-9), 0, 1)
+        turbo = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0, ::-1]
+        colors.append(np.asarray(turbo[np.rint(shares * 255).astype(int)], np.uint8))
     return PointSample(np.concatenate(positions).astype(np.float32), np.concatenate(colors), total)
 
 
 def _chosen(count: int, share: float, rng: np.random.Generator) -> np.ndarray:
     return np.arange(count) if share >= 1 else np.sort(rng.choice(count, int(count * share), replace=False))
-
-
-def _height_colors(heights: Float64[np.ndarray, " n"]) -> UInt8[np.ndarray, "n 3"]:
-    low, high = np.percentile(heights, (2, 98))
-    shares = np.clip((heights - low) / max(high - low, 1e-9), 0, 1)
-    turbo = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0, ::-1]
-    return np.asarray(turbo[np.rint(shares * 255).astype(int)], np.uint8)
 
 
 # Images of the capture
@@ -294,52 +291,50 @@ class CaptureImageLoader:
 
     def __init__(self, capture: Capture, thread: ThreadPoolExecutor) -> None:
         self.faults: dict[int, str] = {}
-        self._capture, self._thread = capture, thread
-        self._kept: OrderedDict[ImageRequest, Pixels] = OrderedDict()
-        self._pending: dict[ImageRequest, None] = {}
-        self._reading: tuple[ImageRequest, Future[Pixels]] | None = None
+        self._capture, self._tasks = capture, ThreadTasks(thread)
+        self._images: OrderedDict[ImageRequest, Pixels] = OrderedDict()
+        self._requests: dict[ImageRequest, None] = {}
 
     def want(self, view: int, width_px: int) -> Pixels | None:
         """Return an image of at most this width, or None while it is being read; call again each frame."""
-        wish = ImageRequest(view, width_px)
-        if wish in self._kept:
-            self._kept.move_to_end(wish)
-            return self._kept[wish]
+        request = ImageRequest(view, width_px)
+        if request in self._images:
+            self._images.move_to_end(request)
+            return self._images[request]
         if view not in self.faults:
-            self._pending[wish] = None
+            self._requests[request] = None
         return None
 
     def __iter__(self) -> Iterator[tuple[ImageRequest, Pixels]]:
-        return iter(self._kept.items())
+        return iter(self._images.items())
+
+    @property
+    def pending(self) -> list[Future[Any]]:
+        return self._tasks.futures
 
     @property
     def is_reading(self) -> bool:
         """True while a requested image is not loaded yet."""
-        return self._reading is not None or bool(self._pending)
+        return bool(self._tasks.running or self._requests)
 
     def poll(self) -> None:
         """Store the image that was read, and start to read one that the last frame requested."""
-        if self._reading is not None and self._reading[1].done():
-            (wish, reading), self._reading = self._reading, None
-            try:
-                self._keep(wish, reading.result())
-            except (CaptureError, OSError, ValueError, MemoryError) as error:
-                self.faults[wish.view] = str(error)
-        wishes = [each for each in self._pending if each not in self._kept and each.view not in self.faults]
-        self._pending.clear()
-        if self._reading is None and wishes:
-            wish = max(wishes, key=lambda each: each.width_px)  # the selected image before the thumbnails
-            self._reading = wish, self._thread.submit(_read_image, self._capture, wish)
+        self._tasks.poll()
+        requests = [each for each in self._requests if each not in self._images and each.view not in self.faults]
+        self._requests.clear()
+        if requests and not self._tasks.running:
+            self._read(max(requests, key=lambda each: each.width_px))  # the selected image before the thumbnails
 
-    def _keep(self, wish: ImageRequest, pixels: Pixels) -> None:
-        self._kept[wish] = pixels
-        same = [each for each in self._kept if each.width_px == wish.width_px]
-        for old in same[: -_CACHE_LIMITS[wish.width_px]]:
-            del self._kept[old]
+    def _read(self, request: ImageRequest) -> None:
+        view = self._capture[request.view]
 
+        def take(pixels: Pixels) -> None:
+            self._images[request] = pixels
+            same = [each for each in self._images if each.width_px == request.width_px]
+            for old in same[: -_CACHE_LIMITS[request.width_px]]:
+                del self._images[old]
 
-def _read_image(capture: Capture, wish: ImageRequest) -> Pixels:
-    from ..datasets.undistort import undistort_frame
+        def fail(error: Exception) -> None:
+            self.faults[request.view] = str(error)
 
-    view = capture[wish.view]
-    return undistort_frame(view, min(wish.width_px, view.camera.width)).image
+        self._tasks.start(lambda: undistort_frame(view, min(request.width_px, view.camera.width)).image, take, fail)

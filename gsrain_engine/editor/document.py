@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import msgspec
 
@@ -33,16 +33,13 @@ class _Step:
     """Name of the running drag; further changes by the same gesture belong to the same step."""
 
 
-@dataclass(slots=True)
 class History:
     """Undo steps and a cursor at the present one."""
 
-    _steps: list[_Step] = field(default_factory=list[_Step])
-    _cursor: int = 0
-
-    @classmethod
-    def starting_with(cls, document: Document) -> "History":
-        return cls([_Step("Open", document)])
+    def __init__(self, document: Document) -> None:
+        """Start with an opened document."""
+        self._steps = [_Step("Open", document)]
+        self.cursor = 0
 
     @property
     def labels(self) -> list[str]:
@@ -50,59 +47,45 @@ class History:
         return [step.label for step in self._steps]
 
     @property
-    def cursor(self) -> int:
-        return self._cursor
-
-    @property
     def present(self) -> Document:
-        return self._steps[self._cursor].document
+        return self._steps[self.cursor].document
 
     @property
     def previous(self) -> Document:
-        """Document before the last step; at the beginning the present one."""
-        return self._steps[max(0, self._cursor - 1)].document
+        """Document before the last step; at the start the present one."""
+        return self._steps[max(0, self.cursor - 1)].document
 
     @property
     def gesture(self) -> str | None:
         """Gesture that the present step belongs to, while it continues."""
-        return self._steps[self._cursor].gesture
+        return self._steps[self.cursor].gesture
 
     @property
     def undo_label(self) -> str | None:
-        """Label of the step that undo reverts; None at the beginning."""
-        return self._steps[self._cursor].label if self._cursor > 0 else None
+        """Label of the step that undo reverts; None at the start."""
+        return self._steps[self.cursor].label if self.cursor > 0 else None
 
     @property
     def redo_label(self) -> str | None:
         """Label of the step that redo restores; None at the end."""
-        return self._steps[self._cursor + 1].label if self._cursor + 1 < len(self._steps) else None
+        return self._steps[self.cursor + 1].label if self.cursor + 1 < len(self._steps) else None
 
     def record(self, label: str, document: Document, gesture: str | None = None) -> None:
         """Append a document and drop the redo steps. A continuing gesture replaces its own last step."""
-        step = self._steps[self._cursor]
+        step = self._steps[self.cursor]
         if gesture is not None and step.gesture == gesture:
             step.document = document
         else:
-            del self._steps[self._cursor + 1 :]
-            self._steps.append(_Step(label, document, gesture))
-            self._cursor += 1
+            self._steps[self.cursor + 1 :] = [_Step(label, document, gesture)]
+            self.cursor += 1
 
     def end_gesture(self) -> None:
         """End the gesture, so that the next change is a step of its own."""
-        self._steps[self._cursor].gesture = None
-
-    def undo(self) -> Document:
-        """Step back; does nothing at the beginning."""
-        self._cursor = max(0, self._cursor - 1)
-        return self.present
+        self._steps[self.cursor].gesture = None
 
     def go_to(self, step: int) -> Document:
-        self._cursor = min(max(step, 0), len(self._steps) - 1)
-        return self.present
-
-    def redo(self) -> Document:
-        """Step forward; does nothing at the end."""
-        self._cursor = min(len(self._steps) - 1, self._cursor + 1)
+        """Go to a step, at most to the first or the last one."""
+        self.cursor = min(max(step, 0), len(self._steps) - 1)
         return self.present
 
 
@@ -116,7 +99,7 @@ class EditedDocument:
 
     def __init__(self, document: Document, clock: PlaybackClock) -> None:
         self.clock = clock
-        self.history = History.starting_with(document)
+        self.history = History(document)
         self.problem: str | None = None
         """Last error, in one sentence; the viewport shows it until it is closed or a scene is opened."""
         self._key_moment: tuple[str | None, float] = None, 0.0
@@ -144,7 +127,7 @@ class EditedDocument:
         keyed = {name: value for name, value in fields.items() if self.weather.is_keyed(name) and value is not None}
         rain = msgspec.structs.replace(self.rain, **fields)
         weather = self.weather.with_key(at_s, **keyed) if keyed else self.weather
-        self._go_to_rain(label, rain, weather, gesture)
+        self.set_rain(label, rain, gesture, weather)
 
     @property
     def weather(self) -> RainKeyframes:
@@ -157,14 +140,13 @@ class EditedDocument:
 
     def set_weather(self, label: str, weather: RainKeyframes, gesture: str | None = None) -> None:
         """Set the rain keyframes; drops in the air continue from their positions."""
-        self._go_to_rain(label, self.rain, weather, gesture)
+        self.set_rain(label, self.rain, gesture, weather)
 
-    def set_rain(self, label: str, rain: RainSettings, gesture: str | None = None) -> None:
-        """Set the rain; drops in the air continue from their positions. Fields with keyframes keep those."""
-        self._go_to_rain(label, rain, self.weather, gesture)
-
-    def _go_to_rain(self, label: str, rain: RainSettings, weather: RainKeyframes, gesture: str | None) -> None:
-        present = self.history.present
+    def set_rain(
+        self, label: str, rain: RainSettings, gesture: str | None = None, weather: RainKeyframes | None = None
+    ) -> None:
+        """Set the rain, and keyframes if given; drops in the air continue from their positions."""
+        present, weather = self.history.present, weather or self.weather
         if rain != present.rain or weather != present.weather:
             self.history.record(label, replace(present, rain=rain, weather=weather), gesture)
             self._follow_document()
@@ -178,8 +160,7 @@ class EditedDocument:
         try:
             changed = change(self.scene, *arguments)
         except ValueError as error:
-            self.problem = str(error)
-            logger.error("%s", error)
+            self.report_problem(str(error))
         else:
             self.set_scene(label, changed, gesture)
 
@@ -192,14 +173,17 @@ class EditedDocument:
         self.history.end_gesture()
 
     def undo(self) -> None:
-        self.history.undo()
-        self._follow_document()
+        self.go_to_step(self.history.cursor - 1)
 
     def redo(self) -> None:
-        self.history.redo()
-        self._follow_document()
+        self.go_to_step(self.history.cursor + 1)
 
     def go_to_step(self, step: int) -> None:
         """Go to a step of the history, backward or forward."""
         self.history.go_to(step)
         self._follow_document()
+
+    def report_problem(self, problem: str) -> None:
+        """Log an error and set it as `problem`."""
+        self.problem = problem
+        logger.error("%s", problem)

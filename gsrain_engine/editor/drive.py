@@ -1,28 +1,40 @@
-"""Driving in the editor: setup of the next drive, open roll-outs, and playback."""
+"""Driving in the editor: setup of the next drive, open roll-outs, their playback, and the camera mosaic."""
 
 import logging
+import operator
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
+from jaxtyping import Float64
 
 from ..rain.simulation import RainSimulation
-from ..scene.scene import Scene
+from ..scene.gaussians import Gaussians
+from ..scene.geometry import quaternions_from_matrices
+from ..scene.lod_order import in_lod_order
+from ..scene.scene import Actor, PoseTrack, RigCamera, Scene
+from ..simulation.agents.base import SensorRequirements
 from ..simulation.agents.registry import agent_names
-from ..simulation.rollout import RolloutStep
+from ..simulation.playback import RolloutPlayback
+from ..simulation.rollout import Rollout, RolloutStep
 from ..simulation.rollout_io import write_rollout
 from ..simulation.scenario import Scenario, ScenarioUser
 from ..simulation.scenario_io import load_scenario, save_scenario, scenario_names
+from ..simulation.sensors import needed_cameras
+from ..simulation.traffic.appearance import scale_gaussians, vehicle_model
 from .autosave import saved_scene
-from .drive_playback import RolloutInScene
 from .files import SceneFiles
-from .jobs.drive import DriveSettings, LoadedRollout, Reading, RolloutVideoJob, SimulationJob, load_rollout
+from .jobs.drive import DriveSettings, LoadedRollout, load_rollout, rollout_video_job, simulation_job
+from .jobs.job import ThreadTask, ThreadTasks
 from .notifications import describe_error
-from .overlays_drive import CameraMosaic
 from .services import EditorServices
-from .viewport.camera_follow import ChaseCamera, ChaseMode
+from .viewport.camera_follow import ChaseCamera, ChaseMode, VehicleMoment
+from .viewport.options import Texture
 
 logger = logging.getLogger("gsrain")
 _VIDEO_FPS = (1.0, 60.0)
@@ -34,7 +46,7 @@ class RolloutPlayer:
 
     def __init__(self, scene_files: SceneFiles, chase: ChaseCamera, files: ThreadPoolExecutor) -> None:
         """Use `files` as the thread for reading and writing; `chase` is the camera that may follow the vehicle."""
-        self._scene_files, self._files = scene_files, files
+        self._scene_files = scene_files
         self.settings = DriveSetup()
         self.opened: list[LoadedRollout] = []
         self.playing: LoadedRollout | None = None
@@ -47,22 +59,16 @@ class RolloutPlayer:
         """True for the rain of the drive in the viewport, False for that of the scene."""
         self._shown: RolloutInScene | None = None
         self._rainfall: RainSimulation | None = None
-        self._kept_span: tuple[float, float] | None = None
-        self._reading: list[tuple[str, Reading]] = []
-        self._writing: list[tuple[LoadedRollout, Path, Future[None]]] = []
-        self._placing: tuple[LoadedRollout, Future[RolloutInScene]] | None = None
-        """Roll-out that plays as soon as all actors are placed."""
+        self._scene_span: tuple[float, float] | None = None
+        """The user's start and end of playback, while a roll-out plays."""
+        self._tasks = ThreadTasks(files)
+        self._placing: ThreadTask[RolloutInScene] | None = None
 
     # Driving
 
-    def newest_job(self, session: EditorServices) -> tuple[int, SimulationJob] | None:
-        """Job of the last drive that was started, with its index among the jobs."""
-        jobs = [(number, job) for number, job in enumerate(session.jobs) if isinstance(job, SimulationJob)]
-        return jobs[-1] if jobs else None
-
     def why_not(self, session: EditorServices) -> str | None:
         """Reason why no drive can start now, or None."""
-        if any(isinstance(job, SimulationJob) for job in session.running_jobs):
+        if any(job.kind == "drive" for job in session.running_jobs):
             return "A drive goes on."
         if session.scene.ego is None:
             return (
@@ -76,19 +82,29 @@ class RolloutPlayer:
         if why_not is not None:
             session.problem = why_not
             return
-        wanted = self.settings
-        rains = wanted.settings.rains(session.rain_now)
-        job = SimulationJob(
-            saved_scene(session), wanted.scenario, wanted.settings, rains, self._files, self._scene_files.known,
-            lambda reading: self._reading.append((wanted.scenario.name, reading)),
-        )  # fmt: skip
-        session.start(job)
+        scenario, settings = self.settings.scenario, self.settings.settings
+        rains, known = settings.rains(session.rain_now), self._scene_files.known
+
+        def take(found: list[LoadedRollout]) -> None:
+            self._open(session, found)
+
+        session.start(simulation_job(saved_scene(session), scenario, settings, rains, known, take))
 
     # Files
 
-    def open(self, path: Path) -> None:
+    def open(self, session: EditorServices, path: Path) -> None:
         """Read a roll-out in the background and play it."""
-        self._reading.append((path.name, self._files.submit(lambda: [load_rollout(path)])))
+
+        def fail(error: Exception) -> None:
+            session.problem = describe_error(f"{path.name} can't be opened", error)
+
+        self._tasks.start(lambda: [load_rollout(path)], lambda found: self._open(session, found), fail)
+
+    def _open(self, session: EditorServices, found: list[LoadedRollout]) -> None:
+        self.opened = [*self.opened, *found][-_MAX_ROLLOUTS:]
+        self.play(session, found[-1])
+        for each in found:
+            logger.info("Opened a roll-out: %s: %s after %.2f s", each.title, each.rollout.end, each.duration_s)
 
     def save_as(self, session: EditorServices, path: Path) -> None:
         """Write the playing roll-out in the background; replacing an existing file needs confirmation."""
@@ -96,18 +112,28 @@ class RolloutPlayer:
             return
         path, playing = path if path.suffix else path.with_suffix(".jsonl"), self.playing
 
+        def take(_: None) -> None:
+            logger.info("Saved the roll-out %s", path)
+            saved = replace(playing, path=path)
+            self.opened = [saved if each is playing else each for each in self.opened]
+            if self.playing is playing:
+                self.playing = saved
+
+        def fail(error: Exception) -> None:
+            session.problem = describe_error(f"{path} can't be written", error)
+
         def write() -> None:
-            self._writing.append((playing, path, self._files.submit(write_rollout, path, playing.rollout)))
+            self._tasks.start(lambda: write_rollout(path, playing.rollout), take, fail)
 
         session.questions.before_replacing([path], write)
 
     def why_no_video(self, session: EditorServices) -> str | None:
         """Reason why no video of the playing roll-out can be made now, or None."""
-        if self.playing is None or self._placed_in(session.scene) is None:
+        if self.playing is None or self.placed_in(session.scene) is None:
             return "No roll-out plays: drive, or open one, in the Drive panel."
         if not session.scene.rigs:
             return "This scene has no rig whose front camera could record the drive."
-        if any(isinstance(job, RolloutVideoJob) for job in session.running_jobs):
+        if any(job.kind == "drive video" for job in session.running_jobs):
             return "A video is being rendered."
         return None
 
@@ -119,45 +145,63 @@ class RolloutPlayer:
 
         def begin() -> None:
             fps = min(max(session.timeline.fps, _VIDEO_FPS[0]), _VIDEO_FPS[1])
-            scene, known = saved_scene(session), self._scene_files.known
-            session.start(RolloutVideoJob(scene, rollout, path, fps, self._files, known))
+            session.start(rollout_video_job(saved_scene(session), rollout, path, fps, self._scene_files.known))
 
         session.questions.before_replacing([path], begin)
 
     @property
     def is_working(self) -> bool:
         """True while a roll-out is being read, written or placed."""
-        return bool(self._reading or self._writing or self._placing)
+        return bool(self._tasks.running)
 
     @property
     def pending(self) -> list[Future[Any]]:
         """Reads and writes in progress, to wait for where there are no frames."""
-        placing = [] if self._placing is None else [self._placing[1]]
-        return [*[each[1] for each in self._reading], *[each[2] for each in self._writing], *placing]
+        return self._tasks.futures
 
     def poll(self, session: EditorServices) -> None:
         """Process finished reads and writes, and move the chase camera; never blocks."""
-        for name, reading in [each for each in self._reading if each[1].done()]:
-            self._reading.remove((name, reading))
-            self._take(session, name, reading)
-        for opened, path, writing in [each for each in self._writing if each[2].done()]:
-            self._writing.remove((opened, path, writing))
-            self._written(session, opened, path, writing)
-        if self._placing is not None and self._placing[1].done():
-            (opened, placing), self._placing = self._placing, None
-            self._begin(session, opened, placing)
-        shown = self._placed_in(session.scene)
+        self._tasks.poll()
+        shown = self.placed_in(session.scene)
         if shown is not None:
             self.chase.ride(shown.vehicle(session.clock.time_s), session.navigation)
 
     # Playback
 
     def play(self, session: EditorServices, opened: LoadedRollout) -> None:
-        """Play a roll-out from its beginning in place of the scene's own traffic; the document stays unchanged.
+        """Play a roll-out from its start in place of the scene's own traffic; the document stays unchanged.
 
         It appears in a later frame, because finding the ground of a scene takes a moment.
         """
-        self._placing = opened, self._files.submit(RolloutInScene, opened.rollout, session.scene)
+        if self._placing is not None:
+            self._placing.cancel()
+        scene = session.scene
+        self._placing = self._tasks.start(
+            lambda: RolloutInScene(opened.rollout, scene),
+            lambda shown: self._begin(session, opened, shown),
+            lambda error: self._begin(session, opened, error),
+        )
+
+    def _begin(self, session: EditorServices, opened: LoadedRollout, shown: "RolloutInScene | Exception") -> None:
+        """Play a roll-out that was placed in the scene, or report why that is impossible."""
+        self._placing = None
+        if not any(each is opened for each in self.opened):
+            return  # closed meanwhile
+        was_playing = self.playing is not None
+        self.playing, self.trouble, self._shown, self._rainfall = opened, None, None, None
+        if not was_playing:
+            self._scene_span = session.clock.span_s
+        session.clock.span_s = None
+        session.timeline.is_fitted = False
+        if isinstance(shown, Exception):
+            session.problem = self.trouble = f"The view can't show the roll-out: {shown}"
+            return
+        self._shown = shown
+        session.view.follow_path = False
+        self.mosaic.rig = shown.scenario.rig or self.mosaic.rig
+        session.clock.seek(shown.start_s)
+        if not was_playing:
+            self.chase.begin("behind")
 
     def follow(self, session: EditorServices, mode: ChaseMode) -> None:
         """Let the camera follow the vehicle in a chase mode."""
@@ -167,7 +211,7 @@ class RolloutPlayer:
 
     def seek(self, session: EditorServices, time_s: float) -> None:
         """Seek to a time of the playing roll-out, in seconds since its scenario began."""
-        shown = self._placed_in(session.scene)
+        shown = self.placed_in(session.scene)
         session.clock.seek(time_s + (shown.start_s if shown is not None else 0.0))
 
     def jump(self, session: EditorServices, time_s: float) -> None:
@@ -184,27 +228,43 @@ class RolloutPlayer:
                 self.play(session, self.opened[-1])
 
     def close_all(self, session: EditorServices) -> None:
-        self.opened, self._placing = [], None
+        self.opened = []
         if self.playing is not None:
             self._stop(session)
 
+    def _stop(self, session: EditorServices) -> None:
+        if self._placing is not None:
+            self._placing.cancel()
+        self.playing = self.trouble = self._shown = self._rainfall = self._placing = None
+        self.chase.begin("free")
+        session.clock.span_s, self._scene_span = self._scene_span, None
+        session.timeline.is_fitted = False
+
     # Viewport
 
-    def placed_in(self, session: EditorServices) -> RolloutInScene | None:
-        """The playing roll-out in the present scene; None if none plays or it does not belong to the scene."""
-        return self._placed_in(session.scene)
+    def placed_in(self, scene: Scene) -> "RolloutInScene | None":
+        """The playing roll-out in a scene; None if none plays or it does not belong to the scene.
+
+        It is placed anew after the user changed the scene's actors or units.
+        """
+        if self.playing is not None and self._shown is not None and not self._shown.fits(scene):
+            try:
+                self._shown = RolloutInScene(self.playing.rollout, scene)
+            except ValueError as error:
+                self._shown, self.trouble = None, f"The view can't show the roll-out: {error}"
+        return self._shown
 
     def scene_in_place_of(self, scene: Scene) -> Scene:
         """The scene with the road users of the playing roll-out; unchanged if none plays."""
-        shown = self._placed_in(scene)
+        shown = self.placed_in(scene)
         if shown is None:
             return scene
         return shown.scene(scene, with_ego=self.show_ego_car and self.chase.mode != "front camera")
 
-    def rig_scene(self, session: EditorServices) -> Scene:
+    def rig_scene(self, scene: Scene) -> Scene:
         """Scene for the rig's cameras: without the body of the ego vehicle."""
-        shown = self._placed_in(session.scene)
-        return session.scene if shown is None else shown.scene(session.scene, with_ego=False)
+        shown = self.placed_in(scene)
+        return scene if shown is None else shown.scene(scene, with_ego=False)
 
     def rainfall(self, *, roofs: bool) -> RainSimulation | None:
         """Rain of the playing roll-out, under roofs if they are known; None to use the document's rain."""
@@ -223,70 +283,153 @@ class RolloutPlayer:
 
     def step_now(self, session: EditorServices) -> RolloutStep | None:
         """Step of the playing roll-out at the present time."""
-        shown = self._placed_in(session.scene)
+        shown = self.placed_in(session.scene)
         return None if shown is None else shown.played.step(shown.own_time_s(session.clock.time_s))
 
-    def _placed_in(self, scene: Scene) -> RolloutInScene | None:
-        """The playing roll-out; placed again after the user changed the scene's actors or units."""
-        if self.playing is not None and self._shown is not None and not self._shown.fits(scene):
-            try:
-                self._shown = self._shown.placed_in(scene)
-            except ValueError as error:
-                self._shown, self.trouble = None, _not_here(error)
-        return self._shown
 
-    def _begin(self, session: EditorServices, opened: LoadedRollout, placing: "Future[RolloutInScene]") -> None:
-        if not any(each is opened for each in self.opened):
-            return  # closed meanwhile
-        was_playing = self.playing is not None
-        self.playing, self.trouble, self._shown, self._rainfall = opened, None, None, None
-        if not was_playing:
-            self._kept_span = session.clock.span_s
-        session.clock.span_s = None
-        session.timeline.is_fitted = False
+# Playback: each road user gets a track, so that no copies are needed
+
+EGO_CAR = "ego car"
+"""Id of the actor that is the ego vehicle's body; no road user has this id."""
+
+
+class RolloutInScene:
+    """One roll-out in one scene; scenes that differ only away from the roll-out's actors share it."""
+
+    def __init__(self, rollout: Rollout, scene: Scene) -> None:
+        """Give each road user its track.
+
+        Raises ValueError if the scene lacks an actor of the roll-out, because it was driven in another scene.
+        """
         try:
-            self._shown = placing.result()
-        except ValueError as error:
-            session.problem = self.trouble = _not_here(error)
-            return
-        session.view.follow_path = False
-        self.mosaic.rig = self._shown.scenario.rig or self.mosaic.rig
-        session.clock.seek(self._shown.start_s)
-        if not was_playing:
-            self.chase.begin("behind")
+            self.played = RolloutPlayback(rollout, scene)
+            self._times = np.array([each.time_s for each in rollout.steps])
+            self._to_scene = np.linalg.inv(scene.scene_to_world)
+            self._scale = 1 / scene.metres_per_unit
+            self._users = tuple(self._user(id, scene) for id in rollout.users)
+        except KeyError as missing:
+            raise ValueError(f"this scene has no actor {missing}: the roll-out is of {rollout.scene!r}") from None
+        rig = np.array([self.played.rig_to_world(t) for t in self._times])
+        self._rig = self._track(rig, np.ones(len(rig), bool))
+        self._body = self._ego_car(scene)
+        self._of = scene
+        self._shown: dict[bool, tuple[Scene, Scene]] = {}
 
-    def _stop(self, session: EditorServices) -> None:
-        self.playing = self.trouble = self._shown = self._rainfall = self._placing = None
-        self.chase.begin("free")
-        session.clock.span_s, self._kept_span = self._kept_span, None
-        session.timeline.is_fitted = False
+    def fits(self, scene: Scene) -> bool:
+        """Return whether the roll-out is still valid in a scene: same units, axes, and actors that it uses."""
+        are_same = all(map(operator.is_, self._actors_of(self._of), self._actors_of(scene)))
+        return are_same and np.array_equal(scene.scene_to_world, self._of.scene_to_world)
 
-    def _take(self, session: EditorServices, name: str, reading: Reading) -> None:
-        try:
-            found = reading.result()
-        except Exception as error:  # any disk or file error
-            session.problem = describe_error(f"{name} can't be opened", error)
-            return
-        self.opened = [*self.opened, *found][-_MAX_ROLLOUTS:]
-        self.play(session, found[-1])
-        for each in found:
-            logger.info("Opened a roll-out: %s: %s after %.2f s", each.title, each.rollout.end, each.duration_s)
+    def _actors_of(self, scene: Scene) -> list[Actor | None]:
+        """The scene's own actors that the roll-out uses."""
+        actors = {each.id: each for each in scene.actors}
+        models = {user.model.removeprefix("actor:") for user in self.scenario.road_users}
+        return [actors.get(id) for id in sorted({*self.played.rollout.users, *models})]
 
-    def _written(self, session: EditorServices, opened: LoadedRollout, path: Path, writing: "Future[None]") -> None:
-        try:
-            writing.result()
-        except Exception as error:  # any disk error
-            session.problem = describe_error(f"{path} can't be written", error)
-            return
-        logger.info("Saved the roll-out %s", path)
-        saved = opened.saved_at(path)
-        self.opened = [saved if each is opened else each for each in self.opened]
-        if self.playing is opened:
-            self.playing = saved
+    @property
+    def scenario(self) -> Scenario:
+        return self.played.scenario
+
+    @property
+    def start_s(self) -> float:
+        """Scene time at the start of the scenario."""
+        return self.played.scene_time_s(0.0)
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """Start and end in the scene's time."""
+        return self.start_s, self.played.scene_time_s(self.played.end_s)
+
+    def own_time_s(self, clock_s: float) -> float:
+        """Seconds since the scenario began, clipped to the drive."""
+        return float(np.clip(clock_s - self.start_s, 0.0, self.played.end_s))
+
+    def scene(self, scene: Scene, *, with_ego: bool) -> Scene:
+        """Return a scene with all road users; `with_ego` includes a body for the ego vehicle."""
+        if with_ego not in self._shown or self._shown[with_ego][0] is not scene:
+            actors = (*self._users, self._body) if with_ego else self._users
+            self._shown[with_ego] = scene, replace(scene, actors=actors, ego=self._rig)
+        return self._shown[with_ego][1]
+
+    def vehicle(self, clock_s: float) -> VehicleMoment:
+        """Ego vehicle at a scene time, for a chase camera."""
+        time_s = self.own_time_s(clock_s)
+        pose, state = self.played.rig_to_world(time_s), self.played.state(time_s)
+        return VehicleMoment(pose, state.speed_m_s, self.played.rig.height_m, self.front_camera)
+
+    @property
+    def front_camera(self) -> RigCamera | None:
+        """The rig's camera that looks most straight ahead."""
+        cameras = self.played.rig.cameras
+        return needed_cameras(cameras, SensorRequirements(cameras=("front",)))[0] if cameras else None
+
+    def _user(self, id: str, scene: Scene) -> Actor:
+        """A road user with its Gaussians and its track through the whole drive."""
+        played, poses, there = self.played, [np.eye(4)] * len(self._times), np.zeros(len(self._times), bool)
+        for k, time_s in enumerate(self._times):
+            for user in played.users(float(time_s)):
+                if user.id == id:
+                    poses[k], there[k] = user.pose, True
+        first = float(self._times[int(there.argmax())])
+        actor = next(each for each in played.scene(first).actors if each.id == id)
+        if not any(actor.gaussians is each.gaussians for each in scene.actors):
+            actor = replace(actor, gaussians=in_lod_order(actor.gaussians))
+        return replace(actor, track=self._track(np.array(poses), there))
+
+    def _ego_car(self, scene: Scene) -> Actor:
+        vehicle = self.scenario.vehicle
+        look = vehicle_model("saloon", scene)
+        gaussians: Gaussians = scale_gaussians(look.gaussians, self._scale * vehicle.length_m / look.size_lwh_m[0])
+        middle = np.eye(4)
+        middle[:3, 3] = vehicle.middle_m, 0.0, -self.played.rig.height_m
+        poses = np.array([self.played.rig_to_world(t) @ middle for t in self._times])
+        length, width, height = (self._scale * each for each in (vehicle.length_m, vehicle.width_m, vehicle.height_m))
+        track = self._track(poses, np.ones(len(poses), bool))
+        return Actor(EGO_CAR, "car", (length, width, height), in_lod_order(gaussians), track)
+
+    def _track(self, poses: Float64[np.ndarray, "t 4 4"], there: np.ndarray) -> PoseTrack:
+        """Scene track from poses in the world (meters) at the roll-out's times."""
+        own = self._to_scene @ poses
+        turns = own[:, :3, :3] / np.cbrt(np.linalg.det(own[:, :3, :3]))[:, None, None]
+        quaternions = np.asarray(quaternions_from_matrices(turns), np.float64)
+        return PoseTrack(self._times + self.start_s, own[:, :3, 3].copy(), quaternions, there)
 
 
-def _not_here(error: ValueError) -> str:
-    return f"The view can't show the roll-out: {error}"
+# Camera mosaic
+
+
+@dataclass(slots=True)
+class CameraMosaic:
+    """Requests of the mosaic panel, and its images."""
+
+    rig: str = ""
+    """Name of the rig; an unknown name selects the first."""
+    width_px: int = 240
+    """Width of each image."""
+    is_requested: bool = False
+    """True if the panel is visible; set again in each frame."""
+    is_behind: bool = False
+    """True if images are outdated."""
+    pictures: dict[str, Texture] = field(default_factory=dict[str, Texture])
+    """By camera."""
+
+    def want(self, width_px: float) -> None:
+        """Request the images at about this width, a multiple of 16 pixels."""
+        self.is_requested = True
+        self.width_px = max(64, 16 * round(width_px / 16))
+
+    def cameras(self, scene: Scene) -> tuple[RigCamera, ...]:
+        if not scene.rigs:
+            return ()
+        return scene.rigs.get(self.rig) or next(iter(scene.rigs.values()))
+
+
+def mosaic_rows(cameras: Sequence[RigCamera]) -> list[list[RigCamera]]:
+    """Arrange cameras: those that look ahead in the upper row, the others below, each from left to right."""
+    from_left = sorted(cameras, key=lambda each: float(np.round(each.camera_to_ego[1, 2], 6)), reverse=True)
+    ahead = [each for each in from_left if each.camera_to_ego[0, 2] > 0]
+    behind = [each for each in from_left if each.camera_to_ego[0, 2] <= 0]
+    return [row for row in (ahead, behind) if row]
 
 
 # Drive setup
@@ -315,12 +458,9 @@ class DriveSetup:
         """All available agents; cached, because looking for installed ones is too slow for each frame."""
         return agent_names()
 
-    @property
-    def scenario(self) -> Scenario:
-        return self._scenario
-
     @cached_property
-    def _scenario(self) -> Scenario:
+    def scenario(self) -> Scenario:
+        """Scenario of the next drive; use `change` to set it."""
         return load_scenario(_FIRST)
 
     @cached_property
@@ -345,7 +485,7 @@ class DriveSetup:
         except (ValueError, OSError) as error:
             self.problem = describe_error(f"{source} can't be opened", error)
             return
-        self._scenario, self.source, self.is_changed, self.problem = scenario, str(source), False, None
+        self.scenario, self.source, self.is_changed, self.problem = scenario, str(source), False, None
 
     def save(self, path: Path) -> None:
         """Write the scenario; the file becomes its source."""
@@ -362,7 +502,7 @@ class DriveSetup:
         if scenario == self.scenario:
             return
         try:
-            self._scenario = msgspec.convert(msgspec.to_builtins(scenario), Scenario)
+            self.scenario = msgspec.convert(msgspec.to_builtins(scenario), Scenario)
         except ValueError as error:
             self.problem = str(error)
             return

@@ -14,13 +14,16 @@ from ..rain.keyframes import NO_KEYFRAMES, RainKeyframes, keyframes_of, rain_of
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
 from ..scene.gaussians import forget_scenes
+from ..scene.progress import Progress
 from ..scene.scene import Scene
 from .autosave import restore_view
 from .document import Document, History
 from .drive import RolloutPlayer
+from .edits.floaters import FloaterRules, FloaterSearch, select_floaters
+from .edits.gaussians import selected_count
 from .files import LoadedDocument, SceneFiles, new_screenshot
 from .finetune import FinetuneController
-from .jobs.job import JobKind, SceneJob
+from .jobs.job import Job
 from .make_rainy import WetLookController
 from .matching import MatchingController
 from .notifications import Answer, LogLines, Question, do_nothing
@@ -34,6 +37,7 @@ from .viewport_state import insert_pending_scene
 
 logger = logging.getLogger("gsrain")
 WindowBackend = Literal["auto", "opengl", "cpu"]
+FLOATERS_TITLE = "Find floaters"
 
 
 class Editor(EditorServices):
@@ -41,8 +45,7 @@ class Editor(EditorServices):
 
     def __init__(self, scene: Scene | None = None, rain: RainSettings | None = None) -> None:
         """Start with a scene, or with an empty one."""
-        self._files = ThreadPoolExecutor(max_workers=1, thread_name_prefix="files")
-        super().__init__(scene or Scene("no scene"), rain, self._files)
+        super().__init__(scene or Scene("no scene"), rain, ThreadPoolExecutor(1, thread_name_prefix="files"))
         self.log = LogLines()
         logger.setLevel(logging.INFO)
         logger.addHandler(self.log)
@@ -57,6 +60,8 @@ class Editor(EditorServices):
         self.sky_pick: SkyColorPick | None = None
         """Region of the next image whose color is to become the drop color."""
         self.shower = KeyframePanelState()
+        self.floater_count: int | None = None
+        """Result of the last search for floaters; None if it has not finished."""
         self.lab = CalibrationTools()
         self.selecting = SelectionOptions()
         self.matching = MatchingController()
@@ -67,9 +72,10 @@ class Editor(EditorServices):
         self._freed_memory = MemoryTrimmer(self._files)
         self._other_rainfall = self.rainfall
         self.files = SceneFiles(self, self.enter, self._files)
-        self.recorder = RenderQueue(self, self.files, self._files)
+        self.recorder = RenderQueue(self, self.files)
         self.drives = RolloutPlayer(self.files, self.chase, self._files)
-        self.rainy, self.studio = WetLookController(self.files, self._files), FinetuneController(self._files)
+        self.files.loose_results = lambda: [each.title for each in self.drives.opened if each.path is None]
+        self.rainy, self.studio = WetLookController(self.files), FinetuneController()
         self.enter_scene()
 
     # Files
@@ -81,20 +87,17 @@ class Editor(EditorServices):
         """
         self.files.open(path)
 
-    def save(self, path: Path) -> None:
-        """Write the document to a scene folder, in the background."""
-        self.files.save_to(path)
-
     @property
     def has_changes(self) -> bool:
         return self.files.has_changes
 
     def enter(self, opened: LoadedDocument) -> None:
+        """Switch to an opened document."""
         self._cancel_jobs(of_the_scene=True)
         self.drives.close_all(self)
         scene = opened.scene
         rain, weather = rain_of(scene) or self.rain, keyframes_of(scene) or NO_KEYFRAMES
-        self.history = History.starting_with(Document(scene, rain, weather))
+        self.history = History(Document(scene, rain, weather))
         self.files.enter(opened, self.history.present)
         self._follow_document()
         self.enter_scene()
@@ -110,11 +113,12 @@ class Editor(EditorServices):
 
     def request_quit(self) -> None:
         """End the program; asks first if jobs run or changes are unsaved."""
-        self.files.confirm_unsaved_then("quit", self._leave, ends_program=True)
 
-    def _leave(self) -> None:
-        self.files.give_up()
-        self.is_leaving = True
+        def leave() -> None:
+            self.files.give_up()
+            self.is_leaving = True
+
+        self.files.confirm_unsaved_then("quit", leave, ends_program=True)
 
     # Background work
 
@@ -142,36 +146,44 @@ class Editor(EditorServices):
     @property
     def is_bringing_in(self) -> bool:
         """True if something is being prepared for the viewport, which each frame continues."""
-        beside = self.captures.is_working or self.matching.is_working or self.drives.is_working or self.is_awaiting
-        return self.busy is not None or self.staged is not None or self.lab.busy is not None or beside
+        is_any = self.captures.is_working or self.matching.is_working or self.drives.is_working
+        is_any = is_any or self.staged is not None or self._awaited is not None
+        return is_any or self.busy is not None or self.lab.busy is not None
 
     @property
     def is_opening(self) -> bool:
         """True if another scene is about to replace this one."""
         return self.files.is_opening or super().is_opening
 
-    def start_task(self, task: JobKind) -> None:
-        """Start a job whose result is a scene; its files are read and written in the session's thread."""
-        self.start(SceneJob(task, self._files))
+    def find_floaters(self, rules: FloaterRules) -> Job[Any]:
+        """Start to search for floaters in a thread, and select those found as one undo step."""
+        search, self.floater_count = FloaterSearch(self.scene, rules), None
 
-    @property
-    def holds_document(self) -> bool:
-        """True if a question about the open document blocks other documents from replacing it.
+        def take(_: None, __: bool) -> str:
+            marked = select_floaters(self.scene, search.found)
+            count = self.floater_count = selected_count(marked)
+            if not count:
+                return "No Gaussian looks like a floater"
+            self.set_scene(FLOATERS_TITLE, marked)
+            verb = "looks like a floater and is" if count == 1 else "look like floaters and are"
+            return f"{count:,} Gaussian{'s'[: count != 1]} {verb} selected"
 
-        Never blocks an empty document, nor one that closes as soon as jobs have ended.
-        """
-        return bool(self.scene.members) and self.questions.present is not None and not self.is_awaiting
+        progress = Progress(0.0, "Looking for floaters")
+        job = Job("floaters", FLOATERS_TITLE, search.run, lambda _: None, take, in_thread=True, progress=progress)
+        self.start(job)
+        return job
 
     def swap_in(self) -> None:
         """Show the staged scene, whose Gaussians are ready for the next frame.
 
-        A scene that replaces the document stays staged while a question about the document is open.
+        A scene that replaces the document stays staged while a question is open, unless the document is empty or closes
+        as soon as jobs have ended.
         """
-        if self.staged is not None and self.staged.is_opened and self.holds_document:
+        staged = self.staged
+        is_asked = bool(self.scene.members) and self.questions.present is not None and self._awaited is None
+        if staged is None or (staged.is_opened and is_asked):
             return
-        staged, self.staged = self.staged, None
-        if staged is None:
-            return
+        self.staged = None
         if staged.is_opened:
             self.enter(self.files.arrive(staged.scene))
             logger.info("Opened %s: %s Gaussians", staged.label, f"{staged.scene.gaussian_count:,}")
@@ -188,15 +200,16 @@ class Editor(EditorServices):
         if self.rain.roofs:
             self._roofs.look_at(self.scene)
         self.lab.poll()
-        self.captures.poll(self)
-        self._ask_about_outside()
+        self.captures.poll()
+        if self.captures.refused is not None:
+            self._ask_about_outside(*self.captures.refused)
+            self.captures.refused = None
         self.matching.poll(self)
         self.drives.poll(self)
         for job in self.running_jobs:
-            job.poll(self)
+            job.poll()
             if job.error is not None:
-                self.problem = f"{job.title} failed: {job.error}"
-                logger.error("%s", self.problem)
+                self.report_problem(f"{job.title} failed: {job.error}")
         self.rainy.poll(self)
         if self.staged is None and not self.drives.is_working:  # otherwise a result is still being swapped in
             self._go_on_when_idle()
@@ -207,19 +220,22 @@ class Editor(EditorServices):
     # Viewport
 
     @property
-    def loose_results(self) -> list[str]:
-        """Titles of roll-outs of this session's drives that were not saved."""
-        return [each.title for each in self.drives.opened if each.path is None]
-
-    @property
     def displayed_scene(self) -> Scene:
         """Scene of the viewport, including a drag preview and the road users of the playing roll-out."""
         return self.drives.scene_in_place_of(super().displayed_scene)
 
     @property
     def displayed_rain(self) -> RainSimulation:
-        """Rain of the viewport: the document's, or that of the playing roll-out."""
-        return self.drives.rainfall(roofs=self._roofs.knows(self.scene)) or self._drawn_rainfall
+        """Rain of the viewport: the document's, or that of the playing roll-out.
+
+        It is without roofs until they are found, because finding them takes seconds.
+        """
+        knows_roofs = self._roofs.knows(self.scene)
+        if (driven := self.drives.rainfall(roofs=knows_roofs)) is not None:
+            return driven
+        if not self.rain.roofs or (knows_roofs and self._shown_preview is None):
+            return self.rainfall
+        return replace(self.rainfall, rain=msgspec.structs.replace(self.rain, roofs=False))
 
     @property
     def split_panes(self) -> list[SplitPane]:
@@ -259,13 +275,6 @@ class Editor(EditorServices):
         self.matching.close()
         logger.removeHandler(self.log)
 
-    @property
-    def _drawn_rainfall(self) -> RainSimulation:
-        """The rain without roofs until they are found, because finding them takes seconds."""
-        if not self.rain.roofs or (self._roofs.knows(self.scene) and self._shown_preview is None):
-            return self.rainfall
-        return replace(self.rainfall, rain=msgspec.structs.replace(self.rain, roofs=False))
-
     def _rainfall_of(self, rain: RainSettings, weather: RainKeyframes) -> RainSimulation:
         if rain == self.rain and weather is self.weather:
             return self.rainfall
@@ -273,11 +282,8 @@ class Editor(EditorServices):
             self._other_rainfall = RainSimulation.start(rain, weather=weather)
         return self._other_rainfall
 
-    def _ask_about_outside(self) -> None:
+    def _ask_about_outside(self, path: Path, why: str) -> None:
         """Ask before files outside of a capture's folder are read."""
-        if self.captures.refused is None:
-            return
-        (path, why), self.captures.refused = self.captures.refused, None
         text = f"{why.partition('; --allow')[0]}. Read files outside of its folder?"
         yes = Answer("Read them", lambda: self.captures.open(path, allow_outside=True), "Open it with those files.")
         self.questions.ask(Question("Files outside of the capture", text, (yes, Answer("Cancel", do_nothing))))

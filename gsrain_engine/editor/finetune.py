@@ -1,21 +1,18 @@
 """Setup of the transfer's fine-tuning in the window: settings, images, output folder, and job."""
 
-import logging
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
-from ..appearance.finetune.settings import FinetuningSettings, code_of, load_finetuning
+from ..appearance.finetune.settings import code_of, load_finetuning
 from ..appearance.finetune.task import FinetuneTask
 from ..safe_io.text_files import printable_line
 from ..trusted_code import UntrustedCodeError, trust_permanently
-from .jobs.training import HOW_TO_GET_DIFFUSION, FinetuneJob, has_torch
+from .jobs.job import Job
+from .jobs.training import HOW_TO_GET_DIFFUSION, Losses, finetune_job, has_torch
 from .notifications import Answer, Question, do_nothing
 from .services import EditorServices
-
-logger = logging.getLogger("gsrain")
 
 
 class FinetuneChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -42,11 +39,12 @@ class FinetuneChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 class FinetuneController:
     """One training at a time. Main thread only."""
 
-    def __init__(self, files: ThreadPoolExecutor) -> None:
-        """Start with the shipped trial settings; `files` is the thread that reads losses."""
+    def __init__(self) -> None:
+        """Start with the shipped trial settings."""
         self.choice = FinetuneChoice()
-        self.job: FinetuneJob | None = None
-        self._files = files
+        self.job: Job[Losses] | None = None
+        self.losses: Losses = {}
+        """Losses of that job so far."""
 
     @property
     def can_resume(self) -> bool:
@@ -62,24 +60,31 @@ class FinetuneController:
         for path in (self.choice.clear, self.choice.rainy):
             if path is not None and not path.exists():
                 return f"{path}: is not there; choose other pictures."
-        if session.running_jobs:
-            return f"Wait for {session.running_jobs[0].title}, or cancel it."
-        return None
+        return session.why_wait if session.running_jobs else None
 
     def start(self, session: EditorServices, *, resume: bool = False) -> None:
         """Start, or resume from the folder's checkpoint; errors in the settings are set as `problem`."""
         if self.why_not(session) is not None:
             return
+        choice, output = self.choice, self.choice.output
+        assert output is not None, "asked for before"
+        changes: dict[str, Any] = {"steps": choice.steps or None}
+        for look, path in (("clear", choice.clear), ("rainy", choice.rainy)):
+            changes[look] = None if path is None else [{"path": str(path)}]
         try:
-            task = self._task(resume=resume)
+            settings = load_finetuning(choice.config, **changes)
+            task = FinetuneTask(settings=settings, output=output, resume=resume, code=code_of(settings))
         except UntrustedCodeError as error:
             self._ask(session, error, resume)
             return
         except (ValueError, OSError) as error:
-            session.problem = str(error)
-            logger.error("%s", error)
+            session.report_problem(str(error))
             return
-        self.job = FinetuneJob(task, self._files)
+
+        def take(losses: Losses) -> None:
+            self.losses = losses
+
+        self.losses, self.job = {}, finetune_job(task, take)
         session.start(self.job)
 
     def _ask(self, session: EditorServices, error: UntrustedCodeError, resume: bool) -> None:
@@ -94,12 +99,3 @@ class FinetuneController:
         no = Answer("Don't run it", do_nothing, "Nothing is begun.")
         yes = Answer("Run it", run, "Runs it now, and does not ask again for these very contents.")
         session.questions.ask(Question("Run Python code?", text, (no, yes, Answer("Cancel", do_nothing))))
-
-    def _task(self, *, resume: bool) -> FinetuneTask:
-        choice = self.choice
-        assert choice.output is not None, "asked for before"
-        changes: dict[str, Any] = {"steps": choice.steps or None}
-        for look, path in (("clear", choice.clear), ("rainy", choice.rainy)):
-            changes[look] = None if path is None else [{"path": str(path)}]
-        settings: FinetuningSettings = load_finetuning(choice.config, **changes)
-        return FinetuneTask(settings=settings, output=choice.output, resume=resume, code=code_of(settings))

@@ -1,22 +1,26 @@
-"""Matching in the viewport: its settings, its results, and the choice of the other view. Not part of the document."""
+"""Matching in the viewport: settings, choice of the other view, correspondences and their overlay images.
+
+Not part of the document.
+"""
 
 import logging
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32, Int64, UInt8
 
-from ..appearance.correspondence import MatchOutcome
+from ..appearance.base import ClearView
+from ..appearance.correspondence import COLORS, Correspondence, MatchOutcome, correspondence, warped
+from ..appearance.scene_views import PlacedCamera, scene_view, scene_views
 from ..datasets.capture import Capture, CaptureError
+from ..datasets.undistort import undistort_frame
 from ..scene.camera import Camera
 from ..scene.scene import Scene
 from .services import EditorServices
 from .viewport.options import Mode, Texture
-
-if TYPE_CHECKING:
-    from ..appearance.scene_views import PlacedCamera
-    from .matching_image import MatchableViews, MatchedViews
 
 logger = logging.getLogger("gsrain")
 
@@ -61,7 +65,7 @@ class MatchingController:
         self.texture: Texture | None = None
         """Overlay on the GPU, with its own alpha."""
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="matching")
-        self._working: tuple[_MatchRequest, Camera, Future[MatchResult]] | None = None
+        self._working: tuple[_MatchRequest, Future[MatchResult]] | None = None
         self._last: _MatchRequest | None = None
         self._failed: tuple[_MatchRequest, str] | None = None
         self._views: MatchableViews | None = None
@@ -72,32 +76,39 @@ class MatchingController:
         return self._working is not None or (self._last is not None and self.shown is None and self.problem is None)
 
     @property
+    def pending(self) -> list[Future[MatchResult]]:
+        """The match in progress, to wait for where there are no frames."""
+        return [] if self._working is None else [self._working[1]]
+
+    @property
     def picture(self) -> UInt8[np.ndarray, "h w 4"] | None:
         """Overlay image; the same array until it changes."""
         if self.shown is None:
             return None
         if self._image is None or self._image[0] is not self.shown or self._image[1] != self.mode:
-            from .matching_image import matching_image
-
             self._image = self.shown, self.mode, matching_image(self.shown.matched, self.mode)
         return self._image[2]
 
     def poll(self, session: EditorServices) -> None:
         """Process finished matches, and start one for the current view. Once a frame."""
-        if self._working is not None and self._working[2].done():
-            self._take(*self._working)
-        wish = self._request(session) if self.is_on else ""
-        if isinstance(wish, str):
-            self.shown, self.problem, self._last, self._failed = None, wish or None, None, None
+        if self._working is not None and self._working[1].done():
+            (request, work), self._working = self._working, None
+            try:
+                self.shown, self._failed = work.result(), None
+            except (CaptureError, OSError, ValueError, MemoryError) as error:
+                self._failed = request, str(error)
+                logger.warning("Matching: %s", error)
+        request = self._request(session) if self.is_on else ""
+        if isinstance(request, str):
+            self.shown, self.problem, self._last, self._failed = None, request or None, None, None
             self._views = self._views if self.is_on else None
             return
-        self.problem = self._failed[1] if self._failed is not None and self._failed[0] == wish else None
-        if self.shown is not None and self.shown.request != wish:
+        self.problem = self._failed[1] if self._failed is not None and self._failed[0] == request else None
+        if self.shown is not None and self.shown.request != request:
             self.shown = None
-        rests = wish == self._last
-        self._last = wish
-        if rests and self.shown is None and self._working is None and self.problem is None:
-            self._begin(session, wish)
+        is_still, self._last = request == self._last, request
+        if is_still and self.shown is None and self._working is None and self.problem is None:
+            self._begin(session, request)
 
     def close(self) -> None:
         self._thread.shutdown(cancel_futures=True)
@@ -117,34 +128,21 @@ class MatchingController:
         pose = shot.camera.world_to_camera.tobytes() + np.array([shot.camera.fy, *captures.viewport_px]).tobytes()
         return _MatchRequest(capture, scene, None, captures.chosen, pose, shot.time_s if session.scene.actors else 0.0)
 
-    def _begin(self, session: EditorServices, wish: _MatchRequest) -> None:
-        from ..appearance.scene_views import PlacedCamera
-
-        if wish.of is None:
+    def _begin(self, session: EditorServices, request: _MatchRequest) -> None:
+        if request.of is None:
             shot = session.shot(*session.captures.viewport_px)
-            camera: Camera = shot.camera
-            of: int | PlacedCamera = PlacedCamera("the view", camera, shot.time_s)
+            camera, of = shot.camera, PlacedCamera("the view", shot.camera, shot.time_s)
         else:
-            camera, of = session.captures.cameras(session.scene)[wish.of], wish.of
-        self._working = wish, camera, self._thread.submit(self._match, wish, camera, of)
+            camera, of = session.captures.cameras(session.scene)[request.of], request.of
+        self._working = request, self._thread.submit(self._match, request, camera, of)
 
-    def _match(self, wish: _MatchRequest, camera: Camera, of: "int | PlacedCamera") -> MatchResult:
+    def _match(self, request: _MatchRequest, camera: Camera, of: int | PlacedCamera) -> MatchResult:
         """Compute a match; in the thread, one after another."""
-        from .matching_image import MatchableViews, flow_lines, outcome_shares
-
         views = self._views
-        if views is None or views.capture is not wish.capture or views.scene is not wish.scene:
-            self._views = views = MatchableViews(wish.capture, wish.scene)
-        matched = views.matched(of, wish.to)
-        return MatchResult(wish, camera, matched, flow_lines(matched), outcome_shares(matched))
-
-    def _take(self, wish: _MatchRequest, camera: Camera, work: "Future[MatchResult]") -> None:
-        self._working = None
-        try:
-            self.shown, self._failed = work.result(), None
-        except (CaptureError, OSError, ValueError, MemoryError) as error:
-            self._failed = wish, str(error)
-            logger.warning("Matching: %s", error)
+        if views is None or views.capture is not request.capture or views.scene is not request.scene:
+            self._views = views = MatchableViews(request.capture, request.scene)
+        matched = views.matched(of, request.to)
+        return MatchResult(request, camera, matched, flow_lines(matched), outcome_shares(matched))
 
 
 # Choice of the other view
@@ -179,3 +177,115 @@ def neighbor_view(capture: Capture, of: int, against: Against, chosen: int) -> i
             others[each.sensor] = i
     ahead = view.camera.world_to_camera[2, :3]
     return max(others.values(), key=lambda i: float(capture[i].camera.world_to_camera[2, :3] @ ahead), default=None)
+
+
+# Correspondences
+
+_WIDTH_PX = 480
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchedViews:
+    """Two views, and the position of each pixel of the first in the second."""
+
+    of: ClearView
+    to: ClearView
+    found: Correspondence
+
+
+class MatchableViews:
+    """Views of a capture with depth; use from one thread.
+
+    Depth comes from the capture or its lidar; if it has neither, or for the live view, from the scene made from it.
+    """
+
+    def __init__(self, capture: Capture, scene: Scene | None) -> None:
+        """`scene` is the scene that shares the capture's units and axes, if there is one."""
+        from ..appearance.capture_views import capture_views  # SciPy loads slowly
+
+        self.capture, self.scene = capture, scene
+        self._recorded = capture_views(capture, _WIDTH_PX)
+        self._straight = [undistort_frame(view, min(_WIDTH_PX, view.camera.width)) for view in capture]
+        self._scene_views: Sequence[ClearView] | None = None
+        if scene is not None:
+            placed = [
+                PlacedCamera(view.name, view.camera.moved(scene.scene_to_world), view.time_s, view.sensor)
+                for view in self._straight
+            ]
+            self._scene_views = scene_views(scene, placed)
+
+    def matched(self, of: int | PlacedCamera, to: int) -> MatchedViews:
+        """Match a captured view, or the live one, with a captured one; raises ValueError if that is impossible."""
+        is_live = isinstance(of, PlacedCamera)
+        has_depth = bool(self.capture.sweeps) or any(each.depth_source is not None for each in self.capture)
+        uses_scene = self._scene_views is not None and (is_live or not has_depth)
+        if is_live and self.scene is None:
+            raise ValueError("The capture does not lie in the scene: look from one of its views to match it.")
+        other = self._of_scene(to) if uses_scene else self._recorded[to]
+        if is_live:
+            view = scene_view(self.scene or Scene(""), of.at_width(_WIDTH_PX))
+        else:
+            view = self._of_scene(of) if uses_scene else self._recorded[of]
+        return MatchedViews(view, other, correspondence(view, other))
+
+    def _of_scene(self, index: int) -> ClearView:
+        """A captured image, with the scene's depth."""
+        assert self._scene_views is not None, "there is a scene"
+        recorded = self._straight[index].image.astype(np.float32) / np.float32(255)
+        return replace(self._scene_views[index], image=recorded)
+
+
+# Overlay images
+
+_VEILS = {MatchOutcome.OUTSIDE: 0.65, MatchOutcome.UNKNOWN: 0.6, MatchOutcome.MATCHED: 0.0}
+_OTHER_VEIL = 0.5
+_MARK = 0.45
+_MAX_DIFFERENCE = 0.25
+_LINE_STEP_PX = 24
+
+
+def matching_image(matched: MatchedViews, mode: Mode) -> UInt8[np.ndarray, "h w 4"]:
+    """Draw a correspondence in display color, with alpha.
+
+    Mode `picture` shows the other view warped to this one; unmatched pixels are dimmed, in the color of their outcome.
+    Mode `difference` ranges from none (black) to a quarter of full scale (white). Mode `pixels` shows only outcome
+    colors.
+    """
+    found = matched.found
+    veils = np.array([_VEILS.get(each, _OTHER_VEIL) for each in MatchOutcome], np.float32)
+    colors = np.array([COLORS[each] for each in MatchOutcome], np.float32)
+    picture = np.concatenate([colors[found.outcome], veils[found.outcome][..., None]], axis=2)
+    valid = found.valid
+    if mode == "pixels":
+        picture[valid, 3] = _MARK
+    else:
+        other = warped(matched.to.image, found)
+        shown = other if mode == "picture" else _difference(other, matched.of.image)
+        picture[valid] = np.concatenate([shown, np.ones_like(shown[..., :1])], axis=2)[valid]
+    return np.rint(255 * np.clip(picture, 0, 1)).astype(np.uint8)
+
+
+def flow_lines(matched: MatchedViews) -> Float32[np.ndarray, "n 2 2"]:
+    """Lines on a grid from each matched pixel to its position in the other view, in shares of each image's size."""
+    places, valid = matched.found.places, matched.found.valid
+    height, width = valid.shape
+    step, half = _LINE_STEP_PX, _LINE_STEP_PX // 2
+    grid = np.mgrid[height % step // 2 + half : height : step, width % step // 2 + half : width : step]
+    rows, columns = (each.ravel()[valid[tuple(grid)].ravel()] for each in grid)
+    start = np.stack([(columns + 0.5) / width, (rows + 0.5) / height], axis=1)
+    end = places[rows, columns] / np.array(matched.found.size[::-1], np.float32)
+    return np.stack([start, end], axis=1).astype(np.float32)
+
+
+def outcome_shares(matched: MatchedViews) -> dict[MatchOutcome, float]:
+    """Share of the image of each outcome that occurs."""
+    counts: Int64[np.ndarray, " k"] = np.bincount(matched.found.outcome.ravel(), minlength=len(MatchOutcome))
+    return {each: float(counts[each] / counts.sum()) for each in COLORS if counts[each]}
+
+
+def _difference(one: Float32[np.ndarray, "h w 3"], other: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:
+    import matplotlib  # loads slowly
+
+    error = np.abs(one - other).mean(axis=2)
+    shades = np.asarray(matplotlib.colormaps["magma"](np.linspace(0, 1, 256)), np.float32)[:, :3]
+    return shades[np.rint(np.clip(error / _MAX_DIFFERENCE, 0, 1) * 255).astype(int)]

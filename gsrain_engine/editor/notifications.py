@@ -43,10 +43,10 @@ class LogLines(logging.Handler):
 
 def describe_error(what: str, error: Exception) -> str:
     """Log an error, with a traceback if it is unexpected; return it as one sentence."""
-    foreseen = isinstance(error, SceneFormatError | OSError | MemoryError | ValueError)
+    is_expected = isinstance(error, SceneFormatError | OSError | MemoryError | ValueError)
     reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
     sentence = reason if isinstance(error, SceneFormatError) else f"{what}: {reason}"
-    _logger.error("%s", sentence, exc_info=error if not foreseen else None)
+    _logger.error("%s", sentence, exc_info=None if is_expected else error)
     return sentence
 
 
@@ -99,10 +99,16 @@ class Questions:
     def before_replacing(self, paths: Sequence[Path], write: Callable[[], None]) -> None:
         """Write at once if none of the files exists, otherwise after confirmation."""
         there = [path for path in paths if path.exists()]
-        if there:
-            self.ask(_replace_question(there, write))
-        else:
+        if not there:
             write()
+            return
+        are = "are" if len(there) > 1 else "is"
+        listed = ", ".join(path.name for path in there[:3]) + (f" and {len(there) - 3} more" if len(there) > 3 else "")
+        answers = (
+            Answer("Replace", write, "Write over what is there."),
+            Answer("Cancel", do_nothing, "Leave it as it is."),
+        )
+        self.ask(Question("Replace?", f"{listed} {are} there already.", answers))
 
     def withdraw(self, question: Question) -> None:
         """Remove a question that no longer applies."""
@@ -111,13 +117,3 @@ class Questions:
     def answer(self, answer: Answer) -> None:
         self._waiting = self._waiting[1:]
         answer.run()
-
-
-def _replace_question(there: Sequence[Path], write: Callable[[], None]) -> Question:
-    """Ask whether to replace existing files; `write` does it."""
-    are = "are" if len(there) > 1 else "is"
-    listed = ", ".join(path.name for path in there[:3]) + (f" and {len(there) - 3} more" if len(there) > 3 else "")
-    yes = Answer("Replace", write, "Write over what is there.")
-    return Question(
-        "Replace?", f"{listed} {are} there already.", (yes, Answer("Cancel", do_nothing, "Leave it as it is."))
-    )

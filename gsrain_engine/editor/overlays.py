@@ -46,15 +46,18 @@ def path_overlay_of(session: ViewportState, camera: Camera) -> PathOverlay | Non
     if session.scene.path is None:
         return None
     path = session.path
-    way, seconds = _sampled(path)
-    step = max(1, -(-len(path.times_s) // _MAX_KEYS))
-    keys = [mark for k in range(0, len(path.times_s), step) if (mark := _key_mark(path, k, camera)) is not None]
-    t = session.clock.time_s
+    positions, at_seconds = _sampled(path)
+    keys: list[KeyHandle] = []
+    for key in range(0, len(path.times_s), max(1, -(-len(path.times_s) // _MAX_KEYS))):
+        if (handle := project_point(path.positions[key], camera)) is not None:
+            frustum = _frustum(path.camera(float(path.times_s[key]), 3, 2), camera)
+            keys.append(KeyHandle(key, (handle.x, handle.y), frustum))
+    in_camera = _in_camera(at_seconds, camera)
     return PathOverlay(
-        project_lines(np.stack([way[:-1], way[1:]], axis=1), camera),
-        _projected_points(seconds, camera),
+        project_lines(np.stack([positions[:-1], positions[1:]], axis=1), camera),
+        _to_pixels(in_camera[in_camera[:, 2] > NEAR_M], camera),
         keys,
-        _frustum(path.camera(t, 3, 2), camera),
+        _frustum(path.camera(session.clock.time_s, 3, 2), camera),
     )
 
 
@@ -63,7 +66,8 @@ def drag_in_view(session: ViewportState, shot: RenderView, moved_px: tuple[float
     drag = session.timeline.drag
     if drag is None:
         return
-    camera, start = shot.camera, _place(session, drag.path.positions[drag.key])
+    camera, to_world = shot.camera, session.scene.scene_to_world
+    start = to_world[:3, :3] @ drag.path.positions[drag.key] + to_world[:3, 3]
     depth = float(camera.world_to_camera[2, :3] @ start + camera.world_to_camera[2, 3])
     metres_a_pixel = max(depth, NEAR_M) / camera.fy
     right, down = camera.world_to_camera[0, :3], camera.world_to_camera[1, :3]
@@ -86,14 +90,6 @@ def _sampled(path: CameraPath) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.n
     return path.places(times), path.places(seconds)
 
 
-def _key_mark(path: CameraPath, key: int, camera: Camera) -> KeyHandle | None:
-    seen = project_point(path.positions[key], camera)
-    if seen is None:
-        return None
-    there = path.camera(float(path.times_s[key]), 3, 2)
-    return KeyHandle(key, (seen.x, seen.y), _frustum(there, camera))
-
-
 def _frustum(shown: Camera, camera: Camera) -> Float64[np.ndarray, "k 2 2"]:
     """A small frustum with a flag at the top, of the same size in pixels at every distance."""
     pose = shown.camera_to_world
@@ -102,32 +98,25 @@ def _frustum(shown: Camera, camera: Camera) -> Float64[np.ndarray, "k 2 2"]:
         return np.zeros((0, 2, 2))
     size = _FRUSTUM_PX * depth / camera.fy
     w, h = 0.75 * size, 0.5 * size
-    eye = np.zeros(3)
-    a, b, c, d = (np.array([x, y, size]) for x, y in ((-w, -h), (w, -h), (w, h), (-w, h)))
-    flag = np.array([0, -1.7 * h, size])
-    left, right = np.array([-0.5 * w, -1.1 * h, size]), np.array([0.5 * w, -1.1 * h, size])
-    lines = np.array(
-        [[eye, a], [eye, b], [eye, c], [eye, d], [a, b], [b, c], [c, d], [d, a], [left, flag], [flag, right]]
-    )
+    corners = ((-w, -h), (w, -h), (w, h), (-w, h), (0, -1.7 * h), (-0.5 * w, -1.1 * h), (0.5 * w, -1.1 * h))
+    eye, (a, b, c, d, flag, left, right) = [0, 0, 0], [[x, y, size] for x, y in corners]
+    ends = [[eye, a], [eye, b], [eye, c], [eye, d], [a, b], [b, c], [c, d], [d, a], [left, flag], [flag, right]]
+    lines = np.array(ends, np.float64)
     return project_lines(lines @ pose[:3, :3].T + pose[:3, 3], camera)
 
 
-def _projected_points(points: Float64[np.ndarray, "n 3"], camera: Camera) -> Float64[np.ndarray, "m 2"]:
-    seen = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    seen = seen[seen[:, 2] > NEAR_M]
-    return np.array([camera.fx, camera.fy]) * seen[:, :2] / seen[:, 2:] + np.array([camera.cx, camera.cy])
+def _in_camera(points: Float64[np.ndarray, "n 3"], camera: Camera) -> Float64[np.ndarray, "n 3"]:
+    return points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
 
 
-def _place(session: ViewportState, position: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3"]:
-    to_world = session.scene.scene_to_world
-    return to_world[:3, :3] @ position + to_world[:3, 3]
+def _to_pixels(points: Float64[np.ndarray, "n 3"], camera: Camera) -> Float64[np.ndarray, "n 2"]:
+    """Project points in the frame of the camera."""
+    return np.array([camera.fx, camera.fy]) * points[:, :2] / points[:, 2:] + np.array([camera.cx, camera.cy])
 
 
 # Frustums of captured cameras and the corners of their images
 
-MAX_FRUSTUMS = 100
-"""Maximum number of drawn frustums, nearest first: more would hide the scene."""
-
+MAX_FRUSTUMS = 100  # of those drawn, nearest first: more would hide the scene
 _NEAR = 1e-6
 _TIP = 0.5
 """Minimum distance as a share of a frustum's length: from nearer, its image covers two thirds of the view or more."""
@@ -173,15 +162,15 @@ def frustums(cameras: RecordedCameras, views: Sequence[int], length_m: float, ca
         return []
     eyes = cameras.eyes[nearest]
     corners = eyes[:, None] + length_m * cameras.rays[nearest]
-    sides = np.stack([np.broadcast_to(eyes[:, None], corners.shape), corners], axis=2)
+    rays = np.stack([np.broadcast_to(eyes[:, None], corners.shape), corners], axis=2)
     far = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2)
-    lines = np.concatenate([sides, far], axis=1)  # (frustums, 8 lines, 2 ends, 3)
+    lines = np.concatenate([rays, far], axis=1)  # (frustums, 8 lines, 2 ends, 3)
     depth = lines @ camera.world_to_camera[2, :3] + camera.world_to_camera[2, 3]
-    seen = (depth > NEAR_M).any(axis=2).sum(axis=1)
-    drawn = np.split(project_lines(lines.reshape(-1, 2, 3), camera), np.cumsum(seen)[:-1])
+    counts = (depth > NEAR_M).any(axis=2).sum(axis=1)
+    drawn = np.split(project_lines(lines.reshape(-1, 2, 3), camera), np.cumsum(counts)[:-1])
     return [
-        Frustum(int(view), seen and (seen.x, seen.y), own)
-        for view, seen, own in zip(nearest, (project_point(each, camera) for each in eyes), drawn, strict=True)
+        Frustum(int(view), eye and (eye.x, eye.y), own)
+        for view, eye, own in zip(nearest, (project_point(each, camera) for each in eyes), drawn, strict=True)
         if len(own)
     ]
 
@@ -201,11 +190,10 @@ def image_grid(
     """
     columns, rows = np.meshgrid(np.linspace(0, shown.width, cells[0] + 1), np.linspace(0, shown.height, cells[1] + 1))
     points = _on_plane(shown, length_m, np.stack([columns.ravel(), rows.ravel()], axis=1))
-    seen = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    if seen[:, 2].min() < max(0.02 * length_m, _NEAR):
+    in_camera = _in_camera(points, camera)
+    if in_camera[:, 2].min() < max(0.02 * length_m, _NEAR):
         return None
-    focal, center = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
-    return (focal * seen[:, :2] / seen[:, 2:] + center).reshape(*columns.shape, 2)
+    return _to_pixels(in_camera, camera).reshape(*columns.shape, 2)
 
 
 def fov_to_fit_deg(shown: Camera, aspect: float) -> float:

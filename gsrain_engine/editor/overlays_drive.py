@@ -1,8 +1,7 @@
-"""Viewport overlays of drives: boxes, plan, driven path, and detections; and the layout of the camera mosaic."""
+"""Viewport overlays of drives: boxes, plan, driven path, and detections."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Annotated, Any, NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
 
 import msgspec
 import numpy as np
@@ -11,11 +10,10 @@ from msgspec import Meta
 
 from ..scene.camera import Camera
 from ..scene.geometry import EDGES, box_corners
-from ..scene.scene import RigCamera, Scene
+from ..scene.scene import RigCamera
 from ..simulation.rollout import RolloutStep
 from ..simulation.traffic.base import RoadUser
-from .drive_playback import RolloutInScene
-from .viewport.options import Texture
+from .drive import RolloutInScene
 from .viewport.picking import project_lines, project_point
 
 _ABOVE_ROAD_M = 0.04
@@ -65,7 +63,9 @@ def rollout_overlay(shown: RolloutInScene, clock_s: float, camera: Camera, *, fr
         boxes.append(_box(_ego(shown, time_s), camera, is_hit=hit is not None, is_ego=True))
     plan = planned_points_m(shown, step, time_s)
     driven = _driven(shown, time_s) if not from_inside else np.zeros((0, 3))
-    dots = [dot for place in plan[1:] if (dot := _dot(place, camera)) is not None]
+    points = [point for place in plan[1:] if (point := project_point(place, camera)) is not None]
+    radii_px = [float(np.clip(_DOT_M * camera.fx / each.depth_m, _MIN_PX, _MAX_PX)) for each in points]
+    dots = [PlanDot(each.x, each.y, radius_px) for each, radius_px in zip(points, radii_px, strict=True)]
     return RolloutOverlay(boxes, _projected(plan, camera), dots, _projected(driven, camera))
 
 
@@ -115,13 +115,6 @@ def _projected(places: Float64[np.ndarray, "n 3"], camera: Camera) -> Float64[np
     return project_lines(np.stack([fine[:-1], fine[1:]], axis=1), camera)
 
 
-def _dot(place: Float64[np.ndarray, "3"], camera: Camera) -> PlanDot | None:
-    seen = project_point(place, camera)
-    if seen is None:
-        return None
-    return PlanDot(seen.x, seen.y, float(np.clip(_DOT_M * camera.fx / seen.depth_m, _MIN_PX, _MAX_PX)))
-
-
 # Detections of a camera agent, from the notes of its roll-out
 
 _MIN_CONFIDENCE = 0.25
@@ -159,7 +152,10 @@ def detection_boxes(step: RolloutStep, front: RigCamera, camera: Camera) -> list
 
     Empty if the agent noted none, or if its notes have another format.
     """
-    notes = _read(step.notes)
+    try:
+        notes = msgspec.convert(step.notes, _AgentNotes)
+    except msgspec.ValidationError:
+        return []
     found: list[DetectionBox] = []
     for each in notes.detections:
         is_lead = notes.lead is not None and notes.lead.box_xyxy == each.box_xyxy
@@ -173,58 +169,7 @@ def detection_boxes(step: RolloutStep, front: RigCamera, camera: Camera) -> list
     return found
 
 
-def _read(notes: dict[str, Any]) -> _AgentNotes:
-    try:
-        return msgspec.convert(notes, _AgentNotes)
-    except msgspec.ValidationError:
-        return _AgentNotes()
-
-
 def _moved(x: float, y: float, front: RigCamera, camera: Camera) -> tuple[float, float]:
     """Convert a pixel of the rig's camera to one of another camera at the same position."""
     right, down = (x - front.cx) / front.fx, (y - front.cy) / front.fy
     return camera.fx * right + camera.cx, camera.fy * down + camera.cy
-
-
-# Camera mosaic
-
-_WIDTH_STEP_PX = 16
-
-
-@dataclass(slots=True)
-class CameraMosaic:
-    """Requests of the mosaic panel, and its images."""
-
-    rig: str = ""
-    """Name of the rig; an unknown name selects the first."""
-    width_px: int = 240
-    """Width of each image."""
-    is_requested: bool = False
-    """True if the panel is visible; set again in each frame."""
-    is_behind: bool = False
-    """True if images are outdated."""
-    pictures: dict[str, Texture] = field(default_factory=dict[str, Texture])
-    """By camera."""
-
-    def want(self, width_px: float) -> None:
-        """Request the images at about this width."""
-        self.is_requested = True
-        self.width_px = max(64, _WIDTH_STEP_PX * round(width_px / _WIDTH_STEP_PX))
-
-    def cameras(self, scene: Scene) -> tuple[RigCamera, ...]:
-        if not scene.rigs:
-            return ()
-        return scene.rigs.get(self.rig) or next(iter(scene.rigs.values()))
-
-
-def mosaic_rows(cameras: Sequence[RigCamera]) -> list[list[RigCamera]]:
-    """Arrange cameras: those that look ahead in the upper row, the others below, each from left to right."""
-    ahead = [each for each in cameras if each.camera_to_ego[0, 2] > 0]
-    behind = [each for each in cameras if each.camera_to_ego[0, 2] <= 0]
-    rows = [sorted(ahead, key=_leftness, reverse=True), sorted(behind, key=_leftness, reverse=True)]
-    return [row for row in rows if row]
-
-
-def _leftness(camera: RigCamera) -> float:
-    """Component to the left of a camera's viewing direction."""
-    return float(np.round(camera.camera_to_ego[1, 2], 6))

@@ -1,7 +1,7 @@
 """Preferences and the folders of per-user files."""
 
-import logging
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -21,18 +21,17 @@ class PreferencesStore:
     def __init__(self, thread: ThreadPoolExecutor) -> None:
         self.value, self.trouble = load_preferences()
         """Present preferences, and one sentence if the file could not be used, shown once."""
-        if self.trouble is not None and (aside := set_aside()) is not None:
-            self.trouble += f" (kept as {aside.name}; the usual settings are used)"
+        if self.trouble is not None:
+            aside = preferences_file().with_name("preferences.bad.yaml")
+            with suppress(OSError):
+                preferences_file().replace(aside)
+                self.trouble += f" (kept as {aside.name}; the usual settings are used)"
         self._thread = thread
         self._changed: dict[str, Any] = {}
         self._saving: Future[Preferences] | None = None
 
     def change(self, **fields: Any) -> None:
-        """Change preferences.
-
-        Raises:
-            msgspec.ValidationError: If a value is out of bounds; the message names it.
-        """
+        """Change preferences; raises `msgspec.ValidationError`, which names a value that is out of bounds."""
         self.value = checked(msgspec.structs.replace(self.value, **fields))
         self._changed.update(fields)
 
@@ -65,8 +64,6 @@ def config_folder() -> Path:
 
 
 # Preferences file, shared by all windows
-
-logger = logging.getLogger("gsrain")
 
 
 class Preferences(msgspec.Struct, frozen=True, kw_only=True):
@@ -105,37 +102,22 @@ def load_preferences() -> tuple[Preferences, str | None]:
         return Preferences(), f"{path}: the preferences can't be used: {error}"
 
 
-def set_aside() -> Path | None:
-    """Rename an unusable preferences file so that its content is kept; return the new path."""
-    aside = preferences_file().with_name("preferences.bad.yaml")
-    try:
-        return preferences_file().replace(aside)
-    except OSError:
-        return None
-
-
 def save_preferences(**fields: Any) -> Preferences:
     """Change some preferences, keeping concurrent changes of other windows; return all of them.
 
-    Raises:
-        msgspec.ValidationError: If a value is out of bounds; the message names it.
-        OSError: If the file can't be written.
+    Raises as `checked` does, and OSError if the file can't be written.
     """
     path = preferences_file()
     path.parent.mkdir(parents=True, exist_ok=True)
     with lock_path(path.parent):
         changed = checked(msgspec.structs.replace(load_preferences()[0], **fields))
-        with whole_file(path) as beside:
-            beside.write_bytes(msgspec.yaml.encode(changed))
+        with whole_file(path) as file:
+            file.write_bytes(msgspec.yaml.encode(changed))
     return changed
 
 
 def checked(preferences: Preferences) -> Preferences:
-    """Validate and return the preferences.
-
-    Raises:
-        msgspec.ValidationError: If a value is out of bounds; the message names it.
-    """
+    """Return the preferences; raises `msgspec.ValidationError`, which names a value that is out of bounds."""
     return msgspec.convert(msgspec.to_builtins(preferences), Preferences)
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import msgspec
 import numpy as np
 import platformdirs
 
@@ -18,6 +17,7 @@ from ..rain.shelter_map import ShelterMap, shelter_map_of
 from ..rain.simulation import RainSimulation
 from ..scene.scene import Scene
 from .document import EditedDocument
+from .jobs.job import ThreadTasks
 from .notifications import describe_error
 
 if TYPE_CHECKING:
@@ -31,22 +31,6 @@ RECORD_S = 60.0
 """Interval of virtual spectra: one minute, as real disdrometers report."""
 
 
-@dataclass(slots=True)
-class _MeasurementTask:
-    label: str
-    result: Future[Any]
-    take: Callable[[Any], None]
-
-
-@dataclass(frozen=True, slots=True)
-class _FitInput:
-    measured: "tuple[MeasurementSummary, ...]"
-    fitted: "FittedCalibration | None"
-    problem: str | None
-    """Reason why there is no fit."""
-    disagreeing: tuple[Path, ...]
-
-
 class CalibrationTools:
     """One measurement at a time. Main thread only; call `poll` once a frame."""
 
@@ -54,7 +38,7 @@ class CalibrationTools:
         self.counted: DisdrometerMeasurement | None = None
         """Last measurement of the virtual disdrometer."""
         self.fitted: FittedCalibration | None = None
-        self.measured: tuple[MeasurementSummary, ...] = ()
+        self.measured: Sequence[MeasurementSummary] = ()
         """Summaries of the files of the last fit, even if it failed."""
         self.disagreeing: tuple[Path, ...] = ()
         """Files that were not fitted because their drops disagree with the instrument's own rate."""
@@ -71,7 +55,7 @@ class CalibrationTools:
         self.problem: str | None = None
         """Reason why the last measurement failed, in one sentence."""
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="rain lab")
-        self._task: _MeasurementTask | None = None
+        self._tasks = ThreadTasks(self._thread)
 
     @property
     def calibrations(self) -> list[str]:
@@ -80,11 +64,12 @@ class CalibrationTools:
     @property
     def busy(self) -> str | None:
         """Description of the measurement in progress, or None."""
-        return None if self._task is None else self._task.label
+        return self._tasks.running[0].progress.message if self._tasks.running else None
 
-    def compare_with(self, name: str) -> None:
-        """Show another calibration next to the rain's own. Raises `ValueError`, `OSError`."""
-        self.pass_file, self.compared = load_calibration(name), name
+    @property
+    def pending(self) -> list[Future[Any]]:
+        """The measurement in progress, to wait for where there are no frames."""
+        return self._tasks.futures
 
     def measure(self, rain: RainSettings) -> None:
         """Measure the rain with a virtual disdrometer, from time 0 on."""
@@ -106,9 +91,9 @@ class CalibrationTools:
         described = [path for path in files if path.suffix in (".yaml", ".yml")]
         tables = tuple(path for path in files if path not in described)
 
-        def fitted() -> "_FitInput":
+        def fit() -> "tuple[Sequence[MeasurementSummary], FittedCalibration | ValueError]":
             from ..disdrometer.file_summary import open_disdrometer_file
-            from ..disdrometer.fit import RatesDisagreeError, calibrate_files
+            from ..disdrometer.fit import calibrate_files
             from ..disdrometer.tables import load_columns
 
             if not tables or len(described) > 1:
@@ -117,22 +102,23 @@ class CalibrationTools:
             opened = [open_disdrometer_file(path, columns) for path in tables]
             measured = tuple(each.measured() for each in opened)
             try:
-                result = calibrate_files(opened, name=tables[0].name.partition(".")[0], force=force)
-            except RatesDisagreeError as error:
-                return _FitInput(measured, None, str(error), tuple(files))
+                return measured, calibrate_files(opened, name=tables[0].name.partition(".")[0], force=force)
             except ValueError as error:
-                return _FitInput(measured, None, str(error), ())
-            return _FitInput(measured, result, None, ())
+                return measured, error
 
-        if self._task is None:
+        def take(result: "tuple[Sequence[MeasurementSummary], FittedCalibration | ValueError]") -> ValueError | None:
+            from ..disdrometer.fit import RatesDisagreeError
+
+            self.measured, fitted = result
+            if not isinstance(fitted, ValueError):
+                self.fitted = fitted
+                return None
+            self.disagreeing = tuple(files) if isinstance(fitted, RatesDisagreeError) else ()
+            return fitted
+
+        if self.busy is None:
             self.measured, self.disagreeing = (), ()
-        self._begin(f"Fitting {files[0].name}", fitted, self._take_fit)
-
-    def _take_fit(self, fit: "_FitInput") -> None:
-        self.measured, self.disagreeing = fit.measured, fit.disagreeing
-        if fit.fitted is None:
-            raise ValueError(fit.problem)
-        self.fitted = fit.fitted
+        self._begin(f"Fitting {files[0].name}", fit, take)
 
     def read_series(self, path: Path) -> None:
         """Read a disdrometer file whose rates are to become the weather."""
@@ -144,40 +130,30 @@ class CalibrationTools:
 
         self._begin(f"Reading {path.name}", read, lambda reading: setattr(self, "series", (path.name, reading)))
 
-    def keep_fitted(self) -> str:
-        """Save the last fit among the user's calibrations; return the file's path. Raises `OSError`."""
-        assert self.fitted is not None, "fit before keeping"
-        folder = platformdirs.user_data_path("gsrain", appauthor=False) / "calibrations"
-        folder.mkdir(parents=True, exist_ok=True)
-        path = folder / f"{self.fitted.calibration.name}.yaml"
-        save_calibration(self.fitted.calibration, path)
-        self.add_file(str(path))
-        return str(path)
-
     def add_file(self, path: str) -> None:
         """Add a calibration file to the choices."""
         if path not in self.calibrations:
             self.files.append(path)
 
     def poll(self) -> None:
-        if self._task is None or not self._task.result.done():
-            return
-        task, self._task = self._task, None
-        try:
-            task.take(task.result.result())
-        except (ValueError, OSError, MemoryError, msgspec.MsgspecError) as error:
-            self.problem = str(error)
-            logger.error("%s: %s", task.label, error)
-        else:
-            logger.info("%s: done", task.label)
+        self._tasks.poll()
 
     def close(self) -> None:
         self._thread.shutdown(cancel_futures=True)
 
-    def _begin(self, label: str, work: Callable[[], Any], take: Callable[[Any], None]) -> None:
-        if self._task is None:
+    def _begin(self, label: str, work: Callable[[], Any], take: Callable[[Any], Exception | None]) -> None:
+        """Start a measurement unless another one runs; `take` processes its result, and may return an error."""
+
+        def end(error: Exception | None) -> None:
+            if error is None:
+                logger.info("%s: done", label)
+            else:
+                self.problem = str(error)
+                logger.error("%s: %s", label, error)
+
+        if self.busy is None:
             self.problem = None
-            self._task = _MeasurementTask(label, self._thread.submit(work), take)
+            self._tasks.start(work, lambda result: end(take(result)), end, message=label)
 
 
 # Calibrations; errors are set as `document.problem`
@@ -188,8 +164,7 @@ def use_calibration(document: EditedDocument, lab: CalibrationTools, name: str) 
     try:
         load_calibration(name)
     except (ValueError, OSError) as error:
-        document.problem = str(error)
-        logger.error("%s", error)
+        document.report_problem(str(error))
     else:
         lab.add_file(name)
         document.change_rain("Calibration", calibration=name)
@@ -198,20 +173,23 @@ def use_calibration(document: EditedDocument, lab: CalibrationTools, name: str) 
 def compare_calibration(document: EditedDocument, lab: CalibrationTools, name: str) -> None:
     """Show another calibration next to the rain's own."""
     try:
-        lab.compare_with(name)
+        lab.pass_file, lab.compared = load_calibration(name), name
     except (ValueError, OSError) as error:
-        document.problem = str(error)
-        logger.error("%s", error)
+        document.report_problem(str(error))
 
 
 def use_fitted_calibration(document: EditedDocument, lab: CalibrationTools) -> None:
-    """Save the last fit to a file and use it for the rain."""
+    """Save the last fit among the user's calibrations, and use it for the rain."""
+    assert lab.fitted is not None, "fit before using it"
+    folder = platformdirs.user_data_path("gsrain", appauthor=False) / "calibrations"
+    path = folder / f"{lab.fitted.calibration.name}.yaml"
     try:
-        path = lab.keep_fitted()
+        folder.mkdir(parents=True, exist_ok=True)
+        save_calibration(lab.fitted.calibration, path)
     except OSError as error:
         document.problem = describe_error("The calibration can't be saved", error)
     else:
-        use_calibration(document, lab, path)
+        use_calibration(document, lab, str(path))
 
 
 # Shelter maps, computed in the background because a search takes seconds
@@ -223,32 +201,24 @@ class ShelterMapBuilder:
     def __init__(self, thread: ThreadPoolExecutor) -> None:
         self._thread = thread
         self._scene: Scene | None = None
-        self._search: Future[ShelterMap | None] | None = None
+        self.pending: list[Future[ShelterMap | None]] = []
+        """The last search, to wait for where there are no frames."""
 
     def knows(self, scene: Scene) -> bool:
         """Return whether the roofs of a scene are already known."""
-        return self._search is not None and self._search.done() and self._is_of(scene)
-
-    @property
-    def pending(self) -> list[Future[ShelterMap | None]]:
-        """The search in progress, to wait for where there are no frames."""
-        return [] if self._search is None else [self._search]
+        is_same = self._scene is not None and self._scene.geometry_key == scene.geometry_key
+        return is_same and all(each.done() for each in self.pending)
 
     def look_at(self, scene: Scene) -> None:
         """Start to search a scene, unless it is known or another search is running."""
-        waits = self._search is not None and not self._search.done()
-        if not waits and not self._is_of(scene):
-            self._scene, self._search = scene, self._thread.submit(shelter_map_of, scene)
-
-    def _is_of(self, scene: Scene) -> bool:
-        return self._scene is not None and self._scene.geometry_key == scene.geometry_key
+        if all(each.done() for each in self.pending) and not self.knows(scene):
+            self._scene, self.pending = scene, [self._thread.submit(shelter_map_of, scene)]
 
 
 # State of the Rain keyframes panel; not part of the document
 
 _MIN_SPAN_S = 10.0
-_TOPS_MM_H = (15.0, 30.0, 60.0, 105.0)
-"""Upper ends of the axis in steps, so that it does not move while a point is dragged."""
+_TOPS_MM_H = (15.0, 30.0, 60.0, 105.0)  # upper ends of the axis, in steps so that it seldom moves
 
 
 class PendingInput(NamedTuple):
@@ -273,7 +243,7 @@ class KeyframePanelState:
     """Speed factor of the series to be imported."""
     start_s: float = 0.0
 
-    def follow(self, weather: RainKeyframes, heaviest_mm_h: float) -> None:
+    def follow(self, heaviest_mm_h: float) -> None:
         """Fit the axis to the heaviest rain, unless a keyframe is being dragged."""
         if not self.is_held:
             self.top_mm_h = next(top for top in _TOPS_MM_H if 1.05 * heaviest_mm_h <= top)
@@ -281,7 +251,6 @@ class KeyframePanelState:
     @staticmethod
     def span_s(weather: RainKeyframes, now_s: float) -> tuple[float, float]:
         """Time span to show: all keyframes with a margin, or one minute from now if there are none."""
-        times = [key.time_s for key in (*weather.keys[:1], *weather.keys[-1:])] or [now_s, now_s + 60.0]
-        first, last = min(times), max(times)
+        first, last = (weather.keys[0].time_s, weather.keys[-1].time_s) if weather.keys else (now_s, now_s + 60.0)
         span = max(last - first, _MIN_SPAN_S)
         return first - 0.06 * span, first + 1.06 * span

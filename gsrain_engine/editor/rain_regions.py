@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 from itertools import product
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -19,9 +19,8 @@ from .viewport_state import ViewportState
 RegionName = Literal["streak_region", "haze_region"]
 _END_ON_PX = 8.0
 """A face that moves less than this for a tenth of its distance is end-on: vertical mouse motion drags it."""
-
-_FARTHEST_M, _THINNEST_M = 200.0, 0.1
-_LARGEST_M3 = {"streak_region": 5_000.0, "haze_region": 1e7}
+_MAX_DISTANCE_M, _MIN_SIZE_M = 200.0, 0.1
+_MAX_M3 = {"streak_region": 5_000.0, "haze_region": 1e7}
 """Maximum volumes: streaks are simulated drop by drop, so a huge region would stall the window."""
 
 
@@ -68,17 +67,16 @@ class BoxFaceDrag:
 
     def pulled(self, x: float, y: float) -> RegionBox:
         """Return the region with its face at the mouse, within the limits of its size."""
-        axis, upper = self.handle.face
-        way = self._along(x, y) - self._along(*self.start_px)
+        axis, distance = self.handle.axis, self._along(x, y) - self._along(*self.start_px)
         low, high = list(self.box.minimum_m), list(self.box.maximum_m)
         others = self.box.volume_m3 / self.box.size_m[axis]
-        thickest = _LARGEST_M3[self.name] / others
-        if upper:
-            most = max(min(_FARTHEST_M, low[axis] + thickest), high[axis])
-            high[axis] = float(np.clip(high[axis] + way, low[axis] + _THINNEST_M, most))
+        max_m = _MAX_M3[self.name] / others
+        if self.handle.upper:
+            end = max(min(_MAX_DISTANCE_M, low[axis] + max_m), high[axis])
+            high[axis] = float(np.clip(high[axis] + distance, low[axis] + _MIN_SIZE_M, end))
         else:
-            least = min(max(-_FARTHEST_M, high[axis] - thickest), low[axis])
-            low[axis] = float(np.clip(low[axis] - way, least, high[axis] - _THINNEST_M))
+            end = min(max(-_MAX_DISTANCE_M, high[axis] - max_m), low[axis])
+            low[axis] = float(np.clip(low[axis] - distance, end, high[axis] - _MIN_SIZE_M))
         corners = {"minimum_m": tuple(round(v, 3) for v in low), "maximum_m": tuple(round(v, 3) for v in high)}
         return msgspec.convert(corners, RegionBox)
 
@@ -125,37 +123,34 @@ def _visible_centroid(
 ) -> Float64[np.ndarray, "3"] | None:
     """Centroid of the visible part of a face, in the world; None if nothing is visible."""
     to_camera = camera.world_to_camera @ anchor_to_world
-    seen = corners_m @ to_camera[:3, :3].T + to_camera[:3, 3]
+    part = corners_m @ to_camera[:3, :3].T + to_camera[:3, 3]
     x, y, wide, high = camera.cx, camera.cy, camera.width, camera.height
     left, right = (inset * wide - x) / camera.fx, ((1 - inset) * wide - x) / camera.fx
     top, bottom = (inset * high - y) / camera.fy, ((1 - inset) * high - y) / camera.fy
     planes = ((0, 0, 1, -NEAR_M), (1, 0, -left, 0), (-1, 0, right, 0), (0, 1, -top, 0), (0, -1, bottom, 0))
     for plane in planes:
-        seen = _cut(seen, np.array(plane, np.float64))
-        if len(seen) < 3:
+        part = _cut(part, np.array(plane, np.float64))
+        if len(part) < 3:
             return None
+    triangles = np.stack([np.broadcast_to(part[0], part[1:-1].shape), part[1:-1], part[2:]], axis=1)
+    areas = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
+    centroid = (triangles.mean(axis=1) * areas[:, None]).sum(axis=0) / max(float(areas.sum()), 1e-12)
     to_world = np.linalg.inv(camera.world_to_camera)
-    return to_world[:3, :3] @ _centroid(seen) + to_world[:3, 3]
+    return to_world[:3, :3] @ centroid + to_world[:3, 3]
 
 
 def _cut(polygon: Float64[np.ndarray, "n 3"], plane: Float64[np.ndarray, "4"]) -> Float64[np.ndarray, "m 3"]:
     """Clip a polygon to the positive side of a plane (Sutherland and Hodgman, 1974)."""
     side = polygon @ plane[:3] + plane[3]
-    kept: list[Float64[np.ndarray, 3]] = []
+    corners: list[Float64[np.ndarray, 3]] = []
     for k in range(len(polygon)):
         here, there = polygon[k - 1], polygon[k]
         a, b = float(side[k - 1]), float(side[k])
         if (a > 0) != (b > 0):
-            kept.append(here + a / (a - b) * (there - here))
+            corners.append(here + a / (a - b) * (there - here))
         if b > 0:
-            kept.append(there)
-    return np.array(kept).reshape(-1, 3)
-
-
-def _centroid(polygon: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "3"]:
-    triangles = np.stack([np.broadcast_to(polygon[0], polygon[1:-1].shape), polygon[1:-1], polygon[2:]], axis=1)
-    areas = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
-    return (triangles.mean(axis=1) * areas[:, None]).sum(axis=0) / max(float(areas.sum()), 1e-12)
+            corners.append(there)
+    return np.array(corners).reshape(-1, 3)
 
 
 # View of a region from outside
@@ -172,8 +167,8 @@ def inset_view(box: RegionBox, anchor_to_world: Float64[np.ndarray, "4 4"], widt
     middle = turn @ np.array(box.center_m) + anchor_to_world[:3, 3]
     direction = turn @ (_FROM / np.linalg.norm(_FROM))
     pose = look_at(middle + direction, middle, np.array([0.0, 0.0, 1.0]))
-    sides = np.array(list(product((-0.5, 0.5), repeat=3))) * np.array(box.size_m)
-    x, y, z = (sides @ turn.T @ pose[:3, :3].T).T
+    corners = np.array(list(product((-0.5, 0.5), repeat=3))) * np.array(box.size_m)
+    x, y, z = (corners @ turn.T @ pose[:3, :3].T).T
     high = np.tan(np.radians(_FOV_DEG) / 2) * _FILLED
     away = float(np.max(np.maximum(np.abs(x) * height / width, np.abs(y)) / high - z))
     pose = look_at(middle + away * direction, middle, np.array([0.0, 0.0, 1.0]))
@@ -193,30 +188,22 @@ def frustum_lines(camera: Camera, length_m: float) -> Float64[np.ndarray, "8 2 3
 # Outlines
 
 
-class RegionOutline(NamedTuple):
-    """Edges of a region."""
-
-    name: str
-    lines_px: Float64[np.ndarray, "m 2 2"]
-    """Start and end of each edge in front of the camera, as x, y in image pixels."""
-
-
-def region_outlines(session: ViewportState, width: int, height: int) -> list[RegionOutline]:
-    """Project the regions that the view options show."""
-    shown = []
+def region_outlines(session: ViewportState, width: int, height: int) -> dict[str, Float64[np.ndarray, "m 2 2"]]:
+    """Edges of the regions that the view options show, by name; see `project_edges`."""
+    boxes: dict[str, RegionBox] = {}
     if session.view.show_streak_region:
-        shown.append(("streak region", session.rain.streak_region))
+        boxes["streak region"] = session.rain.streak_region
     if session.view.show_haze_region:
-        shown.append(("haze region", session.rain.haze_region))
+        boxes["haze region"] = session.rain.haze_region
     shot = session.shot(width, height)
     anchor = rain_anchor(session.displayed_scene, session.displayed_rain, shot)
-    return [RegionOutline(name, project_edges(box, anchor, shot.camera)) for name, box in shown]
+    return {name: project_edges(box, anchor, shot.camera) for name, box in boxes.items()}
 
 
 def project_edges(
     box: RegionBox, anchor_to_world: Float64[np.ndarray, "4 4"], camera: Camera
 ) -> Float64[np.ndarray, "m 2 2"]:
-    """Project the twelve edges of a box, clipped at the near plane."""
+    """Start and end of the twelve edges of a box, as x, y in image pixels, clipped at the near plane."""
     corners = np.array(list(product(*zip(box.minimum_m, box.maximum_m, strict=True))))
     in_world = corners @ anchor_to_world[:3, :3].T + anchor_to_world[:3, 3]
     return project_lines(in_world[EDGES], camera)

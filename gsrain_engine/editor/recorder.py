@@ -1,7 +1,5 @@
 """Export of the timeline or a still: settings, estimate, and start of the job."""
 
-from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -17,12 +15,9 @@ from ..scene.geometry import quaternions_from_matrices
 from ..scene.scene import Scene
 from .autosave import saved_scene
 from .files import SceneFiles
-from .jobs.record import ExportJob
+from .jobs.record import export_job
 from .notifications import describe_error
 from .services import EditorServices
-
-_LABEL_DRAWINGS = 1 / 3
-"""Images per layer or actor for a labels pass: the three color channels of one image hold three of them."""
 
 
 class OutputEstimate(NamedTuple):
@@ -40,31 +35,31 @@ class OutputEstimate(NamedTuple):
 class RenderQueue:
     """The recording of one session. Main thread only."""
 
-    def __init__(self, session: EditorServices, scene_files: SceneFiles, files: ThreadPoolExecutor) -> None:
-        self._session, self._scene_files, self._files = session, scene_files, files
-        self._wanted = ExportSettings(output="", size_px=(960, 640), codec="h264")
+    def __init__(self, session: EditorServices, scene_files: SceneFiles) -> None:
+        self._session, self._scene_files = session, scene_files
+        self._settings = ExportSettings(output="", size_px=(960, 640), codec="h264")
 
     @property
     def settings(self) -> ExportSettings:
         """Settings except for the output path. The frame rate is the timeline's."""
-        return msgspec.structs.replace(self._wanted, fps=self._session.timeline.fps)
+        return msgspec.structs.replace(self._settings, fps=self._session.timeline.fps)
 
     @property
     def end_s(self) -> float:
         """End of the clip in seconds; its start if there is nothing to record."""
         extent = self.extent()
-        return self._wanted.first_s + (0.0 if isinstance(extent, str) else extent.length_s)
+        return self._settings.first_s + (0.0 if isinstance(extent, str) else extent.length_s)
 
     @property
     def is_recording(self) -> bool:
-        return any(isinstance(job, ExportJob) for job in self._session.running_jobs)
+        return any(job.kind == "export" for job in self._session.running_jobs)
 
     def change(self, **fields: object) -> None:
         """Change settings; inconsistent ones are rejected and the error set as `problem`."""
         try:
             values = {name: getattr(self.settings, name) for name in self.settings.__struct_fields__} | fields
-            self._wanted = msgspec.convert(values, ExportSettings)
-            self._session.timeline.fps = self._wanted.fps
+            self._settings = msgspec.convert(values, ExportSettings)
+            self._session.timeline.fps = self._settings.fps
         except ValueError as error:
             self._session.problem = str(error)
 
@@ -74,8 +69,16 @@ class RenderQueue:
             sequences = self._sequences(self.settings)
         except ValueError as error:
             return str(error)
-        frames = len(frame_numbers(self.settings, sequences))
-        return OutputEstimate(frames, len(sequences), frames / self.settings.fps, self._rough_s(frames, sequences))
+        settings, statistics = self.settings, self._session.statistics
+        frames, rough_s = len(frame_numbers(settings, sequences)), None
+        if statistics.get("megapixels"):  # time per pixel times all images, without encoding and reading
+            megapixels = sum(each.width * each.height for each in sequences.values()) * 1e-6
+            image_s = 1e-3 * statistics["frame ms"] * megapixels / statistics["megapixels"]
+            images = (2 if settings.twin else 1) * settings.motion_blur * settings.supersampling**2
+            if "labels" in settings.passes:  # the three color channels of one image hold three layers or actors
+                images += len(self._session.scene.members) / 3
+            rough_s = frames * image_s * images
+        return OutputEstimate(frames, len(sequences), frames / settings.fps, rough_s)
 
     def record_to(self, path: Path) -> None:
         """Record the timeline; replacing existing files needs confirmation."""
@@ -108,28 +111,23 @@ class RenderQueue:
         except ValueError as error:
             self._session.problem = describe_error("It can't be recorded", error)
             return
-        self._session.questions.before_replacing(
-            export_outputs(recording, names), lambda: self._start(recording, scene)
-        )
 
-    def _start(self, recording: ExportSettings, scene: Scene) -> None:
-        session, home = self._session, self._scene_files.home
-        notes = []
-        if scene.path is session.scene.path:
-            saved = " once the scene is saved" if home is None or self._scene_files.has_changes else ""
-            command = export_command(recording, str(home or "PROJECT"))
-            notes = [f"The same from the command line{saved}: {command}"]
-        session.start(ExportJob(scene, recording, self._files, self._scene_files.known, notes))
+        def start() -> None:
+            session, files, notes = self._session, self._scene_files, []
+            if scene.path is session.scene.path:
+                saved = " once the scene is saved" if files.home is None or files.has_changes else ""
+                command = export_command(recording, str(files.home or "PROJECT"))
+                notes = [f"The same from the command line{saved}: {command}"]
+            session.start(export_job(scene, recording, files.known, notes))
+
+        self._session.questions.before_replacing(export_outputs(recording, names), start)
 
     def _sequences(self, recording: ExportSettings) -> dict[str, FrameSequence]:
         session = self._session
-        probe = (
-            recording
-            if recording.output
-            else msgspec.structs.replace(recording, output=f"clip{recording.default_suffix}")
-        )
+        if not recording.output:
+            recording = msgspec.structs.replace(recording, output=f"clip{recording.default_suffix}")
         is_own = session.scene.path is not None
-        return export_sequences(probe, session.scene, session.rainfall, session.path, in_scene_time=is_own)
+        return export_sequences(recording, session.scene, session.rainfall, session.path, in_scene_time=is_own)
 
     def _standing(self) -> CameraPath:
         """A path of one keyframe at the viewport's camera, in scene units and axes."""
@@ -143,14 +141,3 @@ class RenderQueue:
             np.array([camera.vertical_fov_deg]),
             camera.exposure_s,
         ).moved(np.linalg.inv(session.scene.scene_to_world))
-
-    def _rough_s(self, frames: int, sequences: Mapping[str, FrameSequence]) -> float | None:
-        """Time per pixel times all images, without encoding and reading."""
-        statistics, wanted = self._session.statistics, self.settings
-        if not statistics.get("megapixels"):
-            return None
-        megapixels = sum(each.width * each.height for each in sequences.values()) * 1e-6
-        a_picture_s = 1e-3 * statistics["frame ms"] * megapixels / statistics["megapixels"]
-        pictures = (2 if wanted.twin else 1) * wanted.motion_blur * wanted.supersampling**2
-        pictures += len(self._session.scene.members) * _LABEL_DRAWINGS if "labels" in wanted.passes else 0
-        return frames * a_picture_s * pictures

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any
 
 import msgspec
 
@@ -10,19 +10,13 @@ from ..rain.settings import RainSettings
 from ..scene.progress import Progress
 from ..scene.scene import Scene
 from .capture_view import CaptureController
-from .jobs.job import BackgroundJob, BackgroundWork
+from .jobs.job import Job, JobKind, ThreadTask
 from .notifications import Answer, Question, Questions, describe_error, do_nothing
 from .preferences import Preferences, PreferencesStore
 from .viewport.options import Texture
 from .viewport_state import ViewportState
 
-
-class _PendingAction(NamedTuple):
-    """Action to run after some work has ended."""
-
-    work: tuple[BackgroundWork, ...]
-    act: Callable[[], None]
-    question: Question
+Work = Job[Any] | ThreadTask[Any]
 
 
 class EditorServices(ViewportState):
@@ -31,31 +25,42 @@ class EditorServices(ViewportState):
     def __init__(self, scene: Scene, rain: RainSettings | None, files: ThreadPoolExecutor) -> None:
         """Start with a scene; `files` is the thread for reading and writing."""
         super().__init__(scene, rain)
-        self.jobs: list[BackgroundJob] = []
+        self.jobs: list[Job[Any]] = []
         """Running and ended jobs in the order of their start, until the user clears them."""
-        self.previews: dict[BackgroundJob, Texture] = {}
+        self.previews: dict[Job[Any], Texture] = {}
         self.statistics: dict[str, float] = {}
         """Figures of the last frame by name, in the order of the Statistics panel."""
-        self.captures = CaptureController()
+        self.captures = CaptureController(self)
         self.questions = Questions()
-        self._awaited: _PendingAction | None = None
+        self._files = files
+        self._awaited: tuple[tuple[Work, ...], Callable[[], None], Question] | None = None
+        """Work, the action to run after it has ended, and the question that is open meanwhile."""
         self._preferences = PreferencesStore(files)
         if self._preferences.trouble is not None:
             self.questions.ask(Question("Preferences", self._preferences.trouble, (Answer("OK", do_nothing),)))
 
+    # Jobs
+
+    def start(self, job: Job[Any]) -> None:
+        self.jobs.append(job)
+        job.start(self._files)
+
     @property
-    def running_jobs(self) -> list[BackgroundJob]:
+    def running_jobs(self) -> list[Job[Any]]:
         return [job for job in self.jobs if job.state == "running"]
 
+    def newest_job(self, *kinds: JobKind) -> tuple[int, Job[Any]] | None:
+        """Return the last job of some kinds, with its index among all jobs."""
+        return next(((i, self.jobs[i]) for i in reversed(range(len(self.jobs))) if self.jobs[i].kind in kinds), None)
+
     @property
-    def loose_results(self) -> list[str]:
-        """Names of unsaved results that are lost with this document."""
-        return []
+    def why_wait(self) -> str | None:
+        """Reason why no job that needs the whole machine can start now, in one sentence, or None."""
+        if self.running_jobs:
+            return f"Wait for {self.running_jobs[0].title}, or cancel it."
+        return "Wait for the scene that is being brought into the picture." if self.staged is not None else None
 
-    def start(self, job: BackgroundJob) -> None:
-        self.jobs.append(job)
-
-    def when_idle(self, work: Sequence[BackgroundWork], what: str, act: Callable[[], None]) -> None:
+    def when_idle(self, work: Sequence[Work], what: str, act: Callable[[], None]) -> None:
         """Call `act` after work has ended; if jobs run, the user first chooses to wait or to stop them.
 
         `what` ends the sentence "Wait for it before you ...". Always waits for reading and writing of files, which take
@@ -63,7 +68,7 @@ class EditorServices(ViewportState):
         """
         self._wait_no_more()
         running = tuple(each for each in work if each.state == "running")
-        jobs = [each for each in running if isinstance(each, BackgroundJob)]
+        jobs = [each for each in running if isinstance(each, Job)]
 
         def stop() -> None:
             for job in jobs:
@@ -75,7 +80,7 @@ class EditorServices(ViewportState):
             cancel = Answer("Cancel", self._wait_no_more, f"Don't {what}; the work goes on.")
             answers = (Answer(f"Stop {them}", stop, losses), cancel) if jobs else (cancel,)
             question = Question("Waiting", text, answers, progress, enter_answers=not jobs)
-            self._awaited = _PendingAction(running, act, question)
+            self._awaited = running, act, question
             if any(each.state == "running" for each in running):
                 self.questions.ask(question)
 
@@ -100,27 +105,20 @@ class EditorServices(ViewportState):
         )
         self.questions.ask(Question("Work goes on", text, answers, progress))
 
-    @property
-    def is_awaiting(self) -> bool:
-        """True if an action waits for work to end."""
-        return self._awaited is not None
-
     def _go_on_when_idle(self) -> None:
         """Run the waiting action after its work has ended; drop it if work failed."""
-        awaited = self._awaited
-        if awaited is None or any(each.state == "running" for each in awaited.work):
-            return
-        self._wait_no_more()
-        if all(each.state != "failed" for each in awaited.work):
-            awaited.act()
+        work, act, _ = self._awaited or ((), do_nothing, None)
+        if all(each.state != "running" for each in work):
+            self._wait_no_more()
+            if all(each.state != "failed" for each in work):
+                act()
 
     def _wait_no_more(self) -> None:
-        awaited, self._awaited = self._awaited, None
-        if awaited is not None:
-            self.questions.withdraw(awaited.question)
+        if self._awaited is not None:
+            self.questions.withdraw(self._awaited[2])
+            self._awaited = None
 
-    def clear_jobs(self) -> None:
-        self.jobs = self.running_jobs
+    # Preferences
 
     @property
     def preferences(self) -> Preferences:

@@ -13,8 +13,10 @@ from ..scene.camera_path_edit import PathSpeed
 from ..scene.scene import PoseTrack, Scene
 from .viewport.camera import ORBIT_S
 
-_LONGEST_STALL_S = 0.25
+_MAX_STALL_S = 0.25
 _LITTLE = 1e-6  # tolerance in frames within which a time counts as that of a frame
+_MIN_SPAN_S, _MAX_SPAN_S = 0.1, 86400.0
+_MARGIN = 0.04  # share of the ruler's width that stays free on each side of a fitted span
 
 
 @dataclass(slots=True)
@@ -72,7 +74,7 @@ class FrameClock:
         A stall counts as a quarter of a second, to avoid jumps. If successive frames all take longer, time keeps its
         real speed.
         """
-        step_s, self._last_s = min(real_s, max(_LONGEST_STALL_S, self._last_s)), real_s
+        step_s, self._last_s = min(real_s, max(_MAX_STALL_S, self._last_s)), real_s
         return step_s
 
 
@@ -91,9 +93,6 @@ class KeyframeDrag(NamedTuple):
     """Dragged in the viewport, not on the timeline."""
     has_moved: bool = False
     """True if the mouse has moved; otherwise it was a click."""
-
-    def begun(self) -> "KeyframeDrag":
-        return self._replace(has_moved=True)
 
 
 # Ruler: conversion between pixels and seconds, and tick marks
@@ -123,14 +122,14 @@ class Ruler:
     def zoom(self, steps: float, x_px: float) -> None:
         """Zoom in (positive) or out, by a fifth a step; the time at `x_px` stays there."""
         held = self.time(x_px)
-        self.visible_span_s = float(np.clip(self.visible_span_s * 0.8**steps, _SHORTEST_S, _LONGEST_S))
+        self.visible_span_s = float(np.clip(self.visible_span_s * 0.8**steps, _MIN_SPAN_S, _MAX_SPAN_S))
         self._begin_at(held - self.seconds(x_px))
 
     def pan(self, pixels: float) -> None:
         self._begin_at(self.first_s - self.seconds(pixels))
 
     def fit(self, first_s: float, last_s: float) -> None:
-        length = max(last_s - first_s, _SHORTEST_S)
+        length = max(last_s - first_s, _MIN_SPAN_S)
         self.visible_span_s = length * (1 + 2 * _MARGIN)
         self.first_s = first_s - length * _MARGIN
 
@@ -146,9 +145,9 @@ class Ruler:
         return (np.arange(first, last + 1) * step).tolist()
 
     def mark_step(self, apart_px: float) -> float:
-        least = max(self.seconds(apart_px), 1e-9)
-        ten = 10.0 ** np.floor(np.log10(least))
-        return float(next(nice * ten for nice in (*_NICE, 10.0) if nice * ten >= least * (1 - 1e-9)))
+        min_step = max(self.seconds(apart_px), 1e-9)
+        ten = 10.0 ** np.floor(np.log10(min_step))
+        return float(next(nice * ten for nice in (1.0, 2.0, 5.0, 10.0) if nice * ten >= min_step * (1 - 1e-9)))
 
     def _begin_at(self, time_s: float) -> None:
         # A margin before 0 stays visible, so that items at 0 can be dragged.
@@ -209,20 +208,16 @@ def content_span(scene: Scene, weather: RainKeyframes = NO_KEYFRAMES) -> tuple[f
 
 def track_rows(scene: Scene) -> list[TimelineRow]:
     """Rows of the ego vehicle and the actors."""
-    rows: list[TimelineRow] = []
-    if scene.ego is not None:
-        rows.append(TimelineRow("ego vehicle", "The vehicle that carries the cameras.", presence(scene.ego)))
+    rows = [("ego vehicle", "The vehicle that carries the cameras.", scene.ego)] if scene.ego is not None else []
     for actor in scene.actors:
-        help_text = f"{actor.class_name or 'actor'}, in the scene while the bar lasts."
-        rows.append(TimelineRow(actor.name, help_text, presence(actor.track)))
-    return rows
+        rows.append((actor.name, f"{actor.class_name or 'actor'}, in the scene while the bar lasts.", actor.track))
+    return [TimelineRow(name, help_text, presence(track)) for name, help_text, track in rows]
 
 
-def weather_row(weather: RainKeyframes, first_s: float, last_s: float, most: int) -> TimelineRow:
-    """Row of the rain's keyframes within a time span, at most `most` of them, to avoid overlaps."""
-    times = weather.times_s
-    seen = times[(times >= first_s) & (times <= last_s)]
-    thinned = seen[:: max(1, -(-len(seen) // most))]
+def weather_row(weather: RainKeyframes, first_s: float, last_s: float, max_keys: int) -> TimelineRow:
+    """Row of the rain's keyframes within a time span, thinned to `max_keys` to avoid overlaps."""
+    times = weather.times_s[(weather.times_s >= first_s) & (weather.times_s <= last_s)]
+    thinned = times[:: max(1, -(-len(times) // max_keys))]
     spans = [(weather.keys[0].time_s, weather.keys[-1].time_s)] if len(weather.keys) > 1 else []
     return TimelineRow(
         "rain",
@@ -234,8 +229,7 @@ def weather_row(weather: RainKeyframes, first_s: float, last_s: float, most: int
 
 def presence(track: PoseTrack) -> list[tuple[float, float]]:
     """Time spans in which a track is valid, between its first and last sample."""
-    there = track.valid[:-1].astype(np.int8)
-    edges = np.diff(np.concatenate([[0], there, [0]]))
+    edges = np.diff(np.concatenate([[0], track.valid[:-1].astype(np.int8), [0]]))
     starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
     return [(float(track.times[a]), float(track.times[b])) for a, b in zip(starts, ends, strict=True)]
 
@@ -248,10 +242,5 @@ def ego_speed_km_h(scene: Scene, time_s: float) -> float | None:
     k = min(int(np.searchsorted(track.times, time_s, side="right")) - 1, len(track.times) - 2)
     if not track.valid[k]:
         return None
-    way = float(np.linalg.norm(track.positions[k + 1] - track.positions[k])) * scene.metres_per_unit
-    return 3.6 * way / float(track.times[k + 1] - track.times[k])
-
-
-_NICE = (1.0, 2.0, 5.0)
-_SHORTEST_S, _LONGEST_S = 0.1, 86400.0
-_MARGIN = 0.04  # share of the width that stays free on each side of a fitted span
+    distance_m = float(np.linalg.norm(track.positions[k + 1] - track.positions[k])) * scene.metres_per_unit
+    return 3.6 * distance_m / float(track.times[k + 1] - track.times[k])

@@ -21,9 +21,8 @@ from .viewport.camera import OrbitCamera, find_scene_core, home_viewport_camera
 from .viewport.camera_follow import ActorFollower, ChaseCamera, PathFollower
 from .viewport.options import ViewOptions
 
+logger = logging.getLogger("gsrain")
 _VIEW_SIZE = (960, 640)  # aspect ratio for home cameras
-
-# Pending scenes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +61,7 @@ class ViewportState(EditedDocument):
         """Scene to draw during a drag; tools set it again in each frame."""
         self._shown_preview: Scene | None = None
         self.staged: PendingScene | None = None
+        """Scene to show as soon as its Gaussians are ready for the next frame."""
         self.rainfall = RainSimulation.start(self.rain)
         self.sky_seen = SkyColor(OVERCAST, found=False)
         """Last sky color sample of the live view."""
@@ -100,10 +100,6 @@ class ViewportState(EditedDocument):
         """True if another scene is about to replace this one."""
         return self.staged is not None and self.staged.is_opened
 
-    def stage(self, staged: PendingScene) -> None:
-        """Show a scene as soon as its Gaussians are ready for the next frame."""
-        self.staged = staged
-
     # Camera
 
     @property
@@ -119,7 +115,6 @@ class ViewportState(EditedDocument):
             self.stop_riding()
 
     def stop_riding(self) -> None:
-        """Leave the camera path, at the camera's present pose."""
         self.chase.let_go()
         if self.view.follow_path:
             self.navigation.look_like(self.shot(*_VIEW_SIZE).camera)
@@ -130,8 +125,8 @@ class ViewportState(EditedDocument):
         t = self.clock.time_s
         if self.view.follow_path:
             camera = self.path.camera(t, width, height)
-            stands = not self.path.is_timed and not self.clock.playing  # untimed photos, viewed one by one
-            return RenderView(camera, t, None if stands else self.path.velocity(t), camera.fx * focal_scale)
+            is_still = not self.path.is_timed and not self.clock.playing  # untimed photos, viewed one by one
+            return RenderView(camera, t, None if is_still else self.path.velocity(t), camera.fx * focal_scale)
         camera = self.navigation.camera(width, height)
         ride = self.following.velocity_m_s if self.chase.velocity_m_s is None else self.chase.velocity_m_s
         velocity = self.navigation.velocity_m_s if ride is None else self.navigation.velocity_m_s + ride
@@ -150,9 +145,9 @@ class ViewportState(EditedDocument):
     @property
     def core(self) -> SceneCore:
         """Dense part of the scene; recomputed when its visible geometry changes."""
-        matter = self.scene.geometry_key
-        if self._core is None or self._core[0] != matter:
-            self._core = matter, find_scene_core(self.scene)
+        key = self.scene.geometry_key
+        if self._core is None or self._core[0] != key:
+            self._core = key, find_scene_core(self.scene)
         return self._core[1]
 
     def go_home(self) -> None:
@@ -170,25 +165,16 @@ class ViewportState(EditedDocument):
         self.preview = self._shown_preview = None
         if self.scene is not self._scene_of_sky:
             before, self._scene_of_sky = self._scene_of_sky, self.scene
-            self._stay_in_place(before)
+            old, new = before.scene_to_world, self.scene.scene_to_world
+            if not np.array_equal(old, new):  # keep the view when the scale or the up direction changes
+                self.navigation.carry(new @ np.linalg.inv(old))
             self.sky_is_stale = self.sky_is_stale or before.geometry_key != self.scene.geometry_key
         if self.rainfall.rain != self.rain or self.rainfall.weather is not self.weather:
             self.rainfall = self.rainfall.changed(self.rain, self.clock.time_s, self.weather)
 
-    def _stay_in_place(self, before: Scene) -> None:
-        """Keep the camera's view when the scene's scale or up direction changes."""
-        old, new = before.scene_to_world, self.scene.scene_to_world
-        if not np.array_equal(old, new):
-            step = new @ np.linalg.inv(old)
-            self.navigation.carry(step)
-
-
-# Insertion of pending scenes
-
-logger = logging.getLogger("gsrain")
-
 
 def insert_pending_scene(document: ViewportState, staged: PendingScene) -> None:
+    """Make a pending scene a step of the document."""
     is_present = document.history.gesture == staged.gesture
     if staged.goes_on and not is_present:
         return  # the user has continued with something else

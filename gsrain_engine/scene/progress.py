@@ -18,6 +18,8 @@ class Progress(NamedTuple):
     """Description of the current step for the user."""
     preview: UInt8[np.ndarray, "h w 3"] | None = None
     """A small preview image; only the newest is shown."""
+    warning: str | None = None
+    """One sentence about the work so far, such as that a training goes wrong."""
 
 
 def run_to_end(work: Generator[Progress, None, _Result], tell: Callable[[Progress], object] | None = None) -> _Result:

@@ -254,17 +254,15 @@ def test_without_a_drive_it_is_told():
     session.close()
 
 
-@pytest.mark.parametrize(
-    "export", [camera_path.export_path, camera_path.export_nerfstudio, camera_path.export_training_cameras]
-)
-def test_exports_read_back_or_are_told(session, tmp_path, export):
+@pytest.mark.parametrize("form", ["keyframes", "nerfstudio", "training cameras"])
+def test_exports_read_back_or_are_told(session, tmp_path, form):
     path = four_keys(session)
-    export(session, tmp_path / "out")
+    camera_path.export_path(session, tmp_path / "out", form)
     camera_path.import_path(session, tmp_path / "out.json")
     assert session.scene.path is not path
     assert session.scene.path.positions[0] == pytest.approx(path.positions[0], abs=1e-9)
     assert session.scene.path.positions[-1] == pytest.approx(path.positions[-1], abs=1e-6)
-    export(session, tmp_path / "out.json" / "out.json")  # a file is no folder
+    camera_path.export_path(session, tmp_path / "out.json" / "out.json", form)  # a file is no folder
     assert "can't be written" in session.problem
 
 

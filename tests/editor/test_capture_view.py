@@ -25,10 +25,9 @@ def session():
 
 
 def _wait(session: Editor) -> None:
-    reading = session.captures._opening
-    assert reading is not None
-    reading[1].exception(timeout=60)
-    session.captures.poll(session)
+    (reading,) = session.captures.pending
+    reading.exception(timeout=60)
+    session.captures.poll()
 
 
 def _opened(session: Editor, capture: Capture) -> None:
@@ -58,14 +57,14 @@ def test_a_folder_is_opened_in_the_background(session: Editor, tmp_path: Path, m
     may_go_on, threads = threading.Event(), []
     read = capture_view._read
 
-    def slowly(path: Path):
+    def slowly(path: Path, allow_outside: bool):
         may_go_on.wait(60)
         threads.append(threading.current_thread())
-        return read(path)
+        return read(path, allow_outside)
 
     monkeypatch.setattr(capture_view, "_read", slowly)
     session.captures.open(written_capture(tmp_path / "drive"))
-    session.captures.poll(session)
+    session.captures.poll()
     assert session.captures.capture is None
     assert session.captures.busy == "Reading drive"
     assert session.is_working
@@ -161,8 +160,8 @@ def test_pictures_come_when_they_are_asked_for_and_broken_ones_are_named(session
 
 def _read_one(pictures: CaptureImageLoader) -> None:
     pictures.poll()
-    assert pictures._reading is not None
-    pictures._reading[1].exception(timeout=60)
+    (reading,) = pictures.pending
+    reading.exception(timeout=60)
     pictures.poll()
 
 

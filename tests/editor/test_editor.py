@@ -79,7 +79,7 @@ def test_open_and_save(session, tmp_path):
     assert session.scene.name == "other"
     assert session.history.undo_label is None
     session.change_rain("Intensity", intensity_mm_h=7.0)
-    session.save(tmp_path / "saved")
+    session.files.save_to(tmp_path / "saved")
     settle(session)
     saved = read_scene(tmp_path / "saved")
     assert saved.rain["intensity_mm_h"] == 7.0
@@ -166,10 +166,10 @@ def test_flying_moves_along_the_sight_and_stops():
 def test_region_edges_are_cut_at_the_camera(session):
     session.view.show_streak_region = session.view.show_haze_region = True
     outlines = region_outlines(session, 300, 200)
-    assert [outline.name for outline in outlines] == ["streak region", "haze region"]
-    for outline in outlines:
-        assert np.isfinite(outline.lines_px).all()
-        assert 0 < len(outline.lines_px) <= 12
+    assert list(outlines) == ["streak region", "haze region"]
+    for outline in outlines.values():
+        assert np.isfinite(outline).all()
+        assert 0 < len(outline) <= 12
     anchor = np.eye(4)
     anchor[0, 3] = 20.0  # all in front
     lines = project_edges(session.rain.streak_region, anchor, session.shot(300, 200).camera)

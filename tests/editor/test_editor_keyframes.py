@@ -75,7 +75,7 @@ def test_drops_go_on_from_where_they_are_when_keys_change(session):
 def test_weather_is_saved_with_the_scene_and_comes_back(session, tmp_path):
     shower = shower_keyframes(2.0)
     session.set_weather("Shower", shower)
-    session.save(tmp_path / "wet")
+    session.files.save_to(tmp_path / "wet")
     settle(session)
     other = Editor()
     other.open(str(tmp_path / "wet"))

@@ -10,7 +10,7 @@ def document(intensity):
 
 
 def history():
-    return History.starting_with(document(0))
+    return History(document(0))
 
 
 def test_undo_and_redo_walk_over_the_steps():
@@ -19,22 +19,22 @@ def test_undo_and_redo_walk_over_the_steps():
     steps.record("one", one)
     steps.record("two", two)
     assert (steps.undo_label, steps.redo_label) == ("two", None)
-    assert steps.undo() is one
+    assert steps.go_to(steps.cursor - 1) is one
     assert (steps.undo_label, steps.redo_label) == ("one", "two")
-    assert steps.redo() is two
-    assert steps.redo() is two
+    assert steps.go_to(steps.cursor + 1) is two
+    assert steps.go_to(steps.cursor + 1) is two
 
 
 def test_nothing_is_before_the_beginning():
     steps = history()
     assert steps.undo_label is None
-    assert steps.undo() is steps.present
+    assert steps.go_to(steps.cursor - 1) is steps.present
 
 
 def test_a_new_step_forgets_what_could_be_redone():
     steps = history()
     steps.record("one", document(1))
-    steps.undo()
+    steps.go_to(steps.cursor - 1)
     steps.record("other", document(3))
     assert steps.redo_label is None
     assert steps.present.rain.intensity_mm_h == 3
@@ -49,12 +49,12 @@ def test_a_drag_is_one_step_and_the_next_drag_another():
         steps.record("Intensity", document(value), "intensity")
     steps.end_gesture()
     assert steps.present.rain.intensity_mm_h == 5
-    assert steps.undo().rain.intensity_mm_h == 3
-    assert steps.undo().rain.intensity_mm_h == 0
+    assert steps.go_to(steps.cursor - 1).rain.intensity_mm_h == 3
+    assert steps.go_to(steps.cursor - 1).rain.intensity_mm_h == 0
 
 
 def test_another_gesture_begins_its_own_step():
     steps = history()
     steps.record("Intensity", document(1), "intensity")
     steps.record("Wind", document(2), "wind")
-    assert steps.undo().rain.intensity_mm_h == 1
+    assert steps.go_to(steps.cursor - 1).rain.intensity_mm_h == 1

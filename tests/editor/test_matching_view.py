@@ -11,8 +11,14 @@ from gsrain_engine.appearance.correspondence import COLORS, MatchOutcome, corres
 from gsrain_engine.datasets.capture import Capture, CaptureFrame
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.matching import neighbor_view
-from gsrain_engine.editor.matching_image import MatchableViews, MatchedViews, flow_lines, matching_image, outcome_shares
+from gsrain_engine.editor.matching import (
+    MatchableViews,
+    MatchedViews,
+    flow_lines,
+    matching_image,
+    neighbor_view,
+    outcome_shares,
+)
 from gsrain_engine.scene.camera import Camera, look_at
 from small_scene import small_scene
 
@@ -61,9 +67,8 @@ def _until(session, condition):
     while not condition():
         assert time.monotonic() < last, "waited in vain"
         session.update(0.001)
-        for work in [session.matching._working, session.captures._opening]:
-            if work is not None:
-                work[-1].exception()  # waits for it
+        for work in [*session.matching.pending, *session.captures.pending]:
+            work.exception()  # waits for it
 
 
 def test_recorded_views_are_matched_with_the_one_that_is_asked_for(session, written):

@@ -24,8 +24,9 @@ def lab():
 
 
 def wait(lab: CalibrationTools) -> None:
-    while lab._task is not None:
-        lab._task.result.exception(timeout=120)
+    while lab.busy is not None:
+        for each in lab.pending:
+            each.exception(timeout=120)
         lab.poll()
 
 

@@ -1,8 +1,6 @@
 """Making a scene rainy behind the window: real workers on a small scene, the preview, and trainings."""
 
-from concurrent.futures import wait
 from dataclasses import replace
-from multiprocessing.connection import wait as wait_for
 
 import msgspec
 import numpy as np
@@ -44,10 +42,7 @@ def session():
 def follow(session, job, until=lambda: False):
     """Poll until the job has ended, or something is so; wait where there is nothing new."""
     while job.state == "running" and not until():
-        if job._worker is not None:
-            wait_for([job._worker.waitable], timeout=60)
-        elif job._reading is not None:
-            wait([job._reading], timeout=60)
+        job.wait(60)
         session.update(0.0)
 
 
@@ -88,8 +83,8 @@ def test_a_preview_fits_only_what_it_is_of(session):
     assert not view.is_of(shot.camera, 0.0, scene.with_member("layers/road", visible=False))
     session.dolly(1.0)
     assert not view.is_of(session.shot(96, 64).camera, 0.0, scene)
-    assert view.is_made_by(PreviewSettings("wet", TransferSettings()))
-    assert not view.is_made_by(PreviewSettings("wet", TransferSettings(seed=1)))
+    assert view.recipe == PreviewSettings("wet", TransferSettings())
+    assert view.recipe != PreviewSettings("wet", TransferSettings(seed=1))
 
 
 def test_views_that_a_scene_has_not_are_named(session):
@@ -132,10 +127,11 @@ def learning(task):
     rows = "".join(f"{k},{2 / k}\n" for k in range(1, 1001))
     task.losses.write_text(f"step,cycle_clear\n{rows}")
     yield Progress(0.5, "500 of 1,000: cycle 0.1", np.full((8, 8, 3), 90, np.uint8))
-    yield Progress(0.6, "600 of 1,000: cycle 0.1. Warning: the model only reconstructs; raise losses.gan")
+    warning = "the model only reconstructs; raise losses.gan"
+    yield Progress(0.6, "600 of 1,000: cycle 0.1", warning=warning)
     while not (task.output / "seen").exists():
         pass  # the test lets it go on
-    yield Progress(1.0, "Trained")
+    yield Progress(1.0, "Trained", warning=warning)
 
 
 def breaking(task):
@@ -159,20 +155,22 @@ def studio(session, tmp_path, monkeypatch):
 def test_losses_and_warnings_of_a_training_can_be_watched(session, studio):
     studio.start(session)
     (job,) = session.jobs
-    assert isinstance(job.task, FinetuneTask)
-    assert isinstance(job.task.settings, FinetuningSettings)
-    assert job.task.settings.steps == 1000
-    assert [each.path for each in job.task.settings.pictures.clear] == [str(studio.choice.clear)]
+    assert not job.ends_with_scene
+    (task,) = job.inputs(None)
+    assert isinstance(task, FinetuneTask)
+    assert isinstance(task.settings, FinetuningSettings)
+    assert task.settings.steps == 1000
+    assert [each.path for each in task.settings.pictures.clear] == [str(studio.choice.clear)]
     assert studio.why_not(session) == "Wait for Train the transfer, or cancel it."
-    follow(session, job, until=lambda: job.warning is not None)
+    follow(session, job, until=lambda: job.progress.warning is not None)
     assert job.progress.message == "600 of 1,000: cycle 0.1"
-    (job.task.output / "seen").touch()
+    (task.output / "seen").touch()
     follow(session, job)
     assert (job.state, job.error) == ("finished", None)
-    assert job.warning == "the model only reconstructs; raise losses.gan"
+    assert job.progress.warning == "the model only reconstructs; raise losses.gan"
     assert job.progress.preview is not None
-    assert len(job.losses["step"]) == 500  # means of two
-    assert job.losses["cycle_clear"][0] == pytest.approx(1.5)
+    assert len(studio.losses["step"]) == 500  # means of two
+    assert studio.losses["cycle_clear"][0] == pytest.approx(1.5)
 
 
 def test_what_ends_a_training_is_told_and_a_checkpoint_is_gone_on_from(session, studio, monkeypatch):
@@ -185,7 +183,7 @@ def test_what_ends_a_training_is_told_and_a_checkpoint_is_gone_on_from(session, 
     (studio.choice.output / "checkpoint.safetensors").write_bytes(b"")
     assert studio.can_resume
     studio.start(session, resume=True)
-    assert session.jobs[1].task.resume
+    assert session.jobs[1].inputs(None)[0].resume
     session.jobs[1].cancel()
     assert session.jobs[1].state == "cancelled"
 
@@ -203,8 +201,7 @@ def test_a_program_that_the_settings_name_is_asked_about(session, tmp_path, monk
     monkeypatch.setattr(trusted_code, "_trusted", set())
     monkeypatch.setattr(finetune, "has_torch", lambda: True)
     started = []
-    monkeypatch.setattr(finetune, "FinetuneJob", lambda task, files: started.append(task))
-    monkeypatch.setattr(Editor, "start", lambda self, job: None)
+    monkeypatch.setattr(Editor, "start", lambda self, job: started.extend(job.inputs(None)))
     (tmp_path / "DSINE" / "models").mkdir(parents=True)
     (tmp_path / "DSINE" / "models" / "dsine.py").write_text("DSINE = 1\n")
     text = "pictures: {clear: [{path: a}], rainy: [{path: b}], normals: dsine, normals_checkout: DSINE}\n"

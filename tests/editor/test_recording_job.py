@@ -3,7 +3,6 @@
 import shlex
 import shutil
 from dataclasses import replace
-from multiprocessing.connection import wait as wait_for
 
 import av
 import numpy as np
@@ -30,10 +29,7 @@ def follow(session, until=lambda job: False):
     """Look after the last job as the window does, until it ends or something is true of it; return it."""
     job = session.jobs[-1]
     while job.state == "running" and not until(job):
-        if job._worker is not None:
-            wait_for([job._worker.waitable], timeout=60)
-        elif job._copying is not None:
-            job._copying.exception(timeout=60)
+        job.wait(60)
         session.update(0.01)
     return job
 

@@ -136,7 +136,7 @@ def test_unsaved_changes_are_recovered(saved, session):
 
 
 def test_an_unsaved_new_scene_is_recovered(saved, session):
-    session.files.offer_recovery()
+    session.files.recovery.look()
     settle(session)
     session.questions.answer(session.questions.present.answers[0])
     settle(session)

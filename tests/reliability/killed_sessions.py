@@ -55,7 +55,7 @@ def recovered(home: Path) -> Editor:
     """A session with all that there is of the scene."""
     session = Editor()
     session.open(str(home))
-    session.files.offer_recovery()
+    session.files.recovery.look()
     settle(session)
     if session.problem is not None:
         raise ValueError(session.problem)

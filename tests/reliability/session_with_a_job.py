@@ -27,9 +27,9 @@ def main() -> None:
     files = ThreadPoolExecutor(max_workers=1)
     folder = JobTempDir(files)
     place = folder.do(lambda path: path).result()
-    job = WorkerProcess("Silent", silent, place)
+    job = WorkerProcess(silent, place)
     while job.progress.message != "at it":
-        job.waitable.poll(60)
+        job.wait(60)
         job.poll()
     print(job._process.pid, place, job._image.name, flush=True)
     sys.stdin.read()

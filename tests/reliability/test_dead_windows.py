@@ -60,7 +60,7 @@ def test_a_job_s_folder_goes_with_it_and_is_nobody_else_s(tmp_path):
         assert place.parent == tmp_path
         remove_abandoned_job_folders()
         assert place.is_dir()
-        folder.remove(None)
+        folder.remove()
     assert not place.exists()
 
 
@@ -86,5 +86,5 @@ def test_a_folder_that_is_removed_before_it_is_locked_is_made_again(tmp_path, mo
     with ThreadPoolExecutor(max_workers=1) as files:
         folder = JobTempDir(files)
         assert folder.do(lambda path: path).result() == Path(made[1])
-        folder.remove(None)
+        folder.remove()
     assert len(made) == 2 and not list(tmp_path.iterdir())

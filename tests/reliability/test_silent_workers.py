@@ -4,7 +4,6 @@ import os
 import signal
 import threading
 import time
-from multiprocessing.connection import wait
 
 import numpy as np
 import psutil
@@ -39,7 +38,7 @@ def crashing():
 
 def finished(job):
     while job.state == "running":
-        wait([job.waitable], timeout=30)
+        job.wait(30)
         job.poll()
     return job
 
@@ -49,12 +48,12 @@ def heard(job, words):
     until = time.monotonic() + 30
     while words not in job.progress.message:
         assert time.monotonic() < until, job.progress.message
-        wait([job.waitable], timeout=0.05)
+        job.wait(0.05)
         job.poll()
 
 
 def test_a_stopped_worker_is_told_of_goes_on_and_ends_at_once_when_it_is_cancelled():
-    job = WorkerProcess("Endless", endless)
+    job = WorkerProcess(endless)
     heard(job, "still at it")
     pid = job._process.pid
     os.kill(pid, signal.SIGSTOP)
@@ -90,13 +89,13 @@ def test_a_process_that_is_gone_is_not_stopped():
 
 
 def test_too_little_memory_is_a_sentence():
-    job = finished(WorkerProcess("Hungry", with_little_memory))
+    job = finished(WorkerProcess(with_little_memory))
     assert job.state == "failed"
     assert job.error.startswith("the machine ran out of memory: close other programs")
     job.close()
 
 
 def test_a_crash_is_told_by_its_name():
-    job = finished(WorkerProcess("Crash", crashing))
+    job = finished(WorkerProcess(crashing))
     assert (job.state, job.error) == ("failed", "the worker died of SIGSEGV")
     job.close()

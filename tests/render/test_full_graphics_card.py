@@ -82,7 +82,7 @@ def test_the_processor_goes_on_where_the_card_is_full(context, session, monkeypa
     if change == "edit":
         session.set_scene("Darker", scene)
     else:
-        session.stage(PendingScene("Darker", scene))
+        session.staged = PendingScene("Darker", scene)
     after = settled_picture(view)
     assert session.staged is None
     assert [each.gaussians for each in session.scene.members] == [each.gaussians for each in scene.members]

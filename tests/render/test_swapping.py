@@ -95,7 +95,7 @@ def test_a_screenshot_does_not_wait(context, session, slow_view, tmp_path):
 
 def test_a_staged_scene_comes_when_all_of_it_is_uploaded(context, session, slow_view):
     before, first = picture(slow_view), session.scene
-    session.stage(PendingScene("Darker", darkened(session.scene)))
+    session.staged = PendingScene("Darker", darkened(session.scene))
     frames = 0
     while session.staged is not None:
         assert session.scene is first
@@ -110,7 +110,7 @@ def test_a_staged_scene_comes_when_all_of_it_is_uploaded(context, session, slow_
 def test_a_scene_that_is_opened_lets_go_of_the_last_one(context, session):
     view, first = LiveView(context, session, "opengl"), session.scene
     picture(view)
-    session.stage(PendingScene("other", darkened(small_scene("other")), is_opened=True))
+    session.staged = PendingScene("other", darkened(small_scene("other")), is_opened=True)
     while session.staged is not None:
         picture(view)
     picture(view)

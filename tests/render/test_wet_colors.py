@@ -175,7 +175,7 @@ def test_finished_wet_colours_are_one_step_and_come_in_slices(context, session, 
     rain_at(session, 12.0, streaks=False, haze=False)
     view = LiveView(context, session, "opengl")
     clear, before = picture(view), session.scene
-    session.stage(PendingScene("Make it rainy", darker(session.scene), only_wet_colors=True))
+    session.staged = PendingScene("Make it rainy", darker(session.scene), only_wet_colors=True)
     shown = []
     while session.staged is not None:
         shown.append(picture(view))
@@ -192,7 +192,7 @@ def test_finished_wet_colours_are_one_step_and_come_in_slices(context, session, 
 
 
 def test_wet_colours_that_fit_nothing_are_told(session):
-    session.stage(PendingScene("Make it rainy", session.scene, only_wet_colors=True))
+    session.staged = PendingScene("Make it rainy", session.scene, only_wet_colors=True)
     session.swap_in()
     assert session.problem == "The scene has changed so much that the new wet colors fit none of its layers and actors."
     assert session.history.undo_label is None

@@ -131,7 +131,7 @@ def test_what_cannot_be_opened_is_told(tmp_path):
 
 def test_measured_points_are_drawn_over_the_picture(tmp_path, monkeypatch):
     capture = small_capture()
-    monkeypatch.setattr(capture_view, "_read", lambda path: (capture, sample_points(capture)))
+    monkeypatch.setattr(capture_view, "_read", lambda path, allow_outside: (capture, sample_points(capture)))
     driver = Driver(tmp_path, backend="opengl")
     session, captures = driver.session, driver.session.captures
 

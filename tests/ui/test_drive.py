@@ -169,7 +169,7 @@ def test_the_rig_s_cameras_are_drawn_while_their_panel_is_seen(driver, rollout):
         driver.ctx.window_focus("//Rig cameras")
         driver.until(lambda: "FRONT" in mosaic.pictures and mosaic.pictures["FRONT"].width == mosaic.width_px)
         assert mosaic.pictures["FRONT"].height == pytest.approx(mosaic.width_px * 2 / 3, abs=1)
-        session.drives.open(rollout)
+        session.drives.open(session, rollout)
         driver.until(lambda: session.drives.playing is not None)
         driver.ctx.window_focus("//Drive")
         driver.frames(3)

@@ -168,7 +168,7 @@ def test_a_name_is_needed_and_what_was_written_is_reported(driver, tmp_path, key
 
 
 def test_the_cross_of_the_window_asks_about_a_job_and_waits_for_it(driver):
-    job = HeldJob()
+    job = HeldJob(driver.session)
     driver.session.start(job)
 
     def script():

@@ -32,7 +32,7 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
         clear, before = driver.picture(), session.scene
         driver.click(f"{PANEL}###preview")
         assert rainy.why_not(session) == "Wait for Preview, or cancel it."
-        driver.until(lambda: not rainy.is_previewing, 1_000_000)
+        driver.until(lambda: not session.running_jobs, 1_000_000)
         driver.frames()
         assert session.problem is None
         assert rainy.previewed.pixels.shape[1] == 96
@@ -53,7 +53,7 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
         assert not ctx.item_exists(f"{PANEL}###make")  # its progress stands there
         driver.click(f"{PANEL}Cancel##0")
         assert (session.jobs[0].state, session.scene) == ("cancelled", before)
-        session.clear_jobs()
+        session.jobs = session.running_jobs
 
         blue_sky = session.sky
         driver.click(f"{PANEL}###make")

@@ -33,7 +33,7 @@ def test_the_intensity_blends_wet_colours_in_and_every_step_is_undone(driver):
         driver.click("//Rain/Streaks")  # so that the pictures show the scene alone
         driver.click("//Rain/Haze")
         clear, before = driver.picture(), session.scene
-        session.stage(PendingScene("Make it rainy", darker(before), only_wet_colors=True))
+        session.staged = PendingScene("Make it rainy", darker(before), only_wet_colors=True)
         driver.until(lambda: session.scene is not before)
         assert [new.gaussians for new in session.scene.members] == [old.gaussians for old in before.members]
         assert np.array_equal(driver.picture(), clear)  # it does not rain

@@ -99,7 +99,7 @@ def ask_where_to_save_scenario(setup: DriveSetup) -> None:
 def ask_for_rollout(session: Editor) -> None:
     def take(chosen: list[Path]) -> None:
         for path in chosen:
-            session.drives.open(path)
+            session.drives.open(session, path)
 
     ask_what_to_open("Open a roll-out", f"{_ROLLOUTS},{ALL_FILES}", take, several=True)
 
@@ -117,7 +117,7 @@ def ask_where_to_render_drive(session: Editor) -> None:
 
 
 def _start(session: Editor) -> None:
-    newest = session.drives.newest_job(session)
+    newest = session.newest_job("drive")
     if newest is not None and newest[1].state == "running":
         imgui.separator_text(newest[1].title)
         job_fields(session, newest[1], newest[0])

@@ -8,10 +8,9 @@ import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
 from jaxtyping import Float64
 
-from gsrain_engine.editor.drive_curves import RolloutCurves
+from gsrain_engine.editor.drive import mosaic_rows
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.jobs.drive import LoadedRollout
-from gsrain_engine.editor.overlays_drive import mosaic_rows
+from gsrain_engine.editor.jobs.drive import LoadedRollout, RolloutCurves
 from gsrain_engine.scene.scene import RigCamera
 from gsrain_engine.simulation.metrics.summary import DriveMetrics
 
@@ -68,7 +67,7 @@ def drive_plots(session: Editor) -> None:
 
 def _plot(session: Editor, playing: LoadedRollout, plot: _Plot, size: ImVec2) -> None:
     drives = session.drives
-    placed = drives.placed_in(session)
+    placed = drives.placed_in(session.scene)
     now_s = session.clock.time_s - (placed.start_s if placed is not None else 0.0)
     now = float(np.interp(now_s, playing.curves.times_s, plot.of(playing.curves)))
     imgui.text(plot.title)

@@ -5,13 +5,12 @@ from dataclasses import replace
 import msgspec
 from imgui_bundle import imgui
 
-from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.editor import FLOATERS_TITLE, Editor
 from gsrain_engine.editor.edits import gaussians
 from gsrain_engine.editor.edits.actors import duration_of, retime_actor, start_of, turn_actor
 from gsrain_engine.editor.edits.floaters import FloaterRules
 from gsrain_engine.editor.edits.layers import duplicate, remove
 from gsrain_engine.editor.edits.transform import Pose, layer_pose, set_layer_pose
-from gsrain_engine.editor.jobs.floaters import TITLE, FloaterJob
 from gsrain_engine.scene.scene import Actor, Layer
 
 from ..widgets.fields import (
@@ -102,21 +101,21 @@ def _floaters(session: Editor) -> None:
         changed, value = imgui.slider_float(f"##{name}", value, 0.0, high, form if value else "off", LOGARITHMIC)
         if changed:
             _State.rules = msgspec.structs.replace(_State.rules, **{name: value})
-    jobs = [job for job in session.jobs if isinstance(job, FloaterJob)]
-    job = jobs[-1] if jobs else None
+    newest, count = session.newest_job("floaters"), session.floater_count
+    job = None if newest is None else newest[1]
     if job is not None and job.state == "running":
         imgui.progress_bar(job.progress.fraction, (-1, 0), job.progress.message)
         if button("Cancel##floaters", "Stop the search; the selection does not change.", width=-1):
             job.cancel()
         return
     help_text = "Select Gaussians that meet any of the rules, in background layers that are not locked."
-    if button(TITLE, help_text, width=-1):
-        session.start(FloaterJob(session.scene, _State.rules))
-    is_latest = session.history.undo_label == TITLE
-    if job is not None and job.found_count is not None and (is_latest or not job.found_count):
+    if button(FLOATERS_TITLE, help_text, width=-1):
+        session.find_floaters(_State.rules)
+    is_latest = session.history.undo_label == FLOATERS_TITLE
+    if job is not None and count is not None and (is_latest or not count):
         imgui.text_wrapped(job.progress.message + ".")
-        title = f"Delete {job.found_count:,} floaters"
-        if job.found_count and button(title, "Delete the found floaters; undo restores them.", width=-1):
+        title = f"Delete {count:,} floaters"
+        if count and button(title, "Delete the found floaters; undo restores them.", width=-1):
             session.edit("Delete floaters", gaussians.delete_selected)
 
 

@@ -2,11 +2,12 @@
 
 import logging
 import webbrowser
+from typing import Any
 
 from imgui_bundle import ImVec2, ImVec4, imgui
 
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.jobs.job import BackgroundJob, SceneJob
+from gsrain_engine.editor.jobs.job import Job
 from gsrain_engine.editor.notifications import LogLine
 
 from ..widgets.fields import WARNING, button, combo
@@ -19,7 +20,7 @@ def jobs_panel(session: Editor) -> None:
         imgui.separator_text(job.title)
         job_fields(session, job, number)
     if len(session.jobs) > len(session.running_jobs) and imgui.button("Clear", (-1, 0)):
-        session.clear_jobs()
+        session.jobs = session.running_jobs
 
 
 # One job: progress, preview, cancel button and result
@@ -27,7 +28,7 @@ def jobs_panel(session: Editor) -> None:
 _MAX_PREVIEW_EM = 9.0
 
 
-def job_fields(session: Editor, job: BackgroundJob, number: int) -> None:
+def job_fields(session: Editor, job: Job[Any], number: int) -> None:
     """Draw a job; `number` distinguishes it from others in the panel."""
     if job.state == "running":
         imgui.progress_bar(job.progress.fraction, (-1, 0), f"{100 * job.progress.fraction:.0f} %")
@@ -48,7 +49,7 @@ def job_fields(session: Editor, job: BackgroundJob, number: int) -> None:
             imgui.tree_pop()
     else:
         imgui.text_wrapped(job.progress.message if job.state == "finished" else "Canceled")
-        if isinstance(job, SceneJob) and job.report is not None:
+        if job.state == "finished" and job.report is not None:
             help_text = f"Show metrics, views and timings in a browser: {job.report}"
             if button(f"Report##{number}", help_text, width=-1):
                 webbrowser.open(job.report.as_uri())

@@ -158,7 +158,7 @@ _ROWS: tuple[tuple[Keyed, str], ...] = (("wind_m_s", "wind"), ("exposure_s", "ex
 def _plot(session: Editor, width: float) -> None:
     """Draw the plot with a width in pixels, and handle the mouse."""
     shower, weather = session.shower, session.weather
-    shower.follow(weather, weather.heaviest_mm_h(session.rain))
+    shower.follow(weather.heaviest_mm_h(session.rain))
     fit, menu = implot.get_input_map().fit, implot.get_input_map().menu
     implot.get_input_map().fit = implot.get_input_map().menu = imgui.MouseButton_.middle  # both buttons edit keyframes
     flags = implot.Flags_.no_menus | implot.Flags_.no_box_select | implot.Flags_.no_mouse_text

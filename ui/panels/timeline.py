@@ -209,11 +209,11 @@ def _export_menu(session: Editor) -> None:
         ask_for_export(session)
     if menu_item("Every frame (nerfstudio)...", "A camera_path.json for ns-render, at the timeline's frame rate."):
         title = "Export for nerfstudio"
-        ask_where_to_save(title, _JSON, lambda chosen: camera_path.export_nerfstudio(session, chosen[0]))
+        ask_where_to_save(title, _JSON, lambda chosen: camera_path.export_path(session, chosen[0], "nerfstudio"))
     help_text = "A list of cameras at the timeline's frame rate; it has no times."
     if menu_item("Every frame (3DGS cameras.json)...", help_text):
         title = "Export as 3DGS cameras"
-        ask_where_to_save(title, _JSON, lambda chosen: camera_path.export_training_cameras(session, chosen[0]))
+        ask_where_to_save(title, _JSON, lambda chosen: camera_path.export_path(session, chosen[0], "training cameras"))
 
 
 def _drive_menu(session: Editor) -> None:
@@ -439,7 +439,7 @@ def _drag(session: Editor) -> None:
         return
     moved = imgui.get_mouse_drag_delta(_LEFT, _DRAG_PX).x
     if moved:
-        timeline.drag = timeline.drag.begun()
+        timeline.drag = timeline.drag._replace(has_moved=True)
     if timeline.drag.has_moved:
         camera_path.drag_in_time(session, timeline.ruler.seconds(moved))
         imgui.set_tooltip(f"{camera_path.active_keyframe_time(session):.2f} s")

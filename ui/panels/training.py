@@ -10,8 +10,7 @@ from imgui_bundle import icons_fontawesome_6, imgui
 from gsrain_engine.appearance.finetune.settings import finetuning_names
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.finetune import FinetuneChoice
-from gsrain_engine.editor.jobs.job import SceneJob
-from gsrain_engine.editor.jobs.training import HOW_TO_GET_TORCH, RecolorJobKind, ReconstructionJobKind, has_torch
+from gsrain_engine.editor.jobs.training import HOW_TO_GET_TORCH, has_torch, recolor_job, reconstruction_job
 from gsrain_engine.training.settings import TrainingSettings, load_settings, settings_names
 
 from ..widgets.draw import line, plot
@@ -66,25 +65,16 @@ def reconstruct_fields(session: Editor) -> None:
     if not captures.capture.has_poses:
         imgui.text_wrapped("The camera poses are unknown: compute them with COLMAP, and open its folder.")
         return
-    own = [
-        (number, job)
-        for number, job in enumerate(session.jobs)
-        if isinstance(job, SceneJob) and isinstance(job.task, ReconstructionJobKind | RecolorJobKind)
-    ]
-    number, job = own[-1] if own else (0, None)
-    if job is not None and job.state == "running":
-        job_fields(session, job, number)
+    newest = session.newest_job("reconstruct", "recolor")
+    if newest is not None and newest[1].state == "running":
+        job_fields(session, newest[1], newest[0])
         return
-    why_not = None
-    if session.running_jobs:
-        why_not = f"Wait for {session.running_jobs[0].title}, or cancel it."
-    elif session.staged is not None:
-        why_not = "Wait for the scene that is being loaded into the viewport."
+    why_not = session.why_wait
     if has_torch():
         _reconstruction_settings()
         if button("Reconstruct", _RECONSTRUCT_HELP, width=-1, why_not=why_not):
-            session.start_task(
-                ReconstructionJobKind(captures.path, _chosen.settings, allow_outside=captures.allows_outside)
+            session.start(
+                reconstruction_job(session, captures.path, _chosen.settings, allow_outside=captures.allows_outside)
             )
     else:
         imgui.text_wrapped(f"Reconstruction needs torch, which is not installed: {HOW_TO_GET_TORCH}")
@@ -94,14 +84,14 @@ def reconstruct_fields(session: Editor) -> None:
         _recolor(session, captures.path, [])
     if button("Recolor to other images...", _RECOLOR_OTHERS_HELP, width=-1, why_not=why_not):
         ask_what_to_open("Images to recolor to (folder)", "", partial(_recolor, session, captures.path))
-    if job is not None:
-        imgui.separator_text(job.title)
-        job_fields(session, job, number)
+    if newest is not None:
+        imgui.separator_text(newest[1].title)
+        job_fields(session, newest[1], newest[0])
 
 
 def _recolor(session: Editor, capture: Path, chosen: list[Path]) -> None:
     images, allowed = chosen[0] if chosen else None, session.captures.allows_outside
-    session.start_task(RecolorJobKind(session.scene, session.files.known, capture, images, allow_outside=allowed))
+    session.start(recolor_job(session, session.files.known, capture, images, allow_outside=allowed))
 
 
 def _reconstruction_settings() -> None:
@@ -149,9 +139,9 @@ def transfer_training_fields(session: Editor) -> None:
         return
     imgui.separator_text(job.title)
     job_fields(session, job, session.jobs.index(job))
-    if job.warning is not None:
-        warn(f"{icons_fontawesome_6.ICON_FA_TRIANGLE_EXCLAMATION}  {job.warning}")
-    losses = job.losses
+    if job.progress.warning is not None:
+        warn(f"{icons_fontawesome_6.ICON_FA_TRIANGLE_EXCLAMATION}  {job.progress.warning}")
+    losses = studio.losses
     for title, names in _CURVES.items() if len(losses.get("step", ())) > 1 else ():
         with plot(title, "iteration", "loss", legend=True) as is_visible:
             for name in names if is_visible else ():

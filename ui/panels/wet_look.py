@@ -121,7 +121,7 @@ def _preview(session: Editor) -> None:
 
 
 def _make(session: Editor) -> None:
-    rainy, newest = session.rainy, session.rainy.newest(session)
+    rainy, newest = session.rainy, session.newest_job("make rainy", "preview")
     if newest is None or newest[1].state != "running":
         title, height = f"{_ICONS.ICON_FA_CLOUD_SHOWERS_HEAVY}  {MAKE_RAINY_TITLE}###make", imgui.get_frame_height()
         if button(title, _MAKE_HELP, width=-1, height=1.5 * height, why_not=rainy.why_not(session)):

@@ -91,7 +91,7 @@ def _drag_keyframe(session: Editor, viewport: Viewport) -> None:
     if drag is None:
         return
     if moved.x or moved.y:
-        session.timeline.drag = drag = drag.begun()
+        session.timeline.drag = drag = drag._replace(has_moved=True)
     if drag.has_moved:
         drag_in_view(session, viewport.shot, (moved.x, moved.y), upright=imgui.get_io().key_shift)
     if not imgui.is_mouse_down(_LEFT):
@@ -314,7 +314,7 @@ _ENDS = {
 def drive_overlay(session: Editor, viewport: Viewport) -> bool:
     """Draw the roll-out at the current time; never uses the mouse."""
     drives = session.drives
-    rollout = drives.placed_in(session)
+    rollout = drives.placed_in(session.scene)
     if rollout is None:
         return False
     inside = drives.chase.mode == "front camera"
@@ -356,7 +356,7 @@ def _draw_detection(viewport: Viewport, box: DetectionBox) -> None:
 def _draw_figures(session: Editor, viewport: Viewport) -> None:
     """Draw the ego vehicle's current state at the lower edge; above it, the collision."""
     drives = session.drives
-    step, playing, rollout = drives.step_now(session), drives.playing, drives.placed_in(session)
+    step, playing, rollout = drives.step_now(session), drives.playing, drives.placed_in(session.scene)
     if step is None or playing is None or rollout is None:
         return
     time_s = rollout.own_time_s(session.clock.time_s)

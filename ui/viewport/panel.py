@@ -51,8 +51,8 @@ def viewport_panel(session: Editor, textures_of: Callable[[int, int], list[int]]
     use_button = [overlay(session, viewport) for overlay in OVERLAYS]
     tool = next((each for each in TOOLS if each.name == session.view.tool), None)
     uses_button = any(use_button) or (tool is not None and tool.draw(session, viewport))
-    for outline in region_outlines(session, width, height):
-        draw_lines(viewport, outline.lines_px.tolist(), _OUTLINE[outline.name], 1.5)
+    for name, lines_px in region_outlines(session, width, height).items():
+        draw_lines(viewport, lines_px.tolist(), _OUTLINE[name], 1.5)
     imgui.get_window_draw_list().pop_clip_rect()
     _navigate_by_mouse(session, viewport, uses_button)
     _navigate_by_keys(session)

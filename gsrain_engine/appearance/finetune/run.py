@@ -33,7 +33,7 @@ from .discriminator import ClipFeatures, Discriminator
 from .loss_log import CollapseMonitor, LossLog, color_distance, distance_sample, read_losses
 from .settings import FinetuningSettings, write_finetuning
 from .step import FinetuneStepResult, FinetuneTrainer, PairSampler, Perceptual, fingerprint
-from .task import FinetuneResult, FinetuneTask, with_warning
+from .task import FinetuneResult, FinetuneTask
 
 torch: Any = import_module("torch")
 logger = logging.getLogger("gsrain")
@@ -79,7 +79,7 @@ def _finetuned(task: FinetuneTask, perceptual: Perceptual | None) -> Generator[P
         training = start_finetuning(task.settings, split.train, perceptual)
         learning = _FinetuneLoop(task, split, training, perceptual is not None)
         yield from learning.learn()
-    yield Progress(1.0, "Trained")
+    yield Progress(1.0, "Trained", warning=learning.warned)
     return learning.result()
 
 
@@ -95,7 +95,7 @@ class _FinetuneLoop:
             self._go_on()
         self._shown = choose_samples(split.test.source or split.train.source, task.settings.samples)
         self._warning: CollapseMonitor = start_warning(task.settings, split.train)
-        self._warned: str | None = None
+        self.warned: str | None = None
         self._previewed_at = self._flushed_at = -np.inf
         self._grid: Path = task.samples
         write_finetuning(task.config, task.settings)
@@ -176,16 +176,15 @@ class _FinetuneLoop:
     def _line(self, number: int, done: FinetuneStepResult) -> str:
         """Return the progress message of an iteration; a new warning is also logged once."""
         verdict = self._warning.verdict(number + 1)
-        if verdict.warning is not None and self._warned is None:
+        if verdict.warning is not None and self.warned is None:
             logger.warning("%s", verdict.warning)
-        self._warned = verdict.warning
+        self.warned = verdict.warning
         losses = done.losses
         cycle, deceit = (losses[f"{kind}_clear"] + losses[f"{kind}_rainy"] for kind in ("cycle", "gan"))
-        line = (
+        return (
             f"{number + 1:,} of {self._settings.steps:,}: cycle {cycle:.3f}, GAN {deceit:.2f}, "
             f"change {verdict.share:.0%} of the distance between the looks"
         )
-        return with_warning(line, verdict.warning)
 
     def _preview(self, done: FinetuneStepResult) -> UInt8[np.ndarray, "h w 3"] | None:
         now = time.perf_counter()
@@ -196,7 +195,7 @@ class _FinetuneLoop:
 
     def _progress_at(self, number: int, message: str, preview: UInt8[np.ndarray, "h w 3"] | None = None) -> Progress:
         share = (number + 1) / self._settings.steps
-        return Progress(_STARTED + (_TRAINED - _STARTED) * share, message, preview)
+        return Progress(_STARTED + (_TRAINED - _STARTED) * share, message, preview, self.warned)
 
     @property
     def _seconds(self) -> float:

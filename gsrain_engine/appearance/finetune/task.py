@@ -8,17 +8,6 @@ import msgspec
 
 from .settings import FinetuningSettings
 
-_WARNING = ". Warning: "
-
-
-def with_warning(message: str, warning: str | None) -> str:
-    """Append a warning, if any, to a progress message."""
-    return message if warning is None else f"{message}{_WARNING}{warning}"
-
-
-def warning_in(message: str) -> str | None:
-    return message.partition(_WARNING)[2] or None
-
 
 class FinetuneTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Fine-tuning job; picklable for a worker process."""

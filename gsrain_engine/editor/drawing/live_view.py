@@ -456,7 +456,7 @@ class MosaicImages:
         """Draw one outdated camera if the mosaic is visible. Once a frame, after the viewport."""
         mosaic = session.drives.mosaic
         wanted, mosaic.is_requested, mosaic.is_behind = mosaic.is_requested, False, False
-        scene = session.drives.rig_scene(session)
+        scene = session.drives.rig_scene(session.scene)
         if not wanted or scene.ego is None:
             return
         cameras = {each.name: each for each in mosaic.cameras(scene)}

@@ -2,7 +2,7 @@
 
 import logging
 import threading
-from typing import get_args
+from typing import Any, get_args
 
 import moderngl
 import numpy as np
@@ -21,7 +21,7 @@ from ...scene.lod_order import sort_into_lod_order
 from ...scene.scene import DrawItem
 from ..capture_view import ImageRequest, PointSample
 from ..editor import Editor
-from ..jobs.job import BackgroundJob
+from ..jobs.job import Job
 from ..services import EditorServices
 from ..viewport.options import Texture
 
@@ -141,7 +141,7 @@ class JobPreviews:
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
-        self._cached: dict[BackgroundJob, CachedTexture] = {}
+        self._cached: dict[Job[Any], CachedTexture] = {}
 
     def update(self, session: EditorServices) -> None:
         """Upload new previews and update `session.previews`. Once a frame."""

@@ -1,16 +1,14 @@
-"""Driving jobs: simulate drives through a copy of the document in another process, and record videos of roll-outs."""
+"""Driving jobs: simulate drives through a copy of the document, and record videos of roll-outs; loaded roll-outs."""
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float64, UInt8
 from msgspec import Meta
 
 from ...backends import open_renderer
@@ -23,6 +21,7 @@ from ...scene.progress import Progress
 from ...scene.scene import Scene
 from ...simulation.agents.base import Observation, SensorRequirements
 from ...simulation.agents.registry import AgentOptions, open_agent
+from ...simulation.metrics.collisions import gaps_m, times_to_collision_s
 from ...simulation.metrics.summary import DriveMetrics, measure_drive
 from ...simulation.playback import RolloutPlayback
 from ...simulation.rollout import Rollout, run_setting
@@ -30,12 +29,50 @@ from ...simulation.rollout_io import read_any_rollout, read_rollout, write_rollo
 from ...simulation.scenario import Scenario
 from ...simulation.sensors import RigRenderer, camera_of_width, needed_cameras
 from ...simulation.simulation import Simulation, drive
-from ..drive_curves import RolloutCurves, rollout_curves
-from ..notifications import describe_error
-from .job import CopiedSceneJob
-from .process import WorkerProcess, install_sigterm_handler
+from .job import Job, write_copy
+from .process import install_sigterm_handler
+
+logger = logging.getLogger("gsrain")
+_PAPER_MM_H = (0.0, 1.2, 8.5, 12.0)  # intensities of the paper's closed-loop tables
+_METRICS_SUFFIX = ".metrics.json"
+"""Suffix of the metrics next to a job's roll-out: they include the occupancy of its scene's background."""
 
 # Loaded roll-outs
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RolloutCurves:
+    """Values per step of a roll-out, for plots. Times are seconds since the scenario began."""
+
+    times_s: Float64[np.ndarray, " n"]
+    speed_m_s: Float64[np.ndarray, " n"]
+    acceleration_m_s2: Float64[np.ndarray, " n"]
+    """Mean over the previous step."""
+    ttc_s: Float64[np.ndarray, " n"]
+    """Time to collision, 0..10 (paper's TTC, bumper to bumper)."""
+    gap_m: Float64[np.ndarray, " n"]
+    """Gap to the nearest vehicle ahead in the lane; NaN if there is none."""
+
+    @classmethod
+    def of(cls, rollout: Rollout) -> "RolloutCurves":
+        """Compute the curves of a roll-out; raises ValueError if its vehicle can't be read."""
+        gaps = gaps_m(rollout)
+        return cls(
+            np.array([each.time_s for each in rollout.steps]),
+            np.array([each.ego.speed_m_s for each in rollout.steps]),
+            np.array([each.ego.acceleration_m_s2 for each in rollout.steps]),
+            times_to_collision_s(rollout),
+            np.where(np.isfinite(gaps), gaps, np.nan),
+        )
+
+    @property
+    def min_ttc_time_s(self) -> float:
+        """Time at which the time to collision was smallest."""
+        return float(self.times_s[int(self.ttc_s.argmin())])
+
+    def ttc_at(self, time_s: float) -> float:
+        """Time to collision at a time, interpolated between steps."""
+        return float(np.interp(time_s, self.times_s, self.ttc_s))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,12 +98,20 @@ class LoadedRollout:
     def duration_s(self) -> float:
         return self.rollout.steps[-1].time_s
 
-    def saved_at(self, path: Path) -> "LoadedRollout":
-        """Return the roll-out with the path it was saved to."""
-        return LoadedRollout(self.rollout, self.curves, self.metrics, path, self.intensity_mm_h)
 
+def load_rollout(path: Path, *, is_own: bool = True) -> LoadedRollout:
+    """Read a roll-out; `is_own` is false for a temporary file of a job.
 
-Reading = Future[list[LoadedRollout]]
+    Raises ValueError, with the file and the line, or OSError.
+    """
+    rollout, file = read_any_rollout(path), path.with_suffix(_METRICS_SUFFIX)
+    try:
+        metrics = measure_drive(rollout) if is_own else msgspec.json.decode(read_file(file), type=DriveMetrics)
+        curves = RolloutCurves.of(rollout)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    return LoadedRollout(rollout, curves, metrics, path if is_own else None, run_setting(rollout).intensity_mm_h)
+
 
 # Drive settings
 
@@ -103,50 +148,32 @@ class DriveSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         int, Meta(ge=0, le=2**31 - 1, title="Seed", description="Same seed: same drops and the same drive.")
     ] = 0
 
-    @property
-    def options(self) -> AgentOptions:
-        return AgentOptions(detector=self.detector, description=self.description, url=self.url)
-
     def rains(self, present: RainSettings) -> tuple[RainSettings, ...]:
         """Return the rain of each drive; `present` is the scene's."""
         if self.rain == "as the scene":
             return (present,)
-        chosen = PAPER_MM_H if self.rain == "paper's four" else (self.intensity_mm_h,)
+        chosen = _PAPER_MM_H if self.rain == "paper's four" else (self.intensity_mm_h,)
         return tuple(msgspec.structs.replace(present, intensity_mm_h=each) for each in chosen)
 
 
-class SimulationJob(CopiedSceneJob):
-    """One drive, or one in each of several rains."""
+def simulation_job(
+    scene: Scene,
+    scenario: Scenario,
+    settings: DriveSettings,
+    rains: Sequence[RainSettings],
+    known: FileCache,
+    take: Callable[[list[LoadedRollout]], None],
+) -> Job[list[LoadedRollout]]:
+    """Create a job of one drive, or one in each of several rains; `known` are the scene's files."""
 
-    def __init__(
-        self,
-        scene: Scene,
-        scenario: Scenario,
-        settings: DriveSettings,
-        rains: Sequence[RainSettings],
-        files: ThreadPoolExecutor,
-        known: FileCache,
-        take: Callable[[Reading], None],
-    ) -> None:
-        """Start; `take` receives the roll-outs while they are being read."""
-        title = f"Drive {scenario.name} with {settings.agent}"
-        work = partial(_started, title, scenario, settings, tuple(rains))
-        super().__init__(title, scene, known, files, work)
-        self._count, self._hand_over = len(rains), take
+    def inputs(folder: Path) -> tuple[object, ...]:
+        return write_copy(scene, folder, known), scenario, settings, rains
 
-    def _take(self, last: Progress) -> None:
-        # The same thread removes the folder after this.
-        self._hand_over(self._folder.do(lambda folder: _read(folder, self._count)))
+    def read(folder: Path) -> list[LoadedRollout]:
+        return [load_rollout(path, is_own=False) for path in _rollout_files(folder, len(rains))]
 
-
-def _started(
-    title: str, scenario: Scenario, settings: DriveSettings, rains: tuple[RainSettings, ...], copy: Path
-) -> WorkerProcess:
-    return WorkerProcess(title, drive_in_worker, copy, scenario, settings, rains)
-
-
-def _read(folder: Path, count: int) -> list[LoadedRollout]:
-    return [load_rollout(path, is_own=False) for path in rollout_files(folder, count)]
+    title = f"Drive {scenario.name} with {settings.agent}"
+    return Job("drive", title, drive_in_worker, read, lambda rollouts, _: take(rollouts), inputs)
 
 
 # Worker: one roll-out per rain
@@ -155,7 +182,7 @@ _PREVIEW_PX = 320
 _OPENED = 0.1  # progress at which the scene is read and all actors are placed
 
 
-def rollout_files(folder: Path, count: int) -> list[Path]:
+def _rollout_files(folder: Path, count: int) -> list[Path]:
     """Paths of a job's roll-outs, in the order of its rains."""
     return [folder / f"rollout{number}.jsonl" for number in range(count)]
 
@@ -170,7 +197,8 @@ def drive_in_worker(
     yield Progress(0.0, "Reading the scene")
     scene = load_sorted_scene(str(scene_folder))
     yield Progress(_OPENED / 3, f"Making {settings.agent} ready")
-    agent = open_agent(settings.agent, settings.options)
+    options = AgentOptions(detector=settings.detector, description=settings.description, url=settings.url)
+    agent = open_agent(settings.agent, options)
     try:
         with open_renderer() as renderer:
             for number, rain in enumerate(rains):
@@ -181,13 +209,14 @@ def drive_in_worker(
                 front = _FrontCamera(simulation, renderer)
                 for observation in drive(simulation, agent):
                     done = observation.time_s / test.duration_s
-                    words = f"{rain.intensity_mm_h:g} mm/h, {observation.time_s:.2f} s: {_notes_of(observation)}"
-                    yield Progress(_share(number, done, len(rains)), words, front.picture(observation))
-                path = rollout_files(scene_folder.parent, len(rains))[number]
+                    speed = f"{observation.state.speed_m_s:.1f} m/s"
+                    message = f"{rain.intensity_mm_h:g} mm/h, {observation.time_s:.2f} s: {speed}"
+                    yield Progress(_share(number, done, len(rains)), message, front.picture(observation))
+                path = _rollout_files(scene_folder.parent, len(rains))[number]
                 rollout = simulation.rollout(agent.name)
                 write_rollout(path, rollout)
-                numbers = msgspec.json.encode(measure_drive(rollout, simulation.occupied))
-                path.with_suffix(METRICS_SUFFIX).write_bytes(numbers)
+                metrics = msgspec.json.encode(measure_drive(rollout, simulation.occupied))
+                path.with_suffix(_METRICS_SUFFIX).write_bytes(metrics)
     finally:
         agent.close()
     yield Progress(1.0, "Driven")
@@ -197,12 +226,8 @@ class _FrontCamera:
     """Image of the front camera; rendered only if the agent does not request it."""
 
     def __init__(self, simulation: Simulation, renderer: Renderer) -> None:
-        self._simulation = simulation
-        front = (
-            needed_cameras(simulation.rig.cameras, SensorRequirements(cameras=("front",)))
-            if simulation.rig.cameras
-            else ()
-        )
+        self._simulation, cameras = simulation, simulation.rig.cameras
+        front = needed_cameras(cameras, SensorRequirements(cameras=("front",))) if cameras else ()
         self._cameras = tuple(camera_of_width(each, _PREVIEW_PX) for each in front)
         self._pictures = RigRenderer(renderer, simulation.scenario.rain, self._cameras, SensorRequirements())
 
@@ -223,44 +248,27 @@ def _share(number: int, done: float, count: int) -> float:
     return _OPENED + (1 - _OPENED) * (number + min(max(done, 0.0), 1.0)) / count
 
 
-def _notes_of(observation: Observation) -> str:
-    return f"{observation.state.speed_m_s:.1f} m/s"
-
-
 # Roll-out videos
 
-logger = logging.getLogger("gsrain")
 
+def rollout_video_job(scene: Scene, rollout: Rollout, video: Path, fps: float, known: FileCache) -> Job[None]:
+    """Create a job that records a video, as `gsrain drive` does; `known` are the scene's files."""
 
-class RolloutVideoJob(CopiedSceneJob):
-    """One video, as `gsrain drive` makes it."""
+    def inputs(folder: Path) -> tuple[object, ...]:
+        file = folder / "rollout.jsonl"
+        write_rollout(file, rollout)
+        return write_copy(scene, folder, known), file, video, fps
 
-    def __init__(
-        self, scene: Scene, rollout: Rollout, film: Path, fps: float, files: ThreadPoolExecutor, known: FileCache
-    ) -> None:
-        title = f"Film {film.name}"
-        super().__init__(title, scene, known, files, partial(_start_video, title, rollout, film, fps))
-        self._film = film
+    def log(*_: object) -> None:
+        logger.info("Filmed the drive %s", video)
 
-    def _describe(self, error: Exception) -> str:
-        return describe_error(f"{self._film} can't be filmed", error)
-
-    def _take(self, last: Progress) -> None:
-        logger.info("Filmed the drive %s", self._film)
-
-
-def _start_video(title: str, rollout: Rollout, film: Path, fps: float, copy: Path) -> WorkerProcess:
-    beside = copy.parent / "rollout.jsonl"
-    write_rollout(beside, rollout)
-    return WorkerProcess(title, render_video_in_worker, copy, beside, film, fps)
+    return Job("drive video", f"Film {video.name}", render_video_in_worker, lambda _: None, log, inputs)
 
 
 def render_video_in_worker(scene_folder: Path, rollout: Path, film: Path, fps: float) -> Iterator[Progress]:
     """Worker: render a video; on SIGTERM, closes the file first.
 
-    Raises:
-        ValueError: If the scene has no rig, or not the actors of the roll-out.
-        OSError: If the video can't be written.
+    Raises ValueError if the scene has no rig, or not the actors of the roll-out.
     """
     # Matplotlib loads slowly: not before the first video.
     from ...simulation.video import RolloutVideo, render_rollout_video
@@ -270,28 +278,3 @@ def render_video_in_worker(scene_folder: Path, rollout: Path, film: Path, fps: f
     played = RolloutPlayback(read_rollout(rollout), load_sorted_scene(str(scene_folder)))
     with open_renderer() as renderer:
         yield from render_rollout_video(film, RolloutVideo(played, renderer), fps)
-
-
-PAPER_MM_H = (0.0, 1.2, 8.5, 12.0)
-"""Intensities of the paper's closed-loop tables."""
-
-METRICS_SUFFIX = ".metrics.json"
-"""Suffix of the metrics next to a job's roll-out: they include the occupancy of its scene's background."""
-
-
-def load_rollout(path: Path, *, is_own: bool = True) -> LoadedRollout:
-    """Read a roll-out; `is_own` is false for a temporary file of a job.
-
-    Raises:
-        ValueError: For an invalid roll-out, with the file and the line.
-        OSError: If the file can't be read.
-    """
-    rollout = read_any_rollout(path)
-    beside = path.with_suffix(METRICS_SUFFIX)
-    try:
-        metrics = measure_drive(rollout) if is_own else msgspec.json.decode(read_file(beside), type=DriveMetrics)
-        curves = rollout_curves(rollout)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
-    intensity = run_setting(rollout).intensity_mm_h
-    return LoadedRollout(rollout, curves, metrics, path if is_own else None, intensity)

@@ -1,4 +1,4 @@
-"""Base of background jobs: protocols, jobs on a copy of the document, jobs that return a scene, and their folders."""
+"""Background jobs: write the input, work in another process, read the result, hand it over; and their folders."""
 
 import logging
 import os
@@ -6,14 +6,15 @@ import re
 import secrets
 import shutil
 import tempfile
+import traceback
 from collections.abc import Callable, Generator
 from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import wait as wait_for
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from datetime import datetime
-from functools import partial
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, Generic, Literal, TypeVar
 
 import platformdirs
 
@@ -22,246 +23,160 @@ from ...scene.formats.scene_folder import FileCache, write_scene_folder
 from ...scene.progress import Progress
 from ...scene.scene import Scene
 from ..viewport_state import PendingScene, ViewportState
-from .process import JobState, Work, WorkerProcess
-
-
-@runtime_checkable
-class BackgroundWork(Protocol):
-    """Background work that can be waited for or stopped."""
-
-    title: str
-    state: JobState
-    progress: Progress
-
-    def cancel(self) -> None:
-        """Stop without waiting; the document stays unchanged."""
-        ...
-
-
-@runtime_checkable
-class BackgroundJob(BackgroundWork, Protocol):
-    """One run of a job. Its threads and processes never touch the session; only `poll` does."""
-
-    ends_with_scene: bool
-    """True if the job ends when the session switches to another scene, because its result belongs to this one."""
-    error: str | None
-    """Error in one line; `details` has the traceback."""
-    details: str | None
-
-    def poll(self, session: ViewportState) -> None:
-        """Continue without blocking; once a frame while it runs. Brings the final result into the session."""
-        ...
-
-
-# Jobs on a copy of the document
-
-
-class CopiedSceneJob:
-    """One run, a `BackgroundJob`: save a copy, work in another process, process the result in `_take`."""
-
-    ends_with_scene = True
-
-    def __init__(
-        self,
-        title: str,
-        scene: Scene,
-        known: FileCache,
-        files: ThreadPoolExecutor,
-        start: Callable[[Path], WorkerProcess],
-    ) -> None:
-        """Start on a document as saved in files; `files` is the thread for reading and writing.
-
-        Links files that `known` already holds. `start` starts the worker on the copy's folder.
-        """
-        self.title = title
-        self.state: JobState = "running"
-        self.progress = Progress(0.0, "Saving the scene for the worker")
-        self.error: str | None = None
-        self.details: str | None = None
-        self._start = start
-        self._folder = JobTempDir(files)
-        self._copying: Future[Path] | None = self._folder.do(lambda folder: write_copy(scene, folder, known))
-        self._worker: WorkerProcess | None = None
-
-    def poll(self, session: ViewportState) -> None:
-        """Start the next stage after the present one has finished; never blocks."""
-        if self.state != "running":
-            return
-        try:
-            if self._copying is not None and self._copying.done():
-                copying, self._copying = self._copying, None
-                self._worker = self._start(copying.result())
-            if self._worker is not None:
-                self._follow(self._worker)
-        except Exception as error:  # whatever a disk or a worker can do: the window lives on
-            self.error = self._describe(error)
-            self._end("failed")
-
-    def cancel(self) -> None:
-        if self.state == "running":
-            self._end("cancelled")
-
-    def _take(self, last: Progress) -> None:
-        """Process the worker's result; raises if that fails."""
-        raise NotImplementedError
-
-    def _describe(self, error: Exception) -> str:
-        return sentence_of(error)
-
-    def _follow(self, worker: WorkerProcess) -> None:
-        worker.poll()
-        self.progress = worker.progress
-        if worker.state == "failed":
-            self.error, self.details = worker.error, worker.details
-            self._end("failed")
-        elif worker.state == "finished":
-            self._take(worker.progress)
-            self._end("finished")
-
-    def _end(self, state: JobState) -> None:
-        self.state = state
-        if self._worker is not None:
-            self._worker.cancel()
-        if self._copying is not None:
-            self._copying.cancel()
-        self._folder.remove(self._worker)
-        self._worker = self._copying = None
-
-
-# Jobs that return a scene: prepare, work in another process, load, stage
-# Preparing and loading run in the session's thread, the work in its own process, and only `poll`, on the main thread,
-# touches the session.
+from .process import JobState, Work, WorkerProcess, WorkerThread
 
 logger = logging.getLogger("gsrain")
+_Result = TypeVar("_Result")
+_SAVING = Progress(0.0, "Saving the scene for the worker")
+JobKind = Literal[
+    "reconstruct", "recolor", "make rainy", "preview", "fine-tune", "floaters", "drive", "drive video", "export"
+]
 
 
-@dataclass(frozen=True, slots=True)
-class WorkerCall:
-    """Function and arguments for a worker."""
+@dataclass(eq=False)
+class Job(Generic[_Result]):
+    """One run of a job. Its threads and processes never touch the editor; only the functions that `poll` calls do."""
 
-    work: Work
-    arguments: tuple[Any, ...]
-
-
-@runtime_checkable
-class JobKind(Protocol):
-    """Stages of one kind of job; `folder` is an empty folder of its own, removed in the end."""
-
+    kind: JobKind
     title: str
-    preparing: str
-    """Message while `prepare` runs."""
+    work: Work
+    """Function for the worker, which gets the arguments that `inputs` returns."""
+    read: Callable[[Path], _Result]
+    """Reads the result from the job's folder; in the thread for files."""
+    on_result: Callable[[_Result, bool], str | None]
+    """Takes the result (True) or a snapshot (False) on the main thread; may return the last message."""
+    inputs: Callable[[Path], tuple[Any, ...]] = lambda _: ()
+    """Writes the worker's input into the job's folder, and returns the arguments; in the thread for files."""
+    snapshot: Callable[[Path], _Result | None] | None = None
+    """Reads an intermediate result after a message, None if there is nothing new; in the thread for files."""
+    on_cancel: Callable[[], object] = lambda: None
+    ends_with_scene: bool = True
+    """True if the job ends when the editor switches to another scene, because its result belongs to this one."""
+    in_thread: bool = False
+    """True for work in a thread instead of another process."""
+    report: Path | None = None
+    """HTML page that the worker writes, if any."""
+    progress: Progress = _SAVING
+    state: JobState = field(default="running", init=False)
+    error: str | None = field(default=None, init=False)
+    """Error in one line; `details` has the traceback."""
+    details: str | None = field(default=None, init=False)
+    _preparing: Future[tuple[Any, ...]] | None = field(default=None, init=False)
+    _worker: WorkerProcess | WorkerThread | None = field(default=None, init=False)
+    _snapshot: Future[_Result | None] | None = field(default=None, init=False)
+    _snapshot_message: str = field(default="", init=False)
+    """Worker's message at the last snapshot request."""
+    _reading: Future[_Result] | None = field(default=None, init=False)
 
-    @property
-    def report(self) -> Path | None:
-        """HTML page that the worker writes, if any."""
-        ...
-
-    def prepare(self, folder: Path) -> WorkerCall:
-        """Write the worker's input."""
-        ...
-
-    def snapshot(self, folder: Path) -> Scene | None:
-        """Read an intermediate result to show; None if there is nothing new."""
-        ...
-
-    def load(self, folder: Path) -> Scene: ...
-
-    def staged(self, scene: Scene) -> PendingScene:
-        """Return the scene with the way it enters the document."""
-        ...
-
-
-class SceneJob:
-    """One run of a `JobKind`, a `BackgroundJob`."""
-
-    ends_with_scene = True
-
-    def __init__(self, task: JobKind, files: ThreadPoolExecutor) -> None:
+    def start(self, files: ThreadPoolExecutor) -> None:
         """Start; `files` is the thread for reading and writing."""
-        self.title = task.title
-        self.state: JobState = "running"
-        self.progress = Progress(0.0, task.preparing)
-        self.error: str | None = None
-        self.details: str | None = None
-        self.report: Path | None = None
-        """Path of the report, after the job has finished."""
-        self.task = task
         self._folder = JobTempDir(files)
-        self._preparing: Future[WorkerCall] | None = self._folder.do(task.prepare)
-        self._worker: WorkerProcess | None = None
-        self._snapshot: Future[Scene | None] | None = None
-        self._looked_at = ""
-        """Worker's message at the last snapshot request."""
-        self._loading: Future[Scene] | None = None
-        self._gesture = f"job {secrets.token_hex(8)}"
-        self._has_shown = False
-        """True if a snapshot was staged."""
+        self._preparing = self._folder.do(self.inputs)
 
-    def poll(self, session: ViewportState) -> None:
-        """Start the next stage after the present one has finished; never blocks. Stages the result at the end."""
+    def poll(self) -> None:
+        """Start the next stage after the present one has finished; never blocks. Once a frame while it runs."""
         if self.state != "running":
             return
         try:
             if self._preparing is not None and self._preparing.done():
-                assignment, self._preparing = self._preparing.result(), None
-                self._worker = WorkerProcess(self.title, assignment.work, *assignment.arguments)
+                arguments, self._preparing = self._preparing.result(), None
+                self._worker = (WorkerThread if self.in_thread else WorkerProcess)(self.work, *arguments)
             if self._worker is not None:
-                self._follow(self._worker, session)
-            if self._loading is not None and self._loading.done():
-                self._stage(self._loading.result(), session, is_finished=True)
-                self.report = self.task.report
-                logger.info("%s: done%s", self.title, "" if self.report is None else f"; report: {_short(self.report)}")
+                self._follow(self._worker)
+            if self._reading is not None and self._reading.done():
+                message = self.on_result(self._reading.result(), True)
+                self.progress = self.progress._replace(message=message or "Done")
                 self._end("finished")
-        except Exception as error:  # any disk or worker error: the window must survive
-            self.error = sentence_of(error)
+        except Exception as error:  # any error of a disk, a worker or odd values: the window must survive
+            self.error, self.details = sentence_of(error), traceback.format_exc()
             self._end("failed")
 
     def cancel(self) -> None:
+        """Stop without waiting; the document stays unchanged."""
         if self.state == "running":
+            self.on_cancel()
             self._end("cancelled")
 
-    def _follow(self, worker: WorkerProcess, session: ViewportState) -> None:
+    def wait(self, timeout_s: float) -> None:
+        """Wait until `poll` has something to process."""
+        stages: list[Future[Any] | None] = [self._preparing, self._snapshot, self._reading]
+        pending: list[Future[Any]] = [each for each in stages if each is not None]
+        if pending:
+            wait_for(pending, timeout_s)
+        elif self._worker is not None:
+            self._worker.wait(timeout_s)
+
+    def _follow(self, worker: WorkerProcess | WorkerThread) -> None:
         worker.poll()
         self.progress = worker.progress
         if worker.state == "failed":
             self.error, self.details = worker.error, worker.details
             self._end("failed")
-        elif worker.state == "finished":
-            self._worker = None
-            self.progress = Progress(1.0, "Loading the result", self.progress.preview)
-            self._loading = self._folder.do(partial(self._load, worker))
-        else:
-            self._follow_snapshots(session)
+            return
+        if worker.state == "finished":
 
-    def _follow_snapshots(self, session: ViewportState) -> None:
+            def read(folder: Path) -> _Result:
+                worker.close()
+                return self.read(folder)
+
+            self.progress = worker.progress._replace(fraction=1.0, message="Loading the result")
+            self._worker, self._snapshot, self._reading = None, None, self._folder.do(read)
+            return
         if self._snapshot is not None and self._snapshot.done():
-            scene, self._snapshot = self._snapshot.result(), None
-            if scene is not None and session.staged is None:
-                self._stage(scene, session, is_finished=False)
-        if self._snapshot is None and self.progress.message != self._looked_at:
-            self._looked_at = self.progress.message
-            self._snapshot = self._folder.do(self.task.snapshot)
-
-    def _stage(self, scene: Scene, session: ViewportState, *, is_finished: bool) -> None:
-        if not session.is_opening:  # otherwise it would replace the scene that is being opened
-            goes_on = self._has_shown and not is_finished
-            self._has_shown = True
-            session.stage(replace(self.task.staged(scene), gesture=self._gesture, goes_on=goes_on))
-
-    def _load(self, worker: WorkerProcess, folder: Path) -> Scene:
-        worker.close()
-        return self.task.load(folder)
+            found, self._snapshot = self._snapshot.result(), None
+            if found is not None:
+                self.on_result(found, False)
+        if self.snapshot is not None and self._snapshot is None and self.progress.message != self._snapshot_message:
+            self._snapshot_message = self.progress.message
+            self._snapshot = self._folder.do(self.snapshot)
 
     def _end(self, state: JobState) -> None:
         self.state = state
-        if state == "finished":
-            self.progress = Progress(1.0, "Done", self.progress.preview)
         if self._worker is not None:
             self._worker.cancel()
         if self._preparing is not None:
             self._preparing.cancel()
         self._folder.remove(self._worker)
-        self._worker = None
+        self._preparing = self._worker = self._snapshot = self._reading = self.snapshot = None
+        self.work = self.inputs = self.read = self.on_result = _ended  # frees what they refer to, such as scenes
+
+
+def _ended(*_: object) -> Any:
+    """Stand in for the functions of a job that has ended."""
+
+
+def scene_job(
+    session: ViewportState,
+    kind: JobKind,
+    title: str,
+    work: Work,
+    inputs: Callable[[Path], tuple[Any, ...]],
+    read: Callable[[Path], Scene],
+    *,
+    is_whole: bool = False,
+    snapshot: Callable[[Path], Scene | None] | None = None,
+    report: Path | None = None,
+    progress: Progress = _SAVING,
+) -> Job[Scene]:
+    """Create a job whose result is a scene; its snapshots and its result are one undo step.
+
+    With `is_whole`, the result replaces the present scene; otherwise only its wet colors are used.
+    """
+    gesture, has_shown = f"job {secrets.token_hex(8)}", False
+
+    def stage(scene: Scene, is_final: bool) -> None:
+        nonlocal has_shown
+        if not is_final and session.staged is not None:
+            return
+        if not session.is_opening:  # otherwise it would replace the scene that is being opened
+            goes_on, has_shown = has_shown and not is_final, True
+            session.staged = PendingScene(
+                title, scene, is_whole=is_whole, only_wet_colors=not is_whole, gesture=gesture, goes_on=goes_on
+            )
+        if is_final:
+            logger.info("%s: done%s", title, "" if report is None else f"; report: {_short(report)}")
+
+    return Job(kind, title, work, read, stage, inputs, snapshot, report=report, progress=progress)
 
 
 def _short(file: Path) -> str:
@@ -272,7 +187,6 @@ def _short(file: Path) -> str:
 
 # Temporary folders
 
-_Result = TypeVar("_Result")
 _PREFIX = "gsrain-job-"
 
 
@@ -289,45 +203,39 @@ class JobTempDir:
 
     def do(self, work: Callable[[Path], _Result]) -> Future[_Result]:
         """Call `work` with the folder in the thread."""
-        return self._files.submit(self._done, work)
 
-    def remove(self, worker: WorkerProcess | None) -> None:
+        def done() -> _Result:
+            if self._path is None:
+                self._path = self._open.enter_context(temporary_folder())
+            return work(self._path)
+
+        return self._files.submit(done)
+
+    def remove(self, worker: WorkerProcess | WorkerThread | None = None) -> None:
         """End the worker, then remove the folder, after all earlier tasks and without waiting.
 
         Both take time, during which the window continues.
         """
-        self._files.submit(self._removed, worker)
-
-    def _done(self, work: Callable[[Path], _Result]) -> _Result:
-        if self._path is None:
-            self._path = self._open.enter_context(temporary_folder())
-        return work(self._path)
-
-    def _removed(self, worker: WorkerProcess | None) -> None:
         if worker is not None:
-            worker.close()
-        self._open.close()
+            self._files.submit(worker.close)
+        self._files.submit(self._open.close)
 
 
 @contextmanager
 def temporary_folder() -> Generator[Path]:
     """Create a folder for the duration of the block; see `remove_abandoned_job_folders`."""
     with ExitStack() as lock:
-        path = _locked_folder(lock)
+        while True:
+            path = Path(tempfile.mkdtemp(prefix=_PREFIX))
+            with suppress(FileNotFoundError):
+                lock.enter_context(lock_path(path))
+            if path.is_dir():
+                break
+            lock.close()  # another process removed it as abandoned before it was locked
         try:
             yield path
         finally:
             shutil.rmtree(path, ignore_errors=True)
-
-
-def _locked_folder(lock: ExitStack) -> Path:
-    while True:
-        path = Path(tempfile.mkdtemp(prefix=_PREFIX))
-        with suppress(FileNotFoundError):
-            lock.enter_context(lock_path(path))
-        if path.is_dir():
-            return path
-        lock.close()  # another process removed it as abandoned before it was locked
 
 
 def remove_abandoned_job_folders() -> None:
@@ -343,14 +251,74 @@ def remove_abandoned_job_folders() -> None:
                     shutil.rmtree(path, ignore_errors=True)
 
 
-# Copy of the document
+# Calls in a thread
 
-_SCENE = "scene"
+
+@dataclass(eq=False)
+class ThreadTask(Generic[_Result]):
+    """A call in a thread; it ends when its result, or its error, is processed on the main thread."""
+
+    title: str
+    progress: Progress
+    future: Future[_Result]
+    on_result: Callable[[_Result], object]
+    on_error: Callable[[Exception], object]
+    state: JobState = field(default="running", init=False)
+
+    def cancel(self) -> None:
+        """Discard the result; a file in writing is completed nevertheless."""
+        self.state = "cancelled"
+        self.future.cancel()
+
+
+class ThreadTasks:
+    """Calls in a thread, whose results are processed on the main thread in the order of their start."""
+
+    def __init__(self, thread: ThreadPoolExecutor) -> None:
+        self.running: list[ThreadTask[Any]] = []
+        self._thread = thread
+
+    @property
+    def futures(self) -> list[Future[Any]]:
+        """Results of all running calls, to wait for where there are no frames."""
+        return [each.future for each in self.running]
+
+    def start(
+        self,
+        work: Callable[[], _Result],
+        on_result: Callable[[_Result], object],
+        on_error: Callable[[Exception], object],
+        title: str = "",
+        message: str = "",
+    ) -> ThreadTask[_Result]:
+        """Call `work` in the thread; `message` is its progress."""
+        future = self._thread.submit(work)
+        task = ThreadTask(title, Progress(0.0, message), future, on_result, on_error)
+        self.running.append(task)
+        return task
+
+    def poll(self) -> None:
+        """Process the calls that have ended. Once a frame."""
+        for task in [each for each in self.running if each.future.done()]:
+            self.running.remove(task)
+            if task.state == "cancelled":
+                continue
+            try:
+                result = task.future.result()
+            except Exception as error:  # any error of a disk or a file: the window must survive
+                task.state = "failed"
+                task.on_error(error)
+            else:
+                task.state = "finished"
+                task.on_result(result)
+
+
+# Copy of the document
 
 
 def write_copy(scene: Scene, folder: Path, known: FileCache) -> Path:
     """Write a scene into a temporary folder and return the scene folder. Links known files instead of writing them."""
-    copy = folder / _SCENE
+    copy = folder / "scene"
     write_scene_folder(scene, copy, known, linking=True, in_drawing_order=True)
     known.forget(copy)  # it will be removed soon
     return copy
@@ -358,13 +326,13 @@ def write_copy(scene: Scene, folder: Path, known: FileCache) -> Path:
 
 # Reports
 
-_LONGEST = 120  # maximum number of bytes of the report's subject in its file name
+_MAX_SUBJECT_BYTES = 120  # of the report's subject in its file name
 
 
 def new_report(name: str) -> Path:
     """Choose a report file for `name`, by the present date and time; its folder may not exist yet."""
     folder = platformdirs.user_data_path("gsrain", appauthor=False) / "reports"
-    about = re.sub(r"[/\x00-\x1f\x7f]", "_", name).encode(errors="replace")[:_LONGEST].decode(errors="ignore")
+    about = re.sub(r"[/\x00-\x1f\x7f]", "_", name).encode(errors="replace")[:_MAX_SUBJECT_BYTES].decode(errors="ignore")
     when = f"{datetime.now():%Y-%m-%d_%H-%M-%S}"
     places = (folder / f"{about}_{when}{suffix}.html" for suffix in ("", *(f"_{number}" for number in range(2, 100))))
     return next((place for place in places if not place.exists()), folder / f"{about}_{when}.html")

@@ -1,10 +1,10 @@
 """Jobs "Make it rainy" (transfer views, then solve for wet colors) and "Preview" (transfer the current view)."""
 
 import time
-from collections.abc import Generator, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, UInt8
@@ -17,20 +17,18 @@ from ...evaluation.report import RunReport, write_report
 from ...evaluation.report_charts import ImageComparison
 from ...recolor.problem import RecolorSettings
 from ...recolor.recolor import QUICK, rainy_scene
-from ...recolor.result import read_recolored, with_colors, write_recolored
+from ...recolor.result import read_recolored, with_colors
 from ...render.cpu.renderer import CpuRenderer
 from ...scene.camera import Camera
 from ...scene.formats.scene_files import read_scene
 from ...scene.formats.scene_folder import FileCache
 from ...scene.progress import Progress
 from ...scene.scene import Scene
-from ..viewport_state import PendingScene
-from .job import CopiedSceneJob, WorkerCall, new_report, write_copy
-from .process import WorkerProcess
-from .training import HOW_TO_GET_DIFFUSION, require_torch
+from ..viewport_state import ViewportState
+from .job import Job, new_report, scene_job, write_copy
+from .training import COLORS_FILE, HOW_TO_GET_DIFFUSION, require_torch, write_colors
 
 MAKE_RAINY_TITLE = "Apply wet look"
-_COLORS = "colors.npz"
 
 # Transfer job
 
@@ -48,39 +46,23 @@ class TransferRequest:
     """True if files outside of the capture's folder that its files refer to may be read."""
 
 
-class MakeRainyJobKind:
-    """One run on a scene, a `JobKind`."""
+def make_rainy_job(session: ViewportState, known: FileCache, order: TransferRequest) -> Job[Scene]:
+    """Create the job for the present scene; `known` are its files."""
+    scene, report = session.scene, new_report(f"{session.scene.name} made rainy")
 
-    title = MAKE_RAINY_TITLE
-    preparing = "Saving the scene for the worker"
+    def inputs(folder: Path) -> tuple[Path, TransferRequest, Path, Path]:
+        return write_copy(scene, folder, known), order, folder / COLORS_FILE, report
 
-    def __init__(self, scene: Scene, known: FileCache, order: TransferRequest) -> None:
-        self.report: Path | None = new_report(f"{scene.name} made rainy")
-        self._scene, self._known, self._order = scene, known, order
+    def read(folder: Path) -> Scene:
+        return with_colors(scene, read_recolored(folder / COLORS_FILE))
 
-    def prepare(self, folder: Path) -> WorkerCall:
-        copy = write_copy(self._scene, folder, self._known)
-        return WorkerCall(make_rainy, (copy, self._order, folder / _COLORS, self.report))
-
-    def snapshot(self, folder: Path) -> Scene | None:
-        """Return None: the panel shows each image instead."""
-        return None
-
-    def load(self, folder: Path) -> Scene:
-        return with_colors(self._scene, read_recolored(folder / _COLORS))
-
-    def staged(self, scene: Scene) -> PendingScene:
-        """Stage only the wet colors."""
-        return PendingScene(MAKE_RAINY_TITLE, scene, only_wet_colors=True)
+    return scene_job(session, "make rainy", MAKE_RAINY_TITLE, make_rainy, inputs, read, report=report)
 
 
 # Preview job
 
-PREVIEW_TITLE = "Preview"
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PreviewSettings:
+class PreviewSettings(NamedTuple):
     """A method and its settings."""
 
     method: str
@@ -100,60 +82,58 @@ class PreviewedView:
     recipe: PreviewSettings
 
     def is_of(self, camera: Camera, time_s: float, scene: Scene) -> bool:
+        """Return whether a view is the same, of a scene that looks the same when dry."""
         own = self.camera
         return (
             np.allclose(own.world_to_camera, camera.world_to_camera, atol=_SAME)
             and abs(own.height / own.fy - camera.height / camera.fy) < _SAME
             and abs(own.width / own.height - camera.width / camera.height) < _SAME_SHAPE
             and (not scene.actors or abs(self.time_s - time_s) < _SAME)
-            and _looks_alike(self.scene, scene)
+            and (self.scene is scene or _dry(self.scene).geometry_key == _dry(scene).geometry_key)
         )
 
-    def is_made_by(self, recipe: PreviewSettings) -> bool:
-        """Return whether the method and settings equal those of this image."""
-        return (self.recipe.method, self.recipe.settings) == (recipe.method, recipe.settings)
+
+_SAME = 1e-4  # tolerance of pose entries and of the field of view
+_SAME_SHAPE = 0.01  # tolerance of the aspect ratio: a viewport has whole pixels
 
 
-class TransferPreviewJob(CopiedSceneJob):
-    """Transfers one view. The caller takes `result` after it has finished."""
+def _dry(scene: Scene) -> Scene:
+    for member in scene.members:
+        if member.wet_sh is not None:
+            scene = scene.with_member(member.key, wet_sh=None)
+    return scene
 
-    def __init__(self, wanted: PreviewedView, width_px: int, known: FileCache, files: ThreadPoolExecutor) -> None:
-        """Start. `wanted` defines the view; its pixels are placeholders."""
-        placed = PlacedCamera(PREVIEW_TITLE, wanted.camera, wanted.time_s).at_width(min(width_px, wanted.camera.width))
-        recipe = wanted.recipe
-        super().__init__(
-            PREVIEW_TITLE, wanted.scene, known, files,
-            lambda copy: WorkerProcess(PREVIEW_TITLE, preview_view, copy, recipe.method, recipe.settings, placed),
-        )  # fmt: skip
-        self.result: PreviewedView | None = None
-        self._wanted = wanted
 
-    def _take(self, last: Progress) -> None:
-        if last.preview is None:
-            raise ValueError("the transfer has made no picture")
-        self.result = replace(self._wanted, pixels=last.preview)
+def preview_job(view: PreviewedView, width_px: int, known: FileCache, take: Callable[..., None]) -> Job[None]:
+    """Create a job that transfers a view, whose pixels are placeholders; the image is the last preview."""
+    placed = PlacedCamera("Preview", view.camera, view.time_s).at_width(min(width_px, view.camera.width))
 
+    def inputs(folder: Path) -> tuple[object, ...]:
+        return write_copy(view.scene, folder, known), *view.recipe, placed
+
+    return Job("preview", "Preview", preview_view, lambda _: None, take, inputs)
+
+
+# Workers
 
 _READ, _RENDERED = 0.2, 0.6  # progress after reading and after rendering
 
 
-def make_rainy(copy: Path, order: TransferRequest, output: Path, report: Path | None) -> Iterator[Progress]:
+def make_rainy(copy: Path, order: TransferRequest, output: Path, report: Path) -> Iterator[Progress]:
     """Worker of "Make it rainy": transfer views of a saved scene, solve for its wet colors and write them."""
     yield Progress(0.0, "Reading the scene")
     scene = read_scene(copy)
-    kept = ComparisonReport(_opened(order.method, order.settings, scene))
-    rainy = yield from _with_colors_by(kept, scene, order)
-    if report is not None:
-        write_report(report, kept.report(rainy, order.method))
-    write_recolored(output, {each.key: each.wet_sh for each in rainy.members if each.wet_sh is not None})
+    compared = ComparisonReport(_opened(order.method, order.settings, scene))
+    rainy = yield from rainy_by(scene, order, compared)
+    write_report(report, compared.report(rainy, order.method))
+    write_colors(output, rainy)
 
 
-def rainy_by(scene: Scene, order: TransferRequest) -> Generator[Progress, None, Scene]:
+def rainy_by(
+    scene: Scene, order: TransferRequest, transfer: Transfer | None = None
+) -> Generator[Progress, None, Scene]:
     """Give a scene the wet colors of a request, in this process; yields and raises as `rainy_scene` does."""
-    return (yield from _with_colors_by(_opened(order.method, order.settings, scene), scene, order))
-
-
-def _with_colors_by(transfer: Transfer, scene: Scene, order: TransferRequest) -> Generator[Progress, None, Scene]:
+    transfer = transfer or _opened(order.method, order.settings, scene)
     capture = None if order.capture is None else open_capture(order.capture, allow_outside=order.allow_outside)
     views = scene_views(scene, chosen_cameras(scene, order.choice, capture))
     # Images that are not consistent with each other need the robust steps and an exposure each.
@@ -167,7 +147,7 @@ def preview_view(copy: Path, method: str, settings: TransferSettings, placed: Pl
     scene = read_scene(copy)
     transfer = _opened(method, settings, scene)
     yield Progress(_READ, "Rendering the view")
-    views: Sequence[ClearView] = scene_views(scene, [placed])
+    views = scene_views(scene, [placed])
     yield Progress(_RENDERED, "Making it rainy", to_display_bytes(views[0].image))
     for rainy in transfer.transferred(views):
         yield Progress(1.0, "Done", to_display_bytes(rainy.image))
@@ -187,22 +167,6 @@ def _opened(method: str, settings: TransferSettings, scene: Scene) -> Transfer:
     return open_transfer(method, settings, SceneEnvironment(scene))
 
 
-_SAME = 1e-4  # tolerance of pose entries and of the field of view
-_SAME_SHAPE = 0.01  # tolerance of the aspect ratio: a viewport has whole pixels
-
-
-def _looks_alike(one: Scene, other: Scene) -> bool:
-    """Return whether two scenes look the same when dry."""
-    return one is other or _dry(one).geometry_key == _dry(other).geometry_key
-
-
-def _dry(scene: Scene) -> Scene:
-    for member in scene.members:
-        if member.wet_sh is not None:
-            scene = scene.with_member(member.key, wet_sh=None)
-    return scene
-
-
 # Report: transferred views compared with renders of the result
 
 _COMPARED = 6  # maximum number of views in the report
@@ -213,13 +177,9 @@ class ComparisonReport:
     """Transfer that forwards another one and keeps some of its views, evenly spaced."""
 
     def __init__(self, transfer: Transfer) -> None:
-        self._transfer = transfer
-        self._kept: list[RainyView] = []
+        self._transfer, self.name = transfer, transfer.name
+        self._views: list[RainyView] = []
         self._count, self._seconds = 0, 0.0
-
-    @property
-    def name(self) -> str:
-        return self._transfer.name
 
     def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
         every = max(1, -(-len(views) // _COMPARED))
@@ -227,7 +187,7 @@ class ComparisonReport:
         for number, rainy in enumerate(self._transfer.transferred(views)):
             self._seconds += time.perf_counter() - started
             if number % every == 0:
-                self._kept.append(rainy)
+                self._views.append(rainy)
             self._count += 1
             yield rainy
             started = time.perf_counter()
@@ -236,7 +196,7 @@ class ComparisonReport:
         return RunReport(
             f"{scene.name} made rainy",
             {"method": method},
-            comparisons=tuple(_compared(scene, each) for each in self._kept),
+            comparisons=tuple(_compared(scene, each) for each in self._views),
             timings={"Views and their transfer": self._seconds},
             headlines={"Gaussians": f"{scene.gaussian_count:,}", "Views": f"{self._count:,}"},
         )

@@ -1,7 +1,7 @@
-"""Worker processes: run a generator of `Progress` in another process and poll it without blocking.
+"""Workers of jobs: run a generator of `Progress` in another process, or in a thread, and poll it without blocking.
 
-Small messages travel through a pipe, the latest preview through shared memory, results as files. A worker that dies is
-a failed job. Workers have low CPU priority.
+Small messages travel through a pipe, the latest preview through shared memory, results as files. A process that dies is
+a failed job. Worker processes have low CPU priority.
 """
 
 import multiprocessing
@@ -11,6 +11,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterator
+from concurrent import futures
 from contextlib import suppress
 from multiprocessing.connection import Connection, wait
 from multiprocessing.shared_memory import SharedMemory
@@ -35,18 +36,22 @@ _NICENESS = 10  # on POSIX systems; keeps the window responsive
 _OUT_OF_MEMORY = "the machine ran out of memory: close other programs, or work with smaller images or fewer Gaussians"
 
 
-class WorkerProcess:
+class _Worker:
+    """State of a running function."""
+
+    state: JobState = "running"
+    progress = Progress(0.0, "Starting")
+    error: str | None = None
+    """Error in one line; `details` has the traceback."""
+    details: str | None = None
+
+
+class WorkerProcess(_Worker):
     """A function running in another process. Call `poll` once a frame."""
 
-    def __init__(self, title: str, work: Work, *arguments: Any) -> None:
-        """Start at once. Arguments must be picklable; pass large ones by file. Raises any error of process creation."""
+    def __init__(self, work: Work, *arguments: Any) -> None:
+        """Start the process; raises any error of its creation. Arguments must be picklable; pass large ones by file."""
         context = multiprocessing.get_context("spawn")
-        self.title = title
-        self.state: JobState = "running"
-        self.progress = Progress(0.0, "Starting")
-        self.error: str | None = None
-        """Error in one line; `details` has the traceback."""
-        self.details: str | None = None
         self._messages, theirs = context.Pipe(duplex=False)
         self._image = SharedImage()
         arguments = (theirs, self._image.name, work, arguments)
@@ -59,13 +64,12 @@ class WorkerProcess:
             raise
         finally:
             theirs.close()
-        self._silence = WorkerWatchdog(self._process.pid or 0)
-        self._said = self.progress.message
+        self._watchdog = WorkerWatchdog(self._process.pid or 0)
+        self._message = self.progress.message
 
-    @property
-    def waitable(self) -> Connection:
-        """Connection for `multiprocessing.connection.wait`: ready on a message or when the worker has ended."""
-        return self._messages
+    def wait(self, timeout_s: float) -> None:
+        """Wait for a message or the end of the worker."""
+        wait([self._messages], timeout_s)
 
     def poll(self) -> None:
         """Process the worker's messages since the last call; never blocks."""
@@ -81,7 +85,9 @@ class WorkerProcess:
         if (pixels := self._image.take()) is not None:
             self.progress = self.progress._replace(preview=pixels)
         if self.state == "running":
-            self._tell_silence()
+            silence = self._watchdog.words
+            message = f"{self._message} ({silence})" if silence else self._message
+            self.progress = self.progress._replace(message=message)
 
     def cancel(self) -> None:
         """Terminate the worker without waiting for it; unfinished work is lost."""
@@ -102,21 +108,15 @@ class WorkerProcess:
         self._image.close()
 
     def _take(self, message: Any) -> None:
-        self._silence.heard()
+        self._watchdog.heard()
         if isinstance(message, Progress):
-            self._said = message.message
+            self._message = message.message
             self.progress = message._replace(preview=self.progress.preview)
         elif message is None:
-            self.progress = Progress(1.0, "Done", self.progress.preview)
+            self.progress = self.progress._replace(fraction=1.0, message="Done")
             self.state = "finished"
         else:
             self._fail(*message)
-
-    def _tell_silence(self) -> None:
-        words = self._silence.words
-        message = f"{self._said} ({words})" if words else self._said
-        if message != self.progress.message:
-            self.progress = self.progress._replace(message=message)
 
     def _fail(self, error: str, details: str | None) -> None:
         self.state, self.error, self.details = "failed", error, details
@@ -126,16 +126,12 @@ def _death(exit_code: int | None) -> str:
     """Describe the end of a process that sent no error."""
     if exit_code is not None and exit_code == -getattr(signal, "SIGKILL", 9):
         return f"the worker was killed: by hand, or because {_OUT_OF_MEMORY}"
-    if exit_code is not None and exit_code < 0:
-        return f"the worker died of {_signal_name(-exit_code)}"
-    return f"the worker died (exit code {exit_code})"
-
-
-def _signal_name(number: int) -> str:
+    if exit_code is None or exit_code >= 0:
+        return f"the worker died (exit code {exit_code})"
     try:
-        return signal.Signals(number).name
+        return f"the worker died of {signal.Signals(-exit_code).name}"
     except ValueError:
-        return f"signal {number}"
+        return f"the worker died of signal {-exit_code}"
 
 
 def _run(messages: Connection, picture_name: str, work: Work, arguments: tuple[Any, ...]) -> None:
@@ -169,10 +165,44 @@ def _end_with_parent() -> None:
 
 def _sentence(error: Exception) -> str:
     """Describe an error for users; torch raises RuntimeError when out of memory."""
-    said = str(error) or type(error).__name__
-    if isinstance(error, MemoryError) or "out of memory" in said or "can't allocate memory" in said:
-        return f"{_OUT_OF_MEMORY} ({said})"
+    text = str(error) or type(error).__name__
+    if isinstance(error, MemoryError) or "out of memory" in text or "can't allocate memory" in text:
+        return f"{_OUT_OF_MEMORY} ({text})"
     return sentence_of(error) if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {error}"
+
+
+class WorkerThread(_Worker):
+    """A function running in a thread of this process, with the interface of a `WorkerProcess`."""
+
+    def __init__(self, work: Work, *arguments: Any) -> None:
+        """Start the thread."""
+        thread = futures.ThreadPoolExecutor(max_workers=1)
+        self._running = thread.submit(self._run, work, arguments)
+        thread.shutdown(wait=False)
+
+    def wait(self, timeout_s: float) -> None:
+        """Wait for the end of the work."""
+        futures.wait([self._running], timeout_s)
+
+    def poll(self) -> None:
+        if self.state == "running" and self._running.done():
+            self.state = "finished"
+            if (error := self._running.exception()) is not None:
+                self.state, self.error = "failed", f"{type(error).__name__}: {error}"
+                self.details = "".join(traceback.format_exception(error))
+
+    def cancel(self) -> None:
+        """Stop at the next step of the work, without waiting for it."""
+        if self.state == "running":
+            self.state = "cancelled"
+
+    def close(self) -> None:
+        """Do nothing: a thread frees its own resources."""
+
+    def _run(self, work: Work, arguments: tuple[Any, ...]) -> None:
+        for self.progress in work(*arguments):
+            if self.state == "cancelled":
+                return
 
 
 # Latest preview in shared memory, read without blocking
@@ -191,12 +221,9 @@ class SharedImage:
     def __init__(self, name: str | None = None) -> None:
         size = 8 * _NUMBERS + 2 * _SLOT_BYTES
         self._memory = SharedMemory(name, create=name is None, size=size if name is None else 0)
+        self.name = self._memory.name
         self._is_own, self._is_closed = name is None, False
-        self._accept = 0
-
-    @property
-    def name(self) -> str:
-        return self._memory.name
+        self._taken = 0
 
     def write(self, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
         """Publish an image; larger ones are scaled down."""
@@ -220,14 +247,14 @@ class SharedImage:
         number = int(numbers[0])
         slot = number % 2
         found, height, width = numbers[1 + 3 * slot : 4 + 3 * slot].tolist()
-        if number == self._accept:
+        if number == self._taken:
             return None
         if found != number or not 0 < height * width <= _MAX_PIXELS:
             return None  # it is being overwritten: the next call finds a newer one
         pixels = self._pixels(slot, height, width).copy()
         if int(numbers[1 + 3 * slot]) != number:
             return None
-        self._accept = number
+        self._taken = number
         return pixels
 
     def close(self) -> None:
@@ -238,25 +265,22 @@ class SharedImage:
             if self._is_own:
                 self._memory.unlink()
 
-    @property
-    def _bytes(self) -> memoryview:
-        assert self._memory.buf is not None, "closed"
-        return self._memory.buf
+    # Arrays are created anew each time: memory that an array refers to can't be closed.
 
     def _numbers(self) -> Int64[np.ndarray, " numbers"]:
-        # Created anew each time: memory referenced by an array can't be closed.
-        return np.frombuffer(self._bytes, np.int64, _NUMBERS)
+        assert self._memory.buf is not None, "closed"
+        return np.frombuffer(self._memory.buf, np.int64, _NUMBERS)
 
     def _pixels(self, slot: int, height: int, width: int) -> UInt8[np.ndarray, "h w 3"]:
+        assert self._memory.buf is not None, "closed"
         first = 8 * _NUMBERS + slot * _SLOT_BYTES
-        flat = np.frombuffer(self._bytes, np.uint8, 3 * height * width, first)
-        return flat.reshape(height, width, 3)
+        return np.frombuffer(self._memory.buf, np.uint8, 3 * height * width, first).reshape(height, width, 3)
 
 
 # Watchdog
 
 _LONG_S = 60.0  # minimum silence to report; few steps of any job take longer
-_LOOKED_AT_EVERY_S = 2.0
+_CHECK_INTERVAL_S = 2.0
 
 
 class WorkerWatchdog:
@@ -265,7 +289,7 @@ class WorkerWatchdog:
     def __init__(self, pid: int, now: Callable[[], float] = monotonic) -> None:
         """`now` is a monotonic clock in seconds."""
         self._pid, self._now = pid, now
-        self._heard_s = self._looked_s = now()
+        self._heard_s = self._checked_s = now()
         self._is_stopped = False
 
     def heard(self) -> None:
@@ -276,28 +300,22 @@ class WorkerWatchdog:
     def words(self) -> str:
         """Description of a long silence, or "". Changes once a minute at most."""
         now = self._now()
-        if now - max(self._heard_s, self._looked_s) > _LOOKED_AT_EVERY_S:
-            self._looked_s, self._is_stopped = now, _is_stopped(self._pid)
+        if now - max(self._heard_s, self._checked_s) > _CHECK_INTERVAL_S:
+            self._checked_s = now
+            try:
+                self._is_stopped = psutil.Process(self._pid).status() == psutil.STATUS_STOPPED
+            except psutil.Error:
+                self._is_stopped = False  # the process is gone; its pipe reports that
         if self._is_stopped:
             return f"process {self._pid} is stopped: kill -CONT {self._pid} lets it go on"
         minutes = int((now - self._heard_s) / _LONG_S)
         return f"no news for {minutes} min" if minutes else ""
 
 
-def _is_stopped(pid: int) -> bool:
-    try:
-        return psutil.Process(pid).status() == psutil.STATUS_STOPPED
-    except psutil.Error:
-        return False  # the process is gone; its pipe reports that
-
-
-# Termination
-
-
 def install_sigterm_handler() -> None:
     """In a worker: unwind on SIGTERM, so that files such as videos are closed properly."""
-    signal.signal(signal.SIGTERM, _leave)
 
+    def end(*_: object) -> None:
+        sys.exit(1)
 
-def _leave(*_: object) -> None:
-    sys.exit(1)
+    signal.signal(signal.SIGTERM, end)

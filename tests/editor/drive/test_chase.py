@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.drive_playback import RolloutInScene
+from gsrain_engine.editor.drive import RolloutInScene
 from gsrain_engine.editor.viewport.camera import OrbitCamera
 from gsrain_engine.editor.viewport.camera_follow import ChaseCamera
 from gsrain_engine.simulation.sensors import placed_camera

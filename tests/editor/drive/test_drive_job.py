@@ -1,13 +1,10 @@
 """A drive from a session, in the process that a window would start."""
 
 from dataclasses import replace
-from multiprocessing.connection import wait as wait_for
 
 import msgspec
 import numpy as np
 import pytest
-
-from gsrain_engine.editor.jobs.drive import SimulationJob
 
 from .driven import CRASH, driven, settled, stopped_session
 
@@ -28,10 +25,7 @@ def follow(session):
     """Look after the last job as the window does, until it ends; returns it and what it showed."""
     job, shown = session.jobs[-1], []
     while job.state == "running":
-        if job._worker is not None:
-            wait_for([job._worker.waitable], timeout=60)
-        elif job._copying is not None:
-            job._copying.exception(timeout=60)
+        job.wait(60)
         session.update(0.0)
         if job.progress.preview is not None:
             shown.append(job.progress.preview)
@@ -45,7 +39,7 @@ def test_what_a_person_has_edited_is_driven_through_and_opened(session):
     session.drives.start(session)
     assert session.drives.why_not(session) == "A drive goes on."
     job, shown = follow(session)
-    assert isinstance(job, SimulationJob)
+    assert job.kind == "drive"
     assert (job.state, job.error, session.problem) == ("finished", None, None)
     (opened,) = session.drives.opened
     assert session.drives.playing is opened

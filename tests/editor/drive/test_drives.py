@@ -24,7 +24,7 @@ def file(tmp_path):
 @pytest.fixture
 def session(file):
     session = stopped_session(driven()[0])
-    session.drives.open(file)
+    session.drives.open(session, file)
     settled(session)
     yield session
     session.close()
@@ -91,7 +91,7 @@ def test_curves_follow_the_drive(session):
 
 def test_several_stay_open_and_one_of_them_plays(session, tmp_path):
     write_rollout(tmp_path / "dry.jsonl", driven(0.0)[1])
-    session.drives.open(tmp_path / "dry.jsonl")
+    session.drives.open(session, tmp_path / "dry.jsonl")
     settled(session)
     first, second = session.drives.opened
     assert session.drives.playing is second
@@ -112,7 +112,7 @@ def test_what_is_no_rollout_is_told_and_nothing_changes(session, tmp_path, damag
     elif damage == "torn":
         lines = (tmp_path / "crash.jsonl").read_bytes().splitlines()
         bad.write_bytes(b"\n".join([*lines[:3], lines[3][:20]]))
-    session.drives.open(bad)
+    session.drives.open(session, bad)
     settled(session)
     assert "bad.jsonl" in session.problem
     assert session.drives.playing is playing
@@ -162,7 +162,7 @@ def test_a_rollout_that_does_not_belong_here_has_plots_but_no_picture(session, t
     rollout = driven()[1]
     strange = msgspec.structs.replace(rollout, scenario={**rollout.scenario, "road_users": []}, scene="elsewhere")
     write_rollout(tmp_path / "strange.jsonl", strange)
-    session.drives.open(tmp_path / "strange.jsonl")
+    session.drives.open(session, tmp_path / "strange.jsonl")
     settled(session)
     assert "elsewhere" in session.drives.trouble
     assert session.problem == session.drives.trouble

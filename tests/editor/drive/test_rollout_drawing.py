@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.drive_playback import RolloutInScene
+from gsrain_engine.editor.drive import RolloutInScene
 from gsrain_engine.editor.overlays_drive import planned_points_m, rollout_overlay
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.simulation.sensors import placed_camera

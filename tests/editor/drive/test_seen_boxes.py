@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from gsrain_engine.editor.drive_playback import RolloutInScene
+from gsrain_engine.editor.drive import RolloutInScene
 from gsrain_engine.editor.overlays_drive import detection_boxes
 from gsrain_engine.simulation.sensors import camera_of_width, placed_camera
 

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.drive_playback import EGO_CAR, RolloutInScene
+from gsrain_engine.editor.drive import EGO_CAR, RolloutInScene
 from small_scene import small_scene
 
 from .driven import driven

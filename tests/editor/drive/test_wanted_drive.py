@@ -1,15 +1,13 @@
 """What a person prepares before a drive."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.drive import DriveSetup
+from gsrain_engine.editor.drive import CameraMosaic, DriveSetup, mosaic_rows
 from gsrain_engine.editor.jobs.drive import DriveSettings
-from gsrain_engine.editor.overlays_drive import CameraMosaic, mosaic_rows
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.simulation.scenario_io import load_scenario
 
@@ -58,8 +56,6 @@ def test_rains_of_a_drive():
     assert [(each.intensity_mm_h, each.exposure_s) for each in one.rains(present)] == [(7.0, 0.01)]
     four = msgspec.structs.replace(settings, rain="paper's four")
     assert [each.intensity_mm_h for each in four.rains(present)] == [0.0, 1.2, 8.5, 12.0]
-    assert four.options.detector is None
-    assert msgspec.structs.replace(four, detector=Path("a.onnx")).options.detector == Path("a.onnx")
 
 
 def test_the_mosaic_shows_the_rig_as_one_would_look_for_it():

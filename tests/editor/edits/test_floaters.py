@@ -6,7 +6,6 @@ import pytest
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.floaters import FloaterRules, FloaterSearch, select_floaters
 from gsrain_engine.editor.edits.gaussians import box_around
-from gsrain_engine.editor.jobs.floaters import FloaterJob
 from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.scene import Layer, Scene
@@ -93,17 +92,13 @@ def test_a_sky_dome_in_the_same_file_is_no_floater_and_not_in_the_crop_box():
     assert max(box_around(both).size_m) < 15
 
 
-def finished(job, session):
-    while job.state == "running":
-        job._running.result()
-        job.poll(session)
-    return job
-
-
 def test_the_job_selects_as_one_step():
     session = Editor(scene())
-    job = FloaterJob(session.scene, FloaterRules())
-    assert finished(job, session).found_count == 3
+    job = session.find_floaters(FloaterRules())
+    while job.state == "running":
+        job.wait(60)
+        job.poll()
+    assert (session.floater_count, job.progress.message) == (3, "3 Gaussians look like floaters and are selected")
     assert session.history.labels == ["Open", "Find floaters"]
     assert session.scene.layers[0].marks.selected.indices.tolist() == [0, 2, 3]
     session.undo()
@@ -113,9 +108,9 @@ def test_the_job_selects_as_one_step():
 
 def test_a_cancelled_job_changes_nothing():
     session = Editor(scene())
-    job = FloaterJob(session.scene, FloaterRules())
+    job = session.find_floaters(FloaterRules())
     job.cancel()
-    job._running.result()
-    job.poll(session)
-    assert (job.state, job.found_count, session.history.labels) == ("cancelled", None, ["Open"])
+    job.wait(60)
+    job.poll()
+    assert (job.state, session.floater_count, session.history.labels) == ("cancelled", None, ["Open"])
     session.close()

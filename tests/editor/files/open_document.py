@@ -4,6 +4,7 @@ from concurrent.futures import wait
 
 import numpy as np
 
+from gsrain_engine.editor.jobs.job import Job
 from gsrain_engine.editor.viewport_state import PendingScene
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.progress import Progress
@@ -41,20 +42,24 @@ def names_in(folder):
     return {file.name: file.stat().st_ino for file in folder.rglob("*") if file.is_file()}
 
 
-class HeldJob:
+class HeldJob(Job):
     """A job that goes on until the test ends it."""
 
-    def __init__(self, title="Make it rainy", ends_with_scene=True):
+    def __init__(self, session, title="Make it rainy", ends_with_scene=True):
+        self.session, self.kind = session, "make rainy"
         self.title, self.ends_with_scene, self.state = title, ends_with_scene, "running"
         self.progress, self.error, self.details = Progress(0.4, "at it"), None, None
         self.result = None
         self.fails = False
 
-    def poll(self, session):
+    def start(self, files):
+        pass
+
+    def poll(self):
         if self.fails:
             self.state, self.error = "failed", "the third wheel is missing"
         elif self.result is not None:
-            session.stage(PendingScene(self.title, self.result))
+            self.session.staged = PendingScene(self.title, self.result)
             self.state = "finished"
 
     def cancel(self):

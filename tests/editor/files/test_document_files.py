@@ -8,12 +8,6 @@ import pytest
 from PIL import Image
 
 from editor.files.open_document import HeldJob, answer, delete_every_third, keep_now, names_in, settle
-from gsrain_engine.editor.jobs.drive import RolloutVideoJob, SimulationJob
-from gsrain_engine.editor.jobs.floaters import FloaterJob
-from gsrain_engine.editor.jobs.job import BackgroundJob, SceneJob
-from gsrain_engine.editor.jobs.make_rainy import TransferPreviewJob
-from gsrain_engine.editor.jobs.record import ExportJob
-from gsrain_engine.editor.jobs.training import FinetuneJob
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
@@ -112,7 +106,7 @@ def test_a_view_that_can_not_be_used_is_left(session, sessions, home):
 def test_what_has_no_folder_asks_for_a_place(sessions, tmp_path):
     session = sessions(small_scene("new"))
     session.files.save()
-    session.files.place_wanted(tmp_path / "placed")
+    session.files.place_request(tmp_path / "placed")
     settle(session)
     assert session.files.home == tmp_path / "placed"
     assert read_scene(tmp_path / "placed").name == "new"
@@ -143,7 +137,7 @@ def test_an_export_is_a_copy_and_the_document_stays_unsaved(sessions, home, tmp_
     assert session.questions.present.title == "Unsaved changes" and not session.is_leaving
     answer(session, "Save")
     if source != "folder":
-        files.place_wanted(tmp_path / "placed")
+        files.place_request(tmp_path / "placed")
         settle(session)
     assert session.is_leaving and files.home == (home if source == "folder" else tmp_path / "placed")
 
@@ -319,7 +313,7 @@ def test_a_file_changed_by_someone_else_is_noticed(session, home, tmp_path, labe
     assert session.questions.present.title == "Changed on disk"
     answer(session, label)
     if label == "Save as...":
-        session.files.place_wanted(tmp_path / "mine")
+        session.files.place_request(tmp_path / "mine")
         settle(session)
         assert read_scene(tmp_path / "mine").name == "crossing"
     assert (read_scene(home).name, session.scene.name) == (on_disk, here)
@@ -381,14 +375,13 @@ def test_a_newer_scene_is_refused_and_nothing_is_lost(session, home, tmp_path):
 
 def at_work(session, *jobs):
     for job in jobs:
-        assert isinstance(job, BackgroundJob)
         session.start(job)
     return jobs
 
 
 @pytest.mark.parametrize("changes", [False, True])
 def test_the_end_waits_for_a_job_and_takes_its_result_in(session, changes):
-    (job,) = at_work(session, HeldJob())
+    (job,) = at_work(session, HeldJob(session))
     session.request_quit()
     question = session.questions.present
     assert question.title == "Work goes on" and "Make it rainy" in question.text and not session.is_leaving
@@ -412,7 +405,7 @@ def test_the_end_waits_for_a_job_and_takes_its_result_in(session, changes):
 
 
 def test_stopping_a_job_goes_on_with_the_end(session):
-    jobs = at_work(session, HeldJob(), HeldJob("Record clip.mp4", ends_with_scene=False))
+    jobs = at_work(session, HeldJob(session), HeldJob(session, "Record clip.mp4", ends_with_scene=False))
     delete_every_third(session)
     session.request_quit()
     assert "Make it rainy and Record clip.mp4 are" in session.questions.present.text
@@ -424,7 +417,7 @@ def test_stopping_a_job_goes_on_with_the_end(session):
 
 
 def test_cancelling_leaves_window_and_job_as_they_are(session):
-    (job,) = at_work(session, HeldJob())
+    (job,) = at_work(session, HeldJob(session))
     session.request_quit()
     answer(session, "Cancel")
     assert (job.state, session.is_leaving, session.questions.present) == ("running", False, None)
@@ -439,7 +432,7 @@ def test_cancelling_leaves_window_and_job_as_they_are(session):
 
 
 def test_a_job_that_fails_while_it_is_waited_for_keeps_the_window_open(session):
-    (job,) = at_work(session, HeldJob())
+    (job,) = at_work(session, HeldJob(session))
     session.request_quit()
     answer(session, "Wait")
     job.fails = True
@@ -456,7 +449,7 @@ def test_another_document_asks_about_jobs_that_end_with_this_one(session, tmp_pa
         "close": session.files.close_scene,
         "revert": session.files.revert,
     }[go]
-    job, recording = at_work(session, HeldJob(), HeldJob("Record clip.mp4", ends_with_scene=False))
+    job, recording = at_work(session, HeldJob(session), HeldJob(session, "Record clip.mp4", ends_with_scene=False))
     scene = session.scene
     to_another()
     assert "Make it rainy is" in session.questions.present.text and not session.files.is_opening
@@ -468,12 +461,7 @@ def test_another_document_asks_about_jobs_that_end_with_this_one(session, tmp_pa
     session.update(0.0)
     settle(session)
     assert session.scene is not scene and (job.state, recording.state) == ("finished", "running")
-    at_work(session, HeldJob())
+    at_work(session, HeldJob(session))
     session.request_quit()
     answer(session, "Stop them")
     assert session.is_leaving
-
-
-def test_every_kind_of_job_says_if_it_ends_with_its_scene():
-    kinds = SceneJob, FloaterJob, SimulationJob, RolloutVideoJob, TransferPreviewJob, ExportJob, FinetuneJob
-    assert [kind.ends_with_scene for kind in kinds] == [True] * 5 + [False] * 2

@@ -7,7 +7,7 @@ import msgspec
 import pytest
 
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.files import MAX_RECENT_FILES, add_recent_file, forget_recent_file, recent_files
+from gsrain_engine.editor.files import MAX_RECENT_FILES, recent_files, update_recent_files
 from gsrain_engine.editor.preferences import Preferences, load_preferences, preferences_file, save_preferences
 
 
@@ -63,17 +63,17 @@ def test_a_newer_programs_preferences_are_passed_over():
 
 def test_recent_files_are_the_latest_first_and_few():
     for n in range(MAX_RECENT_FILES + 3):
-        add_recent_file(Path(f"/scenes/{n}"))
-    add_recent_file(Path("/scenes/5"))
+        update_recent_files(Path(f"/scenes/{n}"))
+    update_recent_files(Path("/scenes/5"))
     assert [path.name for path in recent_files()[:3]] == ["5", str(MAX_RECENT_FILES + 2), str(MAX_RECENT_FILES + 1)]
     assert len(recent_files()) == MAX_RECENT_FILES
-    assert Path("/scenes/5") not in forget_recent_file(Path("/scenes/5"))
+    assert Path("/scenes/5") not in update_recent_files(Path("/scenes/5"), add=False)
 
 
 def test_windows_do_not_lose_each_others_recent_files():
     def add(first: int) -> None:
         for n in range(first, first + 3):
-            add_recent_file(Path(f"/scenes/{n}"))
+            update_recent_files(Path(f"/scenes/{n}"))
 
     with ThreadPoolExecutor(3) as windows:  # locks hold between threads as between processes
         list(windows.map(add, (0, 10, 20)))

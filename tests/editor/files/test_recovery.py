@@ -64,7 +64,7 @@ def test_closing_without_an_answer_loses_nothing(sessions, home, session):
     keep_now(session)
     session.close()  # the display is gone, say
     again = sessions()
-    again.files.offer_recovery()
+    again.files.recovery.look()
     settle(again)
     assert "crossing" in again.questions.present.text and str(home) in again.questions.present.text
     answer(again, "Recover")
@@ -105,7 +105,7 @@ def test_an_autosave_of_a_living_session_is_not_offered_and_not_overwritten(sess
     keep_now(session)
     before = names_in(autosave_folder(home))
     other = sessions()
-    other.files.offer_recovery()
+    other.files.recovery.look()
     other.open(str(home))
     settle(other)
     assert other.questions.present.title == "Open twice"
@@ -125,14 +125,14 @@ def test_what_a_killed_process_has_kept_is_offered_and_what_a_living_one_has_is_
         assert process.stdout.readline() == "kept\n"
         early = sessions()
         early.open(str(home))
-        early.files.offer_recovery()
+        early.files.recovery.look()
         settle(early)
         assert early.questions.present.title == "Open twice"
         answer(early, "Close it here")
         assert early.questions.present is None
         process.kill()
     late = sessions()
-    late.files.offer_recovery()
+    late.files.recovery.look()
     settle(late)
     assert late.questions.present.title == "Recover unsaved changes"
     answer(late, "Recover")

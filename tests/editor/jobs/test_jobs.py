@@ -3,7 +3,6 @@
 import os
 import signal
 import time
-from multiprocessing.connection import wait as wait_for
 from multiprocessing.shared_memory import SharedMemory
 
 import numpy as np
@@ -66,12 +65,12 @@ def telling_its_niceness(path):
 
 def finish(job):
     while job.state == "running":
-        wait_for([job.waitable], timeout=30)
+        job.wait(30)
         job.poll()
 
 
 def test_a_job_reports_and_leaves_its_result(tmp_path):
-    job = WorkerProcess("Count", counting, tmp_path / "result", 3)
+    job = WorkerProcess(counting, tmp_path / "result", 3)
     finish(job)
     assert job.state == "finished"
     assert job.progress.fraction == 1
@@ -87,7 +86,7 @@ def test_a_job_reports_and_leaves_its_result(tmp_path):
     ],
 )
 def test_a_failing_job_has_one_line_and_a_traceback(kind, told):
-    job = WorkerProcess("Fail", failing, kind)
+    job = WorkerProcess(failing, kind)
     finish(job)
     assert (job.state, job.error) == ("failed", told)
     assert "in failing" in job.details
@@ -104,13 +103,13 @@ def test_what_can_t_be_started_leaves_no_shared_memory(monkeypatch):
 
     monkeypatch.setattr(process, "SharedImage", Recorded)
     with pytest.raises(AttributeError, match="pickle"):
-        WorkerProcess("Local", counting, lambda: None)
+        WorkerProcess(counting, lambda: None)
     with pytest.raises(FileNotFoundError):
         SharedMemory(made[0])
 
 
 def test_a_dead_worker_is_a_failed_job():
-    job = WorkerProcess("Die", dying)
+    job = WorkerProcess(dying)
     finish(job)
     assert job.state == "failed"
     assert "the worker was killed" in job.error
@@ -119,7 +118,7 @@ def test_a_dead_worker_is_a_failed_job():
 
 
 def test_missing_memory_is_told_in_a_sentence():
-    job = WorkerProcess("Hungry", hungry)
+    job = WorkerProcess(hungry)
     finish(job)
     assert job.state == "failed"
     assert job.error.startswith("the machine ran out of memory: close other programs")
@@ -128,7 +127,7 @@ def test_missing_memory_is_told_in_a_sentence():
 
 
 def test_the_newest_picture_arrives_and_stays():
-    job = WorkerProcess("Show", showing)
+    job = WorkerProcess(showing)
     finish(job)
     assert job.progress.preview.shape == (40, 30, 3)
     assert (job.progress.preview == 30).all()
@@ -136,7 +135,7 @@ def test_the_newest_picture_arrives_and_stays():
 
 
 def test_a_large_picture_arrives_smaller():
-    job = WorkerProcess("Paint", painting_large)
+    job = WorkerProcess(painting_large)
     finish(job)
     height, width = job.progress.preview.shape[:2]
     assert width * height <= 1024 * 768
@@ -163,16 +162,16 @@ def test_two_slots_never_show_half_a_picture():
 
 @pytest.mark.skipif(not psutil.POSIX, reason="niceness is POSIX's")
 def test_workers_come_after_the_window(tmp_path):
-    job = WorkerProcess("Nice", telling_its_niceness, tmp_path / "nice")
+    job = WorkerProcess(telling_its_niceness, tmp_path / "nice")
     finish(job)
     assert int((tmp_path / "nice").read_text()) > psutil.Process().nice()
     job.close()
 
 
 def test_cancel_ends_the_process_within_a_second_wherever_it_is():
-    job = WorkerProcess("Deaf", deaf)
+    job = WorkerProcess(deaf)
     while job.progress.message != "multiplying":
-        wait_for([job.waitable], timeout=30)
+        job.wait(30)
         job.poll()
     started = time.perf_counter()
     job.cancel()
@@ -183,8 +182,8 @@ def test_cancel_ends_the_process_within_a_second_wherever_it_is():
 
 
 def test_cancel_stops_a_job_that_would_go_on_for_ever():
-    job = WorkerProcess("Endless", endless)
-    wait_for([job.waitable], timeout=30)
+    job = WorkerProcess(endless)
+    job.wait(30)
     job.poll()
     job.cancel()
     assert job.state == "cancelled"
@@ -195,7 +194,7 @@ def test_cancel_stops_a_job_that_would_go_on_for_ever():
 
 @pytest.mark.parametrize("times", [1, 2])
 def test_cancel_may_come_at_once_and_twice(times):
-    job = WorkerProcess("Endless", endless)
+    job = WorkerProcess(endless)
     for _ in range(times):
         job.cancel()
     assert job.state == "cancelled"

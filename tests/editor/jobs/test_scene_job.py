@@ -4,7 +4,6 @@ import os
 import signal
 from concurrent.futures import wait
 from dataclasses import replace
-from multiprocessing.connection import wait as wait_for
 from multiprocessing.shared_memory import SharedMemory
 
 import numpy as np
@@ -12,8 +11,7 @@ import psutil
 import pytest
 
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.jobs.job import SceneJob, WorkerCall
-from gsrain_engine.editor.viewport_state import PendingScene
+from gsrain_engine.editor.jobs.job import scene_job
 from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.formats.scene_folder import write_scene_folder
 from gsrain_engine.scene.progress import Progress
@@ -41,14 +39,22 @@ def failing(folder, steps):
 
 
 class Growing:
-    title, preparing, report = "Grow", "Getting ready", None
+    """Snapshots and result of a job, and the folder in which it works."""
 
-    def __init__(self, work=growing, is_whole=True):
-        self.work, self.is_whole, self.folder, self.newest = work, is_whole, None, 0
+    def __init__(self, work=growing):
+        self.work, self.folder, self.newest = work, None, 0
 
-    def prepare(self, folder):
+    def start(self, session):
+        job = scene_job(
+            session, "reconstruct", "Grow", self.work, self.inputs, lambda folder: read_scene(folder / "3"),
+            is_whole=True, snapshot=self.snapshot,
+        )  # fmt: skip
+        session.start(job)
+        return job
+
+    def inputs(self, folder):
         self.folder = folder
-        return WorkerCall(self.work, (folder, 3))
+        return folder, 3
 
     def snapshot(self, folder):
         newest = max((int(each.name) for each in folder.iterdir() if each.name.isdigit()), default=0)
@@ -56,12 +62,6 @@ class Growing:
             return None
         self.newest = newest
         return read_scene(folder / f"{newest}")
-
-    def load(self, folder):
-        return read_scene(folder / "3")
-
-    def staged(self, scene):
-        return PendingScene("Grow", scene, is_whole=self.is_whole)
 
 
 @pytest.fixture
@@ -74,11 +74,7 @@ def session():
 def follow(session, job, until=lambda: False):
     """Poll until the job has ended, or something is so, and take in what it stages; wait where there is nothing new."""
     while job.state == "running" and not until():
-        pending = [each for each in (job._preparing, job._snapshot, job._loading) if each is not None]
-        if pending:
-            wait(pending, timeout=60)
-        elif job._worker is not None:
-            wait_for([job._worker.waitable], timeout=60)
+        job.wait(60)
         session.update(0.0)
         session.swap_in()
 
@@ -86,8 +82,7 @@ def follow(session, job, until=lambda: False):
 def test_snapshots_and_result_are_one_step_that_is_undone_at_once(session):
     before = session.scene
     task = Growing()
-    job = SceneJob(task, session._files)
-    session.start(job)
+    job = task.start(session)
     for layers in (1, 2):
         follow(session, job, until=lambda n=layers: len(session.scene.layers) == n and session.scene is not before)
         assert len(session.scene.layers) == layers
@@ -105,8 +100,7 @@ def test_snapshots_and_result_are_one_step_that_is_undone_at_once(session):
 
 def test_who_goes_on_with_something_else_gets_the_result_as_a_step_of_its_own(session):
     task = Growing()
-    job = SceneJob(task, session._files)
-    session.start(job)
+    job = task.start(session)
     follow(session, job, until=lambda: "Grow" in session.history.labels)
     session.undo()
     session.change_rain("Intensity", intensity_mm_h=5.0)
@@ -121,8 +115,7 @@ def test_who_goes_on_with_something_else_gets_the_result_as_a_step_of_its_own(se
 
 def test_a_killed_worker_is_a_failed_job_and_leaves_the_scene_and_no_file(session):
     before, task = session.scene, Growing(dying)
-    job = SceneJob(task, session._files)
-    session.start(job)
+    job = task.start(session)
     follow(session, job)
     assert job.state == "failed"
     assert "the worker was killed" in job.error
@@ -133,8 +126,7 @@ def test_a_killed_worker_is_a_failed_job_and_leaves_the_scene_and_no_file(sessio
 
 def test_cancelling_leaves_the_scene_and_no_file(session):
     before, task = session.scene, Growing()
-    job = SceneJob(task, session._files)
-    session.start(job)
+    job = task.start(session)
     follow(session, job, until=lambda: session.scene is not before)
     shown = session.scene
     job.cancel()
@@ -147,8 +139,7 @@ def test_cancelling_leaves_the_scene_and_no_file(session):
 
 def test_a_failed_worker_says_why_and_leaves_no_file(session):
     task = Growing(failing)
-    job = SceneJob(task, session._files)
-    session.start(job)
+    job = task.start(session)
     follow(session, job)
     assert (job.state, job.error) == ("failed", f"{task.folder.name} has no 3rd wheel")
     assert session.problem == f"Grow failed: {job.error}"
@@ -158,8 +149,7 @@ def test_a_failed_worker_says_why_and_leaves_no_file(session):
 
 def test_closing_the_session_ends_the_worker_and_leaves_nothing_behind():
     session, task = Editor(small_scene()), Growing()
-    job = SceneJob(task, session._files)
-    session.start(job)
+    job = task.start(session)
     follow(session, job, until=lambda: "Grow" in session.history.labels)
     process, picture = psutil.Process(job._worker._process.pid), job._worker._image.name
     session.close()
@@ -172,8 +162,7 @@ def test_closing_the_session_ends_the_worker_and_leaves_nothing_behind():
 
 def test_closing_the_session_before_the_worker_starts_leaves_no_file():
     session, task = Editor(small_scene()), Growing()
-    job = SceneJob(task, session._files)
-    session.start(job)
+    job = task.start(session)
     session.close()
     assert (job.state, job._worker) == ("cancelled", None)
     assert task.folder is None or not task.folder.exists()
@@ -185,9 +174,8 @@ def test_a_disk_that_fails_is_a_failed_job(session, monkeypatch):
     def full(folder):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(task, "prepare", full)
-    job = SceneJob(task, session._files)
-    session.start(job)
+    monkeypatch.setattr(task, "inputs", full)
+    job = task.start(session)
     wait([session._files.submit(lambda: None)])
     follow(session, job)
     assert (job.state, job.error) == ("failed", "No space left on device")
