@@ -16,9 +16,8 @@ from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.render.video import can_write_videos
 from gsrain_engine.scene.files import file_word
-from gsrain_engine.scene.open import load_sorted_scene
+from gsrain_engine.scene.open import load_sorted_scene, scene_hash
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.scene.scene_hash import scene_hash
 from gsrain_engine.simulation import simulation as driving
 from gsrain_engine.simulation.agents.base import Agent
 from gsrain_engine.simulation.agents.http import ClientError

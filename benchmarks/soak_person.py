@@ -17,7 +17,7 @@ _BY_NAME = {action.name: action for action in ACTIONS}
 _ANSWERS = ("Don't save", "Replace", "Overwrite", "Later", "Go on", "OK")
 """What is said to the program's questions, the first that is offered."""
 _PATIENCE_S = 300.0
-_RATES = ("Set no rain", "Set 1.2 mm/h", "Set 8.5 mm/h", "Set 12 mm/h")
+_RATES = ("No rain", "Light 1.2 mm/h", "Paper 8.5 mm/h", "Heavy 12 mm/h")
 _LOOKS = ("depth", "opacity", "splats")
 
 
@@ -89,7 +89,7 @@ class Person:
             navigation.position = navigation.position + self._random.uniform(-0.3, 0.3, 3)
             yield
         for look in _LOOKS:
-            self._do(f"Look: {look}")
+            self._do(f"Mode: {look}")
             yield from self._frames(2)
         for split in ("clear | rainy", "before | after", "off"):
             self._session.view.split = split
@@ -106,10 +106,10 @@ class Person:
             session.change_rain("Intensity", "soak", intensity_mm_h=float(rate))
             yield
         session.end_gesture()
-        self._do("Keep rain from under roofs")
+        self._do("Shelter under roofs")
         yield from self._until(lambda: session.busy is None)
-        self._do("Keep rain from under roofs")
-        self._do("Let a shower pass")
+        self._do("Shelter under roofs")
+        self._do("Add passing shower")
         yield from self._frames(3)
         self._do("Undo")
 
@@ -133,9 +133,9 @@ class Person:
     def _key(self) -> Iterator[None]:
         self._do("Circle around the target")
         yield from self._frames(2)
-        self._do("Ride along")
+        self._do("Follow path")
         yield from self._frames(3)
-        self._do("Ride along")
+        self._do("Follow path")
         self._do("Delete camera path")
         yield
 
@@ -168,7 +168,7 @@ class Person:
         session = self._session
         session.files.save_as(self._folder / "project")
         yield from self._until(lambda: session.files.busy is None and session.questions.present is None)
-        self._do("Set 8.5 mm/h")
+        self._do("Paper 8.5 mm/h")
         yield from self._frames(2)
         self._do("Save")
         yield from self._until(lambda: session.files.busy is None)

@@ -118,9 +118,11 @@ class Photographer:
         """Picture panels, each as `panel_ITS_TITLE`, in a window that is high enough for the whole of most."""
         hello_imgui.change_window_size(_FOR_PANELS)
         self.frames()
-        for title in titles:
-            self.ctx.window_focus(f"//{title}")
-            self.take(panel_picture(title), title, trimmed=True)
+        for panel in BUILT_IN_PANELS:
+            if panel.title in titles:
+                window = panel.id or panel.title
+                self.ctx.window_focus(f"//{window}")
+                self.take(panel_picture(panel.title), window, trimmed=True)
         hello_imgui.change_window_size(_SIZE)
         self.frames()
 
@@ -170,7 +172,7 @@ _GESTURES: dict[str, tuple[bool, tuple[tuple[float, float], ...]]] = {
     "Colour pick": (False, ((0.92, 0.85),)),
     "Measure": (False, ((0.3, 0.85), (0.7, 0.85))),
     "Level": (False, ((0.3, 0.8), (0.6, 0.9))),
-    "Pick sky colour": (True, ((0.4, 0.12), (0.6, 0.25))),
+    "Pick sky color": (True, ((0.4, 0.12), (0.6, 0.25))),
 }
 """By tool: whether the button stays down for the picture, and where the mouse goes, in shares of the picture."""
 
@@ -181,7 +183,7 @@ def picture_pages(camera: Photographer) -> None:
     session.rainy.make(session)
     while session.running_jobs or session.staged is not None:
         camera.frames(1)
-    session.set_weather("A shower that passes", shower_keyframes(duration_s=12.0, peak_mm_h=13.0))
+    session.set_weather("Add passing shower", shower_keyframes(duration_s=12.0, peak_mm_h=13.0))
     path_from_drive(session, every_s=2.0)
     session.clock.seek(_MOMENT_S)
     session.ride(True)
@@ -212,7 +214,7 @@ def picture_wet(camera: Photographer) -> None:
     while session.rainy.is_previewing or session.view.split == "off":
         camera.frames(1)
     camera.ctx.mouse_move("//Make it rainy/###preview")
-    camera.take("make_it_rainy")
+    camera.take("wet_look")
     session.view.split = "off"
     camera.frames()
     camera.ctx.mouse_move("//View/view")

@@ -270,7 +270,13 @@ def _commands(session: Editor) -> list[_Command]:
         for action in ACTIONS
     ]
     panels = [
-        _Command(f"Panel: {each.label}", "", "Bring it to the front.", True, lambda each=each: bring_to_front(each))
+        _Command(
+            f"Panel: {each.label.partition('###')[0]}",
+            "",
+            "Bring it to the front.",
+            True,
+            lambda each=each: bring_to_front(each),
+        )
         for each in panel_windows()
     ]
     return actions + tools + panels

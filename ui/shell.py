@@ -9,8 +9,8 @@ from gsrain_engine.editor.editor import Editor
 
 from .commands.base import Command, chord
 from .commands.registry import ACTION_GROUPS, ACTIONS
-from .panels.rain import WARNING
 from .tools.registry import TOOLS
+from .widgets.fields import WARNING
 from .widgets.text import label
 
 
@@ -117,7 +117,7 @@ def status_bar(session: Editor) -> None:
         imgui.same_line()
         imgui.text(f"  {session.busy}")
     tool = next((each for each in TOOLS if each.name == session.view.tool), None)
-    right = f"{imgui.get_io().framerate:.0f} frames/s ({session.backend})"
+    right = f"{imgui.get_io().framerate:.0f} fps ({session.backend})"
     room = imgui.get_window_width() - imgui.calc_text_size(right).x - 2 * imgui.get_font_size()
     hint = _newest_record(session) or (f"{tool.name}: {tool.help}" if tool is not None else "")
     if hint:

@@ -81,7 +81,7 @@ class Workspace:
         panels = all_panels()
         for panel in panels:
             window = hello_imgui.DockableWindow(
-                panel.title, _SPACES[panel.side], lambda panel=panel: panel.draw(self.session)
+                panel.window_name, _SPACES[panel.side], lambda panel=panel: panel.draw(self.session)
             )
             is_first_there = panel.side not in [each.side for each in panels[: panels.index(panel)]]
             window.focus_window_at_next_frame = is_first_there

@@ -26,7 +26,7 @@ from gsrain_engine.evaluation.consistency_sheet import SheetPair, consistency_sh
 from gsrain_engine.evaluation.input_fingerprint import input_fingerprint
 from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, write_report
 from gsrain_engine.render.images import write_image
-from gsrain_engine.scene.scene_hash import file_hash
+from gsrain_engine.scene.open import file_hash
 
 from ..console import Console, Table, bold, print
 from ..options import (

@@ -75,9 +75,8 @@ from gsrain_engine.render.video import VideoWriter
 from gsrain_engine.safe_io.limits import open_file
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.files import whole_file
-from gsrain_engine.scene.open import load_sorted_scene
+from gsrain_engine.scene.open import file_hash, load_sorted_scene, scene_hash
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.scene.scene_hash import file_hash, scene_hash
 
 from ..console import Console, Table, print
 from ..options import (

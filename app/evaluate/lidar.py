@@ -23,7 +23,7 @@ from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport
 from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.safe_io.text_files import read_whole, yaml_values
 from gsrain_engine.scene.files import file_word, whole_file
-from gsrain_engine.scene.scene_hash import file_hash, scene_hash
+from gsrain_engine.scene.open import file_hash, scene_hash
 
 from ..console import Console, Table
 from ..options import (

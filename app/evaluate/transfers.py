@@ -40,7 +40,7 @@ from gsrain_engine.evaluation.input_fingerprint import input_fingerprint
 from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, write_report
 from gsrain_engine.presets import shipped_config_names
 from gsrain_engine.scene.files import whole_file
-from gsrain_engine.scene.scene_hash import scene_hash
+from gsrain_engine.scene.open import scene_hash
 
 from ..console import Console, Table, bold, print
 from ..options import (

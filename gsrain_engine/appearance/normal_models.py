@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 
 from ..safe_io.limits import open_file
 from ..scene.camera import Camera
 from .dsine_checkout import dsine_module
-from .normals import from_right_down_outward, from_right_up_backward
 
 torch: Any = import_module("torch")
 SIDE_PX = 32
@@ -100,3 +99,19 @@ def open_marigold(folder: Path, device: str = "cpu") -> MarigoldNormals:
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"{folder}: not a MarigoldNormalsPipeline in diffusers' layout: {error}") from None
     return MarigoldNormals(pipeline if device == "cpu" else pipeline.to(device, torch.float16))
+
+
+# Axis conventions of the models. World normals point towards the eye.
+
+
+def from_right_down_outward(normals: Float[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
+    """Turn normals in camera axes (x right, y down, z forward) away from the eye into world normals towards it."""
+    return (-(normals @ camera.world_to_camera[:3, :3])).astype(np.float32)
+
+
+def from_right_up_backward(normals: Float[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
+    """Turn normals with x right, y up, z towards the eye, which point towards the eye, into world normals.
+
+    Marigold's convention (Ke et al. 2024): a wall that faces the camera has (0, 0, 1), the ground (0, 1, 0).
+    """
+    return ((normals * [1, -1, -1]) @ camera.world_to_camera[:3, :3]).astype(np.float32)

@@ -3,7 +3,9 @@
 World axes are z up, camera axes OpenCV.
 """
 
-from typing import Literal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 import scipy
@@ -66,28 +68,12 @@ def _averaged(values: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]) 
     return scipy.ndimage.gaussian_filter(values * known, _SMOOTHING_PX, mode="nearest") / np.maximum(weight, 1e-6)
 
 
-# Axis conventions of normal estimators. World normals point towards the eye.
-
-
 def right_down_outward(normals: Float[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
     """Turn world normals towards the eye into camera axes (x right, y down, z forward) away from the eye.
 
     DSINE's convention (Bae and Davison 2024): a wall that faces the camera has (0, 0, 1), the ground (0, 1, 0).
     """
     return (-(normals @ camera.world_to_camera[:3, :3].T)).astype(np.float32)
-
-
-def from_right_down_outward(normals: Float[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
-    """Turn normals in camera axes (x right, y down, z forward) away from the eye into world normals towards it."""
-    return (-(normals @ camera.world_to_camera[:3, :3])).astype(np.float32)
-
-
-def from_right_up_backward(normals: Float[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
-    """Turn normals with x right, y up, z towards the eye, which point towards the eye, into world normals.
-
-    Marigold's convention (Ke et al. 2024): a wall that faces the camera has (0, 0, 1), the ground (0, 1, 0).
-    """
-    return ((normals * [1, -1, -1]) @ camera.world_to_camera[:3, :3]).astype(np.float32)
 
 
 # Gray guide channel of normals, -1 to 1
@@ -108,3 +94,58 @@ def normals_to_gray(
     if kind == "up":
         return np.clip(normals[..., 2], -1, 1).astype(np.float32)
     return np.clip(right_down_outward(normals, camera) @ _LUMA, -1, 1).astype(np.float32)
+
+
+# Estimators for images without depth
+
+
+@runtime_checkable
+class NormalEstimator(Protocol):
+    """Model that estimates surface normals from an image."""
+
+    def normals(self, image: Float32[np.ndarray, "h w 3"], camera: Camera) -> Float32[np.ndarray, "h w 3"]:
+        """Return unit world normals (z up) towards the eye, from a display image (0..1); results are deterministic.
+
+        `camera` has no lens distortion and the image's size.
+        """
+        ...
+
+
+def _dsine(weights: Path, checkout: Path | None, device: str) -> NormalEstimator:
+    from .normal_models import open_dsine
+
+    if checkout is None:
+        raise ValueError("dsine needs a folder with its program: git clone https://github.com/baegwangbin/DSINE")
+    return open_dsine(checkout, weights, device)
+
+
+def _marigold(weights: Path, checkout: Path | None, device: str) -> NormalEstimator:
+    from .normal_models import open_marigold
+
+    return open_marigold(weights, device)
+
+
+ESTIMATORS: dict[str, Callable[[Path, Path | None, str], NormalEstimator]] = {"dsine": _dsine, "marigold": _marigold}
+
+WEIGHTS = {
+    "dsine": "dsine.pt (https://huggingface.co/camenduru/DSINE), for non-commercial use only",
+    "marigold": "a folder with the model (hf download prs-eth/marigold-normals-v1-1 --local-dir FOLDER)",
+}
+"""Weights of each estimator, and their source."""
+
+
+def open_estimator(
+    name: str, weights: Path | str | None, checkout: Path | str | None = None, device: str = "cpu"
+) -> NormalEstimator:
+    """Open an estimator by its name in `ESTIMATORS`, with weights from disk.
+
+    Raises ValueError for an unknown name, a missing path or a file that the estimator can't read.
+    """
+    if name not in ESTIMATORS:
+        raise ValueError(f"no normal estimator {name!r}; there are {', '.join(ESTIMATORS)}")
+    if weights is None:
+        raise ValueError(f"{name} needs weights: {WEIGHTS[name]}")
+    for path in (weights, checkout):
+        if path is not None and not Path(path).exists():
+            raise ValueError(f"{path}: no such file or folder; {name} needs {WEIGHTS[name]}")
+    return ESTIMATORS[name](Path(weights), None if checkout is None else Path(checkout), device)

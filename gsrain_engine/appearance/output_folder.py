@@ -177,7 +177,7 @@ class TransferredViews(Sequence[RainyView]):
             view.name,
             view.camera.moved(self.record.to_world),
             view.time_s,
-            _color(self._folder / _CLEAR / f"{view.name}.png"),
+            read_color(self._folder / _CLEAR / f"{view.name}.png").astype(np.float32) / np.float32(255),
             nothing if depth is None else depth * np.float32(self.record.metres_per_unit),
             np.dstack([nothing] * 3) if normals is None else (normals @ turn.T).astype(np.float32),
             _share(self._folder / f"{view.name}.sky_share.png", nothing),
@@ -194,19 +194,12 @@ def _view(rainy: RainyView, record: TransferRecord, mask: Bool[np.ndarray, "h w"
     """Rainy image as a view in the units and axes of the scene or capture."""
     clear, scale = rainy.clear, record.metres_per_unit
     from_world = np.linalg.inv(record.to_world)
+    normals = (clear.normals @ (from_world[:3, :3] * scale).T).astype(np.float32) if clear.normals.any() else None
     return CaptureFrame(
-        flat_name(clear.name),
-        clear.camera.moved(from_world),
-        _bytes(rainy.image),
-        clear.time_s,
-        clear.sensor,
-        depth_source=(clear.depth / np.float32(scale)) if clear.depth.any() else None,
-        normals_source=(clear.normals @ (from_world[:3, :3] * scale).T).astype(np.float32)
-        if clear.normals.any()
-        else None,
-        mask_source=mask,
-        sky_source=clear.sky >= 0.5,
-    )
+        flat_name(clear.name), clear.camera.moved(from_world), _bytes(rainy.image), clear.time_s, clear.sensor,
+        depth_source=clear.depth / np.float32(scale) if clear.depth.any() else None,
+        normals_source=normals, mask_source=mask, sky_source=clear.sky >= 0.5,
+    )  # fmt: skip
 
 
 def _write_shares(folder: Path, name: str, rainy: RainyView) -> None:
@@ -228,10 +221,6 @@ def _set_aside(folder: Path) -> Path:
 
 def _bytes(values: Float32[np.ndarray, "h w ..."]) -> UInt8[np.ndarray, "h w ..."]:
     return np.rint(np.clip(values, 0, 1) * np.float32(255)).astype(np.uint8)
-
-
-def _color(file: Path) -> Float32[np.ndarray, "h w 3"]:
-    return read_color(file).astype(np.float32) / np.float32(255)
 
 
 def _share(file: Path, otherwise: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
@@ -292,15 +281,15 @@ class ContactSheet:
 
     def __init__(self, count: int, at_most: int = 6, width_px: int = 640) -> None:
         """Take the number of views to come, the most views to show, and the width of each image."""
-        self._wanted = set(np.linspace(0, count - 1, min(at_most, count)).round().astype(int).tolist())
+        self._chosen = set(np.linspace(0, count - 1, min(at_most, count)).round().astype(int).tolist())
         self._width = width_px
-        self._camera_panel = 0
+        self._added = 0
         self._rows: list[tuple[str, list[UInt8[np.ndarray, "_ _ 3"]]]] = []
 
     def add(self, view: RainyView) -> None:
-        if self._camera_panel in self._wanted:
+        if self._added in self._chosen:
             self._rows.append((view.clear.name, [self._sized(view.clear.image), self._sized(view.image)]))
-        self._camera_panel += 1
+        self._added += 1
 
     def picture(self) -> Image.Image:
         heights = [_LINE_PX + max(each.shape[0] for each in pictures) + _MARGIN_PX for _, pictures in self._rows]

@@ -88,15 +88,11 @@ def _installed(extension: Extension) -> TransferMethod:
             transfer = row.opens(settings, surroundings)
         except Exception as error:  # third-party code may raise anything
             raise extension.unfit(error) from error
-        if not _is_transfer(transfer):
+        if not isinstance(transfer, Transfer):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise extension.unfit(f"opens a {type(transfer).__name__}, which has no name or no method transferred")
         return transfer
 
     return replace(row, opens=opens)
-
-
-def _is_transfer(made: object) -> bool:
-    return isinstance(made, Transfer)
 
 
 def _wet(settings: TransferSettings, surroundings: "ReflectionEnvironment") -> Transfer:

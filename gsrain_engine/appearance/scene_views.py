@@ -16,7 +16,7 @@ from ..render.cpu.compositing import color_operator, expected
 from ..scene.camera import Camera, look_at
 from ..scene.camera_path import CameraPath
 from ..scene.objects import is_vehicle
-from ..scene.scene import Actor, DrawItem, Layer, RigCamera, Scene
+from ..scene.scene import Actor, DrawItem, Layer, Scene
 from .base import ClearView
 from .normals import normals_from_depth, view_rays
 
@@ -222,11 +222,11 @@ def _best(scene: Scene, capture: Capture | None) -> Source:
 
 def chosen_views(capture: Capture, choice: ViewChoice) -> Capture:
     """Return a capture with only the chosen views; raises ValueError if it has no such camera."""
-    wanted = [view for view in capture if not choice.sensors or view.sensor in choice.sensors]
-    if not wanted:
+    views = [view for view in capture if not choice.sensors or view.sensor in choice.sensors]
+    if not views:
         there = ", ".join(filter(None, capture.sensors)) or "one without a name"
         raise ValueError(f"{capture.name}: has no camera {', '.join(choice.sensors)}, only {there}")
-    return replace(capture, views=tuple(wanted[i] for i in evenly_spaced_indices(len(wanted), choice.count)))
+    return replace(capture, views=tuple(views[i] for i in evenly_spaced_indices(len(views), choice.count)))
 
 
 def _recorded(scene: Scene, choice: ViewChoice, capture: Capture | None) -> list[PlacedCamera]:
@@ -298,7 +298,7 @@ def views_along_drive(scene: Scene, count: int, sensors: Sequence[str] = ()) -> 
         mounted = front if i % 2 == 0 else others[i // 2 % len(others)]
         ego_to_world = scene.ego_to_world(time_s)
         if ego_to_world is not None:
-            camera = _placed(mounted, ego_to_world @ mounted.camera_to_ego)
+            camera = mounted.camera(ego_to_world)
             placed.append(PlacedCamera(f"{mounted.name}_{i:03d}", camera, time_s, mounted.name))
     return placed
 
@@ -310,13 +310,6 @@ def _evenly_driven(times: Float64[np.ndarray, " t"], positions: Float64[np.ndarr
         driven = times - times[0]
     shares = (np.arange(count) + 0.5) / count
     return [float(t) for t in np.interp(shares * driven[-1], driven, times)]
-
-
-def _placed(mounted: RigCamera, camera_to_world: Float64[np.ndarray, "4 4"]) -> Camera:
-    return Camera(
-        mounted.width, mounted.height, mounted.fx, mounted.fy, mounted.cx, mounted.cy,
-        np.linalg.inv(camera_to_world), mounted.exposure_s,
-    )  # fmt: skip
 
 
 # Views around a scene of Gaussians alone. World frame (meters, z up).

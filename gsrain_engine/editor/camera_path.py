@@ -69,7 +69,7 @@ def add_keyframe(session: ViewportState, time_s: float | None = None) -> None:
     path = session.scene.path
     is_new = path is None or keyframe_at(path, time_s) is None
     keyed = with_keyframe(path, time_s, _viewport_camera(session))
-    set_path(session, "Add camera key" if is_new else "Update camera key", keyed.path)
+    set_path(session, "Insert keyframe" if is_new else "Update keyframe", keyed.path)
     session.timeline.key = keyed.key
 
 
@@ -89,7 +89,7 @@ def update_keyframe(session: ViewportState, key: int) -> None:
     path = session.scene.path
     if path is not None:
         set_path(
-            session, "Update camera key", with_keyframe(path, float(path.times_s[key]), _viewport_camera(session)).path
+            session, "Update keyframe", with_keyframe(path, float(path.times_s[key]), _viewport_camera(session)).path
         )
         session.timeline.key = key
 
@@ -97,12 +97,12 @@ def update_keyframe(session: ViewportState, key: int) -> None:
 def delete_keyframe(session: ViewportState, key: int) -> None:
     path = session.scene.path
     if path is not None:
-        set_path(session, "Delete camera key", without_keyframe(path, key))
+        set_path(session, "Delete keyframe", without_keyframe(path, key))
         session.timeline.key = None
 
 
 def delete_path(session: ViewportState) -> None:
-    """Delete all keyframes; riding along then follows the scene's own path again."""
+    """Delete all keyframes; following the path then uses the scene's own path again."""
     if session.scene.path is not None:
         set_path(session, "Delete camera path", None)
         session.timeline.key = None
@@ -111,13 +111,13 @@ def delete_path(session: ViewportState) -> None:
 def retime_keyframe(session: ViewportState, key: int, time_s: float) -> None:
     path = session.scene.path
     if path is not None:
-        _take(session, "Move camera key", move_keyframe(path, key, nearest_frame_time(session, time_s)))
+        _take(session, "Move keyframe", move_keyframe(path, key, nearest_frame_time(session, time_s)))
 
 
 def copy_keyframe(session: ViewportState, key: int, time_s: float) -> None:
     path = session.scene.path
     if path is not None:
-        _take(session, "Copy camera key", copy_keyframe_to(path, key, nearest_frame_time(session, time_s)))
+        _take(session, "Copy keyframe", copy_keyframe_to(path, key, nearest_frame_time(session, time_s)))
 
 
 def place_keyframe(
@@ -166,9 +166,9 @@ def drag_in_time(session: ViewportState, seconds: float) -> None:
         return
     time_s = max(0.0, nearest_frame_time(session, float(drag.path.times_s[drag.key]) + seconds))
     if drag.copies:
-        _take(session, "Copy camera key", copy_keyframe_to(drag.path, drag.key, time_s), "drag a key")
+        _take(session, "Copy keyframe", copy_keyframe_to(drag.path, drag.key, time_s), "drag a key")
     else:
-        _take(session, "Move camera key", move_keyframe(drag.path, drag.key, time_s), "drag a key")
+        _take(session, "Move keyframe", move_keyframe(drag.path, drag.key, time_s), "drag a key")
 
 
 def end_drag(session: ViewportState) -> None:
@@ -242,7 +242,7 @@ def import_path(session: ViewportState, file: Path) -> None:
             logger.info("%s has no times: it is flown at walking pace, %g m/s", file.name, WALKING_M_S)
         set_path(session, f"Import {file.name}", path)
         session.timeline.key = None
-        logger.info("Imported %s: %d keys, %.1f s", file.name, len(path.times_s), path.duration_s)
+        logger.info("Imported %s: %d keyframes, %.1f s", file.name, len(path.times_s), path.duration_s)
 
 
 def export_path(session: ViewportState, file: Path) -> None:
@@ -280,7 +280,7 @@ def path_from_drive(session: ViewportState, camera: RigCamera | None = None, eve
     few = simplify(drive, _TOLERANCE_M) if every_s <= 0 else resample(drive, every_s)
     set_path(session, "Camera path from the drive", few.moved(np.linalg.inv(session.scene.scene_to_world)))
     session.timeline.key = None
-    logger.info("Path from the drive: %d keys of %d samples", len(few.times_s), len(drive.times_s))
+    logger.info("Path from the drive: %d keyframes of %d samples", len(few.times_s), len(drive.times_s))
 
 
 def snap_keyframe(session: ViewportState, key: int) -> None:
@@ -290,7 +290,7 @@ def snap_keyframe(session: ViewportState, key: int) -> None:
         session.problem = "This scene has no ego vehicle with a camera, so there is no drive to snap to."
     elif path is not None:
         to_scene = np.linalg.inv(session.scene.scene_to_world)
-        set_path(session, "Snap camera key to the drive", snap_key_to(path, key, drive.moved(to_scene)))
+        set_path(session, "Snap keyframe to the drive", snap_key_to(path, key, drive.moved(to_scene)))
 
 
 def _drive(session: ViewportState, camera: RigCamera | None) -> CameraPath | None:

@@ -106,9 +106,9 @@ class RolloutPlayer:
         if self.playing is None or self._placed_in(session.scene) is None:
             return "No roll-out plays: drive, or open one, in the Drive panel."
         if not session.scene.rigs:
-            return "This scene has no rig whose front camera could film the drive."
+            return "This scene has no rig whose front camera could record the drive."
         if any(isinstance(job, RolloutVideoJob) for job in session.running_jobs):
-            return "A film is being made."
+            return "A video is being rendered."
         return None
 
     def video_to(self, session: EditorServices, path: Path) -> None:

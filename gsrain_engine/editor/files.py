@@ -751,7 +751,7 @@ class Recovery:
         )
         text = (
             f"The program ended before the last changes of {about.name} were saved.\n"
-            f"They were kept on {when:%A %d %B %Y at %H:%M:%S}.\n\n{where}"
+            f"Autosaved on {when:%A %d %B %Y at %H:%M:%S}.\n\n{where}"
         )
         answers = (
             Answer("Recover", lambda: self._recover(first), "Go on with them; saving is up to you."),

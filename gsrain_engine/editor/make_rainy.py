@@ -195,7 +195,7 @@ def why_no_views(session: EditorServices, source: Source) -> str | None:
     if source == "rig" and not (scene.ego is not None and scene.ego.valid.any() and any(scene.rigs.values())):
         return "The scene has no drive with a camera rig: choose other views."
     if source == "path" and scene.path is None:
-        return "There is no camera path yet: set keys in Timeline, or choose other views."
+        return "There is no camera path yet: insert keyframes in Timeline, or choose other views."
     return None
 
 

@@ -2,7 +2,7 @@
 
 import logging
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, UInt8
@@ -150,8 +150,6 @@ class MatchingController:
 # Choice of the other view
 
 Against = Literal["next", "previous", "beside", "chosen"]
-AGAINST: tuple[Against, ...] = get_args(Against)
-
 WHY_NONE: dict[Against, str] = {
     "next": "This is the last view of its camera.",
     "previous": "This is the first view of its camera.",

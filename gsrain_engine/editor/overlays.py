@@ -72,7 +72,7 @@ def drag_in_view(session: ViewportState, shot: RenderView, moved_px: tuple[float
         change = np.array([0.0, 0.0, -moved_px[1] * metres_a_pixel / steepness])
     else:
         change = metres_a_pixel * (moved_px[0] * right + moved_px[1] * down)
-    place_keyframe(session, drag.key, "Move camera key", position_m=start + change, gesture="drag a key")
+    place_keyframe(session, drag.key, "Move keyframe", position_m=start + change, gesture="drag a key")
 
 
 @lru_cache(maxsize=4)

@@ -72,15 +72,13 @@ logger = logging.getLogger("gsrain")
 class Preferences(msgspec.Struct, frozen=True, kw_only=True):
     """Settings of the program. Unknown fields of other versions are ignored."""
 
-    theme: Annotated[
-        Literal["dark", "light"], Meta(title="Theme", description="Colours of panels and menus; the picture stays.")
-    ] = "dark"
+    theme: Annotated[Literal["dark", "light"], Meta(title="Theme", description="Colors of panels and menus.")] = "dark"
     font_scale: Annotated[
-        float, Meta(ge=0.5, le=3, title="Text size", description="Times the usual size.", extra={"unit": "x"})
+        float, Meta(ge=0.5, le=3, title="Text size", description="Times the default size.", extra={"unit": "x"})
     ] = 1.0
     ui_scale: Annotated[
         float,
-        Meta(ge=0.5, le=3, title="Spacing", description="Size of buttons and gaps, times usual.", extra={"unit": "x"}),
+        Meta(ge=0.5, le=3, title="Spacing", description="Size of buttons and gaps.", extra={"unit": "x"}),
     ] = 1.0
     autosave_s: Annotated[
         float,
@@ -88,7 +86,7 @@ class Preferences(msgspec.Struct, frozen=True, kw_only=True):
             ge=5,
             le=600,
             title="Autosave",
-            description="A change is kept beside the scene after so long; a crash loses what is younger.",
+            description="Changes are autosaved next to the scene after this time; a crash loses later ones.",
             extra={"unit": "s"},
         ),
     ] = 20.0

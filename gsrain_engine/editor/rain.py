@@ -244,7 +244,7 @@ class ShelterMapBuilder:
         return self._scene is not None and self._scene.geometry_key == scene.geometry_key
 
 
-# State of the Shower panel; not part of the document
+# State of the Rain keyframes panel; not part of the document
 
 _MIN_SPAN_S = 10.0
 _TOPS_MM_H = (15.0, 30.0, 60.0, 105.0)

@@ -225,7 +225,10 @@ def weather_row(weather: RainKeyframes, first_s: float, last_s: float, most: int
     thinned = seen[:: max(1, -(-len(seen) // most))]
     spans = [(weather.keys[0].time_s, weather.keys[-1].time_s)] if len(weather.keys) > 1 else []
     return TimelineRow(
-        "rain", "Keys of intensity, wind and exposure, set in the Shower panel.", spans, (*thinned.tolist(),)
+        "rain",
+        "Keyframes of the Rain keyframes panel: intensity, wind and exposure.",
+        spans,
+        (*thinned.tolist(),),
     )
 
 

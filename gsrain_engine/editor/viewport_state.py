@@ -200,6 +200,6 @@ def insert_pending_scene(document: ViewportState, staged: PendingScene) -> None:
         before = document.scene
         document.edit(staged.label, with_wet_colors_of, staged.scene, gesture=staged.gesture)
         if document.scene is not before:
-            logger.info("Wet colours are there: they come with the rain's intensity, or with the Wetness by hand")
+            logger.info("Wet colors are ready: the intensity, or Wetness in the Rain panel, blends them in")
     else:
         document.set_scene(staged.label, with_gaussians_of(document.scene, staged.scene), staged.gesture)

@@ -17,7 +17,7 @@ from ..appearance.base import ClearView, RainyView, Transfer
 from ..appearance.capture_views import capture_views
 from ..appearance.cyclegan_turbo.weight_paths import find_base_model, find_transfer_weights
 from ..appearance.finetune.dataset import DatasetImage, ImageSettings, open_images
-from ..appearance.normal_estimators import WEIGHTS
+from ..appearance.normals import WEIGHTS
 from ..appearance.output_folder import (
     TransferRecord,
     check_transferred_folder,

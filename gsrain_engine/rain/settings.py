@@ -70,7 +70,7 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     streaks: Annotated[bool, Meta(title="Streaks", description="Draw near drops as streaks (eq. 10-12).")] = True
     haze: Annotated[bool, Meta(title="Haze", description="Draw far drops as haze (eq. 6, 7).")] = True
     roofs: Annotated[
-        bool, Meta(title="Roofs", description="Keep rain from under bridges, canopies and trees; looks for them once.")
+        bool, Meta(title="Shelter under roofs", description="No rain under bridges, canopies and trees.")
     ] = False
     streak_region: Annotated[
         RegionBox, Meta(title="Streak region", description="Where drops are simulated one by one.")
@@ -195,7 +195,7 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     drop_color: Annotated[
         tuple[float, float, float] | None,
         Meta(
-            title="Drop colour", description="Display colour of a drop (eq. 3); none takes the mean of the scene's sky."
+            title="Drop color", description="Display color of a drop (eq. 3); none takes the mean of the scene's sky."
         ),
     ] = None
 

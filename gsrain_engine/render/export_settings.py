@@ -103,7 +103,7 @@ class ExportSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         ),
     ] = ("color",)
     twin: Annotated[
-        bool, Meta(title="Clear twin", description="Also the same clip at 0 mm/h, as NAME.clear, for tests in pairs.")
+        bool, Meta(title="Also render without rain", description="The same at 0 mm/h, as NAME.clear, for paired tests.")
     ] = False
     codec: Annotated[
         Codec,

@@ -7,17 +7,21 @@ import pickle
 import queue
 import select
 import socket
-import ssl
 import stat
 import threading
 import time
 from collections.abc import Callable
 from io import BufferedReader
-from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
-import psutil
+import lazy_loader
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
+psutil: Any = lazy_loader.load("psutil")  # every command imports this module
+ssl: Any = lazy_loader.load("ssl")
 
 _HEAD_BYTES = 512  # the magic of a tar archive is at byte 257
 
@@ -278,7 +282,7 @@ def open_pipe(path: Path, flags: int) -> int:
     return descriptor
 
 
-def receive_message(connection: Connection, max_bytes: int) -> Any:
+def receive_message(connection: "Connection", max_bytes: int) -> Any:
     """Receive the next message of a child process. Raises EOFError, OSError if it is larger than `max_bytes`."""
     return pickle.loads(connection.recv_bytes(max_bytes))
 

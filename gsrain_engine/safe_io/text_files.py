@@ -9,9 +9,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import yaml
+import lazy_loader
 
 from .limits import InputError, read_input
+
+yaml: Any = lazy_loader.load("yaml")  # every command imports this module, and few read YAML
 
 MAX_BYTES = 1 << 24
 """Limit of a settings file, ten times the size of a scenario with an hour of tracks."""
@@ -22,7 +24,6 @@ _MAX_DIGITS = 400  # digits of an integer; a float has at most 309 before its de
 _MAX_SIGNS = 100_000  # characters of one string
 _MERGED = "<<"
 _SOURCE = ' in "<byte string>",'  # PyYAML's name of its input
-_Parser: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 def read_whole(path: Path, max_bytes: int = MAX_BYTES) -> bytes:
@@ -44,7 +45,7 @@ def yaml_values(data: bytes) -> Any:
     """
     try:
         _check_events(data)
-        return yaml.load(data, _SafeYamlLoader)
+        return yaml.load(data, _yaml_loader())
     except yaml.YAMLError as error:
         raise ValueError(f"not readable as YAML: {printable_line(error).replace(_SOURCE, ',')}") from None
     except ValueError as error:
@@ -87,7 +88,7 @@ def _check_events(data: bytes) -> None:
     """Scan a document without building values: rejects exponential aliases and excessive depth."""
     total, opened = 0, list[tuple[str | None, int]]()
     sizes: dict[str | None, int] = {}
-    for event in yaml.parse(data, _Parser):
+    for event in yaml.parse(data, _parser()):
         if isinstance(event, yaml.AliasEvent):
             if event.anchor in {name for name, _ in opened}:
                 raise ValueError(f"*{event.anchor} stands inside of what it stands for")
@@ -109,35 +110,36 @@ def _check_events(data: bytes) -> None:
             raise ValueError(f"it holds more than {_MAX_VALUES} values")
 
 
-class _SafeYamlLoader(_Parser):
+@cache
+def _yaml_loader() -> Any:
     """Loader of plain values only; a duplicate field is an error, as the YAML standard requires."""
 
-    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
-        seen = set[str]()
-        for key in (each for each, _ in node.value if isinstance(each, yaml.ScalarNode)):
-            if key.value in seen and key.value != _MERGED:
-                raise yaml.constructor.ConstructorError(None, None, f"{key.value!r} is there twice", key.start_mark)
-            seen.add(key.value)
-        return super().construct_mapping(node, deep)
+    def number_of_few_digits(construct: Any) -> Any:
+        def checked(loader: Any, node: Any) -> int | float:
+            if len(node.value) > _MAX_DIGITS:
+                problem = f"a number of {len(node.value)} digits"
+                raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
+            return construct(loader, node)
 
-    def construct_yaml_int(self, node: Any) -> int:
-        if len(node.value) > _MAX_DIGITS:
-            raise yaml.constructor.ConstructorError(
-                None, None, f"a number of {len(node.value)} digits", node.start_mark
-            )
-        return super().construct_yaml_int(node)
+        return checked
 
-    def construct_yaml_float(self, node: Any) -> float:
-        if len(node.value) > _MAX_DIGITS:
-            raise yaml.constructor.ConstructorError(
-                None, None, f"a number of {len(node.value)} digits", node.start_mark
-            )
-        return super().construct_yaml_float(node)
+    class Loader(_parser()):
+        def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+            names = set[str]()
+            for key in (each for each, _ in node.value if isinstance(each, yaml.ScalarNode)):
+                if key.value in names and key.value != _MERGED:
+                    raise yaml.constructor.ConstructorError(None, None, f"{key.value!r} is there twice", key.start_mark)
+                names.add(key.value)
+            return super().construct_mapping(node, deep)
+
+    Loader.add_constructor("tag:yaml.org,2002:int", number_of_few_digits(Loader.construct_yaml_int))
+    Loader.add_constructor("tag:yaml.org,2002:float", number_of_few_digits(Loader.construct_yaml_float))
+    return Loader
 
 
-_SafeYamlLoader.add_constructor("tag:yaml.org,2002:int", _SafeYamlLoader.construct_yaml_int)
+def _parser() -> Any:
+    return getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
-_SafeYamlLoader.add_constructor("tag:yaml.org,2002:float", _SafeYamlLoader.construct_yaml_float)
 
 # Text for messages
 

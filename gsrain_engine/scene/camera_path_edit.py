@@ -52,8 +52,8 @@ def with_keyframe(path: CameraPath | None, time_s: float, camera: Camera) -> Edi
 
 def without_keyframe(path: CameraPath, key: int) -> CameraPath | None:
     """Remove a keyframe; None if it was the last one."""
-    kept = np.delete(np.arange(len(path.times_s)), key)
-    return _of_keys(path, kept, path.times_s[kept]) if len(kept) else None
+    others = np.delete(np.arange(len(path.times_s)), key)
+    return _of_keys(path, others, path.times_s[others]) if len(others) else None
 
 
 def move_keyframe(path: CameraPath, key: int, time_s: float) -> EditedKeyframe:
@@ -62,15 +62,14 @@ def move_keyframe(path: CameraPath, key: int, time_s: float) -> EditedKeyframe:
     times = path.times_s.copy()
     times[key] = free
     order = np.argsort(times)
-    return EditedKeyframe(
-        _of_keys(replace(path, is_timed=True), order, times[order]), int(np.flatnonzero(order == key)[0])
-    )
+    moved = _of_keys(replace(path, is_timed=True), order, times[order])
+    return EditedKeyframe(moved, int(np.flatnonzero(order == key)[0]))
 
 
 def copy_keyframe_to(path: CameraPath, key: int, time_s: float) -> EditedKeyframe:
     """Copy a keyframe to another time, or to the nearest free one if that is occupied."""
     free = _free_moment(path.times_s, time_s)
-    rows = (path.positions[key : key + 1], path.quaternions_wxyz[key : key + 1], path.vertical_fov_deg[key : key + 1])
+    rows = (getattr(path, name)[key : key + 1] for name in _COLUMNS)
     longer = _with_rows(replace(path, is_timed=True), np.array([free]), *rows)
     return EditedKeyframe(longer, int(np.searchsorted(longer.times_s, free)))
 
@@ -127,30 +126,18 @@ def _free_moment(taken: Float64[np.ndarray, " k"], time_s: float) -> float:
 
 def _of_keys(path: CameraPath, keys: Int64[np.ndarray, " n"], times_s: Float64[np.ndarray, " n"]) -> CameraPath:
     """Path of the keyframes with these indices, in this order, at these times."""
-    return replace(
-        path,
-        times_s=times_s,
-        positions=path.positions[keys],
-        quaternions_wxyz=path.quaternions_wxyz[keys],
-        vertical_fov_deg=path.vertical_fov_deg[keys],
-    )
+    return replace(path, times_s=times_s, **{name: getattr(path, name)[keys] for name in _COLUMNS})
 
 
-def _with_rows(
-    path: CameraPath,
-    times: Float64[np.ndarray, " n"],
-    positions: Float64[np.ndarray, "n 3"],
-    quaternions: Float64[np.ndarray, "n 4"],
-    fov: Float64[np.ndarray, " n"],
-) -> CameraPath:
+def _with_rows(path: CameraPath, times: Float64[np.ndarray, " n"], *rows: Float64[np.ndarray, "n ..."]) -> CameraPath:
+    """Insert keyframes with these values of `_COLUMNS`."""
     at = np.searchsorted(path.times_s, times)
-    return replace(
-        path,
-        times_s=np.insert(path.times_s, at, times),
-        positions=np.insert(path.positions, at, positions, axis=0),
-        quaternions_wxyz=np.insert(path.quaternions_wxyz, at, quaternions, axis=0),
-        vertical_fov_deg=np.insert(path.vertical_fov_deg, at, fov),
-    )
+    columns = zip(_COLUMNS, rows, strict=True)
+    inserted = {name: np.insert(getattr(path, name), at, values, axis=0) for name, values in columns}
+    return replace(path, times_s=np.insert(path.times_s, at, times), **inserted)
+
+
+_COLUMNS = ("positions", "quaternions_wxyz", "vertical_fov_deg")
 
 
 def _with_row(rows: np.ndarray, row: int, value: np.ndarray) -> np.ndarray:
@@ -209,7 +196,7 @@ def fov_of_focal_length(focal_mm: float) -> float:
 
 
 def _in_degrees(heading: float, pitch: float, roll: float) -> ViewAngles:
-    """Angles in degrees, with rounding errors removed, which would be shown as -0.0."""
+    """Angles in degrees, without rounding errors, which would be displayed as -0.0."""
     return ViewAngles(*(np.degrees([heading, pitch, roll]).round(9) + 0.0).tolist())
 
 
@@ -272,9 +259,7 @@ class PathSpeed:
         if self.fastest_km_h > FASTEST_KM_H:
             return f"The camera reaches {self.fastest_km_h:,.0f} km/h: no road vehicle does."
         if self.turns_deg_s.max() > FASTEST_TURN_DEG_S:
-            return (
-                f"The camera turns by up to {self.turns_deg_s.max():.0f} degrees a second: a picture that only smears."
-            )
+            return f"The camera turns by up to {self.turns_deg_s.max():.0f} degrees a second: the image only smears."
         return None
 
 
@@ -282,8 +267,7 @@ def _turn_rates(path: CameraPath, times: Float64[np.ndarray, " t"]) -> Float64[n
     if len(times) < 2:
         return np.zeros(len(times))
     turns = path.turns(times)
-    traces = np.einsum("tij,tij->t", turns[:-1], turns[1:])
-    angles = np.degrees(np.arccos(np.clip((traces - 1) / 2, -1, 1)))
+    angles = _angles_deg(turns[:-1], turns[1:])
     # arccos is imprecise near 1: smaller angles are rounding errors.
     angles[angles < 1e-5] = 0.0
     rates = angles / np.diff(times)
@@ -300,10 +284,10 @@ def resample(path: CameraPath, seconds: float) -> CameraPath:
     if len(path.times_s) < 2:
         return path
     count = max(1, round((path.times_s[-1] - path.times_s[0]) / seconds))
-    wanted = np.linspace(path.times_s[0], path.times_s[-1], count + 1)
-    after = np.clip(np.searchsorted(path.times_s, wanted), 1, len(path.times_s) - 1)
+    times = np.linspace(path.times_s[0], path.times_s[-1], count + 1)
+    after = np.clip(np.searchsorted(path.times_s, times), 1, len(path.times_s) - 1)
     before = after - 1
-    nearer = wanted - path.times_s[before] < path.times_s[after] - wanted
+    nearer = times - path.times_s[before] < path.times_s[after] - times
     return _trajectory_of_keys(path, np.unique(np.where(nearer, before, after)))
 
 
@@ -354,13 +338,7 @@ def _angles_deg(left: Float64[np.ndarray, "t 3 3"], right: Float64[np.ndarray, "
 
 
 def _trajectory_of_keys(path: CameraPath, keys: Int64[np.ndarray, " n"]) -> CameraPath:
-    return CameraPath(
-        path.times_s[keys],
-        path.positions[keys],
-        path.quaternions_wxyz[keys],
-        path.vertical_fov_deg[keys],
-        path.exposure_s,
-    )
+    return CameraPath(path.times_s[keys], *(getattr(path, name)[keys] for name in _COLUMNS), exposure_s=path.exposure_s)
 
 
 # Paths without times

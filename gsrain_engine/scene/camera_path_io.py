@@ -36,23 +36,15 @@ def read_camera_path(path: Path | str) -> CameraPath:
 
 
 def write_camera_path(path: Path | str, camera_path: CameraPath) -> None:
-    text = json.dumps(plain_camera_path(camera_path), indent=1) + "\n"
-    with whole_file(Path(path)) as beside:
-        beside.write_text(text, encoding="utf-8")
+    _write(path, plain_camera_path(camera_path))
 
 
 def plain_camera_path(camera_path: CameraPath) -> dict[str, Any]:
     """Plain values of a camera path, as in GSRAIN's JSON."""
-    keyframes = [
-        {"time_s": t, "position": p, "quaternion_wxyz": q, "vertical_fov_deg": fov}
-        for t, p, q, fov in zip(
-            camera_path.times_s.tolist(),
-            camera_path.positions.tolist(),
-            camera_path.quaternions_wxyz.tolist(),
-            camera_path.vertical_fov_deg.tolist(),
-            strict=True,
-        )
-    ]
+    p = camera_path
+    columns = (column.tolist() for column in (p.times_s, p.positions, p.quaternions_wxyz, p.vertical_fov_deg))
+    names = "time_s", "position", "quaternion_wxyz", "vertical_fov_deg"
+    keyframes = [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
     between = {"interpolation": camera_path.interpolation, "easing": camera_path.easing, "loop": camera_path.loop}
     if between == {"interpolation": "spline", "easing": "none", "loop": False}:
         return {"version": 1, "keyframes": keyframes}
@@ -77,11 +69,7 @@ def camera_path_of_plain(values: dict[str, Any]) -> CameraPath:
     Raises `KeyError`, `TypeError` or `ValueError` for other values.
     """
     keys = values["keyframes"]
-    interpolation, easing, loop = (
-        values.get("interpolation", "spline"),
-        values.get("easing", "none"),
-        values.get("loop"),
-    )
+    interpolation, easing = values.get("interpolation", "spline"), values.get("easing", "none")
     if interpolation not in get_args(Interpolation):
         raise ValueError(f"interpolation {interpolation!r} must be one of {', '.join(get_args(Interpolation))}")
     if easing not in get_args(Easing):
@@ -93,7 +81,7 @@ def camera_path_of_plain(values: dict[str, Any]) -> CameraPath:
         np.array([key["vertical_fov_deg"] for key in keys], np.float64),
         interpolation=interpolation,
         easing=easing,
-        loop=bool(loop),
+        loop=bool(values.get("loop")),
     )
 
 
@@ -212,5 +200,5 @@ def _opengl_pose(camera: Camera) -> list[float]:
 
 
 def _write(path: Path | str, values: Any) -> None:
-    with whole_file(Path(path)) as beside:
-        beside.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+    with whole_file(Path(path)) as part:
+        part.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")

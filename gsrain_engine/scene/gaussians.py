@@ -41,7 +41,7 @@ class Gaussians:
             if found != shape:
                 raise ValueError(f"Gaussians.{name} has shape {found}, expected {shape}")
         if k not in COEFFICIENTS_OF_DEGREE:
-            raise ValueError(f"Gaussians.sh has {k} coefficients a colour, expected one of {COEFFICIENTS_OF_DEGREE}")
+            raise ValueError(f"Gaussians.sh has {k} coefficients a color, expected one of {COEFFICIENTS_OF_DEGREE}")
 
     def __len__(self) -> int:
         return len(self.means)
@@ -51,29 +51,25 @@ class Gaussians:
         return COEFFICIENTS_OF_DEGREE.index(self.sh.shape[1])
 
     @property
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """The five arrays, in the order of the fields."""
+        return self.means, self.scales, self.quaternions, self.opacities, self.sh
+
+    @property
     def nbytes(self) -> int:
-        return sum(a.nbytes for a in (self.means, self.scales, self.quaternions, self.opacities, self.sh))
+        return sum(array.nbytes for array in self.arrays)
 
     def take(self, indices: "Int[np.ndarray, ' m'] | UInt32[np.ndarray, ' m'] | slice") -> "Gaussians":
         """Pick Gaussians by index or slice, in that order."""
-        return Gaussians(
-            self.means[indices],
-            self.scales[indices],
-            self.quaternions[indices],
-            self.opacities[indices],
-            self.sh[indices],
-        )
+        return Gaussians(*(array[indices] for array in self.arrays))
 
     def with_sh(self, sh: Float32[np.ndarray, "n k 3"]) -> "Gaussians":
         return Gaussians(self.means, self.scales, self.quaternions, self.opacities, sh)
 
     @staticmethod
     def empty(sh_degree: int = 0) -> "Gaussians":
-        f = np.float32
-        k = COEFFICIENTS_OF_DEGREE[sh_degree]
-        return Gaussians(
-            np.zeros((0, 3), f), np.zeros((0, 3), f), np.zeros((0, 4), f), np.zeros(0, f), np.zeros((0, k, 3), f)
-        )
+        shapes = (0, 3), (0, 3), (0, 4), (0,), (0, COEFFICIENTS_OF_DEGREE[sh_degree], 3)
+        return Gaussians(*(np.zeros(shape, np.float32) for shape in shapes))
 
     @staticmethod
     def concatenate(parts: Sequence["Gaussians"]) -> "Gaussians":
@@ -84,18 +80,10 @@ class Gaussians:
         if len(parts) < 2:
             return parts[0] if parts else Gaussians.empty()
         k = max(part.sh.shape[1] for part in parts)
-        missing = [k - part.sh.shape[1] for part in parts]
-        padded = [
-            np.pad(part.sh, ((0, 0), (0, more), (0, 0))) if more else part.sh
-            for part, more in zip(parts, missing, strict=True)
-        ]
-        return Gaussians(
-            np.concatenate([part.means for part in parts]),
-            np.concatenate([part.scales for part in parts]),
-            np.concatenate([part.quaternions for part in parts]),
-            np.concatenate([part.opacities for part in parts]),
-            np.concatenate(padded),
-        )
+        lacking = ((part.sh, k - part.sh.shape[1]) for part in parts)
+        padded = [np.pad(sh, ((0, 0), (0, more), (0, 0))) if more else sh for sh, more in lacking]
+        columns = zip(*(part.arrays[:-1] for part in parts), strict=True)
+        return Gaussians(*map(np.concatenate, columns), sh=np.concatenate(padded))
 
 
 def sh_from_color(colors: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 1 3"]:

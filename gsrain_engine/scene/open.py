@@ -12,12 +12,13 @@ import numpy as np
 import platformdirs
 from jaxtyping import Int64
 
+from ..safe_io.limits import open_file
 from . import lod_order
 from .camera import Camera
 from .files import SceneFormatError
-from .flags import UNMARKED, BitMask, SelectionFlags
+from .flags import UNMARKED, SelectionFlags
 from .formats.scene_files import INNER_SCENE, read_scene, write_scene
-from .formats.scene_folder import SCENE_FILE, FileCache, is_in_drawing_order
+from .formats.scene_folder import SCENE_FILE, FileCache, is_in_drawing_order, scene_folder_files
 from .formats.sog import is_sog_folder
 from .gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from .lod_order import sort_into_lod_order
@@ -73,8 +74,7 @@ def load_street() -> Scene:
         except SceneFormatError as error:
             logger.warning("The cached street is damaged and is built again: %s", error)
             shutil.rmtree(folder, ignore_errors=True)
-    scene = build.build_street()
-    scene = _put_into_order(scene)
+    scene = _put_into_order(build.build_street())
     try:
         write_scene(scene, folder, in_drawing_order=True)
     except (SceneFormatError, OSError) as error:
@@ -97,24 +97,21 @@ def _is_scene(path: Path) -> bool:
 
 def _put_into_order(scene: Scene) -> Scene:
     """Sort newly created arrays into LOD order, together with their flags and wet colors."""
-    kept = {key for masks in scene.selections.values() for key in masks}
+    in_selections = {key for masks in scene.selections.values() for key in masks}
     orders: dict[str, Int64[np.ndarray, " n"]] = {}
     for member in scene.members:
-        if member.marks is UNMARKED and member.key not in kept and member.wet_sh is None:
+        if member.marks is UNMARKED and member.key not in in_selections and member.wet_sh is None:
             sort_into_lod_order(member.gaussians)
         else:
             order = orders[member.key] = lod_order.lod_order(member.gaussians).astype(np.int64)
-            marks = SelectionFlags(*(mask and mask.take(order) for mask in _masks(member.marks)))
+            flags = member.marks
+            masks = (mask and mask.take(order) for mask in (flags.selected, flags.hidden, flags.deleted))
             gaussians, wet_sh = take_gaussians(member, order)
-            scene = scene.with_member(member.key, gaussians=gaussians, wet_sh=wet_sh, marks=marks)
+            scene = scene.with_member(member.key, gaussians=gaussians, wet_sh=wet_sh, marks=SelectionFlags(*masks))
     selections = {
         name: {key: mask.take(orders[key]) for key, mask in masks.items()} for name, masks in scene.selections.items()
     }
     return replace(scene, selections=selections)
-
-
-def _masks(marks: SelectionFlags) -> tuple[BitMask | None, BitMask | None, BitMask | None]:
-    return marks.selected, marks.hidden, marks.deleted
 
 
 def street_fingerprint() -> str:
@@ -122,7 +119,39 @@ def street_fingerprint() -> str:
     digest = hashlib.sha256(msgspec.json.encode(StreetParameters()))
     for source in (Path(lod_order.__file__), *sorted(Path(build.__file__).parent.glob("*.py"))):
         digest.update(source.read_bytes())
-    return digest.hexdigest()[:16]
+    return digest.hexdigest()[:_HASH_DIGITS]
+
+
+# Content hashes
+# Independent of a scene's path and name.
+
+_HASH_DIGITS = 16
+
+
+def scene_hash(name: str | None) -> str:
+    """Hash (16 hex digits) of a scene by the name that `load_scene` takes.
+
+    It covers the bytes of its files, or the source of the built-in street. Raises `SceneFormatError` if it does not
+    exist.
+    """
+    if is_built_in_street(name):
+        return street_fingerprint()
+    path = Path(str(name))
+    folder = folder_to_read(path)
+    if folder is None:
+        if not path.is_file():
+            raise SceneFormatError(path, "no such scene")
+        return file_hash(path)
+    found = hashlib.sha256()
+    for file in scene_folder_files(folder):
+        found.update(f"{file.relative_to(folder).as_posix()}\0{file_hash(file)}\n".encode())
+    return found.hexdigest()[:_HASH_DIGITS]
+
+
+def file_hash(path: Path) -> str:
+    """Hash (SHA-256, 16 hex digits) of a file's bytes; raises OSError if it can't be read."""
+    with open_file(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:_HASH_DIGITS]
 
 
 # Random scenes for benchmarks

@@ -27,17 +27,7 @@ def rig_camera(scene: Scene, rig: str, name: str, time_s: float) -> Camera:
     ego_to_world = scene.ego_to_world(time_s)
     if ego_to_world is None:
         raise ValueError(f"scene {scene.name!r} has no ego vehicle at {time_s} s")
-    world_to_camera = np.linalg.inv(ego_to_world @ mounted.camera_to_ego)
-    return Camera(
-        mounted.width,
-        mounted.height,
-        mounted.fx,
-        mounted.fy,
-        mounted.cx,
-        mounted.cy,
-        world_to_camera,
-        mounted.exposure_s,
-    )
+    return mounted.camera(ego_to_world)
 
 
 # Camera path of the ego vehicle

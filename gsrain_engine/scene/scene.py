@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64
 from msgspec import Meta
 
+from .camera import Camera
 from .camera_path import CameraPath
 from .flags import UNMARKED, BitMask, SelectionFlags
 from .gaussians import Gaussians, IdentityKey
@@ -212,11 +213,8 @@ def bounds(gaussians: Gaussians) -> Aabb:
     """Box around all centers; without Gaussians a point at the origin."""
     if not len(gaussians):
         return Aabb(np.zeros(3), np.zeros(3))
-    columns = gaussians.means.T
-    return Aabb(
-        np.array([column.min() for column in columns], np.float64),
-        np.array([column.max() for column in columns], np.float64),
-    )
+    low, high = ([end(column) for column in gaussians.means.T] for end in (np.min, np.max))
+    return Aabb(np.array(low, np.float64), np.array(high, np.float64))
 
 
 def robust_bounds(*sets: Gaussians, share: float = _ROBUST_SHARE) -> Aabb:
@@ -262,6 +260,11 @@ class RigCamera:
     camera_to_ego: Float64[np.ndarray, "4 4"]
     exposure_s: float
 
+    def camera(self, ego_to_world: Float64[np.ndarray, "4 4"]) -> Camera:
+        """Camera in the world for a pose of the ego vehicle."""
+        world_to_camera = np.linalg.inv(ego_to_world @ self.camera_to_ego)
+        return Camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy, world_to_camera, self.exposure_s)
+
 
 # Pose tracks
 
@@ -297,9 +300,8 @@ class PoseTrack:
         span = self.times[upper] - self.times[lower]
         part = float(np.clip((time_s - self.times[lower]) / span, 0, 1)) if span > 0 else 0.0
         matrix = np.eye(4)
-        matrix[:3, :3] = matrices_from_quaternions(
-            _slerp(self.quaternions_wxyz[lower], self.quaternions_wxyz[upper], part)
-        )
+        quaternion = _slerp(self.quaternions_wxyz[lower], self.quaternions_wxyz[upper], part)
+        matrix[:3, :3] = matrices_from_quaternions(quaternion)
         matrix[:3, 3] = (1 - part) * self.positions[lower] + part * self.positions[upper]
         return matrix
 
@@ -512,12 +514,12 @@ class Scene:
         self, member: Layer | Actor, time_s: float = 0.0, *, selection: bool = False, wetness: float = 0.0
     ) -> DrawItem | None:
         """Item of a member at a time; None while it is absent. See `parts`."""
-        way = member.pose_at(time_s)
-        if way is None:
+        pose = member.pose_at(time_s)
+        if pose is None:
             return None
         return DrawItem(
             member.gaussians,
-            self.scene_to_world @ way,
+            self.scene_to_world @ pose,
             left_out=member.marks.left_out,
             selected=member.marks.selected if selection else None,
             opacity=member.opacity,
@@ -586,5 +588,5 @@ def take_gaussians(
 def _check_wet_colors(key: str, gaussians: Gaussians, wet_sh: Float32[np.ndarray, "_ _ 3"] | None) -> None:
     if wet_sh is not None and wet_sh.shape != gaussians.sh.shape:
         raise ValueError(
-            f"{key}: wet colours have shape {wet_sh.shape}, expected {gaussians.sh.shape} as the clear ones"
+            f"{key}: wet colors have shape {wet_sh.shape}, expected {gaussians.sh.shape} as the clear ones"
         )

@@ -137,5 +137,5 @@ def with_wet_colors_of(scene: Scene, other: Scene) -> Scene:
         if wet_sh is not None and wet_sh.shape == each.gaussians.sh.shape:
             changed = changed.with_member(each.key, wet_sh=wet_sh)
     if changed is scene:
-        raise ValueError("The scene has changed so much that the new wet colours fit none of its layers and actors.")
+        raise ValueError("The scene has changed so much that the new wet colors fit none of its layers and actors.")
     return changed

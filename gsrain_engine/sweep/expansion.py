@@ -18,7 +18,7 @@ from ..rain.settings import RainSettings
 from ..render.export_settings import ExportSettings
 from ..render.object_labels import LabelFormat
 from ..scene.files import name_problem
-from ..scene.scene_hash import file_hash, scene_hash
+from ..scene.open import file_hash, scene_hash
 from ..simulation.agents.registry import agent_file, agent_names
 from ..simulation.scenario import Scenario
 from ..simulation.scenario_io import load_scenario

@@ -22,10 +22,9 @@ from ..render.renderer import Renderer
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
 from ..scene.files import whole_folder
-from ..scene.open import load_sorted_scene
+from ..scene.open import file_hash, load_sorted_scene, scene_hash
 from ..scene.rig import rig_camera_path
 from ..scene.scene import Scene
-from ..scene.scene_hash import file_hash, scene_hash
 from ..simulation.agents.registry import AgentOptions, open_agent
 from ..simulation.metrics.summary import measure_drive
 from ..simulation.obstacles import drivable_of

@@ -59,7 +59,7 @@ def test_convert_bakes_the_clear_colours_or_a_blend(project, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("wetness", "words"), [("1.5", "--wetness 1.5: must be within 0..1"), ("0.5", "has no wet colours")]
+    ("wetness", "words"), [("1.5", "--wetness 1.5: must be within 0..1"), ("0.5", "has no wet colors")]
 )
 def test_convert_refuses_what_it_can_not_do(wetness, words, tmp_path, capsys):
     write_scene(small_scene(), tmp_path / "dry")

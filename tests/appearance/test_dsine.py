@@ -10,12 +10,12 @@ from appearance.dsine_program import write_program
 
 torch = pytest.importorskip("torch")
 
-from gsrain_engine.appearance.normal_estimators import (  # noqa: E402
+from gsrain_engine.appearance.normal_models import DsineNormals  # noqa: E402
+from gsrain_engine.appearance.normals import (  # noqa: E402
     NormalEstimator,
     open_estimator,
+    view_rays,
 )
-from gsrain_engine.appearance.normal_models import DsineNormals  # noqa: E402
-from gsrain_engine.appearance.normals import view_rays  # noqa: E402
 from gsrain_engine.scene.camera import (  # noqa: E402
     Camera,
     look_at,

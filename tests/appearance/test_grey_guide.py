@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsrain_engine.appearance.normals import (
+from gsrain_engine.appearance.normal_models import (
     from_right_down_outward,
     from_right_up_backward,
+)
+from gsrain_engine.appearance.normals import (
     normals_to_gray,
     right_down_outward,
 )

@@ -9,11 +9,11 @@ torch = pytest.importorskip("torch")
 diffusers = pytest.importorskip("diffusers")
 transformers = pytest.importorskip("transformers")
 
-from gsrain_engine.appearance.normal_estimators import (  # noqa: E402
+from gsrain_engine.appearance.normal_models import from_right_up_backward  # noqa: E402
+from gsrain_engine.appearance.normals import (  # noqa: E402
     NormalEstimator,
     open_estimator,
 )
-from gsrain_engine.appearance.normals import from_right_up_backward  # noqa: E402
 from gsrain_engine.scene.camera import (  # noqa: E402
     Camera,
     look_at,

@@ -62,7 +62,7 @@ def test_the_same_moment_updates_and_every_step_is_undone(session):
     look_from(session, 2.0, 20.0)
     camera_path.add_keyframe(session)
     assert len(session.scene.path.times_s) == 4
-    assert session.history.undo_label == "Update camera key"
+    assert session.history.undo_label == "Update keyframe"
     assert session.path.positions[2] == pytest.approx([20, 10, 2])
     for _ in range(5):
         session.undo()
@@ -102,7 +102,7 @@ def test_a_drag_is_one_step_whichever_way_it_went(session):
         camera_path.drag_in_time(session, seconds)
     camera_path.end_drag(session)
     assert session.scene.path.times_s == pytest.approx([0, 1.9, 2, 4])
-    assert session.history.labels[-2:] == ["Add camera key", "Move camera key"]
+    assert session.history.labels[-2:] == ["Insert keyframe", "Move keyframe"]
     session.undo()
     assert session.scene.path is path
     camera_path.begin_drag(session, 0)

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 import yaml
+from imgui_bundle import imgui
 
 from editor.files.open_document import settle
 from gsrain_engine.appearance.finetune.settings import load_finetuning
@@ -153,7 +154,9 @@ def test_preferences_and_recent_scenes(saved):
 def test_the_layout_of_panels_names_panels_that_there_are():
     text = (SAVED / "config/gsrain/window.ini").read_text()
     titles = {line[len("[Window][") : -1] for line in text.splitlines() if line.startswith("[Window][")}
-    assert {panel.title for panel in all_panels()} <= titles
+    assert {panel.id or panel.title for panel in all_panels()} <= titles
+    hashed = imgui.internal.im_hash_str
+    assert all(hashed(panel.window_name) == hashed(panel.id or panel.title) for panel in all_panels())
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ def drawn(renderer, *parts):
 
 
 def darker(scene, share=0.5):
-    """The scene with wet colours: the clear ones, darker."""
+    """The scene with wet colors: the clear ones, darker."""
     for each in scene.members:
         sh = each.gaussians.sh
         scene = scene.with_member(each.key, wet_sh=sh - np.float32(share))
@@ -194,9 +194,7 @@ def test_finished_wet_colours_are_one_step_and_come_in_slices(context, session, 
 def test_wet_colours_that_fit_nothing_are_told(session):
     session.stage(PendingScene("Make it rainy", session.scene, only_wet_colors=True))
     session.swap_in()
-    assert (
-        session.problem == "The scene has changed so much that the new wet colours fit none of its layers and actors."
-    )
+    assert session.problem == "The scene has changed so much that the new wet colors fit none of its layers and actors."
     assert session.history.undo_label is None
 
 

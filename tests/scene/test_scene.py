@@ -109,7 +109,7 @@ def test_concatenation_pads_harmonics():
 
 def test_shapes_that_do_not_fit_are_refused():
     g = some(2)
-    with pytest.raises(ValueError, match="2 coefficients a colour"):
+    with pytest.raises(ValueError, match="2 coefficients a color"):
         g.with_sh(np.zeros((2, 2, 3), np.float32))
 
 

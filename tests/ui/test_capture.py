@@ -63,7 +63,7 @@ def test_a_capture_is_opened_listed_looked_from_and_closed(tmp_path):
         driver.press(imgui.Key.page_up)
         assert captures.stands_at(driver.session) == 1
         driver.ctx.set_ref("//Capture")
-        driver.ctx.item_click("Picture")
+        driver.ctx.item_click("###Picture")
         assert not captures.show_picture
         assert _share(driver.screen(), COLORS[1]) < 0.02
 

@@ -45,7 +45,7 @@ def test_fields_have_edges_and_questions_darken_the_rest(driver, tmp_path, monke
         session.set_preference(theme=theme)
         driver.ctx.window_focus("//Rain")
         driver.frames(3)
-        item = driver.ctx.item_info("//Rain/Roofs").rect_full
+        item = driver.ctx.item_info("//Rain/Shelter under roofs").rect_full
         screens.append(driver.screen())
         low, middle = (int(item.min.x), int(item.min.y)), int(item.min.y + imgui.get_font_size() / 2)
         box = screens[0][middle, low[0] - 3 : low[0] + 12]
@@ -61,6 +61,8 @@ def test_fields_have_edges_and_questions_darken_the_rest(driver, tmp_path, monke
 def test_chords_read_as_people_write_them():
     assert chord_name(chord(_CTRL, _SHIFT, imgui.Key.z)) == "Ctrl+Shift+Z"
     assert chord_name(chord(imgui.Key.left_bracket)) == "["
+    for action in ACTIONS:
+        assert " or ".join(map(chord_name, action.chords)) == action.key_names
     assert matches("Show the selection", "sel sh")
     assert not matches("Show the selection", "hide")
 

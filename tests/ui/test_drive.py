@@ -90,14 +90,14 @@ def test_a_drive_that_plays_is_filmed_and_a_film_is_only_replaced_when_asked(dri
         driver.window.drop([str(rollout)])
         driver.until(lambda: session.drives.playing is not None)
         driver.click("//Drive/###film roll-out")
-        choose(driver, "Film the drive", film, "Save")
+        choose(driver, "Render video of the drive", film, "Save")
         driver.until(lambda: len(session.jobs) == 1)
         job = session.jobs[0]
-        assert session.drives.why_no_video(session) == "A film is being made."
+        assert session.drives.why_no_video(session) == "A video is being rendered."
         driver.until(lambda: job.state != "running", 100_000)
         assert (job.state, job.error) == ("finished", None)
-        driver.click("//Record/Film the drive...")
-        choose(driver, "Film the drive", film, "Save")
+        driver.click("//Record/Render video of the drive...")
+        choose(driver, "Render video of the drive", film, "Save")
         assert session.questions.present.text == "crash.mp4 is there already."
         driver.ctx.item_click("//Replace?/Cancel")
         driver.frames()

@@ -261,7 +261,7 @@ def test_grading_by_slider_and_back(driver):
         assert session.scene.member("layers/wall").grading.exposure_ev > 0.5
         assert session.history.cursor == steps + 1
         assert driver.picture().mean() > before.mean()
-        driver.click("//Edit/Reset colours")
+        driver.click("//Edit/Reset colors")
         assert np.array_equal(driver.picture(), before)
 
     driver.run(script)

@@ -24,7 +24,7 @@ def test_the_ego_drives_along_the_path_and_undo_takes_it_back(tmp_path):
         driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.p))
         driver.until(lambda: session.view.dialog == "commands")
         driver.frames(3)
-        driver.ctx.key_chars("ego drives along")
+        driver.ctx.key_chars("drive ego along")
         driver.frames(3)
         driver.press(imgui.Key.enter)
         driver.until(lambda: session.scene.ego is not None)

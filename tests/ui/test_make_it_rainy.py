@@ -1,4 +1,4 @@
-"""The panel "Make it rainy" in the real window: preview, job, comparison, undo, and what it says where it can't."""
+"""The Wet look panel in the real window: preview, job, comparison, undo, and what it says where it can't."""
 
 from multiprocessing.shared_memory import SharedMemory
 
@@ -8,6 +8,7 @@ import psutil
 import pytest
 
 from gsrain_engine.editor import make_rainy
+from gsrain_engine.editor.jobs.make_rainy import MAKE_RAINY_TITLE
 from ui.commands.base import chord
 from window_driver import Driver, imgui
 
@@ -41,7 +42,7 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
         drag_the_view(driver)
         assert rainy.what_is_stale(session) == "The view has changed since."
         assert not ctx.item_exists("//View/divider")
-        driver.click(f"{PANEL}Go back to it")
+        driver.click(f"{PANEL}Return to it")
         assert rainy.what_is_stale(session) is None
         ctx.item_input_value(f"{PANEL}##seed", 3)
         driver.frames()
@@ -61,7 +62,7 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
         driver.until(lambda: job.state != "running" and session.staged is None, 1_000_000)
         assert (job.state, job.error) == ("finished", None)
         assert job.report.is_file()
-        assert session.history.labels == ["Open", "Make it rainy"]
+        assert session.history.labels == ["Open", MAKE_RAINY_TITLE]
         assert all(each.wet_sh is not None for each in session.scene.members)
 
         # Beside the clear scene, in rain that a step of its own brings.

@@ -38,7 +38,7 @@ def test_matches_are_shown_over_the_recorded_view(tmp_path):
 
         # What lies over the picture is green where it matches, when a person asks which pixels do.
         driver.ctx.set_ref("//Capture/Matching")
-        driver.ctx.combo_click("As/which match")
+        driver.ctx.combo_click("As/matching pixels")
         driver.ctx.set_ref("//Capture")
         shown = driver.screen()
         assert matching.mode == "pixels"

@@ -80,7 +80,7 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, mon
         driver.press(REDO)
         assert session.scene is not before
 
-        # Dim pictures of the same views give it wet colours, which come with the rain.
+        # Dim pictures of the same views give it wet colors, which come with the rain.
         driver.click("//Rain/Streaks")
         driver.click("//Rain/Haze")
         training._recolor(session, drive / "drive", [drive / "dim"])
@@ -112,6 +112,6 @@ def test_without_torch_the_panel_says_so(drive, monkeypatch):
         driver.ctx.item_open("//Capture/Reconstruct")
         driver.frames()
         assert not driver.ctx.item_exists("//Capture/Reconstruct/Reconstruct")
-        assert driver.ctx.item_exists("//Capture/Reconstruct/Recolour to these pictures")
+        assert driver.ctx.item_exists("//Capture/Reconstruct/Recolor to these images")
 
     driver.run(script)

@@ -75,7 +75,7 @@ def test_the_panel_s_fields_say_what_is_recorded(driver, tmp_path):
         driver.ctx.item_click("color")
         driver.frames()
         assert recorder.settings.passes == ("depth", "labels")
-        driver.ctx.item_click("Clear twin")
+        driver.ctx.item_click("Also render without rain")
         driver.ctx.item_input_value("##supersampling", 3)
         driver.ctx.item_input_value("##motion_blur", 8)
         driver.ctx.item_input_value("##fps", 24.0)
@@ -84,7 +84,7 @@ def test_the_panel_s_fields_say_what_is_recorded(driver, tmp_path):
         assert (wanted.twin, wanted.supersampling, wanted.motion_blur, wanted.fps) == (True, 3, 8, 24.0)
         assert driver.session.timeline.fps == 24.0
         assert recorder.end_s == 5.0
-        driver.ctx.item_click("its end")
+        driver.ctx.item_click("###its end")
         driver.frames()
         assert recorder.settings.last_s == 5.0
         driver.ctx.item_input_value("##first_s", 1.5)
@@ -95,7 +95,7 @@ def test_the_panel_s_fields_say_what_is_recorded(driver, tmp_path):
         driver.frames()
         assert recorder.settings.first_s == 1.5
         driver.ctx.combo_click("##format/MP4 (H.264)")
-        driver.ctx.item_click("usual")
+        driver.ctx.item_click("###usual")
         driver.ctx.item_input_value("##quality", 30)
         driver.frames()
         assert (recorder.settings.codec, recorder.settings.quality) == ("h264", 30)
@@ -115,8 +115,8 @@ def test_a_still_is_taken_from_where_one_is(driver, tmp_path):
         driver.session.recorder.change(size_px=(60, 44))
         driver.ctx.window_focus("//Record")
         driver.frames()
-        driver.ctx.item_click("//Record/Record a still...")
-        name_it(driver, "Record a still", tmp_path / "still.png")
+        driver.ctx.item_click("//Record/Render image...")
+        name_it(driver, "Render image", tmp_path / "still.png")
         driver.until(lambda: driver.session.jobs and driver.session.jobs[0].state != "running", 100_000)
         assert driver.session.jobs[0].state == "finished"
 

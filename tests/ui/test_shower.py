@@ -7,7 +7,7 @@ from imgui_bundle import implot
 from gsrain_engine.editor.rain_regions import face_handles, inset_view
 from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
 from gsrain_engine.render.draw import rain_anchor
-from ui.panels import rain_keyframe_plot
+from ui.panels import rain_keyframes
 from window_driver import Driver, imgui
 
 
@@ -25,13 +25,13 @@ def hill():
 def pixel_of(monkeypatch):
     """Where a place of the plot is on the screen, as it was drawn last."""
     last = {}
-    drawn = rain_keyframe_plot._clock
+    drawn = rain_keyframes._clock
 
     def spy(session):
         drawn(session)
         last["zero"], last["one"] = implot.plot_to_pixels(0.0, 0.0), implot.plot_to_pixels(1.0, 1.0)
 
-    monkeypatch.setattr(rain_keyframe_plot, "_clock", spy)
+    monkeypatch.setattr(rain_keyframes, "_clock", spy)
 
     def pixel(seconds, rate):
         zero, one = last["zero"], last["one"]
@@ -64,7 +64,7 @@ def test_keys_are_dragged_added_and_removed_in_the_plot(driver, pixel_of):
         driver.frames()
         moved = session.weather.keys[1]
         assert (moved.time_s, moved.intensity_mm_h) == (pytest.approx(11.0, abs=0.3), pytest.approx(11.0, abs=0.3))
-        assert session.history.undo_label == "Move a key"
+        assert session.history.undo_label == "Move rain keyframe"
         session.undo()
         assert session.weather == hill()
         at(driver, pixel_of(15.0, 7.0))
@@ -88,14 +88,14 @@ def test_buttons_of_the_shower_panel(driver):
         assert session.weather.key_at(4.0).intensity_mm_h == 3.0
         driver.click("//Shower/###now")
         assert session.weather.keys == ()
-        driver.click("//Shower/A shower that passes")
+        driver.click("//Shower/Add passing shower")
         assert session.weather.heaviest_mm_h(session.rain) == 12.0
         session.clock.time_s = 34.0
         driver.frames(3)
         assert session.statistics["drops drawn"] > 0
         driver.click("//Shower/linear")
         assert session.weather.between == "linear"
-        driver.click("//Shower/Clear keys")
+        driver.click("//Shower/Clear keyframes")
         assert session.weather.keys == ()
         for _ in range(3):
             session.undo()
@@ -253,7 +253,7 @@ def test_the_sky_s_colour_is_picked_from_the_picture_and_given_back(driver):
     def script():
         session = driver.session
         driver.ctx.window_focus("//View")
-        session.view.tool = "Pick sky colour"
+        session.view.tool = "Pick sky color"
         driver.frames(4)
         corner, width, height = view_corner(driver)
         driver.ctx.mouse_move_to_pos(imgui.ImVec2(corner.x + 0.4 * width, corner.y + 0.15 * height))

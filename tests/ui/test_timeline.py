@@ -68,7 +68,7 @@ def test_keys_are_added_scrubbed_moved_copied_deleted_and_undone(driver):
         session = driver.session
         path = four_keys(driver)
         assert path.times_s.tolist() == [0, 1, 2, 4]
-        assert session.history.labels[1:] == ["Add camera key"] * 4
+        assert session.history.labels[1:] == ["Insert keyframe"] * 4
         by_hand = session.navigation.position.copy()
 
         # a click on a key looks through it
@@ -92,7 +92,7 @@ def test_keys_are_added_scrubbed_moved_copied_deleted_and_undone(driver):
         assert session.scene.path.times_s == pytest.approx([0, 2, 2.5, 4], abs=0.05)  # past the third one
         assert session.timeline.key == 2
         assert session.scene.path.positions[2] == pytest.approx(path.positions[1])
-        assert session.history.labels[steps:] == ["Move camera key"]
+        assert session.history.labels[steps:] == ["Move keyframe"]
         driver.press(UNDO)
         assert session.scene.path is path
 
@@ -103,7 +103,7 @@ def test_keys_are_added_scrubbed_moved_copied_deleted_and_undone(driver):
         assert np.delete(copied.times_s, session.timeline.key) == pytest.approx(path.times_s)
         assert copied.times_s[session.timeline.key] == pytest.approx(4.0, abs=0.1)
         assert copied.positions[session.timeline.key] == pytest.approx(path.positions[1])
-        assert session.history.undo_label == "Copy camera key"
+        assert session.history.undo_label == "Copy keyframe"
         driver.press(UNDO)
         assert session.scene.path is path
 
@@ -150,7 +150,7 @@ def test_a_key_is_dragged_in_the_picture(driver):
         depth = [camera.world_to_camera[2, :3] @ each.positions[2] for each in (path, moved)]
         assert depth[0] == pytest.approx(depth[1])  # in the plane that faces the view
         assert np.array_equal(np.delete(moved.positions, 2, axis=0), np.delete(path.positions, 2, axis=0))
-        assert session.history.labels[steps:] == ["Move camera key"]
+        assert session.history.labels[steps:] == ["Move keyframe"]
         assert np.array_equal(session.navigation.position, [-4.0, -3.0, 4.0])  # the view stays
 
         driver.press(UNDO)
@@ -247,7 +247,7 @@ def test_paths_come_from_the_drive_and_from_files(driver, tmp_path):
         driver.click("//Timeline/path")
         driver.ctx.item_click("//**/From the drive")
         driver.ctx.item_click("//**/FRONT##0")
-        driver.ctx.item_click("//**/Few keys")
+        driver.ctx.item_click("//**/Few keyframes")
         driver.frames()
         path = session.scene.path
         assert path.times_s.tolist() == [0, 5]  # straight on

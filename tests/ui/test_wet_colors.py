@@ -1,4 +1,4 @@
-"""The appearance follows the rain: wet colours, the intensity, wetness by hand, undo and redo."""
+"""The appearance follows the rain: wet colors, the intensity, wetness by hand, undo and redo."""
 
 import numpy as np
 import pytest
@@ -98,10 +98,10 @@ def test_a_layers_wet_colours_are_taken_away_by_its_menu(wet_driver):
         driver.frames()
         driver.ctx.item_click("//Layers/members/###layers wall", imgui.MouseButton_.right)
         driver.frames()
-        driver.ctx.item_click("//$FOCUSED/Remove wet colours")
+        driver.ctx.item_click("//$FOCUSED/Remove wet colors")
         driver.frames()
         assert [each.wet_sh is not None for each in session.scene.members] == [True, False, True]
-        assert session.history.undo_label == "Remove wet colours of wall"
+        assert session.history.undo_label == "Remove wet colors of wall"
         driver.press(UNDO)
         assert all(each.wet_sh is not None for each in session.scene.members)
 

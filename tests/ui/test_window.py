@@ -121,7 +121,7 @@ def test_navigation_by_mouse_and_keys(driver):
         driver.ctx.mouse_wheel_y(2)
         driver.frames()
         assert session.navigation.distance_m < 20
-        driver.click("//View/Ride along")
+        driver.click("//View/Follow path")
         assert session.view.follow_path
 
     driver.run(script)

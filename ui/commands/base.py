@@ -2,14 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 from imgui_bundle import imgui
 
 from gsrain_engine.editor.editor import Editor
-
-
-def always(session: Editor) -> bool:
-    return True
 
 
 @dataclass(frozen=True)
@@ -18,14 +15,14 @@ class Command:
 
     name: str
     """Unique title in menu and palette, starting with a verb."""
-    run: Callable[[Editor], None]
+    run: Callable[[Editor], object]
     menu: str = ""
     """Title of its menu; "" for commands in palette and keys only."""
-    keys: int | tuple[int, ...] = ()
-    """Key chords, the first of which is shown; see `chord`."""
+    key_names: str = ""
+    """Key chords, such as "Ctrl+Shift+Z or Ctrl+Y"; the menu shows the first."""
     help: str = ""
     """One sentence, with the units of any numbers."""
-    is_possible: Callable[[Editor], bool] = always
+    is_possible: Callable[[Editor], bool] = lambda session: True
     is_on: Callable[[Editor], bool] | None = None
     """State of a toggle command."""
     more: Callable[[Editor], str] | None = None
@@ -33,11 +30,7 @@ class Command:
 
     @property
     def chords(self) -> tuple[int, ...]:
-        return (self.keys,) if isinstance(self.keys, int) else self.keys
-
-    @property
-    def key_names(self) -> str:
-        return " or ".join(map(chord_name, self.chords))
+        return tuple(map(parse_chord, self.key_names.split(" or "))) if self.key_names else ()
 
     def title(self, session: Editor) -> str:
         return f"{self.name} {self.more(session)}".strip() if self.more is not None else self.name
@@ -49,9 +42,9 @@ class Command:
 
 # Key chords as numbers and text
 
-_MODIFIERS = ((imgui.Key.mod_ctrl, "Ctrl"), (imgui.Key.mod_shift, "Shift"), (imgui.Key.mod_alt, "Alt"))
+_MODIFIERS = {"Ctrl": imgui.Key.mod_ctrl, "Shift": imgui.Key.mod_shift, "Alt": imgui.Key.mod_alt}
 
-_WORDS = {
+_SHORT_NAMES = {
     "LeftBracket": "[", "RightBracket": "]", "Comma": ",", "Period": ".", "LeftArrow": "Left", "RightArrow": "Right",
     "UpArrow": "Up", "DownArrow": "Down", "Escape": "Esc", "Slash": "/", "Minus": "-", "Equal": "=",
 }  # fmt: skip
@@ -67,10 +60,18 @@ def chord(*keys: imgui.Key) -> int:
 
 def chord_name(keys: int) -> str:
     """Format a chord, such as "Ctrl+Shift+Z"."""
-    words: list[str] = []
-    for modifier, word in _MODIFIERS:
-        if keys & int(modifier):
-            words.append(word)
-            keys &= ~int(modifier)
-    name = imgui.get_key_name(imgui.Key(keys))
-    return "+".join([*words, _WORDS.get(name, name)])
+    modifiers = [name for name, key in _MODIFIERS.items() if keys & int(key)]
+    return "+".join([*modifiers, _key_name(keys & ~chord(*_MODIFIERS.values()))])
+
+
+@cache
+def parse_chord(name: str) -> int:
+    """Return the chord of a name, such as "Ctrl+Shift+Z"."""
+    *modifiers, key = name.split("+")
+    named = range(int(imgui.Key.named_key_begin), int(imgui.Key.named_key_end))
+    return chord(*(_MODIFIERS[each] for each in modifiers)) | next(each for each in named if _key_name(each) == key)
+
+
+def _key_name(key: int) -> str:
+    name = imgui.get_key_name(imgui.Key(key))
+    return _SHORT_NAMES.get(name, name)

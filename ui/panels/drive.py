@@ -2,12 +2,12 @@
 
 from functools import partial
 from pathlib import Path
-from typing import TypeVar, get_args
+from typing import TypeVar
 
 import msgspec
 from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 
-from gsrain_engine.editor.drive import DriveSetup, RolloutPlayer
+from gsrain_engine.editor.drive import DriveSetup
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.jobs.drive import LoadedRollout
 from gsrain_engine.editor.viewport.camera_follow import ChaseMode
@@ -16,45 +16,107 @@ from gsrain_engine.simulation.scenario import ScenarioUser
 from ..widgets.draw import color
 from ..widgets.fields import (
     ALL_FILES,
+    CLAMPED,
     ask_what_to_open,
     ask_where_to_save,
+    button,
+    checkbox,
+    edit_choice,
     edit_field,
     field_info,
     path_field,
     plain_label,
+    settings_label,
+    share_of_width,
     square_button,
+    warn,
 )
 from ..widgets.text import visible_name
 from .drive_plots import curve_colors, drive_metrics
 from .jobs import job_fields
-from .rain import WARNING
 
 _ICONS = icons_fontawesome_6
+_SCENARIOS = f"Scenarios{{.yaml,.yml,.xosc}},{ALL_FILES}"
+_DETECTORS = f"Detectors{{.onnx}},{ALL_FILES}"
+_ROLLOUTS = "Roll-outs{.jsonl,.parquet}"
+_BLIND = ("constant-velocity", "oracle-idm")  # agents that use neither images nor a server
 
-_HELP = (
-    "Drive through the scene as it is now, with your edits, in the background.\n"
-    "The roll-out is opened as soon as it is finished; the scene stays as it is."
+SCENARIO_HELP = "Open a scenario: GSRAIN's YAML, HUGSIM's YAML, or OpenSCENARIO."
+SAVE_ROLLOUT_HELP = "Write the playing roll-out as JSON lines or Parquet."
+VIDEO_HELP = (
+    "Render a video of the playing roll-out, as `gsrain drive` does: front camera, metrics, and a top view.\n"
+    "In the background, at the Record panel's frame rate, at most 60 fps."
 )
+_HELP = (
+    "Drive through the present scene, with your edits, in the background.\n"
+    "The roll-out opens when it is finished; the scene does not change."
+)
+_AGENT_HELP = (
+    "constant-velocity holds its speed; oracle-idm uses the true positions of all road users; camera-idm uses a "
+    "detector.\nInstalled packages add their own (entry points gsrain.agents)."
+)
+_CHASE_HELP: dict[ChaseMode, str] = {
+    "behind": "8 m behind the ego vehicle and 3 m above it; a drag looks around, another click returns.",
+    "front camera": "The front camera of the rig; a drag leaves it.",
+    "free": "Free flight.",
+}
 
 
 def drive_panel(session: Editor) -> None:
-    wanted = session.drives.settings
-    scenario_choice(session)
+    setup = session.drives.settings
+    _scenario_choice(session)
     if imgui.tree_node("Change the scenario"):
-        scenario_fields(wanted)
+        _scenario_fields(setup)
         imgui.tree_pop()
-    agent_fields(wanted)
-    rain_fields(session)
-    if wanted.problem is not None:
-        _warn(wanted.problem)
-    _begin(session)
+    _agent_fields(setup)
+    settings = edit_field(setup.settings, "rain")
+    if settings.rain == "one intensity":
+        settings = edit_field(settings, "intensity_mm_h")
+    elif settings.rain == "as the scene":
+        plain_label("", "")
+        imgui.text_disabled(f"{session.rain_now.intensity_mm_h:.3g} mm/h")
+        imgui.set_item_tooltip("Set in the Rain panel; rain keyframes are ignored: the present intensity is used.")
+    setup.settings = edit_field(settings, "seed")
+    warn(setup.problem)
+    _start(session)
     imgui.separator_text("Roll-outs")
-    rollout_fields(session)
+    _rollouts(session)
     if session.drives.playing is not None and imgui.collapsing_header("Metrics", imgui.TreeNodeFlags_.default_open):
         drive_metrics(session)
 
 
-def _begin(session: Editor) -> None:
+# Dialogs
+
+
+def ask_for_scenario(session: Editor) -> None:
+    ask_what_to_open("Open a scenario", _SCENARIOS, lambda chosen: session.drives.settings.load(chosen[0]))
+
+
+def ask_where_to_save_scenario(setup: DriveSetup) -> None:
+    ask_where_to_save("Save the scenario", "Scenario{.yaml}", lambda chosen: setup.save(chosen[0]))
+
+
+def ask_for_rollout(session: Editor) -> None:
+    def take(chosen: list[Path]) -> None:
+        for path in chosen:
+            session.drives.open(path)
+
+    ask_what_to_open("Open a roll-out", f"{_ROLLOUTS},{ALL_FILES}", take, several=True)
+
+
+def ask_where_to_save_rollout(session: Editor) -> None:
+    ask_where_to_save("Save the roll-out", _ROLLOUTS, lambda chosen: session.drives.save_as(session, chosen[0]))
+
+
+def ask_where_to_render_drive(session: Editor) -> None:
+    kinds = "MP4{.mp4},WebM{.webm}"
+    ask_where_to_save("Render video of the drive", kinds, lambda chosen: session.drives.video_to(session, chosen[0]))
+
+
+# Start of a drive
+
+
+def _start(session: Editor) -> None:
     newest = session.drives.newest_job(session)
     if newest is not None and newest[1].state == "running":
         imgui.separator_text(newest[1].title)
@@ -62,178 +124,114 @@ def _begin(session: Editor) -> None:
         return
     why_not = session.drives.why_not(session)
     imgui.spacing()
-    imgui.begin_disabled(why_not is not None)
-    if imgui.button(f"{_ICONS.ICON_FA_CAR_SIDE}  Drive###drive", (-1, 1.5 * imgui.get_frame_height())):
+    height = 1.5 * imgui.get_frame_height()
+    if button(f"{_ICONS.ICON_FA_CAR_SIDE}  Drive###drive", _HELP, width=-1, height=height, why_not=why_not):
         session.drives.start(session)
-    imgui.end_disabled()
-    imgui.set_item_tooltip(_HELP if why_not is None else why_not)
     if why_not is not None:
-        _warn(why_not)
+        warn(why_not)
     elif newest is not None and newest[1].state != "finished":
         job_fields(session, newest[1], newest[0])
 
 
-def _warn(words: str) -> None:
-    imgui.push_style_color(imgui.Col_.text, WARNING)
-    imgui.text_wrapped(words)
-    imgui.pop_style_color()
-
-
-# Scenario, agent and rain
-
-_SCENARIOS = f"Scenarios{{.yaml,.yml,.xosc}},{ALL_FILES}"
-_DETECTORS = f"Detectors{{.onnx}},{ALL_FILES}"
-_BLIND = ("constant-velocity", "oracle-idm")  # agents that use neither images nor a server
-
-
-def scenario_choice(session: Editor) -> None:
-    wanted = session.drives.settings
-    plain_label("Scenario", wanted.scenario.description or "What happens on the road.")
-    names = wanted.scenario_names
-    shown = wanted.source if wanted.source in names else Path(wanted.source).name
-    beside = imgui.get_frame_height() + imgui.get_style().item_spacing.x
-    imgui.set_next_item_width(-beside)
-    if imgui.begin_combo("##scenario", f"{shown} *" if wanted.is_changed else shown):
+def _scenario_choice(session: Editor) -> None:
+    setup = session.drives.settings
+    plain_label("Scenario", setup.scenario.description or "Road users, rain, start and duration of the test.")
+    names, source = setup.scenario_names, setup.source
+    title = source if source in names else Path(source).name
+    imgui.set_next_item_width(-imgui.get_frame_height() - imgui.get_style().item_spacing.x)
+    if imgui.begin_combo("##scenario", f"{title} *" if setup.is_changed else title):
         for name in names:
-            if imgui.selectable(name, name == wanted.source)[0]:
-                wanted.load(name)
+            if imgui.selectable(name, name == source)[0]:
+                setup.load(name)
         imgui.end_combo()
-    changed = "\n* changed, not saved" if wanted.is_changed else ""
-    imgui.set_item_tooltip(f"{wanted.source}\n{wanted.scenario.description}".strip() + changed)
+    changed = "\n* changed, not saved" if setup.is_changed else ""
+    imgui.set_item_tooltip(f"{setup.source}\n{setup.scenario.description}".strip() + changed)
     imgui.same_line()
-    if square_button(icons_fontawesome_6.ICON_FA_FOLDER_OPEN, "open scenario"):
+    if square_button(_ICONS.ICON_FA_FOLDER_OPEN, "open scenario"):
         ask_for_scenario(session)
-    imgui.set_item_tooltip("Open a scenario: our YAML, HUGSIM's YAML, or OpenSCENARIO.")
+    imgui.set_item_tooltip(SCENARIO_HELP)
 
 
-def ask_for_scenario(session: Editor) -> None:
-    ask_what_to_open("Open a scenario", _SCENARIOS, lambda chosen: session.drives.settings.load(chosen[0]))
-
-
-def agent_fields(wanted: DriveSetup) -> None:
-    settings, names = wanted.settings, wanted.agent_names
-    plain_label("Agent", field_info("agent", type(settings)).help)
-    present = names.index(settings.agent) if settings.agent in names else 0
-    changed, at = imgui.combo("##agent", present, names)
-    imgui.set_item_tooltip(
-        "constant-velocity keeps its speed; oracle-idm knows where everybody is; camera-idm has a detector.\n"
-        "Installed packages add their own (entry points gsrain.agents)."
-    )
-    if changed:
-        wanted.settings = msgspec.structs.replace(settings, agent=names[at])
-    if wanted.settings.agent in _BLIND:
+def _agent_fields(setup: DriveSetup) -> None:
+    setup.settings = edit_choice(setup.settings, "agent", setup.agent_names, _AGENT_HELP)
+    if setup.settings.agent in _BLIND:
         return
-    path_field(wanted.settings, "detector", _DETECTORS, partial(_take_detector, wanted))
-    _text(wanted, "description", "found by its name")
-    if wanted.settings.agent != "camera-idm":
-        _text(wanted, "url", "none")
+    path_field(setup.settings, "detector", _DETECTORS, partial(_take_detector, setup))
+    _text(setup, "description", "found by its name")
+    if setup.settings.agent != "camera-idm":
+        _text(setup, "url", "none")
 
 
-def rain_fields(session: Editor) -> None:
-    wanted = session.drives.settings
-    settings = edit_field(wanted.settings, "rain")
-    if settings.rain == "one intensity":
-        settings = edit_field(settings, "intensity_mm_h")
-    elif settings.rain == "as the scene":
-        plain_label("", "")
-        imgui.text_disabled(f"{session.rain_now.intensity_mm_h:.3g} mm/h")
-        imgui.set_item_tooltip("Set it in the Rain panel; a shower is driven at its present intensity.")
-    wanted.settings = edit_field(settings, "seed")
-
-
-def _take_detector(wanted: DriveSetup, text: str) -> None:
+def _take_detector(setup: DriveSetup, text: str) -> None:
     detector = Path(text).expanduser() if text.strip() else None
-    wanted.settings = msgspec.structs.replace(wanted.settings, detector=detector)
+    setup.settings = msgspec.structs.replace(setup.settings, detector=detector)
 
 
-def _text(wanted: DriveSetup, name: str, hint: str) -> None:
-    info, value = field_info(name, type(wanted.settings)), getattr(wanted.settings, name) or ""
-    plain_label(info.title, info.help)
-    _, typed = imgui.input_text_with_hint(f"##{name}", hint, value)
+def _text(setup: DriveSetup, name: str, hint: str) -> None:
+    info = settings_label(type(setup.settings), name)
+    _, typed = imgui.input_text_with_hint(f"##{name}", hint, getattr(setup.settings, name) or "")
     if imgui.is_item_deactivated_after_edit():
-        wanted.settings = msgspec.structs.replace(wanted.settings, **{name: typed.strip() or None})
+        setup.settings = msgspec.structs.replace(setup.settings, **{name: typed.strip() or None})
     imgui.set_item_tooltip(info.help)
 
 
 # Open roll-outs
 
-_KINDS = "Roll-outs{.jsonl,.parquet}"
-_VIDEOS = "MP4{.mp4},WebM{.webm}"
 
-VIDEO_HELP = (
-    "Film the drive that plays, as `gsrain drive` does: what the front camera sees, figures, and all from above.\n"
-    "In the background, with the Record panel's frame rate, at most 60 a second."
-)
-
-_MODES: dict[ChaseMode, str] = {
-    "behind": "8 m behind the ego vehicle and 3 m up; look around as you like, click again to come back.",
-    "front camera": "Through the rig's camera that looks ahead; a drag leaves it.",
-    "free": "Where you fly.",
-}
-
-
-def rollout_fields(session: Editor) -> None:
-    drives = session.drives
-    third = (imgui.get_content_region_avail().x - 2 * imgui.get_style().item_spacing.x) / 3
-    if imgui.button(f"{_ICONS.ICON_FA_FOLDER_OPEN}  Open...###open roll-out", (third, 0)):
+def _rollouts(session: Editor) -> None:
+    drives, third = session.drives, share_of_width(3)
+    help_text = "Open a finished drive (JSON lines), such as `gsrain drive` writes; or drop it here."
+    if button(f"{_ICONS.ICON_FA_FOLDER_OPEN}  Open...###open roll-out", help_text, width=third):
         ask_for_rollout(session)
-    imgui.set_item_tooltip("Open a finished drive (JSON lines), such as `gsrain drive` writes; or drop it here.")
     imgui.same_line()
-    imgui.begin_disabled(drives.playing is None)
-    if imgui.button(f"{_ICONS.ICON_FA_FLOPPY_DISK}  Save as...###save roll-out", (third, 0)):
+    title = f"{_ICONS.ICON_FA_FLOPPY_DISK}  Save as...###save roll-out"
+    if button(title, SAVE_ROLLOUT_HELP, width=third, enabled=drives.playing is not None):
         ask_where_to_save_rollout(session)
-    imgui.set_item_tooltip("Write the one that plays as JSON lines or Parquet.")
-    imgui.end_disabled()
     imgui.same_line()
-    why_not = drives.why_no_video(session)
-    imgui.begin_disabled(why_not is not None)
-    if imgui.button(f"{_ICONS.ICON_FA_FILM}  Film...###film roll-out", (third, 0)):
-        ask_where_to_video(session)
-    imgui.end_disabled()
-    imgui.set_item_tooltip(why_not or VIDEO_HELP)
+    title, why_not = f"{_ICONS.ICON_FA_FILM}  Video...###film roll-out", drives.why_no_video(session)
+    if button(title, VIDEO_HELP, width=third, why_not=why_not):
+        ask_where_to_render_drive(session)
     if not drives.opened:
-        imgui.text_wrapped("None is open. Drive, or open a finished drive: it plays in the view, on the timeline.")
+        imgui.text_wrapped("None is open. Drive, or open a finished drive, to play it in the viewport and timeline.")
         return
-    colors = curve_colors(drives.opened)
-    for number, (opened, hue) in enumerate(zip(drives.opened, colors, strict=True)):
-        _row(session, number, opened, color(hue))
-    if drives.trouble is not None:
-        imgui.push_style_color(imgui.Col_.text, WARNING)
-        imgui.text_wrapped(drives.trouble)
-        imgui.pop_style_color()
+    for number, (opened, hue) in enumerate(zip(drives.opened, curve_colors(drives.opened), strict=True)):
+        imgui.push_id(number)
+        _row(session, opened, color(hue))
+        imgui.pop_id()
+    warn(drives.trouble)
     _jumps(session)
-    _camera(session)
-    _display_options(drives)
+    imgui.align_text_to_frame_padding()
+    imgui.text("Camera")
+    for mode, help_text in _CHASE_HELP.items():
+        imgui.same_line()
+        if imgui.radio_button(mode, drives.chase.mode == mode):
+            drives.follow(session, mode)
+        imgui.set_item_tooltip(help_text)
+    drives.show_boxes = checkbox(
+        "Boxes", drives.show_boxes,
+        "Draw boxes of all road users with name and speed in m/s; a collision partner is red.\n"
+        "In the front camera, also the agent's detections, with the distance (m) of its leader.",
+    )  # fmt: skip
+    imgui.same_line()
+    help_text = "Draw the planned points of the present step on the road, 0.5 s apart, and the driven path."
+    drives.show_plan = checkbox("Plan", drives.show_plan, help_text)
+    imgui.same_line()
+    help_text = "Draw a body for the ego vehicle; it is invisible in its own cameras."
+    drives.show_ego_car = checkbox("Ego car", drives.show_ego_car, help_text)
+    imgui.same_line()
+    help_text = "On: the rain of the drive. Off: the scene's rain, as set in the Rain panel."
+    drives.rain_as_driven = checkbox("Rain of the drive", drives.rain_as_driven, help_text)
 
 
-def ask_for_rollout(session: Editor) -> None:
-    kinds = f"{_KINDS},{ALL_FILES}"
-
-    def take(chosen: list[Path]) -> None:
-        for path in chosen:
-            session.drives.open(path)
-
-    ask_what_to_open("Open a roll-out", kinds, take, several=True)
-
-
-def ask_where_to_save_rollout(session: Editor) -> None:
-    ask_where_to_save("Save the roll-out", _KINDS, lambda chosen: session.drives.save_as(session, chosen[0]))
-
-
-def ask_where_to_video(session: Editor) -> None:
-    ask_where_to_save("Film the drive", _VIDEOS, lambda chosen: session.drives.video_to(session, chosen[0]))
-
-
-def _row(session: Editor, number: int, opened: LoadedRollout, hue: int) -> None:
+def _row(session: Editor, opened: LoadedRollout, hue: int) -> None:
     drives, height = session.drives, imgui.get_frame_height()
-    imgui.push_id(number)
     at, width = imgui.get_cursor_screen_pos(), imgui.get_content_region_avail().x
     room = width - height - imgui.get_style().item_spacing.x
     if imgui.selectable("##play", opened is drives.playing, size=ImVec2(room, height))[0]:
         drives.play(session, opened)
-    where = "not saved" if opened.path is None else str(opened.path)
+    path = "not saved" if opened.path is None else str(opened.path)
     imgui.set_item_tooltip(
-        f"{opened.title}, seed {opened.rollout.seed}, in {opened.rollout.scene!r}\n{where}\nClick: play it in the view."
+        f"{opened.title}, seed {opened.rollout.seed}, in {opened.rollout.scene!r}\n{path}\nClick: play it."
     )
     draw, low = imgui.get_window_draw_list(), at.y + (height - imgui.get_text_line_height()) / 2
     side = 0.55 * imgui.get_text_line_height()
@@ -245,57 +243,24 @@ def _row(session: Editor, number: int, opened: LoadedRollout, hue: int) -> None:
     imgui.same_line()
     if square_button(_ICONS.ICON_FA_XMARK, "close"):
         drives.close(session, opened)
-    imgui.set_item_tooltip("Close it; after the last one the scene comes back.")
-    imgui.pop_id()
+    imgui.set_item_tooltip("Close it; without roll-outs the scene has its own traffic.")
 
 
 def _jumps(session: Editor) -> None:
-    drives = session.drives
-    playing = drives.playing
-    if playing is None:
+    drives, half = session.drives, share_of_width(2)
+    if (playing := drives.playing) is None:
         return
-    half = (imgui.get_content_region_avail().x - imgui.get_style().item_spacing.x) / 2
-    hit = playing.collision_s
-    imgui.begin_disabled(hit is None)
-    if imgui.button(f"{_ICONS.ICON_FA_CAR_BURST}  Collision###collision", (half, 0)) and hit is not None:
+    hit, critical = playing.collision_s, playing.curves.min_ttc_time_s
+    why_not = "No collision." if hit is None else None
+    help_text = f"Go to {hit or 0:.2f} s, the collision with {playing.metrics.collided_with}."
+    title = f"{_ICONS.ICON_FA_CAR_BURST}  Collision###collision"
+    if button(title, help_text, width=half, why_not=why_not) and hit is not None:
         drives.jump(session, hit)
-    imgui.end_disabled()
-    words = "Nothing was hit." if hit is None else f"Go to {hit:.2f} s, where {playing.metrics.collided_with} was hit."
-    imgui.set_item_tooltip(words)
     imgui.same_line()
-    critical = playing.curves.min_ttc_time_s
-    if imgui.button(f"{_ICONS.ICON_FA_STOPWATCH}  Smallest TTC###smallest ttc", (half, 0)):
+    smallest = float(playing.curves.ttc_s.min())
+    help_text = f"Go to {critical:.2f} s, where the time to collision is {smallest:.2f} s (from 0 to 10 s)."
+    if button(f"{_ICONS.ICON_FA_STOPWATCH}  Smallest TTC###smallest ttc", help_text, width=half):
         drives.jump(session, critical)
-    least = float(playing.curves.ttc_s.min())
-    imgui.set_item_tooltip(f"Go to {critical:.2f} s, where the time to collision is {least:.2f} s (from 0 to 10 s).")
-
-
-def _camera(session: Editor) -> None:
-    chase = session.drives.chase
-    imgui.align_text_to_frame_padding()
-    imgui.text("Camera")
-    for mode in get_args(ChaseMode):
-        imgui.same_line()
-        if imgui.radio_button(mode, chase.mode == mode):
-            session.drives.follow(session, mode)
-        imgui.set_item_tooltip(_MODES[mode])
-
-
-def _display_options(drives: RolloutPlayer) -> None:
-    _, drives.show_boxes = imgui.checkbox("Boxes", drives.show_boxes)
-    imgui.set_item_tooltip(
-        "Draw everybody's box with its name and its speed in m/s; red is who is hit.\n"
-        "From the front camera also what the agent has detected, with the distance (m) of whom it follows."
-    )
-    imgui.same_line()
-    _, drives.show_plan = imgui.checkbox("Plan", drives.show_plan)
-    imgui.set_item_tooltip("Draw the planned points of the present step on the road, 0.5 s apart, and the driven way.")
-    imgui.same_line()
-    _, drives.show_ego_car = imgui.checkbox("Ego car", drives.show_ego_car)
-    imgui.set_item_tooltip("Show a body for the ego vehicle; its own cameras never see it.")
-    imgui.same_line()
-    _, drives.rain_as_driven = imgui.checkbox("Its rain", drives.rain_as_driven)
-    imgui.set_item_tooltip("On: the rain that was driven in. Off: the scene's own, as the Rain panel sets it.")
 
 
 # Scenario settings
@@ -306,41 +271,40 @@ _START = ("speed_m_s", "left_m", "duration_s", "step_s")
 _USER = ("ahead_m", "left_m", "turned_deg", "speed_m_s")
 
 
-def scenario_fields(wanted: DriveSetup) -> None:
-    scenario = wanted.scenario
+def _scenario_fields(setup: DriveSetup) -> None:
+    scenario = setup.scenario
     for name in _START:
         scenario = _field(scenario, name)
-    wanted.change(scenario)
-    for number, user in enumerate(wanted.scenario.road_users):
+    setup.change(scenario)
+    for number, user in enumerate(setup.scenario.road_users):
         imgui.push_id(number)
-        if imgui.tree_node_ex(
-            f"{visible_name(user.id)}: {_kind(user.behaviour)}###user", imgui.TreeNodeFlags_.default_open
-        ):
-            wanted.change_user(number, _user(user))
+        title = f"{visible_name(user.id)}: {_kind(user.behaviour)}###user"
+        if imgui.tree_node_ex(title, imgui.TreeNodeFlags_.default_open):
+            setup.change_user(number, _user(user))
             imgui.tree_pop()
         imgui.pop_id()
     if imgui.tree_node("Controller"):
-        controller = _all_fields(wanted.scenario.controller)
-        wanted.change(msgspec.structs.replace(wanted.scenario, controller=controller))
+        controller = _all_fields(setup.scenario.controller)
+        setup.change(msgspec.structs.replace(setup.scenario, controller=controller))
         imgui.tree_pop()
-    if imgui.button(f"{icons_fontawesome_6.ICON_FA_FLOPPY_DISK}  Save the scenario...###save scenario", (-1, 0)):
-        ask_where_to_save_scenario(wanted)
-    imgui.set_item_tooltip("As YAML, which `gsrain drive` and this panel open again.")
-
-
-def ask_where_to_save_scenario(wanted: DriveSetup) -> None:
-    ask_where_to_save("Save the scenario", "Scenario{.yaml}", lambda chosen: wanted.save(chosen[0]))
+    title = f"{_ICONS.ICON_FA_FLOPPY_DISK}  Save the scenario...###save scenario"
+    if button(title, "Write YAML for `gsrain drive` and this panel.", width=-1):
+        ask_where_to_save_scenario(setup)
 
 
 def _user(user: ScenarioUser) -> ScenarioUser:
     imgui.text_disabled(f"{user.model}, {user.class_name}")
-    imgui.set_item_tooltip("What it looks like and what it is; set in the scenario's file.")
+    imgui.set_item_tooltip("Its model and class; set in the scenario's file.")
     for name in _USER:
         user = _field(user, name)
     if user.behaviour.__struct_fields__:
         imgui.separator_text(_kind(user.behaviour))
     behaviour = _all_fields(user.behaviour)
     return user if behaviour is user.behaviour else msgspec.structs.replace(user, behaviour=behaviour)
+
+
+def _kind(behaviour: msgspec.Struct) -> str:
+    return str(behaviour.__struct_config__.tag)
 
 
 def _all_fields(settings: _Settings) -> _Settings:
@@ -362,15 +326,8 @@ def _field(settings: _Settings, name: str) -> _Settings:
     value = getattr(settings, name)
     if not isinstance(value, float):
         return edit_field(settings, name)
-    info = field_info(name, type(settings))
-    plain_label(f"{info.title} ({info.unit})" if info.unit else info.title, info.help)
+    info = settings_label(type(settings), name)
     speed = min((info.high - info.low) / _DRAG_PX, _FASTEST)
-    changed, value = imgui.drag_float(
-        f"##{name}", value, speed, info.low, info.high, "%.4g", imgui.SliderFlags_.always_clamp
-    )
+    changed, value = imgui.drag_float(f"##{name}", value, speed, info.low, info.high, "%.4g", CLAMPED)
     imgui.set_item_tooltip(f"{info.help}\n{info.low:g} to {info.high:g}. Drag; double click: type.".strip())
     return msgspec.structs.replace(settings, **{name: value}) if changed else settings
-
-
-def _kind(behaviour: msgspec.Struct) -> str:
-    return str(behaviour.__struct_config__.tag)

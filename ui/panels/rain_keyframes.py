@@ -1,9 +1,11 @@
-"""Shower panel: rain that changes over time, with a table of its keyframes."""
+"""Rain keyframes panel: plot of the intensity over time, table of keyframes, and import of measured series."""
 
 from functools import lru_cache
 from typing import Literal
 
-from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
+import numpy as np
+from imgui_bundle import ImVec2, ImVec4, icons_fontawesome_6, imgui, implot
+from jaxtyping import Float64
 
 from gsrain_engine.disdrometer.rain_rates import MeasuredKeyframes, keyframes_from_spectra
 from gsrain_engine.disdrometer.spectra import DisdrometerReading
@@ -13,22 +15,24 @@ from gsrain_engine.rain.keyframes import (
     HEAVIEST_MM_H,
     KEYED,
     NO_KEYFRAMES,
+    Keyed,
     RainKeyframe,
     RainKeyframes,
     shower_keyframes,
 )
+from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H
 
-from ..widgets.fields import ask_what_to_open, square_button, toggle_keyframe
-from .rain import WARNING
-from .rain_keyframe_plot import rain_keyframe_plot
+from ..widgets.fields import LOGARITHMIC, ask_what_to_open, button, square_button, toggle_keyframe, warn
 
-_WAYS: tuple[tuple[Literal["linear", "smooth"], str], ...] = (
-    ("linear", "Straight from key to key."),
-    ("smooth", "Rounded, and never beyond the keys on either side (Fritsch and Carlson, 1980)."),
+PASSING_SHOWER_HELP = "Add 60 s of rain from the present time on: smoothly from 0 to 12 mm/h and back."
+_IMPORT_HELP = "Make keyframes from the rain rates of a disdrometer file, in mm/h, at most 100."
+_CLEAR_HELP = "Remove all rain keyframes; the values of the Rain panel apply at all times."
+_SERIES_FILES = "Disdrometer files{.nc,.cdf,.dat,.txt,.csv,.log,.mis,.gz},All files{.*}"
+_INTERPOLATIONS: tuple[tuple[Literal["linear", "smooth"], str], ...] = (
+    ("linear", "Straight lines between keyframes."),
+    ("smooth", "Smooth, within the values of neighboring keyframes (Fritsch and Carlson, 1980)."),
 )
-
 _WIDE_EM, _NUMBERS_EM = 50.0, 22.0  # panel width from which the table is next to the plot, and the table's width
-SERIES_FILES = "Disdrometer files{.nc,.cdf,.dat,.txt,.csv,.log,.mis,.gz},All files{.*}"
 
 
 def rain_keyframes_panel(session: Editor) -> None:
@@ -36,72 +40,66 @@ def rain_keyframes_panel(session: Editor) -> None:
     is_wide = room.x > _WIDE_EM * em
     _buttons(session)
     if session.lab.series is not None:
-        _series(session)
-    width = room.x - _NUMBERS_EM * em if is_wide else room.x
+        _series(session, *session.lab.series)
     imgui.begin_group()
-    rain_keyframe_plot(session, width)
+    _plot(session, room.x - _NUMBERS_EM * em if is_wide else room.x)
     imgui.end_group()
     if is_wide:
         imgui.same_line()
     imgui.begin_group()
-    if session.weather.keys:
-        _between(session)
-        rain_keyframe_table(session)
+    weather = session.weather
+    if weather.keys:
+        imgui.align_text_to_frame_padding()
+        imgui.text("Interpolation")
+        for choice, help_text in _INTERPOLATIONS:
+            imgui.same_line()
+            if imgui.radio_button(choice, weather.between == choice) and weather.between != choice:
+                session.set_weather(f"Interpolation {choice}", RainKeyframes(keys=weather.keys, between=choice))
+            imgui.set_item_tooltip(help_text)
+        _table(session)
     else:
-        imgui.text_wrapped("No keys: the rain stays as it is set. Double click in the plot to set the first one.")
+        imgui.text_wrapped("No keyframes: the rain is constant. Double click in the plot to add the first one.")
     imgui.end_group()
 
 
 def add_passing_shower(session: Editor) -> None:
     """Add a shower that starts now; keyframes of wind and exposure stay."""
     shower = shower_keyframes(session.clock.time_s)
-    kept = session.weather.without("intensity_mm_h")
-    for key in kept.keys:
+    for key in session.weather.without("intensity_mm_h").keys:
         values = {name: value for name in ("wind_m_s", "exposure_s") if (value := getattr(key, name)) is not None}
         shower = shower.with_key(key.time_s, **values)
-    session.set_weather("A shower that passes", shower)
+    session.set_weather("Add passing shower", shower)
     session.shower.refit = True
 
 
 def ask_for_rate_file(session: Editor) -> None:
-    ask_what_to_open("Import a series", SERIES_FILES, lambda paths: session.lab.read_series(paths[0]))
+    ask_what_to_open("Import a series", _SERIES_FILES, lambda paths: session.lab.read_series(paths[0]))
 
 
 def _buttons(session: Editor) -> None:
-    now_s = session.clock.time_s
+    now_s, lab = session.clock.time_s, session.lab
     present = session.weather.key_at(now_s)
     is_here = present is not None and present.intensity_mm_h is not None
-    if imgui.button("Remove key###now" if is_here else "Key now###now"):
+    action = "Remove the keyframe" if is_here else "Insert a keyframe of the present intensity"
+    if button("Remove keyframe###now" if is_here else "Insert keyframe###now", f"{action} at {now_s:.2f} s."):
         toggle_keyframe(session, "intensity_mm_h")
-    imgui.set_item_tooltip(
-        f"{'Remove the key' if is_here else 'Keep the present intensity as a key'} at the clock's time, {now_s:.2f} s."
-    )
-    _same_line_if_fits("A shower that passes")
-    if imgui.button("A shower that passes"):
+    _same_line_if_fits("Add passing shower")
+    if button("Add passing shower", PASSING_SHOWER_HELP):
         add_passing_shower(session)
-    imgui.set_item_tooltip("60 s from now on: from 0 to 12 mm/h and back, smooth.")
     _same_line_if_fits("Import...")
-    imgui.begin_disabled(session.lab.busy is not None)
-    if imgui.button("Import..."):
+    if button("Import...", _IMPORT_HELP, enabled=lab.busy is None):
         ask_for_rate_file(session)
-    imgui.end_disabled()
-    imgui.set_item_tooltip("Take the rain rates of a disdrometer's file as keys, in mm/h; above 100 they are cut off.")
     _same_line_if_fits("Fit##shower")
-    if imgui.button(f"{icons_fontawesome_6.ICON_FA_MAXIMIZE}###fit shower"):
+    if button(
+        f"{icons_fontawesome_6.ICON_FA_MAXIMIZE}###fit shower", "Show all keyframes. Wheel: zoom in time. Drag: pan."
+    ):
         session.shower.refit = True
-    imgui.set_item_tooltip("Show all keys. Wheel: zoom in time; drag the plot: go along.")
-    _same_line_if_fits("Clear keys")
-    imgui.begin_disabled(not session.weather.keys)
-    if imgui.button("Clear keys"):
-        session.set_weather("Clear the keys", NO_KEYFRAMES)
-    imgui.end_disabled()
-    imgui.set_item_tooltip("Remove all keys: the rain stays as it is set in the Rain panel.")
-    if session.lab.busy is not None:
-        imgui.text_disabled(session.lab.busy)
-    if session.lab.problem is not None:
-        imgui.push_style_color(imgui.Col_.text, WARNING)
-        imgui.text_wrapped(session.lab.problem)
-        imgui.pop_style_color()
+    _same_line_if_fits("Clear keyframes")
+    if button("Clear keyframes", _CLEAR_HELP, enabled=bool(session.weather.keys)):
+        session.set_weather("Clear rain keyframes", NO_KEYFRAMES)
+    if lab.busy is not None:
+        imgui.text_disabled(lab.busy)
+    warn(lab.problem)
 
 
 def _same_line_if_fits(label: str) -> None:
@@ -112,74 +110,234 @@ def _same_line_if_fits(label: str) -> None:
         imgui.same_line()
 
 
-def _between(session: Editor) -> None:
-    weather = session.weather
-    imgui.align_text_to_frame_padding()
-    imgui.text("Between keys")
-    for choice, help_text in _WAYS:
-        imgui.same_line()
-        if imgui.radio_button(choice, weather.between == choice) and weather.between != choice:
-            session.set_weather(f"Keys {choice}", RainKeyframes(keys=weather.keys, between=choice))
-        imgui.set_item_tooltip(help_text)
-
-
-def _series(session: Editor) -> None:
+def _series(session: Editor, name: str, reading: DisdrometerReading) -> None:
     """Draw the options for importing a disdrometer series."""
     lab, shower = session.lab, session.shower
-    assert lab.series is not None
-    name, reading = lab.series
     imgui.separator_text(name)
     try:
-        measured = _accept_reading(reading, shower.speed_up, shower.start_s)
+        measured = _keyframes_of(reading, shower.speed_up, shower.start_s)
     except ValueError as error:
         lab.series, lab.problem = None, f"{name}: {error}"
         return
-    imgui.text_wrapped(f"{measured.summary}. The heaviest: {measured.weather.heaviest_mm_h(session.rain):.1f} mm/h.")
+    imgui.text_wrapped(f"{measured.summary}. Maximum: {measured.weather.heaviest_mm_h(session.rain):.1f} mm/h.")
     width = 5.5 * imgui.get_font_size()
     imgui.set_next_item_width(width)
-    flags = imgui.SliderFlags_.logarithmic | imgui.SliderFlags_.always_clamp
-    _, shower.speed_up = imgui.drag_float("times faster", shower.speed_up, 0.5, 1.0, 10_000.0, "%.0f", flags)
-    imgui.set_item_tooltip("Compresses time: at 60 a minute of the series passes in a second of the scene.")
+    _, shower.speed_up = imgui.drag_float("times faster", shower.speed_up, 0.5, 1.0, 10_000.0, "%.0f", LOGARITHMIC)
+    imgui.set_item_tooltip("Compresses time: at 60, a minute of the series takes a second of the scene.")
     imgui.set_next_item_width(width)
     _, shower.start_s = imgui.drag_float("starts at (s)", shower.start_s, 0.1, -1e6, 1e6, "%.1f")
-    imgui.set_item_tooltip("Time in the scene of the first record, in seconds.")
-    if imgui.button("Use it"):
+    imgui.set_item_tooltip("Time of the first record in the scene, in seconds.")
+    if button("Use it", "Replace the present keyframes by the series."):
         session.set_weather(f"Series {name}", measured.weather)
         lab.series, shower.refit = None, True
-    imgui.set_item_tooltip("Take the series as the course of the intensity, in place of the present keys.")
     imgui.same_line()
-    if imgui.button("Cancel##series"):
+    if button("Cancel##series", "Do not change the keyframes."):
         lab.series = None
-    imgui.set_item_tooltip("Leave the weather as it is.")
     imgui.separator()
 
 
 @lru_cache(maxsize=1)
-def _accept_reading(reading: DisdrometerReading, speed_up: float, start_s: float) -> MeasuredKeyframes:
+def _keyframes_of(reading: DisdrometerReading, speed_up: float, start_s: float) -> MeasuredKeyframes:
     return keyframes_from_spectra(reading, speed_up=speed_up, start_s=start_s)
 
 
-# Keyframes as numbers
+# Plot: draggable keyframes of the intensity, with those of wind and exposure below
+
+_CURVE = ImVec4(0.42, 0.74, 1.0, 1.0)
+_FILL = ImVec4(0.42, 0.74, 1.0, 0.16)
+_KEY = ImVec4(1.0, 0.93, 0.45, 1.0)
+_NOW = ImVec4(1.0, 0.45, 0.35, 1.0)
+_LIMIT = ImVec4(1.0, 0.72, 0.3, 0.55)
+_HEIGHT_EM, _MIN_EM, _ROW_EM = 12.0, 7.0, 1.5
+_GRIP_PX = 8.0
+_MAX_KEYS, _MAX_POINTS = 150, 20_000
+_CLOSEST_S = 0.01
+_ROWS: tuple[tuple[Keyed, str], ...] = (("wind_m_s", "wind"), ("exposure_s", "exposure"))
+
+
+def _plot(session: Editor, width: float) -> None:
+    """Draw the plot with a width in pixels, and handle the mouse."""
+    shower, weather = session.shower, session.weather
+    shower.follow(weather, weather.heaviest_mm_h(session.rain))
+    fit, menu = implot.get_input_map().fit, implot.get_input_map().menu
+    implot.get_input_map().fit = implot.get_input_map().menu = imgui.MouseButton_.middle  # both buttons edit keyframes
+    flags = implot.Flags_.no_menus | implot.Flags_.no_box_select | implot.Flags_.no_mouse_text
+    flags |= implot.Flags_.no_legend | implot.Flags_.no_title
+    em = imgui.get_font_size()
+    rows_height = em * _ROW_EM * sum(weather.is_keyed(name) for name, _ in _ROWS)
+    height = min(max(imgui.get_content_region_avail().y - rows_height, _MIN_EM * em), _HEIGHT_EM * em)
+    if implot.begin_plot("##shower", ImVec2(width, height), flags):
+        _axes(session)
+        _curve(session)
+        is_over_key = _keys(session)  # before the clock: where they overlap, the drag moves the keyframe
+        _clock(session)
+        if implot.is_plot_hovered() and not is_over_key and imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
+            at = implot.get_plot_mouse_pos()
+            rate = float(np.clip(round(at.y, 1), 0, HEAVIEST_MM_H))
+            session.set_weather("Insert rain keyframe", weather.with_key(round(at.x, 2), intensity_mm_h=rate))
+        position, size, limits = implot.get_plot_pos(), implot.get_plot_size(), implot.get_plot_limits()
+        implot.end_plot()
+        for name, title in _ROWS:
+            if weather.is_keyed(name):
+                _row(session, name, title, position, size, (limits.x.min, limits.x.max))
+    implot.get_input_map().fit, implot.get_input_map().menu = fit, menu
+
+
+def _axes(session: Editor) -> None:
+    shower, always = session.shower, imgui.Cond_.always
+    implot.setup_axes("", "mm/h", implot.AxisFlags_.no_highlight, implot.AxisFlags_.no_highlight)
+    first, last = shower.span_s(session.weather, session.clock.time_s)
+    implot.setup_axis_limits(implot.ImAxis_.x1, first, last, always if shower.refit else imgui.Cond_.once)
+    implot.setup_axis_format(implot.ImAxis_.x1, "%g s")
+    shower.refit = False
+    implot.setup_axis_limits(implot.ImAxis_.y1, 0.0, shower.top_mm_h, always)
+
+
+def _curve(session: Editor) -> None:
+    limits = implot.get_plot_limits()
+    times, rates = _points(session, limits.x.min, limits.x.max)
+    implot.plot_shaded("fill", times, rates, spec=implot.Spec(fill_color=_FILL))
+    implot.plot_line("rate", times, rates, spec=implot.Spec(line_color=_CURVE, line_weight=2.0))
+    if session.shower.top_mm_h > CALIBRATED_UP_TO_MM_H:
+        spec = implot.Spec(line_color=_LIMIT, flags=implot.InfLinesFlags_.horizontal)
+        implot.plot_inf_lines("calibrated up to", np.array([CALIBRATED_UP_TO_MM_H]), spec=spec)
+        at, words = implot.plot_to_pixels(limits.x.max, CALIBRATED_UP_TO_MM_H), "beyond calibration"
+        above = at.y - imgui.get_font_size() - 2
+        y = above if above >= implot.get_plot_pos().y else at.y + 1  # no room above the line in a low plot
+        _text(ImVec2(at.x - imgui.calc_text_size(words).x - 5, y), imgui.get_color_u32(_LIMIT), words)
+
+
+def _points(session: Editor, first: float, last: float) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+    """Return the visible curve: its corners, or evenly spaced points if there are too many."""
+    curve = session.weather.curves.get("intensity_mm_h")
+    if curve is None:
+        return np.array([first, last]), np.full(2, session.rain.intensity_mm_h)
+    inside = curve.times_s[(curve.times_s > first) & (curve.times_s < last)]
+    if len(inside) > _MAX_POINTS:
+        inside = np.linspace(first, last, _MAX_POINTS)[1:-1]
+    times = np.concatenate([[first], inside, [last]])
+    return times, np.interp(times, curve.times_s, curve.values[:, 0])
+
+
+def _text(at: ImVec2, color: int, words: str) -> None:
+    implot.push_plot_clip_rect()
+    implot.get_plot_draw_list().add_text(at, color, words)
+    implot.pop_plot_clip_rect()
+
+
+def _clock(session: Editor) -> None:
+    now_s, clock = session.clock.time_s, session.clock
+    changed, moved, *_ = implot.drag_line_x(1, now_s, _NOW, 1.5, implot.DragToolFlags_.no_fit, False, False, False)
+    if changed:
+        clock.time_s = moved
+    implot.tag_x(now_s, _NOW, f"{now_s:.2f}")
+
+
+def _keys(session: Editor) -> bool:
+    """Draw the intensity keyframes and drag them; returns True if the mouse is over one."""
+    shower, weather, limits = session.shower, session.weather, implot.get_plot_limits()
+    times = weather.key_times["intensity_mm_h"]
+    visible = range(*np.searchsorted(times, (limits.x.min, limits.x.max)).tolist())
+    if len(visible) > _MAX_KEYS:
+        corner = implot.get_plot_pos()
+        color = imgui.get_color_u32(imgui.Col_.text_disabled)
+        _text(ImVec2(corner.x + 8, corner.y + 5), color, f"{len(visible):,} keyframes: zoom in to drag")
+        return False
+    is_over, was_held = False, shower.is_held
+    shower.is_held = False
+    for number in visible:
+        key = weather.key_at(times[number])
+        assert key is not None, "a keyframe exists at each of its times"
+        rate = key.intensity_mm_h or 0.0
+        moved, at, height, _, hovered, held = implot.drag_point(
+            100 + number, key.time_s, rate, _KEY, 5.0, implot.DragToolFlags_.no_fit, False, False, False
+        )
+        is_over, shower.is_held = is_over or bool(hovered) or bool(held), shower.is_held or bool(held)
+        if hovered and not held:
+            imgui.set_tooltip(f"{key.time_s:.2f} s, {rate:.2f} mm/h. Drag to move; right click or Delete removes it.")
+        if hovered and (imgui.is_mouse_clicked(imgui.MouseButton_.right) or _deletes(session)):
+            session.set_weather("Remove rain keyframe", weather.without_key(key.time_s, "intensity_mm_h"))
+            return True
+        if moved:
+            to_s = _between(times, number, at)
+            height = float(np.clip(height, 0.0, HEAVIEST_MM_H))
+            changed = weather.moved_key(key.time_s, to_s, "intensity_mm_h", intensity_mm_h=height)
+            session.set_weather("Move rain keyframe", changed, "shower key")
+    if was_held and not shower.is_held:
+        session.end_gesture()
+    return is_over
+
+
+def _deletes(session: Editor) -> bool:
+    """Return True if Delete was pressed and applies here: selected Gaussians take precedence."""
+    selected = any(each.marks.selected is not None for each in session.scene.members)
+    return imgui.is_key_pressed(imgui.Key.delete) and not selected
+
+
+def _between(times: Float64[np.ndarray, " n"], number: int, time_s: float) -> float:
+    """Limit the new time of a keyframe to the interval between its neighbors."""
+    low = times[number - 1] + _CLOSEST_S if number > 0 else -np.inf
+    high = times[number + 1] - _CLOSEST_S if number + 1 < len(times) else np.inf
+    return float(times[number]) if low > high else float(np.clip(time_s, low, high))
+
+
+def _row(session: Editor, name: Keyed, title: str, position: ImVec2, size: ImVec2, span_s: tuple[float, float]) -> None:
+    """Draw the keyframes of another field as diamonds below the plot; they are dragged in time."""
+    height, draw = _ROW_EM * imgui.get_font_size(), imgui.get_window_draw_list()
+    top = imgui.get_cursor_screen_pos().y
+    imgui.dummy(ImVec2(1, height))
+    after, middle = imgui.get_cursor_screen_pos(), top + height / 2
+    low, high = ImVec2(position.x, top), ImVec2(position.x + size.x, top + height)
+    draw.add_rect_filled(low, high, imgui.get_color_u32(imgui.Col_.frame_bg))
+    draw.add_text(ImVec2(position.x + 4, top + 1), imgui.get_color_u32(imgui.Col_.text_disabled), title)
+    scale, times = size.x / (span_s[1] - span_s[0]), session.weather.key_times[name]
+    first, end = np.searchsorted(times, span_s).tolist()
+    for number in range(first, min(end, first + _MAX_KEYS)):
+        key = session.weather.key_at(times[number])
+        assert key is not None, "a keyframe exists at each of its times"
+        x = position.x + (key.time_s - span_s[0]) * scale
+        imgui.set_cursor_screen_pos(ImVec2(x - _GRIP_PX, middle - _GRIP_PX))
+        imgui.invisible_button(f"{name} {number}", ImVec2(2 * _GRIP_PX, 2 * _GRIP_PX))
+        radius = 6.5 if imgui.is_item_hovered() or imgui.is_item_active() else 5.0
+        left, right = ImVec2(x - radius, middle), ImVec2(x + radius, middle)
+        draw.add_quad_filled(
+            ImVec2(x, middle - radius), right, ImVec2(x, middle + radius), left, imgui.get_color_u32(_KEY)
+        )
+        value = getattr(key, name)
+        words = f"wind {value[0]:.1f}, {value[1]:.1f} m/s" if name == "wind_m_s" else f"exposure {1000 * value:.2f} ms"
+        imgui.set_item_tooltip(f"{words} at {key.time_s:.2f} s. Drag to move; right click or Delete removes it.")
+        if imgui.is_item_clicked(imgui.MouseButton_.right) or (imgui.is_item_hovered() and _deletes(session)):
+            session.set_weather("Remove rain keyframe", session.weather.without_key(key.time_s, name))
+            break
+        if imgui.is_item_active() and imgui.get_io().mouse_delta.x:
+            to_s = _between(times, number, span_s[0] + (imgui.get_mouse_pos().x - position.x) / scale)
+            changed = session.weather.moved_key(key.time_s, to_s, name)
+            session.set_weather("Move rain keyframe", changed, f"shower {name}")
+        if imgui.is_item_deactivated():
+            session.end_gesture()
+    imgui.set_cursor_screen_pos(after)
+    imgui.dummy(ImVec2(0, 0))
+
+
+# Table of keyframes
 
 _VISIBLE_ROWS = 8
-
 _TITLES = {
-    "time": ("s", "Time of the key in the scene, in seconds."),
-    "intensity_mm_h": ("mm/h", "Rainfall intensity R, 0..100 mm/h."),
+    "time": ("s", "Time of the keyframe in the scene, in seconds."),
+    "intensity_mm_h": ("mm/h", "Rainfall intensity R, 0 to 100 mm/h."),
     "wind x": ("wind x", "Wind along world x in m/s."),
     "wind y": ("wind y", "Wind along world y in m/s."),
-    "exposure_s": ("ms", "Shutter time T in milliseconds."),
+    "exposure_s": ("ms", "Exposure T in milliseconds."),
 }
 
 
-def rain_keyframe_table(session: Editor) -> None:
+def _table(session: Editor) -> None:
     """Draw the table; an edit applies when its field loses the focus."""
     weather = session.weather
     columns = ["time", "intensity_mm_h"]
     columns += ["wind x", "wind y"] if weather.is_keyed("wind_m_s") else []
     columns += ["exposure_s"] if weather.is_keyed("exposure_s") else []
-    row = imgui.get_frame_height_with_spacing()
-    height = row * (min(len(weather.keys), _VISIBLE_ROWS) + 1) + 4
+    height = imgui.get_frame_height_with_spacing() * (min(len(weather.keys), _VISIBLE_ROWS) + 1) + 4
     flags = imgui.TableFlags_.scroll_y | imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_stretch_same
     if not imgui.begin_table("keys", len(columns) + 1, flags, ImVec2(0, height)):
         return
@@ -196,21 +354,18 @@ def rain_keyframe_table(session: Editor) -> None:
     clipper.begin(len(weather.keys))
     while clipper.step():
         for number in range(clipper.display_start, min(clipper.display_end, len(weather.keys))):
-            _row(session, weather.keys[number], number, columns)
+            key = weather.keys[number]
+            imgui.table_next_row()
+            for name in columns:
+                imgui.table_next_column()
+                imgui.set_next_item_width(-1)
+                _cell(session, key, number, name)
+            imgui.table_next_column()
+            if square_button(icons_fontawesome_6.ICON_FA_XMARK, f"remove {number}"):
+                session.set_weather("Remove rain keyframe", session.weather.without_key(key.time_s))
+            imgui.set_item_tooltip("Remove all keyframes at this time.")
     clipper.end()
     imgui.end_table()
-
-
-def _row(session: Editor, key: RainKeyframe, number: int, columns: list[str]) -> None:
-    imgui.table_next_row()
-    for name in columns:
-        imgui.table_next_column()
-        imgui.set_next_item_width(-1)
-        _cell(session, key, number, name)
-    imgui.table_next_column()
-    if square_button(icons_fontawesome_6.ICON_FA_XMARK, f"remove {number}"):
-        session.set_weather("Remove a key", session.weather.without_key(key.time_s))
-    imgui.set_item_tooltip("Remove all that is keyed at this time.")
 
 
 def _cell(session: Editor, key: RainKeyframe, number: int, name: str) -> None:
@@ -218,16 +373,16 @@ def _cell(session: Editor, key: RainKeyframe, number: int, name: str) -> None:
     if value is None:
         imgui.align_text_to_frame_padding()
         imgui.text_disabled("-")
-        imgui.set_item_tooltip("Not keyed at this time.")
+        imgui.set_item_tooltip("No keyframe at this time.")
         return
     typed = shower.typed
-    shown = typed.value if typed is not None and typed[:2] == (key.time_s, name) else value
-    changed, shown = imgui.input_float(f"##{name} {number}", shown, 0, 0, "%.2f")
+    displayed = typed.value if typed is not None and typed[:2] == (key.time_s, name) else value
+    changed, displayed = imgui.input_float(f"##{name} {number}", displayed, 0, 0, "%.2f")
     imgui.set_item_tooltip(_TITLES[name][1])
     if changed:
-        shower.typed = PendingInput(key.time_s, name, shown)
+        shower.typed = PendingInput(key.time_s, name, displayed)
     if imgui.is_item_deactivated_after_edit() and shower.typed is not None:
-        label = "Move a key" if name == "time" else "Change a key"
+        label = "Move rain keyframe" if name == "time" else "Change rain keyframe"
         typed, shower.typed = shower.typed, None
         session.set_weather(label, _changed(session.weather, key, name, typed.value))
 

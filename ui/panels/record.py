@@ -1,100 +1,102 @@
-"""Record panel: format, extent and start of a clip."""
+"""Record panel: format, duration, samples and passes of a video, frames or an image."""
 
-from collections.abc import Callable
 from pathlib import Path
 
-from imgui_bundle import ImVec2, imgui
+from imgui_bundle import imgui
 
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.render.export import LONGEST_DEFAULT_S
 from gsrain_engine.render.export_settings import DEFAULT_QUALITY, LARGEST_PX, Codec, ExportSettings, Pass
 
-from ..widgets.fields import FieldInfo, ask_where_to_save, field_info, plain_label
+from ..widgets.fields import (
+    CLAMPED,
+    LOGARITHMIC,
+    ask_where_to_save,
+    button,
+    checkbox,
+    combo,
+    disabled,
+    field_info,
+    plain_label,
+    settings_label,
+    share_of_width,
+    warn,
+)
 from ..widgets.text import label, visible_name
-from .drive import VIDEO_HELP, ask_where_to_video
-from .rain import WARNING
+from .drive import VIDEO_HELP, ask_where_to_render_drive
 
 _LONG_S = 60.0
-
-_KINDS = {
-    "h264": "MP4{.mp4}",
-    "vp9": "WebM{.webm}",
-    "av1": "WebM{.webm},MP4{.mp4}",
-    "png": "Folder of frames{.*}",
-    "jpeg": "Folder of frames{.*}",
-    "exr": "Folder of frames{.*}",
+_KINDS = {"h264": "MP4{.mp4}", "vp9": "WebM{.webm}", "av1": "WebM{.webm},MP4{.mp4}"}
+_FRAMES = "Folder of frames{.*}"
+_FORMATS: dict[Codec, str] = {
+    "h264": "MP4 (H.264)", "vp9": "WebM (VP9)", "av1": "WebM (AV1)",
+    "png": "PNG frames", "jpeg": "JPEG frames", "exr": "EXR frames",
+}  # fmt: skip
+_SIZES = {
+    (960, 640): "960 x 640", (1280, 720): "1280 x 720", (1920, 1080): "1920 x 1080", (3840, 2160): "3840 x 2160",
+    None: "the rig's own",
+}  # fmt: skip
+_PATH = "the camera path"
+_CHECKBOX_EM = 6.2  # width of a checkbox with a word next to a field
+_PASS_HELP: dict[Pass, str] = {
+    "color": "The rendered image.",
+    "depth": "Along the view axis, without rain: PNG with 16 bit in cm, or Z in EXR in m; 0 where there is nothing.",
+    "alpha": "Coverage of each pixel: PNG with 8 bit, or A in EXR.",
+    "labels": "Layer or actor of each pixel: PNG with a number each; labels.json lists the numbers.",
 }
 
 
 def record_panel(session: Editor) -> None:
-    format_fields(session)
-    camera_field(session)
-    size_fields(session)
-    moment_fields(session)
+    _format(session)
+    _cameras(session)
+    _size(session)
+    _times(session)
     imgui.separator_text("Samples")
-    sample_fields(session)
+    _count(session, "supersampling", 4, "{0} x {0} per pixel", CLAMPED)
+    _count(session, "motion_blur", 64, "{0} sub-frames", LOGARITHMIC)
     imgui.separator_text("Passes")
-    pass_fields(session)
+    _passes(session)
     imgui.separator()
     if session.drives.playing is not None:
-        _video_instead(session)
-    can_begin = _extent(session)
-    imgui.begin_disabled(not can_begin)
-    half = (imgui.get_content_region_avail().x - imgui.get_style().item_spacing.x) / 2
-    if imgui.button("Record...", ImVec2(half, 0)):
+        warn("A recording shows the scene with its own traffic, not the playing roll-out.")
+        why_not = session.drives.why_no_video(session)
+        if button("Render video of the drive...", VIDEO_HELP, width=-1, why_not=why_not):
+            ask_where_to_render_drive(session)
+    can_start, half = _extent(session), share_of_width(2)
+    help_text = "Choose a place, then record in the background (Ctrl+R). The Jobs panel shows the progress."
+    if button("Record...", help_text, width=half, enabled=can_start):
         ask_where_to_record(session)
-    imgui.set_item_tooltip("Ask where to, then record in the background (Ctrl+R). Jobs shows how far it is.")
-    imgui.end_disabled()
     imgui.same_line()
-    imgui.begin_disabled(session.recorder.is_recording)
-    if imgui.button("Record a still...", ImVec2(half, 0)):
-        ask_where_to_record_still(session)
-    imgui.set_item_tooltip("The moment and the place that the view shows, in this size and with these samples.")
-    imgui.end_disabled()
-
-
-def _video_instead(session: Editor) -> None:
-    """Explain that a clip doesn't show the active roll-out, and offer a video of that."""
-    imgui.push_style_color(imgui.Col_.text, WARNING)
-    imgui.text_wrapped("A clip shows the scene with its own traffic, not the drive that plays.")
-    imgui.pop_style_color()
-    why_not = session.drives.why_no_video(session)
-    imgui.begin_disabled(why_not is not None)
-    if imgui.button("Film the drive...", ImVec2(-1, 0)):
-        ask_where_to_video(session)
-    imgui.end_disabled()
-    imgui.set_item_tooltip(why_not or VIDEO_HELP)
+    help_text = "Render the present view at the present time, in this size and with these samples (Ctrl+Shift+R)."
+    if button("Render image...", help_text, width=half, enabled=not session.recorder.is_recording):
+        ask_where_to_render_image(session)
 
 
 def ask_where_to_record(session: Editor) -> None:
-    kinds = _KINDS[session.recorder.settings.codec]
-    ask_where_to_save("Record the timeline", kinds, lambda chosen: session.recorder.record_to(_plain(chosen[0])))
+    def record(chosen: list[Path]) -> None:
+        # The dialog's filter appends a suffix to a folder's name.
+        session.recorder.record_to(chosen[0].with_suffix("") if chosen[0].suffix == ".*" else chosen[0])
+
+    ask_where_to_save("Record the timeline", _KINDS.get(session.recorder.settings.codec, _FRAMES), record)
 
 
-def ask_where_to_record_still(session: Editor) -> None:
+def ask_where_to_render_image(session: Editor) -> None:
     kinds = "PNG{.png},JPEG{.jpg},EXR{.exr}"
-    ask_where_to_save("Record a still", kinds, lambda chosen: session.recorder.record_still_to(chosen[0]))
-
-
-def _plain(path: Path) -> Path:
-    """Remove the suffix that the dialog's filter appends to a folder's name."""
-    return path.with_suffix("") if path.suffix == ".*" else path
+    ask_where_to_save("Render image", kinds, lambda chosen: session.recorder.record_still_to(chosen[0]))
 
 
 def _extent(session: Editor) -> bool:
-    """Draw length and size of the clip; returns True if the recording can start."""
+    """Draw number of frames and duration; returns True if the recording can start."""
     extent = session.recorder.extent()
     if isinstance(extent, str):
-        imgui.push_style_color(imgui.Col_.text, WARNING)
-        imgui.text_wrapped(extent)
-        imgui.pop_style_color()
+        warn(extent)
         return False
     times = f"{extent.cameras} cameras x " if extent.cameras > 1 else ""
     rough = "" if extent.rough_s is None else f"; {_minutes(extent.rough_s)} or more to draw"
     length = f"{extent.length_s:.2f} s" if extent.length_s < _LONG_S else _minutes(extent.length_s)
     imgui.text_wrapped(f"{times}{extent.frames:,} frames, {length}{rough}")
     imgui.set_item_tooltip(
-        "The time is a guess from the viewport's last picture (min:s); reading the scene and encoding come on top."
+        "The time is estimated from the viewport's last image (min:s), without loading the scene and encoding."
     )
     return not session.recorder.is_recording
 
@@ -104,70 +106,37 @@ def _minutes(seconds: float) -> str:
     return f"{whole // 60}:{whole % 60:02d} min"
 
 
-# Clip settings
-
-_FORMATS: dict[str, Codec] = {
-    "MP4 (H.264)": "h264",
-    "WebM (VP9)": "vp9",
-    "WebM (AV1)": "av1",
-    "PNG frames": "png",
-    "JPEG frames": "jpeg",
-    "EXR frames": "exr",
-}
-
-_SIZES = {
-    "960 x 640": (960, 640),
-    "1280 x 720": (1280, 720),
-    "1920 x 1080": (1920, 1080),
-    "3840 x 2160": (3840, 2160),
-    "the rig's own": None,
-}
-
-_OTHER = "other"
-_PATH = "the camera path"
-_CHECKBOX_EM = 5.2  # width of a checkbox with a word next to a field
-
-_PASS_HELP: dict[Pass, str] = {
-    "color": "The picture.",
-    "depth": "Along the view axis, without rain: PNG with 16 bit in cm, or Z in EXR in m; 0 is nothing.",
-    "alpha": "How much of each pixel is covered: PNG with 8 bit, or A in EXR.",
-    "labels": "Which layer or actor a pixel shows: PNG with a number each, and labels.json says which is which.",
-}
+# Settings
 
 
-def format_fields(session: Editor) -> None:
-    wanted = session.recorder.settings
-    titles = list(_FORMATS)
-    plain_label("Format", "What is written: a video, or a folder of numbered frames.")
-    changed, picked = imgui.combo("##format", list(_FORMATS.values()).index(wanted.codec), titles)
-    if changed:
-        session.recorder.change(codec=_FORMATS[titles[picked]], quality=None)
-    if not session.recorder.settings.is_video:
+def _format(session: Editor) -> None:
+    settings, recorder = session.recorder.settings, session.recorder
+    plain_label("Format", "A video, or a folder of numbered frames.")
+    if (codec := combo("##format", settings.codec, _FORMATS)) != settings.codec:
+        recorder.change(codec=codec, quality=None)
+    if not recorder.settings.is_video:
         return
-    _label("quality")
-    highest = 51 if wanted.codec == "h264" else 63
+    settings_label(ExportSettings, "quality")
     imgui.set_next_item_width(-_CHECKBOX_EM * imgui.get_font_size())
-    imgui.begin_disabled(wanted.quality is None)
-    usual = DEFAULT_QUALITY.get(wanted.codec, 0)
-    changed, quality = imgui.slider_int("##quality", usual if wanted.quality is None else wanted.quality, 0, highest)
-    imgui.end_disabled()
+    default = DEFAULT_QUALITY.get(settings.codec, 0)
+    quality, highest = settings.quality, 51 if settings.codec == "h264" else 63
+    with disabled(quality is None):
+        changed, new = imgui.slider_int("##quality", default if quality is None else quality, 0, highest)
     if changed:
-        session.recorder.change(quality=quality)
+        recorder.change(quality=new)
     imgui.same_line()
-    changed, is_usual = imgui.checkbox("usual", wanted.quality is None)
-    imgui.set_item_tooltip("The codec's usual quality: hardly a difference to be seen.")
-    if changed:
-        session.recorder.change(quality=None if is_usual else usual)
+    is_default = checkbox("default###usual", quality is None, "The codec's default quality: hardly a visible loss.")
+    if is_default != (quality is None):
+        recorder.change(quality=None if is_default else default)
 
 
-def size_fields(session: Editor) -> None:
-    present, titles = session.recorder.settings.size_px, list(_SIZES)
-    shown = next((title for title, size in _SIZES.items() if size == present), _OTHER)
-    _label("size_px")
-    if imgui.begin_combo("##size", shown):
-        for title in titles:
-            if imgui.selectable(title, title == shown)[0]:
-                session.recorder.change(size_px=_SIZES[title])
+def _size(session: Editor) -> None:
+    present = session.recorder.settings.size_px
+    settings_label(ExportSettings, "size_px")
+    if imgui.begin_combo("##size", _SIZES.get(present, "other")):
+        for size, title in _SIZES.items():
+            if imgui.selectable(title, size == present)[0]:
+                session.recorder.change(size_px=size)
         imgui.end_combo()
     if present is None:
         return
@@ -179,93 +148,75 @@ def size_fields(session: Editor) -> None:
         session.recorder.change(size_px=(width, height))
 
 
-def camera_field(session: Editor) -> None:
-    _label("cameras")
-    wanted = session.recorder.settings.cameras
-    shown = ", ".join(wanted) or _PATH
-    if not imgui.begin_combo("##cameras", "all rig cameras" if wanted == ("all",) else shown):
+def _cameras(session: Editor) -> None:
+    settings_label(ExportSettings, "cameras")
+    present = session.recorder.settings.cameras
+    if not imgui.begin_combo("##cameras", "all rig cameras" if present == ("all",) else ", ".join(present) or _PATH):
         return
-    if imgui.selectable(_PATH, not wanted)[0]:
-        session.recorder.change(cameras=())
+
+    def choice(title: str, cameras: tuple[str, ...]) -> None:
+        if imgui.selectable(title, present == cameras)[0]:
+            session.recorder.change(cameras=cameras)
+
+    choice(_PATH, ())
     for rig, mounted in session.scene.rigs.items():
         imgui.separator_text(visible_name(rig))
-        if len(mounted) > 1 and imgui.selectable(label(f"all of {rig}"), wanted == (rig,))[0]:
-            session.recorder.change(cameras=(rig,))
+        if len(mounted) > 1:
+            choice(label(f"all of {rig}"), (rig,))
         for camera in mounted:
             name = f"{rig}/{camera.name}"
-            words = label(f"{camera.name}  ({camera.width} x {camera.height})", name)
-            if imgui.selectable(words, wanted == (name,))[0]:
-                session.recorder.change(cameras=(name,))
+            choice(label(f"{camera.name}  ({camera.width} x {camera.height})", name), (name,))
     if len(session.scene.rigs) > 1:
         imgui.separator()
-        if imgui.selectable("all rig cameras", wanted == ("all",))[0]:
-            session.recorder.change(cameras=("all",))
+        choice("all rig cameras", ("all",))
     imgui.end_combo()
 
 
-def moment_fields(session: Editor) -> None:
-    wanted = session.recorder.settings
-    _label("fps")
-    changed, fps = imgui.input_float("##fps", wanted.fps, 0.0, 0.0, "%.6g")
+def _times(session: Editor) -> None:
+    settings, recorder = session.recorder.settings, session.recorder
+    settings_label(ExportSettings, "fps")
+    changed, fps = imgui.input_float("##fps", settings.fps, 0.0, 0.0, "%.6g")
     if changed:
-        session.recorder.change(fps=min(max(fps, 0.1), 1000.0))
-    _label("first_s")
-    changed, first_s = imgui.drag_float("##first_s", wanted.first_s, 0.02, -36000.0, 36000.0, "%.3f")
-    if changed and (wanted.last_s is None or first_s < wanted.last_s):
-        session.recorder.change(first_s=first_s)
-    _label("last_s")
-    ends_itself = wanted.last_s is None
+        recorder.change(fps=min(max(fps, 0.1), 1000.0))
+    settings_label(ExportSettings, "first_s")
+    changed, first_s = imgui.drag_float("##first_s", settings.first_s, 0.02, -36000.0, 36000.0, "%.3f")
+    if changed and (settings.last_s is None or first_s < settings.last_s):
+        recorder.change(first_s=first_s)
+    settings_label(ExportSettings, "last_s")
     imgui.set_next_item_width(-_CHECKBOX_EM * imgui.get_font_size())
-    imgui.begin_disabled(ends_itself)
-    end_s = session.recorder.end_s
-    changed, last_s = imgui.drag_float("##last_s", end_s, 0.02, wanted.first_s + 1e-3, 36000.0, "%.3f")
-    imgui.end_disabled()
-    if changed and last_s > wanted.first_s:
-        session.recorder.change(last_s=last_s)
+    is_whole, end_s = settings.last_s is None, recorder.end_s
+    with disabled(is_whole):
+        changed, last_s = imgui.drag_float("##last_s", end_s, 0.02, settings.first_s + 1e-3, 36000.0, "%.3f")
+    if changed and last_s > settings.first_s:
+        recorder.change(last_s=last_s)
     imgui.same_line()
-    changed, ends_itself = imgui.checkbox("its end", ends_itself)
-    imgui.set_item_tooltip(
+    help_text = (
         "Record until the camera path or the rig's drive ends. "
-        f"Without camera keys of your own a clip of the view's way has at most {LONGEST_DEFAULT_S:g} s."
+        f"Without keyframes of your own, a recording has at most {LONGEST_DEFAULT_S:g} s."
     )
-    if changed:
-        session.recorder.change(last_s=None if ends_itself else end_s)
+    if checkbox("path end###its end", is_whole, help_text) != is_whole:
+        recorder.change(last_s=end_s if is_whole else None)
 
 
-def sample_fields(session: Editor) -> None:
-    _count(session, "supersampling", 4, lambda n: "off" if n == 1 else f"{n} x {n} a pixel")
-    _count(session, "motion_blur", 64, lambda n: "off" if n == 1 else f"{n} sub-frames")
-
-
-def pass_fields(session: Editor) -> None:
-    wanted = session.recorder.settings
-    for name, words in _PASS_HELP.items():
-        changed, on = imgui.checkbox(name, name in wanted.passes)
-        imgui.set_item_tooltip(words)
-        passes = tuple(each for each in _PASS_HELP if (on if each == name else each in wanted.passes))
-        if changed and passes:
-            session.recorder.change(passes=passes)
+def _passes(session: Editor) -> None:
+    settings = session.recorder.settings
+    for name, help_text in _PASS_HELP.items():
+        is_on = name in settings.passes
+        if checkbox(name, is_on, help_text) != is_on:
+            passes = tuple(each for each in _PASS_HELP if (each in settings.passes) != (each == name))
+            if passes:
+                session.recorder.change(passes=passes)
         if name != "labels":
             imgui.same_line()
-    changed, twin = imgui.checkbox(_info("twin").title, wanted.twin)
-    imgui.set_item_tooltip(_info("twin").help)
-    if changed:
+    info = field_info("twin", ExportSettings)
+    if (twin := checkbox(info.title, settings.twin, info.help)) != settings.twin:
         session.recorder.change(twin=twin)
 
 
-def _count(session: Editor, name: str, most: int, words: Callable[[int], str]) -> None:
-    _label(name)
+def _count(session: Editor, name: str, highest: int, form: str, flags: int) -> None:
+    settings_label(ExportSettings, name)
     value = getattr(session.recorder.settings, name)
-    flags = imgui.SliderFlags_.always_clamp | (imgui.SliderFlags_.logarithmic if most > 8 else 0)
-    changed, value = imgui.slider_int(f"##{name}", value, 1, most, words(value), flags)
+    text = "off" if value == 1 else form.format(value)
+    changed, value = imgui.slider_int(f"##{name}", value, 1, highest, text, flags)
     if changed:
         session.recorder.change(**{name: value})
-
-
-def _info(name: str) -> FieldInfo:
-    return field_info(name, ExportSettings)
-
-
-def _label(name: str) -> None:
-    info = _info(name)
-    plain_label(f"{info.title} ({info.unit})" if info.unit else info.title, info.help)

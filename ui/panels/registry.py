@@ -10,19 +10,21 @@ from imgui_bundle import imgui
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.plugins import PANELS, Extension, load_extensions, warn_once
 
+from ..widgets.fields import button
 from .calibration import calibration_panel, disdrometer_panel
 from .capture import capture_panel
-from .display import display_panel, timeline_panel
+from .display import display_panel, statistics_panel
 from .drive import drive_panel
 from .drive_plots import camera_mosaic_panel, drive_plots
 from .edit import edit_panel, history_panel
-from .jobs import jobs_panel, log_panel, statistics_panel
+from .jobs import jobs_panel, log_panel
 from .layers import layers_panel
-from .make_rainy import wet_look_panel
 from .rain import rain_panel, rain_properties_panel
 from .rain_keyframes import rain_keyframes_panel
 from .record import record_panel
 from .select import select_panel
+from .timeline import timeline_panel
+from .wet_look import wet_look_panel
 
 DockSide = Literal["left", "left bottom", "right", "right bottom", "bottom"]
 
@@ -34,6 +36,12 @@ class Panel:
     title: str
     side: DockSide
     draw: Callable[[Editor], None]
+    id: str = ""
+    """Identity of its window in saved layouts if the title is not: a former title."""
+
+    @property
+    def window_name(self) -> str:
+        return f"{self.title}###{self.id}" if self.id else self.title
 
 
 # Table of panels
@@ -45,17 +53,17 @@ BUILT_IN_PANELS = (
     Panel("Edit", "left bottom", edit_panel),
     Panel("Select", "left bottom", select_panel),
     Panel("Rain", "right", rain_panel),
-    Panel("Make it rainy", "right", wet_look_panel),
+    Panel("Wet look", "right", wet_look_panel, "Make it rainy"),
     Panel("Drive", "right", drive_panel),
     Panel("Capture", "right", capture_panel),
     Panel("Record", "right", record_panel),
     Panel("Display", "right", display_panel),
-    Panel("Read-out", "right bottom", rain_properties_panel),
+    Panel("Rain properties", "right bottom", rain_properties_panel, "Read-out"),
     Panel("Disdrometer", "right bottom", disdrometer_panel),
     Panel("Calibration", "right bottom", calibration_panel),
-    Panel("Rig cameras", "right bottom", camera_mosaic_panel),
+    Panel("Camera rig", "right bottom", camera_mosaic_panel, "Rig cameras"),
     Panel("Timeline", "bottom", timeline_panel),
-    Panel("Shower", "bottom", rain_keyframes_panel),
+    Panel("Rain keyframes", "bottom", rain_keyframes_panel, "Shower"),
     Panel("Drive plots", "bottom", drive_plots),
     Panel("Jobs", "bottom", jobs_panel),
     Panel("Log", "bottom", log_panel),
@@ -71,14 +79,11 @@ def all_panels() -> tuple[Panel, ...]:
 logger = logging.getLogger("gsrain")
 
 
-def installed_panels(taken: set[str]) -> tuple[Panel, ...]:
-    """Return the panels of other packages; unusable ones are omitted and logged.
-
-    `taken` are the existing titles.
-    """
+def installed_panels(used: set[str]) -> tuple[Panel, ...]:
+    """Return the panels of other packages; unusable ones are omitted and logged. `used` are the existing titles."""
     fit: list[Panel] = []
     for extension, panel in load_extensions(PANELS, Panel):
-        if panel.title in taken | {each.title for each in fit}:
+        if panel.title in used | {each.title for each in fit}:
             warn_once(str(extension.unfit(f"there is a panel {panel.title!r} already")))
         elif panel.side not in get_args(DockSide):
             warn_once(str(extension.unfit(f"side {panel.side!r} is none of {', '.join(get_args(DockSide))}")))
@@ -94,27 +99,26 @@ class _Guarded:
         self._failure = ""
 
     def __call__(self, session: Editor) -> None:
-        if not self._failure:
-            before = imgui.internal.ErrorRecoveryState()
-            imgui.internal.error_recovery_store_state(before)
-            try:
-                self._draw(session)
-            except Exception as error:  # the panel is third-party code
-                _close_what_is_open(before)
-                self._failure = str(self._extension.unfit(error))
-                session.problem = self._failure
-                logger.error("%s", self._failure, exc_info=True)
+        if self._failure:
+            imgui.text_wrapped(self._failure)
+            if button("Try again", "Draw the panel once more."):
+                self._failure = ""
             return
-        imgui.text_wrapped(self._failure)
-        if imgui.button("Try again"):
-            self._failure = ""
-        imgui.set_item_tooltip("Draw the panel once more.")
+        before = imgui.internal.ErrorRecoveryState()
+        imgui.internal.error_recovery_store_state(before)
+        try:
+            self._draw(session)
+        except Exception as error:  # the panel is third-party code
+            _recover(before)
+            self._failure = str(self._extension.unfit(error))
+            session.problem = self._failure
+            logger.error("%s", self._failure, exc_info=True)
 
 
-def _close_what_is_open(before: imgui.internal.ErrorRecoveryState) -> None:
+def _recover(before: imgui.internal.ErrorRecoveryState) -> None:
     """Close the groups, tables and popups that a failed panel left open, and pop its styles."""
     io = imgui.get_io()
-    asserted, shown = io.config_error_recovery_enable_assert, io.config_error_recovery_enable_tooltip
+    settings = io.config_error_recovery_enable_assert, io.config_error_recovery_enable_tooltip
     io.config_error_recovery_enable_assert = io.config_error_recovery_enable_tooltip = False
     imgui.internal.error_recovery_try_to_recover_state(before)
-    io.config_error_recovery_enable_assert, io.config_error_recovery_enable_tooltip = asserted, shown
+    io.config_error_recovery_enable_assert, io.config_error_recovery_enable_tooltip = settings

@@ -1,7 +1,5 @@
 """Select panel: selection commands, selection by attribute range, and selection sets."""
 
-from typing import get_args
-
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, icons_fontawesome_6, imgui, implot
 
@@ -11,90 +9,79 @@ from gsrain_engine.editor.selection.attributes import ATTRIBUTES, Histogram, lay
 from gsrain_engine.editor.selection.candidates import Mode, selectable_count, selected_count
 from gsrain_engine.editor.selection.commands import select
 
+from ..widgets.fields import LOGARITHMIC, button, checkbox, combo, disabled
 from ..widgets.text import label
+
+_SET_HELP: dict[Mode, tuple[str, str]] = {
+    "set": (icons_fontawesome_6.ICON_FA_ARROW_POINTER, "Select the Gaussians of this set."),
+    "add": (icons_fontawesome_6.ICON_FA_PLUS, "Add the Gaussians of this set to the selection."),
+    "remove": (icons_fontawesome_6.ICON_FA_MINUS, "Remove the Gaussians of this set from the selection."),
+    "intersect": (icons_fontawesome_6.ICON_FA_CIRCLE_HALF_STROKE, "Intersect the selection with this set."),
+}
+_RANGE_HELP: dict[Mode, str] = {
+    "set": "Select the Gaussians in the range.",
+    "add": "Add the Gaussians in the range to the selection.",
+    "remove": "Remove the Gaussians in the range from the selection.",
+    "intersect": "Intersect the selection with the range.",
+}
 
 
 def select_panel(session: Editor) -> None:
     count = selected_count(session.scene)
     imgui.align_text_to_frame_padding()
     imgui.text(f"{count:,} of {selectable_count(session.scene):,} selected")
-    imgui.set_item_tooltip("Gaussians that are shown, of layers and actors that are neither hidden nor locked.")
-    _everything(session, count)
-    _more_or_less(session, count)
+    imgui.set_item_tooltip("Visible Gaussians of layers and actors that are not locked.")
+    _buttons(session, count > 0)
     imgui.separator_text("By attribute")
-    attribute_range(session)
+    _attribute_range(session)
     imgui.separator_text("Selection sets")
-    selection_sets(session, count)
+    _selection_sets(session, count > 0)
 
 
-def _everything(session: Editor, count: int) -> None:
-    if imgui.button("All"):
-        commands.select_all(session)
-    imgui.set_item_tooltip("Select everything that is shown (Ctrl+A).")
-    imgui.same_line()
-    imgui.begin_disabled(count == 0)
-    if imgui.button("None"):
-        commands.select_none(session)
-    imgui.set_item_tooltip("Let go of everything (Ctrl+Shift+A).")
-    imgui.end_disabled()
-    imgui.same_line()
-    if imgui.button("Invert"):
-        commands.invert(session)
-    imgui.set_item_tooltip("Select what is shown and was not selected (Ctrl+I).")
-    imgui.same_line()
-    _, session.view.show_selection = imgui.checkbox("Tint", session.view.show_selection)
-    imgui.set_item_tooltip("Show the selected ones tinted (Shift+S).")
-
-
-def _more_or_less(session: Editor, count: int) -> None:
+def _buttons(session: Editor, is_selected: bool) -> None:
     options = session.selecting
-    imgui.begin_disabled(count == 0)
-    if imgui.button("Grow"):
-        commands.grow(session, options.distance_m)
-    imgui.set_item_tooltip("Take in what is at most so far from a selected one (Ctrl+]).")
+    if button("All", "Select all visible Gaussians (Ctrl+A)."):
+        commands.select_all(session)
     imgui.same_line()
-    if imgui.button("Shrink"):
+    if button("None", "Clear the selection (Ctrl+Shift+A).", enabled=is_selected):
+        commands.select_none(session)
+    imgui.same_line()
+    if button("Invert", "Select all visible Gaussians that were not selected (Ctrl+I)."):
+        commands.invert(session)
+    imgui.same_line()
+    session.view.show_selection = checkbox("Tint", session.view.show_selection, "Tint the selection (Shift+S).")
+    if button("Grow", "Add Gaussians within this distance of the selection (Ctrl+]).", enabled=is_selected):
+        commands.grow(session, options.distance_m)
+    imgui.same_line()
+    if button("Shrink", "Deselect Gaussians within this distance of unselected ones (Ctrl+[).", enabled=is_selected):
         commands.shrink(session, options.distance_m)
-    imgui.set_item_tooltip("Let go of what is at most so far from one that is not selected (Ctrl+[).")
-    imgui.end_disabled()
     imgui.same_line()
     imgui.align_text_to_frame_padding()
     imgui.text("by")
     imgui.same_line()
     imgui.set_next_item_width(-1)
-    flags = imgui.SliderFlags_.logarithmic | imgui.SliderFlags_.always_clamp
-    _, options.distance_m = imgui.slider_float("##distance_m", options.distance_m, 0.001, 10.0, "%.3f m", flags)
-    imgui.set_item_tooltip("Between centres, in metres. Ctrl+click to type.")
+    _, options.distance_m = imgui.slider_float("##distance_m", options.distance_m, 0.001, 10.0, "%.3f m", LOGARITHMIC)
+    imgui.set_item_tooltip("Distance between centers in meters. Ctrl+click to type.")
 
 
 # Selection sets
 
-_SIGNS: dict[Mode, tuple[str, str]] = {
-    "set": (icons_fontawesome_6.ICON_FA_ARROW_POINTER, "Select the Gaussians of this set."),
-    "add": (icons_fontawesome_6.ICON_FA_PLUS, "Add the Gaussians of this set."),
-    "remove": (icons_fontawesome_6.ICON_FA_MINUS, "Take away the Gaussians of this set."),
-    "intersect": (icons_fontawesome_6.ICON_FA_CIRCLE_HALF_STROKE, "Keep only what is in this set too."),
-}
 
-
-def selection_sets(session: Editor, count: int) -> None:
+def _selection_sets(session: Editor, is_selected: bool) -> None:
     options = session.selecting
-    imgui.begin_disabled(count == 0)
-    imgui.set_next_item_width(-4.5 * imgui.get_font_size())
-    flags = imgui.InputTextFlags_.enter_returns_true
-    hint = commands.unused_set_name(session.scene)
-    entered, options.set_name = imgui.input_text_with_hint("##set name", hint, options.set_name, flags)
-    imgui.set_item_tooltip("What the set is called; a set of the same name is replaced.")
-    imgui.same_line()
-    if (imgui.button("Save", (-1, 0)) or entered) and commands.save_set(session, options.set_name.strip() or None):
-        options.set_name = ""
-    imgui.set_item_tooltip("Keep what is selected under this name, in the scene's file.")
-    imgui.end_disabled()
+    with disabled(not is_selected):
+        imgui.set_next_item_width(-4.5 * imgui.get_font_size())
+        flags, hint = imgui.InputTextFlags_.enter_returns_true, commands.unused_set_name(session.scene)
+        entered, options.set_name = imgui.input_text_with_hint("##set name", hint, options.set_name, flags)
+        imgui.set_item_tooltip("Name of the set; a set of the same name is replaced.")
+        imgui.same_line()
+        is_saved = button("Save", "Store the selection under this name in the scene's file.", width=-1)
+        if (is_saved or entered) and commands.save_set(session, options.set_name.strip() or None):
+            options.set_name = ""
     if not session.scene.selections:
-        imgui.text_disabled("No sets yet. Select something and save it.")
+        imgui.text_disabled("No sets yet: save a selection.")
         return
-    table = imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_fixed_fit
-    if imgui.begin_table("sets", 3, table):
+    if imgui.begin_table("sets", 3, imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_fixed_fit):
         imgui.table_setup_column("name", imgui.TableColumnFlags_.width_stretch)
         for number, (name, masks) in enumerate(session.scene.selections.items()):
             imgui.push_id(number)
@@ -112,15 +99,14 @@ def _row(session: Editor, name: str, size: int) -> None:
     imgui.text_disabled(f"{size:,}")
     imgui.set_item_tooltip("Gaussians in this set.")
     imgui.table_next_column()
-    for mode in get_args(Mode):
-        icon, help_text = _SIGNS[mode]
+    for mode, (icon, help_text) in _SET_HELP.items():
         if imgui.small_button(f"{icon}###recall {mode}"):
             commands.recall_set(session, name, mode)
         imgui.set_item_tooltip(help_text)
         imgui.same_line(0, 3)
     if imgui.small_button(f"{icons_fontawesome_6.ICON_FA_TRASH}###delete"):
         commands.remove_set(session, name)
-    imgui.set_item_tooltip("Forget this set; what is selected stays.")
+    imgui.set_item_tooltip("Delete this set; the selection does not change.")
 
 
 def _name(session: Editor, name: str) -> None:
@@ -138,7 +124,7 @@ def _name(session: Editor, name: str) -> None:
         imgui.set_keyboard_focus_here()
     flags = imgui.InputTextFlags_.enter_returns_true | imgui.InputTextFlags_.auto_select_all
     entered, options.new_name = imgui.input_text("##new name", options.new_name, flags)
-    imgui.set_item_tooltip("Enter keeps the name, Esc leaves the old one.")
+    imgui.set_item_tooltip("Enter applies the name, Esc cancels.")
     if entered:
         commands.rename_set(session, name, options.new_name)
     if entered or imgui.is_item_deactivated():
@@ -149,51 +135,36 @@ def _name(session: Editor, name: str) -> None:
 
 _SIZE = 16  # any size: attributes depend on the camera's position, not on its pixels
 _HEIGHT_EM = 8.0
-_HISTOGRAM_COLORS, _SELECTED = ImVec4(0.55, 0.6, 0.68, 1.0), ImVec4(1.0, 0.72, 0.2, 1.0)
+_HISTOGRAM_COLOR, _SELECTED_COLOR = ImVec4(0.55, 0.6, 0.68, 1.0), ImVec4(1.0, 0.72, 0.2, 1.0)
 _LINE, _INSIDE = ImVec4(0.3, 0.75, 1.0, 1.0), (0.3, 0.75, 1.0, 0.18)
 
-_HELP: dict[Mode, str] = {
-    "set": "Select what lies in the range, and nothing else.",
-    "add": "Add what lies in the range.",
-    "remove": "Take away what lies in the range.",
-    "intersect": "Keep only what was selected and lies in the range.",
-}
 
-
-def attribute_range(session: Editor) -> None:
+def _attribute_range(session: Editor) -> None:
     """Draw the choice of an attribute, its histogram, and the buttons that apply the range."""
     options, shot = session.selecting, session.shot(_SIZE, _SIZE)
-    names = list(ATTRIBUTES)
+    titles = {name: f"{name} ({each.unit})" if each.unit else name for name, each in ATTRIBUTES.items()}
     imgui.set_next_item_width(-1)
-    changed, picked = imgui.combo("##attribute", names.index(options.attribute), [_title(name) for name in names])
-    imgui.set_item_tooltip(ATTRIBUTES[options.attribute].help)
-    if changed:
-        options.attribute, options.range = names[picked], None
-    histogram = options.histogram.of(session.scene, shot, options.attribute)
+    attribute = combo("##attribute", options.attribute, titles, ATTRIBUTES[options.attribute].help)
+    if attribute != options.attribute:
+        options.attribute, options.range = attribute, None
+    histogram = options.histogram.of(session.scene, shot, attribute)
     low, high = options.range or (float(histogram.edges[0]), float(histogram.edges[-1]))
-    dragged = _plot(options.attribute, histogram, low, high)
-    chosen = _numbers(options.attribute, histogram, dragged)
+    chosen = _numbers(attribute, histogram, *_plot(attribute, histogram, low, high))
     if chosen != (low, high):
         options.range = low, high = min(chosen), max(chosen)
-    if options.attribute == "layer":
-        names_within = [name for number, name in layer_names(session.scene).items() if low <= number <= high]
+    if attribute == "layer":
         imgui.push_text_wrap_pos(0.0)
-        imgui.text_disabled(", ".join(names_within))
+        imgui.text_disabled(
+            ", ".join(name for number, name in layer_names(session.scene).items() if low <= number <= high)
+        )
         imgui.pop_text_wrap_pos()
-    for number, mode in enumerate(get_args(Mode)):
-        if number:
+    for mode, help_text in _RANGE_HELP.items():
+        if mode != "set":
             imgui.same_line()
-        if imgui.button(f"{mode.capitalize()}##range"):
-            found = select_attribute_range(
-                session.scene, shot.time_s, shot.camera, options.attribute, *histogram.opened(low, high)
-            )
-            select(session, found, mode, options.attribute)
-        imgui.set_item_tooltip(_HELP[mode])
-
-
-def _title(name: str) -> str:
-    unit = ATTRIBUTES[name].unit
-    return f"{name} ({unit})" if unit else name
+        if button(f"{mode.capitalize()}##range", help_text):
+            limits = histogram.opened(low, high)
+            found = select_attribute_range(session.scene, shot.time_s, shot.camera, attribute, *limits)
+            select(session, found, mode, attribute)
 
 
 def _plot(name: str, histogram: Histogram, low: float, high: float) -> tuple[float, float]:
@@ -210,25 +181,20 @@ def _plot(name: str, histogram: Histogram, low: float, high: float) -> tuple[flo
         implot.setup_axis_scale(implot.ImAxis_.x1, implot.Scale_.log10)
     implot.setup_axis_scale(implot.ImAxis_.y1, implot.Scale_.sym_log)
     first, last = float(histogram.edges[0]), float(histogram.edges[-1])
-    left, right = _with_margin(first, last, ATTRIBUTES[name].logarithmic)
+    left, right = first - 0.02 * (last - first), last + 0.02 * (last - first)  # lines at the outer edges stay visible
+    if ATTRIBUTES[name].logarithmic:
+        ratio = (last / first) ** 0.02
+        left, right = first / ratio, last * ratio
     implot.setup_axes_limits(left, right, 0, 1.5 * max(int(histogram.shown.max()), 1), imgui.Cond_.always)
-    _bars("shown", histogram, histogram.shown, _HISTOGRAM_COLORS)
-    _bars("selected", histogram, histogram.selected, _SELECTED)
+    _bars("shown", histogram, histogram.shown, _HISTOGRAM_COLOR)
+    _bars("selected", histogram, histogram.selected, _SELECTED_COLOR)
     low, high = _dragged(low, high, first, last)
     implot.end_plot()
     imgui.set_item_tooltip(
-        "Grey: all that are shown; orange: selected ones (heights are logarithmic).\n"
+        "Gray: visible; orange: selected (heights are logarithmic).\n"
         "Drag over the bars, or drag the two lines, to choose a range."
     )
     return low, high
-
-
-def _with_margin(first: float, last: float, logarithmic: bool) -> tuple[float, float]:
-    """Return axis limits with a margin, so that lines at the outer edges stay visible."""
-    if logarithmic:
-        ratio = (last / first) ** 0.02
-        return first / ratio, last * ratio
-    return first - 0.02 * (last - first), last + 0.02 * (last - first)
 
 
 def _bars(label: str, histogram: Histogram, counts: np.ndarray, color: ImVec4) -> None:
@@ -254,19 +220,15 @@ def _dragged(low: float, high: float, first: float, last: float) -> tuple[float,
         return min(max(new_low, first), last), min(max(new_high, first), last)
     at, moved = imgui.get_mouse_pos(), imgui.get_mouse_drag_delta(imgui.MouseButton_.left)
     pressed = ImVec2(at.x - moved.x, at.y - moved.y)
-    if not (over_low or over_high) and _is_in_plot(pressed) and imgui.is_mouse_dragging(imgui.MouseButton_.left):
+    corner, size = implot.get_plot_pos(), implot.get_plot_size()
+    is_inside = corner.x <= pressed.x <= corner.x + size.x and corner.y <= pressed.y <= corner.y + size.y
+    if not (over_low or over_high) and is_inside and imgui.is_mouse_dragging(imgui.MouseButton_.left):
         ends = implot.pixels_to_plot(pressed).x, implot.pixels_to_plot(at).x
         return max(min(ends), first), min(max(ends), last)
     return low, high
 
 
-def _is_in_plot(at: ImVec2) -> bool:
-    corner, size = implot.get_plot_pos(), implot.get_plot_size()
-    return corner.x <= at.x <= corner.x + size.x and corner.y <= at.y <= corner.y + size.y
-
-
-def _numbers(name: str, histogram: Histogram, chosen: tuple[float, float]) -> tuple[float, float]:
-    low, high = chosen
+def _numbers(name: str, histogram: Histogram, low: float, high: float) -> tuple[float, float]:
     speed = max(float(histogram.edges[-1] - histogram.edges[0]) / 500, 1e-6)
     unit = f" {ATTRIBUTES[name].unit}".rstrip()
     imgui.set_next_item_width(-1)
@@ -274,7 +236,7 @@ def _numbers(name: str, histogram: Histogram, chosen: tuple[float, float]) -> tu
         "##range", low, high, speed, 0.0, 0.0, f"from %.4g{unit}", f"to %.4g{unit}"
     )
     imgui.set_item_tooltip(
-        "The range in the attribute's unit; Ctrl+click to type. At an outer edge of the plot it goes on without end."
+        "The range in the attribute's unit; Ctrl+click to type. At an outer edge of the plot it is unbounded."
     )
     if changed:  # because the widget rounds to single precision
         low, high = typed_low, typed_high

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import msgspec
 from imgui_bundle import icons_fontawesome_6, imgui
@@ -12,19 +11,23 @@ from gsrain_engine.appearance.finetune.settings import finetuning_names
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.finetune import FinetuneChoice
 from gsrain_engine.editor.jobs.job import SceneJob
-from gsrain_engine.editor.jobs.training import (
-    HOW_TO_GET_TORCH,
-    Losses,
-    RecolorJobKind,
-    ReconstructionJobKind,
-    has_torch,
-)
+from gsrain_engine.editor.jobs.training import HOW_TO_GET_TORCH, RecolorJobKind, ReconstructionJobKind, has_torch
 from gsrain_engine.training.settings import TrainingSettings, load_settings, settings_names
 
 from ..widgets.draw import line, plot
-from ..widgets.fields import ALL_FILES, ask_what_to_open, edit_field, field_info, path_field, plain_label
+from ..widgets.fields import (
+    ALL_FILES,
+    ask_what_to_open,
+    button,
+    combo,
+    edit_choice,
+    edit_field,
+    field_info,
+    path_field,
+    plain_label,
+    warn,
+)
 from .jobs import job_fields
-from .rain import WARNING
 
 
 @dataclass(slots=True)
@@ -36,29 +39,24 @@ class _ReconstructionChoice:
 
 
 _chosen = _ReconstructionChoice("laptop", load_settings("laptop"))
-
 _PRESETS = {
     "draft": "A first look: two minutes on two processor cores.",
-    "laptop": "Some ten minutes on two processor cores.",
+    "laptop": "About ten minutes on two processor cores.",
     "full": "For a CUDA GPU with gsplat: 30,000 steps at full size.",
 }
-
-_NUMBERS = {"steps": 50, "width_px": 16, "gaussians": 5000, "held_out": 1}
+_STEPS = {"steps": 50, "width_px": 16, "gaussians": 5000, "held_out": 1}
 """Integer fields, each with the step of its buttons."""
 
-_OWN_BODY: dict[str, bool | None] = {"automatic (drives only)": None, "look for it": True, "don't look": False}
-
+_OWN_BODY = {None: "automatic (drives only)", True: "search", False: "no search"}
 _RECONSTRUCT_HELP = (
-    "Fit Gaussians to the capture in the background. Snapshots come into the view meanwhile;\n"
-    "undo brings the present scene back. A report shows the held-out views."
+    "Fit Gaussians to the capture in the background. The viewport shows snapshots meanwhile;\n"
+    "undo restores the present scene. A report shows the held-out views."
 )
-
 _RECOLOR_HELP = (
-    "Solve for wet colours in which the present scene looks like the capture's pictures; its cameras\n"
-    "must be in the scene's axes. The clear colours stay; one step, undo takes it back."
+    "Solve for wet colors of the present scene that reproduce the capture's images; its cameras\n"
+    "must be in the scene's axes. The clear colors stay. One undo step."
 )
-
-_RECOLOR_OTHERS_HELP = "The same with pictures from a folder, such as transferred ones, named like the capture's own."
+_RECOLOR_OTHERS_HELP = "The same with images from a folder, such as transferred ones, named like the capture's own."
 
 
 def reconstruct_fields(session: Editor) -> None:
@@ -66,55 +64,39 @@ def reconstruct_fields(session: Editor) -> None:
     if captures.capture is None or captures.path is None:
         return
     if not captures.capture.has_poses:
-        imgui.text_wrapped("Nothing tells where the cameras stood: let COLMAP find it, and open its folder.")
+        imgui.text_wrapped("The camera poses are unknown: compute them with COLMAP, and open its folder.")
         return
-    newest = _newest(session)
-    if newest is not None and newest[1].state == "running":
-        job_fields(session, newest[1], newest[0])
-        return
-    why_not = _why_not(session)
-    if has_torch():
-        _settings()
-        if _button("Reconstruct", _RECONSTRUCT_HELP, why_not):
-            session.start_task(
-                ReconstructionJobKind(captures.path, _chosen.settings, allow_outside=captures.allows_outside)
-            )
-    else:
-        imgui.text_wrapped(f"To reconstruct, torch is needed, which is not installed: {HOW_TO_GET_TORCH}")
-    if not session.scene.gaussian_count:
-        why_not = why_not or "There is no scene yet whose colours could be solved for."
-    if _button("Recolour to these pictures", _RECOLOR_HELP, why_not):
-        _recolor(session, captures.path, [])
-    if _button("Recolour to other pictures...", _RECOLOR_OTHERS_HELP, why_not):
-        ask_what_to_open("Pictures to recolour to (folder)", "", partial(_recolor, session, captures.path))
-    if newest is not None:
-        imgui.separator_text(newest[1].title)
-        job_fields(session, newest[1], newest[0])
-
-
-def _why_not(session: Editor) -> str | None:
-    """Return why no job can start now, or None."""
-    if session.running_jobs:
-        return f"Wait for {session.running_jobs[0].title}, or cancel it."
-    return "Wait for the scene that is being brought into the picture." if session.staged is not None else None
-
-
-def _button(label: str, help_text: str, why_not: str | None) -> bool:
-    imgui.begin_disabled(why_not is not None)
-    is_pressed = imgui.button(label, (-1, 0))
-    imgui.end_disabled()
-    imgui.set_item_tooltip(help_text if why_not is None else why_not)
-    return is_pressed
-
-
-def _newest(session: Editor) -> tuple[int, SceneJob] | None:
-    """Return the last of these jobs, with its index in all jobs."""
     own = [
         (number, job)
         for number, job in enumerate(session.jobs)
         if isinstance(job, SceneJob) and isinstance(job.task, ReconstructionJobKind | RecolorJobKind)
     ]
-    return own[-1] if own else None
+    number, job = own[-1] if own else (0, None)
+    if job is not None and job.state == "running":
+        job_fields(session, job, number)
+        return
+    why_not = None
+    if session.running_jobs:
+        why_not = f"Wait for {session.running_jobs[0].title}, or cancel it."
+    elif session.staged is not None:
+        why_not = "Wait for the scene that is being loaded into the viewport."
+    if has_torch():
+        _reconstruction_settings()
+        if button("Reconstruct", _RECONSTRUCT_HELP, width=-1, why_not=why_not):
+            session.start_task(
+                ReconstructionJobKind(captures.path, _chosen.settings, allow_outside=captures.allows_outside)
+            )
+    else:
+        imgui.text_wrapped(f"Reconstruction needs torch, which is not installed: {HOW_TO_GET_TORCH}")
+    if not session.scene.gaussian_count:
+        why_not = why_not or "There is no scene to recolor yet."
+    if button("Recolor to these images", _RECOLOR_HELP, width=-1, why_not=why_not):
+        _recolor(session, captures.path, [])
+    if button("Recolor to other images...", _RECOLOR_OTHERS_HELP, width=-1, why_not=why_not):
+        ask_what_to_open("Images to recolor to (folder)", "", partial(_recolor, session, captures.path))
+    if job is not None:
+        imgui.separator_text(job.title)
+        job_fields(session, job, number)
 
 
 def _recolor(session: Editor, capture: Path, chosen: list[Path]) -> None:
@@ -122,69 +104,27 @@ def _recolor(session: Editor, capture: Path, chosen: list[Path]) -> None:
     session.start_task(RecolorJobKind(session.scene, session.files.known, capture, images, allow_outside=allowed))
 
 
-def _settings() -> None:
-    _preset()
-    for name, step in _NUMBERS.items():
-        _number(name, step)
-    for name in ("density", "sh_degree"):
-        _choice(name)
-    _own_body()
-
-
-def _preset() -> None:
-    plain_label("Settings", _PRESETS.get(_chosen.preset, ""))
-    names = settings_names()
-    changed, at = imgui.combo("##preset", names.index(_chosen.preset), names)
-    imgui.set_item_tooltip(_PRESETS.get(_chosen.preset, ""))
-    if changed:
-        _chosen.preset, _chosen.settings = names[at], load_settings(names[at])
-
-
-def _number(name: str, step: int) -> None:
-    info = field_info(name, TrainingSettings)
-    plain_label(f"{info.title} ({info.unit})" if info.unit else info.title, info.help)
-    changed, value = imgui.input_int(f"##{name}", getattr(_chosen.settings, name), step, 10 * step)
-    imgui.set_item_tooltip(info.help)
-    if changed:
-        _set(name, int(min(max(value, info.low), info.high)))
-
-
-def _choice(name: str) -> None:
-    info = field_info(name, TrainingSettings)
-    plain_label(info.title, info.help)
-    choices: list[Any] = list(info.choices) or list(range(int(info.low), int(info.high) + 1))
-    changed, at = imgui.combo(
-        f"##{name}", choices.index(getattr(_chosen.settings, name)), [str(each) for each in choices]
-    )
-    imgui.set_item_tooltip(info.help)
-    if changed:
-        _set(name, choices[at])
-
-
-def _own_body() -> None:
-    info = field_info("own_body", TrainingSettings)
-    plain_label(info.title, info.help)
-    values = list(_OWN_BODY.values())
-    changed, at = imgui.combo("##own_body", values.index(_chosen.settings.own_body), list(_OWN_BODY))
-    imgui.set_item_tooltip(info.help)
-    if changed:
-        _set("own_body", values[at])
-
-
-def _set(name: str, value: object) -> None:
-    _chosen.settings = msgspec.structs.replace(_chosen.settings, **{name: value})
+def _reconstruction_settings() -> None:
+    help_text = _PRESETS.get(_chosen.preset, "")
+    plain_label("Settings", help_text)
+    if (preset := combo("##preset", _chosen.preset, settings_names(), help_text)) != _chosen.preset:
+        _chosen.preset, _chosen.settings = preset, load_settings(preset)
+    for name, step in _STEPS.items():
+        _chosen.settings = edit_field(_chosen.settings, name, step=step)
+    settings, info = edit_field(_chosen.settings, "density"), field_info("sh_degree", TrainingSettings)
+    settings = edit_choice(settings, "sh_degree", range(int(info.low), int(info.high) + 1))
+    _chosen.settings = edit_choice(settings, "own_body", _OWN_BODY)
 
 
 # Transfer training: settings, losses and samples
 
 _FINETUNE_PRESETS = {
-    "paper": "The paper's recipe: 20,000 iterations of 512 x 512; 16 hours on a data-centre GPU.",
-    "tiny": "A trial of minutes on a processor, with a model too small to be of use.",
+    "paper": "The paper's recipe: 20,000 iterations of 512 x 512; 16 hours on a data-center GPU.",
+    "tiny": "A trial of minutes on a CPU, with a model too small for real use.",
 }
-
 _CURVES = {
-    "There and back": ("cycle_clear", "cycle_rainy", "identity_clear", "identity_rainy"),
-    "Judges": ("gan_rainy", "gan_clear", "judge_rainy_made", "judge_rainy_real"),
+    "Cycle": ("cycle_clear", "cycle_rainy", "identity_clear", "identity_rainy"),
+    "Discriminators": ("gan_rainy", "gan_clear", "judge_rainy_made", "judge_rainy_real"),
 }
 """Losses by plot: those to minimize, and the adversarial ones."""
 
@@ -193,42 +133,44 @@ def transfer_training_fields(session: Editor) -> None:
     studio = session.studio
     job = studio.job
     if job is None or job.state != "running":
-        _choices(session)
-        _start(session)
+        _config(session)
+        for name in ("clear", "rainy", "output"):
+            path_field(studio.choice, name, "", partial(_take, session, name))
+        studio.choice = edit_field(studio.choice, "steps", step=100)
+        can_resume, why_not = studio.can_resume, studio.why_not(session)
+        title = "Resume the training" if can_resume else "Train the transfer"
+        help_text = "Continue from the folder's checkpoint, with the same result as without a stop."
+        if not can_resume:
+            help_text = "Fine-tune CycleGAN-Turbo on the two sets of images; Cancel preserves the last checkpoint."
+        title = f"{icons_fontawesome_6.ICON_FA_GRADUATION_CAP}  {title}###train"
+        if button(title, help_text, width=-1, why_not=why_not):
+            studio.start(session, resume=can_resume)
     if job is None or job not in session.jobs:
         return
     imgui.separator_text(job.title)
     job_fields(session, job, session.jobs.index(job))
     if job.warning is not None:
-        imgui.push_style_color(imgui.Col_.text, WARNING)
-        imgui.text_wrapped(f"{icons_fontawesome_6.ICON_FA_TRIANGLE_EXCLAMATION}  {job.warning}")
-        imgui.pop_style_color()
-    _curves(job.losses)
-
-
-def _choices(session: Editor) -> None:
-    studio = session.studio
-    _config(session)
-    for name in ("clear", "rainy", "output"):
-        path_field(studio.choice, name, "", partial(_take, session, name))
-    studio.choice = edit_field(studio.choice, "steps", step=100)
+        warn(f"{icons_fontawesome_6.ICON_FA_TRIANGLE_EXCLAMATION}  {job.warning}")
+    losses = job.losses
+    for title, names in _CURVES.items() if len(losses.get("step", ())) > 1 else ():
+        with plot(title, "iteration", "loss", legend=True) as is_visible:
+            for name in names if is_visible else ():
+                if name in losses:
+                    line(name.replace("_", ", "), losses["step"], losses[name])
 
 
 def _config(session: Editor) -> None:
-    choice = session.studio.choice
-    names = [*finetuning_names(), "from a file..."]
-    own = choice.config not in names
-    shown = [Path(choice.config).name, *names] if own else names
-    help_text = (
-        choice.config if own else _FINETUNE_PRESETS.get(choice.config, field_info("config", FinetuneChoice).help)
-    )
+    choice, from_file = session.studio.choice, "from a file..."
+    names, help_text = finetuning_names(), field_info("config", FinetuneChoice).help
+    choices = {each: each for each in names} | {from_file: from_file}
+    if choice.config not in names:
+        choices, help_text = {choice.config: Path(choice.config).name} | choices, choice.config
     plain_label("Settings", field_info("config", FinetuneChoice).help)
-    changed, at = imgui.combo("##config", 0 if own else names.index(choice.config), shown)
-    imgui.set_item_tooltip(help_text)
-    if changed and shown[at] == names[-1]:
+    picked = combo("##config", choice.config, choices, _FINETUNE_PRESETS.get(choice.config, help_text))
+    if picked == from_file:
         ask_what_to_open("Settings of the training", f"YAML{{.yaml,.yml}},{ALL_FILES}", partial(_take_file, session))
-    elif changed and shown[at] in names:
-        session.studio.choice = msgspec.structs.replace(choice, config=shown[at])
+    elif picked != choice.config:
+        session.studio.choice = msgspec.structs.replace(choice, config=picked)
 
 
 def _take_file(session: Editor, chosen: list[Path]) -> None:
@@ -238,29 +180,3 @@ def _take_file(session: Editor, chosen: list[Path]) -> None:
 def _take(session: Editor, name: str, text: str) -> None:
     path = Path(text).expanduser() if text.strip() else None
     session.studio.choice = msgspec.structs.replace(session.studio.choice, **{name: path})
-
-
-def _start(session: Editor) -> None:
-    studio = session.studio
-    why_not, can_resume = studio.why_not(session), studio.can_resume
-    imgui.begin_disabled(why_not is not None)
-    label = "Go on with the training" if can_resume else "Train the transfer"
-    if imgui.button(f"{icons_fontawesome_6.ICON_FA_GRADUATION_CAP}  {label}###train", (-1, 0)):
-        studio.start(session, resume=can_resume)
-    imgui.end_disabled()
-    help_text = (
-        "Go on from the folder's checkpoint, as if it had never been stopped."
-        if can_resume
-        else "Fine-tune CycleGAN-Turbo on the two sets of pictures; Cancel keeps the last checkpoint."
-    )
-    imgui.set_item_tooltip(help_text if why_not is None else why_not)
-
-
-def _curves(losses: Losses) -> None:
-    if len(losses.get("step", ())) < 2:
-        return
-    for title, names in _CURVES.items():
-        with plot(title, "iteration", "loss", legend=True) as seen:
-            for name in names if seen else ():
-                if name in losses:
-                    line(name.replace("_", ", "), losses["step"], losses[name])

@@ -46,7 +46,7 @@ def path_overlay(session: Editor, viewport: Viewport) -> bool:
     if under is None or not viewport.hovered:
         return False
     imgui.set_tooltip(
-        f"Camera key {under + 1}. Drag: move it in the plane that faces you. Shift+drag: up and down. Click: choose it."
+        f"Keyframe {under + 1}. Drag: move it in the plane that faces you. Shift+drag: up and down. Click: choose it."
     )
     if imgui.is_mouse_clicked(_LEFT):
         camera_path.begin_drag(session, under, in_view=True)

@@ -90,31 +90,29 @@ _ICONS = icons_fontawesome_6
 def view_bar(session: Editor) -> None:
     playing = session.clock.playing
     icon = _ICONS.ICON_FA_PAUSE if playing else _ICONS.ICON_FA_PLAY
-    if _view_button(icon, "Play", "Let time go on or stop it (Space)."):
+    if _view_button(icon, "Play", "Start or stop time (Space)."):
         session.clock.toggle()
     if _view_button(
         _ICONS.ICON_FA_EXPAND,
         "Frame",
-        "Back off until what is chosen under Layers, or else the whole scene, can be seen (F).",
+        "Move back until the active layer or actor, or else the whole scene, is visible (F).",
     ):
         session.frame_scene()
-    if _view_button(_ICONS.ICON_FA_HOUSE, "Home", "Back to where the scene was first looked at from (R)."):
+    if _view_button(_ICONS.ICON_FA_HOUSE, "Home", "Return to the initial view of the scene (R)."):
         session.go_home()
-    if _view_button(_ICONS.ICON_FA_CAMERA, "Screenshot", "Save the picture as PNG (F12); the log says where."):
+    if _view_button(_ICONS.ICON_FA_CAMERA, "Screenshot", "Save the viewport as PNG (F12); the log has its path."):
         session.take_screenshot()
-    _, session.view.follow_path = imgui.checkbox("Ride along", session.view.follow_path)
-    imgui.set_item_tooltip("Ride along the camera path: your own keys, else the ego vehicle's drive or a swing (V).")
+    _, session.view.follow_path = imgui.checkbox("Follow path", session.view.follow_path)
+    imgui.set_item_tooltip("Follow the camera path: your own keyframes, else the ego vehicle's drive or a swing (V).")
     imgui.same_line()
-    _choice(
-        "##look", session.view, "look", get_args(RenderMode), "Look: the picture, or what it is made of.", 9, "Look: "
-    )
+    _choice("##look", session.view, "look", get_args(RenderMode), "Render mode of the viewport.", 9, "Mode: ")
     imgui.same_line()
-    _choice("##split", session.view, "split", get_args(Split), "Compare two pictures side by side.", 11, "Compare: ")
+    _choice("##split", session.view, "split", get_args(Split), "Compare two images side by side.", 11, "Compare: ")
     imgui.same_line()
-    words = f"{session.clock.time_s:.2f} s   flies {session.navigation.speed_m_s:.3g} m/s"
+    words = f"{session.clock.time_s:.2f} s   Fly speed {session.navigation.speed_m_s:.3g} m/s"
     if imgui.calc_text_size(words).x < imgui.get_content_region_avail().x:
         imgui.text_disabled(words)
-        imgui.set_item_tooltip("Time in the scene, and how fast W A S D fly (Ctrl+wheel). F1 shows all keys.")
+        imgui.set_item_tooltip("Time in the scene, and speed of W A S D (Ctrl+wheel). F1 shows all keys.")
     else:
         imgui.new_line()
 

@@ -1,7 +1,8 @@
 """Widgets for settings (title, unit, bounds and help come from a field's `Meta`), keyframes, and file dialogs."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -248,13 +249,13 @@ def keyframe_button(session: Editor, name: Keyed) -> None:
     clicked = square_button(icons_fontawesome_6.ICON_FA_DIAMOND, f"key {name}")
     imgui.pop_style_color(2)
     if is_here:
-        imgui.set_item_tooltip(f"Remove the key of the {title} at {now_s:.2f} s.")
+        imgui.set_item_tooltip(f"Remove the {title} keyframe at {now_s:.2f} s.")
     elif is_keyed:
         imgui.set_item_tooltip(
-            f"The {title} has keys: changing it sets one at the present time. Click to set one at {now_s:.2f} s."
+            f"The {title} has keyframes: changing it sets one at the present time. Click: insert one at {now_s:.2f} s."
         )
     else:
-        imgui.set_item_tooltip(f"Let the {title} change over time: set its first key at {now_s:.2f} s.")
+        imgui.set_item_tooltip(f"Animate the {title}: insert its first keyframe at {now_s:.2f} s.")
     if clicked:
         toggle_keyframe(session, name)
 
@@ -264,12 +265,12 @@ def toggle_keyframe(session: Editor, name: Keyed) -> None:
     weather, now_s, title = session.weather, session.clock.time_s, _TITLES[name]
     present = weather.key_at(now_s)
     if present is not None and getattr(present, name) is not None:
-        session.set_weather(f"Remove the key of the {title}", weather.without_key(now_s, name))
+        session.set_weather(f"Remove {title} keyframe", weather.without_key(now_s, name))
         return
     value = getattr(session.rain_now, name)
     if value is None:  # exposure: the camera's own
         value = session.shot(16, 16).camera.exposure_s
-    session.set_weather(f"Key the {title}", weather.with_key(now_s, **{name: value}))
+    session.set_weather(f"Insert {title} keyframe", weather.with_key(now_s, **{name: value}))
 
 
 def tint_keyframed(session: Editor, name: Keyed) -> int:
@@ -349,3 +350,108 @@ def square_button(icon: str, name: str) -> bool:
     clicked = imgui.button(f"{icon}###{name}", ImVec2(side, side))
     imgui.pop_style_var()
     return clicked
+
+
+# Widgets with their tooltip in one call
+
+WARNING = ImVec4(1.0, 0.72, 0.3, 1.0)
+CLAMPED = imgui.SliderFlags_.always_clamp
+LOGARITHMIC = imgui.SliderFlags_.logarithmic | imgui.SliderFlags_.always_clamp
+_Value = TypeVar("_Value")
+
+
+def warn(text: str | None) -> None:
+    """Draw a wrapped warning; nothing without a text."""
+    if text:
+        with text_color(WARNING):
+            imgui.text_wrapped(text)
+
+
+@contextmanager
+def text_color(color: ImVec4 | int) -> Generator[None]:
+    """Color the text within; a number is a style color (`imgui.Col_`)."""
+    imgui.push_style_color(imgui.Col_.text, color if isinstance(color, ImVec4) else imgui.get_style_color_vec4(color))
+    yield
+    imgui.pop_style_color()
+
+
+@contextmanager
+def disabled(is_disabled: bool = True) -> Generator[None]:
+    """Gray out the widgets within."""
+    imgui.begin_disabled(is_disabled)
+    yield
+    imgui.end_disabled()
+
+
+def button(
+    text: str,
+    help_text: str,
+    *,
+    width: float = 0.0,
+    height: float = 0.0,
+    enabled: bool = True,
+    why_not: str | None = None,
+    is_on: bool = False,
+) -> bool:
+    """Draw a button; returns True if clicked. A reason `why_not` disables it and replaces the tooltip."""
+    if is_on:
+        imgui.push_style_color(imgui.Col_.button, imgui.get_style_color_vec4(imgui.Col_.button_active))
+    with disabled(not enabled or why_not is not None):
+        clicked = imgui.button(text, ImVec2(width, height))
+    if is_on:
+        imgui.pop_style_color()
+    imgui.set_item_tooltip(why_not or help_text)
+    return clicked
+
+
+def share_of_width(count: int) -> float:
+    """Return the width of each of `count` widgets in a row over the panel's width."""
+    return (imgui.get_content_region_avail().x - (count - 1) * imgui.get_style().item_spacing.x) / count
+
+
+def menu_item(name: str, help_text: str, *, possible: bool = True) -> bool:
+    clicked, _ = imgui.menu_item(name, "", False, possible)
+    imgui.set_item_tooltip(help_text)
+    return clicked
+
+
+def checkbox(text: str, value: bool, help_text: str) -> bool:
+    """Draw a checkbox; returns its new value."""
+    _, value = imgui.checkbox(text, value)
+    imgui.set_item_tooltip(help_text)
+    return value
+
+
+def combo(text: str, value: _Value, choices: Mapping[Any, str] | Sequence[_Value], help_text: str = "") -> _Value:
+    """Draw a combo box; returns its new value. Titles are those of the mapping, else the choices themselves."""
+    values: list[Any] = list(choices)
+    titles = list(choices.values()) if isinstance(choices, Mapping) else [str(each) for each in values]
+    changed, at = imgui.combo(text, values.index(value) if value in values else 0, titles)
+    if help_text:
+        imgui.set_item_tooltip(help_text)
+    return values[at] if changed else value
+
+
+def number(
+    title: str, name: str, value: float, low: float, high: float, form: str, help_text: str, flags: int = 0
+) -> float:
+    """Draw a label and a slider; returns the new value."""
+    plain_label(title, help_text)
+    changed, new = imgui.slider_float(f"##{name}", value, low, high, form, flags)
+    return new if changed else value  # the widget rounds to single precision
+
+
+def settings_label(owner: type[msgspec.Struct], name: str) -> FieldInfo:
+    """Draw the label of a field, and move to the position of its widget; returns the field's metadata."""
+    info = field_info(name, owner)
+    plain_label(f"{info.title} ({info.unit})" if info.unit else info.title, info.help)
+    return info
+
+
+def edit_choice(
+    settings: _Settings, name: str, choices: Mapping[Any, str] | Sequence[Any], help_text: str | None = None
+) -> _Settings:
+    """Draw a combo box of other choices or titles than the field's own; returns the updated settings."""
+    info, value = settings_label(type(settings), name), getattr(settings, name)
+    picked = combo(f"##{name}", value, choices, help_text or info.help)
+    return settings if picked == value else _with(settings, name, picked)

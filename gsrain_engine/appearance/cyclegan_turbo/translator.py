@@ -15,8 +15,7 @@ from jaxtyping import Float, Float32
 
 from ..base import ClearView, RainyView
 from ..correspondence import correspondence
-from ..normal_estimators import NormalEstimator, open_estimator
-from ..normals import normals_to_gray
+from ..normals import NormalEstimator, normals_to_gray, open_estimator
 from .cross_view_attention import (
     AttentionPlan,
     AttentionStep,

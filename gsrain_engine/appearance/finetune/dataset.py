@@ -19,8 +19,7 @@ from ...datasets.rainsense import RAIN
 from ...datasets.undistort import undistort_frame
 from ...safe_io.limits import open_file
 from ...scene.files import whole_file
-from ..normal_estimators import NormalEstimator
-from ..normals import normals_from_depth, normals_to_gray
+from ..normals import NormalEstimator, normals_from_depth, normals_to_gray
 
 _Guide = Callable[[CaptureFrame], Float32[np.ndarray, "_ _"] | None]
 
@@ -170,7 +169,7 @@ def _guides(settings: ImageSettings, cache: Path | None) -> _Guide | None:
         return None
     if settings.normals == "none":
         return ConditioningImages(settings.guide)
-    from ..normal_estimators import open_estimator  # loads torch
+    from ..normals import open_estimator  # loads torch
 
     weights = None if settings.normals_weights is None else Path(settings.normals_weights)
     checkout = None if settings.normals_checkout is None else Path(settings.normals_checkout)

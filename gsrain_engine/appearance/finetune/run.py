@@ -31,9 +31,8 @@ from .checkpoint import (
 from .dataset import DatasetImage, ImageSplit, UnpairedImages, open_images
 from .discriminator import ClipFeatures, Discriminator
 from .loss_log import CollapseMonitor, LossLog, color_distance, distance_sample, read_losses
-from .sampler import PairSampler, fingerprint
 from .settings import FinetuningSettings, write_finetuning
-from .step import FinetuneStepResult, FinetuneTrainer, Perceptual
+from .step import FinetuneStepResult, FinetuneTrainer, PairSampler, Perceptual, fingerprint
 from .task import FinetuneResult, FinetuneTask, with_warning
 
 torch: Any = import_module("torch")
@@ -129,10 +128,10 @@ class _FinetuneLoop:
         except RuntimeError as error:
             if "out of memory" not in str(error):
                 raise
-            spare = (
-                "" if self._settings.gradient_checkpointing else "gradient_checkpointing: true needs less, and so do "
-            )
-            raise MemoryError(f"too little memory for this training: {spare}smaller pictures ({error})") from None
+            less = "" if self._settings.gradient_checkpointing else "gradient_checkpointing: true and "
+            raise MemoryError(
+                f"too little memory for this training; {less}smaller images need less ({error})"
+            ) from None
 
     def result(self) -> FinetuneResult:
         recent = read_losses(self._task.losses)[-_RECENT:]
@@ -182,11 +181,11 @@ class _FinetuneLoop:
         self._warned = verdict.warning
         losses = done.losses
         cycle, deceit = (losses[f"{kind}_clear"] + losses[f"{kind}_rainy"] for kind in ("cycle", "gan"))
-        told = (
+        line = (
             f"{number + 1:,} of {self._settings.steps:,}: cycle {cycle:.3f}, GAN {deceit:.2f}, "
-            f"changes {verdict.share:.0%} of what lies between the looks"
+            f"change {verdict.share:.0%} of the distance between the looks"
         )
-        return with_warning(told, verdict.warning)
+        return with_warning(line, verdict.warning)
 
     def _preview(self, done: FinetuneStepResult) -> UInt8[np.ndarray, "h w 3"] | None:
         now = time.perf_counter()
@@ -278,10 +277,8 @@ def _model(settings: FinetuningSettings, guided: bool) -> Any:
         return build_random_model(tiny(), normals=guided, lora=ranks, seed=settings.seed)
     start, base = (None if each is None else Path(each) for each in (settings.start, settings.base))
     model = open_model(start, base, normals=guided, lora=ranks)
-    if model.architecture.name != settings.architecture:
-        raise ValueError(
-            f"{start}: is of architecture {model.architecture.name}, the settings say {settings.architecture}"
-        )
+    if (found := model.architecture.name) != settings.architecture:
+        raise ValueError(f"{start}: is of architecture {found}, the settings say {settings.architecture}")
     return model
 
 

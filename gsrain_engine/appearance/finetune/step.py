@@ -1,14 +1,17 @@
 """Training step of CycleGAN-Turbo (Parmar et al. 2024; Zhu et al. 2017): losses, trained parameters, optimizer."""
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Literal
 
+import numpy as np
+
+from .dataset import DatasetImage, UnpairedImages
 from .discriminator import Discriminator
-from .sampler import PairSampler, UnpairedSample
 from .settings import FinetuningSettings, OptimizerSettings
 
 torch: Any = import_module("torch")
@@ -17,6 +20,65 @@ Direction = Literal["a2b", "b2a"]
 """a is clear, b is rainy."""
 
 _GENERATOR, _DISCRIMINATORS = "generator", "discriminators"
+
+
+# Sampler of unpaired images
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UnpairedSample:
+    """Clear and rainy image of different places: batches of one, (1, 3, h, w) in -1..1; guides (1, 1, h, w)."""
+
+    clear: Tensor
+    rainy: Tensor
+    clear_guide: Tensor | None
+    rainy_guide: Tensor | None
+
+
+class PairSampler:
+    """Endless pairs: each set is shuffled anew in every epoch, so that pairs change.
+
+    It has no state, so a resumed training continues as if never interrupted.
+    """
+
+    def __init__(self, pictures: UnpairedImages, seed: int, guided: bool, device: str) -> None:
+        self.pictures = pictures
+        self._seed, self._guided, self._device = seed, guided, device
+
+    def pair(self, iteration: int) -> UnpairedSample:
+        clear, clear_guide = self.read(self._chosen(self.pictures.source, iteration, 0))
+        rainy, rainy_guide = self.read(self._chosen(self.pictures.target, iteration, 1))
+        return UnpairedSample(clear, rainy, clear_guide, rainy_guide)
+
+    def generator(self, iteration: int) -> Any:
+        """Random numbers of an iteration, drawn on the CPU."""
+        return torch.Generator().manual_seed(self._seed * 1_000_003 + iteration)
+
+    def read(self, picture: DatasetImage) -> tuple[Tensor, Tensor | None]:
+        """Read one image and its guide, as batches of one.
+
+        A missing guide becomes zeros, to which the encoder's new columns add nothing. If only one of the two looks has
+        guides, a model can tell the looks apart by them, so better give both looks normals.
+        """
+        image, guide = picture.read()
+        batch = torch.from_numpy(image).permute(2, 0, 1)[None].contiguous().to(self._device) * 2 - 1
+        if not self._guided:
+            return batch, None
+        guide = np.zeros(image.shape[:2], np.float32) if guide is None else guide
+        return batch, torch.from_numpy(guide.copy())[None, None].to(self._device)
+
+    def _chosen(self, pictures: Sequence[DatasetImage], iteration: int, which: int) -> DatasetImage:
+        turn, place = divmod(iteration, len(pictures))
+        return pictures[int(np.random.default_rng((self._seed, which, turn)).permutation(len(pictures))[place])]
+
+
+def fingerprint(pictures: UnpairedImages) -> str:
+    """Identify sets of images by names and sizes, in a readable line."""
+    names = "\n".join(f"{each.name} {each.width} {each.height}" for each in (*pictures.source, *pictures.target))
+    return f"{len(pictures.source)} clear, {len(pictures.target)} rainy, {zlib.crc32(names.encode()):08x}"
+
+
+# Step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,9 +135,11 @@ class FinetuneTrainer:
         """Train on one pair of images. Raises `DivergedError` if a gradient is not finite."""
         pair, random = self.order.pair(number), self.order.generator(number)
         frozen_parameters((self.rainy_judge, self.clear_judge), True)
-        losses = self._learn_cycles(pair, number)
-        deceived, made_rainy, made_clear = self._learn_to_deceive(pair, number, random)
-        losses |= deceived | self._learn_identity(pair, number)
+        losses = self._learn(number, self._cycle_losses(pair))
+        made: list[Tensor] = []
+        losses |= self._learn(number, self._adversarial_losses(pair, random, made))
+        losses |= self._learn(number, self._identity_losses(pair))
+        made_rainy, made_clear = (each.detach() for each in made)
         frozen_parameters((self.rainy_judge, self.clear_judge), False)
         losses |= self._learn_to_judge(pair, made_rainy, made_clear, number, random)
         losses["change"] = float((made_rainy - pair.clear).abs().mean()) / 2
@@ -104,48 +168,41 @@ class FinetuneTrainer:
         self.rainy_judge.load_state_dict(_of(arrays, f"{_DISCRIMINATORS}:rainy"))
         self.clear_judge.load_state_dict(_of(arrays, f"{_DISCRIMINATORS}:clear"))
 
-    def _learn_cycles(self, pair: UnpairedSample, number: int) -> dict[str, float]:
-        weights = self._settings.losses
-        losses: dict[str, float] = {}
-        for name, picture, guide, way in (
-            ("cycle_clear", pair.clear, pair.clear_guide, ("a2b", "b2a")),
-            ("cycle_rainy", pair.rainy, pair.rainy_guide, ("b2a", "a2b")),
-        ):
-            there = self._translate(picture, guide, way[0])
-            back = self._translate(there, guide, way[1])
-            loss = difference(back, picture, weights.cycle, weights.cycle_lpips, self._perceptual)
-            losses[name] = _learn_from(loss)
+    def _learn(self, number: int, losses: Iterable[tuple[str, Tensor]]) -> dict[str, float]:
+        """Take one step of the generator on losses, each of which is freed before the next one is computed."""
+        values = {name: _learn_from(loss) for name, loss in losses}
         self._generator.step(number)
-        return losses
+        return values
 
-    def _learn_to_deceive(
-        self, pair: UnpairedSample, number: int, random: Any
-    ) -> tuple[dict[str, float], Tensor, Tensor]:
-        losses: dict[str, float] = {}
-        made: list[Tensor] = []
+    def _cycle_losses(self, pair: UnpairedSample) -> Iterator[tuple[str, Tensor]]:
+        weights = self._settings.losses
+        for name, picture, guide, there, back in (
+            ("cycle_clear", pair.clear, pair.clear_guide, "a2b", "b2a"),
+            ("cycle_rainy", pair.rainy, pair.rainy_guide, "b2a", "a2b"),
+        ):
+            restored = self._translate(self._translate(picture, guide, there), guide, back)
+            yield name, difference(restored, picture, weights.cycle, weights.cycle_lpips, self._perceptual)
+
+    def _adversarial_losses(
+        self, pair: UnpairedSample, random: Any, made: list[Tensor]
+    ) -> Iterator[tuple[str, Tensor]]:
+        """Losses of the generator before the discriminators; appends the rainy and the clear image to `made`."""
         for name, judge, picture, guide, direction in (
             ("gan_rainy", self.rainy_judge, pair.clear, pair.clear_guide, "a2b"),
             ("gan_clear", self.clear_judge, pair.rainy, pair.rainy_guide, "b2a"),
         ):
             made.append(self._translate(picture, guide, direction))
-            loss = adversarial(judge(made[-1], random), real=True) * self._settings.losses.gan
-            losses[name] = _learn_from(loss)
-        self._generator.step(number)
-        return losses, made[0].detach(), made[1].detach()
+            yield name, adversarial(judge(made[-1], random), real=True) * self._settings.losses.gan
 
-    def _learn_identity(self, pair: UnpairedSample, number: int) -> dict[str, float]:
-        """Train to leave rainy images unchanged by a2b and clear ones by b2a."""
+    def _identity_losses(self, pair: UnpairedSample) -> Iterator[tuple[str, Tensor]]:
+        """Losses of changes of rainy images by a2b and of clear ones by b2a."""
         weights = self._settings.losses
-        losses: dict[str, float] = {}
         for name, picture, guide, direction in (
             ("identity_rainy", pair.rainy, pair.rainy_guide, "a2b"),
             ("identity_clear", pair.clear, pair.clear_guide, "b2a"),
         ):
             same = self._translate(picture, guide, direction)
-            loss = difference(same, picture, weights.identity, weights.identity_lpips, self._perceptual)
-            losses[name] = _learn_from(loss)
-        self._generator.step(number)
-        return losses
+            yield name, difference(same, picture, weights.identity, weights.identity_lpips, self._perceptual)
 
     def _learn_to_judge(
         self, pair: UnpairedSample, made_rainy: Tensor, made_clear: Tensor, number: int, random: Any
@@ -336,12 +393,9 @@ class NamedOptimizer:
         for name, parameter in self.parameters.items():
             if f"step:{name}" not in arrays:
                 continue
-            moments = {moment: arrays[f"{moment}:{name}"] for moment in _MOMENTS}
-            self._adam.state[parameter] = {
-                "step": moments["step"].to(parameter.device).clone(),
-                "exp_avg": moments["exp_avg"].to(parameter).clone(),
-                "exp_avg_sq": moments["exp_avg_sq"].to(parameter).clone(),
-            }
+            moments = {moment: arrays[f"{moment}:{name}"].to(parameter.device) for moment in _MOMENTS}
+            moments |= {moment: moments[moment].to(parameter) for moment in _MOMENTS[1:]}  # and its precision
+            self._adam.state[parameter] = {moment: value.clone() for moment, value in moments.items()}
 
 
 def frozen_parameters(modules: Iterable[Any], still: bool) -> None:

@@ -29,7 +29,7 @@ from .job import CopiedSceneJob, WorkerCall, new_report, write_copy
 from .process import WorkerProcess
 from .training import HOW_TO_GET_DIFFUSION, require_torch
 
-MAKE_RAINY_TITLE = "Make it rainy"
+MAKE_RAINY_TITLE = "Apply wet look"
 _COLORS = "colors.npz"
 
 # Transfer job

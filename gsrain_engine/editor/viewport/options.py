@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple
 
 from ...rain.simulation import RainSimulation
 from ...render.opengl.buffers import Harmonics
@@ -10,7 +10,6 @@ from ...render.renderer import Color, RenderMode
 from ...scene.scene import Scene
 
 Mode = Literal["picture", "difference", "pixels"]
-MODES: tuple[Mode, ...] = get_args(Mode)
 
 # View options; not part of the document
 

@@ -121,7 +121,7 @@ def checked_gaussians(
 
     Raises `SceneFormatError` with the problem, the number of affected Gaussians and the first of them.
     """
-    fields = {"mean": means, "scale": scales, "quaternion": quaternions, "opacity": opacities, "colour": sh}
+    fields = {"mean": means, "scale": scales, "quaternion": quaternions, "opacity": opacities, "color": sh}
     check_finite(path, fields)
     if scales.size and scales.min() < 0:
         raise SceneFormatError(path, _counted(np.flatnonzero(scales.min(axis=1) < 0), len(scales), "a negative scale"))

@@ -111,17 +111,9 @@ def _read_section(path: Path, data: bytes, index: int) -> _KsplatSection:
 
 def _record(level: int, sh_degree: int) -> np.dtype[np.void]:
     """Type of one Gaussian, without padding between the fields."""
-    number = "<f4" if level == 0 else "<f2"
-    rest = 3 * (COEFFICIENTS_OF_DEGREE[sh_degree] - 1)
-    return np.dtype(
-        [
-            ("mean", "<f4" if level == 0 else "<u2", 3),
-            ("scale", number, 3),
-            ("quaternion", number, 4),
-            ("color", "u1", 4),
-            ("harmonics", ("<f4", "<f2", "u1")[level], rest),
-        ]
-    )
+    mean, number = ("<f4", "<f4") if level == 0 else ("<u2", "<f2")
+    harmonics = ("harmonics", ("<f4", "<f2", "u1")[level], 3 * (COEFFICIENTS_OF_DEGREE[sh_degree] - 1))
+    return np.dtype([("mean", mean, 3), ("scale", number, 3), ("quaternion", number, 4), ("color", "u1", 4), harmonics])
 
 
 def _bucket_centers(path: Path, section: _KsplatSection, table: bytes) -> Float32[np.ndarray, "n 3"]:
@@ -205,14 +197,9 @@ def read_splat(path: Path) -> Gaussians:
     rows = np.frombuffer(read_file(path, size), _ROW)
     quaternions = rows["quaternion"].astype(np.float32) - np.float32(128)
     rgba = rows["rgba"] / np.float32(255)
-    return checked_gaussians(
-        path,
-        rows["mean"].astype(np.float32),
-        rows["scale"].astype(np.float32),
-        quaternions,
-        np.ascontiguousarray(rgba[:, 3]),
-        sh_from_color(rgba[:, :3]),
-    )
+    means, scales = rows["mean"].astype(np.float32), rows["scale"].astype(np.float32)
+    opacities = np.ascontiguousarray(rgba[:, 3])
+    return checked_gaussians(path, means, scales, quaternions, opacities, sh_from_color(rgba[:, :3]))
 
 
 def write_splat(gaussians: Gaussians, path: Path) -> None:

@@ -24,7 +24,7 @@ from .spz import read_spz, write_spz
 FORMATS = (
     Format(".compressed.ply", read_ply, None, "SuperSplat's compressed PLY: 16 bytes a Gaussian and its harmonics"),
     Format(".ply", read_ply, write_ply, "3D Gaussian Splatting (Kerbl et al. 2023), lossless, SH degree 0 to 3"),
-    Format(".splat", read_splat, write_splat, "32 bytes a Gaussian, without view-dependent colour", False),
+    Format(".splat", read_splat, write_splat, "32 bytes a Gaussian, without view-dependent color", False),
     Format(".spz", read_spz, write_spz, "Niantic's compressed format, versions 1 to 4; version 3 is written"),
     Format(".ksplat", read_ksplat, None, "GaussianSplats3D's format, SH degree 0 to 2"),
     Format(".sog", read_sog, None, "PlayCanvas' images in a zip file"),
@@ -73,10 +73,10 @@ def read_gaussians(path: Path) -> Gaussians:
     try:
         return row.read(path)
     except SceneFormatError as error:
-        told = _instead(path) if error.path == path else ""
-        if not told:
+        actual_kind = _instead(path) if error.path == path else ""
+        if not actual_kind:
             raise
-        raise SceneFormatError(path, f"{error.problem}{told}") from None
+        raise SceneFormatError(path, f"{error.problem}{actual_kind}") from None
 
 
 def write_gaussians(gaussians: Gaussians, path: Path) -> None:
@@ -113,14 +113,8 @@ def check_writable(path: Path, gaussians: Gaussians, of: str = "") -> None:
 
     Raises `SceneFormatError` for NaN or infinity.
     """
-    fields = {
-        "mean": gaussians.means,
-        "scale": gaussians.scales,
-        "quaternion": gaussians.quaternions,
-        "opacity": gaussians.opacities,
-        "colour": gaussians.sh,
-    }
-    check_finite(path, {f"{name}{of}": values for name, values in fields.items()})
+    names = "mean", "scale", "quaternion", "opacity", "color"
+    check_finite(path, {f"{name}{of}": array for name, array in zip(names, gaussians.arrays, strict=True)})
 
 
 def close_match(name: str, known: Sequence[str]) -> str:
@@ -169,26 +163,21 @@ def installed_format(path: Path) -> Format | None:
     for each, suffix in zip(find_extensions(SCENE_FORMATS), installed_suffixes(), strict=True):
         if path.name.lower().endswith(suffix):
             try:
-                return _guarded(each, _checked(each, each.load(Format), suffix))
+                return _guarded(each, each.load(Format), suffix)
             except ExtensionError as error:
                 raise SceneFormatError(path, str(error)) from error
     return None
 
 
-def _checked(extension: Extension, row: Format, suffix: str) -> Format:
+def _guarded(extension: Extension, row: Format, suffix: str) -> Format:
+    """Wrap third-party functions: errors become one sentence, arrays are converted as in built-in readers."""
     if row.suffix != suffix:
         raise extension.unfit(f"its suffix is {row.suffix!r}, its name asks for {suffix!r}")
-    return row
-
-
-def _guarded(extension: Extension, row: Format) -> Format:
-    """Wrap third-party functions: errors become one sentence, arrays are converted as in built-in readers."""
 
     def read(path: Path) -> Gaussians:
         with _as_format_error(extension, path):
             found = extension.expect(row.read(path), Gaussians, "reads")
-        fields = found.means, found.scales, found.quaternions, found.opacities, found.sh
-        return checked_gaussians(path, *(np.array(each, np.float32, order="C") for each in fields))
+        return checked_gaussians(path, *(np.array(each, np.float32, order="C") for each in found.arrays))
 
     return row._replace(read=read, write=None if row.write is None else partial(_written, extension, row.write))
 

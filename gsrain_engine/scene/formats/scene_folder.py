@@ -172,7 +172,7 @@ def _check_writable(scene: Scene, folder: Path, known: FileCache) -> None:
         if known.file_anywhere(member.gaussians) is None:  # values from a file were checked when read
             check_writable(folder, member.gaussians, f" of {_kind(member)[:-1]} {member.name!r}")
         if member.wet_sh is not None and known.file_anywhere(member.wet_sh) is None:
-            check_finite(folder, {f"wet colour of {_kind(member)[:-1]} {member.name!r}": member.wet_sh})
+            check_finite(folder, {f"wet color of {_kind(member)[:-1]} {member.name!r}": member.wet_sh})
     record = record_of(scene, [""] * len(gaussians))
     path = folder / SCENE_FILE
     for place in places_not_finite(msgspec.to_builtins(record)):
@@ -383,14 +383,14 @@ def read_harmonics(path: Path, shape: tuple[int, ...]) -> Float32[np.ndarray, "n
         try:
             found, is_fortran, dtype = read_array_header(file)
         except ValueError as error:
-            raise SceneFormatError(path, f"no array file of wet colours: {error}") from None
+            raise SceneFormatError(path, f"no array file of wet colors: {error}") from None
         if dtype != np.dtype("<f4") or is_fortran or found != shape:
             order = " in Fortran's order" if is_fortran else ""
-            raise SceneFormatError(path, f"holds {dtype} {found}{order}, expected float32 {shape} as the clear colours")
+            raise SceneFormatError(path, f"holds {dtype} {found}{order}, expected float32 {shape} as the clear colors")
         sh = np.empty(shape, np.float32)
         if file.readinto(sh.view(np.uint8).reshape(-1).data) != sh.nbytes or file.read(1):
             raise SceneFormatError(path, f"does not end after the {sh.nbytes:,} bytes that {shape} numbers take")
-    check_finite(path, {"wet colour": sh})
+    check_finite(path, {"wet color": sh})
     return sh
 
 

@@ -168,11 +168,7 @@ def record_of(
     names, wet_names = iter(files), iter(wet_files or [None] * len(files))
     return SceneRecord(
         version=SCENE_VERSION,
-        name=scene.name,
-        metres_per_unit=scene.metres_per_unit,
-        unit_is_assumed=scene.unit_is_assumed,
-        up=scene.up,
-        ground_m=scene.ground_m,
+        **_fields(scene, _SCENE),
         layers=[_layer_record(layer, next(names), next(wet_names)) for layer in scene.layers],
         actors=[_actor_record(actor, next(names), next(wet_names)) for actor in scene.actors],
         rigs={name: [_camera_record(camera) for camera in cameras] for name, cameras in scene.rigs.items()},
@@ -204,13 +200,9 @@ def scene_of(record: SceneRecord, gaussians: list[Gaussians], wet: Sequence[WetC
     )
     counts = {each.key: len(each.gaussians) for each in (*layers, *actors)}
     return Scene(
-        name=record.name,
+        **_fields(record, _SCENE),
         layers=layers,
         actors=actors,
-        metres_per_unit=record.metres_per_unit,
-        unit_is_assumed=record.unit_is_assumed,
-        up=record.up,
-        ground_m=record.ground_m,
         rigs={name: tuple(_camera(camera, name) for camera in cameras) for name, cameras in record.rigs.items()},
         ego=track_of(record.ego, "`$.ego`") if record.ego is not None else None,
         path=path_of(record.path, "`$.path`") if record.path is not None else None,
@@ -235,64 +227,40 @@ def places_not_finite(value: object, place: str = "$") -> Iterator[str]:
 
 def _layer_record(layer: Layer, file: str, wet_file: str | None) -> LayerRecord:
     return LayerRecord(
-        name=layer.name,
-        file=file,
-        wet_file=wet_file,
-        kind=layer.kind,
-        visible=layer.visible,
-        locked=layer.locked,
-        opacity=layer.opacity,
-        grading=layer.grading,
-        marks=flags_record(layer.marks),
-        to_scene=_rows(layer.to_scene),
-    )
+        name=layer.name, file=file, wet_file=wet_file, kind=layer.kind, to_scene=_rows(layer.to_scene),
+        marks=flags_record(layer.marks), **_fields(layer, _NODE),
+    )  # fmt: skip
 
 
 def _layer(record: LayerRecord, gaussians: Gaussians, wet_sh: WetColors, where: str) -> Layer:
-    return Layer(
-        record.name,
-        gaussians,
-        record.kind,
-        _similarity(record.to_scene, f"{where}.to_scene`"),
-        visible=record.visible,
-        locked=record.locked,
-        opacity=record.opacity,
-        grading=record.grading,
-        marks=flags_of(record.marks, len(gaussians), f"{where}.marks"),
-        wet_sh=wet_sh,
-    )
+    to_scene = _similarity(record.to_scene, f"{where}.to_scene`")
+    marks = flags_of(record.marks, len(gaussians), f"{where}.marks")
+    return Layer(record.name, gaussians, record.kind, to_scene, marks=marks, wet_sh=wet_sh, **_fields(record, _NODE))
 
 
 def _actor_record(actor: Actor, file: str, wet_file: str | None) -> ActorRecord:
     return ActorRecord(
-        id=actor.id,
-        file=file,
-        wet_file=wet_file,
-        track=track_record(actor.track),
-        class_name=actor.class_name,
-        size_lwh=actor.size_lwh,
-        visible=actor.visible,
-        locked=actor.locked,
-        opacity=actor.opacity,
-        grading=actor.grading,
-        marks=flags_record(actor.marks),
-    )
+        file=file, wet_file=wet_file, track=track_record(actor.track), marks=flags_record(actor.marks),
+        **_fields(actor, ("id", "class_name", "size_lwh", *_NODE)),
+    )  # fmt: skip
 
 
 def _actor(record: ActorRecord, gaussians: Gaussians, wet_sh: WetColors, where: str) -> Actor:
     return Actor(
-        record.id,
-        record.class_name,
-        record.size_lwh,
-        gaussians,
-        track_of(record.track, f"{where}.track`"),
-        visible=record.visible,
-        locked=record.locked,
-        opacity=record.opacity,
-        grading=record.grading,
+        gaussians=gaussians, track=track_of(record.track, f"{where}.track`"), wet_sh=wet_sh,
         marks=flags_of(record.marks, len(gaussians), f"{where}.marks"),
-        wet_sh=wet_sh,
-    )
+        **_fields(record, ("id", "class_name", "size_lwh", *_NODE)),
+    )  # fmt: skip
+
+
+_NODE = ("visible", "locked", "opacity", "grading")
+_CAMERA = ("name", "width", "height", "fx", "fy", "cx", "cy", "exposure_s")
+_SCENE = ("name", "metres_per_unit", "unit_is_assumed", "up", "ground_m")
+
+
+def _fields(source: object, names: Sequence[str]) -> dict[str, Any]:
+    """Fields that a scene and its record name alike."""
+    return {name: getattr(source, name) for name in names}
 
 
 def _rows(matrix: Float64[np.ndarray, "4 4"]) -> Matrix:
@@ -315,26 +283,14 @@ def _is_pose(matrix: Float64[np.ndarray, "4 4"]) -> bool:
 
 
 def _camera_record(camera: RigCamera) -> CameraRecord:
-    return CameraRecord(
-        name=camera.name,
-        width=camera.width,
-        height=camera.height,
-        fx=camera.fx,
-        fy=camera.fy,
-        cx=camera.cx,
-        cy=camera.cy,
-        camera_to_ego=_rows(camera.camera_to_ego),
-        exposure_s=camera.exposure_s,
-    )
+    return CameraRecord(camera_to_ego=_rows(camera.camera_to_ego), **_fields(camera, _CAMERA))
 
 
 def _camera(record: CameraRecord, rig: str) -> RigCamera:
     matrix = np.array(record.camera_to_ego, np.float64)
     if not _is_pose(matrix):
         raise ValueError(f"camera_to_ego of camera {record.name!r} must be a rotation and a place - at `$.rigs.{rig}`")
-    return RigCamera(
-        record.name, record.width, record.height, record.fx, record.fy, record.cx, record.cy, matrix, record.exposure_s
-    )
+    return RigCamera(camera_to_ego=matrix, **_fields(record, _CAMERA))
 
 
 def flags_record(marks: SelectionFlags) -> FlagsRecord:

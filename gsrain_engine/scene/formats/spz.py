@@ -61,7 +61,7 @@ class _SpzHeader:
         sizes = {
             "means": 6 if self.version == 1 else 9,
             "opacities": 1,
-            "colours": 3,
+            "colors": 3,
             "scales": 3,
             "quaternions": 3 if self.version <= 2 else 4,
             "spherical harmonics": 3 * (self.coefficients - 1),
@@ -181,7 +181,7 @@ def _decode(path: Path, header: _SpzHeader, streams: dict[str, bytes]) -> Gaussi
     n = header.count
     raw = {name: np.frombuffer(stream, np.uint8) for name, stream in streams.items()}
     sh = np.empty((n, header.coefficients, 3), np.float32)
-    sh[:, 0] = _BASE_SH[raw["colours"].reshape(n, 3)]
+    sh[:, 0] = _BASE_SH[raw["colors"].reshape(n, 3)]
     rest = sh.reshape(n, 3 * header.coefficients)[:, 3:]  # in place: a copy takes longer than the arithmetic
     np.subtract(raw["spherical harmonics"].reshape(rest.shape), _REST_ZERO, out=rest)
     rest *= np.repeat(_SH_FLIP[1 : header.coefficients] * _REST_STEP, 3)

@@ -77,11 +77,8 @@ class Daylight:
         return _MIRRORED, flip[:, :, 2:] * _MIRRORED_UP + (flip @ self.sun)[:, :, None] * _MIRRORED_SUN
 
     def _sky(self, points: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
-        middle = 0.0
-        if self.layout is not None:
-            p = self.layout.parameters
-            middle = 0.5 * (p.start_x_m + p.end_x_m)
-        away = points - np.array([middle, 0, 0])
+        p = self.layout.parameters if self.layout is not None else None
+        away = points - np.array([0.0 if p is None else 0.5 * (p.start_x_m + p.end_x_m), 0, 0])
         away = away / np.linalg.norm(away, axis=1, keepdims=True)
         return sky_display(away, self.sun, self.seed).astype(np.float32)
 
@@ -146,13 +143,8 @@ def scene_of(surfaces: StreetSurfaces) -> Scene:
     )
     form = CAR_FORMS[_LEAD_SHAPE]
     p = surfaces.layout.parameters
-    lead = Actor(
-        LEAD_ID,
-        "car",
-        (form.length, form.width, form.height),
-        quads_to_gaussians(surfaces.lead, surfaces.lead_light),
-        lead_track(p),
-    )
+    gaussians = quads_to_gaussians(surfaces.lead, surfaces.lead_light)
+    lead = Actor(LEAD_ID, "car", (form.length, form.width, form.height), gaussians, lead_track(p))
     return Scene(name="street", layers=layers, actors=(lead,), ground_m=0.0, rigs=street_rigs(), ego=ego_track(p))
 
 
@@ -281,15 +273,11 @@ def street_rigs() -> dict[str, tuple[RigCamera, ...]]:
 
 
 def _camera(row: tuple[str, float, float, float, float, float, float, float], width: int, height: int) -> RigCamera:
-    name, yaw, x, y, above_road, f, cx, cy = row
-    return RigCamera(name, width, height, f, f, cx, cy, _pose(yaw, x, y, above_road), DEFAULT_EXPOSURE_S)
-
-
-def _pose(yaw_deg: float, x: float, y: float, above_road: float) -> Float64[np.ndarray, "4 4"]:
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation_about_z(yaw_deg) @ _CAMERA_TO_FORWARD
-    matrix[:3, 3] = x, y, above_road - SENSOR_HEIGHT_M
-    return matrix
+    name, yaw_deg, x, y, above_road, f, cx, cy = row
+    pose = np.eye(4)
+    pose[:3, :3] = rotation_about_z(yaw_deg) @ _CAMERA_TO_FORWARD
+    pose[:3, 3] = x, y, above_road - SENSOR_HEIGHT_M
+    return RigCamera(name, width, height, f, f, cx, cy, pose, DEFAULT_EXPOSURE_S)
 
 
 # Parked vehicles
@@ -314,25 +302,12 @@ class ParkedBox(NamedTuple):
 def parked_boxes(parameters: StreetParameters | None = None) -> list[ParkedBox]:
     """Parked vehicles of a street, in the order of its plan: cars, then trucks."""
     layout = plan_street(parameters or StreetParameters())
+    cars = [(f"parked-{k:02d}", "car", PARKED_CARS, CAR_FORMS[car.shape], car) for k, car in enumerate(layout.cars)]
+    trucks = [(f"truck-{k:02d}", "truck", PARKED_TRUCKS, TRUCK_FORM, truck) for k, truck in enumerate(layout.trucks)]
     boxes: list[ParkedBox] = []
-    for number, car in enumerate(layout.cars):
-        form = CAR_FORMS[car.shape]
-        size = form.length, form.width, form.height
-        boxes.append(
-            ParkedBox(f"parked-{number:02d}", "car", PARKED_CARS, size, _parked_pose(car.x, car.y, car.turn_deg))
-        )
-    for number, truck in enumerate(layout.trucks):
-        size = TRUCK_FORM.length, TRUCK_FORM.width, TRUCK_FORM.height
-        boxes.append(
-            ParkedBox(
-                f"truck-{number:02d}", "truck", PARKED_TRUCKS, size, _parked_pose(truck.x, truck.y, truck.turn_deg)
-            )
-        )
+    for name, class_name, layer, form, vehicle in (*cars, *trucks):
+        pose = np.eye(4)
+        pose[:3, :3] = rotation_about_z(vehicle.turn_deg)
+        pose[:2, 3] = vehicle.x, vehicle.y
+        boxes.append(ParkedBox(name, class_name, layer, (form.length, form.width, form.height), pose))
     return boxes
-
-
-def _parked_pose(x: float, y: float, turn_deg: float) -> Float64[np.ndarray, "4 4"]:
-    pose = np.eye(4)
-    pose[:3, :3] = rotation_about_z(turn_deg)
-    pose[:2, 3] = x, y
-    return pose

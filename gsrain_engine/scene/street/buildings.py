@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from .layout import HOUSE_DEPTH_M, House, Label, StreetLayout
-from .mesh import Quads, box, even_lines, graded_lines, layered_noise, panel, patch, tube
+from .mesh import Quads, box, even_lines, graded_lines, layered_noise, panel, patch, surface, tube
 
 _X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 _OVERHANG = 0.32
@@ -15,11 +15,9 @@ _LINING_DEPTH = 1.2
 
 
 def build_houses(layout: StreetLayout) -> Quads:
-    rows: list[Sequence[House]] = [layout.left, layout.right]
-    ends = layout.ends
-    rows += [[h for h in ends if h.turn_deg < 0], [h for h in ends if h.turn_deg > 0]]
+    ends = [h for h in layout.ends if h.turn_deg < 0], [h for h in layout.ends if h.turn_deg > 0]
     built: list[Quads] = []
-    for row in rows:
+    for row in (layout.left, layout.right, *ends):
         for k, house in enumerate(row):
             before = row[k - 1] if k > 0 else None
             after = row[k + 1] if k + 1 < len(row) else None
@@ -45,9 +43,8 @@ def _roof(house: House) -> Quads:
     sides: list[Quads] = []
     for sign, spacing in ((1, 0.42), (-1, 1.4)):
         y = even_lines(-_OVERHANG, half, spacing * house.detail)
-        across = y if sign > 0 else HOUSE_DEPTH_M - y
-        points = np.stack(np.broadcast_arrays(x[:, None], across, house.eaves + y * slope), axis=2)
-        sides.append(patch(points if sign > 0 else points[::-1], house.roof_color, Label.BUILDING))
+        across, z = y if sign > 0 else HOUSE_DEPTH_M - y, house.eaves + y * slope
+        sides.append(surface(x[:, None], across, z, house.roof_color, Label.BUILDING, flipped=sign < 0))
     roof = Quads.joined(sides)
     center = roof.centers
     rng = np.random.default_rng(house.seed + 2)
@@ -68,10 +65,9 @@ def _chimneys(house: House) -> list[Quads]:
     for x in places:
         y, top = 0.5 * HOUSE_DEPTH_M - 0.8, house.ridge + 0.9
         foot = house.ridge - 1.6
-        found.append(box((x + 0.2, y, (foot + top) / 2), (0.8, 0.6, top - foot), brick, Label.BUILDING, edge=0.2,
-                         coarse=0.45))  # fmt: skip
-        found.append(box((x + 0.2, y, top + 0.05), (0.95, 0.75, 0.12), (0.35, 0.33, 0.3), Label.BUILDING, edge=0.2,
-                         coarse=0.35))  # fmt: skip
+        stack, cap = (x + 0.2, y, (foot + top) / 2), (x + 0.2, y, top + 0.05)
+        found.append(box(stack, (0.8, 0.6, top - foot), brick, Label.BUILDING, edge=0.2, coarse=0.45))
+        found.append(box(cap, (0.95, 0.75, 0.12), (0.35, 0.33, 0.3), Label.BUILDING, edge=0.2, coarse=0.35))
     return found
 
 
@@ -99,15 +95,8 @@ def _side(house: House, neighbour: House | None, *, at_start: bool) -> Quads:
     slope = np.tan(np.radians(house.pitch_deg))
     top = house.eaves + slope * (0.5 * HOUSE_DEPTH_M - np.abs(y - 0.5 * HOUSE_DEPTH_M)) - 0.04
     x = 0.0 if at_start else house.width
-    points = np.stack(
-        [
-            np.full((len(y), len(rows)), x),
-            np.broadcast_to(y[:, None], (len(y), len(rows))),
-            foot + rows * (top[:, None] - foot),
-        ],
-        axis=2,
-    )
-    wall = patch(points[::-1] if at_start else points, np.asarray(house.color) * 0.85, Label.BUILDING)
+    z = foot + rows * (top[:, None] - foot)
+    wall = surface(x, y[:, None], z, np.asarray(house.color) * 0.85, Label.BUILDING, flipped=at_start)
     center = wall.centers
     stains = layered_noise(center[:, 1:] + house.seed % 877, (1.3, 2.5), house.seed % 881)
     return wall.tinted((0.82 + 0.36 * stains)[:, None])
@@ -125,11 +114,10 @@ def _dormers(house: House) -> Quads:
     t, deep = w / 2 + 0.11, (h + 0.5) / slope
     top = h + 0.27
     for side in (-1, 1):
-        cheek = np.array(
-            [[[side * t, 0, 0], [side * t, 0, top]], [[side * t, deep, top - 0.02], [side * t, deep, top]]]
-        )
+        front = np.array([[side * t, 0, 0], [side * t, 0, top]])
+        rear = np.array([[side * t, deep, top - 0.02], [side * t, deep, top]])
         split = np.linspace(0, 1, 4)[:, None, None]
-        grid = cheek[0] * (1 - split) + cheek[1] * split
+        grid = front * (1 - split) + rear * split
         one.append(patch(grid if side > 0 else grid[::-1], slate, Label.BUILDING, sky_access=0.8))
         ridge = np.array([0.0, 0.0, top + 0.5])
         eave = np.array([side * (t + 0.12), 0.0, top - 0.08])
@@ -189,8 +177,7 @@ def _upper_floors(house: House, bays: int, bay: float, trim: Any, frame: Any, rn
 
 def _ground_floor(house: House, bays: int, bay: float, trim: Any, frame: Any, rng: np.random.Generator) -> list[Quads]:
     entrance = int(rng.integers(bays))
-    doors = [((entrance + 0.5) * bay - 0.6, (entrance + 0.5) * bay + 0.6)]
-    door_rows = [(0.0, 2.75)]
+    door_hole = (entrance + 0.5) * bay - 0.6, (entrance + 0.5) * bay + 0.6, (0.0, 2.75)
     others = [k for k in range(bays) if k != entrance]
     stone = np.asarray(house.color) * 0.45 + np.array([0.24, 0.23, 0.21]) * 0.6
     parts: list[Quads] = []
@@ -211,23 +198,16 @@ def _ground_floor(house: House, bays: int, bay: float, trim: Any, frame: Any, rn
         entry = door(1.2, 2.75, stone, house.door_color, house.detail)
     else:
         entry = far_window(1.2, 2.75, stone, stone, house.door_color, 0.0, house.detail)
-    parts.append(entry.placed((doors[0][0], 0, 0)))
-    columns = sorted([*holes, (*doors[0], door_rows[0])])
-    parts += _wall(
-        house, 0.0, house.ground_height, [(x0, x1) for x0, x1, _ in columns], [rows for *_, rows in columns],
-        stone=stone,
-    )  # fmt: skip
-    return parts
+    parts.append(entry.placed((door_hole[0], 0, 0)))
+    columns = sorted([*holes, door_hole])
+    rows = [rows for *_, rows in columns]
+    return [*parts, *_wall(house, 0.0, house.ground_height, [(x0, x1) for x0, x1, _ in columns], rows, stone)]
 
 
 def _wall(
-    house: House,
-    z0: float,
-    z1: float,
-    holes: Sequence[tuple[float, float]],
-    rows: Sequence[tuple[float, float]],
+    house: House, z0: float, z1: float, holes: Sequence[tuple[float, float]], rows: Sequence[tuple[float, float]],
     stone: Any = None,
-) -> list[Quads]:
+) -> list[Quads]:  # fmt: skip
     """Fill the wall around holes: full-height piers between the columns, spandrels inside them.
 
     Upper floors share all `rows` in every column; the ground floor (`stone`) has one row per column.
@@ -245,19 +225,15 @@ def _wall(
     edges = [0.0, *[x for hole in holes for x in hole], house.width]
     parts: list[Quads] = []
     for x0, x1 in zip(edges[::2], edges[1::2], strict=True):
-        parts.append(_plain(x0, x1, graded_lines([x0, x1], edge, coarse), v_lines, color))
+        parts.append(panel((0, 0, 0), _X, _Z, graded_lines([x0, x1], edge, coarse), v_lines, color, Label.BUILDING))
     for k, (x0, x1) in enumerate(holes):
         own = rows if stone is None else [rows[k]]
         levels = [z0, *[z for row in own for z in row], z1]
         for low, high in zip(levels[::2], levels[1::2], strict=True):
             if high - low > 1e-3:
-                lines = graded_lines([low, high], edge, coarse)
-                parts.append(_plain(x0, x1, even_lines(x0, x1, coarse), lines, color))
+                x, z = even_lines(x0, x1, coarse), graded_lines([low, high], edge, coarse)
+                parts.append(panel((0, 0, 0), _X, _Z, x, z, color, Label.BUILDING))
     return parts
-
-
-def _plain(x0: float, x1: float, x: Any, z: Any, color: Any) -> Quads:
-    return panel((0, 0, 0), _X, _Z, x, z, color, Label.BUILDING)
 
 
 def _weathered(front: Quads, house: House) -> Quads:
@@ -303,18 +279,15 @@ def _balcony(x: float, z: float, width: float, trim: Any) -> Quads:
     slab = box((x, -0.5, z - 0.07), (width, 1.0, 0.14), trim, Label.BUILDING, edge=0.1, coarse=0.45, faces="xXyzZ")
     iron = (0.025, 0.027, 0.03)
     posts = np.linspace(x - 0.5 * width + 0.05, x + 0.5 * width - 0.05, max(8, round(width / 0.17)))
-    bars = [strip(float(p) - 0.012, float(p) + 0.012, z, z + 0.98, -0.96, iron, 0.35) for p in posts[:1]]
-    front = bars[0].repeated(np.stack([posts - posts[0], np.zeros_like(posts), np.zeros_like(posts)], axis=1))
+    bar = strip(float(posts[0]) - 0.012, float(posts[0]) + 0.012, z, z + 0.98, -0.96, iron, 0.35)
+    front = bar.repeated(np.stack([posts - posts[0], np.zeros_like(posts), np.zeros_like(posts)], axis=1))
     rail = box((x, -0.96, z + 1.0), (width, 0.05, 0.045), iron, Label.BUILDING, edge=0.2, coarse=0.4, faces="yYZ")
     sides: list[Quads] = []
     for end in (x - 0.5 * width + 0.03, x + 0.5 * width - 0.03):
         sides.append(box((end, -0.5, z + 1.0), (0.045, 0.95, 0.045), iron, Label.BUILDING, edge=0.2, faces="xXZ"))
+        across, up = np.array([0.0, 0.024]), graded_lines([0.0, 0.98], 0.1, 0.35)
         for y in np.linspace(-0.85, -0.15, 5):
-            sides.append(
-                panel((end, y - 0.012, z), _Y, _Z, np.array([0.0, 0.024]),
-                      graded_lines([0.0, 0.98], 0.1, 0.35), iron,
-                      Label.BUILDING)
-            )  # fmt: skip
+            sides.append(panel((end, y - 0.012, z), _Y, _Z, across, up, iron, Label.BUILDING))
     return Quads.joined([slab, front, rail, *sides])
 
 
@@ -329,10 +302,8 @@ def _shop_front(house: House, others: Sequence[int], bay: float, rng: np.random.
     parts: list[Quads] = []
     for run in runs:
         x0, x1 = run[0] * bay + 0.2, (run[-1] + 1) * bay - 0.2
-        parts.append(
-            box(((x0 + x1) / 2, -0.04, 3.2), (x1 - x0, 0.1, 0.5), house.accent, Label.BUILDING, edge=0.07, coarse=0.5,
-                faces="xXyzZ")
-        )  # fmt: skip
+        middle, size = ((x0 + x1) / 2, -0.04, 3.2), (x1 - x0, 0.1, 0.5)
+        parts.append(box(middle, size, house.accent, Label.BUILDING, edge=0.07, coarse=0.5, faces="xXyzZ"))
         letters = rng.uniform(0.12, 0.26, int(min(12, (x1 - x0) / 0.35)))
         at = (x0 + x1) / 2 - letters.sum() * 0.65
         for width in letters:  # an illegible word
@@ -385,24 +356,17 @@ def opening(width: float, height: float, wall: Any, step: float, deep: float = R
     """Make the sides of a hole in the wall: left, right and upper reveal and the sill, 0 to `deep` behind the wall."""
     y = np.array([0.0, deep])
     x, z = even_lines(0.0, width, step), even_lines(0.0, height, step)
-    shade = {"sky_access": 0.55}
-    return Quads.joined(
-        [
-            panel((0, 0, 0), _Y, _Z, y, z, wall, Label.BUILDING, **shade),
-            panel((width, 0, 0), _Z, _Y, z, y, wall, Label.BUILDING, **shade),
-            panel((0, 0, height), _Y, _X, y, x, wall, Label.BUILDING, sky_access=0.3),
-            panel((0, 0, 0), _X, _Y, x, y, wall, Label.BUILDING, sky_access=0.7),
-        ]
-    )
+    left = panel((0, 0, 0), _Y, _Z, y, z, wall, Label.BUILDING, sky_access=0.55)
+    right = panel((width, 0, 0), _Z, _Y, z, y, wall, Label.BUILDING, sky_access=0.55)
+    upper = panel((0, 0, height), _Y, _X, y, x, wall, Label.BUILDING, sky_access=0.3)
+    sill = panel((0, 0, 0), _X, _Y, x, y, wall, Label.BUILDING, sky_access=0.7)
+    return Quads.joined([left, right, upper, sill])
 
 
 def glass(x0: float, x1: float, z0: float, z1: float, y: float, curtain: float, coarse: float) -> Quads:
     """Make a pane: a dark room behind it, curtains at its sides (0: open, 1: drawn), the reflected street."""
-    pane = panel(
-        (0, y, 0), _X, _Z, graded_lines([x0, x1], 0.08, coarse), graded_lines([z0, z1], 0.08, coarse),
-        0.02,
-        Label.BUILDING, gloss=_GLOSS, sky_access=0.8,
-    )  # fmt: skip
+    x, z = graded_lines([x0, x1], 0.08, coarse), graded_lines([z0, z1], 0.08, coarse)
+    pane = panel((0, y, 0), _X, _Z, x, z, 0.02, Label.BUILDING, gloss=_GLOSS, sky_access=0.8)
     center = pane.centers
     sideways = np.abs(center[:, 0] - 0.5 * (x0 + x1)) / (0.5 * (x1 - x0))
     upwards = (center[:, 2] - z0) / (z1 - z0)
@@ -412,9 +376,7 @@ def glass(x0: float, x1: float, z0: float, z1: float, y: float, curtain: float, 
     return Quads.of(pane.corners, albedo, Label.BUILDING, gloss=_GLOSS, sky_access=0.75, spread=pane.spread)
 
 
-def window(
-    width: float, height: float, wall: Any, trim: Any, frame: Any, curtain: float, detail: float, sill: bool = True
-) -> Quads:
+def window(width: float, height: float, wall: Any, trim: Any, frame: Any, curtain: float, detail: float) -> Quads:
     """Make a two-winged window with its surround; origin at the lower left corner of the hole, at the wall.
 
     The surround reaches `TRIM_M` beyond the hole on every side but the lower one, which has the sill.
@@ -434,20 +396,16 @@ def window(
         strip(_FRAME, width - _FRAME, height - _FRAME, height, y - 0.03, frame, step, sky_access=0.55),
         strip(middle - 0.045, middle + 0.045, _FRAME, height - _FRAME, y - 0.03, frame, step, sky_access=0.8),
     ]
-    left, right = (_FRAME, middle - 0.045), (middle + 0.045, width - _FRAME)
-    for x0, x1 in (left, right):
+    for x0, x1 in ((_FRAME, middle - 0.045), (middle + 0.045, width - _FRAME)):
         if height > 1.4:
             parts.append(strip(x0, x1, bar - 0.03, bar + 0.03, y - 0.03, frame, step, sky_access=0.8))
             parts.append(glass(x0, x1, bar + 0.03, height - _FRAME, y, min(curtain, 0.9), coarse))
             parts.append(glass(x0, x1, _FRAME, bar - 0.03, y, curtain, coarse))
         else:
             parts.append(glass(x0, x1, _FRAME, height - _FRAME, y, curtain, coarse))
-    if sill:
-        parts.append(
-            box((middle, -0.04, -0.045), (width + 2 * t, 0.10, 0.09), trim, Label.BUILDING, edge=0.1, coarse=0.5,
-                faces="yZ")
-        )  # fmt: skip
-    return Quads.joined(parts)
+    sill = box((middle, -0.04, -0.045), (width + 2 * t, 0.10, 0.09), trim, Label.BUILDING, edge=0.1, coarse=0.5,
+               faces="yZ")  # fmt: skip
+    return Quads.joined([*parts, sill])
 
 
 def far_window(width: float, height: float, wall: Any, trim: Any, frame: Any, curtain: float, detail: float) -> Quads:
@@ -462,10 +420,9 @@ def far_window(width: float, height: float, wall: Any, trim: Any, frame: Any, cu
     wood = np.isin(column, (0, 3, 6)) | np.isin(row, (0, 3, 5))
     hung = np.isin(column, (1, 5)) & (curtain > 0.4) | (curtain > 1)
     albedo = np.where(wood[:, None], frame, np.where(hung[:, None], [0.3, 0.29, 0.26], 0.02))
+    gloss = np.where(wood, 0.0, _GLOSS)
     parts = [
-        Quads.of(
-            flat.corners, albedo, Label.BUILDING, gloss=np.where(wood, 0.0, _GLOSS), sky_access=0.75, spread=flat.spread
-        ),
+        Quads.of(flat.corners, albedo, Label.BUILDING, gloss=gloss, sky_access=0.75, spread=flat.spread),
         strip(-t, 0.0, 0.0, height, 0.0, trim, 1.0),
         strip(width, width + t, 0.0, height, 0.0, trim, 1.0),
         strip(-t, width + t, height, height + t, 0.0, trim, 0.7),
@@ -516,12 +473,6 @@ def door(width: float, height: float, wall: Any, color: Any, detail: float) -> Q
     brass = (0.5, 0.42, 0.25)
     knob = (0.5 * width + 0.1, deep - 0.04, 1.02)
     handle = box(knob, (0.05, 0.06, 0.18), brass, Label.BUILDING, edge=0.06, gloss=0.3)
-    return Quads.joined(
-        [
-            opening(width, height, wall, 0.5 * detail, deep),
-            leaf,
-            handle,
-            strip(0.0, width, top, top + 0.08, deep, wood * 1.2, 0.3, sky_access=0.5),
-            glass(0.0, width, top + 0.08, height, deep, 0.0, 0.3),
-        ]
-    )
+    transom = strip(0.0, width, top, top + 0.08, deep, wood * 1.2, 0.3, sky_access=0.5)
+    light = glass(0.0, width, top + 0.08, height, deep, 0.0, 0.3)
+    return Quads.joined([opening(width, height, wall, 0.5 * detail, deep), leaf, handle, transom, light])

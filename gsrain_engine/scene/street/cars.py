@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from .layout import TRUCK_LENGTH_M, TRUCK_WIDTH_M, CarShape, Color, Label, StreetLayout
-from .mesh import Quads, graded_lines, patch
+from .mesh import Quads, graded_lines, patch, surface
 
 _GLASS = (0.018, 0.02, 0.022)
 _TRIM = (0.022, 0.022, 0.024)
@@ -65,15 +65,8 @@ def build_car(shape: CarShape, paint: tuple[float, float, float], fine: float = 
     """Build one car in the object frame. `fine` scales its cells: 1 is for a car at close range."""
     form = CAR_FORMS[shape]
     outline = _outline(form, fine)
-    parts = [
-        _skirt(form, outline, paint),
-        _deck(form, outline, paint),
-        _glass_house(form, paint, fine),
-        *_wheels(form, fine),
-        *_details(form, paint, fine),
-        _underside(form),
-    ]
-    car = Quads.joined(parts)
+    body = [_skirt(form, outline, paint), _deck(form, outline, paint), _glass_house(form, paint, fine)]
+    car = Quads.joined([*body, *_wheels(form, fine), *_details(form, paint, fine), _underside(form)])
     return replace(car, spread=_SMOOTH * car.spread)
 
 
@@ -86,8 +79,7 @@ def vehicle_shadow(length: float, width: float) -> Quads:
     """Build the soft dark patch on the ground around a vehicle of a size, in meters."""
     x = np.linspace(-0.5 * length - 0.5, 0.5 * length + 0.4, 30)
     y = np.linspace(-0.5 * width - 0.75, 0.5 * width + 0.35, 18)
-    points = np.stack(np.broadcast_arrays(x[:, None], y[None, :], _SHADOW_HEIGHT_M), axis=2)
-    shadow = patch(points, 0.012, Label.ROAD, spread=0.8)
+    shadow = surface(x[:, None], y, _SHADOW_HEIGHT_M, 0.012, Label.ROAD, spread=0.8)
     center = shadow.centers
     outside = np.maximum(np.abs(center[:, 0]) - 0.5 * length + 0.12, 0)
     left = np.maximum(center[:, 1] - 0.5 * width + 0.15, 0)
@@ -181,16 +173,15 @@ def _deck(form: CarForm, outline: Float64[np.ndarray, "n 2"], paint: Any) -> Qua
     rows = np.array([0.0, 0.08, 0.22, 0.45, 0.72, 1.0])
     in_x = x * (1 - 0.075 * 0.9 / (0.5 * form.length))
     in_y = y * (1 - 0.075 / (0.5 * form.width))
-    level = (
-        top[:, None] + 0.055 * (1 - (1 - rows) ** 2.2) * np.clip((0.5 * form.length - np.abs(x)) / 0.3, 0.1, 1)[:, None]
-    )
-    points = np.stack(np.broadcast_arrays(in_x[:, None], in_y[:, None] * (1 - rows), level), axis=2)
+    to_end = np.clip((0.5 * form.length - np.abs(x)) / 0.3, 0.1, 1)[:, None]
+    level = top[:, None] + 0.055 * (1 - (1 - rows) ** 2.2) * to_end
     middle = 0.5 * (x[1:] + x[:-1])
     open_to_sky = (middle > form.belt[1] - 0.25) | (middle < form.belt[0] + 0.2)
     # Front and rear rows of the outline run across the car: there the deck would be a sliver.
     keep = np.repeat(open_to_sky[:, None], len(rows) - 1, axis=1)
     keep[:, 0] = True  # the shoulder next to the windows
-    return patch(points, paint, Label.CAR, keep=keep, closed=True, gloss=_PAINT_GLOSS + 0.06)
+    y_rows, gloss = in_y[:, None] * (1 - rows), _PAINT_GLOSS + 0.06
+    return surface(in_x[:, None], y_rows, level, paint, Label.CAR, keep=keep, closed=True, gloss=gloss)
 
 
 def _glass_house(form: CarForm, paint: Any, fine: float) -> Quads:
@@ -201,14 +192,8 @@ def _glass_house(form: CarForm, paint: Any, fine: float) -> Quads:
     across = np.array([-1.0, -0.86, -0.5, 0.0, 0.5, 0.86, 1.0])
     span = front - rear
     pillar = (form.pillar - rear) / span
-    stops = [
-        0.0,
-        corner / span * 1.2,
-        pillar - 0.05 / span * 1.4,
-        pillar + 0.05 / span * 1.4,
-        1 - corner / span * 1.5,
-        1.0,
-    ]
+    thin = 0.05 / span * 1.4
+    stops = [0.0, corner / span * 1.2, pillar - thin, pillar + thin, 1 - corner / span * 1.5, 1.0]
     along = graded_lines(stops, 0.09 * fine / span, 0.17 * fine / span)
     # Counter-clockwise from the rear right: right side forwards, windshield, left side back, rear window.
     right = np.stack([along, -np.ones_like(along)], axis=1)
@@ -260,22 +245,11 @@ def _wheels(form: CarForm, fine: float) -> list[Quads]:
     tread = wheel.placed((0, -0.5 * form.width + 0.035, r))
     mirrored = wheel.placed((0, 0, 0), 180.0).placed((0, 0.5 * form.width - 0.035, r))
     parts = [each.placed((axle, 0, 0)) for axle in form.wheels for each in (tread, mirrored)]
-    arch = form.wheel_radius + 0.05
-    half = np.linspace(0.04 * np.pi, 0.96 * np.pi, 9)
-    for axle in form.wheels:  # dark wheel wells
-        for side in (-1, 1):
-            y = side * np.array([0.5 * form.width - 0.06, 0.5 * form.width - 0.34])
-            well = np.stack(
-                np.broadcast_arrays(axle + arch * np.cos(half)[:, None], y, r + arch * np.sin(half)[:, None]), axis=2
-            )
-            parts.append(patch(well if side < 0 else well[::-1], 0.008, Label.CAR, sky_access=0.15, sun_access=0.0))
-            back = np.stack(
-                np.broadcast_arrays(
-                    axle + np.linspace(-0.94 * arch, 0.94 * arch, 6)[:, None], side * (0.5 * form.width - 0.30),
-                    np.linspace(0.3, r + 0.7 * arch, 5)[None],
-                ), axis=2,
-            )  # fmt: skip
-            parts.append(patch(back if side < 0 else back[::-1], 0.006, Label.CAR, sky_access=0.1, sun_access=0.0))
+    arch = r + 0.05
+    angle = np.linspace(0.04 * np.pi, 0.96 * np.pi, 9)
+    backs = np.linspace(-0.94 * arch, 0.94 * arch, 6), np.linspace(0.3, r + 0.7 * arch, 5)
+    for axle in form.wheels:
+        parts += wheel_wells(axle, r, arch, angle, 0.5 * form.width, (0.06, 0.34, 0.30), backs, Label.CAR)
     return parts
 
 
@@ -287,11 +261,8 @@ def _details(form: CarForm, paint: Any, fine: float) -> list[Quads]:
     for side in (-1, 1):
         parts.append(_badge(form, 1, side * 0.62 * half, z - 0.09, 0.46 * half, 0.115, (0.72, 0.74, 0.76), 0.3, fine))
         tall = 0.17 if form.height < 1.7 else 0.42
-        parts.append(
-            _badge(
-                form, -1, side * 0.73 * half, form.tail[0] - 0.10, 0.36 * half, tall, (0.30, 0.004, 0.004), 0.06, fine
-            )
-        )
+        red = (0.30, 0.004, 0.004)
+        parts.append(_badge(form, -1, side * 0.73 * half, form.tail[0] - 0.10, 0.36 * half, tall, red, 0.06, fine))
         parts.append(_mirror(form.belt[1] - 0.40, side * (half + 0.035), form.hood[1] + 0.045, paint))
     parts.append(_badge(form, 1, 0.0, z - 0.12, 0.62 * half, 0.10, _TRIM, 0.1, fine))
     parts.append(_badge(form, 1, 0.0, 0.36, 1.05 * half, 0.15, _TRIM, 0.05, fine))
@@ -307,10 +278,8 @@ def _mirror(x: float, y: float, z: float, paint: Any) -> Quads:
     turn = np.linspace(0, 2 * np.pi, 10)[:, None]
     along = np.cos(np.linspace(0, np.pi, 6))[None]
     wide = np.sqrt(np.maximum(1 - along**2, 0.0009))
-    points = np.stack(
-        [x + 0.06 * along + 0 * turn, y + 0.095 * wide * np.cos(turn), z + 0.062 * wide * np.sin(turn)], axis=2
-    )
-    egg = patch(points[::-1], paint, Label.CAR, closed=True, gloss=_PAINT_GLOSS)
+    ys, zs = y + 0.095 * wide * np.cos(turn), z + 0.062 * wide * np.sin(turn)
+    egg = surface(x + 0.06 * along, ys, zs, paint, Label.CAR, flipped=True, closed=True, gloss=_PAINT_GLOSS)
     return egg.tinted(np.where(egg.centers[:, 0] < x - 0.045, 0.2, 1.0)[:, None])
 
 
@@ -327,18 +296,36 @@ def _badge(
     inset = 0.055 * np.maximum(0.32 - up, 0) / 0.32 + 0.075 * np.maximum(up - 0.62, 0) ** 2 / 0.1444
     inset = np.minimum(inset - 0.012 * np.exp(-(((up - 0.60) / 0.05) ** 2)), 0.09)
     x = end * (reach[:, None] * (1 - inset * 0.9 / (0.5 * form.length)) + out)
-    points = np.stack(np.broadcast_arrays(x, yy[:, None], zz[None]), axis=2)
-    return patch(points if end > 0 else points[::-1], albedo, Label.CAR, gloss=gloss)
+    return surface(x, yy[:, None], zz, albedo, Label.CAR, flipped=end < 0, gloss=gloss)
 
 
 def _underside(form: CarForm) -> Quads:
     x = np.linspace(-0.5 * form.length + 0.12, 0.5 * form.length - 0.12, 10)
     y = np.linspace(-0.5 * form.width + 0.12, 0.5 * form.width - 0.12, 5)
-    points = np.stack(np.broadcast_arrays(x[:, None], y[None], 0.21), axis=2)
-    return patch(points[::-1], 0.01, Label.CAR, sky_access=0.1, sun_access=0.0)
+    return surface(x[:, None], y, 0.21, 0.01, Label.CAR, flipped=True, sky_access=0.1, sun_access=0.0)
 
 
 # Wheels
+
+
+def wheel_wells(
+    axle: float, radius: float, arch: float, angle: Any, half_width: float, insets: tuple[float, float, float],
+    backs: tuple[Any, Any], label: Label,
+) -> list[Quads]:  # fmt: skip
+    """Build the two dark wheel wells of an axle: arcs of radius `arch` around the hubs, and walls behind the wheels.
+
+    `insets` count from the flanks: the arc's outer and inner edge, and the wall. `backs` is the wall's grid (x, z).
+    """
+    outer, inner, wall = insets
+    x, z = axle + arch * np.cos(angle)[:, None], radius + arch * np.sin(angle)[:, None]
+    parts: list[Quads] = []
+    for side in (-1, 1):
+        y = side * np.array([half_width - outer, half_width - inner])
+        parts.append(surface(x, y, z, 0.008, label, flipped=side > 0, sky_access=0.15, sun_access=0.0))
+        parts.append(surface(axle + backs[0][:, None], side * (half_width - wall), backs[1], 0.006, label,
+                             flipped=side > 0, sky_access=0.1, sun_access=0.0))  # fmt: skip
+    return parts
+
 
 TIRE = (0.018, 0.018, 0.019)
 RIM = (0.36, 0.36, 0.37)
@@ -350,8 +337,7 @@ def build_wheel(radius: float, sides: int, dish: float = 0.0) -> Quads:
     `dish` is the depth of the rim inside the tire, in meters: trucks' twin wheels are hollow.
     """
     angle = np.linspace(0, 2 * np.pi, sides + 1)
-    radii = np.array([0.0, 0.06, 0.13, 0.205, 0.225, 0.275, 0.315, 0.32])
-    radii = radii * radius / 0.32
+    radii = np.array([0.0, 0.06, 0.13, 0.205, 0.225, 0.275, 0.315, 0.32]) * radius / 0.32
     depth = np.array([0.035, 0.035, 0.03, 0.02, 0.0, 0.0, 0.012, 0.19])
     depth = depth + dish * np.array([0.8, 1.0, 1.0, 1.0, 0, 0, 0, 0])
     ring = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=1)

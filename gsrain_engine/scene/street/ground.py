@@ -15,7 +15,7 @@ from .layout import (
     Label,
     StreetLayout,
 )
-from .mesh import Quads, even_lines, graded_lines, lattice_noise, layered_noise, panel, patch, smooth_noise
+from .mesh import Quads, even_lines, graded_lines, lattice_noise, layered_noise, panel, smooth_noise, surface
 
 _X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 _ASPHALT = np.array([0.088, 0.088, 0.090])
@@ -147,15 +147,12 @@ def _cross_street(layout: StreetLayout, end: int) -> Quads:
     near = p.end_x_m if end > 0 else p.start_x_m
     x0 = near + end * CROSS_SIDEWALK_M
     x1 = x0 + end * CROSS_ROAD_M
-    low, high = min(x0, x1), max(x0, x1)
-    mouth_low, mouth_high = min(near, x0), max(near, x0)
-    x = even_lines(low, high, 0.5)
-    y = even_lines(-CROSS_LENGTH_M, CROSS_LENGTH_M, 0.8)
-    mouth = panel(
-        (0, 0, 0), _X, _Y, even_lines(mouth_low, mouth_high, _STEP_M), even_lines(-p.curb_y_m, p.curb_y_m, 0.35),
-        _ASPHALT, Label.ROAD,
-    )  # fmt: skip
-    road = Quads.joined([mouth, panel((0, 0, 0), _X, _Y, x, y, _ASPHALT, Label.ROAD)])
+    mouth_x = even_lines(min(near, x0), max(near, x0), _STEP_M)
+    mouth_y = even_lines(-p.curb_y_m, p.curb_y_m, 0.35)
+    x, y = even_lines(min(x0, x1), max(x0, x1), 0.5), even_lines(-CROSS_LENGTH_M, CROSS_LENGTH_M, 0.8)
+    road = Quads.joined(
+        [panel((0, 0, 0), _X, _Y, *lines, _ASPHALT, Label.ROAD) for lines in ((mouth_x, mouth_y), (x, y))]
+    )
     center = road.centers[:, :2].astype(np.float64)
     clouds = layered_noise(center, 1.8, p.seed + 51, 4)
     return road.tinted((0.83 + 0.34 * clouds)[:, None])
@@ -172,9 +169,7 @@ CURB_WIDTH_M = 0.15
 
 def build_sidewalks(layout: StreetLayout) -> Quads:
     """Build both sidewalks of the street and those of the crossing streets."""
-    parts = [_side(layout, side) for side in (1, -1)]
-    parts += [_across(layout, end) for end in (1, -1)]
-    return Quads.joined(parts)
+    return Quads.joined([part(layout, side) for part in (_side, _across) for side in (1, -1)])
 
 
 def _side(layout: StreetLayout, side: int) -> Quads:
@@ -212,9 +207,8 @@ def _level(x: np.ndarray, y: np.ndarray, side: int, albedo: np.ndarray, label: L
 
 def _curb_face(x: np.ndarray, kerb: float, side: int) -> Quads:
     z = np.array([-0.06, 0.0, 0.5 * CURB_HEIGHT_M, CURB_HEIGHT_M])
-    if side > 0:
-        return panel((0, kerb, 0), _X, _Z, x, z, 0.9 * _GRANITE, Label.PAVEMENT, sky_access=0.75)
-    return panel((0, -kerb, 0), _Z, _X, z, x, 0.9 * _GRANITE, Label.PAVEMENT, sky_access=0.75)
+    axes = (_X, _Z, x, z) if side > 0 else (_Z, _X, z, x)
+    return panel((0, side * kerb, 0), *axes, 0.9 * _GRANITE, Label.PAVEMENT, sky_access=0.75)
 
 
 def _across(layout: StreetLayout, end: int) -> Quads:
@@ -233,12 +227,8 @@ def _across(layout: StreetLayout, end: int) -> Quads:
         z = np.array([0.0, 0.5 * CURB_HEIGHT_M, CURB_HEIGHT_M])
         kerb_x = far if xa == far else near + end * CROSS_SIDEWALK_M
         facing_minus_x = (end > 0) == (xa == far)
-        face = (
-            panel((kerb_x, 0, 0), _Z, _Y, z, y, _GRANITE, Label.PAVEMENT)
-            if facing_minus_x
-            else panel((kerb_x, 0, 0), _Y, _Z, y, z, _GRANITE, Label.PAVEMENT)
-        )
-        parts.append(face)
+        axes = (_Z, _Y, z, y) if facing_minus_x else (_Y, _Z, y, z)
+        parts.append(panel((kerb_x, 0, 0), *axes, _GRANITE, Label.PAVEMENT))
     for s in (1, -1):  # corners at the mouth of the street
         low, high = sorted((near, near + end * CROSS_SIDEWALK_M))
         parts.append(_curb_face(graded_lines([low, high], 0.3, 0.6), p.curb_y_m, s))
@@ -252,15 +242,8 @@ def _yard(layout: StreetLayout, end: int, side: int) -> Quads:
     near = p.end_x_m if end > 0 else p.start_x_m
     x0, x1 = sorted((near, near - end * 0.6))
     y0, y1 = sorted((side * (p.front_y_m + HOUSE_DEPTH_M), side * CROSS_LENGTH_M))
-    return panel(
-        (0, 0, CURB_HEIGHT_M),
-        _X,
-        _Y,
-        even_lines(x0, x1, 0.6),
-        even_lines(y0, y1, 1.2),
-        _SLAB,
-        Label.PAVEMENT,
-    )
+    x, y = even_lines(x0, x1, 0.6), even_lines(y0, y1, 1.2)
+    return panel((0, 0, CURB_HEIGHT_M), _X, _Y, x, y, _SLAB, Label.PAVEMENT)
 
 
 # Surroundings
@@ -272,10 +255,8 @@ _HILLS_AT_M = (260.0, 380.0)
 def build_surroundings(layout: StreetLayout) -> Quads:
     """Build the ground around the street and two ranges of hills, in the world."""
     p = layout.parameters
-    middle = np.array([0.5 * (p.start_x_m + p.end_x_m), 0.0, 0.0])
-    parts = [_ground(layout)]
-    parts += [_hills(radius, k, p.seed) for k, radius in enumerate(_HILLS_AT_M)]
-    return Quads.joined(parts).placed(middle)
+    hills = (_hills(radius, k, p.seed) for k, radius in enumerate(_HILLS_AT_M))
+    return Quads.joined([_ground(layout), *hills]).placed((0.5 * (p.start_x_m + p.end_x_m), 0.0, 0.0))
 
 
 def _ground(layout: StreetLayout) -> Quads:
@@ -284,10 +265,8 @@ def _ground(layout: StreetLayout) -> Quads:
     half_x = 0.5 * p.length_m + CROSS_ROAD_M + 2 * CROSS_SIDEWALK_M + HOUSE_DEPTH_M
     angle = np.linspace(0, 2 * np.pi, 97)
     radius = np.concatenate([np.linspace(0, 160, 33), np.geomspace(172, _GROUND_RADIUS_M, 10)])
-    points = np.stack(
-        np.broadcast_arrays(radius[:, None] * np.cos(angle), radius[:, None] * np.sin(angle), -0.3), axis=2
-    )
-    ground = patch(points, (0.10, 0.115, 0.06), Label.TERRAIN)
+    x, y = radius[:, None] * np.cos(angle), radius[:, None] * np.sin(angle)
+    ground = surface(x, y, -0.3, (0.10, 0.115, 0.06), Label.TERRAIN)
     center = ground.centers[:, :2]
     ground = ground.tinted((0.7 + 0.6 * layered_noise(center, 26.0, p.seed + 71))[:, None])
     built = (np.abs(center[:, 0]) < half_x - 3) & (np.abs(center[:, 1]) < p.front_y_m + HOUSE_DEPTH_M - 3)
@@ -303,9 +282,7 @@ def _hills(radius: float, k: int, seed: int) -> Quads:
     crest[-1] = crest[0]
     rows = np.array([0.0, 0.3, 0.55, 0.75, 0.9, 1.0])
     away = radius + 30 * rows
-    points = np.stack(np.broadcast_arrays(away * ring[:, :1], away * ring[:, 1:], crest[:, None] * rows - 1.0), axis=2)[
-        ::-1
-    ]
+    x, y, z = away * ring[:, :1], away * ring[:, 1:], crest[:, None] * rows - 1.0
     woods = (np.array([0.075, 0.11, 0.05]), np.array([0.13, 0.17, 0.16]))[k]
-    hills = patch(points, woods, Label.VEGETATION, closed=True)
+    hills = surface(x, y, z, woods, Label.VEGETATION, flipped=True, closed=True)
     return hills.tinted((0.75 + 0.5 * layered_noise(hills.centers, 12.0, seed + 95))[:, None])

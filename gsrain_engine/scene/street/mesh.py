@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -66,13 +66,10 @@ class Quads:
         return cls(
             np.asarray(corners, np.float32),
             np.asarray(geometric_normals(corners) if normals is None else normals, np.float32),
-            _filled(albedo, (n, 3)),
+            np.full((n, 3), albedo, np.float32),
             np.full(n, int(label), np.uint8),
-            _filled(sky_access, (n,)),
-            _filled(sun_access, (n,)),
-            _filled(gloss, (n,)),
-            _filled(opacity, (n,)),
-            _filled(spread, (n, 2)),
+            *(np.full(n, value, np.float32) for value in (sky_access, sun_access, gloss, opacity)),
+            spread=np.full((n, 2), spread, np.float32),
         )
 
     def take(self, chosen: Any) -> "Quads":
@@ -80,20 +77,15 @@ class Quads:
 
     def tinted(self, factors: Any) -> "Quads":
         """Multiply the albedo by one color or one factor per quad, clamped to 0 .. 0.95."""
-        tinted = self.albedo * np.asarray(factors, np.float32)
-        return replace(self, albedo=np.clip(tinted, 0, np.float32(0.95)))
+        return replace(self, albedo=np.clip(self.albedo * np.asarray(factors, np.float32), 0, np.float32(0.95)))
 
     def placed(self, offset: Any, turn_deg: float = 0.0) -> "Quads":
         """Rotate about z, then translate."""
+        corners, normals = self.corners, self.normals
         if turn_deg:
-            turned = self.turned(rotation_about_z(turn_deg))
-        else:
-            turned = self
-        return replace(turned, corners=turned.corners + np.asarray(offset, np.float32))
-
-    def turned(self, rotation: Float[np.ndarray, "3 3"]) -> "Quads":
-        matrix = np.asarray(rotation, np.float32)
-        return replace(self, corners=self.corners @ matrix.T, normals=self.normals @ matrix.T)
+            rotation = rotation_about_z(turn_deg).astype(np.float32)
+            corners, normals = corners @ rotation.T, normals @ rotation.T
+        return replace(self, corners=corners + np.asarray(offset, np.float32), normals=normals)
 
     def mirrored(self) -> "Quads":
         """Mirror at the xz plane: y is negated, and the order of corners reversed."""
@@ -117,10 +109,6 @@ class Quads:
 
 
 _FIELDS = ("corners", "normals", "albedo", "labels", "sky_access", "sun_access", "gloss", "opacity", "spread")
-
-
-def _filled(value: Any, shape: tuple[int, ...]) -> Any:
-    return np.full(shape, value, np.float32)
 
 
 def geometric_normals(corners: Float[np.ndarray, "n 4 3"]) -> Float[np.ndarray, "n 3"]:
@@ -150,10 +138,8 @@ def even_lines(start: float, stop: float, spacing: float) -> Float64[np.ndarray,
 
 def graded_lines(breaks: Sequence[float | int], edge: float, coarse: float) -> Float64[np.ndarray, " n"]:
     """Grid lines through every break, `edge` apart there and up to `coarse` in the middle between breaks."""
-    parts = [np.array(breaks[:1], np.float64)]
-    for start, stop in pairwise(breaks):
-        parts.append(start + _graded(stop - start, edge, coarse)[1:])
-    return np.concatenate(parts)
+    parts = [start + _graded(stop - start, edge, coarse)[1:] for start, stop in pairwise(breaks)]
+    return np.concatenate([np.array(breaks[:1], np.float64), *parts])
 
 
 def _graded(length: float, edge: float, coarse: float) -> Float64[np.ndarray, " n"]:
@@ -208,6 +194,12 @@ def patch(
     spread[:, [0, -1], 1] = EDGE_SPREAD
     quads = Quads.of(corners.reshape(-1, 4, 3), albedo, label, **{"spread": spread.reshape(-1, 2), **more})
     return quads if keep is None else quads.take(keep.reshape(-1))
+
+
+def surface(x: Any, y: Any, z: Any, albedo: Any, label: Label, *, flipped: bool = False, **more: Any) -> Quads:
+    """Make a `patch` through points whose coordinates are broadcast to one grid; `flipped` faces the other side."""
+    points = np.stack(np.broadcast_arrays(x, y, z), axis=2)
+    return patch(points[::-1] if flipped else points, albedo, label, **more)
 
 
 def box(
@@ -284,9 +276,8 @@ def smooth_noise(points: Float[np.ndarray, "n d"], size: Any, seed: int) -> Floa
     part = scaled - cells
     weight = part * part * (3 - 2 * part)
     total = np.zeros(len(points))
-    axes = points.shape[1]
-    for corner in range(2**axes):
-        bits = np.array([(corner >> axis) & 1 for axis in range(axes)])
+    for corner in product((0, 1), repeat=points.shape[1]):
+        bits = np.array(corner[::-1])  # the first axis changes fastest
         share = np.prod(np.where(bits, weight, 1 - weight), axis=1)
         total += share * lattice_noise(cells + bits, seed)
     return total

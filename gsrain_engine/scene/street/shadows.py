@@ -45,8 +45,8 @@ def ground_occlusion(
     low = np.flatnonzero(inside & (p[:, 2] < 0.6) & (normals[:, 2] > 0.3))
     share[low] *= _vehicle_occlusion(vehicle_occluders(layout), p[low])
     for tree in layout.trees:
-        beside = (np.abs(p[:, 0] - tree.x) < 4) & (np.abs(p[:, 1] - tree.y) < 4)
-        near = np.flatnonzero(beside & (p[:, 2] < tree.crown_base))
+        below = (np.abs(p[:, 0] - tree.x) < 4) & (np.abs(p[:, 1] - tree.y) < 4)
+        near = np.flatnonzero(below & (p[:, 2] < tree.crown_base))
         away = np.hypot(p[near, 0] - tree.x, p[near, 1] - tree.y)
         share[near] *= 1 - 0.34 * np.exp(-((away / (1.1 * tree.radius)) ** 2)) - 0.3 * np.exp(-((away / 0.3) ** 2))
     return share

@@ -3,16 +3,15 @@
 The object frame has x forward, y left, z up, and its origin at the bottom center.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
 
-from .cars import AMBER, DARK, PLATE, RED_TAPE, STEEL, TRIM, TRUCK_FORM, TruckForm, build_wheel
+from .cars import AMBER, DARK, PLATE, RED_TAPE, STEEL, TRIM, TRUCK_FORM, TruckForm, build_wheel, wheel_wells
 from .layout import Color, Label, ParkedTruck, StreetLayout
-from .mesh import Quads, box, graded_lines, panel, patch
+from .mesh import Quads, box, graded_lines, panel, patch, surface
 
 _FRAME = (0.34, 0.345, 0.35)
 _GLOSS = 0.10
@@ -29,8 +28,7 @@ def _flanks(form: TruckForm, body: Color, sign: Color) -> Quads:
     low, high = form.floor, form.height
     x = graded_lines([x0, x0 + 0.06, x0 + 1.6, x1 - 1.3, x1 - 0.06, x1], 0.08, 0.6)
     z = graded_lines([low, low + 0.12, low + 0.78, low + 1.42, high - 0.07, high], 0.08, 0.5)
-    points = np.stack(np.broadcast_arrays(x[:, None], -0.5 * form.width, z[None]), axis=2)
-    right = patch(points, body, Label.TRUCK, gloss=_GLOSS)
+    right = surface(x[:, None], -0.5 * form.width, z, body, Label.TRUCK, gloss=_GLOSS)
     at, up = right.centers[:, 0], right.centers[:, 2] - low
     rail = (up < 0.12) | (up > high - low - 0.07) | (at < x0 + 0.06) | (at > x1 - 0.06)
     logo = (at > x0 + 1.6) & (at < x1 - 1.3) & (up > 0.78) & (up < 1.42)
@@ -46,8 +44,7 @@ def _doors(form: TruckForm, body: Color, sign: Color) -> Quads:
     low, high = form.floor, form.height
     y = graded_lines([-half, -half + 0.08, -0.66, -0.30, -0.012, 0.012, 0.30, 0.66, half - 0.08, half], 0.08, 0.4)
     z = graded_lines([low, low + 0.10, low + 0.17, low + 1.30, low + 1.62, high - 0.16, high - 0.09, high], 0.08, 0.5)
-    points = np.stack(np.broadcast_arrays(back, y[::-1, None], z[None]), axis=2)
-    rear = patch(points, body, Label.TRUCK, gloss=_GLOSS)
+    rear = surface(back, y[::-1, None], z, body, Label.TRUCK, gloss=_GLOSS)
     at, up = rear.centers[:, 1], rear.centers[:, 2]
     frame = (np.abs(at) > half - 0.08) | (up < low + 0.10) | (up > high - 0.09)
     tape = ~frame & ((up < low + 0.17) | (up > high - 0.16))
@@ -80,25 +77,18 @@ def _front_and_roof(form: TruckForm, body: Color) -> Quads:
     half, x0, x1 = 0.5 * form.width, form.body_back, form.body_front
     y = graded_lines([-half, -half + 0.06, half - 0.06, half], 0.08, 0.6)
     z = graded_lines([form.floor, 2.2, form.height - 0.07, form.height], 0.1, 0.6)
-    front = patch(np.stack(np.broadcast_arrays(x1, y[:, None], z[None]), axis=2), body, Label.TRUCK, gloss=_GLOSS)
+    front = surface(x1, y[:, None], z, body, Label.TRUCK, gloss=_GLOSS)
     rail = (np.abs(front.centers[:, 1]) > half - 0.06) | (front.centers[:, 2] > form.height - 0.07)
     front = replace(front, albedo=np.where(rail[:, None], _FRAME, front.albedo).astype(np.float32))
     x = graded_lines([x0, x1], 0.09, 0.9)
-    top = np.stack(np.broadcast_arrays(x[:, None], y[None], form.height), axis=2)
-    under = np.stack(np.broadcast_arrays(x[:, None], y[None, ::-1], form.floor), axis=2)
+    top = surface(x[:, None], y, form.height, body, Label.TRUCK, gloss=_GLOSS)
+    under = surface(x[:, None], y[::-1], form.floor, 0.03, Label.TRUCK, sky_access=0.2, sun_access=0.0)
     cooler = box((x1 + 0.22, 0.0, 2.78), (0.44, 1.5, 0.62), (0.56, 0.56, 0.55), Label.TRUCK, edge=0.07, coarse=0.3,
                  faces="XyYZ", gloss=_GLOSS)  # fmt: skip
     at = cooler.centers
     grille = (at[:, 0] > x1 + 0.43) & (np.abs(at[:, 1]) < 0.58) & (np.abs(at[:, 2] - 2.76) < 0.20)
     cooler = replace(cooler, albedo=np.where(grille[:, None], STEEL, cooler.albedo).astype(np.float32))
-    return Quads.joined(
-        [
-            front,
-            patch(top, body, Label.TRUCK, gloss=_GLOSS),
-            patch(under, 0.03, Label.TRUCK, sky_access=0.2, sun_access=0.0),
-            cooler,
-        ]
-    )
+    return Quads.joined([front, top, under, cooler])
 
 
 # Cab
@@ -176,7 +166,8 @@ def _shell(form: TruckForm, loop: Any, face: Any, rise: Any, paint: Color) -> Qu
     z = np.tile(0.5 * (rise[1:] + rise[:-1]), i)
     colors, gloss = _colors(form, column, x, y, z, paint)
     lower = np.clip((z - 0.2) / 0.6, 0, 1)
-    shell = _recolored(shell, colors, gloss, 0.35 + 0.65 * lower)
+    shell = Quads.of(shell.corners, colors, Label.TRUCK, spread=shell.spread, gloss=gloss,
+                     sky_access=0.35 + 0.65 * lower)  # fmt: skip
     tall = np.linalg.norm(shell.corners[:, 3] - shell.corners[:, 0], axis=1)
     other = np.linalg.norm(shell.corners[:, 2] - shell.corners[:, 1], axis=1)
     return shell.take(np.maximum(tall, other) > 0.012)
@@ -211,10 +202,6 @@ def _colors(form: TruckForm, column: Any, x: Any, y: Any, z: Any, paint: Color) 
     return albedo, gloss
 
 
-def _recolored(quads: Quads, albedo: Any, gloss: Any, sky_access: Any) -> Quads:
-    return Quads.of(quads.corners, albedo, Label.TRUCK, spread=quads.spread, gloss=gloss, sky_access=sky_access)
-
-
 def _roof(rim: Float64[np.ndarray, "n 3"], form: TruckForm, paint: Color) -> Quads:
     """Close the roof from its rim to the center line, and the back wall below it."""
     rows = np.array([0.0, 0.25, 0.6, 1.0])
@@ -225,8 +212,8 @@ def _roof(rim: Float64[np.ndarray, "n 3"], form: TruckForm, paint: Color) -> Qua
     top = patch(np.stack([x, y, z], axis=2), paint, Label.TRUCK, gloss=_PAINT_GLOSS + 0.06)
     across = np.linspace(-0.5 * form.cab_width, 0.5 * form.cab_width, 5)[::-1]
     up = np.linspace(0.6, form.cab_height - 0.04, 5)
-    back = np.stack(np.broadcast_arrays(form.cab_back, across[:, None], up[None]), axis=2)
-    return Quads.joined([top, patch(back, paint, Label.TRUCK, gloss=_PAINT_GLOSS, sky_access=0.5)])
+    back = surface(form.cab_back, across[:, None], up, paint, Label.TRUCK, gloss=_PAINT_GLOSS, sky_access=0.5)
+    return Quads.joined([top, back])
 
 
 def _mirrors(form: TruckForm) -> list[Quads]:
@@ -246,34 +233,22 @@ def _trim(form: TruckForm) -> list[Quads]:
     front, half = 0.5 * form.length - 0.03, 0.5 * form.cab_width
     badge = box((front + 0.055, 0, 1.22), (0.02, 0.34, 0.09), (0.5, 0.5, 0.5), Label.TRUCK, edge=0.05, coarse=0.1,
                 faces="X", gloss=0.2)  # fmt: skip
-    parts = [badge]
     axle, arch = form.wheels[1], form.wheel_radius + 0.06
     angle = np.linspace(0.02 * np.pi, 0.98 * np.pi, 9)
-    for side in (-1, 1):
-        parts.append(box((form.cab_back + 0.34, side * (half - 0.01), 1.20), (0.16, 0.03, 0.04), TRIM, Label.TRUCK,
-                         edge=0.05, faces="yY"))  # fmt: skip
-        y = side * np.array([half - 0.05, half - 0.36])
-        well = np.stack(
-            np.broadcast_arrays(
-                axle + arch * np.cos(angle)[:, None], y, form.wheel_radius + arch * np.sin(angle)[:, None]
-            ), axis=2,
-        )  # fmt: skip
-        parts.append(patch(well if side < 0 else well[::-1], 0.008, Label.TRUCK, sky_access=0.15, sun_access=0.0))
-        back = np.stack(
-            np.broadcast_arrays(
-                axle + np.linspace(-arch, arch, 6)[:, None], side * (half - 0.32), np.linspace(0.3, 0.95, 5)[None]
-            ), axis=2,
-        )  # fmt: skip
-        parts.append(patch(back if side < 0 else back[::-1], 0.006, Label.TRUCK, sky_access=0.1, sun_access=0.0))
-    return parts
+    handles = [
+        box((form.cab_back + 0.34, side * (half - 0.01), 1.20), (0.16, 0.03, 0.04), TRIM, Label.TRUCK, edge=0.05,
+            faces="yY")
+        for side in (-1, 1)
+    ]  # fmt: skip
+    backs = np.linspace(-arch, arch, 6), np.linspace(0.3, 0.95, 5)
+    wells = wheel_wells(axle, form.wheel_radius, arch, angle, half, (0.05, 0.36, 0.32), backs, Label.TRUCK)
+    return [badge, handles[0], *wells[:2], handles[1], *wells[2:]]
 
 
 def _visor(form: TruckForm) -> Quads:
-    """The sun visor over the windshield, with its two marker lamps."""
-    front = 0.5 * form.length - 0.20
-    visor = box((front, 0, 2.11), (0.16, 1.62, 0.10), TRIM, Label.TRUCK, edge=0.06, coarse=0.25, faces="XyYzZ",
-                gloss=0.1)  # fmt: skip
-    return visor
+    """The sun visor over the windshield."""
+    return box((0.5 * form.length - 0.20, 0, 2.11), (0.16, 1.62, 0.10), TRIM, Label.TRUCK, edge=0.06, coarse=0.25,
+               faces="XyYzZ", gloss=0.1)  # fmt: skip
 
 
 # Chassis
@@ -340,11 +315,11 @@ def _guards(form: TruckForm) -> Quads:
     half = 0.5 * form.width
     parts: list[Quads] = []
     for z in (0.55, 0.80):
-        parts.append(_both(_flank_panel(x0, x1, z - 0.075, z + 0.075, half - 0.02, (0.45, 0.455, 0.46))))
+        parts += _flank_panels(x0, x1, z - 0.075, z + 0.075, half - 0.02, (0.45, 0.455, 0.46))
     for x in (x0 + 0.25, 0.5 * (x0 + x1), x1 - 0.25):
-        parts.append(_both(_flank_panel(x - 0.03, x + 0.03, 0.48, 0.97, half - 0.04, STEEL)))
+        parts += _flank_panels(x - 0.03, x + 0.03, 0.48, 0.97, half - 0.04, STEEL)
     for x in (form.body_back + 0.9, x0 + 0.6, x1 - 0.5):
-        parts.append(_both(_flank_panel(x - 0.06, x + 0.06, 1.02, 1.075, half + 0.006, AMBER)))
+        parts += _flank_panels(x - 0.06, x + 0.06, 1.02, 1.075, half + 0.006, AMBER)
     tank = box((x1 - 0.65, -0.76, 0.70), (0.9, 0.5, 0.48), (0.26, 0.265, 0.27), Label.TRUCK, edge=0.08, coarse=0.25,
                faces="xXy", gloss=0.1, sky_access=0.6)  # fmt: skip
     battery = box((x1 - 0.55, 0.74, 0.70), (0.7, 0.5, 0.42), DARK, Label.TRUCK, edge=0.1, coarse=0.25, faces="xXY",
@@ -354,21 +329,16 @@ def _guards(form: TruckForm) -> Quads:
     arc = np.stack([rear + radius * np.cos(angle), form.wheel_radius + radius * np.sin(angle)], axis=1)
     for side in (-1, 1):
         y = side * np.linspace(half - 0.03, half - 0.58, 4)
-        wing = np.stack(np.broadcast_arrays(arc[:, None, 0], y[None], arc[:, None, 1]), axis=2)
-        parts.append(patch(wing if side < 0 else wing[::-1], DARK, Label.TRUCK, sky_access=0.4))
+        parts.append(surface(arc[:, :1], y, arc[:, 1:], DARK, Label.TRUCK, flipped=side > 0, sky_access=0.4))
     return Quads.joined([*parts, tank, battery])
 
 
-def _both(right: Quads) -> Quads:
-    return Quads.joined([right, right.mirrored()])
-
-
-def _flank_panel(x0: float, x1: float, z0: float, z1: float, half: float, albedo: Color) -> Quads:
-    """A rectangle on the right flank, facing -y."""
+def _flank_panels(x0: float, x1: float, z0: float, z1: float, half: float, albedo: Color) -> list[Quads]:
+    """Make the same rectangle on the right and on the left flank."""
     x = graded_lines([x0, x1], min(0.08, x1 - x0), 0.6)
     z = np.linspace(z0, z1, 3)
-    points = np.stack(np.broadcast_arrays(x[:, None], -half, z[None]), axis=2)
-    return patch(points, albedo, Label.TRUCK, gloss=0.06)
+    right = surface(x[:, None], -half, z, albedo, Label.TRUCK, gloss=0.06)
+    return [right, right.mirrored()]
 
 
 def _undercarriage(form: TruckForm) -> Quads:
@@ -385,12 +355,8 @@ def _wheels(form: TruckForm) -> Quads:
     """Two wheels in front; behind, hollow twin wheels, of which the inner ones are visible from behind."""
     radius, half = form.wheel_radius, 0.5 * form.width
     rear, front = form.wheels
-    places: Sequence[tuple[float, float, float]] = (
-        (front, 0.5 * form.cab_width - 0.02, 0.0),
-        (rear, half - 0.03, 0.07),
-    )
     parts: list[Quads] = []
-    for x, outside, dish in places:
+    for x, outside, dish in ((front, 0.5 * form.cab_width - 0.02, 0.0), (rear, half - 0.03, 0.07)):
         wheel = build_wheel(radius, 16, dish)
         parts.append(wheel.placed((x, -outside, radius)))
         parts.append(wheel.placed((0, 0, 0), 180.0).placed((x, outside, radius)))
@@ -399,8 +365,8 @@ def _wheels(form: TruckForm) -> Quads:
     for low, high in ((half - 0.50, half - 0.28), (half - 0.26, half - 0.05)):  # treads of the twins
         for side in (-1, 1):
             y = np.linspace(low, high, 3) if side > 0 else -np.linspace(high, low, 3)
-            tread = np.stack(np.broadcast_arrays(ring[:, None, 0], y[None], ring[:, None, 1]), axis=2)
-            parts.append(patch(tread[::-1], (0.017, 0.017, 0.018), Label.TRUCK, closed=True, sky_access=0.5))
+            parts.append(surface(ring[:, :1], y, ring[:, 1:], (0.017, 0.017, 0.018), Label.TRUCK, flipped=True,
+                                 closed=True, sky_access=0.5))  # fmt: skip
     return Quads.joined(parts)
 
 
@@ -415,6 +381,5 @@ def build_parked_trucks(layout: StreetLayout) -> Quads:
 
 def build_truck(truck: ParkedTruck) -> Quads:
     form = TRUCK_FORM
-    parts = [build_cab(form, truck.cab), build_body(form, truck.body, truck.sign), build_chassis(form)]
-    built = Quads.joined(parts)
+    built = Quads.joined([build_cab(form, truck.cab), build_body(form, truck.body, truck.sign), build_chassis(form)])
     return replace(built, labels=np.full_like(built.labels, Label.TRUCK), spread=_SMOOTH * built.spread)

@@ -1,13 +1,12 @@
 """Trees, street furniture, and the sky dome."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Float64
 
 from .layout import CROSSING_LENGTH_M, CURB_HEIGHT_M, Label, StreetLayout, Tree
-from .mesh import EDGE_SPREAD, Quads, box, layered_noise, patch, tube
+from .mesh import EDGE_SPREAD, Quads, box, layered_noise, patch, surface, tube
 
 _BARK = (0.115, 0.09, 0.065)
 _LEAF = np.array([0.085, 0.17, 0.03])
@@ -125,10 +124,11 @@ _BEFORE_POLE_M = 0.05  # distance of a sign in front of its pole
 def build_furniture(layout: StreetLayout) -> Quads:
     p = layout.parameters
     parts = [_lamp(x, y) for x, y in layout.lamps]
-    beside = p.curb_y_m + 0.32
+    sign_y = p.curb_y_m + 0.32
     for c in layout.crossings:
         for side, x in ((-1, c - 0.6), (1, c + CROSSING_LENGTH_M + 0.6)):
-            parts.append(_crossing_sign(x, side * beside, side))
+            y = side * sign_y
+            parts += [_pole(x, y, 2.95, 0.033, _STEEL, 6), _square_sign(x, y, 2.75, 0.62, side)]
         for side in (-1, 1):
             for k in range(3):
                 parts.append(_bollard(c + 0.3 + 1.2 * k, side * (p.curb_y_m + 0.4)))
@@ -137,7 +137,7 @@ def build_furniture(layout: StreetLayout) -> Quads:
         side = 1 if rng.random() < 0.5 else -1
         parts.append(_bin(float(x), side * (p.curb_y_m + 0.55)))
     for x in np.arange(p.start_x_m + 25.0, p.end_x_m - 8, 48.0):
-        parts.append(_speed_sign(float(x), -beside))
+        parts += [_pole(x, -sign_y, 2.75, 0.033, _STEEL, 6), _round_sign(x, -sign_y, 2.6, 0.6)]
     return Quads.joined(parts)
 
 
@@ -154,20 +154,14 @@ def _lamp(x: float, y: float) -> Quads:
     """A lantern on a curved arm over the road, 6.5 m high."""
     inward = -float(np.sign(y))
     turn = np.linspace(0, 0.5 * np.pi, 7)
-    arm = np.stack(
-        [np.full_like(turn, x), y + inward * 1.5 * (1 - np.cos(turn)), CURB_HEIGHT_M + 5.8 + 0.75 * np.sin(turn)],
-        axis=1,
-    )
+    arm_y, arm_z = y + inward * 1.5 * (1 - np.cos(turn)), CURB_HEIGHT_M + 5.8 + 0.75 * np.sin(turn)
+    arm = np.stack([np.full_like(turn, x), arm_y, arm_z], axis=1)
     head_y, head_z = y + inward * 1.75, CURB_HEIGHT_M + 6.55
-    return Quads.joined(
-        [
-            _pole(x, y, 5.82, 0.075, _IRON),
-            tube(arm, np.linspace(0.05, 0.04, 7), _IRON, Label.POLE, sides=6, gloss=0.06),
-            box((x, head_y, head_z + 0.02), (0.24, 0.62, 0.1), _IRON, Label.POLE, edge=0.06, coarse=0.16),
-            box((x, head_y, head_z - 0.06), (0.18, 0.5, 0.05), (0.6, 0.6, 0.55), Label.POLE, edge=0.06, coarse=0.16,
-                faces="xXyYz"),
-        ]
-    )  # fmt: skip
+    curve = tube(arm, np.linspace(0.05, 0.04, 7), _IRON, Label.POLE, sides=6, gloss=0.06)
+    head = box((x, head_y, head_z + 0.02), (0.24, 0.62, 0.1), _IRON, Label.POLE, edge=0.06, coarse=0.16)
+    glass = box((x, head_y, head_z - 0.06), (0.18, 0.5, 0.05), (0.6, 0.6, 0.55), Label.POLE, edge=0.06, coarse=0.16,
+                faces="xXyYz")  # fmt: skip
+    return Quads.joined([_pole(x, y, 5.82, 0.075, _IRON), curve, head, glass])
 
 
 def _round_sign(x: float, y: float, z: float, size: float) -> Quads:
@@ -175,7 +169,7 @@ def _round_sign(x: float, y: float, z: float, size: float) -> Quads:
     angle = np.linspace(0, -2 * np.pi, 25)
     radii = 0.5 * size * np.array([0.0, 0.25, 0.5, 0.76, 0.88, 1.0])
     across, up = radii[None] * np.sin(angle)[:, None], radii[None] * np.cos(angle)[:, None]
-    face = patch(np.stack(np.broadcast_arrays(x - _BEFORE_POLE_M, y + across, z + up), axis=2), 0.72, Label.SIGN)
+    face = surface(x - _BEFORE_POLE_M, y + across, z + up, 0.72, Label.SIGN)
     center = face.centers - np.array([x, y, z], np.float32)
     ring = np.hypot(center[:, 1], center[:, 2]) > 0.37 * size
     digits = (np.abs(np.abs(center[:, 1]) - 0.13 * size) < 0.07 * size) & (np.abs(center[:, 2]) < 0.2 * size)
@@ -187,8 +181,7 @@ def _square_sign(x: float, y: float, z: float, size: float, facing: int) -> Quad
     """A crossing sign that faces along +x (facing 1) or -x (-1): a white triangle with a dark figure, on blue."""
     lines = np.linspace(-0.5, 0.5, 13) * size
     across = facing * lines[:, None]
-    points = np.stack(np.broadcast_arrays(x + facing * _BEFORE_POLE_M, y + across, z + lines[None]), axis=2)
-    face = patch(points, 0.0, Label.SIGN)
+    face = surface(x + facing * _BEFORE_POLE_M, y + across, z + lines, 0.0, Label.SIGN)
     u, v = ((face.centers[:, 1:] - np.array([y, z], np.float32)) / size).T
     triangle = (v > -0.34) & (np.abs(u) < 0.42 * (0.36 - v) / 0.7)
     figure = (np.abs(u) < 0.07) & (v > -0.25) & (v < 0.1)
@@ -200,14 +193,6 @@ def _with_back(face: Quads) -> Quads:
     """Add a gray back behind a sign's face, one centimeter away."""
     corners = face.corners[:, ::-1] - np.float32(0.01) * face.normals[:, None]
     return Quads.joined([face, Quads.of(corners, 0.3, Label.SIGN, spread=face.spread)])
-
-
-def _crossing_sign(x: float, y: float, side: int) -> Quads:
-    return Quads.joined([_pole(x, y, 2.95, 0.033, _STEEL, 6), _square_sign(x, y, 2.75, 0.62, side)])
-
-
-def _speed_sign(x: float, y: float) -> Quads:
-    return Quads.joined([_pole(x, y, 2.75, 0.033, _STEEL, 6), _round_sign(x, y, 2.6, 0.6)])
 
 
 def _bollard(x: float, y: float) -> Quads:
@@ -243,14 +228,9 @@ def build_sky(layout: StreetLayout) -> Quads:
     p = layout.parameters
     azimuth = np.radians(np.linspace(0, 360, 209))
     elevation = np.radians(np.concatenate([np.arange(-8, 27, 1.3), np.linspace(28, 56, 12), np.linspace(60, 90, 8)]))
-    points = RADIUS_M * np.stack(
-        np.broadcast_arrays(
-            np.cos(elevation) * np.cos(azimuth)[:, None],
-            np.cos(elevation) * np.sin(azimuth)[:, None],
-            np.sin(elevation)[None],
-        ),
-        axis=2,
-    )
+    level = np.cos(elevation)
+    x, y = level * np.cos(azimuth)[:, None], level * np.sin(azimuth)[:, None]
+    points = RADIUS_M * np.stack(np.broadcast_arrays(x, y, np.sin(elevation)), axis=2)
     dome = patch(points[::-1], 1.0, Label.SKY, closed=True)
     middle = (0.5 * (p.start_x_m + p.end_x_m), 0.0, 0.0)
     return Quads.of(dome.corners, 1.0, Label.SKY, normals=dome.normals, opacity=0.995, spread=SKY_SPREAD).placed(middle)
@@ -266,12 +246,8 @@ def sky_display(
     color = zenith + (horizon - zenith) * part[:, None]
     glow = np.clip(directions @ sun, 0, 1) ** 6
     color = color + 0.16 * glow[:, None] * np.array([1.0, 0.93, 0.78])
-    return _with_clouds(color, directions.astype(np.float64), up, seed)
-
-
-def _with_clouds(color: Any, directions: Any, up: Any, seed: int) -> Any:
-    """Add clouds to the gradient: noise on a flat layer above, so that they flatten towards the horizon."""
-    flat = directions[:, :2] / (up + 0.22)[:, None]
+    # Clouds are noise on a flat layer above, so that they flatten towards the horizon.
+    flat = directions[:, :2].astype(np.float64) / (up + 0.22)[:, None]
     billow = layered_noise(flat, 0.75, seed + 101, 5)
     cover = np.clip((billow - 0.50) / 0.17, 0, 1)
     cover = cover * cover * (3 - 2 * cover) * np.clip((up - 0.01) / 0.10, 0, 1)

@@ -84,7 +84,7 @@ def test_losses_are_read_while_they_are_written(tmp_path: Path) -> None:
 def test_pictures_go_round_in_ever_new_orders(tmp_path: Path) -> None:
     pytest.importorskip("torch")
     from gsrain_engine.appearance.finetune.dataset import open_images
-    from gsrain_engine.appearance.finetune.sampler import PairSampler, fingerprint
+    from gsrain_engine.appearance.finetune.step import PairSampler, fingerprint
 
     from .small_training import small_settings
 

@@ -31,7 +31,7 @@ def test_only_what_is_learned_moves(tmp_path: Path) -> None:
     training = small_start(small_settings(tmp_path))
     before = _weights(training.model)
     judged = _weights(training.rainy_judge)
-    seen = {name: each.clone() for name, each in training.rainy_judge._camera_panel[0].state_dict().items()}
+    seen = {name: each.clone() for name, each in training.rainy_judge._features[0].state_dict().items()}
     training.iterate(0)
     moved = _changed(before, _weights(training.model))
 
@@ -45,7 +45,7 @@ def test_only_what_is_learned_moves(tmp_path: Path) -> None:
     assert "unet.conv_in.base_layer.weight" in moved
     assert any("skip_conv_1.base_layer" in name for name in moved)
     assert _changed(judged, _weights(training.rainy_judge)) == set(judged)
-    assert not _changed(seen, training.rainy_judge._camera_panel[0].state_dict())
+    assert not _changed(seen, training.rainy_judge._features[0].state_dict())
 
 
 @pytest.mark.usefixtures("small_networks")

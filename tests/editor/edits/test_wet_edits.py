@@ -1,4 +1,4 @@
-"""Every edit takes wet colours along: seen soaked, an edited scene is the edited scene of its soaked colours alone."""
+"""Every edit takes wet colors along: seen soaked, an edited scene is the edited scene of its soaked colours alone."""
 
 from dataclasses import replace
 
@@ -34,7 +34,7 @@ def wet_of(member, seed=5):
 
 
 def wet_scene(*names):
-    """The scene of the other tests with wet colours for the members that are named, a selection and what is deleted."""
+    """The scene of the other tests with wet colors for the members that are named, a selection and what is deleted."""
     scene = with_selection(edited_scene(), ground=9, house=7, car=5)
     for seed, each in enumerate(scene.members):
         gone = BitMask.of(np.arange(len(each.gaussians)) % 4 == 1)
@@ -120,7 +120,7 @@ def test_blends_end_at_the_very_numbers():
 
 def test_wet_colours_have_the_shape_of_the_clear_ones():
     layer = edited_scene().layers[0]
-    with pytest.raises(ValueError, match=r"layers/ground: wet colours have shape \(39, 4, 3\), expected \(40, 4, 3\)"):
+    with pytest.raises(ValueError, match=r"layers/ground: wet colors have shape \(39, 4, 3\), expected \(40, 4, 3\)"):
         replace(layer, wet_sh=layer.gaussians.sh[1:])
 
 

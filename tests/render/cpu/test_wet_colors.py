@@ -22,7 +22,7 @@ def wet_part(count=300, degree=1, **fields) -> DrawItem:
 
 
 def blended(part: DrawItem) -> DrawItem:
-    """The same picture without wet colours."""
+    """The same picture without wet colors."""
     sh = blend_wet_sh(part.gaussians.sh, part.wet_sh, part.wetness)
     return part._replace(gaussians=part.gaussians.with_sh(sh), wet_sh=None, wetness=0.0)
 

@@ -154,7 +154,7 @@ def patched(level: int, offset: int, form: str, *values: float) -> bytes:
         (patched(0, 5120 + 12, "<f", -1), "negative scale"),
         (patched(0, 5120 + 24, "<4f", 0, 0, 0, 0), "zero quaternion"),
         (patched(0, 5120 + 24, "<f", 1e30), "quaternion longer than 1"),
-        (patched(0, 5120 + 44, "<f", np.inf), "colour that is not a finite number"),
+        (patched(0, 5120 + 44, "<f", np.inf), "color that is not a finite number"),
     ],
 )
 def test_what_is_wrong_is_said(data: bytes, words: str, tmp_path: Path) -> None:

@@ -195,7 +195,7 @@ def test_bad_headers_are_named(edit: str, ply: Path) -> None:
 
 VALUES = {
     "x": (np.nan, "a mean that is not a finite number"),
-    "f_rest_44": (np.inf, "a colour that is not a finite number"),
+    "f_rest_44": (np.inf, "a color that is not a finite number"),
     "scale_1": (100, "a scale that is not a finite number"),
     "scale_2": (-np.inf, "a logarithm of a scale that is not a finite number"),
     "opacity": (np.inf, "a logit of an opacity that is not a finite number"),

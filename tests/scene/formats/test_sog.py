@@ -190,7 +190,7 @@ GOOD = np.zeros((5, 8, 4), np.uint8)
         (changed("quats.files", [".."]), "not the name"),
         (changed("scales.codebook", [0.0] * 257), r"\$\.scales\.codebook"),
         (changed("scales.codebook", [1e4] * 256), "scale that is not a finite"),
-        (changed("sh0.codebook", [0.0, 1.0]), "colour that is not a finite"),
+        (changed("sh0.codebook", [0.0, 1.0]), "color that is not a finite"),
         (changed("sh0.codebook", [0.0, None]), "null"),
         (changed("shN.bands", 4), "bands"),
         (changed("shN.bands", 3), "960"),

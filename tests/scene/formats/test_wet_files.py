@@ -99,22 +99,22 @@ def test_what_is_not_finite_is_not_written(tmp_path: Path) -> None:
     bad = scene.layers[0].wet_sh.copy()
     bad[3, 1, 2] = np.nan
     with pytest.raises(
-        SceneFormatError, match="a wet colour of layer 'road' that is not a finite number, the first is number 3"
+        SceneFormatError, match="a wet color of layer 'road' that is not a finite number, the first is number 3"
     ):
         write_scene(scene.with_member("layers/road", wet_sh=bad), tmp_path / "s")
     assert not (tmp_path / "s").exists()
 
 
 DAMAGE = {
-    "empty": (lambda data: b"", "no array file of wet colours"),
+    "empty": (lambda data: b"", "no array file of wet colors"),
     "cut off": (lambda data: data[:-4], "does not end after the 7,680 bytes"),
     "too long": (lambda data: data + b"\0", "does not end after the 7,680 bytes"),
     "other numbers": (lambda data: data.replace(b"<f4", b"<i4"), "int32 (40, 16, 3), expected float32 (40, 16, 3)"),
     "objects": (lambda data: data.replace(b"'<f4'", b"'|O' "), "holds object, not real numbers"),
     "other order": (lambda data: data.replace(b"False", b"True "), "in Fortran's order"),
     "other shape": (lambda data: data.replace(b"(40, 16, 3)", b"(16, 40, 3)"), "(16, 40, 3), expected float32 (40,"),
-    "a lie": (lambda data: data.replace(b"(40, 16, 3)", b"(9**40, 1,)"), "no array file of wet colours"),
-    "not finite": (lambda data: data[:-4] + np.float32(np.inf).tobytes(), "a wet colour that is not a finite number"),
+    "a lie": (lambda data: data.replace(b"(40, 16, 3)", b"(9**40, 1,)"), "no array file of wet colors"),
+    "not finite": (lambda data: data[:-4] + np.float32(np.inf).tobytes(), "a wet color that is not a finite number"),
 }
 
 

@@ -1,0 +1,147 @@
+"""Wet look panel: method, views, preview, job and result."""
+
+from functools import partial
+from pathlib import Path
+
+from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
+
+from gsrain_engine.appearance.base import TransferSettings
+from gsrain_engine.appearance.registry import usable_methods
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.jobs.make_rainy import MAKE_RAINY_TITLE
+from gsrain_engine.editor.make_rainy import SOURCES, TITLES, why_no_views
+from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H
+
+from ..widgets import fields
+from ..widgets.fields import ALL_FILES, button, combo, edit_choice, edit_field, path_field, warn
+from .jobs import job_fields
+from .rain import wetness_fields
+from .training import transfer_training_fields
+
+_ICONS = icons_fontawesome_6
+_WEIGHTS = f"Weights{{.pkl,.safetensors,.ckpt,.pt}},{ALL_FILES}"
+_PATHS = {"weights": _WEIGHTS, "images": "", "base": "", "normals_weights": _WEIGHTS, "normals_checkout": ""}
+"""Settings that are paths, with their file types; "" for folders."""
+
+_LABELS = {"normals_weights": "Normals weights", "normals_checkout": "DSINE code"}
+_MAX_PREVIEW_EM = 7.0  # small, since the viewport shows the preview at full size
+_SOURCE_HELP = (
+    "Views to transfer. The best are those of the rig if the scene has a recorded drive,\n"
+    "else those of its camera path, else views around its middle."
+)
+_MAKE_HELP = (
+    "Transfer the views, then solve for the wet colors of the scene that reproduce them, in the background.\n"
+    "The clear colors stay: the rain's intensity blends the wet ones in. One undo step."
+)
+_PREVIEW_HELP = (
+    "Transfer the present view within seconds, and show it right of the live image.\n"
+    "It is soaked (wetness 1), like the wet colors that the job creates."
+)
+_COMPARE_HELP = (
+    "Show the clear scene left and the rainy scene right of a line that can be dragged.\n"
+    "Without rain, the intensity is set to 8.5 mm/h, as an undo step."
+)
+
+
+def wet_look_panel(session: Editor) -> None:
+    _method(session)
+    _views(session)
+    imgui.spacing()
+    _preview(session)
+    _make(session)
+    if session.scene.has_wet_colors:
+        _result(session)
+    if imgui.collapsing_header("Train the transfer"):
+        transfer_training_fields(session)
+
+
+def _method(session: Editor) -> None:
+    rainy = session.rainy
+    fields.plain_label("Method", "Method of the transfer from clear to rainy views.")
+    rainy.method = combo("##method", rainy.method, {each.name: each.title for each in usable_methods()}, rainy.row.help)
+    names = [name for name in rainy.row.uses if _applies(name, rainy.settings)]
+    for name in names[:1]:
+        _setting(session, name)
+    if names[1:] and imgui.tree_node("More settings"):
+        for name in names[1:]:
+            _setting(session, name)
+        imgui.tree_pop()
+    warn(rainy.why_no_transfer)
+
+
+def _applies(name: str, settings: TransferSettings) -> bool:
+    if name == "normals_weights":
+        return settings.normals in ("dsine", "marigold")
+    if name == "normals_checkout":
+        return settings.normals == "dsine"
+    return (name != "guide" or settings.normals != "none") and (name != "neighbours" or settings.mutual_attention)
+
+
+def _setting(session: Editor, name: str) -> None:
+    settings, label = session.rainy.settings, _LABELS.get(name)
+    if name in _PATHS:
+        is_folder = name == "normals_weights" and settings.normals == "marigold"
+        path_field(settings, name, "" if is_folder else _PATHS[name], partial(_take, session, name), label=label)
+    else:
+        session.rainy.settings = edit_field(settings, name, label=label)
+
+
+def _take(session: Editor, name: str, text: str) -> None:
+    session.rainy.change(**{name: Path(text).expanduser() if text.strip() else None})
+
+
+def _views(session: Editor) -> None:
+    choice = edit_choice(session.rainy.choice, "source", {each: TITLES[each] for each in SOURCES}, _SOURCE_HELP)
+    choice = edit_field(choice, "count", label="Number of views")
+    session.rainy.choice = edit_field(choice, "width_px", label="Width (px)", step=16)
+    warn(why_no_views(session, choice.source))
+
+
+def _preview(session: Editor) -> None:
+    rainy = session.rainy
+    title = f"{_ICONS.ICON_FA_EYE}  Preview this view###preview"
+    if button(title, _PREVIEW_HELP, width=-1, why_not=rainy.why_no_preview(session)):
+        rainy.preview(session)
+    texture, stale = rainy.texture, rainy.what_is_stale(session)
+    if texture is None or session.running_jobs:
+        return  # a running job shows its own previews
+    aspect = texture.width / texture.height
+    width = min(imgui.get_content_region_avail().x, _MAX_PREVIEW_EM * imgui.get_font_size() * aspect)
+    tint = (1.0, 1.0, 1.0, 1.0 if stale is None else 0.5)
+    imgui.image_with_bg(imgui.ImTextureRef(texture.name), ImVec2(width, width / aspect), tint_col=tint)
+    imgui.set_item_tooltip("The transferred view, soaked.")
+    if stale is not None:
+        imgui.align_text_to_frame_padding()
+        imgui.text_disabled(stale)
+        if not rainy.fits(session):
+            imgui.same_line()
+            if imgui.small_button("Return to it"):
+                rainy.look_from_preview(session)
+            imgui.set_item_tooltip("Look from the camera of the preview.")
+
+
+def _make(session: Editor) -> None:
+    rainy, newest = session.rainy, session.rainy.newest(session)
+    if newest is None or newest[1].state != "running":
+        title, height = f"{_ICONS.ICON_FA_CLOUD_SHOWERS_HEAVY}  {MAKE_RAINY_TITLE}###make", imgui.get_frame_height()
+        if button(title, _MAKE_HELP, width=-1, height=1.5 * height, why_not=rainy.why_not(session)):
+            rainy.make(session)
+    if newest is not None:
+        imgui.separator_text(newest[1].title)
+        job_fields(session, newest[1], newest[0])
+
+
+def _result(session: Editor) -> None:
+    """Draw the blending of wet colors, and the comparison with the clear ones."""
+    imgui.separator_text("Wet colors")
+    if session.wetness_now == 0:
+        imgui.text_wrapped("The scene is dry now: the wetness follows the rain.")
+    fields.slider(session, "intensity_mm_h", high=max(CALIBRATED_UP_TO_MM_H, session.rain_now.intensity_mm_h))
+    wetness_fields(session)
+    is_compared = session.view.split == "clear | rainy"
+    title = f"{_ICONS.ICON_FA_TABLE_COLUMNS}  {'Stop comparing' if is_compared else 'Compare'}###compare"
+    if button(title, _COMPARE_HELP, width=-1):
+        if is_compared:
+            session.view.split = "off"
+        else:
+            session.rainy.compare(session)
