@@ -1,4 +1,4 @@
-"""Terminal output of all commands: tables, lines, progress bars, logs and errors.
+"""Terminal output of all commands: lines, tables, progress bars, logs and errors.
 
 Names come from files, servers and other people. All text is escaped here and never parsed as rich markup, so that a
 name can't control the terminal, add a line or change the text direction. A test rejects rich, the built-in `print` and
@@ -7,30 +7,24 @@ the standard streams anywhere else in the program.
 
 import logging
 import sys
-from collections.abc import Iterable
-from contextlib import suppress
-from typing import IO, Any
+from collections.abc import Callable, Generator, Iterable, Mapping
+from contextlib import contextmanager, suppress
+from typing import IO, TYPE_CHECKING, Any, TypeVar
 
 import rich.console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    ProgressColumn,
-    Task,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich import progress
 from rich.segment import Segment
-from rich.table import Table
+from rich.table import Table as Table
 from rich.text import Text
 
+from gsrain_engine.compile_cache import has_any_kernel
 from gsrain_engine.safe_io.text_files import escape_invisible
 
-__all__ = [
-    "BarColumn", "Console", "MofNCompleteColumn", "Progress", "Table", "TimeElapsedColumn", "TimeRemainingColumn",
-    "WordsColumn", "bold", "console_log", "print", "print_lines", "use_any_encoding", "wide_console",
-]  # fmt: skip
+if TYPE_CHECKING:
+    from gsrain_engine.scene.progress import Progress
+
+_PLAIN = {"markup": False, "emoji": False, "highlight": False}
+_WIDE_COLUMNS = 100_000  # wider than any table of names: rich truncates what is wider than its console
 
 
 class Console(rich.console.Console):
@@ -41,13 +35,11 @@ class Console(rich.console.Console):
 
     def __init__(self, **options: Any) -> None:
         """Write to standard output, or as rich's own options (`file`, `stderr`, `width`, `soft_wrap`) set."""
-        super().__init__(**{**options, "markup": False, "emoji": False, "highlight": False})
+        super().__init__(**{**options, **_PLAIN})
 
     def render_str(self, text: str, **options: Any) -> Text:
         """Escape text; cells, titles and lines all pass through here."""
-        return super().render_str(
-            escape_invisible(text), **{**options, "markup": False, "emoji": False, "highlight": False}
-        )
+        return super().render_str(escape_invisible(text), **{**options, **_PLAIN})
 
     def render(self, renderable: Any, options: Any = None) -> Iterable[Segment]:
         """Render anything; text that was already a `Text` is escaped now."""
@@ -58,27 +50,44 @@ class Console(rich.console.Console):
                 yield Segment("\n".join(map(escape_invisible, segment.text.split("\n"))), segment.style)
 
 
-_WIDE_COLUMNS = 100_000  # wider than any table of names: rich truncates what is wider than its console
-
-
 def wide_console() -> Console:
     """Return a console that never truncates or folds, even in a narrow terminal, which wraps longer lines itself."""
     return Console(soft_wrap=True, width=_WIDE_COLUMNS)
+
+
+def counted(count: int, noun: str) -> str:
+    return f"{count:,} {noun}" + ("" if count == 1 else "s")
 
 
 def bold(text: str) -> Text:
     return Text(escape_invisible(text), "bold")
 
 
-class WordsColumn(ProgressColumn):
-    """Text column of a progress bar: a fixed text or the task's description."""
+def table_of(left: str, right: str = "", *, wraps: bool = False, **options: Any) -> Table:
+    """Return a table without lines: its columns, separated by commas, those of `right` right-aligned."""
+    table = Table(box=None, **options)
+    for titles, justify in ((left, "left"), (right, "right")):
+        for title in filter(None, titles.split(",")):
+            table.add_column(title, no_wrap=not wraps, justify=justify)
+    return table
 
-    def __init__(self, words: str | None = None) -> None:
-        super().__init__()
-        self._words = words
 
-    def render(self, task: Task) -> Text:
-        return Text(escape_invisible(task.description if self._words is None else self._words))
+def rows_table(columns: Mapping[str, str], rows: Iterable[Any]) -> Table:
+    """Return a table without lines: a format by title, such as `{0.name}` or `{0[views]:,}`, for each row.
+
+    A cell stays empty if the row lacks its value, or has None.
+    """
+    table = Table(*columns, box=None)
+    for row in rows:
+        table.add_row(*(_cell(each, row) for each in columns.values()))
+    return table
+
+
+def _cell(form: str, row: Any) -> str:
+    try:
+        return form.format(row)
+    except (KeyError, TypeError):
+        return ""
 
 
 def print(*words: object, file: IO[str] | None = None) -> None:
@@ -114,3 +123,52 @@ class _OneLine(logging.Formatter):
         if record.exc_info:
             lines += self.formatException(record.exc_info).splitlines()
         return "\n".join(map(escape_invisible, lines))
+
+
+# Progress bars with an estimate of the time left; files and pipes get only the final state
+
+_Result = TypeVar("_Result")
+_FIRST_TIME = "The first time on a machine, code for its processor is compiled before the first frame: a minute or two."
+
+
+@contextmanager
+def progress_bar(title: str, total: float, *, draws: bool = False) -> Generator[Callable[..., None]]:
+    """Show a bar while the block runs; call the yielded function with the work done (default 1). Errors remove the bar.
+
+    With `draws`, the first run on a machine prints that kernels are compiled first.
+    """
+    with _bar(progress.MofNCompleteColumn(), console=Console(stderr=True)) as bar:
+        if draws and bar.console.is_terminal and not has_any_kernel():
+            bar.console.print(_FIRST_TIME)
+        task = bar.add_task(title, total=total)
+        try:
+            yield lambda done=1: bar.advance(task, done)
+        except BaseException:
+            bar.live.transient, bar.console.quiet = True, not bar.console.is_terminal  # leave one line: the error
+            raise
+
+
+def run_with_progress(work: "Generator[Progress, None, _Result]") -> _Result:
+    """Run a job, show its progress and current step, and return its result."""
+    from gsrain_engine.scene.progress import run_to_end  # loads NumPy, which startup avoids
+
+    console = Console(stderr=True)
+    with _bar(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("Reading", total=1.0)
+        return run_to_end(work, lambda step: bar.update(task, completed=step.fraction, description=step.message))
+
+
+def _bar(*counts: progress.ProgressColumn, **options: Any) -> progress.Progress:
+    times = progress.TimeElapsedColumn(), _WordsColumn("ETA"), progress.TimeRemainingColumn()
+    return progress.Progress(_WordsColumn(), progress.BarColumn(), *counts, *times, **options)
+
+
+class _WordsColumn(progress.ProgressColumn):
+    """Text column of a progress bar: a fixed text or the task's description."""
+
+    def __init__(self, words: str | None = None) -> None:
+        super().__init__()
+        self._words = words
+
+    def render(self, task: progress.Task) -> Text:
+        return Text(escape_invisible(task.description if self._words is None else self._words))

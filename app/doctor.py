@@ -4,34 +4,40 @@ import importlib.util
 import shlex
 import sys
 from collections.abc import Callable
-from functools import partial
-from importlib import metadata
+from contextlib import suppress
+from functools import partial, wraps
+from importlib import import_module, metadata
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from gsrain_engine.plugins import (
-    AGENTS,
-    CAPTURE_FORMATS,
-    DECODERS,
-    DISDROMETERS,
-    EVALUATIONS,
-    GROUPS,
-    PANELS,
-    SCENE_FORMATS,
-    TRANSFERS,
-    EntryPointGroup,
-    Extension,
-    find_extensions,
-)
+from gsrain_engine import plugins
+from gsrain_engine.plugins import Extension, find_extensions
 from gsrain_engine.safe_io.text_files import printable_line
 
 from .console import print
-from .options import JsonFile, check_writable, has_display, write_numbers
+from .options import JsonFile, has_display
+from .outputs import check_writable, write_numbers
 
 _FEW_SPLATS, _MANY_SPLATS = (100_000,), (1_000_000, 3_000_000)
 """Numbers of splats for the depth sort test, on software OpenGL and on a GPU."""
+
+_PACKAGES = {
+    "torch": ("gsrain reconstruct, and --photometric-steps and --refine of gsrain recolor", "jobs"),
+    "diffusers": ("gsrain transfer --method cyclegan-turbo", "diffusion"),
+    "transformers": ("the text encoder of cyclegan-turbo", "diffusion"),
+    "peft": ("gsrain train-transfer", "diffusion"),
+    "onnxruntime": ("the detectors of gsrain evaluate detection", "evaluate"),
+    "pycocotools": ("average precision in gsrain evaluate detection", "evaluate"),
+    "pyarrow": ("gsrain sweep, roll-outs as Parquet, Waymo Perception v2", "drive"),
+    "distributed": ("gsrain sweep on a Dask cluster", "drive"),
+    "gymnasium": ("the environments gsrain/Drive-v0 and gsrain/DrivePlan-v0", "drive"),
+    "mcap": ("roll-outs for Foxglove", "drive"),
+    "scenariogeneration": ("writing OpenSCENARIO and OpenDRIVE", "drive"),
+    "protobuf": ("Waymo Perception v1 (TFRecord files)", "waymo"),
+}
+"""Purpose and extra of optional packages, by name on PyPI."""
 
 
 class Finding(NamedTuple):
@@ -44,44 +50,20 @@ class Finding(NamedTuple):
 
 
 def doctor(*, json: JsonFile = None) -> int:
-    """Look for everything that GSRAIN can use. Exit code 1 where something needed is missing or wrong."""
+    """List what GSRAIN can use on this machine. Exit code 1 if something required is missing or wrong."""
     check_writable(json)
-    video = _video()
-    needed = [_opengl(), _threads()] if is_frozen() else [_opengl(), video, _threads()]
+    video, threads = _video(), _threads()
+    needed = [_opengl(), threads] if is_frozen() else [_opengl(), video, threads]
     tested = find_depth_order()
-    optional = [
-        *([video] if is_frozen() else []),
-        _osmesa(),
-        _display(),
-        _package("torch", "gsrain reconstruct, and --polish and --refine of gsrain recolor", "jobs"),
-        _cuda(),
-        _gsplat(),
-        find_lpips(),
-        find_inception(),
-        _package("diffusers", "gsrain transfer --method cyclegan-turbo", "diffusion"),
-        _package("transformers", "the text encoder of cyclegan-turbo", "diffusion"),
-        _package("peft", "gsrain train-transfer", "diffusion"),
-        find_base_model(),
-        find_text_encoder(),
-        find_transfer_weights(),
-        find_clip_model(),
-        _package("onnxruntime", "the detectors of gsrain evaluate detection", "evaluate"),
-        find_detector_file(),
-        _package("pycocotools", "average precision in gsrain evaluate detection", "evaluate"),
-        _package("pyarrow", "gsrain sweep, roll-outs as Parquet, Waymo Perception v2", "drive"),
-        _package("distributed", "gsrain sweep on a Dask cluster", "drive"),
-        _package("gymnasium", "the environments gsrain/Drive-v0 and gsrain/DrivePlan-v0", "drive"),
-        _package("mcap", "roll-outs for Foxglove", "drive"),
-        _package("scenariogeneration", "writing OpenSCENARIO and OpenDRIVE", "drive"),
-        _package("protobuf", "Waymo Perception v1 (TFRecord files)", "waymo"),
-    ]
-    added = [_tried(f"{each.group.noun} {each.name}", partial(describe, each), "") for each in installed_extensions()]
-    every = (*needed, *tested, *optional, *added)
-    for finding in every:
-        missing = "MISSING" if finding in needed else "broken " if finding in added else "absent "
-        missing = "WRONG  " if finding in tested else missing
-        mark = "ok     " if finding.found else missing
-        print(f"{mark} {finding.name}: {finding.what}")
+    weights = (find_lpips, find_inception, find_base_model, find_text_encoder, find_transfer_weights, find_clip_model)
+    optional = [each() for each in (_osmesa, _display, _cuda, _gsplat, *weights, find_detector_file)]
+    optional = [*([video] if is_frozen() else []), *optional, *map(_package, _PACKAGES)]
+    added = [_tried(f"{each.group.noun} {each.name}", partial(describe, each)) for each in installed_extensions()]
+    marks = {"MISSING": needed, "WRONG  ": tested, "absent ": optional, "broken ": added}
+    for missing, findings in marks.items():
+        for each in findings:
+            print(f"{'ok     ' if each.found else missing} {each.name}: {each.what}")
+    every = [each for findings in marks.values() for each in findings]
     write_numbers(json, {each.name: {"found": each.found, "what": each.what} for each in every})
     return 0 if all(each.found for each in (*needed, *tested)) else 1
 
@@ -91,29 +73,36 @@ def is_frozen() -> bool:
     return getattr(sys, "frozen", False)
 
 
-def _tried(name: str, attempt: Callable[[], str], remedy: str) -> Finding:
+def _tried(name: str, attempt: Callable[[], str], remedy: str = "") -> Finding:
     try:
         return Finding(name, True, attempt())
     except Exception as error:  # a missing library may raise anything: its message is the finding
         return Finding(name, False, f"{printable_line(error)} {remedy}".strip())
 
 
-def _opengl() -> Finding:
-    return _tried("OpenGL without a window (EGL)", lambda: _describe_context("egl"), "")
+def finding(name: str, remedy: str = "") -> Callable[[Callable[[], str]], Callable[[], Finding]]:
+    """Make a check of a function that returns what it has found, or raises why it is missing."""
+
+    def decorated(attempt: Callable[[], str]) -> Callable[[], Finding]:
+        return wraps(attempt)(lambda: _tried(name, attempt, remedy))
+
+    return decorated
 
 
-def _osmesa() -> Finding:
-    return _tried(
-        "OSMesa (stands in where EGL is missing)",
-        lambda: _describe_context("osmesa"),
-        "(optional; Debian 13 no longer has it)",
-    )
+@finding("OpenGL without a window (EGL)")
+def _opengl() -> str:
+    return _describe_context("egl")
 
 
-def _describe_context(source: str) -> str:
+@finding("OSMesa (stands in where EGL is missing)", "(optional; Debian 13 no longer has it)")
+def _osmesa() -> str:
+    return _describe_context("osmesa")
+
+
+def _describe_context(source: Literal["egl", "osmesa"]) -> str:
     from gsrain_engine.render.opengl.context import is_software, open_context
 
-    context = open_context("egl" if source == "egl" else "osmesa")
+    context = open_context(source)
     with context:
         kind = "software" if is_software(context) else "GPU"
         return f"{context.info['GL_RENDERER']}, OpenGL {context.version_code / 100:.1f} ({kind})"
@@ -156,34 +145,31 @@ def _video() -> Finding:
     return _tried("video", encoders, "(left out of frozen programs)" if is_frozen() else "pip install av")
 
 
-def _threads() -> Finding:
-    def layer() -> str:
-        import numba
+@finding("compiled kernels", "On Debian: apt-get install libgomp1")
+def _threads() -> str:
+    import numba
 
-        @numba.njit(parallel=True)
-        def count(values: np.ndarray) -> float:
-            total = 0.0
-            for i in numba.prange(len(values)):
-                total += values[i]
-            return total
+    @numba.njit(parallel=True)
+    def count(values: np.ndarray) -> float:
+        total = 0.0
+        for i in numba.prange(len(values)):
+            total += values[i]
+        return total
 
-        count(np.ones(8))
-        name = numba.threading_layer()
-        if name == "workqueue":  # Numba's own layer, which aborts the process
-            raise RuntimeError("libgomp is missing: two threads that draw at once would end the program.")
-        return f"Numba {numba.__version__}, {name}, {numba.get_num_threads()} threads"
-
-    return _tried("compiled kernels", layer, "On Debian: apt-get install libgomp1")
+    count(np.ones(8))
+    name = numba.threading_layer()
+    if name == "workqueue":  # Numba's own layer, which aborts the process
+        raise RuntimeError("libgomp is missing: two threads that draw at once would end the program.")
+    return f"Numba {numba.__version__}, {name}, {numba.get_num_threads()} threads"
 
 
 def _display() -> Finding:
-    if has_display():
-        return Finding("display", True, "the window can open")
-    return Finding("display", False, "no DISPLAY: rendering to files works, the window does not")
+    missing = "no DISPLAY: rendering to files works, the window does not"
+    return Finding("display", has_display(), "the window can open" if has_display() else missing)
 
 
-def _package(name: str, purpose: str, extra: str) -> Finding:
-    """Look for a package of an extra, by its name on PyPI."""
+def _package(name: str) -> Finding:
+    purpose, extra = _PACKAGES[name]
     try:
         return Finding(name, True, f"{metadata.version(name)}, for {purpose}")
     except metadata.PackageNotFoundError:
@@ -203,194 +189,142 @@ def how_to_add(extra: str) -> str:
     return f"{python} -m pip install {requirement}"
 
 
-def _cuda() -> Finding:
+@finding("CUDA")
+def _cuda() -> str:
     if importlib.util.find_spec("torch") is None:
-        return Finding("CUDA", False, "not looked for: torch is not installed")
+        raise RuntimeError("not looked for: torch is not installed")
+    import torch
 
-    def device() -> str:
-        import torch
-
-        if not torch.cuda.is_available():
-            raise RuntimeError("torch sees no CUDA device; jobs run on the processor.")
-        return torch.cuda.get_device_name()
-
-    return _tried("CUDA", device, "")
+    if not torch.cuda.is_available():
+        raise RuntimeError("torch sees no CUDA device; jobs run on the processor.")
+    return torch.cuda.get_device_name()
 
 
-def _gsplat() -> Finding:
+@finding("gsplat (draws and trains on CUDA GPUs)")
+def _gsplat() -> str:
     """Open `--backend cuda`: gsplat is installed without its kernels and compiles them itself."""
+    from gsrain_engine.backends import device_of, open_renderer
 
-    def device() -> str:
-        from gsrain_engine.backends import device_of, open_renderer
-
-        with open_renderer("cuda") as renderer:
-            return f"--backend cuda draws on {device_of(renderer)}"
-
-    return _tried("gsplat (draws and trains on CUDA GPUs)", device, "")
+    with open_renderer("cuda") as renderer:
+        return f"--backend cuda draws on {device_of(renderer)}"
 
 
-def find_lpips() -> Finding:
+@finding("LPIPS weights (a quality measure of reports)")
+def find_lpips() -> str:
     """Look for LPIPS weights and read them, since a file may be damaged or hold something else."""
-    name = "LPIPS weights (a quality measure of reports)"
-    from gsrain_engine.evaluation.lpips_weights import find_lpips_weights, lpips_places
+    from gsrain_engine.evaluation.lpips_weights import find_lpips_weights, lpips_place
 
-    places = ", ".join(map(str, lpips_places()))
     try:
         find_lpips_weights("vgg")
-        return Finding(name, True, f"VGG16 at {places}")
+        return f"VGG16 at {lpips_place()}"
     except FileNotFoundError as error:
         missing = str(error)
-    try:
+    with suppress(FileNotFoundError):
         find_lpips_weights("alex")
-    except FileNotFoundError:
-        return Finding(name, False, missing)
-    return Finding(name, False, f"only AlexNet at {places}, used where --lpips names its file; {missing}")
+        missing = f"only AlexNet at {lpips_place()}, used where --lpips names its file; {missing}"
+    raise FileNotFoundError(missing)
 
 
-def find_inception() -> Finding:
+@finding("Inception weights (of FID)")
+def find_inception() -> str:
     """Look for Inception's weights, which define FID; they are read if torch is installed."""
+    from gsrain_engine.evaluation import fid_torch_features as features
 
-    def file() -> str:
-        from gsrain_engine.evaluation.fid_torch_features import (
-            inception_weights,
-            inception_weights_file,
-            is_torchscript,
-        )
-
-        found = inception_weights_file()
-        if is_torchscript(found):
-            return f"{found}, TorchScript: gsrain evaluate fid takes it with --torchscript"
-        if importlib.util.find_spec("torch") is not None:
-            inception_weights(found)
-        return str(found)
-
-    return _tried("Inception weights (of FID)", file, "")
+    found = features.inception_weights_file()
+    if features.is_torchscript(found):
+        return f"{found}, TorchScript: gsrain evaluate fid takes it with --torchscript"
+    if importlib.util.find_spec("torch") is not None:
+        features.inception_weights(found)
+    return str(found)
 
 
-def find_detector_file() -> Finding:
+@finding("detector (camera-idm of gsrain drive)")
+def find_detector_file() -> str:
     """Look for the detector of the agent camera-idm; it is opened if onnxruntime is installed."""
+    from gsrain_engine.evaluation.detection.detector import find_detector, open_detector
 
-    def file() -> str:
-        from gsrain_engine.evaluation.detection.detector import find_detector, open_detector
-
-        found = find_detector()
-        if importlib.util.find_spec("onnxruntime") is None:
-            return str(found)
-        wide, high = open_detector(found).input_size_px
-        return f"{found} (sees {wide} x {high} px)"
-
-    return _tried("detector (camera-idm of gsrain drive)", file, "")
-
-
-def find_base_model() -> Finding:
-    """Look for SD-Turbo, the base of cyclegan-turbo, in diffusers' layout: complete, and of the right architecture."""
-    from gsrain_engine.appearance.cyclegan_turbo.model import check_base, sd_turbo
-    from gsrain_engine.appearance.cyclegan_turbo.weight_paths import check_base_complete, find_base_model
-
-    def folder() -> str:
-        found = find_base_model()
-        check_base(found, sd_turbo())
-        check_base_complete(found)
+    found = find_detector()
+    if importlib.util.find_spec("onnxruntime") is None:
         return str(found)
+    wide, high = open_detector(found).input_size_px
+    return f"{found} (sees {wide} x {high} px)"
 
-    return _tried("SD-Turbo (base of cyclegan-turbo)", folder, "")
+
+@finding("SD-Turbo (base of cyclegan-turbo)")
+def find_base_model() -> str:
+    """Look for SD-Turbo, the base of cyclegan-turbo, in diffusers' layout: complete, and of the right architecture."""
+    from gsrain_engine.appearance.cyclegan_turbo import weight_paths as paths
+    from gsrain_engine.appearance.cyclegan_turbo.model import check_base, sd_turbo
+
+    found = paths.find_base_model()
+    check_base(found, sd_turbo())
+    paths.check_base_complete(found)
+    return str(found)
 
 
-def find_text_encoder() -> Finding:
+@finding("text encoder of SD-Turbo")
+def find_text_encoder() -> str:
     """Look for the text encoder, needed only once, because its encoded captions are cached."""
-    from gsrain_engine.appearance.cyclegan_turbo.weight_paths import (
-        base_model_folders,
-        captions_file,
-        is_base_model,
-        text_encoder_folder,
-    )
+    from gsrain_engine.appearance.cyclegan_turbo import weight_paths as paths
 
-    def place() -> str:
-        if captions_file().is_file():
-            return f"not needed: its captions are kept in {captions_file()}"
-        bases = [base for base in base_model_folders() if is_base_model(base)]
-        folder = text_encoder_folder(bases[0]) if bases else None
-        if folder is None:
-            raise FileNotFoundError("comes with SD-Turbo (text_encoder, tokenizer); needed once, to encode captions")
-        return str(folder)
-
-    return _tried("text encoder of SD-Turbo", place, "")
+    if paths.captions_file().is_file():
+        return f"not needed: its captions are kept in {paths.captions_file()}"
+    base = next(filter(paths.is_base_model, paths.base_model_folders()), None)
+    folder = None if base is None else paths.text_encoder_folder(base)
+    if folder is None:
+        raise FileNotFoundError("comes with SD-Turbo (text_encoder, tokenizer); needed once, to encode captions")
+    return str(folder)
 
 
-def find_transfer_weights() -> Finding:
+@finding("transfer weights (of cyclegan-turbo)")
+def find_transfer_weights() -> str:
     """Look for the weights that turn SD-Turbo into a transfer."""
-    from gsrain_engine.appearance.cyclegan_turbo.weight_paths import find_transfer_weights
+    from gsrain_engine.appearance.cyclegan_turbo import weight_paths as paths
 
-    def file() -> str:
-        found = find_transfer_weights()
-        return f"{found} ({found.stat().st_size / 1e6:,.0f} MB)"
-
-    return _tried("transfer weights (of cyclegan-turbo)", file, "")
+    found = paths.find_transfer_weights()
+    return f"{found} ({found.stat().st_size / 1e6:,.0f} MB)"
 
 
-def find_clip_model() -> Finding:
+@finding("CLIP ViT-B/32 (for gsrain train-transfer)")
+def find_clip_model() -> str:
     """Look for the vision model behind the discriminators of transfer training."""
     from gsrain_engine.appearance.finetune.settings import find_clip
 
-    return _tried("CLIP ViT-B/32 (for gsrain train-transfer)", lambda: str(find_clip()), "")
+    return str(find_clip())
 
 
 # Extensions of other installed packages
 
 
 def installed_extensions() -> list[Extension]:
-    return [each for group in GROUPS for each in find_extensions(group)]
+    return [each for group in plugins.GROUPS for each in find_extensions(group)]
 
 
 def describe(extension: Extension) -> str:
     """Load an extension as the program would, and return its origin. Raises ValueError if it is unusable."""
-    _CHECKS[extension.group](extension)
+    if extension.group in _KINDS:
+        module, _, kind = _KINDS[extension.group].partition(":")
+        extension.load(getattr(import_module(module), kind))
+    elif extension.group is plugins.SCENE_FORMATS:
+        from gsrain_engine.scene.formats.registry import format_of
+
+        format_of(Path(f"scene.{extension.name}"))
+    elif extension.group is plugins.TRANSFERS:
+        from gsrain_engine.appearance.registry import find_method
+
+        find_method(extension.name)
+    elif extension.group is plugins.DECODERS:
+        from gsrain_engine.evaluation.detection.decoders import decoder
+
+        decoder(extension.name)
+    else:  # agents and evaluations
+        extension.load_callable()
     return f"{extension.place} of {extension.package} {extension.version}".rstrip()
 
 
-def _scene_format(extension: Extension) -> None:
-    from gsrain_engine.scene.formats.registry import format_of
-
-    format_of(Path(f"scene.{extension.name}"))
-
-
-def _transfer(extension: Extension) -> None:
-    from gsrain_engine.appearance.registry import find_method
-
-    find_method(extension.name)
-
-
-def _decoder(extension: Extension) -> None:
-    from gsrain_engine.evaluation.detection.decoders import decoder
-
-    decoder(extension.name)
-
-
-def _panel(extension: Extension) -> None:
-    from ui.panels.registry import Panel
-
-    extension.load(Panel)
-
-
-def _disdrometer(extension: Extension) -> None:
-    from gsrain_engine.disdrometer.open import LogFormat
-
-    extension.load(LogFormat)
-
-
-def _capture_format(extension: Extension) -> None:
-    from gsrain_engine.datasets.open_capture import CaptureFormat
-
-    extension.load(CaptureFormat)
-
-
-_CHECKS: dict[EntryPointGroup, Callable[[Extension], object]] = {
-    AGENTS: Extension.load_callable,
-    CAPTURE_FORMATS: _capture_format,
-    DECODERS: _decoder,
-    DISDROMETERS: _disdrometer,
-    EVALUATIONS: Extension.load_callable,
-    PANELS: _panel,
-    SCENE_FORMATS: _scene_format,
-    TRANSFERS: _transfer,
+_KINDS = {
+    plugins.PANELS: "ui.panels.registry:Panel",
+    plugins.DISDROMETERS: "gsrain_engine.disdrometer.open:LogFormat",
+    plugins.CAPTURE_FORMATS: "gsrain_engine.datasets.open_capture:CaptureFormat",
 }
+"""Types of extensions that are values."""

@@ -1,10 +1,10 @@
-"""`gsrain drive [SCENARIO.yaml]`: closed-loop simulation of scene, rain and agent."""
+"""`gsrain drive [SCENARIO.yaml]`: closed-loop simulation of scene, rain and agent, and its output files."""
 
-import re
 import traceback
-from collections.abc import Generator
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,31 +13,54 @@ import msgspec
 from cyclopts import Parameter
 
 from gsrain_engine.backends import Backend, open_renderer
+from gsrain_engine.evaluation.report import write_report
 from gsrain_engine.rain.settings import RainSettings, load_preset
+from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.video import can_write_videos
-from gsrain_engine.scene.files import file_word
+from gsrain_engine.scene.files import file_word, shortened
 from gsrain_engine.scene.open import load_sorted_scene, scene_hash
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.simulation import simulation as driving
 from gsrain_engine.simulation.agents.base import Agent
 from gsrain_engine.simulation.agents.http import ClientError
 from gsrain_engine.simulation.agents.registry import AgentOptions, agent_file, agent_names, default_agent, open_agent
-from gsrain_engine.simulation.metrics.summary import ScoredRun, compare_drives, results_table
+from gsrain_engine.simulation.metrics.summary import ScoredRun, compare_drives, results_table, write_metrics_csv
 from gsrain_engine.simulation.obstacles import drivable_of
-from gsrain_engine.simulation.rollout import BACKGROUND
+from gsrain_engine.simulation.playback import RolloutPlayback
+from gsrain_engine.simulation.rollout import BACKGROUND, Rollout
+from gsrain_engine.simulation.rollout_io import write_rollout, write_rollout_parquet
+from gsrain_engine.simulation.route import recorded_route
 from gsrain_engine.simulation.scenario import Scenario
 from gsrain_engine.simulation.scenario_io import load_scenario
 from gsrain_engine.simulation.simulation import Simulation
+from gsrain_engine.simulation.video import RolloutVideo, render_rollout_video
 from gsrain_engine.sweep.expansion import software
 
-from .console import print, print_lines
-from .drive_outputs import DriveFiles, write_drives
-from .evaluate.run_facts import provenance_lines, run_provenance
-from .options import RAIN_OPTIONS, JsonFile, check_writable, converted_options, lock_outputs, write_numbers
-from .progress import progress_bar
+from .console import print, print_lines, progress_bar
+from .options import (
+    BACKEND,
+    RAIN_OPTIONS,
+    Exposure,
+    JsonFile,
+    Preset,
+    Wet,
+    check_within,
+    converted_options,
+    flag,
+    option,
+    parse_intensities,
+    split_words,
+)
+from .outputs import check_writable, lock_outputs, provenance_lines, run_provenance, write_numbers, write_text
+from .render import wet_look
 
-DEFAULT_SCENARIO = "stationary-lead"
-_LONGEST_S = 600.0
+EXPORTS = {"parquet": "pyarrow", "mcap": "mcap", "xosc": "scenariogeneration"}
+"""Other formats of a run, and the package that writes each."""
+
+HUGSIM = "hugsim"
+"""Agent that isn't in the registry: it needs a folder of pipes, and changes scene and scenario."""
+
+_MAX_S = 600.0  # maximum duration of a drive
 
 # Agents
 
@@ -49,41 +72,35 @@ class DriverOptions:
 
     agent: Annotated[
         list[str] | None,
-        Parameter(
-            help="Who drives: constant-velocity, oracle-idm, camera-idm, neuroncap-baseline, http, hugsim, or one of "
-            "an installed package (entry points gsrain.agents); FILE.py or FILE.py:NAME is a class of your own. May be "
-            "given several times. "
-            "Default: camera-idm where a detector is found, else oracle-idm.",
-            negative="",
+        flag(
+            "Agent that drives: constant-velocity, oracle-idm, camera-idm, neuroncap-baseline, http, hugsim, or "
+            "one of an installed package (entry points gsrain.agents); FILE.py or FILE.py:NAME is a class of your own. "
+            "May be given several times. Default: camera-idm if a detector is found, else oracle-idm."
         ),
     ] = None
-    detector: Annotated[Path | None, Parameter(help="ONNX file of camera-idm's detector.")] = None
+    detector: Annotated[Path | None, option("ONNX file of camera-idm's detector.")] = None
     description: Annotated[
-        str | None, Parameter(help="How the detector is used: a shipped name such as yolox, or a YAML file.")
+        str | None, option("Description of the detector: a shipped name such as yolox, or a YAML file.")
     ] = None
-    url: Annotated[str | None, Parameter(help="Where the agent http listens, such as http://localhost:9000.")] = None
+    url: Annotated[str | None, option("Address of the agent http, such as http://localhost:9000.")] = None
     hugsim_dir: Annotated[
-        Path | None, Parameter(help="Folder with the pipes of HUGSIM's protocol: UniAD, VAD or LTF drives.")
+        Path | None, option("Folder with the pipes of HUGSIM's protocol: UniAD, VAD or LTF drives.")
     ] = None
     hugsim_client: Annotated[
-        str | None,
-        Parameter(help="Command that starts the client; without one, start it yourself on the folder.", negative=""),
+        str | None, flag("Command that starts the client; without one, start it yourself on the folder.")
     ] = None
     hugsim_wait: Annotated[
-        float, Parameter(help="Seconds to wait for the client's first plan; at most 60 of them for each later one.")
+        float, option("Seconds to wait for the client's first plan; at most 60 of them for each later one.")
     ] = 120.0
-    hugsim_all: Annotated[
-        bool, Parameter(help="Send the client depth and semantic classes too, which takes longer to draw.", negative="")
-    ] = False
-    channel_order: Annotated[Literal["rgb", "bgr"], Parameter(help="Of the pictures in HUGSIM's protocol.")] = "rgb"
+    hugsim_all: Annotated[bool, flag("Send the client depth and semantic classes too, which takes longer.")] = False
+    channel_order: Annotated[Literal["rgb", "bgr"], option("Of the images in HUGSIM's protocol.")] = "rgb"
 
     def names(self) -> list[str]:
         """Return the names of the chosen agents. Raises ValueError for unknown or contradictory ones."""
         asked = list(dict.fromkeys(self.agent or []))
         if self.hugsim_dir is not None and asked not in ([], [HUGSIM]):
             raise ValueError("--hugsim-dir is for the agent hugsim alone; leave out --agent")
-        if not 0 < self.hugsim_wait <= 86_400:
-            raise ValueError(f"--hugsim-wait {self.hugsim_wait:g}: must be above 0 and at most 86400 s")
+        check_within("--hugsim-wait", self.hugsim_wait, 0, 86_400, "s", is_open=True)
         known = (*agent_names(), HUGSIM)
         unknown = next((name for name in asked if name not in known and agent_file(name) is None), None)
         if unknown is not None:
@@ -101,72 +118,59 @@ class DriverOptions:
     @contextmanager
     def opened(self) -> Generator[list[Agent]]:
         """Open all agents for the duration of the block; prints why a default agent was substituted."""
+        options = AgentOptions(self.detector, self.description, self.url)
+        names = self.names()
+        if not names:
+            name, reason = default_agent(options)
+            names = [name]
+            if reason is not None:
+                print(reason)
         with ExitStack() as stack:
-            agents = [self._open(name) for name in self.names()] or [self._defaults()]
+            agents = [self._hugsim() if name == HUGSIM else open_agent(name, options) for name in names]
             for agent in agents:
                 stack.callback(agent.close)
             yield agents
 
-    def _open(self, name: str) -> Agent:
-        if name != HUGSIM:
-            return open_agent(name, self._chosen_options)
+    def _hugsim(self) -> Agent:
         if self.hugsim_dir is None:
             raise ValueError("--agent hugsim takes the folder of its pipes: --hugsim-dir DIR")
         from gsrain_engine.simulation.interop.hugsim_agent import LATER_WAIT_S, HugsimAgent
 
-        first_s, later_s = self.hugsim_wait, min(self.hugsim_wait, LATER_WAIT_S)
         return HugsimAgent(
             self.hugsim_dir, self.hugsim_client, self.channel_order, semantic=self.hugsim_all, depth=self.hugsim_all,
-            first_wait_s=first_s, later_wait_s=later_s,
+            first_wait_s=self.hugsim_wait, later_wait_s=min(self.hugsim_wait, LATER_WAIT_S),
         )  # fmt: skip
-
-    def _defaults(self) -> Agent:
-        name, reason = default_agent(self._chosen_options)
-        if reason is not None:
-            print(reason)
-        return open_agent(name, self._chosen_options)
-
-    @property
-    def _chosen_options(self) -> AgentOptions:
-        return AgentOptions(self.detector, self.description, self.url)
 
 
 def drive(
     scenario: Annotated[
         str | None,
-        Parameter(
-            name="SCENARIO.yaml",
-            help="A shipped scenario by name or a file: ours, HUGSIM's YAML or OpenSCENARIO; default: stationary-lead.",
+        option(
+            "A shipped scenario by name or a file: ours, HUGSIM's YAML or OpenSCENARIO; default: stationary-lead.",
+            "SCENARIO.yaml",
         ),
     ] = None,
     /,
     *,
     driver: DriverOptions | None = None,
     rain: Annotated[
-        str | None, Parameter(help="Intensities in mm/h, 0..100, with commas between; default: the scenario's.")
+        str | None, option("Intensities in mm/h, with commas; default: the scenario's.", "--rain", "--intensity")
     ] = None,
-    seed: Annotated[
-        int | None, Parameter(help="Same seed, same drops and the same drive; default: the scenario's.")
-    ] = None,
-    preset: Annotated[str | None, Parameter(help="Rain preset for all but intensity and seed.")] = None,
-    exposure: Annotated[float | None, Parameter(help="Shutter time in seconds; default: the camera's own.")] = None,
-    scene: Annotated[str | None, Parameter(help="Scene file or folder, or street; default: the scenario's.")] = None,
-    wet: Annotated[
-        bool, Parameter(help="First give the scene wet colours, as the window's preview job does.", negative="")
-    ] = False,
-    rig: Annotated[str | None, Parameter(help="Rig of the scene; default: the scenario's, else the first.")] = None,
-    width: Annotated[int | None, Parameter(help="Width of the pictures in pixels; default: the scenario's.")] = None,
-    duration: Annotated[float | None, Parameter(help="Longest duration in seconds; default: the scenario's.")] = None,
-    output: Annotated[
-        Path | None,
-        Parameter(name=["--output", "-o"], help="Folder for all that is written; default: drive-NAME, right here."),
-    ] = None,
-    video: Annotated[bool | None, Parameter(help="Film each run; default: where there is only one.")] = None,
-    fps: Annotated[float, Parameter(help="Frames a second of the films.")] = 10.0,
+    seed: Annotated[int | None, option("Same seed, same drops and the same drive; default: the scenario's.")] = None,
+    preset: Preset = None,
+    exposure: Exposure = None,
+    scene: Annotated[str | None, option("Scene file or folder; default: the scenario's.")] = None,
+    wet: Wet = False,
+    rig: Annotated[str | None, option("Camera rig; default: the scenario's, else the first.")] = None,
+    width: Annotated[int | None, option("Width of the images in pixels; default: the scenario's.")] = None,
+    duration: Annotated[float | None, option("Maximum duration in seconds; default: the scenario's.")] = None,
+    output: Annotated[Path | None, option("Output folder; default: drive-NAME.", "--output", "-o")] = None,
+    video: Annotated[bool | None, option("Write a video of each run; default: if there is only one.")] = None,
+    fps: Annotated[float, option("Frame rate of the videos.")] = 10.0,
     export: Annotated[
-        str, Parameter(help="More forms of each run, with commas: parquet, mcap (Foxglove), xosc (OpenSCENARIO).")
+        str, option("Also write runs as parquet, mcap (Foxglove), xosc (OpenSCENARIO), with commas.")
     ] = "",
-    backend: Annotated[Backend, Parameter(help="auto takes OpenGL on a GPU, else the processor.")] = "auto",
+    backend: Annotated[Backend, BACKEND] = "auto",
     json: JsonFile = None,
 ) -> None:
     """Test a driver in the rain: an agent sees the scene and plans, and the vehicle follows its plan.
@@ -174,18 +178,19 @@ def drive(
     A folder gets each run as JSON lines (which the window opens), a table like the paper's, figures over time, a report
     and a video. Without SCENARIO.yaml a car is stationary in the lane of the built-in street.
     """
-    asked = driver or DriverOptions()
-    test = _as_asked(load_scenario(scenario or DEFAULT_SCENARIO), scene, rig, width, duration)
+    options = driver or DriverOptions()
+    test = _with_options(load_scenario(scenario or "stationary-lead"), scene, rig, width, duration)
     rains = _rains(test.rain, rain, preset, exposure)
     folder = output or Path(f"drive-{file_word(test.name)}")
-    files = DriveFiles(folder, frozenset(_words(export)), fps)
+    files = DriveFiles(folder, frozenset(split_words(export)), fps)
     files.check()
     check_writable(json, folders=[folder])
     lock_outputs(folder)
     with ExitStack() as stack:
-        agents = stack.enter_context(asked.opened())  # before the scene, which takes longer to read
+        agents = stack.enter_context(options.opened())  # before the scene, which takes longer to read
         hashed = scene_hash(test.scene)
-        test, opened = asked.fitted(test, _opened(test.scene, wet))
+        opened = load_sorted_scene(test.scene)
+        test, opened = options.fitted(test, wet_look(opened) if wet else opened)
         can_film = can_write_videos() and bool(opened.rigs)
         films = video if video is not None else len(agents) * len(rains) == 1 and can_film
         if films and not opened.rigs:
@@ -204,7 +209,9 @@ def drive(
         for agent, each in product(agents, rains):
             simulation = Simulation(msgspec.structs.replace(test, rain=each), opened, agent.needs, renderer, seed)
             problem = _drive(simulation, agent)
-            runs.append(_run(simulation, agent, hashed))
+            rollout = msgspec.structs.replace(simulation.rollout(agent.name), scene_hash=hashed, software=software())
+            drivable = drivable_of(simulation.scene, simulation.ground, simulation.occupied)
+            runs.append(ScoredRun.of(rollout, simulation.occupied, drivable))
             if problem is not None:  # results so far are written anyway
                 break
         facts = run_provenance({})  # the runs name their scene
@@ -212,10 +219,10 @@ def drive(
     print_lines(results_table(compare_drives(runs)).text)
     if len(rains) > 1:
         for name in [agent.name for agent in agents if not agent.needs.cameras]:
-            print(f"{name} looks at no picture: rain changes nothing for it.")
+            print(f"{name} uses no camera: rain changes nothing for it.")
     if any(len(run.rollout.steps) == 1 and run.rollout.steps[0].collision == BACKGROUND for run in runs if run.rollout):
         print(
-            f"It begins inside of what stands in scene {opened.name!r}: is a unit as long as its folder says, and the "
+            f"The drive begins inside of an obstacle of scene {opened.name!r}: is its unit of length right, and the "
             "start free? `ahead_m` of the scenario moves it along."
         )
     print(f"{folder}:")
@@ -245,34 +252,24 @@ def _drive(simulation: Simulation, agent: Agent) -> str | None:
         except KeyboardInterrupt:
             return "stopped"
         except Exception as error:  # an agent may be any code
-            return f"agent {agent.name}: {type(error).__name__}: {error} ({_place(error)})"
+            frame = traceback.extract_tb(error.__traceback__)[-1]
+            place = f"{Path(frame.filename).name}, line {frame.lineno}"
+            return f"agent {agent.name}: {type(error).__name__}: {error} ({place})"
     if simulation.end != "agent":
         return None
     last = simulation.rollout(agent.name).steps[-1]
     return str(last.notes.get("problem", f"{agent.name} had no plan at {last.time_s:g} s"))
 
 
-def _place(error: Exception) -> str:
-    frame = traceback.extract_tb(error.__traceback__)[-1]
-    return f"{Path(frame.filename).name}, line {frame.lineno}"
-
-
-def _run(simulation: Simulation, agent: Agent, hashed: str) -> ScoredRun:
-    drivable = drivable_of(simulation.scene, simulation.ground, simulation.occupied)
-    rollout = msgspec.structs.replace(simulation.rollout(agent.name), scene_hash=hashed, software=software())
-    return ScoredRun.of(rollout, simulation.occupied, drivable)
-
-
-def _as_asked(
+def _with_options(
     scenario: Scenario, scene: str | None, rig: str | None, width: int | None, duration: float | None
 ) -> Scenario:
-    if duration is not None and not 0 < duration <= _LONGEST_S:
-        raise ValueError(f"--duration {duration:g}: must be above 0 and at most {_LONGEST_S:g} s")
+    check_within("--duration", duration, 0, _MAX_S, "s", is_open=True)
     if width is not None and not (64 <= width <= 4096 and width % 2 == 0):
         raise ValueError(f"--width {width}: must be even and within 64..4096 px")
-    asked = {"scene": scene, "rig": rig, "picture_width_px": width, "duration_s": duration}
-    values = msgspec.to_builtins(scenario) | {name: value for name, value in asked.items() if value is not None}
-    return msgspec.convert(values, Scenario)
+    values = {"scene": scene, "rig": rig, "picture_width_px": width, "duration_s": duration}
+    changes = {name: value for name, value in values.items() if value is not None}
+    return msgspec.convert(msgspec.to_builtins(scenario) | changes, Scenario)
 
 
 def _rains(
@@ -283,30 +280,114 @@ def _rains(
     if preset is not None:
         base = msgspec.structs.replace(load_preset(preset), intensity_mm_h=own.intensity_mm_h, seed=own.seed)
     values = msgspec.to_builtins(base) | ({} if exposure is None else {"exposure_s": exposure})
-    if intensities is None:
-        return [converted_options(values, RainSettings, RAIN_OPTIONS)]
-    words = _words(intensities)
-    if not words or not all(re.fullmatch(r"\d*\.?\d+", word) and float(word) <= 100 for word in words):
-        raise ValueError(f"--rain {intensities}: expected mm/h within 0..100 with commas between, such as 0,1.2,8.5,12")
-    chosen = sorted({float(word) for word in words})
+    chosen = [base.intensity_mm_h] if intensities is None else parse_intensities(intensities)
     return [converted_options(values | {"intensity_mm_h": each}, RainSettings, RAIN_OPTIONS) for each in chosen]
 
 
-def _opened(name: str, wet: bool) -> Scene:
-    scene = load_sorted_scene(name)
-    if not wet:
-        return scene
-    # Loading kernels takes a second, so import them only here.
-    from gsrain_engine.recolor.wet_scene import wet_scene
+# Output files
 
-    from .progress import followed
-
-    return followed(wet_scene(scene))
+_WORD_BYTES = 90  # maximum length of a scenario's and of an agent's name within a file name
 
 
-def _words(text: str) -> list[str]:
-    return [word.strip() for word in text.split(",") if word.strip()]
+@dataclass(frozen=True, slots=True)
+class DriveFiles:
+    """Output folder and chosen files of a command."""
+
+    folder: Path
+    exports: frozenset[str]
+    fps: float
+
+    def check(self) -> None:
+        """Raise ValueError for unknown formats, missing packages and frame rates out of bounds."""
+        unknown = sorted(self.exports - set(EXPORTS))
+        if unknown:
+            raise ValueError(f"--export {unknown[0]}: there is only {', '.join(EXPORTS)}")
+        for name in sorted(self.exports):
+            if find_spec(EXPORTS[name]) is None:
+                raise ValueError(f"--export {name} needs {EXPORTS[name]}: pip install 'gsrain[drive]'")
+        check_within("--fps", self.fps, 1, 60)
+
+    def of(self, scenario: str, agent: str, intensity_mm_h: float, seed: int, suffix: str) -> Path:
+        name = self.figure(scenario, agent).stem
+        return self.folder / f"{name}_{intensity_mm_h:g}mm_seed{seed}{suffix}"
+
+    def figure(self, scenario: str, agent: str) -> Path:
+        """Return the figure of an agent in a scenario; the two names are shortened separately."""
+        word = f"{shortened(scenario, _WORD_BYTES)}_{shortened(agent, _WORD_BYTES)}"
+        return self.folder / f"{file_word(word, 2 * _WORD_BYTES + 1)}.png"
+
+    def planned(
+        self, scenario: str, agents: Sequence[str], rains_mm_h: Sequence[float], seed: int, *, films: bool
+    ) -> list[Path]:
+        """Return all files that runs of these agents in these rains will write."""
+        suffixes = [".jsonl", *(f".{kind}" for kind in sorted(self.exports))]
+        suffixes += [".xodr"] * ("xosc" in self.exports) + [".mp4"] * films
+        runs = [
+            self.of(scenario, agent, rain, seed, suffix)
+            for agent, rain, suffix in product(agents, rains_mm_h, suffixes)
+        ]
+        figures = [self.figure(scenario, agent) for agent in agents]
+        return [self.folder / name for name in ("report.html", "table.md", "table.csv")] + figures + runs
 
 
-HUGSIM = "hugsim"
-"""Not in the registry: it takes a folder of pipes, and changes scene and scenario."""
+def write_drives(
+    files: DriveFiles,
+    runs: Sequence[ScoredRun],
+    scene: Scene,
+    renderer: Renderer | None,
+    settings: Mapping[str, object],
+) -> list[str]:
+    """Write all outputs of runs in one scene, with videos if there is a renderer. Returns the files' names.
+
+    `settings` are listed in the report in addition to those in the runs.
+    """
+    # Matplotlib loads slowly: import it only after the first drive.
+    from gsrain_engine.simulation.metrics.figures import kinematics_figure, write_figure
+    from gsrain_engine.simulation.metrics.report import drive_report_page
+
+    files.folder.mkdir(parents=True, exist_ok=True)
+    written = [path for run in runs for path in _write_run(files, run, scene, renderer)]
+    compared = compare_drives(runs)
+    write_text(files.folder / "table.md", results_table(compared).markdown)
+    write_metrics_csv(files.folder / "table.csv", [run.metrics for run in runs])
+    figures = {files.figure(each.scenario, each.agent): kinematics_figure(each) for each in compared}
+    for path, figure in figures.items():
+        write_figure(path, figure)
+    write_report(files.folder / "report.html", drive_report_page(runs, {scene.name: recorded_route(scene)}, settings))
+    return ["report.html", "table.md", "table.csv", *(path.name for path in (*figures, *written))]
+
+
+def _write_run(files: DriveFiles, run: ScoredRun, scene: Scene, renderer: Renderer | None) -> list[Path]:
+    rollout, metrics = run.rollout, run.metrics
+    assert rollout is not None
+
+    def file(suffix: str) -> Path:
+        return files.of(metrics.scenario, metrics.agent, metrics.intensity_mm_h, metrics.seed, suffix)
+
+    write_rollout(file(".jsonl"), rollout)
+    written = [file(".jsonl")]
+    for kind in sorted(files.exports):
+        _export(kind, file(f".{kind}"), rollout, scene)
+        written.append(file(f".{kind}"))
+    if "xosc" in files.exports:  # the road file that it refers to
+        written.append(file(".xodr"))
+    if renderer is not None:
+        video = RolloutVideo(RolloutPlayback(rollout, scene), renderer)
+        with progress_bar("Filming", video.count(files.fps), draws=True) as advance:
+            for _ in render_rollout_video(file(".mp4"), video, files.fps):
+                advance()
+        written.append(file(".mp4"))
+    return written
+
+
+def _export(kind: str, path: Path, rollout: Rollout, scene: Scene) -> None:
+    if kind == "parquet":
+        write_rollout_parquet(path, rollout)
+    elif kind == "mcap":
+        from gsrain_engine.simulation.interop.mcap import write_rollout_mcap
+
+        write_rollout_mcap(path, rollout, recorded_route(scene))
+    else:
+        from gsrain_engine.simulation.interop.openscenario_write import write_openscenario
+
+        write_openscenario(path, msgspec.convert(rollout.scenario, Scenario), scene)

@@ -1,48 +1,193 @@
-"""Options, output checks and prompts shared by several commands."""
+"""Options shared by several commands: made from settings, checked, and errors that name the option."""
 
-import json
 import math
 import os
 import re
-import stat
 import sys
-import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass, make_dataclass
 from pathlib import Path
-from typing import Annotated, Any, TextIO, TypeVar, get_args
+from types import UnionType
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 from cyclopts import Parameter, Token, convert
 
 from gsrain_engine.safe_io.errors import convert_checked
-from gsrain_engine.scene.files import hold_for_writing, name_problem, shortened, whole_file
-from gsrain_engine.trusted_code import Code, UntrustedCodeError, trust_permanently
-from gsrain_engine.trusted_code import trust as trust_now
+from gsrain_engine.trusted_code import UntrustedCodeError, trust, trust_permanently
 
-from .console import print, print_lines
+from .console import print
 
-JsonFile = Annotated[Path | None, Parameter(name="--json", help="Write the reported numbers to this file.")]
 
+def option(help: str, *names: str, **settings: Any) -> Parameter:
+    """Describe an option: its help, and its names if they are not that of the parameter."""
+    return Parameter(name=names or None, help=help, **settings)
+
+
+def flag(help: str) -> Parameter:
+    """Describe an option without a value and without a negative."""
+    return Parameter(help=help, negative="")
+
+
+JsonFile = Annotated[Path | None, option("Write the reported numbers to this file.", "--json")]
 JsonFileOrScreen = Annotated[
-    Path | None,
-    Parameter(name="--json", help="Write the numbers to this file; - prints them.", allow_leading_hyphen=True),
+    Path | None, option("Write the numbers to this file; - prints them.", "--json", allow_leading_hyphen=True)
 ]
-
 AllowOutside = Annotated[
-    bool,
-    Parameter(
-        name="--allow-outside",
-        negative="",
-        help="Read files that a capture's own files name outside of its folder: absolute, by .., or through links.",
+    bool, flag("Read files that a capture's own files name outside of its folder: absolute, by .., or through links.")
+]
+Preset = Annotated[str | None, option("Rain preset (clear, 1.2, 8.5, 12.0, paper) or a preset file.")]
+Exposure = Annotated[float | None, option("Shutter time in seconds; default: the camera's own.")]
+Wet = Annotated[bool, option("Compute wet colors of the scene first, as the wet look of the window does.")]
+RAIN = ("--rain", "--intensity")
+"""Names of the options for intensities."""
+BACKEND = option("Renderer; auto is OpenGL on a GPU, else the CPU.")
+
+
+# Options made from settings
+
+Settings = TypeVar("Settings")
+
+
+@dataclass(frozen=True, kw_only=True)
+class StructOptions:
+    """Options of a command that set fields of a msgspec struct, under the names of these; None changes nothing."""
+
+    kind: ClassVar[type]
+    names: ClassVar[Mapping[str, str]] = {}
+    """Options of a field, separated by spaces and without dashes, if its name is another; the first is the main one."""
+
+    def changes(self) -> dict[str, Any]:
+        """Return the values of the options that were set, by field."""
+        own = [each.name for each in fields(self) if each.name in get_type_hints(self.kind)]
+        values = {name: value for name in own if (value := getattr(self, name)) is not None}
+        return {
+            name: split_words(value) if isinstance(value, str) and _is_tuple(self.kind, name) else value
+            for name, value in values.items()
+        }
+
+    def settings(self, base: Any = None, **values: Any) -> Any:
+        """Return the struct: `base`, or its defaults, with the options set, and `values`.
+
+        Raises ValueError, which names the option, for invalid ones.
+        """
+        plain = {} if base is None else msgspec.to_builtins(base)
+        return converted_options(plain | self.changes() | values, self.kind, self.names)
+
+
+def options_of(
+    kind: type,
+    only: str,
+    names: Mapping[str, str] | None = None,
+    help: Mapping[str, str] | None = None,
+    default: str = "",
+    types: Mapping[str, Any] | None = None,
+) -> type[StructOptions]:
+    """Make the options of a command from fields of a msgspec struct: types, help texts, bounds and defaults.
+
+    Args:
+        kind: The struct; `Meta` of its fields has the help text, the bounds and the unit.
+        only: The fields, in the order of the help, separated by spaces.
+        names: See `StructOptions.names`.
+        help: Help texts that replace those of the struct.
+        default: Sentence about the default for the help, such as "Default: {}."
+        types: Types with a `Parameter` that replace those of the struct.
+    """
+    names, types = names or {}, types or {}
+    hints, plain = get_type_hints(kind, include_extras=True), get_type_hints(kind)
+    defaults = {each.name: each.default for each in msgspec.structs.fields(kind)}
+    made: list[tuple[str, Any, Any]] = []
+    for name in only.split():
+        if name not in types:
+            value = defaults[name]
+            value = ",".join(value) if isinstance(value, tuple) else _number(value) if type(value) is float else value
+            ending = "" if value is None or value is False or value == "" else default.format(value)
+            text = (help or {}).get(name) or _help(hints[name]) + " Several with commas." * _is_tuple(kind, name)
+            options = [f"--{each}" for each in names.get(name, name).replace("_", "-").split()]
+            parameter = option(f"{text} {ending}".rstrip(), *options)
+            made.append((name, Annotated[(str if _is_tuple(kind, name) else plain[name]) | None, parameter], None))
+        else:
+            made.append((name, types[name], None))
+    made_class = make_dataclass(
+        f"{kind.__name__}Options", made, bases=(StructOptions,), frozen=True, kw_only=True,
+        namespace={"kind": kind, "names": names, "__doc__": f"Fields of {kind.__name__}.", "__module__": __name__},
+    )  # fmt: skip
+    return Parameter(name="*")(made_class)  # fields are options of the command, without a prefix
+
+
+def _is_tuple(kind: type, name: str) -> bool:
+    return get_origin(get_type_hints(kind)[name]) is tuple
+
+
+def _help(hint: Any) -> str:
+    """Return the help text of a field, with its bounds and unit."""
+    meta = _meta(hint)
+    extra = meta.extra or {}
+    low, high = meta.ge if meta.ge is not None else extra.get("ge"), meta.le if meta.le is not None else extra.get("le")
+    unit = f" {extra['unit']}" if "unit" in extra else ""
+    if low is None or high is None or high > 1e6:
+        return f"{meta.description}{unit and f' In{unit}.'}"
+    return f"{meta.description} Range {_number(low)}..{_number(high)}{unit}."
+
+
+def _number(value: float) -> str:
+    return f"{value:f}".rstrip("0").rstrip(".")
+
+
+def _meta(hint: Any) -> msgspec.Meta:
+    """Return the `Meta` with the description, at any depth of a type."""
+    if get_origin(hint) in (Union, UnionType):
+        return next(meta for each in get_args(hint) if each is not type(None) and (meta := _meta(each)) is not None)
+    return next(each for each in reversed(hint.__metadata__) if isinstance(each, msgspec.Meta))
+
+
+RAIN_OPTIONS = {"intensity_mm_h": "rain intensity", "exposure_s": "exposure", "closure": "drop-density"}
+"""Options of `RainSettings`, by field; see `StructOptions.names`."""
+
+
+def _drop_density(kind: Any, tokens: Sequence[Token]) -> str:
+    values = {"flux": "density", "table": "published", "density": "density", "published": "published"}
+    return values.get(tokens[0].value) or convert(kind, tokens)
+
+
+DropDensity = Annotated[
+    Literal["flux", "table"] | None,
+    option(
+        "Number of drops. flux: as many as the intensity needs; table: that of the calibration's table.",
+        "--drop-density",
+        converter=_drop_density,
     ),
 ]
 
-SCREEN = Path("-")
-"""Standard output in place of a file."""
+# Conversion
 
-_SIZE = re.compile(r"(\d+)x(\d+)")
+_WORD = re.compile(r"\w+")
+_PLACE = re.compile(r" - at `\$.*?(\w+)(\[[^\]]*\])*`$")
+
+
+def converted_options(
+    values: Mapping[str, Any], kind: type[Settings], names: Mapping[str, str] | None = None
+) -> Settings:
+    """Convert option values to a type known to msgspec. Raises ValueError, which names the option.
+
+    `names` are those of `StructOptions.names`.
+    """
+    try:
+        return convert_checked(values, kind)
+    except msgspec.ValidationError as error:
+        raise ValueError(option_error(str(error), values, names or {})) from None
+
+
+def option_error(message: str, fields: Collection[str], names: Mapping[str, str]) -> str:
+    """Return an error of msgspec that names options instead of fields."""
+
+    def named(name: str) -> str:
+        return f"--{names.get(name, name).split()[0].replace('_', '-')}"
+
+    if place := _PLACE.search(message):
+        return f"{named(place[1])}: {message[: place.start()]}"
+    # Errors of a type's own checks name the fields: "last_s must be above first_s ..."
+    return _WORD.sub(lambda word: named(word[0]) if word[0] in fields or word[0] in names else word[0], message)
 
 
 def reject_non_finite(_kind: Any, value: Any) -> None:
@@ -51,11 +196,12 @@ def reject_non_finite(_kind: Any, value: Any) -> None:
     `value` is an option's value or a dataclass of options.
     """
     if is_dataclass(value):
-        for field in fields(value):
+        for each in fields(value):
             try:
-                reject_non_finite(field.type, getattr(value, field.name))
+                reject_non_finite(each.type, getattr(value, each.name))
             except ValueError as error:
-                raise ValueError(f"--{field.name.replace('_', '-')}: {error}") from None
+                name = getattr(value, "names", {}).get(each.name, each.name).split()[0]
+                raise ValueError(f"--{name.replace('_', '-')}: {error}") from None
     elif isinstance(value, list | tuple):
         for each in value:
             reject_non_finite(_kind, each)
@@ -73,11 +219,24 @@ def parse_whole_numbers(kind: Any, tokens: Sequence[Token]) -> Any:
 
 def parse_size(text: str, option: str = "--size") -> tuple[int, int]:
     """Turn "960x640" into (960, 640)."""
-    match = _SIZE.fullmatch(text)
+    match = re.fullmatch(r"(\d+)x(\d+)", text)
     size = (int(match[1]), int(match[2])) if match else (0, 0)
     if not all(1 <= side <= 16384 for side in size):
         raise ValueError(f"{option} {text}: expected WIDTHxHEIGHT with both within 1..16384, such as 960x640")
     return size
+
+
+def parse_intensities(text: str, option: str = "--rain") -> list[float]:
+    """Turn "8.5,0" into [0.0, 8.5], in mm/h."""
+    words = split_words(text)
+    if not words or not all(re.fullmatch(r"\d*\.?\d+", word) and float(word) <= 100 for word in words):
+        raise ValueError(f"{option} {text}: expected mm/h within 0..100 with commas between, such as 0,1.2,8.5,12")
+    return sorted({float(word) for word in words})
+
+
+def split_words(text: str) -> list[str]:
+    """Split at commas, without empty words."""
+    return [word.strip() for word in text.split(",") if word.strip()]
 
 
 def split_list(option: str, text: str) -> list[str]:
@@ -88,14 +247,17 @@ def split_list(option: str, text: str) -> list[str]:
     return words
 
 
-def write_numbers(file: Path | None, numbers: Mapping[str, Any]) -> None:
-    """Write the numbers of a command as JSON, if a file is set; `SCREEN` prints them."""
-    if file == SCREEN:
-        print_lines(json.dumps(numbers, indent=1))
-    elif file is not None:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(file) as beside:
-            beside.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+def check_within(
+    option: str, value: float | None, low: float, high: float, unit: str = "", *, is_open: bool = False
+) -> None:
+    """Raise ValueError, which names the option, for a value out of bounds; None is ignored.
+
+    With `is_open`, `low` itself is not allowed.
+    """
+    if value is not None and (not low <= value <= high or (is_open and value == low)):
+        bounds = "above {} and at most {}" if is_open else "within {}..{}"
+        allowed = bounds.format(_number(low), _number(high)) + (unit and f" {unit}")
+        raise ValueError(f"{option} {value:g}: must be {allowed}")
 
 
 def let_names_lead_outside(allowed: bool) -> None:
@@ -106,210 +268,6 @@ def let_names_lead_outside(allowed: bool) -> None:
         allow_outside(allowed)
 
 
-def table_stream(file: Path | None) -> TextIO:
-    """Return the stream for tables: standard output, unless the JSON numbers go there."""
-    return sys.stderr if file == SCREEN else sys.stdout
-
-
-# Conversion of options with errors that name the option
-
-RAIN_OPTIONS = {"intensity_mm_h": "rain", "exposure_s": "exposure"}
-"""Rain options whose name differs from the field's, by field."""
-
-_Kind = TypeVar("_Kind")
-_WORD = re.compile(r"\w+")
-_PLACE = re.compile(r" - at `\$.*?(\w+)(\[[^\]]*\])*`$")
-
-
-def converted_options(values: Mapping[str, Any], kind: type[_Kind], options: Mapping[str, str] | None = None) -> _Kind:
-    """Convert option values to a type known to msgspec. Raises ValueError, which names the option.
-
-    `options` maps fields to option names without dashes where the two differ.
-    """
-    try:
-        return convert_checked(values, kind)
-    except msgspec.ValidationError as error:
-        said = str(error)
-
-    def named(field: str) -> str:
-        return f"--{(options or {}).get(field, field).replace('_', '-')}"
-
-    if place := _PLACE.search(said):
-        raise ValueError(f"{named(place[1])}: {said[: place.start()]}")
-    # Errors of a type's own checks name the fields: "last_s must be above first_s ..."
-    raise ValueError(_WORD.sub(lambda word: named(word[0]) if word[0] in values else word[0], said))
-
-
-# Checks of output files and folders before long work starts
-
-PAGES = (".html", ".htm")
-"""File extensions of reports."""
-
-
-def check_scene_folder(output: Path) -> None:
-    """Raise ValueError if a scene folder can't be written: a file name, or a folder with other contents."""
-    from gsrain_engine.scene.formats.scene_files import names_scene_folder  # loads NumPy, which startup avoids
-
-    check_writable(folders=[output])
-    if not names_scene_folder(output):
-        folder = output.with_suffix("")
-        raise ValueError(f"{output}: expected a scene folder, such as {folder}; gsrain convert makes files of it")
-    if output.is_dir() and any(output.iterdir()) and not (output / "scene.json").is_file():
-        raise ValueError(f"{output}: expected a new folder, or a scene folder to replace")
-
-
-def check_scene_target(output: Path) -> None:
-    """Raise ValueError if no scene can be written there, as a folder or as a file of a writable format."""
-    from gsrain_engine.scene.formats.registry import check_written_format
-    from gsrain_engine.scene.formats.scene_files import names_scene_folder
-
-    _check_name(output)
-    if names_scene_folder(output):
-        check_scene_folder(output)
-        return
-    check_writable(output)
-    check_written_format(output)
-
-
-_held = ExitStack()
-
-
-def lock_outputs(*places: Path | None, shared: bool = False) -> None:
-    """Lock files and folders that a command will write, until the command ends; None is ignored.
-
-    Raises `PathInUseError`, which names the process, if another process holds one of them; `shared` locks may coexist.
-    """
-    for place in places:
-        if place is not None and place != SCREEN:
-            _held.enter_context(hold_for_writing(place, shared=shared))
-
-
-def release_outputs() -> None:
-    _held.close()
-
-
-def check_writable(*files: Path | None, folders: Iterable[Path | None] = ()) -> None:
-    """Raise ValueError for the first file or folder that could not be written; None and `SCREEN` are ignored.
-
-    Checks names (their bytes, duplicates), existing entries (a folder in place of a file, a file as a parent), and
-    whether the disk accepts a new file there. Nothing is created.
-    """
-    named = [path for path in files if path is not None and path != SCREEN]
-    kept = [path for path in folders if path is not None]
-    for path in (*named, *kept):
-        if str(path) in ("", ".") and path in named:
-            raise ValueError("an empty name: expected the name of a file to write")
-        _check_name(path)
-    for path in named:
-        _check_file(path)
-    for path in kept:
-        _check_folder(path)
-    _check_apart(named, kept)
-
-
-def check_ending(option: str, path: Path | None, endings: Sequence[str]) -> None:
-    """Raise ValueError, which names the option, for a file with another extension; None is ignored."""
-    if path is not None and path.suffix.lower() not in endings:
-        raise ValueError(f"{option} {path}: expected a name that ends in {_listed(endings)}")
-
-
-def check_page(report: Path | None, json: Path | None, *files: Path | None) -> None:
-    """Check a report page with its numbers, which are written next to it if `json` is None, and other `files`."""
-    check_ending("--report", report, PAGES)
-    numbers = report.with_suffix(".json") if report is not None and json is None else json
-    check_writable(report, numbers, *files)
-
-
-def check_image(option: str, path: Path | None) -> None:
-    """Raise ValueError for an image format that can't be written; a name without an extension becomes a PNG."""
-    if path is None or path.suffix == "":
-        return
-    from PIL import Image  # loads slowly, and few commands draw images
-
-    Image.init()
-    known = Image.registered_extensions()
-    if known.get(path.suffix.lower()) not in Image.SAVE:
-        raise ValueError(f"{option} {path}: expected a picture, such as {path.with_suffix('.png')}")
-
-
-def report_path(output: Path, report: Path | None) -> Path:
-    """Return the path of the report of a run: as chosen, else next to its scene."""
-    check_ending("--report", report, PAGES)
-    return report or output.with_name(f"{shortened(output.name)}.report.html")
-
-
-def _check_name(path: Path) -> None:
-    if (problem := name_problem(path)) is not None:
-        raise ValueError(f"{_short(path)}: can't be written, for {problem}")
-
-
-def _check_file(path: Path) -> None:
-    place = Path(os.path.realpath(path))  # a link's target is replaced, not the link
-    mode = _mode(place)
-    if mode is not None and stat.S_ISDIR(mode):
-        raise ValueError(f"{path}: can't be written, for it is a folder; expected the name of a file")
-    if mode is not None and not stat.S_ISREG(mode):  # devices and pipes are written directly
-        if not os.access(place, os.W_OK):
-            raise ValueError(f"{path}: can't be written to (permission denied)")
-        return
-    _check_takes_files(path, place.parent)
-
-
-def _check_folder(path: Path) -> None:
-    place = Path(os.path.realpath(path))
-    mode = _mode(place)
-    if mode is not None and not stat.S_ISDIR(mode):
-        raise ValueError(f"{path}: can't be written, for it is a file; expected the name of a folder")
-    _check_takes_files(path, place)
-
-
-def _check_takes_files(path: Path, folder: Path) -> None:
-    """Try to create a file in the nearest existing parent folder."""
-    there = next((each for each in (folder, *folder.parents) if _mode(each) is not None), folder)
-    if not stat.S_ISDIR(_mode(there) or 0):
-        raise ValueError(f"{path}: can't be written, for {there} is a file")
-    try:
-        tempfile.TemporaryFile(dir=there).close()  # only an attempt proves write access
-    except OSError as error:
-        raise ValueError(f"{path}: can't be written, for {there} takes no file ({error.strerror})") from None
-
-
-def _check_apart(files: Sequence[Path], folders: Sequence[Path]) -> None:
-    """Raise ValueError if two outputs share a path, or one lies below a file."""
-    regular = [each for each in files if stat.S_ISREG(_mode(each) or stat.S_IFREG)]
-    places: dict[Path, Path] = {}
-    for path in (*regular, *folders):
-        place = Path(os.path.realpath(path))
-        if place in places:
-            raise ValueError(f"{path}: two outputs have this name; give one another")
-        places[place] = path
-    files_there = {Path(os.path.realpath(path)) for path in regular}
-    for place, path in places.items():
-        if (above := next((each for each in place.parents if each in files_there), None)) is not None:
-            raise ValueError(f"{path}: can't be written, for {places[above]} is to be a file")
-
-
-def _mode(path: Path) -> int | None:
-    """Return type and permissions of a path; None if it doesn't exist or is not accessible."""
-    try:
-        return path.stat().st_mode
-    except (OSError, ValueError):
-        return None
-
-
-def _short(path: Path) -> str:
-    """Return a path, shortened for an error message."""
-    text = str(path)
-    return text if len(text) <= 80 else f"{text[:40]}...{text[-20:]}"
-
-
-def _listed(endings: Sequence[str]) -> str:
-    return endings[0] if len(endings) == 1 else f"{', '.join(endings[:-1])} or {endings[-1]}"
-
-
-# Display
-
-
 def has_display() -> bool:
     """Return True if a window can open; systems other than Linux always have a display."""
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
@@ -317,29 +275,26 @@ def has_display() -> bool:
 
 # Permission to run Python code that a file names, remembered by content hash
 
-_Result = TypeVar("_Result")
-
 Trust = Annotated[
     bool,
-    Parameter(
-        help="Run Python code that the file names (agents, programs of estimators) without asking. It can do all that "
-        "you can: look at it before.",
-        negative="",
+    flag(
+        "Run Python code that the file names (agents, programs of estimators) without asking. It can do all that you "
+        "can, so read it first."
     ),
 ]
 
 
-def with_trust(load: Callable[[], _Result], trust: bool) -> _Result:
+def with_trust(load: Callable[[], Settings], is_trusted: bool) -> Settings:
     """Return the result of `load`, asking for permission if it meets Python code that is not trusted yet.
 
-    With `trust` the code may run this time. Otherwise the program asks in the terminal, and remembers a yes for exactly
-    this content. Raises `UntrustedCodeError` without a terminal, or if the answer is no.
+    With `is_trusted` the code may run this time. Otherwise the program asks in the terminal, and remembers a yes for
+    exactly this content. Raises `UntrustedCodeError` without a terminal, or if the answer is no.
     """
     try:
         return load()
     except UntrustedCodeError as error:
-        if trust:
-            trust_now(each.digest for each in error.codes)
+        if is_trusted:
+            trust(each.digest for each in error.codes)
         elif _is_allowed(error):
             trust_permanently(error.codes)
         else:
@@ -352,12 +307,7 @@ def _is_allowed(error: UntrustedCodeError) -> bool:
         return False
     print(f"{error.named_by} names Python code, which would run with all your rights:", file=sys.stderr)
     for code in error.codes:
-        print(f"  {_described(code)}", file=sys.stderr)
-    print("Run it? The answer is remembered for these very contents. [y/N]", file=sys.stderr)
+        others = ", ".join(code.others[:4]) + (f" and {len(code.others) - 4} more" if len(code.others) > 4 else "")
+        print(f"  {code.path} (SHA-256 {code.digest}){others and f', with {others}'}", file=sys.stderr)
+    print("Run it? The answer is remembered for exactly this content. [y/N]", file=sys.stderr)
     return sys.stdin.readline().strip().lower() in ("y", "yes")
-
-
-def _described(code: Code) -> str:
-    others = code.others
-    listed = ", ".join(others[:4]) + (f" and {len(others) - 4} more" if len(others) > 4 else "")
-    return f"{code.path} (SHA-256 {code.digest})" + (f", with {listed}" if others else "")

@@ -3,12 +3,11 @@
 from dataclasses import asdict, is_dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
-from cyclopts import Parameter
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64
 
 from gsrain_engine.disdrometer.file_summary import MeasuredFile, MeasurementSummary, open_disdrometer_file
 from gsrain_engine.disdrometer.fit import RatesDisagreeError, calibrate_files
@@ -16,47 +15,36 @@ from gsrain_engine.disdrometer.fit_models import FitOptions, FittedCalibration, 
 from gsrain_engine.disdrometer.fit_plot import check_plot_name, write_plot
 from gsrain_engine.disdrometer.measurement import DisdrometerMeasurement
 from gsrain_engine.disdrometer.netcdf import write_spectra
+from gsrain_engine.disdrometer.tables import load_columns
 from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
 from gsrain_engine.rain.calibration import save_calibration
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 
-from .console import Console, Table, print, print_lines
-from .options import RAIN_OPTIONS, JsonFile, check_writable, converted_options, write_numbers
-from .progress import progress_bar
-from .scene import Columns, columns_of
+from .console import Console, Table, print, print_lines, progress_bar
+from .options import RAIN_OPTIONS, DropDensity, JsonFile, Preset, check_within, flag, option, options_of
+from .outputs import check_ending, check_writable, write_numbers
+from .scene import Columns
 
-_DEFAULTS = FitOptions()
 _COLUMNS = 120  # table width, also if the output is a file
+
+CalibrationOptions = options_of(
+    FitOptions, "half_width smallest_mm resamples seed", {"intensities_mm_h": "intensities"}, default="Default: {}."
+)
 
 
 def calibrate(
-    files: Annotated[list[Path], Parameter(help="Disdrometer files of one instrument; gzip is fine.")],
+    files: Annotated[list[Path], option("Disdrometer files of one instrument; gzip is fine.")],
     /,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Calibration file to write, .yaml.")],
-    plot: Annotated[Path | None, Parameter(help="Figure of spectra, fits and closure: .png, .pdf or .svg.")] = None,
-    name: Annotated[str | None, Parameter(help="Name of the calibration; default: that of the file.")] = None,
-    intensities: Annotated[
-        str | None, Parameter(help="Middles of the intensity bins in mm/h, with commas between; default: 0.3 to 90.")
-    ] = None,
-    half_width: Annotated[
-        float, Parameter(help="Minutes within this share of a bin's middle belong to it.")
-    ] = _DEFAULTS.half_width,
-    smallest_mm: Annotated[
-        float, Parameter(help="Leave out diameter classes that begin below, where an instrument misses drops.")
-    ] = _DEFAULTS.smallest_mm,
-    resamples: Annotated[
-        int, Parameter(help="Bootstrap draws behind the 95 % intervals; 0: none.")
-    ] = _DEFAULTS.resamples,
-    seed: Annotated[int, Parameter(help="Of the bootstrap.")] = _DEFAULTS.seed,
+    output: Annotated[Path, option("Calibration file to write, .yaml.", "--output", "-o")],
+    plot: Annotated[Path | None, option("Figure of spectra, fits and closure: .png, .pdf or .svg.")] = None,
+    name: Annotated[str | None, option("Name of the calibration; default: that of the file.")] = None,
+    intensities: Annotated[str | None, option("Centers of the bins in mm/h, with commas; default: 0.3 to 90.")] = None,
+    fit: CalibrationOptions | None = None,
     columns: Columns = None,
     force: Annotated[
-        bool,
-        Parameter(
-            negative="",
-            help="Fit even where the drops' rain rate is not 0.7 to 1.4 times the instrument's own, or r is below 0.9.",
-        ),
+        bool, flag("Fit even if the drops' rain rate is not 0.7 to 1.4 times the instrument's own, or r is below 0.9.")
     ] = False,
     json: JsonFile = None,
 ) -> None:
@@ -67,12 +55,18 @@ def calibrate(
     to 1.4, or r below 0.9: snow, insects, other classes), nothing is fitted without --force. `gsrain info FILE` prints
     the same.
     """
-    options = _options(intensities, half_width=half_width, smallest_mm=smallest_mm, resamples=resamples, seed=seed)
+    bins: dict[str, list[float]] = {}
+    if intensities is not None:
+        try:
+            bins["intensities_mm_h"] = [float(each) for each in intensities.split(",")]
+        except ValueError:
+            raise ValueError(f"--intensities {intensities}: expected numbers in mm/h such as 1.2,8.5,12") from None
+    options = (fit or CalibrationOptions()).settings(**bins)
     if output.suffix not in (".yaml", ".yml"):
         raise ValueError(f"{output}: expected a name that ends with .yaml")
     if plot is not None:
         check_plot_name(plot)
-    described = columns_of(columns)
+    described = columns and load_columns(columns)
     check_writable(output, plot, json)
     measured: list[MeasuredFile] = []
     with progress_bar("Reading", len(files)) as advance:
@@ -96,17 +90,6 @@ def calibrate(
     for path in (output, plot, json):
         if path is not None:
             print(path)
-
-
-def _options(intensities: str | None, **others: float) -> FitOptions:
-    """Check the options; errors name them as typed on the command line."""
-    values: dict[str, Any] = dict(others)
-    if intensities is not None:
-        try:
-            values["intensities_mm_h"] = [float(each) for each in intensities.split(",")]
-        except ValueError:
-            raise ValueError(f"--intensities {intensities}: expected numbers in mm/h such as 1.2,8.5,12") from None
-    return converted_options(values, FitOptions, {"intensities_mm_h": "intensities"})
 
 
 def _numbers(
@@ -169,16 +152,12 @@ def _print(fitted: FittedCalibration, files: int) -> None:
     )
     for each in fitted.rows:
         row = each.row
-        limits = (None,) * 3 if row.confidence is None else tuple(msgspec.structs.astuple(row.confidence))
-        values = (row.density_m3, row.shape, row.scale_mm)
+        limits = (None,) * 3 if row.confidence is None else msgspec.structs.astuple(row.confidence)
         table.add_row(
-            f"{row.intensity_mm_h:.3g}",
-            f"{each.minutes:,}",
-            f"{each.drops:,}",
-            *(_with_limits(*pair) for pair in zip(values, limits, strict=True)),
-            f"{each.moments_shape:.3g} x {each.moments_scale_mm:.3g}",
-            f"{each.implied_mm_h:.3g}",
-        )
+            f"{row.intensity_mm_h:.3g}", f"{each.minutes:,}", f"{each.drops:,}",
+            *(_with_limits(*pair) for pair in zip((row.density_m3, row.shape, row.scale_mm), limits, strict=True)),
+            f"{each.moments_shape:.3g} x {each.moments_scale_mm:.3g}", f"{each.implied_mm_h:.3g}",
+        )  # fmt: skip
     console.print(table)
     if fitted.passed_over:
         bins = ", ".join(reason.partition(" mm/h")[0] for reason in fitted.passed_over)
@@ -192,32 +171,25 @@ def _with_limits(value: float, limits: tuple[float, float] | None) -> str:
 # gsrain disdrometer
 
 _ROWS_MM = np.array([0.1, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0])
-_LONGEST_S = 86_400.0
-_RECORDS = 10_000
+_MAX_S, _MAX_RECORDS = 86_400.0, 10_000
+
+DisdrometerOptions = options_of(
+    RainSettings,
+    "intensity_mm_h calibration closure seed",
+    RAIN_OPTIONS,
+    {"intensity_mm_h": "Rainfall intensity in mm/h, 0..100; default 8.5, or the preset's."},
+    types={"closure": DropDensity},
+)
 
 
 def disdrometer(
     *,
-    rain: Annotated[
-        float | None, Parameter(help="Rainfall intensity in mm/h, 0..100; default 8.5, or the preset's.")
-    ] = None,
-    preset: Annotated[
-        str | None, Parameter(help="clear, 1.2, 8.5, 12.0, paper, or a preset file; other options go on top.")
-    ] = None,
-    calibration: Annotated[
-        str | None, Parameter(help="Name of a shipped calibration, or a file that gsrain calibrate wrote.")
-    ] = None,
-    closure: Annotated[
-        Literal["density", "published"] | None,
-        Parameter(help="density: as many drops as the intensity needs; published: the paper's table as it is."),
-    ] = None,
-    seed: Annotated[int | None, Parameter(help="Same seed and time, same drops.")] = None,
-    area: Annotated[float, Parameter(help="Catching area in m².")] = 0.5,
-    seconds: Annotated[float, Parameter(help="How long to measure, in simulated seconds.")] = 60.0,
-    record: Annotated[float, Parameter(help="Seconds a record: one spectrum each.")] = 60.0,
-    output: Annotated[
-        Path | None, Parameter(name=["--output", "-o"], help="Write the spectra to this netCDF file (.nc).")
-    ] = None,
+    rain: DisdrometerOptions | None = None,
+    preset: Preset = None,
+    area: Annotated[float, option("Catching area in m².")] = 0.5,
+    seconds: Annotated[float, option("Simulated duration of the measurement in seconds.")] = 60.0,
+    record: Annotated[float, option("Seconds per record: one spectrum each.")] = 60.0,
+    output: Annotated[Path | None, option("Write the spectra to this netCDF file (.nc).", "--output", "-o")] = None,
     json: JsonFile = None,
 ) -> None:
     """Count simulated drops through a horizontal area; report their rain rate and sizes.
@@ -225,13 +197,12 @@ def disdrometer(
     `gsrain calibrate` reads what -o writes, so that the simulation can be fitted like a measurement.
     """
     times = _times(seconds, record)
-    if output is not None and output.suffix != ".nc":
-        raise ValueError(f"--output {output}: expected a name that ends in .nc")
+    check_ending("--output", output, (".nc",))
     check_writable(output, json)
-    rainfall = RainSimulation.start(_rain(rain, preset, calibration, closure, seed))
-    instrument = VirtualDisdrometer(rainfall, area)
-    counts: list[Int64[np.ndarray, " classes"]] = []
+    base = load_preset(preset) if preset is not None else RainSettings(intensity_mm_h=8.5)
+    instrument = VirtualDisdrometer(RainSimulation.start((rain or DisdrometerOptions()).settings(base)), area)
     with progress_bar("Counting drops", len(times) - 1) as advance:
+        counts = []
         for start, end in pairwise(times):
             counts.append(instrument.count(start, end))
             advance()
@@ -245,28 +216,18 @@ def disdrometer(
         print(f"{output}: {len(counts)} spectra")
 
 
-def _rain(
-    intensity: float | None, preset: str | None, calibration: str | None, closure: str | None, seed: int | None
-) -> RainSettings:
-    chosen = load_preset(preset) if preset is not None else RainSettings(intensity_mm_h=8.5)
-    asked = {"intensity_mm_h": intensity, "calibration": calibration, "closure": closure, "seed": seed}
-    values = msgspec.to_builtins(chosen) | {name: value for name, value in asked.items() if value is not None}
-    return converted_options(values, RainSettings, RAIN_OPTIONS)
-
-
 def _times(seconds: float, record: float) -> Float64[np.ndarray, " records_and_one"]:
     """Return the bounds of the records; the last one may be shorter."""
-    for option, value in (("--seconds", seconds), ("--record", record)):
-        if not 0.001 <= value <= _LONGEST_S:
-            raise ValueError(f"{option} {value:g}: must be within 0.001..{_LONGEST_S:g} s")
+    check_within("--seconds", seconds, 0.001, _MAX_S, "s")
+    check_within("--record", record, 0.001, _MAX_S, "s")
     whole = round(seconds / record, 6)
-    if whole > _RECORDS:
-        raise ValueError(f"--record {record:g}: {seconds:g} s make {whole:.0f} records, at most {_RECORDS}")
+    if whole > _MAX_RECORDS:
+        raise ValueError(f"--record {record:g}: {seconds:g} s make {whole:.0f} records, at most {_MAX_RECORDS}")
     return np.append(np.arange(max(1, np.ceil(whole))) * record, seconds)
 
 
 def _disdrometer_numbers(counted: DisdrometerMeasurement) -> dict[str, Any]:
-    state, edges = counted.state, counted.spectra.diameter_edges_mm
+    state = counted.state
     return {
         "requested_mm_h": state.intensity_mm_h,
         "implied_mm_h": state.implied_mm_h,
@@ -283,7 +244,7 @@ def _disdrometer_numbers(counted: DisdrometerMeasurement) -> dict[str, Any]:
         "records": len(counted.counts),
         "record_mm_h": counted.record_rates_mm_h.tolist(),
         "beyond_calibration": state.beyond_calibration,
-        "spectrum": _spectrum(counted, edges),
+        "spectrum": _spectrum(counted, counted.spectra.diameter_edges_mm),
     }
 
 
@@ -315,8 +276,8 @@ def _print_disdrometer(counted: DisdrometerMeasurement) -> None:
     )
     spectrum = _spectrum(counted, _ROWS_MM)
     table = Table("diameter mm", "drops", "N(D) 1/(m³ mm)", box=None)
-    for low, high, drops, density in zip(
-        _ROWS_MM[:-1], _ROWS_MM[1:], spectrum["drops"], spectrum["drops_per_m3_mm"], strict=True
+    for (low, high), drops, density in zip(
+        pairwise(_ROWS_MM), spectrum["drops"], spectrum["drops_per_m3_mm"], strict=True
     ):
         table.add_row(f"{low:g} - {high:g}", f"{drops:,.0f}", f"{density:.4g}")
     console.print(table)

@@ -1,7 +1,7 @@
-"""`gsrain info`, `convert` and `street`: inspection, conversion and export of scenes."""
+"""`gsrain info`, `convert` and `street`: inspection, conversion and export of scenes; options about scenes."""
 
-from collections.abc import Iterator
-from dataclasses import asdict, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,79 +16,93 @@ from gsrain_engine.datasets.pose_check import PoseCheck, check_poses
 from gsrain_engine.datasets.summary import CaptureSummary, contact_sheet, summarized
 from gsrain_engine.disdrometer.file_summary import open_disdrometer_file
 from gsrain_engine.disdrometer.spectra import UnknownKindError
-from gsrain_engine.disdrometer.tables import TableColumns, load_columns
+from gsrain_engine.disdrometer.tables import load_columns
 from gsrain_engine.editor.edits.actors import drive_along, drive_along_own_path
-from gsrain_engine.editor.edits.level import level_from_ground, set_camera_height
+from gsrain_engine.editor.edits.level import UNIT_M, Axis, level_from_ground, oriented, set_camera_height
 from gsrain_engine.editor.viewport.camera import find_scene_core
 from gsrain_engine.render.images import write_image
+from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.camera_path_edit import WALKING_M_S, with_constant_speed
 from gsrain_engine.scene.camera_path_io import read_camera_path
-from gsrain_engine.scene.formats.registry import unknown_format
+from gsrain_engine.scene.formats.registry import format_of, unknown_format
 from gsrain_engine.scene.formats.scene_files import INNER_SCENE, names_scene_folder, write_scene
-from gsrain_engine.scene.open import load_scene, load_street, scene_folder_of
+from gsrain_engine.scene.formats.sog import is_sog_folder
+from gsrain_engine.scene.open import is_built_in_street, load_scene, load_street, scene_folder_of
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Actor, Layer, Scene, bounds
 from gsrain_engine.scene.transforms import with_wetness_baked
 
-from .console import Table, print, print_lines, wide_console
-from .options import (
-    AllowOutside,
-    JsonFile,
-    check_image,
-    check_scene_folder,
-    check_scene_target,
-    check_writable,
-    let_names_lead_outside,
-    lock_outputs,
-    write_numbers,
-)
-from .progress import progress_bar
-from .scene_options import Orientation, count_flagged, flagged_text, names_scene, timed_path
-
-# gsrain info
+from .console import counted, print, print_lines, progress_bar, table_of, wide_console
+from .options import AllowOutside, JsonFile, check_within, flag, let_names_lead_outside, option
+from .outputs import check_image, check_scene_folder, check_scene_target, check_writable, lock_outputs, write_numbers
 
 Columns = Annotated[
-    Path | None,
-    Parameter(help="YAML file that says which column is what, for tables of disdrometers that no reader knows."),
+    Path | None, option("YAML file that describes the columns of a disdrometer table of unknown format.")
 ]
 
 
+@Parameter(name="*")  # fields are options of the command, without a prefix
+@dataclass(frozen=True, kw_only=True)
+class Orientation:
+    """Options about axes and units, which Gaussian files don't store."""
+
+    up: Annotated[
+        Axis | None,
+        option("Axis of the scene that points up; default for Gaussian files: -y.", allow_leading_hyphen=True),
+    ] = None
+    meters_per_unit: Annotated[float | None, option("Length of one scene unit in meters.")] = None
+
+    def __post_init__(self) -> None:
+        check_within("--meters-per-unit", self.meters_per_unit, *UNIT_M)
+
+    def of(self, scene: Scene) -> Scene:
+        """Return the scene in the chosen orientation; rotating it drops its ground height."""
+        return oriented(scene, self.up, self.meters_per_unit)
+
+
+def names_scene(name: str) -> bool:
+    """Return True if a name is that of a scene; ambiguous folders, such as scene.json with images, count as scenes."""
+    path = Path(name)
+    is_file = scene_folder_of(path) is not None or format_of(path) is not None
+    return is_built_in_street(name) or is_file or is_sog_folder(path)
+
+
+# gsrain info
+
+
 def info(
-    scene: Annotated[
-        str, Parameter(help='Scene file or folder, a capture, or a disdrometer file; "street" is the built-in scene.')
-    ],
+    scene: Annotated[str, option('Scene, capture or disdrometer file; "street" is the built-in scene.')],
     /,
     *,
-    check: Annotated[bool, Parameter(negative="", help="Capture: read all pictures, and check the poses.")] = False,
-    overlay: Annotated[
-        Path | None, Parameter(help="Capture: draw points and boxes into some views, and write the picture here.")
-    ] = None,
+    check: Annotated[bool, flag("Capture: read all images, and check the poses.")] = False,
+    overlay: Annotated[Path | None, option("Capture: write an image of views with points and boxes.")] = None,
     columns: Columns = None,
     allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
     """Print what a scene holds (counts, bounds, harmonics, memory) or a capture (cameras, lidar, boxes, problems).
 
-    Of a disdrometer's file: instrument, records, drops, rain, what is rejected and why, and how well its rates agree.
+    Of a disdrometer file: instrument, records, drops, rain, rejected records with reasons, and agreement of its rates.
     """
     check_image("--overlay", overlay)
     check_writable(overlay, json)
     let_names_lead_outside(allow_outside)
-    is_scene, inner = names_scene(scene), scene_folder_of(Path(scene) / INNER_SCENE)
+    path, is_scene = Path(scene), names_scene(scene)
+    inner = scene_folder_of(path / INNER_SCENE)
     if not is_scene and capture_format(scene) is not None:
-        numbers = capture_info(Path(scene), check, overlay)
+        numbers = capture_info(path, check, overlay)
         if inner is not None:  # the output of gsrain street also holds a scene
             numbers |= _scene_info(scene)
-        write_numbers(json, numbers)
-        return
-    if check or overlay is not None:
+    elif check or overlay is not None:
         raise ValueError(f"{scene}: --check and --overlay are for captures, and this is none that is known")
-    if not is_scene and inner is None and Path(scene).is_dir():
-        told = "neither a scene (scene.json, or meta.json of SOG) nor a capture that is known"
-        raise ValueError(f"{scene}: {told}{capture_hint(Path(scene))}")
-    if columns is not None or (not is_scene and Path(scene).is_file()):
-        write_numbers(json, disdrometer_info(Path(scene), columns))
-        return
-    write_numbers(json, _scene_info(scene))
+    elif not is_scene and inner is None and path.is_dir():
+        found = "neither a scene (scene.json, or meta.json of SOG) nor a capture that is known"
+        raise ValueError(f"{scene}: {found}{capture_hint(path)}")
+    elif columns is not None or (not is_scene and path.is_file()):
+        numbers = disdrometer_info(path, columns)
+    else:
+        numbers = _scene_info(scene)
+    write_numbers(json, numbers)
 
 
 def _scene_info(scene: str) -> dict[str, Any]:
@@ -134,23 +148,22 @@ def _extent(scene: Scene) -> dict[str, Any]:
     numbers: dict[str, Any] = {"core_m": {"minimum": low, "maximum": high}, "shell": None}
     if core.shell is not None:
         count = sum(int(np.count_nonzero(core.shell.holds(part))) for part in scene.parts())
-        share = count / max(scene.gaussian_count, 1)
-        radius_m = round(core.shell.radius_m, 3)
-        numbers["shell"] = {"gaussians": count, "share": round(share, 4), "radius_m": radius_m}
+        share = round(count / max(scene.gaussian_count, 1), 4)
+        numbers["shell"] = {"gaussians": count, "share": share, "radius_m": round(core.shell.radius_m, 3)}
     return numbers
 
 
 def _print(scene: Scene, numbers: dict[str, Any]) -> None:
     console = wide_console()
-    up = ", ".join(f"{v + 0.0:g}" for v in scene.up)  # avoids -0
-    marks = flagged_text({kind: numbers[kind] for kind in ("deleted", "hidden")})
+    flags = flagged_text({kind: numbers[kind] for kind in ("deleted", "hidden")})
     size = f"{numbers['memory_bytes'] / 2**20:.1f} MiB"
-    console.print(f"{scene.name}: {numbers['gaussians']:,} Gaussians{marks}, {size}")
+    console.print(f"{scene.name}: {numbers['gaussians']:,} Gaussians{flags}, {size}")
     assumed = " (assumed)" if scene.unit_is_assumed else ""
+    up = ", ".join(f"{v + 0.0:g}" for v in scene.up)  # avoids -0
     console.print(f"1 unit = {scene.metres_per_unit:g} m{assumed}, up = ({up})")
-    low, high = numbers["core_m"]["minimum"], numbers["core_m"]["maximum"]
-    sides = ", ".join(f"{axis} {a + 0.0:.4g} to {b + 0.0:.4g}" for axis, a, b in zip("xyz", low, high, strict=True))
-    console.print(f"most of it lies at {sides} m")
+    corners = zip("xyz", numbers["core_m"]["minimum"], numbers["core_m"]["maximum"], strict=True)
+    ranges = ", ".join(f"{axis} {low + 0.0:.4g} to {high + 0.0:.4g}" for axis, low, high in corners)
+    console.print(f"most of it lies at {ranges} m")
     shell = numbers["shell"]
     if shell is not None:
         console.print(
@@ -159,15 +172,42 @@ def _print(scene: Scene, numbers: dict[str, Any]) -> None:
         )
     for name, cameras in numbers["rigs"].items():
         console.print(f"rig {name}: {', '.join(cameras)}")
-    table = Table(box=None)
-    for title in ("name", "kind", "Gaussians", "SH degree", "wet", "minimum", "maximum", "MiB"):
-        table.add_column(title, no_wrap=True)
+    table = table_of("name,kind,Gaussians,SH degree,wet,minimum,maximum,MiB")
     for row in numbers["members"]:
         corners = [" ".join(f"{v + 0.0:g}" for v in row[key]) for key in ("minimum", "maximum")]
         size = f"{row['memory_bytes'] / 2**20:.1f}"
         wet = "yes" if row["wet_colors"] else "no"
         table.add_row(row["name"], row["kind"], f"{row['gaussians']:,}", str(row["sh_degree"]), wet, *corners, size)
     console.print(table)
+
+
+def count_flagged(members: Sequence[Layer | Actor]) -> dict[str, int]:
+    """Count deleted Gaussians, and hidden ones that are not deleted."""
+    deleted = hidden = 0
+    for flags in (member.marks for member in members):
+        deleted += flags.deleted.size if flags.deleted is not None else 0
+        if flags.hidden is not None:
+            hidden += (flags.hidden if flags.deleted is None else flags.hidden - flags.deleted).size
+    return {"deleted": deleted, "hidden": hidden}
+
+
+def flagged_text(counts: dict[str, int]) -> str:
+    """Return the counts in parentheses, or "" if all are zero."""
+    words = [f"{count:,} {kind}" for kind, count in counts.items() if count]
+    return f" ({', '.join(words)})" if words else ""
+
+
+def disdrometer_info(file: Path, columns: Path | None) -> dict[str, Any]:
+    """Print the contents of a disdrometer file; returns the numbers. Raises `ValueError`."""
+    try:
+        measured = open_disdrometer_file(file, columns and load_columns(columns)).measured()
+    except UnknownKindError as error:
+        if error.kind is not None:
+            found = f"neither a scene, nor a capture, nor a disdrometer file; it is {error.kind}"
+            raise ValueError(f"{file}: {found}") from None
+        raise ValueError(f"{file}: {unknown_format(file)}; nor measured rain: {error.problem}") from None
+    print_lines("\n".join(measured.lines))
+    return measured.numbers()
 
 
 # Captures
@@ -211,23 +251,29 @@ def _checked(capture: Capture) -> tuple[Capture, tuple[PoseCheck, ...]]:
 def _print_capture(summary: CaptureSummary, kind: str, checks: tuple[PoseCheck, ...], checked: bool) -> None:
     console = wide_console()
     lasts = f" over {summary.seconds:.1f} s" if summary.seconds >= 0.05 else ""
-    console.print(f"{summary.name}: {kind}, {_counted(summary.views, 'view')}{lasts}")
+    console.print(f"{summary.name}: {kind}, {counted(summary.views, 'view')}{lasts}")
     if summary.has_poses:
         up = ", ".join(f"{round(value, 3) + 0.0:g}" for value in summary.up)
         console.print(f"{_places(summary)}; up = ({up})")
     if summary.points:
-        console.print(f"{_counted(summary.points, 'point')} on surfaces")
+        console.print(f"{counted(summary.points, 'point')} on surfaces")
     if summary.sweeps:
-        console.print(f"lidar: {_counted(summary.sweeps, 'sweep')}, {_counted(summary.lidar_points, 'point')}")
+        console.print(f"lidar: {counted(summary.sweeps, 'sweep')}, {counted(summary.lidar_points, 'point')}")
     if summary.boxes:
-        things = ", ".join(f"{count} {name}" for name, count in summary.boxes.items())
-        console.print(f"boxes: {things}")
+        console.print(f"boxes: {', '.join(f'{count} {name}' for name, count in summary.boxes.items())}")
     if summary.has:
         console.print(f"each view has: {', '.join(summary.has)}")
-    for name, counted in summary.attributes.items():
-        values = ", ".join(f"{value} ({count})" for value, count in counted.items())
-        console.print(f"{name}: {values}")
-    console.print(_cameras(summary))
+    for name, counts in summary.attributes.items():
+        console.print(f"{name}: {', '.join(f'{value} ({count})' for value, count in counts.items())}")
+    table = table_of("camera,views,size,focal length px,field of view,lens")
+    for each in summary.sensors:
+        size = f"{each.width}x{each.height}"
+        if each.sizes > 1:
+            (a, b), (c, d) = each.smallest_px, each.largest_px
+            size = f"{a}x{b} to {c}x{d} ({each.sizes} sizes)"
+        focal, fov = f"{each.focal_px[0]:.1f} {each.focal_px[1]:.1f}", f"{each.horizontal_fov_deg:.1f} deg"
+        table.add_row(each.name or "-", str(each.views), size, focal, fov, each.lens.partition(" ")[0] or "straight")
+    console.print(table)
     for each in checks:
         console.print(f"{each.verdict}: {each.told}")
     if checked and not checks and summary.has_poses:
@@ -237,75 +283,43 @@ def _print_capture(summary: CaptureSummary, kind: str, checks: tuple[PoseCheck, 
 
 
 def _places(summary: CaptureSummary) -> str:
-    unit = "m" if summary.is_metric else "units of unknown length"
-    sides = [high - low for low, high in zip(summary.minimum, summary.maximum, strict=True)]
-    if max(sides) < 1e-6:
+    sizes = [high - low for low, high in zip(summary.minimum, summary.maximum, strict=True)]
+    if max(sizes) < 1e-6:
         return "the camera stood still"
-    extent = " x ".join(f"{side:.2f}" for side in sides)
-    way = f", on a way of {summary.course:.2f}" if summary.course > 0 else ""
-    return f"cameras stood within {extent} {unit}{way}"
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count:,} {noun}" + ("" if count == 1 else "s")
-
-
-def _cameras(summary: CaptureSummary) -> Table:
-    table = Table(box=None)
-    for title in ("camera", "views", "size", "focal length px", "field of view", "lens"):
-        table.add_column(title, no_wrap=True)
-    for each in summary.sensors:
-        focal = f"{each.focal_px[0]:.1f} {each.focal_px[1]:.1f}"
-        size = f"{each.width}x{each.height}"
-        if each.sizes > 1:
-            (a, b), (c, d) = each.smallest_px, each.largest_px
-            size = f"{a}x{b} to {c}x{d} ({each.sizes} sizes)"
-        fov = f"{each.horizontal_fov_deg:.1f} deg"
-        table.add_row(each.name or "-", str(each.views), size, focal, fov, each.lens.partition(" ")[0] or "straight")
-    return table
+    unit = "m" if summary.is_metric else "units of unknown length"
+    course = f", on a way of {summary.course:.2f}" if summary.course > 0 else ""
+    return f"cameras stood within {' x '.join(f'{size:.2f}' for size in sizes)} {unit}{course}"
 
 
 # gsrain convert
 
-_OWN = "own"  # value of --drive for the scene's own camera path
-
 
 def convert(
-    source: Annotated[str, Parameter(help="Scene file or folder: .ply .compressed.ply .splat .spz .ksplat .sog.")],
-    target: Annotated[Path, Parameter(help="File to write (.ply .splat .spz), or a folder for a scene folder.")],
+    source: Annotated[str, option("Scene file or folder: .ply .compressed.ply .splat .spz .ksplat .sog.")],
+    target: Annotated[Path, option("File to write (.ply .splat .spz), or a folder for a scene folder.")],
     /,
     *,
-    wetness: Annotated[
-        float | None,
-        Parameter(help="Write the colours of a wetness, 0 clear to 1 soaked; a single file is clear without it."),
-    ] = None,
+    wetness: Annotated[float | None, option("Bake in the colors of a wetness, 0..1; default for a file: 0.")] = None,
     orientation: Orientation | None = None,
-    level: Annotated[
-        bool, Parameter(help="Turn the scene until its ground, which is looked for, lies level.", negative="")
-    ] = False,
+    level: Annotated[bool, flag("Find the ground, and rotate the scene until it is level.")] = False,
     camera_height: Annotated[
-        float | None,
-        Parameter(help="Scale the scene until its recorded cameras were so many metres above its ground; levels it."),
+        float | None, option("Level the scene, and scale it to this height of its cameras in m.")
     ] = None,
     drive: Annotated[
         str | None,
-        Parameter(
-            help="Let an ego vehicle drive along a camera path, with a front camera: own for the scene's, or a file "
-            "(ours, nerfstudio's, cameras.json of 3DGS). gsrain drive needs one."
+        option(
+            "Add an ego vehicle with a front camera that drives along a camera path: own for the scene's, or a "
+            "file (ours, nerfstudio's, cameras.json of 3DGS). gsrain drive needs one."
         ),
     ] = None,
-    speed: Annotated[
-        float | None,
-        Parameter(help="Speed in m/s along the path of --drive; default: its own times, or walking pace without any."),
-    ] = None,
+    speed: Annotated[float | None, option("Speed of --drive in m/s; default: its own times, or walking pace.")] = None,
     json: JsonFile = None,
 ) -> None:
     """Convert a scene. A scene folder stores orientation and unit.
 
     A single file gets all visible layers, and actors at their place at time 0, in meters with -y up.
     """
-    if wetness is not None and not 0 <= wetness <= 1:
-        raise ValueError(f"--wetness {wetness:g}: must be within 0..1")
+    check_within("--wetness", wetness, 0, 1)
     check_scene_target(target)
     check_writable(json)
     scene = (orientation or Orientation()).of(load_scene(source))
@@ -327,18 +341,19 @@ def convert(
         scene = with_wetness_baked(scene, wetness)
     write_scene(scene, target)
     if names_scene_folder(target):
-        print(f"{target}: {scene.gaussian_count:,} Gaussians{flagged_text(count_flagged(scene.members))}")
-        write_numbers(json, {"gaussians": scene.gaussian_count, "left_out": 0})
-        return
-    left_out = [part.left_out.size if part.left_out is not None else 0 for part in scene.parts()]
-    kept = sum(len(part.gaussians) for part in scene.parts()) - sum(left_out)
-    print(f"{target}: {kept:,} Gaussians{f'; {sum(left_out):,} deleted or hidden ones are left out' * any(left_out)}")
-    write_numbers(json, {"gaussians": kept, "left_out": sum(left_out)})
+        count, left_out = scene.gaussian_count, 0
+        print(f"{target}: {count:,} Gaussians{flagged_text(count_flagged(scene.members))}")
+    else:
+        left_out = sum(part.left_out.size for part in scene.parts() if part.left_out is not None)
+        count = sum(len(part.gaussians) for part in scene.parts()) - left_out
+        flags = f"; {left_out:,} deleted or hidden ones are left out" if left_out else ""
+        print(f"{target}: {count:,} Gaussians{flags}")
+    write_numbers(json, {"gaussians": count, "left_out": left_out})
 
 
 def _driven(scene: Scene, drive: str, speed: float | None) -> Scene:
     """Let an ego vehicle drive along a path, at its own times, or at the given or assumed speed."""
-    path = scene.path if drive == _OWN else read_camera_path(drive)
+    path = scene.path if drive == "own" else read_camera_path(drive)
     if path is None:
         return drive_along_own_path(scene)  # raises the reason
     timing = timed_path(path, speed, scene.metres_per_unit)
@@ -347,25 +362,56 @@ def _driven(scene: Scene, drive: str, speed: float | None) -> Scene:
     return drive_along(scene, timing.path)
 
 
+# Speed of a camera path
+
+
+@dataclass(frozen=True, slots=True)
+class TimedPath:
+    """A camera path with its speed."""
+
+    path: CameraPath
+    line: str | None
+    """One line for people, if the speed is not the path's own."""
+    speed_m_s: float | None
+    """None if the path has its own times."""
+    is_assumed: bool
+
+
+def timed_path(
+    path: CameraPath, speed_m_s: float | None, metres_per_unit: float = 1.0, *, is_still: bool = False
+) -> TimedPath:
+    """Time a path at the given speed, by its own times, or at walking pace; in a still the latter camera is at rest.
+
+    Raises ValueError, which names the option, for a speed out of bounds.
+    """
+    if speed_m_s is not None:
+        check_within("--speed", speed_m_s, 1e-3, 1e3, "m/s")
+        return TimedPath(with_constant_speed(path, speed_m_s / metres_per_unit, is_timed=True), None, speed_m_s, False)
+    if path.is_timed:
+        return TimedPath(path, None, None, False)
+    walked = with_constant_speed(path, WALKING_M_S / metres_per_unit)
+    if is_still:
+        line = "photos without times: the camera is at rest (--speed M_S lets it move)"
+        return TimedPath(walked, line, 0.0, True)
+    line = f"photos without times: walking pace, {WALKING_M_S:g} m/s, is assumed (--speed M_S says otherwise)"
+    return TimedPath(replace(walked, is_timed=True), line, WALKING_M_S, True)
+
+
 # gsrain street
 
 
 def street(
-    directory: Annotated[Path, Parameter(help="Folder to write: DIR/scene is a scene folder, DIR/images a capture.")],
+    directory: Annotated[Path, option("Folder to write: DIR/scene is a scene folder, DIR/images a capture.")],
     /,
     *,
-    rig: Annotated[str, Parameter(help="Cameras to photograph the street with: waymo_front3 or nuscenes.")] = (
-        "waymo_front3"
-    ),
-    moments: Annotated[int, Parameter(help="How many moments of the drive to photograph; 0 for none.")] = 4,
-    width: Annotated[int, Parameter(help="Width of the images in pixels.")] = 960,
+    rig: Annotated[str, option("Camera rig that photographs the street: waymo_front3 or nuscenes.")] = "waymo_front3",
+    moments: Annotated[int, option("Number of moments of the drive to photograph; 0 for none.")] = 4,
+    width: Annotated[int, option("Width of the images in pixels.")] = 960,
     json: JsonFile = None,
 ) -> None:
     """Write the built-in street: Gaussians, tracks, rigs, and true images with depth, normals and labels."""
-    if not 0 <= moments <= 1000:
-        raise ValueError(f"--moments {moments}: must be within 0..1000")
-    if not 16 <= width <= 4096:
-        raise ValueError(f"--width {width}: must be within 16..4096")
+    check_within("--moments", moments, 0, 1000)
+    check_within("--width", width, 16, 4096)
     check_scene_folder(directory / "scene")
     check_writable(json, folders=[directory, directory / "images"])
     scene = load_street()
@@ -374,12 +420,13 @@ def street(
     lock_outputs(directory)
     write_scene(scene, directory / "scene")
     print(f"{directory / 'scene'}: {scene.gaussian_count:,} Gaussians, rigs {', '.join(scene.rigs)}")
-    if moments:
-        with progress_bar("Photographing", moments * len(scene.rigs[rig]), draws=True) as advance:
+    views = moments * len(scene.rigs[rig])
+    if views:
+        with progress_bar("Photographing", views, draws=True) as advance:
             for _ in write_views(directory / "images", _photographs(scene, rig, moments, width)):
                 advance()
-        print(f"{directory / 'images'}: {moments * len(scene.rigs[rig])} views with depth, normals and labels")
-    write_numbers(json, {"gaussians": scene.gaussian_count, "views": moments * len(scene.rigs[rig])})
+        print(f"{directory / 'images'}: {views} views with depth, normals and labels")
+    write_numbers(json, {"gaussians": scene.gaussian_count, "views": views})
 
 
 def _photographs(scene: Scene, rig: str, moments: int, width: int) -> Iterator[CaptureFrame]:
@@ -395,21 +442,3 @@ def _photographs(scene: Scene, rig: str, moments: int, width: int) -> Iterator[C
             camera = camera.resized(width, round(width * camera.height / camera.width))
             view = photographer.view(camera, time_s, f"{mounted.name}_{time_s:07.3f}s")
             yield replace(view, sensor=mounted.name)
-
-
-def columns_of(file: Path | None) -> TableColumns | None:
-    """Read the file of `--columns`. Raises `ValueError` with the file and the field, `OSError`."""
-    return None if file is None else load_columns(file)
-
-
-def disdrometer_info(file: Path, columns: Path | None) -> dict[str, Any]:
-    """Print the contents of a disdrometer file; returns the numbers. Raises `ValueError`."""
-    try:
-        measured = open_disdrometer_file(file, columns_of(columns)).measured()
-    except UnknownKindError as error:
-        if error.kind is not None:
-            told = f"neither a scene, nor a capture, nor a disdrometer file; it is {error.kind}"
-            raise ValueError(f"{file}: {told}") from None
-        raise ValueError(f"{file}: {unknown_format(file)}; nor measured rain: {error.problem}") from None
-    print_lines("\n".join(measured.lines))
-    return measured.numbers()

@@ -9,48 +9,35 @@ from pathlib import Path, PurePath
 from typing import Annotated, Any
 
 import msgspec
-from cyclopts import Parameter
 
 from gsrain_engine.backends import Backend
 from gsrain_engine.sweep.executors import DaskCluster, Executor, LocalPool, SerialExecutor
-from gsrain_engine.sweep.expansion import Job, Shard, jobs_of
+from gsrain_engine.sweep.expansion import Shard, jobs_of
 from gsrain_engine.sweep.report import write_tables
 from gsrain_engine.sweep.results import SweepFolder
 from gsrain_engine.sweep.run import SweepRun, agent_codes, run_sweep
-from gsrain_engine.sweep.settings import Sweep, load_sweep, sweep_names
+from gsrain_engine.sweep.settings import load_sweep, sweep_names
 from gsrain_engine.trusted_code import check_trusted
 
-from .console import Console, Table, print
-from .options import JsonFile, Trust, check_writable, lock_outputs, with_trust, write_numbers
-from .progress import followed
+from .console import Console, counted, print, run_with_progress, table_of
+from .options import JsonFile, Trust, check_within, flag, option, split_words, with_trust
+from .outputs import check_writable, lock_outputs, write_numbers
 
 SOME_FAILED, INTERRUPTED = 1, 130
 
 
 def sweep(
-    sweep: Annotated[str, Parameter(help=f"YAML file, or a shipped sweep: {', '.join(sweep_names())}.")],
+    sweep: Annotated[str, option(f"YAML file, or a shipped sweep: {', '.join(sweep_names())}.")],
     /,
     *,
-    output: Annotated[
-        Path | None,
-        Parameter(name=["--output", "-o"], help="Folder for rows and tables; default: the one that the sweep names."),
-    ] = None,
-    workers: Annotated[
-        int | None, Parameter(help="Processes on this machine; default: half of its cores. 0 works in this process.")
-    ] = None,
-    shard: Annotated[
-        str | None,
-        Parameter(help="Only the i-th of n shares, as i/n from 1: $SLURM_ARRAY_TASK_ID/$SLURM_ARRAY_TASK_COUNT."),
-    ] = None,
-    dask: Annotated[str | None, Parameter(help="Work on this Dask cluster: address of its scheduler.")] = None,
-    dask_resources: Annotated[
-        str, Parameter(help="What a job takes of a Dask worker, as NAME=AMOUNT, several with commas: GPU=1.")
-    ] = "",
-    retry_failed: Annotated[bool, Parameter(negative="", help="Do jobs again whose rows tell of a failure.")] = False,
-    summarize_only: Annotated[
-        bool, Parameter(negative="", help="Do nothing; write tables and figures of the rows that are there.")
-    ] = False,
-    backend: Annotated[Backend | None, Parameter(help="What draws; default: as the sweep has it.")] = None,
+    output: Annotated[Path | None, option("Output folder; default: that of the sweep.", "--output", "-o")] = None,
+    workers: Annotated[int | None, option("Processes; default: half of the cores; 0: this process.")] = None,
+    shard: Annotated[str | None, option("Run only share i of n, as i/n from 1, such as 1/8.")] = None,
+    dask: Annotated[str | None, option("Run on a Dask cluster: address of its scheduler.")] = None,
+    dask_resources: Annotated[str, option("Resources that a job needs, as NAME=AMOUNT, with commas: GPU=1.")] = "",
+    retry_failed: Annotated[bool, flag("Repeat jobs that have failed.")] = False,
+    summarize_only: Annotated[bool, flag("Run nothing; write tables and figures of existing rows.")] = False,
+    backend: Annotated[Backend | None, option("Renderer; default: that of the sweep.")] = None,
     trust: Trust = False,
     json: JsonFile = None,
 ) -> int:
@@ -61,24 +48,29 @@ def sweep(
     files run only with --trust, or once you have allowed their content in a terminal.
     """
     started = time.perf_counter()
-    told = load_sweep(sweep)
-    told = told if backend is None else msgspec.structs.replace(told, backend=backend)
-    folder = SweepFolder(_folder(sweep, told, output))
-    _check_engine(workers, dask, dask_resources)
+    settings = load_sweep(sweep)
+    settings = settings if backend is None else msgspec.structs.replace(settings, backend=backend)
+    if output is None and settings.output is None:
+        raise ValueError(f"sweep {sweep}: expected --output DIR, for it has no `output` of its own")
+    folder = SweepFolder(output or Path(str(settings.output)))
+    resources = _check_engine(workers, dask, dask_resources)
     check_writable(folder.path / "table.csv", folder.path / "report.html", json, folders=[folder.path])
-    jobs = jobs_of(told)
+    jobs = jobs_of(settings)
     share = jobs if shard is None else Shard.parse(shard).of(jobs)
     to_do = [] if summarize_only else folder.to_do(share, retry_failed=retry_failed)
     run = SweepRun(0, 0)
     lock_outputs(folder.path, shared=True)
     if not summarize_only:
         with_trust(lambda: check_trusted(sweep, agent_codes(to_do)), trust)
-        folder.describe(told, jobs)
-        print(f"{folder.path}: {_count(len(share), 'job')}, {len(share) - len(to_do)} with a row", file=sys.stderr)
+        folder.describe(settings, jobs)
+        print(f"{folder.path}: {counted(len(share), 'job')}, {len(share) - len(to_do)} with a row", file=sys.stderr)
         try:
-            run = _run(to_do, folder, workers, dask, dask_resources)
+            with ExitStack() as stack:
+                engine = _engine(workers, dask, resources, stack)
+                stack.enter_context(_sigterm_as_ctrl_c())
+                run = run_with_progress(stack.enter_context(closing(run_sweep(to_do, engine, folder))))
         except KeyboardInterrupt:
-            left = _count(len(folder.to_do(share)), "job")
+            left = counted(len(folder.to_do(share)), "job")
             print(f"stopped with {left} to do; the same command goes on from there", file=sys.stderr)
             return INTERRUPTED
     numbers: dict[str, Any] = {"done": run.done, "kept": len(share) - len(to_do)}
@@ -86,60 +78,38 @@ def sweep(
     if shard is not None and folder.to_do(jobs):
         print(f"share {shard} is done; when all are: gsrain sweep {sweep} --summarize-only")
     else:
-        numbers |= write_tables(folder, told, jobs)
+        numbers |= write_tables(folder, settings, jobs)
         failed = numbers["failed"]
         _print(folder, numbers)
     write_numbers(json, numbers | {"seconds": time.perf_counter() - started})
     return SOME_FAILED if failed else 0
 
 
-def _run(jobs: list[Job], folder: SweepFolder, workers: int | None, dask: str | None, dask_resources: str) -> SweepRun:
-    with ExitStack() as stack:
-        engine = _engine(workers, dask, dask_resources, stack)
-        stack.enter_context(_ended_gently())
-        return followed(stack.enter_context(closing(run_sweep(jobs, engine, folder))))
-
-
-def _folder(name: str, sweep: Sweep, output: Path | None) -> Path:
-    if output is None and sweep.output is None:
-        raise ValueError(f"sweep {name}: expected --output DIR, for it has no `output` of its own")
-    return output or Path(str(sweep.output))
-
-
-def _check_engine(workers: int | None, dask: str | None, resources: str) -> None:
-    """Raise ValueError for options that contradict each other, before anything is written."""
+def _check_engine(workers: int | None, dask: str | None, resources: str) -> dict[str, float]:
+    """Raise ValueError for options that contradict each other, before anything is written; returns the resources."""
     if dask is None and resources:
         raise ValueError(f"--dask-resources {resources}: expected --dask ADDRESS with it")
     if dask is not None and workers is not None:
         raise ValueError("--workers and --dask exclude each other: a cluster has as many as it has")
-    if workers is not None and not 0 <= workers <= 4096:
-        raise ValueError(f"--workers {workers}: must be within 0..4096")
-    _resources(resources)
+    check_within("--workers", workers, 0, 4096)
+    try:
+        return {name: float(amount) for name, _, amount in (word.partition("=") for word in split_words(resources))}
+    except ValueError:
+        raise ValueError(f"--dask-resources {resources}: expected NAME=AMOUNT, such as GPU=1") from None
 
 
-def _engine(workers: int | None, dask: str | None, resources: str, stack: ExitStack) -> Executor:
+def _engine(workers: int | None, dask: str | None, resources: dict[str, float], stack: ExitStack) -> Executor:
     if dask is None:
         return SerialExecutor() if workers == 0 else LocalPool(workers)
-    cluster = DaskCluster(dask, _resources(resources))
+    cluster = DaskCluster(dask, resources)
     stack.callback(cluster.close)
     if cluster.workers == 0:
         print(f"{dask} has no workers yet: waiting for some", file=sys.stderr)
     return cluster
 
 
-def _resources(text: str) -> dict[str, float]:
-    found: dict[str, float] = {}
-    for word in filter(None, (each.strip() for each in text.split(","))):
-        name, _, amount = word.partition("=")
-        try:
-            found[name] = float(amount)
-        except ValueError:
-            raise ValueError(f"--dask-resources {text}: expected NAME=AMOUNT, such as GPU=1") from None
-    return found
-
-
 @contextmanager
-def _ended_gently() -> Generator[None]:
+def _sigterm_as_ctrl_c() -> Generator[None]:
     """Treat SIGTERM, which batch systems send at their time limit, as Ctrl-C."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
@@ -152,14 +122,10 @@ def _print(folder: SweepFolder, numbers: dict[str, Any]) -> None:
     if numbers["cells"]:
         print_cells(numbers["cells"])
     done = numbers["rows"] - numbers["failed"]
-    print(f"{folder.path}: {done} of {_count(numbers['jobs'], 'job')} finished, {numbers['failed']} failed")
+    print(f"{folder.path}: {done} of {counted(numbers['jobs'], 'job')} finished, {numbers['failed']} failed")
     for error, count in numbers["errors"].items():
         print(f"  {count} x {error}")
     print("wrote table.parquet, table.csv, summary.json, report.html" + (", figures" if numbers["cells"] else ""))
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number:,} {what}" if number == 1 else f"{number:,} {what}s"
 
 
 # Table of drives, a row per agent and intensity
@@ -175,29 +141,20 @@ _COLUMN_TITLES = {
 
 def print_cells(cells: Sequence[Mapping[str, Any]]) -> None:
     several = len({cell["scene"] for cell in cells}) > 1
-    table = Table(box=None, pad_edge=False)
-    for title in [*(["scene"] if several else []), "scenario", "agent"]:
-        table.add_column(title, no_wrap=True)
-    for title in ("R (mm/h)", "drives", "collisions", *_COLUMN_TITLES.values()):
-        table.add_column(title, justify="right", no_wrap=True)
+    right = ",".join(("R (mm/h),drives,collisions", *_COLUMN_TITLES.values()))
+    table = table_of("scene,scenario,agent" if several else "scenario,agent", right, pad_edge=False)
     for cell in cells:
-        collisions = cell["collision_rate"]
-        table.add_row(
-            *([PurePath(cell["scene"]).name] if several else []),
-            cell["scenario"],
-            cell["agent"],
-            f"{cell['intensity_mm_h']:g}",
-            f"{cell['runs']}" + (f" + {cell['failed']} failed" if cell["failed"] else ""),
-            "-" if collisions is None else f"{cell['collisions']} ({_share(collisions)})",
-            *(_mean(cell["means"].get(name)) for name in _COLUMN_TITLES),
-        )
-    console = Console(width=_COLUMNS, highlight=False)
+        rate, failed = cell["collision_rate"], f" + {cell['failed']} failed" if cell["failed"] else ""
+        collisions = "-"
+        if rate is not None:
+            collisions = f"{cell['collisions']} ({100 * rate['low']:.0f} to {100 * rate['high']:.0f} %)"
+        scene = [PurePath(cell["scene"]).name] if several else []
+        means = (_mean(cell["means"].get(name)) for name in _COLUMN_TITLES)
+        drives = f"{cell['intensity_mm_h']:g}", f"{cell['runs']}{failed}", collisions
+        table.add_row(*scene, cell["scenario"], cell["agent"], *drives, *means)
+    console = Console(width=_COLUMNS)
     console.print(table)
     console.print("In brackets: intervals of 95 %, over the seeds.", style="dim")
-
-
-def _share(spread: Mapping[str, float]) -> str:
-    return f"{100 * spread['low']:.0f} to {100 * spread['high']:.0f} %"
 
 
 def _mean(spread: Mapping[str, float] | None) -> str:

@@ -4,25 +4,21 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
 from cyclopts import Parameter
 from jaxtyping import Bool, Float64
 
+from gsrain_engine.appearance import output_folder
 from gsrain_engine.appearance.base import ClearView, RainyView, SkippedCounts, TransferSettings
-from gsrain_engine.appearance.finetune.settings import finetuning_help, finetuning_names, load_finetuning
+from gsrain_engine.appearance.capture_views import capture_views
+from gsrain_engine.appearance.finetune.settings import FinetuningSettings, finetuning_names, load_finetuning
 from gsrain_engine.appearance.finetune.task import FinetuneResult, FinetuneTask
-from gsrain_engine.appearance.output_folder import (
-    ContactSheet,
-    TransferRecord,
-    check_transferred_folder,
-    write_transferred,
-)
 from gsrain_engine.appearance.registry import find_method, open_transfer
-from gsrain_engine.appearance.scene_views import OWN_WIDTH_PX, Source, ViewChoice, chosen_cameras, chosen_views
-from gsrain_engine.appearance.wet_look.environment import ReflectionEnvironment
+from gsrain_engine.appearance.scene_views import OWN_WIDTH_PX, ViewChoice, chosen_cameras, chosen_views, scene_views
+from gsrain_engine.appearance.wet_look.environment import ImageEnvironment, ReflectionEnvironment, SceneEnvironment
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.editor.jobs.training import HOW_TO_GET_DIFFUSION, require_torch
 from gsrain_engine.editor.jobs.training import train_transfer as work
@@ -30,111 +26,79 @@ from gsrain_engine.rain.wetness import wetness
 from gsrain_engine.render.images import write_image
 from gsrain_engine.scene.open import load_scene
 
-from .console import Console, Table, print
+from .console import Console, Table, print, progress_bar, run_with_progress
 from .options import (
     AllowOutside,
     JsonFile,
     Trust,
-    check_image,
-    check_writable,
-    converted_options,
+    check_within,
+    flag,
     let_names_lead_outside,
-    lock_outputs,
+    option,
+    options_of,
     with_trust,
-    write_numbers,
 )
-from .progress import followed, progress_bar
-from .scene_options import names_scene
+from .outputs import check_image, check_writable, claim_outputs, lock_outputs, write_numbers
+from .scene import names_scene
 
-# Options of gsrain transfer
+ViewChoiceOptions = options_of(
+    ViewChoice,
+    "source count width_px sensors",
+    {"source": "views", "width_px": "width", "sensors": "cameras"},
+    {
+        "source": "Of a scene: recorded (see --capture), rig (along the ego's path), path, around; default: auto.",
+        "count": "Number of views, evenly; default: 24, of a recording all.",
+        "width_px": "Width of images in px; a capture's are never enlarged. Default: their own, at most 960.",
+    },
+)
 
 
 @Parameter(name="*")  # fields are options of the command, without a prefix
 @dataclass(frozen=True, kw_only=True)
-class ViewChoiceOptions:
-    """Choice of views."""
-
-    views: Annotated[
-        Source,
-        Parameter(help="Of a scene: recorded (see --capture), rig (along the ego's way), path, around; auto chooses."),
-    ] = "auto"
-    capture: Annotated[Path | None, Parameter(help="Where a scene's recorded cameras come from.")] = None
-    count: Annotated[int | None, Parameter(help="Number of views, evenly; default: 24, of a recording all.")] = None
-    cameras: Annotated[str, Parameter(help="Only these cameras of the rig or recording, commas between.")] = ""
-    width: Annotated[
-        int | None,
-        Parameter(help="Width of pictures in px; a capture's are never enlarged. Default: their own, at most 960."),
-    ] = None
-
-    @property
-    def choice(self) -> ViewChoice:
-        """Return the options as a value. Raises ValueError, which names the option, if one is out of bounds."""
-        sensors = tuple(name.strip() for name in self.cameras.split(",") if name.strip())
-        return converted_options(
-            {"source": self.views, "count": self.count, "width_px": self.width, "sensors": sensors},
-            ViewChoice,
-            _OPTIONS,
-        )
-
-
-@Parameter(name="*")
-@dataclass(frozen=True, kw_only=True)
-class MethodOptions:
+class MethodOptions(
+    options_of(
+        TransferSettings,
+        "wetness seed images weights base normals normals_weights normals_checkout guide mutual_attention neighbours "
+        "side_px tile_px device precision",
+        {"guide": "conditioning", "mutual_attention": "cross-view-attention", "neighbours": "neighbors"}
+        | {"side_px": "side", "tile_px": "tile"},
+        {
+            "wetness": "wet: 0 dry, 1 soaked, from which gsrain recolor makes wet colors.",
+            "seed": "wet: positions of puddles and clouds.",
+            "normals_checkout": "Your own copy of DSINE's program.",
+            "base": "cyclegan-turbo: SD-Turbo's folder, else see gsrain doctor.",
+            "normals": "cyclegan-turbo: source of surface normals.",
+        },
+        default="Default: {}.",
+    )
+):
     """Transfer method and its settings."""
 
     method: Annotated[
         str,
-        Parameter(
-            help="wet: computed, no weights; cyclegan-turbo: the paper's model; images: --images; or a package's."
+        option(
+            "wet: computed, no weights; cyclegan-turbo: the paper's model; images: --images; or one of an "
+            "installed package."
         ),
     ] = "wet"
-    rain: Annotated[float | None, Parameter(help="wet: as wet as steady rain of so many mm/h makes things.")] = None
-    wetness: Annotated[
-        float | None, Parameter(help="wet: 0 dry, 1 soaked; default 1, which gsrain recolor makes wet colours of.")
+    rain: Annotated[
+        float | None, option("wet: wetness of steady rain of this intensity in mm/h.", "--rain", "--intensity")
     ] = None
-    seed: Annotated[int, Parameter(help="wet: chooses where puddles stand, and clouds.")] = 0
-    images: Annotated[
-        Path | None, Parameter(help="images: folder with pictures, matched by name: SENSOR/NAME or NAME.")
-    ] = None
-    weights: Annotated[
-        Path | None, Parameter(help="cyclegan-turbo: file with its weights, else see gsrain doctor.")
-    ] = None
-    base: Annotated[Path | None, Parameter(help="cyclegan-turbo: SD-Turbo's folder, else see gsrain doctor.")] = None
-    normals: Annotated[
-        Literal["depth", "dsine", "marigold", "none"], Parameter(help="cyclegan-turbo: who tells surface normals.")
-    ] = "depth"
-    no_normals: Annotated[bool, Parameter(help="cyclegan-turbo: as --normals none.", negative="")] = False
-    normals_weights: Annotated[Path | None, Parameter(help="File of DSINE, or folder of Marigold.")] = None
-    normals_checkout: Annotated[Path | None, Parameter(help="Your own copy of DSINE's program.")] = None
-    guide: Annotated[
-        Literal["up", "luma"], Parameter(help="cyclegan-turbo: how normals become one channel; luma as in the paper.")
-    ] = "up"
-    mutual_attention: Annotated[
-        bool, Parameter(help="cyclegan-turbo: whether each view attends to its neighbours.")
-    ] = True
-    neighbours: Annotated[int, Parameter(help="cyclegan-turbo: to how many.")] = 2
-    side: Annotated[int, Parameter(help="cyclegan-turbo: shorter side in px of what it sees.")] = 512
-    tile: Annotated[int | None, Parameter(help="cyclegan-turbo: side in px of tiles; default: in one piece.")] = None
-    device: Annotated[Literal["auto", "cpu", "cuda"], Parameter(help="cyclegan-turbo: where it runs.")] = "auto"
-    precision: Annotated[
-        Literal["float32", "float16", "bfloat16"],
-        Parameter(help="cyclegan-turbo: of its numbers; bfloat16 blurs what one step amplifies."),
-    ] = "float32"
+    no_normals: Annotated[bool, flag("cyclegan-turbo: same as --normals none.")] = False
 
-    @property
-    def settings(self) -> TransferSettings:
-        """Return the options as a value. Raises ValueError, which names the option, for invalid ones."""
-        if self.no_normals and self.normals not in ("depth", "none"):
-            raise ValueError(f"--no-normals and --normals {self.normals} exclude each other")
-        return converted_options(
-            {
-                "wetness": self._wetness(), "seed": self.seed, "images": self.images, "weights": self.weights,
-                "base": self.base, "normals": "none" if self.no_normals else self.normals,
-                "normals_weights": self.normals_weights, "normals_checkout": self.normals_checkout,
-                "guide": self.guide, "mutual_attention": self.mutual_attention, "neighbours": self.neighbours,
-                "side_px": self.side, "tile_px": self.tile, "device": self.device, "precision": self.precision,
-            }, TransferSettings, _OPTIONS,
-        )  # fmt: skip
+    def checked(self) -> TransferSettings:
+        """Return the settings. Raises ValueError, which names the option, for invalid ones."""
+        values: dict[str, Any] = {}
+        if self.no_normals:
+            if self.normals not in (None, "depth", "none"):
+                raise ValueError(f"--no-normals and --normals {self.normals} exclude each other")
+            values["normals"] = "none"
+        if self.rain is not None:
+            if self.wetness is not None:
+                raise ValueError("--rain and --wetness exclude each other")
+            check_within("--rain", self.rain, 0, 100, "mm/h")
+            values["wetness"] = wetness(self.rain)
+        return self.settings(**values)
 
     def check(self) -> None:
         """Raise ValueError early if a file or torch is missing."""
@@ -148,24 +112,16 @@ class MethodOptions:
         if method.needs_torch:
             require_torch(f"--method {self.method}", HOW_TO_GET_DIFFUSION)
 
-    def _wetness(self) -> float:
-        if self.rain is None:
-            return 1.0 if self.wetness is None else self.wetness
-        if self.wetness is not None:
-            raise ValueError("--rain and --wetness exclude each other")
-        if not 0 <= self.rain <= _MAX_MM_H:
-            raise ValueError(f"--rain {self.rain:g}: must be within 0..{_MAX_MM_H:g} mm/h")
-        return wetness(self.rain)
-
 
 def transfer(
-    source: Annotated[str, Parameter(help="Scene file or folder, street (the built-in one), or a capture.")],
+    source: Annotated[str, option("Scene file or folder, street (the built-in one), or a capture.")],
     /,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder to write: a capture of rainy pictures.")],
+    output: Annotated[Path, option("Folder to write: a capture of rainy images.", "--output", "-o")],
     method: MethodOptions | None = None,
     views: ViewChoiceOptions | None = None,
-    sheet: Annotated[Path | None, Parameter(help="Also write a picture of some views before and after.")] = None,
+    capture: Annotated[Path | None, option("Capture with the recorded cameras of a scene.")] = None,
+    contact_sheet: Annotated[Path | None, option("Also write an image of some views before and after.")] = None,
     allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
@@ -174,33 +130,32 @@ def transfer(
     DIR/clear holds the original views: another program may change them, and --method images uses its results.
     """
     let_names_lead_outside(allow_outside)
-    how, where = method or MethodOptions(), views or ViewChoiceOptions()
-    settings, choice = how.settings, where.choice
-    how.check()
-    check_image("--sheet", sheet)
-    check_writable(sheet, json, folders=[output])
-    check_transferred_folder(output)
+    chosen = method or MethodOptions()
+    settings, choice = chosen.checked(), (views or ViewChoiceOptions()).settings()
+    chosen.check()
+    check_image("--contact-sheet", contact_sheet)
+    check_writable(contact_sheet, json, folders=[output])
+    output_folder.check_transferred_folder(output)
     lock_outputs(output)
-    # Loading kernels takes a second, so import them only after the checks.
-    opened = source_views(source, choice, where.capture)
-    model = open_transfer(how.method, settings, opened.surroundings)
-    told = msgspec.to_builtins(settings, enc_hook=str) | msgspec.to_builtins(choice)
-    told["width_px"] = opened.width_px
-    record = TransferRecord(how.method, opened.name, told, opened.to_world)
-    rainy = write_transferred(output, model.transferred(opened.views), record, opened.mask)
-    numbers = {"method": how.method, "width_px": opened.width_px} | _followed(rainy, len(opened.views), sheet)
+    opened = source_views(source, choice, capture)
+    model = open_transfer(chosen.method, settings, opened.surroundings)
+    values = msgspec.to_builtins(settings, enc_hook=str) | msgspec.to_builtins(choice) | {"width_px": opened.width_px}
+    record = output_folder.TransferRecord(chosen.method, opened.name, values, opened.to_world)
+    rainy = output_folder.write_transferred(output, model.transferred(opened.views), record, opened.mask)
+    numbers = {"method": chosen.method, "width_px": opened.width_px}
+    numbers |= _write_views(rainy, len(opened.views), contact_sheet)
     for note in numbers["notes"]:
         print(note)
     made = f"{numbers['views']} rainy views of {opened.name}"
     print(f"{output}: {made}, {opened.width_px} px wide, in {numbers['seconds']:.1f} s")
-    if sheet is not None:
-        print(sheet)
+    if contact_sheet is not None:
+        print(contact_sheet)
     write_numbers(json, numbers)
 
 
-def _followed(rainy: Iterator[RainyView], count: int, sheet: Path | None) -> dict[str, Any]:
+def _write_views(rainy: Iterator[RainyView], count: int, sheet: Path | None) -> dict[str, Any]:
     """Make the views with a progress bar; returns the numbers of `--json`."""
-    started, films, pictures = time.perf_counter(), list[float](), ContactSheet(count)
+    started, films, pictures = time.perf_counter(), list[float](), output_folder.ContactSheet(count)
     made, left_out = 0, SkippedCounts()
     with progress_bar("Rainy views", count, draws=True) as advance:
         for view in rainy:
@@ -222,9 +177,6 @@ def _followed(rainy: Iterator[RainyView], count: int, sheet: Path | None) -> dic
         "notes": list(left_out.sentences),
     }
 
-
-_OPTIONS = {"source": "views", "width_px": "width", "side_px": "side", "tile_px": "tile", "sensors": "cameras"}
-_MAX_MM_H = 100.0
 
 # Source views
 
@@ -250,108 +202,78 @@ def source_views(source: str, choice: ViewChoice, capture: Path | None) -> Sourc
     Raises ValueError, which names the option, if the choice doesn't fit.
     """
     if names_scene(source):
-        return _of_scene(source, choice, capture)
+        if choice.source == "recorded" and capture is None:
+            raise ValueError("--views recorded needs --capture, where the cameras come from")
+        scene = load_scene(source)
+        placed = chosen_cameras(scene, choice, None if capture is None else open_capture(capture), OWN_WIDTH_PX)
+        views, around = scene_views(scene, placed), SceneEnvironment(scene)
+        width_px = max(each.camera.width for each in placed)
+        return SourceViews(scene.name, views, around, scene.scene_to_world, width_px, lambda name: None)
     if choice.source not in ("auto", "recorded"):
         raise ValueError(f"--views {choice.source}: {source} is a capture, whose views are those of its pictures")
     if capture is not None:
         raise ValueError(f"--capture: {source} is a capture itself")
-    return _of_capture(Path(source), choice)
-
-
-def _of_scene(source: str, choice: ViewChoice, capture: Path | None) -> SourceViews:
-    from gsrain_engine.appearance.scene_views import scene_views  # kernels take a second to load
-    from gsrain_engine.appearance.wet_look.environment import SceneEnvironment
-
-    if choice.source == "recorded" and capture is None:
-        raise ValueError("--views recorded needs --capture, where the cameras come from")
-    scene = load_scene(source)
-    placed = chosen_cameras(scene, choice, None if capture is None else open_capture(capture), OWN_WIDTH_PX)
-    width_px = max(each.camera.width for each in placed)
-    views, around = scene_views(scene, placed), SceneEnvironment(scene)
-    return SourceViews(scene.name, views, around, scene.scene_to_world, width_px, lambda name: None)
-
-
-def _of_capture(source: Path, choice: ViewChoice) -> SourceViews:
-    from gsrain_engine.appearance.capture_views import capture_views
-    from gsrain_engine.appearance.wet_look.environment import ImageEnvironment
-
-    most_px = choice.width_px or OWN_WIDTH_PX
-    capture = chosen_views(open_capture(source), choice)
-    views, width_px = capture_views(capture, most_px), max(min(most_px, view.camera.width) for view in capture)
-    return SourceViews(capture.name, views, ImageEnvironment(), views.to_world, width_px, views.mask)
+    max_px = choice.width_px or OWN_WIDTH_PX
+    opened = chosen_views(open_capture(Path(source)), choice)
+    views, width_px = capture_views(opened, max_px), max(min(max_px, view.camera.width) for view in opened)
+    return SourceViews(opened.name, views, ImageEnvironment(), views.to_world, width_px, views.mask)
 
 
 # gsrain train-transfer
 
 _COLUMNS = 110
 
+FinetuneOptions = options_of(
+    FinetuningSettings, "device steps base clip lpips start seed", default="Default: what CONFIG says."
+)
+
 
 def train_transfer(
-    config: Annotated[str, Parameter(help=f"YAML file, or shipped settings: {', '.join(finetuning_names())}.")],
+    config: Annotated[str, option(f"YAML file, or shipped settings: {', '.join(finetuning_names())}.")],
     /,
     *,
-    output: Annotated[
-        Path, Parameter(name=["--output", "-o"], help="Folder for weights, checkpoint, losses, samples.")
-    ],
-    resume: Annotated[
-        bool, Parameter(help="Go on from the checkpoint in FOLDER, as if it had never stopped.", negative="")
-    ] = False,
-    device: Annotated[Literal["auto", "cpu", "cuda"] | None, Parameter(help=finetuning_help("device"))] = None,
-    steps: Annotated[int | None, Parameter(help=finetuning_help("steps"))] = None,
-    clear: Annotated[
-        list[Path] | None,
-        Parameter(help="Captures or folders of clear pictures, in place of those of CONFIG.", negative=""),
-    ] = None,
-    rainy: Annotated[
-        list[Path] | None,
-        Parameter(help="Captures or folders of rainy pictures, in place of those of CONFIG.", negative=""),
-    ] = None,
-    base: Annotated[str | None, Parameter(help=finetuning_help("base"))] = None,
-    clip: Annotated[str | None, Parameter(help=finetuning_help("clip"))] = None,
-    lpips: Annotated[str | None, Parameter(help=finetuning_help("lpips"))] = None,
-    start: Annotated[str | None, Parameter(help=finetuning_help("start"))] = None,
-    seed: Annotated[int | None, Parameter(help=finetuning_help("seed"))] = None,
+    output: Annotated[Path, option("Folder for weights, checkpoint, losses, samples.", "--output", "-o")],
+    resume: Annotated[bool, flag("Continue from the checkpoint in FOLDER.")] = False,
+    options: FinetuneOptions | None = None,
+    clear: Annotated[list[Path] | None, flag("Captures or folders of clear images, instead of CONFIG's.")] = None,
+    rainy: Annotated[list[Path] | None, flag("Captures or folders of rainy images, instead of CONFIG's.")] = None,
     trust: Trust = False,
     allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
     """Fine-tune the transfer on two unpaired sets of images. Ctrl-C leaves the last checkpoint."""
     let_names_lead_outside(allow_outside)
-    changes = {"device": device, "steps": steps, "base": base, "clip": clip, "lpips": lpips, "start": start}
-    changes |= {"seed": seed, "clear": _sources(clear), "rainy": _sources(rainy)}
+    changes = (options or FinetuneOptions()).changes()
+    for look, paths in (("clear", clear), ("rainy", rainy)):
+        changes |= {} if paths is None else {look: [{"path": str(path)} for path in paths]}
     settings = with_trust(lambda: load_finetuning(config, **changes), trust)
-    check_writable(json, folders=[output])
-    lock_outputs(output)
+    claim_outputs(json, folders=[output])
     task = FinetuneTask(settings=settings, output=output, resume=resume)
     try:
-        result = followed(work(task))
+        result = run_with_progress(work(task))
     except KeyboardInterrupt:
         if task.checkpoint.is_file():
             print(f"stopped; go on with: gsrain train-transfer {task.config} -o {output} --resume")
         raise
     _print(result)
-    guide = " --guide luma" if settings.pictures.guide == "luma" else ""
-    print(f"to use it: gsrain transfer SCENE -o DIR --method cyclegan-turbo --weights {result.weights}{guide}")
+    conditioning = " --conditioning luma" if settings.pictures.guide == "luma" else ""
+    print(f"to use it: gsrain transfer SCENE -o DIR --method cyclegan-turbo --weights {result.weights}{conditioning}")
     write_numbers(json, result.numbers)
-
-
-def _sources(paths: Sequence[Path] | None) -> list[dict[str, Any]] | None:
-    return None if paths is None else [{"path": str(path)} for path in paths]
 
 
 def _print(result: FinetuneResult) -> None:
     console = Console(width=_COLUMNS, highlight=False)
-    pictures = Table("pictures", "look", "in all", "for testing", box=None)
-    for path, look, count, tested in result.table:
-        pictures.add_row(path, look, str(count), str(tested))
-    console.print(pictures)
+    images = Table("pictures", "look", "in all", "for testing", box=None)
+    for row in result.table:
+        images.add_row(*map(str, row))
+    console.print(images)
     losses = Table("loss", "mean of the last 100 iterations", box=None)
     for name, value in result.losses.items():
         losses.add_row(name.replace("_", ", "), f"{value:.4f}")
     console.print(losses)
     if not result.perceptual:
-        console.print("Trained without LPIPS: its weights are missing, or its losses are set to 0.", markup=False)
+        console.print("Trained without LPIPS: its weights are missing, or its losses are set to 0.")
     if result.warning is not None:
-        console.print(f"WARNING: {result.warning}", markup=False)
+        console.print(f"WARNING: {result.warning}")
     print(f"{result.weights}: {result.steps:,} iterations in {result.seconds:.0f} s")
     print(result.grid)

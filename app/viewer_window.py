@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Literal, cast
 
 from gsrain.viewer_messages import (
+    REQUESTS,
     Close,
     GetState,
     Reply,
@@ -46,11 +47,10 @@ class ViewerWindow:
 
     def __init__(self, requests: BinaryIO, replies: BinaryIO) -> None:
         self._requests, self._replies = requests, replies
-        self._waiting: deque[Request] = deque()
-        self._has_news = threading.Condition()
-        self._is_alone = False
-        """True if the program has exited."""
-        self._has_frames = False
+        self._pending: deque[Request] = deque()
+        self._changed = threading.Condition()
+        self._program_exited = False
+        self._is_drawing = False
         self._reading: Future[Scene] | None = None
         self._screenshot: Path | None = None
 
@@ -64,22 +64,22 @@ class ViewerWindow:
 
             run_window(self._begin, backend, self._on_frame, restarts=False)
         except Exception as error:  # the program gets one sentence for any error
-            said = sentence_of(error) if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {error}"
-            self._reply(Reply(number=0, error=f"the viewer window has ended: {' '.join(said.split())}"))
+            text = sentence_of(error) if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {error}"
+            self._reply(Reply(number=0, error=f"the viewer window has ended: {' '.join(text.split())}"))
             return 1
         return 0
 
     def _listen(self) -> None:
         """Receive requests in a separate thread, waking up an idle window."""
         while True:
-            request = cast(Request | None, receive(self._requests, Request))
-            with self._has_news:
+            request = cast(Request | None, receive(self._requests, REQUESTS))
+            with self._changed:
                 if request is None:
-                    self._is_alone = True
+                    self._program_exited = True
                 else:
-                    self._waiting.append(request)
-                self._has_news.notify()
-            if self._has_frames:
+                    self._pending.append(request)
+                self._changed.notify()
+            if self._is_drawing:
                 from imgui_bundle import hello_imgui
 
                 hello_imgui.request_refresh()
@@ -90,11 +90,11 @@ class ViewerWindow:
         from gsrain_engine.editor.editor import Editor
         from gsrain_engine.scene.formats.scene_files import read_scene
 
-        with self._has_news:
-            self._has_news.wait_for(lambda: self._waiting or self._is_alone)
-            if self._is_alone:
+        with self._changed:
+            self._changed.wait_for(lambda: self._pending or self._program_exited)
+            if self._program_exited:
                 raise OSError("the program that has opened it is gone")
-            first = self._waiting.popleft()
+            first = self._pending.popleft()
         assert isinstance(first, SetScene)
         session = Editor(read_scene(Path(first.folder)))
         self._reply(Reply(number=first.number))
@@ -102,13 +102,13 @@ class ViewerWindow:
 
     def _on_frame(self, workspace: "Workspace") -> None:
         """Handle requests as far as possible in this frame."""
-        self._has_frames = True
+        self._is_drawing = True
         session = workspace.session
-        while self._waiting and self._do(self._waiting[0], workspace):
-            self._waiting.popleft()
-        if self._is_alone and not self._waiting:
+        while self._pending and self._do(self._pending[0], workspace):
+            self._pending.popleft()
+        if self._program_exited and not self._pending:
             _leave(session)
-        if self._waiting or self._is_alone:
+        if self._pending or self._program_exited:
             from imgui_bundle import hello_imgui
 
             hello_imgui.get_runner_params().fps_idling.enable_idling = False  # the next frame continues
@@ -131,10 +131,17 @@ class ViewerWindow:
             case SetRain():
                 session.set_rain("Rain of a program", request.rain, _STEP)
             case SetCamera():
-                _look_from(session, request)
+                from gsrain_engine.scene.camera import Camera
+
+                session.stop_riding()
+                session.following.follow("")
+                session.navigation.stop()
+                session.navigation.look_like(Camera.from_json(request.camera))
             case Screenshot():
                 if self._screenshot is None:
-                    if _is_busy(workspace):
+                    view = workspace.view
+                    is_busy = session.is_bringing_in or session.is_compiling
+                    if is_busy or not view.is_settled or view.is_catching_up:  # the image is not the current one yet
                         return False
                     self._screenshot = session.screenshot = Path(request.path)
                     session.problem = None
@@ -158,27 +165,12 @@ class ViewerWindow:
         try:
             send(self._replies, reply)
         except OSError:
-            self._is_alone = True
-
-
-def _look_from(session: "Editor", request: SetCamera) -> None:
-    from gsrain_engine.scene.camera import Camera
-
-    session.stop_riding()
-    session.following.follow("")
-    session.navigation.stop()
-    session.navigation.look_like(Camera.from_json(request.camera))
+            self._program_exited = True
 
 
 def _leave(session: "Editor") -> None:
     session.files.give_up()
     session.is_leaving = True
-
-
-def _is_busy(workspace: "Workspace") -> bool:
-    """Return True if the viewport doesn't show the current state yet."""
-    session, view = workspace.session, workspace.view
-    return session.is_bringing_in or session.is_compiling or not view.is_settled or view.is_catching_up
 
 
 def _in_thread(folder: Path) -> "Future[Scene]":

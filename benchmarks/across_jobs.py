@@ -48,7 +48,7 @@ def window(folder: Path) -> tuple[float, float]:
     found: list[tuple[float, float]] = []
 
     def begin() -> Any:
-        from ui.workspace import begin_session
+        from ui.window import begin_session
 
         return begin_session(None, None)
 

@@ -14,8 +14,8 @@ from swap_stall import FrameCost, Turning
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.jobs.training import ReconstructionJobKind
 from gsrain_engine.rain.settings import load_preset
-from gsrain_engine.render.hardware import describe_machine
 from gsrain_engine.render.opengl.context import open_context
+from gsrain_engine.render.renderer import describe_machine
 from gsrain_engine.scene.open import load_scene
 from gsrain_engine.training.settings import load_settings
 

@@ -11,9 +11,10 @@ import numpy as np
 import torch
 
 from gsrain_engine.malloc_tuning import tune_malloc
-from gsrain_engine.render.autodiff.blend import BlendedImage, blend, blend_backward, blend_colors_backward
+from gsrain_engine.render.autodiff.blend import BlendedImage, blend, blend_backward
 from gsrain_engine.render.autodiff.differentiable import render_gaussians
 from gsrain_engine.render.autodiff.project import TrainedGaussians, project_backward, project_trained, sh_backward
+from gsrain_engine.render.cpu.compositing import color_operator_transpose
 from gsrain_engine.render.cpu.projection import nearest_first
 from gsrain_engine.render.cpu.tiles import bin_into_tiles
 from gsrain_engine.scene.camera import Camera
@@ -77,7 +78,7 @@ def stages(gaussians: TrainedGaussians, camera: Camera, repeats: int) -> tuple[d
     r = np.random.default_rng(0)
     pulls = BlendedImage(*(r.standard_normal(shape, np.float32) for shape in ((*size, 3), size, size)))
     sums = blend_backward(splats.shapes, splats.channels, tiles, outputs, pulls)
-    color_sums = blend_colors_backward(splats.shapes, tiles, pulls[0])
+    color_sums = color_operator_transpose(splats.shapes, pulls[0], tiles, with_squares=False)
     work: dict[str, Callable[[], object]] = {
         "forward project": lambda: project_trained(gaussians, camera, pose),
         "forward sort": lambda: nearest_first(splats.channels[:, 3]),
@@ -85,7 +86,7 @@ def stages(gaussians: TrainedGaussians, camera: Camera, repeats: int) -> tuple[d
         "forward blend": lambda: blend(splats.shapes, splats.channels, tiles),
         "backward blend": lambda: blend_backward(splats.shapes, splats.channels, tiles, outputs, pulls),
         "backward project": lambda: project_backward(gaussians, splats, sums, camera, pose),
-        "colors only blend": lambda: blend_colors_backward(splats.shapes, tiles, pulls[0]),
+        "colors only blend": lambda: color_operator_transpose(splats.shapes, pulls[0], tiles, with_squares=False),
         "colors only project": lambda: sh_backward(gaussians, splats, color_sums, pose),
     }
     return {name: timed(each, repeats) for name, each in work.items()}, len(tiles.members)

@@ -15,8 +15,7 @@ from statistics import median
 import msgspec
 
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.render.hardware import describe_machine
-from gsrain_engine.render.renderer import Renderer
+from gsrain_engine.render.renderer import Renderer, describe_machine
 from gsrain_engine.scene.open import load_sorted_scene
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.simulation.agents.base import Observation

@@ -13,9 +13,8 @@ from imgui_bundle import hello_imgui, imgui, immapp
 
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.rain.settings import load_preset
-from gsrain_engine.render.hardware import describe_machine
-from ui.window import MainWindow
-from ui.workspace import begin_session
+from gsrain_engine.render.renderer import describe_machine
+from ui.window import MainWindow, begin_session
 
 _LONGEST_S = 300.0
 _SETTLED_S = 3.0

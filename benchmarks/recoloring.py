@@ -112,7 +112,7 @@ def transferred(scene_path: Path, capture_path: Path) -> tuple[Scene, list[Targe
 
 def held_out_psnr(problem: ColorProblem, sh: np.ndarray) -> float:
     """Mean over held-out views, as renderers show them."""
-    return float(np.mean([psnr(v.shown(sh), v.seen.target.image, v.seen.counted) for v in problem.held_out]))
+    return float(np.mean([psnr(v.rendered(sh), v.observed.target.image, v.observed.counted) for v in problem.held_out]))
 
 
 def finished_with(steps: Generator[Any, None, Result]) -> Result:
@@ -165,14 +165,14 @@ def adam(scene: Scene, setup: ProblemInputs, rate: float, steps: int, *, mapped:
     schedule = torch.optim.lr_scheduler.ExponentialLR(optimizer, 0.1 ** (1 / steps))
     means, scales, quaternions, opacities = map(torch.from_numpy, (g.means, g.scales, g.quaternions, g.opacities))
     views, order = setup.problem.views, np.random.default_rng(0)
-    images = [torch.from_numpy(view.seen.target.image) for view in views]
+    images = [torch.from_numpy(view.observed.target.image) for view in views]
     turns = np.concatenate([order.permutation(len(views)) for _ in range(-(-steps // len(views)))])
     curve: Curve = []
     paused = 0.0
     for step, chosen in enumerate(turns[:steps].tolist()):
         sh = torch.cat([dc, rest], dim=1) * free
-        rendered = render_gaussians(means, scales, quaternions, opacities, sh, views[chosen].seen.target.camera)
-        shown = torch.from_numpy(views[chosen].seen.counted)[..., None]  # not what is masked
+        rendered = render_gaussians(means, scales, quaternions, opacities, sh, views[chosen].observed.target.camera)
+        shown = torch.from_numpy(views[chosen].observed.counted)[..., None]  # not what is masked
         wanted = images[chosen] * rendered.alpha.detach()[..., None]
         optimizer.zero_grad()
         ((rendered.color - wanted) ** 2 * shown).mean().backward()
@@ -241,7 +241,7 @@ def main() -> None:
     numbers = {
         "gaussians": sum(len(each.gaussians) for each in scene.layers), "unknowns": len(setup.problem.rows),
         "views": len(targets), "held_out": len(held_out),
-        "weights_mb": round(sum(v.seen.weights.nbytes for v in setup.problem.views) / 1e6, 1),
+        "weights_mb": round(sum(v.observed.weights.nbytes for v in setup.problem.views) / 1e6, 1),
         "adam_psnr_db": best, "adam_s": best_s, "reached_after_s": took,
         "share_of_adam": {name: None if s is None else round(s / best_s, 3) for name, s in took.items()},
         "curves": curves,

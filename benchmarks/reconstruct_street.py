@@ -16,12 +16,12 @@ import numpy as np
 
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.street import capture_street
-from gsrain_engine.render.hardware import describe_machine
+from gsrain_engine.render.renderer import describe_machine
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.open import load_street
 from gsrain_engine.scene.rig import rig_camera
+from gsrain_engine.training.data import ReconstructionTask
 from gsrain_engine.training.settings import load_settings
-from gsrain_engine.training.task import ReconstructionTask
 from gsrain_engine.training.train import reconstruct
 
 WIDTH, HEIGHT = 480, 320

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.render.hardware import describe_machine
+from gsrain_engine.render.renderer import describe_machine
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.open import random_scene
 

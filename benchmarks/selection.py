@@ -32,10 +32,9 @@ from gsrain_engine.editor.selection.screen import (  # noqa: E402
 )
 from gsrain_engine.editor.selection.volume import (  # noqa: E402
     Sphere,
-    expand,
     flood_select,
     in_volume,
-    selection_boundary,
+    near_selection,
 )
 from gsrain_engine.editor.viewport.picking import (  # noqa: E402
     PickResult,
@@ -127,8 +126,8 @@ def main() -> None:
         )
     balled = combine_selection(scene, tools(scene, shot)["sphere"](), "set")
     measure("invert", lambda: inverted(balled))
-    measure("grow", lambda: expand(balled, 0.0, NEAR_M))
-    measure("shrink", lambda: selection_boundary(balled, 0.0, NEAR_M))
+    measure("grow", lambda: near_selection(balled, 0.0, NEAR_M))
+    measure("shrink", lambda: near_selection(balled, 0.0, NEAR_M, inside=True))
     measure("histogram", lambda: AttributeHistogram().of(balled, shot, "hue"))
     measure("pick a point", lambda: pick_point(scene, shot, WIDTH / 2, HEIGHT / 2))
     print(json.dumps({"scene": arguments.scene, "gaussians": scene.gaussian_count, "tools": rows}))

@@ -70,8 +70,7 @@ def soak(arguments: Any, folder: Path, samples: list[Sample]) -> list[str]:
     """Open the window and work in it; returns what the program complained of."""
     from soak_person import Person
 
-    from ui.window import MainWindow
-    from ui.workspace import begin_session
+    from ui.window import MainWindow, begin_session
 
     window = MainWindow(lambda: begin_session(arguments.scenes[0], None))
     parameters = window.parameters()

@@ -20,8 +20,8 @@ from gsrain_engine.editor.drawing.live_view import LiveView
 from gsrain_engine.editor.editor import Editor, WindowBackend
 from gsrain_engine.editor.viewport_state import PendingScene
 from gsrain_engine.rain.settings import load_preset
-from gsrain_engine.render.hardware import describe_machine
 from gsrain_engine.render.opengl.context import open_context
+from gsrain_engine.render.renderer import describe_machine
 from gsrain_engine.scene.gaussians import COEFFICIENTS_OF_DEGREE
 from gsrain_engine.scene.open import random_scene, random_scene_camera
 from gsrain_engine.scene.scene import Scene

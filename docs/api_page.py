@@ -7,14 +7,13 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 STUB = ROOT / "gsrain" / "__init__.pyi"
 TOPICS = {
-    "Scenes": "scenes",
-    "Cameras": "cameras",
+    "Scenes and cameras": "scenes",
     "Rain": "rain",
-    "Images and videos": ("rendering", "image"),
+    "Images and videos": "rendering",
     "Driving": "driving",
     "The window": "viewer",
 }
-"""Headings of the page, and the modules of `gsrain` whose names stand below each."""
+"""Headings of the page, and the module of `gsrain` whose names are listed below each."""
 PAGE = ROOT / "docs" / "python.md"
 _TABLES = re.compile(r"(?<=<!-- tables -->\n).*?(?=<!-- end of tables -->)", re.DOTALL)
 
@@ -37,9 +36,9 @@ def tables() -> str:
     """Return a heading and a table for each topic of the API."""
     names = _exported(ast.parse(STUB.read_text(encoding="utf-8")), STUB)
     parts = ["\n"]
-    for topic, modules in TOPICS.items():
-        files = [ROOT / "gsrain" / f"{each}.py" for each in ([modules] if isinstance(modules, str) else modules)]
-        rows = [_row(name, place) for name, place in names.items() if place in files]
+    for topic, module in TOPICS.items():
+        file = ROOT / "gsrain" / f"{module}.py"
+        rows = [_row(name, place) for name, place in names.items() if place == file]
         parts.append(f"### {topic}\n\n| name | what it is |\n|---|---|\n" + "".join(rows) + "\n")
     return "".join(parts)
 

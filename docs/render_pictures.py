@@ -7,7 +7,7 @@ from typing import get_args
 from PIL import Image, ImageDraw, ImageFont
 
 from app.main import run
-from gsrain_engine.recolor.wet_scene import wet_scene
+from gsrain_engine.recolor.recolor import wet_scene
 from gsrain_engine.render.renderer import RenderMode
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.open import load_scene
@@ -55,7 +55,7 @@ def render_looks(folder: Path) -> None:
     font = ImageFont.load_default(13)
     for place, look in enumerate(looks):
         left, top = width * (place % _LOOKS_IN_A_ROW), height * (place // _LOOKS_IN_A_ROW)
-        sheet.paste(still("street", folder, f"{width}x{height}", "--look", look, "--rain", "0"), (left, top))
+        sheet.paste(still("street", folder, f"{width}x{height}", "--mode", look, "--rain", "0"), (left, top))
         corner = (left + 6, top + height - 8)
         draw.text(corner, look, "white", font, anchor="ls", stroke_width=2, stroke_fill="black")
     keep(sheet, "looks")

@@ -20,7 +20,7 @@ from gsrain_engine.rain.keyframes import shower_keyframes
 from gsrain_engine.scene.open import load_scene
 from ui.commands.base import chord
 from ui.panels.registry import BUILT_IN_PANELS
-from ui.tools.registry import TOOLS
+from ui.tools import TOOLS
 from ui.window import MainWindow
 
 IMAGES = Path(__file__).parent / "images"

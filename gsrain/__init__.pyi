@@ -1,8 +1,4 @@
 # The names of `import gsrain as gr`: type checkers read this list, and so does the package when it runs.
-from .cameras import Camera as Camera
-from .cameras import CameraPath as CameraPath
-from .cameras import home_camera as home_camera
-from .cameras import look_at as look_at
 from .driving import Agent as Agent
 from .driving import DriveMetrics as DriveMetrics
 from .driving import Rollout as Rollout
@@ -11,16 +7,18 @@ from .driving import Scenario as Scenario
 from .driving import drive as drive
 from .driving import load_scenario as load_scenario
 from .driving import read_rollout as read_rollout
-from .image import Image as Image
 from .rain import Rain as Rain
 from .rain import RainMeasurement as RainMeasurement
 from .rain import RainSettings as RainSettings
 from .rain import measure_rain as measure_rain
+from .rendering import Image as Image
 from .rendering import Renderer as Renderer
 from .rendering import frames as frames
 from .rendering import render as render
 from .rendering import render_video as render_video
 from .scenes import Actor as Actor
+from .scenes import Camera as Camera
+from .scenes import CameraPath as CameraPath
 from .scenes import Capture as Capture
 from .scenes import CaptureError as CaptureError
 from .scenes import Gaussians as Gaussians
@@ -29,7 +27,9 @@ from .scenes import Progress as Progress
 from .scenes import Scene as Scene
 from .scenes import SceneFormatError as SceneFormatError
 from .scenes import capture as capture
+from .scenes import home_camera as home_camera
 from .scenes import load as load
+from .scenes import look_at as look_at
 from .scenes import save as save
 from .scenes import sh_from_color as sh_from_color
 from .scenes import wet as wet

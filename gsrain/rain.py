@@ -1,10 +1,10 @@
 """Rain: what is asked for, and what the virtual disdrometer measures of it."""
 
 from abc import ABC
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -16,6 +16,7 @@ from gsrain_engine.safe_io.errors import convert_checked
 if TYPE_CHECKING:
     from gsrain_engine.disdrometer.measurement import DisdrometerMeasurement
 
+Settings = TypeVar("Settings")
 _FIELDS = {"intensity": "intensity_mm_h", "wind": "wind_m_s", "exposure": "exposure_s", "gusts": "gust_m_s"}
 """Short argument names, whose units are in the docstring, and the fields that they set."""
 
@@ -50,8 +51,14 @@ class Rain(ABC):  # noqa: B024  abstract, so that `RainSettings` counts as a sub
         Raises:
             ValueError: For an unknown or wrong setting, with what is allowed.
         """
-        given = {"intensity_mm_h": intensity, "wind_m_s": wind, "gust_m_s": gusts, "exposure_s": exposure, "seed": seed}
-        return _checked(msgspec.to_builtins(RainSettings()) | given | settings)
+        values = {
+            "intensity_mm_h": intensity,
+            "wind_m_s": wind,
+            "gust_m_s": gusts,
+            "exposure_s": exposure,
+            "seed": seed,
+        }
+        return checked_settings(msgspec.to_builtins(RainSettings()) | values | settings, RainSettings, _FIELDS)
 
     @classmethod
     def preset(cls, name: str) -> RainSettings:
@@ -84,7 +91,7 @@ class Rain(ABC):  # noqa: B024  abstract, so that `RainSettings` counts as a sub
 
         paths = [files] if isinstance(files, str | Path) else list(files)
         rain = rain_as_measured(paths, intensity, save_to=save_to)
-        return _checked(msgspec.to_builtins(rain))
+        return checked_settings(msgspec.to_builtins(rain), RainSettings, _FIELDS)
 
 
 Rain.register(RainSettings)
@@ -145,12 +152,12 @@ def measure_rain(rain: RainSettings, seconds: float = 60.0, *, area: float = 0.5
     )
 
 
-def _checked(values: dict[str, Any]) -> RainSettings:
-    """Return checked settings; errors name the short argument."""
+def checked_settings(values: dict[str, Any], kind: type[Settings], fields: Mapping[str, str]) -> Settings:
+    """Return checked settings of a kind; errors name the arguments, which set `fields`."""
     try:
-        return convert_checked(values, RainSettings)
+        return convert_checked(values, kind)
     except ValueError as error:
         message = str(error)
-    for short, field in _FIELDS.items():
-        message = message.replace(f"`$.{field}", f"`{short}").replace(field, short)
+    for argument, field in fields.items():
+        message = message.replace(field, argument)
     raise ValueError(message.replace("`$.", "`")) from None

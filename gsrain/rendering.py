@@ -1,13 +1,17 @@
-"""Images and videos of a scene in the rain, rendered without a window."""
+"""Images and videos of a scene in the rain, rendered without a window: as arrays, as files, and in a notebook."""
 
 import atexit
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from functools import cache
+from io import BytesIO
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Literal
+from typing import Any, TypedDict, Unpack
+
+import numpy as np
+import PIL.Image
+from jaxtyping import Float32, UInt8
 
 from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.editor.viewport.camera import default_path, home_camera
@@ -15,17 +19,100 @@ from gsrain_engine.rain.settings import RainSettings as RainSettings
 from gsrain_engine.render.export import film_frames
 from gsrain_engine.render.export import render_video as film
 from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX, ExportSettings
+from gsrain_engine.render.images import write_still
+from gsrain_engine.render.renderer import Frame
 from gsrain_engine.render.sequence import render_image
-from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.geometry import srgb_to_linear
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
-from .image import Image
+from .rain import checked_settings
 
-DRY = RainSettings()
-"""No rain."""
+
+class Image:
+    """A rendered image over black; the last line of a notebook's cell shows it. `np.asarray(image)` is `rgb`."""
+
+    def __init__(self, frame: Frame) -> None:
+        """Take a frame of a renderer."""
+        self.frame = frame
+        """Premultiplied display colors with alpha, (H, W, 4) float32, nothing clamped."""
+
+    @property
+    def width(self) -> int:
+        """Width in pixels."""
+        return self.frame.rgba.shape[1]
+
+    @property
+    def height(self) -> int:
+        """Height in pixels."""
+        return self.frame.rgba.shape[0]
+
+    @property
+    def rgb(self) -> UInt8[np.ndarray, "h w 3"]:
+        """Display colors (sRGB), 0..255, top row first."""
+        return self.frame.to_uint8()
+
+    @property
+    def linear(self) -> Float32[np.ndarray, "h w 3"]:
+        """Linear light with sRGB primaries; 1 is white, highlights can exceed it."""
+        return srgb_to_linear(self.frame.over()).astype(np.float32)
+
+    @property
+    def alpha(self) -> Float32[np.ndarray, "h w"]:
+        """Share of each pixel that scene and rain cover, 0..1."""
+        return self.frame.rgba[..., 3]
+
+    @property
+    def depth(self) -> Float32[np.ndarray, "h w"]:
+        """Depth of the scene along the view axis in meters, without rain; 0 where there is nothing.
+
+        Raises `ValueError` for an image that was rendered without depth.
+        """
+        if self.frame.depth is None:
+            raise ValueError("this image was rendered without depth: pass depth=True")
+        return self.frame.depth
+
+    def save(self, path: Path | str) -> None:
+        """Save as .png, .jpg, .exr (linear light, with depth) or .npy (premultiplied floats), by the ending.
+
+        Missing folders are made. Raises `ValueError` for another ending, `OSError` where it can't be written.
+        """
+        write_still(path, self.frame)
+
+    def to_pil(self) -> PIL.Image.Image:
+        """Return the 8-bit colors as an image of Pillow."""
+        return PIL.Image.fromarray(self.rgb)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return np.asarray(self.rgb, dtype)
+
+    def __repr__(self) -> str:
+        return f"<gsrain.Image {self.width} x {self.height}{'' if self.frame.depth is None else ', with depth'}>"
+
+    def _repr_png_(self) -> bytes:
+        file = BytesIO()
+        self.to_pil().save(file, format="PNG")
+        return file.getvalue()
+
+
+class Clip(TypedDict, total=False):
+    """Settings of a clip; see `frames`."""
+
+    size: tuple[int, int] | None
+    fps: float
+    start: float
+    end: float | None
+
+
+class VideoClip(Clip, total=False):
+    """Settings of a video; see `render_video`."""
+
+    clear_pair: bool
+    supersampling: int
+    motion_blur: int
+    quality: int | None
 
 
 class Renderer:
@@ -61,10 +148,10 @@ class Renderer:
         depth: bool = True,
     ) -> Image:
         """Render one image; see `gr.render`."""
-        seen = _still_camera(scene, camera, size, time)
+        viewpoint = _still_camera(scene, camera, size, time)
         with self._lock:
             self._check_open()
-            return Image(render_image(self._renderer, scene, rain or DRY, seen, time, with_depth=depth))
+            return Image(render_image(self._renderer, scene, rain or RainSettings(), viewpoint, time, with_depth=depth))
 
     def frames(
         self,
@@ -72,19 +159,16 @@ class Renderer:
         rain: RainSettings | None = None,
         path: CameraPath | Camera | None = None,
         *,
-        size: tuple[int, int] | None = None,
-        fps: float = 30.0,
-        start: float = 0.0,
-        end: float | None = None,
         depth: bool = False,
+        **clip: Unpack[Clip],
     ) -> Iterator[Image]:
         """Render the frames of a clip one by one; see `gr.frames`."""
-        recording = _recording("frames", path, size, fps, start, end)
+        export = _export("frames", path, clip)
         with self._lock:
             self._check_open()
-            seen = path or default_path(scene, *DEFAULT_SIZE_PX)
-            made = film_frames(self._renderer, recording, scene, rain or DRY, seen, with_depth=depth)
-        return self._accept(made)
+            viewpoint = path or default_path(scene, *DEFAULT_SIZE_PX)
+            made = film_frames(self._renderer, export, scene, rain or RainSettings(), viewpoint, with_depth=depth)
+        return self._frames(made)
 
     def render_video(
         self,
@@ -93,28 +177,18 @@ class Renderer:
         path: CameraPath | Camera | None,
         output: Path | str,
         *,
-        size: tuple[int, int] | None = None,
-        fps: float = 30.0,
-        start: float = 0.0,
-        end: float | None = None,
-        clear_pair: bool = False,
-        supersampling: int = 1,
-        motion_blur: int = 1,
-        quality: int | None = None,
         progress: Callable[[Progress], object] | None = None,
+        **clip: Unpack[VideoClip],
     ) -> Path:
         """Render a clip to a file; see `gr.render_video`."""
-        recording = _recording(
-            str(output), path, size, fps, start, end,
-            twin=clear_pair, supersampling=supersampling, motion_blur=motion_blur, quality=quality,
-        )  # fmt: skip
+        export = _export(str(output), path, clip)
         with self._lock:
             self._check_open()
-            seen = path or default_path(scene, *DEFAULT_SIZE_PX)
-            for step in film(self._renderer, recording, scene, rain or DRY, seen):
+            viewpoint = path or default_path(scene, *DEFAULT_SIZE_PX)
+            for step in film(self._renderer, export, scene, rain or RainSettings(), viewpoint):
                 if progress is not None:
                     progress(step)
-        return recording.path
+        return export.path
 
     def close(self) -> None:
         """Free the device; calling it again does nothing."""
@@ -125,16 +199,13 @@ class Renderer:
     def __enter__(self) -> "Renderer":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> Literal[False]:
+    def __exit__(self, *error: object) -> None:
         self.close()
-        return False
 
     def __repr__(self) -> str:
         return f"<gsrain.Renderer {self.backend}{'' if self._is_open else ', closed'}>"
 
-    def _accept(self, made: Iterator[Any]) -> Iterator[Image]:
+    def _frames(self, made: Iterator[Any]) -> Iterator[Image]:
         while True:
             with self._lock:
                 self._check_open()
@@ -267,7 +338,7 @@ def _shared(backend: Backend) -> Renderer:
 def _still_camera(
     scene: Scene, camera: Camera | CameraPath | None, size: tuple[int, int] | None, time: float
 ) -> Camera:
-    width, height = _recording("image.png", camera, size, 30.0, time, None).size_px or DEFAULT_SIZE_PX
+    width, height = _export("image.png", camera, {"size": size, "start": time}).size_px or DEFAULT_SIZE_PX
     match camera:
         case None:
             return home_camera(scene, width, height)
@@ -277,26 +348,12 @@ def _still_camera(
             return camera.camera(time, width, height)
 
 
-def _recording(
-    output: str,
-    viewpoint: Camera | CameraPath | None,
-    size: tuple[int, int] | None,
-    fps: float,
-    start: float,
-    end: float | None,
-    **settings: Any,
-) -> ExportSettings:
+def _export(output: str, viewpoint: Camera | CameraPath | None, clip: Clip | VideoClip) -> ExportSettings:
     """Return checked settings of a clip; errors name the argument."""
     own = None if isinstance(viewpoint, Camera) else DEFAULT_SIZE_PX
-    values = {"output": output, "size_px": size or own, "fps": fps, "first_s": start, "last_s": end} | settings
-    try:
-        return convert_checked(values, ExportSettings)
-    except ValueError as error:
-        message = str(error)
-    for field, argument in _ARGUMENTS.items():
-        message = message.replace(field, argument)
-    raise ValueError(message.replace("`$.", "`")) from None
+    values = {_FIELDS.get(name, name): value for name, value in clip.items()} | {"size_px": clip.get("size") or own}
+    return checked_settings(values | {"output": output}, ExportSettings, _FIELDS)
 
 
-_ARGUMENTS = {"size_px": "size", "first_s": "start", "last_s": "end", "twin": "clear_pair"}
-"""Argument names by field, if they differ."""
+_FIELDS = {"size": "size_px", "start": "first_s", "end": "last_s", "clear_pair": "twin"}
+"""Fields of `ExportSettings` by argument, if their names differ."""

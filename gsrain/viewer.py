@@ -13,7 +13,6 @@ from concurrent.futures import TimeoutError as NoReplyError
 from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
-from types import TracebackType
 from typing import Any, BinaryIO, Literal, cast
 
 from gsrain_engine.editor.jobs.job import temporary_folder, write_copy
@@ -71,11 +70,14 @@ class Viewer:
         self._trouble = ""
         self._ended = threading.Event()
         self._outbox: SimpleQueue[Callable[[BinaryIO, Path], None] | None] = SimpleQueue()
+        # Our packages come first, and Python skips the working folder.
+        ours = str(Path(__file__).resolve().parents[1])
+        path = os.pathsep.join(filter(None, [ours, os.environ.get("PYTHONPATH")]))
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "app.viewer_window", backend],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            env=_environment(),
+            env=os.environ | {"PYTHONPATH": path, "PYTHONSAFEPATH": "1"},
         )
         self._threads = [
             threading.Thread(target=work, name=f"viewer {name}", daemon=True)
@@ -107,7 +109,10 @@ class Viewer:
             send(pipe, SetScene(number=number, folder=str(write_copy(scene, place, FileCache()))))
 
         # The window has read the scene when it replies.
-        self._expect(number).add_done_callback(lambda _: self._outbox.put(lambda _, folder: _remove(folder, number)))
+        def remove(_: BinaryIO, folder: Path) -> None:
+            shutil.rmtree(folder / str(number), ignore_errors=True)
+
+        self._expect(number).add_done_callback(lambda _: self._outbox.put(remove))
         self._outbox.put(write)
 
     @property
@@ -119,7 +124,7 @@ class Viewer:
 
     @rain.setter
     def rain(self, rain: RainSettings) -> None:
-        self._tell(SetRain(number=self._next_number(), rain=rain))
+        self._request(SetRain(number=self._next_number(), rain=rain))
 
     @property
     def camera(self) -> Camera:
@@ -134,7 +139,7 @@ class Viewer:
     @camera.setter
     def camera(self, camera: Camera) -> None:
         values = camera.to_json() | {"exposure_s": camera.exposure_s}
-        self._tell(SetCamera(number=self._next_number(), camera=values))
+        self._request(SetCamera(number=self._next_number(), camera=values))
 
     def screenshot(self, path: Path | str) -> Path:
         """Save what the viewport shows as PNG, once all that was set before is in the picture; returns the path.
@@ -177,11 +182,8 @@ class Viewer:
     def __enter__(self) -> "Viewer":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> Literal[False]:
+    def __exit__(self, *error: object) -> None:
         self.close()
-        return False
 
     def __repr__(self) -> str:
         return f"<gsrain.Viewer of {self._scene.name!r}, {'open' if self.is_open else 'closed'}>"
@@ -193,7 +195,7 @@ class Viewer:
             self._number += 1
             return self._number
 
-    def _tell(self, request: Request) -> None:
+    def _request(self, request: Request) -> None:
         self._check_open()
         self._send(request)
 
@@ -255,7 +257,8 @@ class Viewer:
                     logger.error("%s", reply.error)
         code = self._process.wait()
         if code != 0 and not self._trouble:
-            self._note(f"the viewer window has died ({_death(code)}): open another gr.Viewer")
+            death = f"signal {-code}" if code < 0 else f"exit code {code}"
+            self._note(f"the viewer window has died ({death}): open another gr.Viewer")
         self._ended.set()
         self._outbox.put(None)
         with self._lock:
@@ -275,18 +278,3 @@ def show(scene: Scene, rain: RainSettings | None = None, *, camera: Camera | Non
     """
     with Viewer(scene, rain, camera=camera, **options) as viewer:
         viewer.wait()
-
-
-def _environment() -> dict[str, str]:
-    """Return the window's environment: our packages come first, and Python skips the working folder."""
-    ours = str(Path(__file__).resolve().parents[1])
-    path = os.pathsep.join(filter(None, [ours, os.environ.get("PYTHONPATH")]))
-    return os.environ | {"PYTHONPATH": path, "PYTHONSAFEPATH": "1"}
-
-
-def _remove(folder: Path, number: int) -> None:
-    shutil.rmtree(folder / str(number), ignore_errors=True)
-
-
-def _death(code: int) -> str:
-    return f"signal {-code}" if code < 0 else f"exit code {code}"

@@ -11,47 +11,45 @@ _LENGTH = struct.Struct(">I")
 _MAX_BYTES = 1 << 24
 
 
-class SetScene(msgspec.Struct, frozen=True, kw_only=True, tag=True):
-    """Show the scene in a scene folder, which the window only reads."""
+class Request(msgspec.Struct, frozen=True, kw_only=True, tag=True):
+    """Message to the window; its reply has the same number."""
 
     number: int
+
+
+class SetScene(Request, frozen=True, kw_only=True, tag=True):
+    """Show the scene in a scene folder, which the window only reads."""
+
     folder: str
 
 
-class SetRain(msgspec.Struct, frozen=True, kw_only=True, tag=True):
+class SetRain(Request, frozen=True, kw_only=True, tag=True):
     """Set the rain."""
 
-    number: int
     rain: RainSettings
 
 
-class SetCamera(msgspec.Struct, frozen=True, kw_only=True, tag=True):
+class SetCamera(Request, frozen=True, kw_only=True, tag=True):
     """Set the camera, in world coordinates: the values of a camera file."""
 
-    number: int
     camera: dict[str, Any]
 
 
-class Screenshot(msgspec.Struct, frozen=True, kw_only=True, tag=True):
+class Screenshot(Request, frozen=True, kw_only=True, tag=True):
     """Save the viewport's image, once all earlier requests are visible in it."""
 
-    number: int
     path: str
 
 
-class GetState(msgspec.Struct, frozen=True, kw_only=True, tag=True):
+class GetState(Request, frozen=True, kw_only=True, tag=True):
     """Request the current rain and camera."""
 
-    number: int
 
-
-class Close(msgspec.Struct, frozen=True, kw_only=True, tag=True):
+class Close(Request, frozen=True, kw_only=True, tag=True):
     """Close without asking."""
 
-    number: int
 
-
-Request = SetScene | SetRain | SetCamera | Screenshot | GetState | Close
+REQUESTS = SetScene | SetRain | SetCamera | Screenshot | GetState | Close
 
 
 class Reply(msgspec.Struct, frozen=True, kw_only=True):

@@ -3,5 +3,4 @@
 from .compile_cache import use_kernel_cache, wait_briefly
 
 use_kernel_cache()
-
 wait_briefly()

@@ -9,16 +9,15 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from .render.cpu.renderer import CpuRenderer
-from .render.hardware import processor_name
 from .render.opengl.context import NoOpenGLError, check_context, is_software, open_context
-from .render.opengl.renderer import OffscreenRenderer, SplatRenderer
-from .render.renderer import Renderer
+from .render.opengl.renderer import SplatRenderer
+from .render.renderer import Renderer, processor_name
 from .scene.camera import Camera
 from .scene.gaussians import Gaussians, sh_from_color
 from .scene.scene import DrawItem
 
 if TYPE_CHECKING:
-    from .render.cuda.renderer import CudaRenderer
+    from .render.cuda import CudaRenderer
 
 Backend = Literal["auto", "opengl", "cpu", "cuda"]
 
@@ -36,11 +35,8 @@ def open_renderer(backend: Backend = "auto") -> Generator[Renderer]:
         NoCudaError: When gsplat was requested and can't draw here.
         LostContextError: When the GPU is lost while the block runs.
     """
-    if backend == "cpu":
-        yield CpuRenderer()
-        return
-    if backend == "cuda":
-        yield open_cuda_renderer()
+    if backend in ("cpu", "cuda"):
+        yield CpuRenderer() if backend == "cpu" else open_cuda_renderer()
         return
     try:
         context = open_context()
@@ -51,7 +47,8 @@ def open_renderer(backend: Backend = "auto") -> Generator[Renderer]:
         return
     try:
         with context:
-            renderer = CpuRenderer() if backend == "auto" and is_software(context) else OffscreenRenderer(context)
+            takes_cpu = backend == "auto" and is_software(context)
+            renderer = CpuRenderer() if takes_cpu else SplatRenderer(context, activates=True)
         yield renderer
     except Exception:
         with context:
@@ -68,10 +65,7 @@ def device_of(renderer: Renderer) -> str:
     return getattr(renderer, "device_name", None) or processor_name()
 
 
-# CUDA back end
-# It imports torch and gsplat only when it is requested.
-
-_NEEDED = ("torch", "gsplat")
+# CUDA back end. It imports torch and gsplat only when it is requested.
 
 
 class NoCudaError(OSError):
@@ -84,7 +78,7 @@ def open_cuda_renderer() -> "CudaRenderer":
     Raises:
         NoCudaError: When torch, gsplat or the GPU is missing, or gsplat fails.
     """
-    for name in _NEEDED:
+    for name in ("torch", "gsplat"):
         if importlib.util.find_spec(name) is None:
             raise NoCudaError(f"the cuda back end needs {name}, which is not installed: pip install 'gsrain[cuda]'")
     torch: Any = import_module("torch")
@@ -92,20 +86,16 @@ def open_cuda_renderer() -> "CudaRenderer":
         raise NoCudaError("the cuda back end needs an NVIDIA GPU, and torch sees none: use --backend cpu or opengl")
     try:
         gsplat: Any = import_module("gsplat")
-        from .render.cuda.renderer import CudaRenderer
+        from .render.cuda import CudaRenderer
 
         renderer = CudaRenderer(gsplat.rasterization, "cuda")
-        renderer.draw([_one_gaussian()], Camera(16, 16, 16.0, 16.0, 8.0, 8.0))
+        one, color = np.ones((1, 3), np.float32), sh_from_color(np.full((1, 3), 0.5, np.float32))
+        axes = np.array([[1, 0, 0, 0]], np.float32)
+        gaussian = Gaussians(one * np.array([0, 0, 2], np.float32), 0.1 * one, axes, np.ones(1, np.float32), color)
+        renderer.draw([DrawItem(gaussian, np.eye(4))], Camera(16, 16, 16.0, 16.0, 8.0, 8.0))
         renderer.read()
     except Exception as error:  # compilers and drivers raise errors of many types: the message quotes them
         raise NoCudaError(
             f"gsplat can't draw here; it needs the CUDA toolkit (nvcc) of torch's version: {error}"
         ) from error
     return renderer
-
-
-def _one_gaussian() -> DrawItem:
-    f = np.float32
-    color = sh_from_color(np.full((1, 3), 0.5, f))
-    axes = np.array([[1, 0, 0, 0]], f)
-    return DrawItem(Gaussians(np.array([[0, 0, 2]], f), np.full((1, 3), 0.1, f), axes, np.ones(1, f), color), np.eye(4))

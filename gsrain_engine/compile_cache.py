@@ -16,7 +16,8 @@ from pathlib import Path
 import platformdirs
 
 _HERE = Path(__file__).parent
-_SOURCES = _HERE / "raster", _HERE / "rain"  # folders with kernels that call those of other files
+_SOURCES = _HERE / "render" / "cpu", _HERE / "render" / "autodiff", _HERE / "rain"
+"""Folders with kernels that call those of other files."""
 _FRAME_SOURCES = *_SOURCES, _HERE / "scene"  # folders of all kernels of a frame
 _CACHED_VERSIONS = 2
 _UNUSED_S = 3600.0  # age after which an unused folder may be removed; a process that still uses it only compiles again
@@ -53,8 +54,7 @@ def has_kernels() -> bool:
 
 def mark_kernels() -> None:
     """Mark the cache folder as holding all kernels of a frame; does nothing if the disk can't be written."""
-    mark = _mark()
-    if mark is not None:
+    if (mark := _mark()) is not None:
         with suppress(OSError):
             mark.touch()
 
@@ -71,7 +71,10 @@ def kernel_cache(root: Path, version: str, sources: Iterable[Path]) -> Path:
     with suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
-        _remove_old(root)
+        used = {each: each.stat().st_mtime for each in root.iterdir() if each.is_dir()}
+        for old in sorted(used, key=used.__getitem__, reverse=True)[_CACHED_VERSIONS:]:
+            if time.time() - used[old] > _UNUSED_S:
+                shutil.rmtree(old, ignore_errors=True)  # another process may be removing it too
     return folder
 
 
@@ -130,13 +133,6 @@ def _key(version: str, sources: Iterable[Path]) -> str:
         status = file.stat()
         digest.update(f"\n{file} {status.st_mtime_ns} {status.st_size}".encode())
     return digest.hexdigest()[:16]
-
-
-def _remove_old(root: Path) -> None:
-    used = {folder: folder.stat().st_mtime for folder in root.iterdir() if folder.is_dir()}
-    for folder in sorted(used, key=used.__getitem__, reverse=True)[_CACHED_VERSIONS:]:
-        if time.time() - used[folder] > _UNUSED_S:
-            shutil.rmtree(folder, ignore_errors=True)  # another process may be removing it too
 
 
 # OpenMP threads

@@ -4,11 +4,11 @@ import ctypes
 import sys
 import time
 from concurrent.futures import Executor
-from typing import Any
 
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # from glibc's malloc.h
+_TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8  # from glibc's malloc.h
 _LARGEST = 32 << 20  # Bytes; glibc's maximum. Larger blocks are always mapped from the system and returned to it.
 _RETAINED_BYTES = 256 << 20
+_REST_S = 1.0  # seconds to wait after work: frames after it release what it left
 
 
 def tune_malloc() -> None:
@@ -17,18 +17,8 @@ def tune_malloc() -> None:
     A frame needs some 30 MB for a while. By default glibc now and then returns them and requests them again in the next
     frame: thousands of page faults, which can cost a third of the frame.
     """
-    if sys.platform != "linux":
-        return
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # absent in musl
-    if mallopt is not None:
-        mallopt(_MMAP_THRESHOLD, _LARGEST)
-        mallopt(_TRIM_THRESHOLD, _RETAINED_BYTES)
-
-
-# Freed memory after work
-
-_REST_S = 1.0  # seconds to wait: frames after the work release what it left
-_ARENA_MAX = -8  # from glibc's malloc.h
+    _call("mallopt", _MMAP_THRESHOLD, _LARGEST)
+    _call("mallopt", _TRIM_THRESHOLD, _RETAINED_BYTES)
 
 
 def use_one_arena() -> None:
@@ -37,9 +27,7 @@ def use_one_arena() -> None:
     glibc gives each thread an arena of its own, and returns the free end of the first one only: a window that ran ten
     jobs in threads grew from 560 to 770 MB, with 140 MB in use.
     """
-    mallopt = _of_glibc("mallopt")
-    if mallopt is not None:
-        mallopt(_ARENA_MAX, 1)
+    _call("mallopt", _ARENA_MAX, 1)
 
 
 def trim_memory() -> None:
@@ -48,13 +36,13 @@ def trim_memory() -> None:
     glibc keeps the memory below any block in use: hundreds of megabytes after some large scenes and jobs.
     malloc_trim(3) returns all whole pages, in some 20 ms.
     """
-    trim = _of_glibc("malloc_trim")
-    if trim is not None:
-        trim(0)
+    _call("malloc_trim", 0)
 
 
-def _of_glibc(function: str) -> Any:
-    return getattr(ctypes.CDLL(None), function, None) if sys.platform == "linux" else None
+def _call(name: str, *values: int) -> None:
+    function = getattr(ctypes.CDLL(None), name, None) if sys.platform == "linux" else None  # absent in musl
+    if function is not None:
+        function(*values)
 
 
 class MemoryTrimmer:

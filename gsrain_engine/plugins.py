@@ -20,26 +20,16 @@ class EntryPointGroup(NamedTuple):
     """Group name in a package's metadata: gsrain.panels."""
     noun: str
     """Singular noun for messages."""
-    value: str
-    """Description of the object that an entry point must name."""
 
 
-AGENTS = EntryPointGroup("gsrain.agents", "agent", "a callable that takes `AgentOptions` and returns an `Agent`")
-CAPTURE_FORMATS = EntryPointGroup("gsrain.capture_formats", "capture format", "a `CaptureFormat`")
-DECODERS = EntryPointGroup("gsrain.decoders", "decoder", "a `Decoder` for what a detector gives")
-DISDROMETERS = EntryPointGroup("gsrain.disdrometers", "disdrometer format", "a `LogFormat`")
-
-EVALUATIONS = EntryPointGroup(
-    "gsrain.evaluations", "evaluation", "a function whose parameters are the options of a command"
-)
-
-PANELS = EntryPointGroup("gsrain.panels", "panel", "a `Panel`")
-
-SCENE_FORMATS = EntryPointGroup(
-    "gsrain.scene_formats", "scene format", "a `Format`; the entry's name is the suffix, no dot"
-)
-
-TRANSFERS = EntryPointGroup("gsrain.transfers", "transfer", "a `TransferMethod` of the entry's name")
+AGENTS = EntryPointGroup("gsrain.agents", "agent")
+CAPTURE_FORMATS = EntryPointGroup("gsrain.capture_formats", "capture format")
+DECODERS = EntryPointGroup("gsrain.decoders", "decoder")
+DISDROMETERS = EntryPointGroup("gsrain.disdrometers", "disdrometer format")
+EVALUATIONS = EntryPointGroup("gsrain.evaluations", "evaluation")
+PANELS = EntryPointGroup("gsrain.panels", "panel")
+SCENE_FORMATS = EntryPointGroup("gsrain.scene_formats", "scene format")
+TRANSFERS = EntryPointGroup("gsrain.transfers", "transfer")
 GROUPS = (AGENTS, CAPTURE_FORMATS, DECODERS, DISDROMETERS, EVALUATIONS, PANELS, SCENE_FORMATS, TRANSFERS)
 """All groups; docs/extending.md has an example of each."""
 

@@ -40,15 +40,19 @@ def load_config(
     Its fields `files` name files relative to its own folder (`resolve_from_folder`), except `known` names. Raises
     ValueError with the file, the field and the allowed values, OSError if it can't be read.
     """
-    data = _data(folder, str(name), what)
+    shipped, path = shipped_config_names(folder), Path(name)
+    is_shipped = str(name) in shipped
+    if is_shipped:
+        data = (shipped_folder("sample_configs") / folder / f"{name}.yaml").read_bytes()
+    elif path.exists():
+        data = read_whole(path)
+    else:
+        raise ValueError(f"{what} {name}: no such file, and none of the shipped ones ({', '.join(shipped)})")
     try:
         values = yaml_values(data)
-        if str(name) not in shipped_config_names(folder):
-            values = _resolve_names(values, Path(name).parent, files, known)
-        return convert_checked(values, kind)
+        return convert_checked(values if is_shipped else _resolve_names(values, path.parent, files, known), kind)
     except ValueError as error:
-        where = f"{what} {name}" if str(name) in shipped_config_names(folder) else name
-        raise ValueError(f"{where}: {error}") from None
+        raise ValueError(f"{f'{what} {name}' if is_shipped else name}: {error}") from None
 
 
 def load_values(
@@ -68,35 +72,17 @@ def resolve_from_folder(folder: Path, name: str) -> str:
     """
     file, python, _ = name.partition(".py:")
     place = folder / (f"{file}.py" if python else name)
-    is_there = os.path.exists(place)  # noqa: PTH110  that of Path raises where a name is too long
-    return os.path.normpath(folder / name) if name and is_there else name
+    exists = os.path.exists(place)  # noqa: PTH110  that of Path raises where a name is too long
+    return os.path.normpath(folder / name) if name and exists else name
 
 
-def _resolve_names(values: Any, folder: Path, files: Collection[str], known: Collection[str]) -> Any:
+def _resolve_names(
+    values: Any, folder: Path, files: Collection[str], known: Collection[str], *, is_name: bool = False
+) -> Any:
     """Return plain values with the names in the fields `files`, at any depth, resolved from `folder`."""
     if isinstance(values, list):
-        return [_resolve_names(each, folder, files, known) for each in values]
-    if not isinstance(values, dict):
-        return values
-    return {
-        key: _named(each, folder, files, known) if key in files else _resolve_names(each, folder, files, known)
-        for key, each in values.items()
-    }
-
-
-def _named(value: Any, folder: Path, files: Collection[str], known: Collection[str]) -> Any:
-    if isinstance(value, list):
-        return [_named(each, folder, files, known) for each in value]
-    if isinstance(value, str):
-        return value if value in known else resolve_from_folder(folder, value)
-    return _resolve_names(value, folder, files, known)
-
-
-def _data(folder: str, name: str, what: str) -> bytes:
-    if name in shipped_config_names(folder):
-        return (shipped_folder("sample_configs") / folder / f"{name}.yaml").read_bytes()
-    path = Path(name)
-    if not path.exists():
-        known = ", ".join(shipped_config_names(folder))
-        raise ValueError(f"{what} {name}: no such file, and none of the shipped ones ({known})")
-    return read_whole(path)
+        return [_resolve_names(each, folder, files, known, is_name=is_name) for each in values]
+    if isinstance(values, dict):
+        return {key: _resolve_names(each, folder, files, known, is_name=key in files) for key, each in values.items()}
+    is_path = is_name and isinstance(values, str) and values not in known
+    return resolve_from_folder(folder, values) if is_path else values

@@ -93,7 +93,7 @@ def read_code(path: Path, packages: Sequence[str] = ()) -> Code:
         while waiting:
             for name in sorted(_imported(files[waiting.pop()].source)):
                 if name not in files and name != path.stem:
-                    found = dict(_near(path.parent, name))
+                    found = dict(_package(path.parent, name, prefers_file=True))
                     waiting += [each for each in found if each not in files]
                     files |= found
                     _check_size(path, files)
@@ -116,19 +116,12 @@ def _imported(source: bytes) -> set[str]:
     return names
 
 
-def _near(folder: Path, name: str) -> Iterable[tuple[str, CodeFile]]:
-    file = folder / f"{name}.py"
-    if file.is_file():
-        return [(name, CodeFile(file, False, _read(file)))]
-    return _package(folder, name)
-
-
-def _package(folder: Path, name: str) -> Iterable[tuple[str, CodeFile]]:
+def _package(folder: Path, name: str, *, prefers_file: bool = False) -> Iterable[tuple[str, CodeFile]]:
     """All Python files of a package (`__init__.py` is optional), or the single file of that name."""
-    root = folder / name
-    if not root.is_dir():
-        if root.with_suffix(".py").is_file():
-            yield name, CodeFile(root.with_suffix(".py"), False, _read(root.with_suffix(".py")))
+    root, single = folder / name, folder / f"{name}.py"
+    if not root.is_dir() or (prefers_file and single.is_file()):
+        if single.is_file():
+            yield name, CodeFile(single, False, _read(single))
         return
     for count, file in enumerate(sorted(root.rglob("*.py"))):
         if count >= _MAX_FILES:
@@ -151,7 +144,7 @@ def _check_size(path: Path, files: Mapping[str, CodeFile]) -> None:
 
 # Consent
 
-_trusted: set[str] = set()  # digests allowed in this process, besides the remembered ones
+_trusted: set[str] = set()  # digests allowed in this process, temporarys the remembered ones
 _named_by_files: set[str] = set()
 """Absolute paths of code named by files in this process: their content must be trusted when it runs."""
 
@@ -206,9 +199,9 @@ def trust_permanently(codes: Iterable[Code]) -> None:
             known = _remembered() | {each.digest: str(each.path) for each in codes}
             with suppress(FileNotFoundError):
                 path.chmod(0o600)  # the new file inherits the permissions of the old one
-            with whole_file(path) as beside:
-                beside.touch(mode=0o600)
-                beside.write_bytes(msgspec.json.format(msgspec.json.encode(_Answers(trusted=known)), indent=1))
+            with whole_file(path) as temporary:
+                temporary.touch(mode=0o600)
+                temporary.write_bytes(msgspec.json.format(msgspec.json.encode({"trusted": known}), indent=1))
     except OSError as error:
         logger.warning("%s: the answer is not remembered: %s", path, error.strerror or error)
 
@@ -217,13 +210,8 @@ def answers_file() -> Path:
     return Path(platformdirs.user_config_dir("gsrain", appauthor=False)) / "trusted_code.json"
 
 
-class _Answers(msgspec.Struct, frozen=True):
-    trusted: dict[str, str]
-    """Digest to the path at which it was first allowed."""
-
-
 def _remembered() -> dict[str, str]:
-    """Remembered answers; empty if the file is missing, damaged, or writable by other users."""
+    """Paths of allowed code, by digest; empty if the file is missing, damaged, or writable by other users."""
     path = answers_file()
     try:
         with open_file(path, _MAX_BYTES) as file:
@@ -232,8 +220,8 @@ def _remembered() -> dict[str, str]:
             if hasattr(os, "getuid") and (by_others or status.st_uid != os.getuid()):
                 logger.warning("%s: others could have written it, so no answer in it counts", path)
                 return {}
-            return msgspec.json.decode(file.read(), type=_Answers).trusted
-    except (OSError, msgspec.DecodeError, UnicodeDecodeError):
+            return msgspec.json.decode(file.read(), type=dict[str, dict[str, str]])["trusted"]
+    except (OSError, KeyError, msgspec.DecodeError, UnicodeDecodeError):
         return {}
 
 
@@ -250,7 +238,16 @@ def run_main(code: Code, name: str) -> ModuleType:
     module.__file__ = str(main.path)
     sys.modules[name] = module  # dataclasses look there
     compiled = _compiled(main)
-    _serve(code)
+    # Neighbors stay importable: an agent may import one as late as its first plan.
+    for neighbor in code.files:  # another file's neighbor of the same name
+        loaded = sys.modules.get(neighbor)
+        if loaded is not None and isinstance(loaded.__loader__, _CodeLoader):
+            del sys.modules[neighbor]
+    sys.meta_path[:] = [
+        each for each in sys.meta_path if not (isinstance(each, _CodeFinder) and each.path == code.path)
+    ]
+    if set(code.files) != {MAIN}:
+        sys.meta_path.insert(0, _CodeFinder(code))
     exec(compiled, module.__dict__)
     return module
 
@@ -269,19 +266,6 @@ def importable(code: Code) -> Generator[None]:
         for name in [name for name in sys.modules if name.partition(".")[0] in tops]:
             del sys.modules[name]
         sys.modules.update(before)
-
-
-def _serve(code: Code) -> None:
-    """Make the neighbors of a file importable from now on: an agent may import one as late as its first plan."""
-    for name in code.files:  # another file's neighbor of the same name
-        module = sys.modules.get(name)
-        if module is not None and isinstance(module.__loader__, _CodeLoader):
-            del sys.modules[name]
-    sys.meta_path[:] = [
-        each for each in sys.meta_path if not (isinstance(each, _CodeFinder) and each.path == code.path)
-    ]
-    if set(code.files) != {MAIN}:
-        sys.meta_path.insert(0, _CodeFinder(code))
 
 
 class _CodeFinder(importlib.abc.MetaPathFinder):

@@ -1,5 +1,5 @@
 #version 430
-// A round dot in the point's colour; nothing around it.
+// A round dot in the point's color; nothing around it.
 
 in vec3 point_color;
 

@@ -1,4 +1,4 @@
-// The drop field: where drop i is, as a function of (seed, t). The same integers as in gsrain_engine/rain/drop_field.py,
+// Drop field: position of drop i as a function of (seed, t). The same integers as in gsrain_engine/rain/drop_field.py,
 // bit for bit. pcg4d: Jarzynski and Olano 2020, "Hash Functions for GPU Rendering".
 
 const uint CLASSES = 16384u;
@@ -6,9 +6,9 @@ const uint CLASSES = 16384u;
 struct DropClass {
     uint wraps[3];       // whole periods between the cell and the drops of the class, x y z
     uint fractions[3];   // and the rest, in 2^-32 of a period
-    float far, margin;   // view depth beyond which they are left to the haze; how far a streak reaches (m)
+    float far, margin;   // view depth beyond which haze represents them; reach of a streak (m)
     float diameter;      // m
-    float velocity[3];   // in the camera's frame, as the shutter sees it (m/s)
+    float velocity[3];   // in the camera's frame, relative to the shutter (m/s)
 };
 
 layout(std430, binding = 1) readonly buffer Classes { DropClass drop_classes[]; };

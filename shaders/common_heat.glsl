@@ -1,4 +1,4 @@
-// heat_color(t): t = 0..1 as the colour map "turbo" (Mikhailov 2019), a polynomial of degree 5 a channel.
+// heat_color(t): t = 0..1 as the color map "turbo" (Mikhailov 2019), a polynomial of degree 5 per channel.
 
 vec3 heat_color(float t) {
     t = clamp(t, 0.0, 1.0);

@@ -1,5 +1,5 @@
 // From a Gaussian in the camera's frame to a splat: cull, 2D covariance, exact extent.
-// Zwicker et al. 2002 (EWA splatting) as used by Kerbl et al. 2023; limits for off-centre cameras as in gsplat.
+// Zwicker et al. 2002 (EWA splatting) as used by Kerbl et al. 2023; limits for off-center cameras as in gsplat.
 
 #define SPLAT_ACCESS writeonly
 #include "common_alpha.glsl"
@@ -16,7 +16,7 @@ uniform uint first_slot;          // where this dispatch's splats start, a multi
 const float DILATION = 0.3;       // px^2, added to the 2D covariance: the pixel's own footprint
 
 // Splat of a Gaussian at p (m) with axes * axes^T as its covariance (m^2), both in the camera's frame, but for its
-// colour. False where nothing of it is to be drawn.
+// color. False if none of it is drawn.
 bool project(vec3 p, mat3 axes, float opacity, bool is_rain, bool as_point, out Splat splat) {
     if (!(p.z > near && p.z < 1e30)) return false;  // also drops NaN
 

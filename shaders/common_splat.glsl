@@ -5,7 +5,7 @@ struct Splat {
     vec2 first_axis;   // one standard deviation (px); the second axis is perpendicular
     float second;      // length of the second axis (px), negative for rain
     float depth;       // along the view axis (m)
-    uvec2 appearance;  // display colour and largest alpha, four halves
+    uvec2 appearance;  // display color and largest alpha, four halves
 };
 
 // Splats lie in blocks of 2^BLOCK_SHIFT, as many as a driver's storage block may hold.

@@ -1,10 +1,10 @@
 #version 430
-// Shows a number a pixel as a heat colour: overdraw, or (DEPTH) expected depth by its logarithm. Nothing stays nothing.
+// Maps one number per pixel to a heat color: overdraw, or (DEPTH) the logarithm of the expected depth. Empty stays empty.
 
 #include "common_heat.glsl"
 
 uniform sampler2D numbers;
-uniform vec2 ends;  // what the first and the last colour stand for
+uniform vec2 ends;  // numbers of the first and the last color
 
 out vec4 fragment;
 

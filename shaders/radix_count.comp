@@ -1,5 +1,5 @@
 #version 430
-// Counts how often each digit occurs among the keys of each workgroup.
+// Counts each digit among the keys of each workgroup.
 // No races: `tally` is cleared, counted into (by atomics only) and read between barriers; each workgroup writes its own column
 // of `counts`.
 

@@ -1,5 +1,5 @@
 #version 430
-// Turns the counts into first places: an exclusive scan by one workgroup, each thread over a run of its own.
+// Converts the counts to offsets: an exclusive scan by one workgroup, each thread over a run of its own.
 // No races: in each step of the scan all threads read `sums` before a barrier and write their own sum after it; no thread
 // touches `counts` outside its run, and there is one workgroup.
 

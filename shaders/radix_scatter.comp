@@ -1,7 +1,7 @@
 #version 430
-// Moves keys and their slots to where their digit puts them; equal digits keep their order.
-// No races: `mask` is cleared, set (by atomics only) and read between barriers, `place` is read and moved on between barriers,
-// the last of which ends the round: `mask` is cleared for the next one when nobody reads it. Each key has a place of its own.
+// Moves keys and their slots to the offsets of their digits; equal digits keep their order.
+// No races: `mask` is cleared, set (by atomics only) and read between barriers, `place` is read and advanced between barriers,
+// the last of which ends the round: `mask` is cleared for the next one when no thread reads it. Each key has its own place.
 
 #include "common_radix.glsl"
 

@@ -1,6 +1,6 @@
 #version 430
-// Which drops the camera may see: one thread takes 32 drops of a class and gives a bit each. Most fail one test of their
-// place, and cost nothing more. With ROOFS none under a roof is found.
+// Finds the drops that may be visible to the camera: one thread tests 32 drops of a class and writes a bit for each. Most
+// fail the first test. With ROOFS, drops under a roof are left out.
 // No races: nothing is shared, and each thread writes its own mask and count.
 
 layout(local_size_x = 256) in;

@@ -1,12 +1,12 @@
 #version 430
 // Adds the rain's light to the scene's in linear space (docs/physics.md, section 6).
-// For one streak of alpha a before a scene of display colour B this is enc((1 - a) dec(B) + a S).
+// For one streak of alpha a before a scene of display color B this is enc((1 - a) dec(B) + a S).
 
 #include "common_srgb.glsl"
 
-uniform sampler2D clear_scene;  // premultiplied display colour
+uniform sampler2D clear_scene;  // premultiplied display color
 uniform sampler2D shares;       // red: rain, green: scene
-uniform vec3 rain_light;        // S, a drop's colour in linear light
+uniform vec3 rain_light;        // S, a drop's color in linear light
 
 out vec4 fragment;
 

@@ -1,8 +1,8 @@
 #version 430
-// Makes the streak Gaussians of the drops that were found, and projects them. One thread a drop; gsrain_engine/rain/
+// Makes the streak Gaussians of the found drops and projects them, one thread per drop; gsrain_engine/rain/
 // streaks.py is the readable form (paper, eq. 4-7 and 10-12).
-// No races: only `emit` shares anything, `max_copies` is the same for all threads, so each calls it as often, and a copy has a
-// block of its own.
+// No races: only `emit` shares data; `max_copies` is the same for all threads, so each calls it equally often, and each copy
+// has its own block.
 
 layout(local_size_x = 256) in;
 
@@ -22,7 +22,7 @@ uniform float phi, haze_opacity, gain;
 uniform float aperture;       // diameter of the lens opening (m)
 uniform float focus;          // distance that is sharp (m)
 uniform uint max_copies;
-uniform uint most_drops;
+uniform uint max_drops;
 uniform vec3 display_color;
 
 const float PI = 3.14159265358979;
@@ -42,7 +42,7 @@ uint find_class(uint n, out uint i) {
 
 void main() {
     uint n = gl_GlobalInvocationID.x;
-    bool there = n < min(found_count, most_drops);
+    bool there = n < min(found_count, max_drops);
     vec3 p = vec3(0.0), direction = vec3(0.0, 0.0, 1.0);
     float opacity = 0.0, across_sigma = 0.0, along_sigma = 0.0, spacing = 0.0;
     uint copies = 0u;
@@ -50,9 +50,9 @@ void main() {
         uint i, c = find_class(n, i);
         p = cell_to_camera * (in_cell(place(i, c)) - camera_in_cell);
         float diameter = drop_classes[c].diameter;
-        vec3 seen = vec3(drop_classes[c].velocity[0], drop_classes[c].velocity[1], drop_classes[c].velocity[2]);
+        vec3 velocity = vec3(drop_classes[c].velocity[0], drop_classes[c].velocity[1], drop_classes[c].velocity[2]);
         vec3 sight = p / max(length(p), 1e-9);
-        float across = length(seen - dot(seen, sight) * sight), speed = length(seen), limit = focal * diameter;
+        float across = length(velocity - dot(velocity, sight) * sight), speed = length(velocity), limit = focal * diameter;
         float smeared = (still_camera ? speed : across) * exposure;
         float alpha = min(1.0, diameter / max(smeared, 1e-12)) * min(1.0, limit / max(p.z, 1e-9));
         if (p.z > phi * limit) alpha = haze_opacity;
@@ -65,7 +65,7 @@ void main() {
         spacing = streak / float(copies);
         across_sigma = sqrt(PI / 32.0) * max(diameter, p.z / focal) * narrowing;
         along_sigma = max(spacing, across_sigma);
-        direction = seen / max(speed, 1e-9);
+        direction = velocity / max(speed, 1e-9);
         if (aperture > 0.0) {
             float blur = 0.25 * aperture * abs(1.0 - p.z / focus);  // standard deviation of the circle of confusion
             float sine = across / max(speed, 1e-9);

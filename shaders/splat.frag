@@ -1,7 +1,7 @@
 #version 430
-// One fragment of a splat, premultiplied. Where rain mixes in linear light (LINEAR_RAIN), the scene and the rain are
-// kept apart: `fragment` gathers the scene alone, as if it were clear, and `shares` how much of each the eye sees
-// through the other. rain_resolve.frag puts them together. No races: OpenGL blends fragments of a pixel in the order of their quads.
+// One fragment of a splat, premultiplied. If rain mixes in linear light (LINEAR_RAIN), the scene and the rain are
+// accumulated separately: `fragment` holds the clear scene, and `shares` the visible share of each through the
+// other. rain_resolve.frag puts them together. No races: OpenGL blends fragments of a pixel in the order of their quads.
 
 #include "common_alpha.glsl"
 

@@ -1,5 +1,5 @@
 #version 430
-// Quads of splats, farthest first, vertex-pulled: 128 of them an instance, four vertices each.
+// Quads of splats, farthest first, vertex-pulled: 128 per instance, four vertices each.
 // No races: buffers are only read, behind a memory barrier after the sort; the next frame writes them behind another one.
 
 #define SPLAT_ACCESS readonly
@@ -12,7 +12,7 @@ layout(std430, binding = 7) readonly buffer Work { uint draw_command[5]; uint vi
 uniform vec2 image_size;  // px
 
 out vec2 offset;                // from the centre, scaled so that alpha falls by 2^-(offset^2)
-flat out vec4 color_log_alpha;  // display colour, log2 of the largest alpha
+flat out vec4 color_log_alpha;  // display color, log2 of the largest alpha
 flat out float view_depth;      // m
 flat out int is_rain;
 

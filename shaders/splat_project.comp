@@ -1,6 +1,6 @@
 #version 430
-// Projects each Gaussian of a chunk once. One thread a Gaussian.
-// No races: only `emit` shares anything, every thread calls it once, and each workgroup of each dispatch has a block of its own.
+// Projects each Gaussian of a chunk once. One thread per Gaussian.
+// No races: only `emit` shares data, every thread calls it once, and each workgroup of each dispatch has its own block.
 
 layout(local_size_x = 256) in;
 
@@ -19,7 +19,7 @@ layout(std430, binding = 12) readonly buffer WetHarmonics { uint wet_harmonics[]
 layout(std430, binding = 6) readonly buffer Marks { uvec2 marks[]; };           // bits of 32 Gaussians: left out, selected
 
 uniform uint count;
-uniform int coefficients;         // spherical harmonics a colour: 1, 4, 9, 16
+uniform int coefficients;         // spherical harmonics a color: 1, 4, 9, 16
 uniform mat4 object_to_camera;    // may hold a uniform scale
 uniform vec3 camera_in_object;    // centre of projection in the Gaussians' own frame
 uniform mat3 camera_to_world;
@@ -27,7 +27,7 @@ uniform vec3 layer_color;
 uniform bool is_rain;
 uniform float growth;             // of each Gaussian, where others are left out
 uniform float layer_opacity;      // multiplies each Gaussian's own
-uniform mat4x3 color_change;      // of display colours, affine
+uniform mat4x3 color_change;      // of display colors, affine
 uniform bool has_marks;
 #ifdef WET
 uniform float wetness;            // 0 clear, 1 soaked; above 0 only where there are wet harmonics

@@ -1,10 +1,10 @@
 #version 430
-// Brings the premultiplied picture to the screen: background, display gain, clamp.
+// Converts the premultiplied image for the screen: background, display gain, clamp.
 
 #include "common_srgb.glsl"
 
 uniform sampler2D picture;
-uniform vec3 background;  // display colour
+uniform vec3 background;  // display color
 uniform float gain;       // multiplies linear light; 1 leaves display values as they are
 
 out vec4 fragment;

@@ -1,5 +1,5 @@
 #version 430
-// Brings the keys of all visible splats together, in the order of their slots. One thread a slot.
+// Compacts the keys of all visible splats, in the order of their slots. One thread per slot.
 // No races: nothing is shared, and the scanned places of two blocks don't overlap.
 
 layout(local_size_x = 256) in;

@@ -1,5 +1,5 @@
 #version 430
-// Where each block of 256 puts its visible splats (or found drops), and how much work they make: an exclusive scan of the
+// Offsets of the visible splats (or found drops) of each block of 256, and the indirect work: an exclusive scan of the
 // counts by one workgroup, each thread over a run of its own.
 // No races: as in radix_scan.comp; only the last thread writes `Work`, and `FoundWork` is another buffer.
 
@@ -16,9 +16,9 @@ layout(std430, binding = 6) readonly buffer FoundWork { uint unused[6]; uint fou
 
 uniform uint blocks;
 uniform uint fixed_blocks;   // whose counts have been written
-uniform uint found_copies;   // so many more for each group of found drops
-uniform uint by_group;       // things that a group of the indirect dispatch takes
-uniform uint most;           // things that there is room for
+uniform uint found_copies;   // further blocks for each group of found drops
+uniform uint by_group;       // elements per workgroup of the indirect dispatch
+uniform uint max_elements;   // limit of the dispatch
 
 const uint DRAWN_BY_INSTANCE = 128u;
 
@@ -48,7 +48,7 @@ void main() {
     if (thread == 1023u) {
         uint total = sums[1023];
         visible_count = total;
-        groups[0] = (min(total, most) + by_group - 1u) / by_group;
+        groups[0] = (min(total, max_elements) + by_group - 1u) / by_group;
         groups[1] = 1u;
         groups[2] = 1u;
         draw_command[0] = 6u * DRAWN_BY_INSTANCE;

@@ -15,7 +15,7 @@ from repository import REPOSITORY
 from ui.commands.base import chord_name
 from ui.commands.registry import ACTIONS
 from ui.panels.registry import BUILT_IN_PANELS
-from ui.tools.registry import TOOLS
+from ui.tools import TOOLS
 
 OF_EXTENSIONS = {("evaluate", "contrast"), ("evaluate", "NAME")}
 """Commands that docs/extending.md adds."""

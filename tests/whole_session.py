@@ -14,7 +14,7 @@ from gsrain_engine.compile_cache import use_kernel_cache
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.scene.scene import Scene
 from ui.commands.base import chord
-from ui.workspace import begin_session
+from ui.window import begin_session
 from window_driver import Driver, imgui
 
 KEY = imgui.Key

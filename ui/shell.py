@@ -9,7 +9,7 @@ from gsrain_engine.editor.editor import Editor
 
 from .commands.base import Command, chord
 from .commands.registry import ACTION_GROUPS, ACTIONS
-from .tools.registry import TOOLS
+from .tools import TOOLS
 from .widgets.fields import WARNING
 from .widgets.text import label
 
@@ -119,7 +119,10 @@ def status_bar(session: Editor) -> None:
     tool = next((each for each in TOOLS if each.name == session.view.tool), None)
     right = f"{imgui.get_io().framerate:.0f} fps ({session.backend})"
     room = imgui.get_window_width() - imgui.calc_text_size(right).x - 2 * imgui.get_font_size()
-    hint = _newest_record(session) or (f"{tool.name}: {tool.help}" if tool is not None else "")
+    hint = f"{tool.name}: {tool.help}" if tool is not None else ""
+    newest = session.log.lines[-1] if session.log.lines else None
+    if newest is not None and newest.level == logging.INFO and datetime.now() - newest.at < _NEW and newest.text:
+        hint = newest.text  # such as "Exported out.ply"; errors appear over the viewport instead
     if hint:
         imgui.same_line()
         corner, height = imgui.get_window_pos(), imgui.get_window_height()
@@ -129,10 +132,3 @@ def status_bar(session: Editor) -> None:
         imgui.pop_clip_rect()
     imgui.same_line(room)
     imgui.text_disabled(right)
-
-
-def _newest_record(session: Editor) -> str:
-    """Return the latest message, such as "Exported out.ply"; errors appear over the viewport instead."""
-    newest = session.log.lines[-1] if session.log.lines else None
-    is_new = newest is not None and newest.level == logging.INFO and datetime.now() - newest.at < _NEW
-    return newest.text if newest is not None and is_new else ""

@@ -1,4 +1,4 @@
-"""The window, run by hello_imgui. It opens immediately and loads the program in the background."""
+"""The window, run by hello_imgui: it opens immediately and loads the program in the background."""
 
 import logging
 import signal
@@ -15,10 +15,12 @@ from imgui_bundle import ImVec2, hello_imgui, imgui, immapp, implot
 import glfw  # isort: skip
 import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from importlib.resources import files
-from typing import Any
+from typing import Any, NamedTuple, NoReturn
 
 import moderngl
 import numpy as np
@@ -27,30 +29,47 @@ from imgui_bundle import glfw_utils
 from jaxtyping import UInt8
 from PIL import Image
 
-from gsrain_engine.editor.preferences import config_folder, load_preferences, state_folder
+from gsrain_engine.editor.preferences import Preferences, config_folder, load_preferences, state_folder
 from gsrain_engine.malloc_tuning import use_one_arena
 from gsrain_engine.render.opengl.context import DeviceLostError, check_context, context_monitor, monitor_context
 from gsrain_engine.safe_io.text_files import escape_invisible
 from gsrain_engine.scene.files import whole_file
 from gsrain_engine.simulation.rollout_io import ROLLOUT_SUFFIXES
 
-from .restart import RestartState, restart_program
-from .style import apply_style
 from .widgets.text import escape_all_text
 
 if TYPE_CHECKING:
     from gsrain_engine.editor.editor import Editor, WindowBackend
+    from gsrain_engine.rain.settings import RainSettings
 
     from .workspace import Workspace
 
 logger = logging.getLogger("gsrain")
-VIEWPORT = "View"
-_SIZE = (1440, 900)
-_REQUIRED_VERSION = 430
+# Sent to programs when the machine shuts down or the user logs out
 _ENDINGS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""Signals sent to programs when the machine shuts down or the user logs out."""
-
 _DRIVER_RESTARTS_S = 5.0  # maximum time for a driver to recover before a window that lost its context restarts
+
+
+def begin_session(scene: str | None, rain: "RainSettings | None", wet: bool = False) -> "Editor":
+    """Begin a session that opens a scene (None is the built-in street) in the background, and makes it rainy if `wet`.
+
+    After a lost graphics context it continues with the state of the previous window. Loads the engine.
+    """
+    from gsrain_engine.editor.editor import Editor
+    from gsrain_engine.editor.jobs.job import remove_abandoned_job_folders
+
+    session, left = Editor(rain=rain), restart_state()
+    if left is not None and left.autosave is not None:
+        session.files.go_on_at(left.autosave)
+    else:
+        session.open((left and left.scene) or scene or "street")
+        if wet:
+            session.rainy.make_soon()
+    if left is not None:
+        session.problem = _RESTARTED + (_WITH_CHANGES if left.autosave is not None else "")
+    session.files.offer_recovery()
+    threading.Thread(target=remove_abandoned_job_folders, name="tidy up", daemon=True).start()
+    return session
 
 
 def run_window(
@@ -89,7 +108,7 @@ def run_window(
             window.close()  # workers end, whatever has ended the window
     if window.failure is None:
         return
-    if window.left.kept is not None:
+    if window.left.autosave is not None:
         logger.error("What was changed is kept for the next window.")
     if restarts and isinstance(window.failure, DeviceLostError):
         restart_program(window.left, time.monotonic() - began)
@@ -115,6 +134,7 @@ class MainWindow:
         self.workspace: Workspace | None = None
         self._title = ""
         self._ended_by: int | None = None
+        self._style: Preferences | None = None
         self.failure: Exception | None = None
         """Error that prevented the program from loading or continuing, and closes the window."""
 
@@ -122,20 +142,22 @@ class MainWindow:
         escape_all_text()
         parameters = hello_imgui.RunnerParams()
         parameters.app_window_params.window_title = "GSRAIN"
-        parameters.app_window_params.window_geometry.size = _SIZE
-        parameters.imgui_window_params.default_imgui_window_type = (
-            hello_imgui.DefaultImGuiWindowType.provide_full_screen_dock_space
-        )
-        parameters.imgui_window_params.show_menu_bar = True
-        parameters.imgui_window_params.show_menu_app = parameters.imgui_window_params.show_menu_view = False
-        parameters.imgui_window_params.show_status_bar = True
-        parameters.imgui_window_params.show_status_fps = False
-        parameters.docking_params.docking_splits = _splits()
-        viewport = hello_imgui.DockableWindow(VIEWPORT, "MainDockSpace", self._draw_viewport)
+        parameters.app_window_params.window_geometry.size = (1440, 900)
+        content = parameters.imgui_window_params
+        content.default_imgui_window_type = hello_imgui.DefaultImGuiWindowType.provide_full_screen_dock_space
+        content.show_menu_bar = content.show_status_bar = True
+        content.show_menu_app = content.show_menu_view = content.show_status_fps = False
+        parameters.docking_params.docking_splits = [
+            hello_imgui.DockingSplit("MainDockSpace", "RightSpace", imgui.Dir.right, 0.28),
+            hello_imgui.DockingSplit("RightSpace", "RightBottomSpace", imgui.Dir.down, 0.41),
+            hello_imgui.DockingSplit("MainDockSpace", "BottomSpace", imgui.Dir.down, 0.24),
+            hello_imgui.DockingSplit("MainDockSpace", "LeftSpace", imgui.Dir.left, 0.25),
+            hello_imgui.DockingSplit("LeftSpace", "LeftBottomSpace", imgui.Dir.down, 0.5),
+        ]
+        viewport = hello_imgui.DockableWindow("View", "MainDockSpace", self._draw_viewport)
         viewport.can_be_closed = viewport.include_in_view_menu = False
         # Overlays never make the viewport scroll; a scroll bar that comes and goes would change its size.
-        flags = imgui.WindowFlags_
-        viewport.imgui_window_flags = int(flags.no_scrollbar) | int(flags.no_scroll_with_mouse)
+        viewport.imgui_window_flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
         parameters.docking_params.dockable_windows = [viewport]
         callbacks = parameters.callbacks
         callbacks.post_init = self._start
@@ -181,7 +203,7 @@ class MainWindow:
             self._session.files.keep()
 
     @property
-    def left(self) -> RestartState:
+    def left(self) -> "RestartState":
         files = self._session.files if self._session is not None else None
         return RestartState(files.recovery.autosaved_path, files.source) if files is not None else RestartState()
 
@@ -194,12 +216,13 @@ class MainWindow:
 
     def _start(self) -> None:
         """Set the icon, share the OpenGL context, create the plot context, accept dropped files, start loading."""
-        set_window_icon(glfw_utils.glfw_window_hello_imgui())
+        window = glfw_utils.glfw_window_hello_imgui()
+        set_window_icon(window)
         implot.create_context()
-        self._context = moderngl.create_context(require=_REQUIRED_VERSION)
+        self._context = moderngl.create_context(require=430)
         monitor_context(self._context, glfw.get_proc_address)
-        glfw.set_drop_callback(glfw_utils.glfw_window_hello_imgui(), lambda _, paths: self.drop(paths))
-        glfw.set_window_close_callback(glfw_utils.glfw_window_hello_imgui(), lambda _: self.ask_to_close())
+        glfw.set_drop_callback(window, lambda _, paths: self.drop(paths))
+        glfw.set_window_close_callback(window, lambda _: self.ask_to_close())
         self._loader.start()
 
     def _load(self) -> None:
@@ -217,37 +240,33 @@ class MainWindow:
             if self._ended_by is not None:
                 raise InterruptedError(f"the window was ended from outside ({signal.Signals(self._ended_by).name})")
             self._go_on(self._context)
-        except Exception as failure:
-            self._give_up(self._context, failure)
+        except Exception as failure:  # a lost context takes precedence over other errors
+            watcher = context_monitor(self._context)
+            self.fail(DeviceLostError() if watcher is not None and watcher.is_lost() else failure)
+            if watcher is not None:
+                watcher.wait_for_driver(_DRIVER_RESTARTS_S)
         if self.failure is not None:
             self.workspace = None
             hello_imgui.get_runner_params().app_shall_exit = True
 
     def _go_on(self, context: moderngl.Context) -> None:
         if self.workspace is not None:
+            preferences = self.workspace.session.preferences
+            if preferences != self._style:
+                self._style = preferences
+                apply_style(preferences)
             self.workspace.update()
             if self._on_frame is not None:
                 self._on_frame(self.workspace)
-            self._show_title(self.workspace.title)
+            if self.workspace.title != self._title:
+                self._title = self.workspace.title
+                glfw.set_window_title(glfw_utils.glfw_window_hello_imgui(), escape_invisible(self._title))
         elif self._session is not None and not self._loader.is_alive():
             from .workspace import Workspace
 
-            self.workspace = Workspace(self._session, context, self._backend)
+            self.workspace, self._style = Workspace(self._session, context, self._backend), self._session.preferences
             for panel in self.workspace.dockable_windows():
                 hello_imgui.add_dockable_window(panel)
-
-    def _give_up(self, context: moderngl.Context, failure: Exception) -> None:
-        """Close the window because of an error; a lost context takes precedence over other errors."""
-        watcher = context_monitor(context)
-        is_lost = watcher is not None and watcher.is_lost()
-        self.fail(DeviceLostError() if is_lost else failure)
-        if watcher is not None:
-            watcher.wait_for_driver(_DRIVER_RESTARTS_S)
-
-    def _show_title(self, title: str) -> None:
-        if title != self._title:
-            self._title = title
-            glfw.set_window_title(glfw_utils.glfw_window_hello_imgui(), escape_invisible(title))
 
     def _draw_viewport(self) -> None:
         if self.workspace is not None:
@@ -263,15 +282,6 @@ class MainWindow:
         implot.destroy_context()
 
 
-def _splits() -> list[hello_imgui.DockingSplit]:
-    right = hello_imgui.DockingSplit("MainDockSpace", "RightSpace", imgui.Dir.right, 0.28)
-    right_bottom = hello_imgui.DockingSplit("RightSpace", "RightBottomSpace", imgui.Dir.down, 0.41)
-    bottom = hello_imgui.DockingSplit("MainDockSpace", "BottomSpace", imgui.Dir.down, 0.24)
-    left = hello_imgui.DockingSplit("MainDockSpace", "LeftSpace", imgui.Dir.left, 0.25)
-    left_bottom = hello_imgui.DockingSplit("LeftSpace", "LeftBottomSpace", imgui.Dir.down, 0.5)
-    return [right, right_bottom, bottom, left, left_bottom]
-
-
 # Window icon
 
 SIZES_PX = (16, 24, 32, 48, 64, 256)
@@ -280,8 +290,6 @@ _OF_WINDOWS_PX = 64  # larger ones are for menus, and would slow down the start
 
 def set_window_icon(window: Any) -> None:
     """Set the window's icon. Wayland windows have none of their own: the desktop entry names it there."""
-    import glfw  # imgui_bundle has to come before it, and images need neither
-
     if glfw.get_platform() in (glfw.PLATFORM_X11, glfw.PLATFORM_WIN32):
         icons = [(size, size, read_icon(size).tolist()) for size in SIZES_PX if size <= _OF_WINDOWS_PX]
         glfw.set_window_icon(window, len(icons), icons)  # lists: for Pillow's images glfw calls a deprecated function
@@ -313,17 +321,78 @@ def own_layout() -> Generator[Path | None]:
         yield None
         return
     with suppress(OSError):
-        _remove_abandoned(folder)
+        for file in folder.glob("*.ini"):
+            if file.stem.isdigit() and not psutil.pid_exists(int(file.stem)):
+                file.unlink(missing_ok=True)
         shutil.copyfile(shared, own)
     yield own
     with suppress(OSError):
         shared.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(shared) as beside:
-            shutil.copyfile(own, beside)
+        with whole_file(shared) as partial:
+            shutil.copyfile(own, partial)
         own.unlink(missing_ok=True)
 
 
-def _remove_abandoned(folder: Path) -> None:
-    for file in folder.glob("*.ini"):
-        if file.stem.isdigit() and not psutil.pid_exists(int(file.stem)):
-            file.unlink(missing_ok=True)
+# Restart after a lost graphics context, with recovered changes
+
+_RESTARTED = "The graphics driver has restarted, and so has this window; jobs have ended."
+_WITH_CHANGES = " What was changed is here, still to be saved; it can't be undone any more."
+_AUTOSAVE, _SCENE, _TIMES = "GSRAIN_KEPT", "GSRAIN_SCENE", "GSRAIN_RESTARTS"
+_MAX_IN_A_ROW = 3
+_A_WHILE_S = 300.0  # uptime after which a window's driver counts as working
+
+
+class RestartState(NamedTuple):
+    """State left by the previous window."""
+
+    autosave: Path | None = None
+    """Path of its unsaved changes."""
+    scene: str | None = None
+    """Scene that was open."""
+
+
+def restart_state() -> RestartState | None:
+    """Return the state to continue with, or None if the user started this window. Call it only once."""
+    autosave, scene = os.environ.pop(_AUTOSAVE, ""), os.environ.pop(_SCENE, "")
+    return RestartState(Path(autosave) if autosave else None, scene or None) if _TIMES in os.environ else None
+
+
+def restart_program(left: RestartState, lived_s: float) -> NoReturn:
+    """Replace this process after `lived_s` seconds; raises `OSError` after several restarts in a row."""
+    times = 1 + (int(os.environ.get(_TIMES, "0")) if lived_s < _A_WHILE_S else 0)
+    if times > _MAX_IN_A_ROW:
+        raise OSError(f"the graphics card was lost {times} times in a row: its driver does not come back")
+    os.environ |= {_TIMES: str(times), _AUTOSAVE: str(left.autosave or ""), _SCENE: left.scene or ""}
+    command = [sys.executable, *sys.orig_argv[1:]]
+    logger.error("The graphics card was lost; the window begins again.")
+    sys.stderr.flush()
+    if os.name == "nt":  # on Windows, execv would return control to the parent, which waits for this process
+        sys.exit(subprocess.call(command))
+    os.execv(command[0], command)
+
+
+# Style: dark and light theme
+
+_THEMES = {"dark": hello_imgui.ImGuiTheme_.darcula_darker, "light": hello_imgui.ImGuiTheme_.light_rounded}
+_MIN_TAB_PX = 30.0  # tabs shrink to this width in a narrow window before they scroll
+
+
+def apply_style(preferences: Preferences) -> None:
+    for_screen = imgui.get_style().font_scale_dpi
+    hello_imgui.apply_theme(_THEMES[preferences.theme])
+    style = imgui.get_style()
+    style.frame_rounding = style.grab_rounding = 3.0
+    style.frame_border_size = 1.0  # the light theme has none: unchecked boxes would be white on white
+    style.window_rounding = 0.0
+    style.popup_rounding = 4.0
+    style.window_menu_button_position = imgui.Dir.none
+    style.tab_min_width_shrink = _MIN_TAB_PX
+    style.docking_node_has_close_button = False
+    style.item_spacing = ImVec2(8, 5)
+    style.frame_padding = ImVec2(7, 4)
+    style.scale_all_sizes(preferences.ui_scale)
+    style.font_scale_main = preferences.font_scale
+    style.font_scale_dpi = for_screen
+    style.set_color_(imgui.Col_.modal_window_dim_bg, (0.0, 0.0, 0.0, 0.45))  # the dark theme would brighten it
+    color = style.color_(imgui.Col_.popup_bg)
+    style.set_color_(imgui.Col_.popup_bg, (color.x, color.y, color.z, 0.98))

@@ -1,8 +1,8 @@
 """A session in the window: live view, panels and menus. Importing this loads the engine."""
 
 import logging
-import threading
 import time
+from functools import partial
 
 import moderngl
 from imgui_bundle import hello_imgui, imgui
@@ -10,54 +10,24 @@ from imgui_bundle import hello_imgui, imgui
 from gsrain_engine.editor.drawing.live_view import LiveView, MosaicImages
 from gsrain_engine.editor.drawing.textures import CachedTexture, CaptureTextures, JobPreviews
 from gsrain_engine.editor.editor import Editor, WindowBackend
-from gsrain_engine.editor.jobs.job import remove_abandoned_job_folders
 from gsrain_engine.editor.timeline import FrameClock
-from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.render.opengl.context import DeviceLostError
 
 from .dialogs import CommandPalette, about_page, draw_questions, keyboard_page
 from .panels.registry import all_panels
-from .restart import restart_state
 from .shell import act_on_keys, draw_menus, status_bar
-from .style import apply_style
 from .viewport.panel import viewport_panel
 from .widgets.fields import answer_dialogs
 
 logger = logging.getLogger("gsrain")
-_RESTARTED = "The graphics driver has restarted, and so has this window; jobs have ended."
-_WITH_CHANGES = " What was changed is here, still to be saved; it can't be undone any more."
-
 _SPACES = {
-    "left": "LeftSpace",
-    "left bottom": "LeftBottomSpace",
-    "right": "RightSpace",
-    "right bottom": "RightBottomSpace",
+    "left": "LeftSpace", "left bottom": "LeftBottomSpace", "right": "RightSpace", "right bottom": "RightBottomSpace",
     "bottom": "BottomSpace",
-}
-
+}  # fmt: skip
 _FOR_THREADS_S = 0.001  # sleep per frame while threads work: without it they rarely get the interpreter
 _IDLE_FPS = 0.3  # A frame costs 80 ms in software rendering; events wake up the window immediately
 _WATCHING_FPS = 10.0  # frame rate for progress bars while workers run without user input
 _WAITING_FPS = 30.0  # frame rate for an animated bar: the awaited work needs the CPU more
-
-
-def begin_session(scene: str | None, rain: RainSettings | None, wet: bool = False) -> Editor:
-    """Begin a session that opens a scene (None is the built-in street) in the background, and makes it rainy if `wet`.
-
-    After a lost graphics context it continues with the state of the previous window.
-    """
-    session, left = Editor(rain=rain), restart_state()
-    if left is not None and left.kept is not None:
-        session.files.go_on_at(left.kept)
-    else:
-        session.open((left and left.scene) or scene or "street")
-        if wet:
-            session.rainy.make_soon()
-    if left is not None:
-        session.problem = _RESTARTED + (_WITH_CHANGES if left.kept is not None else "")
-    session.files.offer_recovery()
-    threading.Thread(target=remove_abandoned_job_folders, name="tidy up", daemon=True).start()
-    return session
 
 
 class Workspace:
@@ -74,14 +44,12 @@ class Workspace:
         self._pace = FrameClock()
         self._capture = session.captures.capture
         self._last_problem = ""
-        self._style = session.preferences
 
     def dockable_windows(self) -> list[hello_imgui.DockableWindow]:
-        windows: list[hello_imgui.DockableWindow] = []
-        panels = all_panels()
+        windows, panels = list[hello_imgui.DockableWindow](), all_panels()
         for panel in panels:
             window = hello_imgui.DockableWindow(
-                panel.window_name, _SPACES[panel.side], lambda panel=panel: panel.draw(self.session)
+                panel.window_name, _SPACES[panel.side], partial(panel.draw, self.session)
             )
             is_first_there = panel.side not in [each.side for each in panels[: panels.index(panel)]]
             window.focus_window_at_next_frame = is_first_there
@@ -96,9 +64,6 @@ class Workspace:
 
     def update(self) -> None:
         """Advance time. Call it once per frame, before drawing."""
-        if self.session.preferences != self._style:
-            self._style = self.session.preferences
-            apply_style(self._style)
         session = self.session
         session.update(self._pace.step(imgui.get_io().delta_time))
         if session.is_working:
@@ -127,20 +92,16 @@ class Workspace:
         if not self.session.view.dialog and self.session.questions.present is None:
             act_on_keys(self.session)
         answer_dialogs(self.session)
-        self._show_new_capture()
+        capture = self.session.captures.capture
+        if capture is not self._capture:
+            self._capture = capture
+            if capture is not None:  # the view shows nothing of a capture without poses
+                imgui.set_window_focus("Capture")
         viewport_panel(self.session, self._textures)
         self._palette.draw(self.session)
         keyboard_page(self.session)
         about_page(self.session)
         draw_questions(self.session)
-
-    def _show_new_capture(self) -> None:
-        """Bring the Capture panel to the front after opening one: the view shows nothing of a capture without poses."""
-        present = self.session.captures.capture
-        if present is not self._capture:
-            self._capture = present
-            if present is not None:
-                imgui.set_window_focus("Capture")
 
     def _textures(self, width: int, height: int) -> list[int]:
         try:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from cyclopts import Parameter
 from jaxtyping import UInt8
 from PIL import Image
 
@@ -23,50 +22,29 @@ from gsrain_engine.evaluation.consistency import (
     warped_pair,
 )
 from gsrain_engine.evaluation.consistency_sheet import SheetPair, consistency_sheet
-from gsrain_engine.evaluation.input_fingerprint import input_fingerprint
-from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, write_report
+from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, input_fingerprint
 from gsrain_engine.render.images import write_image
 from gsrain_engine.scene.open import file_hash
 
-from ..console import Console, Table, bold, print
-from ..options import (
-    AllowOutside,
-    JsonFileOrScreen,
-    check_image,
-    check_page,
-    let_names_lead_outside,
-    table_stream,
-    write_numbers,
-)
-from ..progress import progress_bar
-from .images import perceived_distance
-from .run_facts import provenance_lines, run_provenance, write_report_numbers
+from ..console import Console, bold, print, progress_bar, table_of
+from ..options import AllowOutside, JsonFileOrScreen, check_within, let_names_lead_outside, option
+from ..outputs import check_image, check_page, provenance_lines, run_provenance, table_stream, write_numbers, write_page
+from .images import open_lpips
 
 _COLUMNS = 150
-_Pairs = list[tuple[int, int]]
 
 
 def consistency(
-    folders: Annotated[
-        tuple[Path, ...],
-        Parameter(name="DIR", help="What gsrain transfer has written, or captures with depth, side by side."),
-    ],
+    folders: Annotated[tuple[Path, ...], option("Output folders of gsrain transfer, or captures with depth.", "DIR")],
     /,
     *,
-    neighbours: Annotated[int, Parameter(help="Neighbours that each view is compared with.")] = 2,
-    film: Annotated[
-        float, Parameter(help="Share of mirrored light, 0..1, from which on a pixel counts as water film.")
-    ] = FILM_SHARE,
-    width: Annotated[int | None, Parameter(help="Most pixels across a capture's pictures; default: 960.")] = None,
-    lpips: Annotated[
-        str | None,
-        Parameter(help="LPIPS too: alex (some seconds a pair) or vgg (slower) of this machine, or a file of weights."),
-    ] = None,
-    sheet: Annotated[Path | None, Parameter(help="Picture of some pairs, warped, with their errors (.png).")] = None,
-    sheet_pairs: Annotated[int, Parameter(help="Pairs on that picture.")] = 4,
-    report: Annotated[
-        Path | None, Parameter(help="Also write a page of HTML with that picture, and the numbers as JSON beside it.")
-    ] = None,
+    neighbors: Annotated[int, option("Number of neighbors that each view is compared with.")] = 2,
+    water_film: Annotated[float, option("Minimum share of reflected light, 0..1, of water film.")] = FILM_SHARE,
+    width: Annotated[int | None, option("Maximum width of a capture's images; default: 960.")] = None,
+    lpips: Annotated[str | None, option("LPIPS too: alex, vgg (slower), or a file of weights.")] = None,
+    contact_sheet: Annotated[Path | None, option("Image of some pairs, warped, with their errors (.png).")] = None,
+    contact_sheet_pairs: Annotated[int, option("Number of pairs on that image.")] = 4,
+    report: Annotated[Path | None, option("Also write an HTML page, with the numbers as JSON next to it.")] = None,
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
 ) -> None:
@@ -77,71 +55,61 @@ def consistency(
     matched pixels, in levels of 255; "per contrast" divides each by its image's contrast.
     """
     let_names_lead_outside(allow_outside)
-    _check(folders, neighbours, film, sheet_pairs)
-    check_image("--sheet", sheet)
-    check_page(report, json, sheet)
+    if not folders:
+        raise ValueError("expected one or more folders")
+    check_within("--neighbors", neighbors, 1, 16)
+    check_within("--water-film", water_film, 0, 1)
+    check_within("--contact-sheet-pairs", contact_sheet_pairs, 1, 40)
+    check_image("--contact-sheet", contact_sheet)
+    check_page(report, json, contact_sheet)
     compared = [open_view_folder(folder, width) for folder in folders]
-    pairs = compared[0].chosen(neighbours)
+    pairs = compared[0].chosen(neighbors)
     if not pairs and not compared[0].has_poses:
         raise ValueError(f"{folders[0]}: it is not known where its pictures were taken; expected a capture with poses")
     if not pairs:
         raise ValueError(f"{folders[0]}: no two views show the same place, or their depth is not known")
     own_pairs = [each.alike(compared[0], pairs) for each in compared]
-    perceived = None if lpips is None else perceived_distance(lpips)
+    lpips_of = None if lpips is None else open_lpips(lpips)
     results: list[list[PairAgreement]] = []
     with progress_bar("Comparing", len(pairs) * len(compared)) as advance:
         for each, own in zip(compared, own_pairs, strict=True):
             rows: list[PairAgreement] = []
             for pair in own:
-                rows += agreements(each.views, [pair], has_clear=each.has_clear, film_share=film, perceived=perceived)
+                rows += agreements(
+                    each.views, [pair], has_clear=each.has_clear, film_share=water_film, perceived=lpips_of
+                )
                 advance()
             if not rows:
                 raise ValueError(f"{each.folder}: neighbouring views match in too few pixels to be compared")
             results.append(rows)
     print_agreements(compared, results, Console(file=table_stream(json), width=_COLUMNS))
-    numbers = report_of(compared, results, film) | run_provenance(_inputs(folders, lpips), ("torch",))
-    if sheet is not None or report is not None:
-        drawn = _drawn(compared, own_pairs, film, sheet_pairs)
-        if sheet is not None:
-            write_image(sheet, Image.fromarray(drawn))
-            print(f"wrote {sheet}", file=sys.stderr)
+    inputs = {str(folder): input_fingerprint(folder) for folder in folders}
+    if lpips and Path(lpips).is_file():
+        inputs[f"LPIPS {lpips}"] = file_hash(Path(lpips))
+    numbers = report_of(compared, results, water_film) | run_provenance(inputs, ("torch",))
+    if contact_sheet is not None or report is not None:
+        sheet = _sheet(compared, own_pairs, water_film, contact_sheet_pairs)
+        if contact_sheet is not None:
+            write_image(contact_sheet, Image.fromarray(sheet))
+            print(f"wrote {contact_sheet}", file=sys.stderr)
         if report is not None:
-            write_report(report, consistency_page(numbers, drawn, {"neighbours": neighbours, "LPIPS": lpips or "-"}))
-            beside = write_report_numbers(report, json, numbers)
-            print(f"wrote {report}" + (f", {beside}" if beside else ""), file=sys.stderr)
+            settings = {"neighbours": neighbors, "LPIPS": lpips or "-"}
+            write_page(report, consistency_page(numbers, sheet, settings), json, numbers)
     write_numbers(json, numbers)
 
 
-def _inputs(folders: Sequence[Path], lpips: str | None) -> dict[str, str]:
-    """Return hashes over names, sizes and times of the compared files, and of the bytes of a weights file."""
-    found = {str(folder): input_fingerprint(folder) for folder in folders}
-    return found | {f"LPIPS {lpips}": file_hash(Path(lpips))} if lpips and Path(lpips).is_file() else found
-
-
-def _check(folders: Sequence[Path], neighbours: int, film: float, sheet_pairs: int) -> None:
-    if not folders:
-        raise ValueError("expected one or more folders")
-    if not 1 <= neighbours <= 16:
-        raise ValueError(f"--neighbours {neighbours}: must be within 1..16")
-    if not 0 <= film <= 1:
-        raise ValueError(f"--film {film:g}: must be within 0..1")
-    if not 1 <= sheet_pairs <= 40:
-        raise ValueError(f"--sheet-pairs {sheet_pairs}: must be within 1..40")
-
-
-def _drawn(
-    compared: Sequence[ViewFolder], pairs: Sequence[_Pairs], film: float, most: int
+def _sheet(
+    compared: Sequence[ViewFolder], pairs: Sequence[list[tuple[int, int]]], film: float, max_pairs: int
 ) -> UInt8[np.ndarray, "h w 3"]:
-    count = min(most, len(pairs[0]))
-    chosen = [i * len(pairs[0]) // count for i in range(count)]
-    shown = [
+    """Draw some pairs, evenly chosen, of all folders."""
+    count = min(max_pairs, len(pairs[0]))
+    return consistency_sheet([
         [
             SheetPair(each.title, warped_pair(each.views[own[i][0]], each.views[own[i][1]], film), each.has_clear)
             for each, own in zip(compared, pairs, strict=True)
         ]
-        for i in chosen
-    ]
-    return consistency_sheet(shown)
+        for i in (k * len(pairs[0]) // count for k in range(count))
+    ])  # fmt: skip
 
 
 # Numbers as a table and as JSON
@@ -159,33 +127,17 @@ def report_of(
     for each, own in zip(compared, results, strict=True):
         about = {"folder": str(each.folder), "method": each.method}
         everywhere, dry = _means(own)
-        means.append(
-            {
-                **about,
-                "settings": each.settings,
-                "pairs": len(own),
-                **_numbers(everywhere),
-                "outside_film": _numbers(dry),
-            }
-        )
-        rows += [
-            {
-                **about,
-                "of": row.of,
-                "to": row.to,
-                "matched_share": row.matched_share,
-                **_numbers(row.everywhere),
-                "outside_film": _numbers(row.outside_film),
-            }
-            for row in own
-        ]
+        values = {**_numbers(everywhere), "outside_film": _numbers(dry)}
+        means.append({**about, "settings": each.settings, "pairs": len(own), **values})
+        for row in own:
+            values = {**_numbers(row.everywhere), "outside_film": _numbers(row.outside_film)}
+            rows.append({**about, "of": row.of, "to": row.to, "matched_share": row.matched_share, **values})
     return {"film_share": film, "means": means, "rows": rows}
 
 
 def _means(rows: Sequence[PairAgreement]) -> tuple[WarpAgreement | None, WarpAgreement | None]:
-    return pool_errors(row.everywhere for row in rows), pool_errors(
-        row.outside_film for row in rows if row.outside_film
-    )
+    everywhere = pool_errors(row.everywhere for row in rows)
+    return everywhere, pool_errors(row.outside_film for row in rows if row.outside_film)
 
 
 def _numbers(agreement: WarpAgreement | None) -> dict[str, Any]:
@@ -212,24 +164,13 @@ def print_agreements(
     compared: Sequence[ViewFolder], results: Sequence[Sequence[PairAgreement]], console: Console
 ) -> None:
     with_lpips = any(row.everywhere.after.lpips is not None for rows in results for row in rows)
-    names = [
-        "view",
-        "neighbour",
-        "matched",
-        "before",
-        "after",
-        "ratio",
-        "per contrast",
-        "dry",
-        "dry before",
-        "dry after",
-        "dry ratio",
-    ]
-    table = Table(*names, *(["LPIPS before", "after", "ratio"] if with_lpips else []), box=None)
+    titles = "view,neighbour,matched,before,after,ratio,per contrast,dry,dry before,dry after,dry ratio"
+    table = table_of(titles + ",LPIPS before,after,ratio" * with_lpips, wraps=True)
     for each, rows in zip(compared, results, strict=True):
         table.add_section()
         table.add_row(bold(each.title))
-        for row in _worst(rows):
+        worst = sorted(rows, key=lambda row: -row.everywhere.after.rmse)[:_MAX_ROWS]
+        for row in rows if len(rows) <= _MAX_ROWS else worst:
             cells = [row.of, row.to, f"{row.matched_share:.0%}"]
             table.add_row(*cells, *_cells(row.everywhere, row.outside_film, with_lpips))
         everywhere, dry = _means(rows)
@@ -243,19 +184,13 @@ def print_agreements(
     )
 
 
-def _worst(rows: Sequence[PairAgreement]) -> list[PairAgreement]:
-    """Return all pairs in order, or only those with the largest errors if there are many."""
-    if len(rows) <= _MAX_ROWS:
-        return list(rows)
-    return sorted(rows, key=lambda row: -row.everywhere.after.rmse)[:_MAX_ROWS]
-
-
 def _cells(everywhere: WarpAgreement, dry: WarpAgreement | None, with_lpips: bool) -> list[str]:
     cells = [*_error_cells(everywhere), _ratio(everywhere.contrast_ratio)]
     cells += ["", "", "", ""] if dry is None else [f"{dry.pixels / everywhere.pixels:.0%}", *_error_cells(dry)]
     if with_lpips:
         before = everywhere.before.lpips if everywhere.before is not None else None
-        cells += [_lpips(before), _lpips(everywhere.after.lpips), _ratio(everywhere.lpips_ratio)]
+        cells += ["" if value is None else f"{value:.3f}" for value in (before, everywhere.after.lpips)]
+        cells.append(_ratio(everywhere.lpips_ratio))
     return cells
 
 
@@ -268,10 +203,6 @@ def _ratio(value: float) -> str:
     return "" if math.isnan(value) else f"{value:.2f}"
 
 
-def _lpips(value: float | None) -> str:
-    return "" if value is None else f"{value:.3f}"
-
-
 # HTML page
 
 _CAPTION = (
@@ -279,7 +210,9 @@ _CAPTION = (
     "contrast: each divided by its picture's contrast first; dry: outside the water film, which moves with the eye."
 )
 
-_PAGE_COLUMNS = ("before", "after", "ratio", "per contrast", "LPIPS before", "LPIPS after")
+_PAGE_COLUMNS = (
+    "before", "after", "ratio", "per contrast", "LPIPS before", "LPIPS after", "dry before", "dry after", "dry ratio"
+)  # fmt: skip
 _NUMBERS = ("rmse_before", "rmse_after", "ratio", "contrast_ratio", "lpips_before", "lpips_after")
 
 
@@ -288,21 +221,17 @@ def consistency_page(
 ) -> RunReport:
     """Lay out the page; `numbers` are those of `--json`, `sheet` shows some pairs."""
     means, rows = numbers["means"], numbers["rows"]
-    folders = tuple((_name(each), each["pairs"], *_page_cells(each), *_dry(each)) for each in means)
-    pairs = tuple(
-        (_name(row), row["of"], row["to"], row["matched_share"], *_page_cells(row), *_dry(row)) for row in rows
-    )
-    how = {f"made by, {_name(each)}": str(each["settings"]) for each in means if each["settings"]}
-    about = {"film share": numbers["film_share"], **settings, **how}
-    columns = (*_PAGE_COLUMNS, "dry before", "dry after", "dry ratio")
+    folders = tuple((_name(each), each["pairs"], *_page_cells(each)) for each in means)
+    pairs = tuple((_name(row), row["of"], row["to"], row["matched_share"], *_page_cells(row)) for row in rows)
+    made_by = {f"made by, {_name(each)}": str(each["settings"]) for each in means if each["settings"]}
     return RunReport(
         title="Agreement of neighbouring views",
-        settings={**about, **provenance_lines(numbers)},
+        settings={"film share": numbers["film_share"], **settings, **made_by, **provenance_lines(numbers)},
         headlines={f"error after, {_name(each)}": f"{_LEVELS * each['rmse_after']:.2f}" for each in means},
         figures=(ReportFigure("Pairs, warped", sheet, is_photograph=True),),
         tables=(
-            ReportTable("Means", ("folder", "pairs", *columns), folders, caption=_CAPTION),
-            ReportTable("Pairs", ("folder", "view", "neighbour", "matched", *columns), pairs, caption=_CAPTION),
+            ReportTable("Means", ("folder", "pairs", *_PAGE_COLUMNS), folders, caption=_CAPTION),
+            ReportTable("Pairs", ("folder", "view", "neighbour", "matched", *_PAGE_COLUMNS), pairs, caption=_CAPTION),
         ),
     )
 
@@ -312,13 +241,6 @@ def _name(row: Mapping[str, Any]) -> str:
 
 
 def _page_cells(row: Mapping[str, Any]) -> list[float | None]:
-    return [_in_levels(name, row.get(name)) for name in _NUMBERS]
-
-
-def _dry(row: Mapping[str, Any]) -> list[float | None]:
-    dry = row["outside_film"]
-    return [_in_levels(name, dry.get(name)) for name in ("rmse_before", "rmse_after", "ratio")]
-
-
-def _in_levels(name: str, value: float | None) -> float | None:
-    return _LEVELS * value if value is not None and name.startswith("rmse") else value
+    values = [(name, row.get(name)) for name in _NUMBERS]
+    values += [(name, row["outside_film"].get(name)) for name in ("rmse_before", "rmse_after", "ratio")]
+    return [_LEVELS * value if value is not None and name.startswith("rmse") else value for name, value in values]

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from cyclopts import Parameter
 from jaxtyping import Bool, UInt8
 
 from gsrain_engine.datasets.capture import Capture, CaptureFrame
@@ -18,36 +17,26 @@ from gsrain_engine.datasets.image_override import find_images
 from gsrain_engine.datasets.io.images import is_image, read_labels
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.evaluation.fid import (
-    CONFIDENCE,
+    EXTRACTORS,
     DistributionDistance,
     FeatureCache,
     Interval,
     distribution_distance,
     extract_features,
     image_hash,
+    open_extractor,
 )
 from gsrain_engine.evaluation.fid_features import Extractor, ExtractorChoice
-from gsrain_engine.evaluation.fid_registry import EXTRACTORS, open_extractor
-from gsrain_engine.evaluation.image_metrics import MeanInterval, check_pair, mean_interval
-from gsrain_engine.evaluation.input_fingerprint import input_fingerprint
+from gsrain_engine.evaluation.image_metrics import CONFIDENCE, ImageDistance, MeanInterval, check_pair, mean_interval
 from gsrain_engine.evaluation.lpips_weights import ARRAY_SUFFIXES, hash_of, read_lpips_weights, write_arrays
-from gsrain_engine.evaluation.report import ReportTable, RunReport, write_report
-from gsrain_engine.evaluation.report_charts import Distance, ImageComparison
+from gsrain_engine.evaluation.report import ReportTable, RunReport, input_fingerprint
+from gsrain_engine.evaluation.report_charts import ImageComparison
 
-from ..console import Console, Table, bold, print
-from ..options import (
-    AllowOutside,
-    JsonFileOrScreen,
-    check_ending,
-    check_page,
-    check_writable,
-    let_names_lead_outside,
-    table_stream,
-    write_numbers,
-)
-from ..progress import progress_bar
-from .run_facts import provenance_lines, run_provenance, set_hash, write_report_numbers
+from .. import outputs
+from ..console import Console, Table, bold, print, progress_bar
+from ..options import AllowOutside, JsonFileOrScreen, check_within, flag, let_names_lead_outside, option
 
+Report = Annotated[Path | None, option("Also write an HTML page, with the numbers as JSON next to it.")]
 _COLUMNS = 120
 _MAX_ROWS = 40
 Mask = Bool[np.ndarray, "h w"]
@@ -55,26 +44,16 @@ Image = UInt8[np.ndarray, "h w 3"]
 
 
 def images(
-    shown: Annotated[Path, Parameter(name="A", help="A picture, a folder of pictures, or a capture.")],
-    truth: Annotated[
-        Path,
-        Parameter(name="B", help="What they should be: pictures of the same names and sizes; of a picture any other."),
-    ],
+    shown: Annotated[Path, option("An image, a folder of images, or a capture.", "A")],
+    truth: Annotated[Path, option("Reference images of the same names and sizes; for a single image, any one.", "B")],
     /,
     *,
     masks: Annotated[
-        Path | None,
-        Parameter(
-            help="Mask, or folder of masks NAME.png: what is not black is compared. Default: those of B, if it has any."
-        ),
+        Path | None, option("Mask or folder of masks NAME.png, black where ignored; default: those of B.")
     ] = None,
-    lpips: Annotated[
-        str | None, Parameter(help="LPIPS too: alex or vgg of this machine's weights, or a file of weights.")
-    ] = None,
-    seed: Annotated[int, Parameter(help="Same seed, same intervals.")] = 0,
-    report: Annotated[
-        Path | None, Parameter(help="Also write a page of HTML with the pictures, and the numbers as JSON beside it.")
-    ] = None,
+    lpips: Annotated[str | None, option("LPIPS too: alex, vgg (slower), or a file of weights.")] = None,
+    seed: Annotated[int, option("Same seed, same intervals.")] = 0,
+    report: Report = None,
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
 ) -> None:
@@ -83,9 +62,9 @@ def images(
     PSNR in dB and SSIM (at most 1) are higher for closer images, LPIPS (0 for equal ones) is lower.
     """
     let_names_lead_outside(allow_outside)
-    check_page(report, json)
+    outputs.check_page(report, json)
     pairs, left_out = _pairs(shown, truth)
-    distance = None if lpips is None else perceived_distance(lpips)
+    distance = None if lpips is None else open_lpips(lpips)
     rows: list[ImageComparison] = []
     shares: list[float] = []
     hashes: list[tuple[str, str]] = []
@@ -97,28 +76,32 @@ def images(
             hashes.append((image_hash(pictures[0]), image_hash(pictures[1])))
             shares.append(1.0 if mask is None else float(mask.mean()))
             advance()
-    means = {name: mean_interval(values, seed) for name, values in _columns(rows).items()}
-    _print(rows, means, Console(file=table_stream(json), width=_COLUMNS, highlight=False))
+    columns = {name: [getattr(row, name) for row in rows] for name in ("psnr_db", "ssim", "lpips")}
+    columns = {name: values for name, values in columns.items() if None not in values}
+    means = {name: mean_interval(values, seed) for name, values in columns.items()}
+    _print(rows, means, Console(file=outputs.table_stream(json), width=_COLUMNS))
     if left_out:
         print(f"{left_out} pictures have no other of their name, and are left out", file=sys.stderr)
     settings = {"pictures": str(shown), "truth": str(truth), "lpips": lpips, "seed": seed, "left_out": left_out}
-    facts = run_provenance(_inputs(hashes, shown, truth, masks), ("scikit-image", "torch"))
-    numbers = {**settings, **facts, "means": _means(means), "rows": _numbers(rows, shares)}
-    write_numbers(json, numbers)
+    first, second = (outputs.set_hash(each) for each in zip(*hashes, strict=True))
+    inputs = {f"pictures {shown}": first, f"truth {truth}": second}
+    if masks is not None:
+        inputs[f"masks {masks}"] = input_fingerprint(masks)
+    facts = outputs.run_provenance(inputs, ("scikit-image", "torch"))
+    plain_means = {
+        name: {part: _finite(value) for part, value in each._asdict().items()} for name, each in means.items()
+    }
+    plain_rows = [
+        {"name": row.name, "psnr_db": _finite(row.psnr_db), "ssim": row.ssim, "lpips": row.lpips}
+        | {"compared_share": share}
+        for row, share in zip(rows, shares, strict=True)
+    ]
+    numbers = {**settings, **facts, "means": plain_means, "rows": plain_rows}
+    outputs.write_numbers(json, numbers)
     if report is not None:
-        told = {**settings, **provenance_lines(facts)}
-        write_report(
-            report, RunReport(title="Pictures compared", settings=told, comparisons=tuple(rows), held_out=False)
-        )
-        beside = write_report_numbers(report, json, numbers)
-        print(f"wrote {report}" + (f", {beside}" if beside else ""), file=sys.stderr)
-
-
-def _inputs(hashes: Sequence[tuple[str, str]], shown: Path, truth: Path, masks: Path | None) -> dict[str, str]:
-    """Return hashes of the compared images, and of the masks' names, sizes and times."""
-    first, second = (set_hash(each) for each in zip(*hashes, strict=True))
-    found = {f"pictures {shown}": first, f"truth {truth}": second}
-    return found if masks is None else found | {f"masks {masks}": input_fingerprint(masks)}
+        lines = {**settings, **outputs.provenance_lines(facts)}
+        page = RunReport(title="Pictures compared", settings=lines, comparisons=tuple(rows), held_out=False)
+        outputs.write_page(report, page, json, numbers)
 
 
 def _pairs(shown: Path, truth: Path) -> tuple[list[tuple[CaptureFrame, CaptureFrame]], int]:
@@ -152,7 +135,9 @@ def _mask(folder: Path, view: CaptureFrame) -> Mask:
     return read_labels(file) > 0
 
 
-def _compared(name: str, shown: Image, truth: Image, mask: Mask | None, distance: Distance | None) -> ImageComparison:
+def _compared(
+    name: str, shown: Image, truth: Image, mask: Mask | None, distance: ImageDistance | None
+) -> ImageComparison:
     a, b = (picture.astype(np.float32) / np.float32(255) for picture in (shown, truth))
     try:
         check_pair(a.shape, b.shape, None if mask is None else mask.shape)
@@ -161,39 +146,16 @@ def _compared(name: str, shown: Image, truth: Image, mask: Mask | None, distance
         raise ValueError(f"{name}: {error}") from None
 
 
-def _columns(rows: Sequence[ImageComparison]) -> dict[str, list[float]]:
-    columns = {"psnr_db": [row.psnr_db for row in rows], "ssim": [row.ssim for row in rows]}
-    lpips = [row.lpips for row in rows if row.lpips is not None]
-    return {**columns, "lpips": lpips} if lpips else columns
-
-
 def _print(rows: Sequence[ImageComparison], means: dict[str, MeanInterval], console: Console) -> None:
     titles = {"psnr_db": "PSNR dB", "ssim": "SSIM", "lpips": "LPIPS"}
     table = Table("picture", *(titles[name] for name in means), box=None)
     for row in rows if len(rows) <= _MAX_ROWS else sorted(rows, key=lambda row: row.psnr_db)[:_MAX_ROWS]:
         cells = [f"{row.psnr_db:.2f}", f"{row.ssim:.4f}", *([] if row.lpips is None else [f"{row.lpips:.4f}"])]
         table.add_row(row.name, *cells)
-    told = f"mean of {len(rows)}" + (f", above the {_MAX_ROWS} worst" if len(rows) > _MAX_ROWS else "")
-    table.add_row(bold(told), *(bold(f"{each.mean:.4g}") for each in means.values()))
+    title = f"mean of {len(rows)}" + (f", above the {_MAX_ROWS} worst" if len(rows) > _MAX_ROWS else "")
+    table.add_row(bold(title), *(bold(f"{each.mean:.4g}") for each in means.values()))
     table.add_row("95 % of such means", *(f"{each.low:.4g} to {each.high:.4g}" for each in means.values()))
     console.print(table)
-
-
-def _means(means: dict[str, MeanInterval]) -> dict[str, Any]:
-    return {name: {part: _finite(value) for part, value in each._asdict().items()} for name, each in means.items()}
-
-
-def _numbers(rows: Sequence[ImageComparison], shares: Sequence[float]) -> list[dict[str, Any]]:
-    return [
-        {
-            "name": row.name,
-            "psnr_db": _finite(row.psnr_db),
-            "ssim": row.ssim,
-            "lpips": row.lpips,
-            "compared_share": share,
-        }
-        for row, share in zip(rows, shares, strict=True)
-    ]
 
 
 def _finite(value: float) -> float | None:
@@ -204,7 +166,6 @@ def _finite(value: float) -> float | None:
 # FID and KID
 
 _FID_COLUMNS = 200
-_MIN_RESAMPLES, _MAX_RESAMPLES = 20, 10_000
 _RESAMPLES, _MANY, _MIN_DEFAULT = 200, 500, 40  # for many images each resample takes seconds, and the values vary less
 
 _CAPTION = (
@@ -216,35 +177,20 @@ _log = logging.getLogger(__name__)
 
 
 def fid(
-    real: Annotated[Path, Parameter(name="REAL", help="Folder of pictures, or a capture: what cameras saw.")],
-    fake: Annotated[
-        tuple[Path, ...],
-        Parameter(name="FAKE", help="Folders of pictures, captures, or what gsrain transfer wrote; each by itself."),
-    ],
+    real: Annotated[Path, option("Folder of real images, or a capture.", "REAL")],
+    fake: Annotated[tuple[Path, ...], option("Folders of images, captures, or folders of gsrain transfer.", "FAKE")],
     /,
     *,
     extractor: Annotated[
-        str,
-        Parameter(
-            help=f"What looks at the pictures, several with commas: {', '.join(EXTRACTORS)}. Only the first is FID."
-        ),
+        str, option(f"Feature extractors, with commas: {', '.join(EXTRACTORS)}. Only the first one gives FID.")
     ] = "inception",
-    weights: Annotated[Path | None, Parameter(help="File of the extractor's weights; default: this machine's.")] = None,
-    torchscript: Annotated[
-        bool, Parameter(negative="", help="Let a TorchScript file of Inception run: it brings a program of its own.")
-    ] = False,
-    device: Annotated[Literal["cpu", "cuda"], Parameter(help="Where torch computes features.")] = "cpu",
-    resamples: Annotated[
-        int | None,
-        Parameter(
-            help="How often pictures are drawn again for the intervals. Default: 200, fewer of over 500 pictures."
-        ),
-    ] = None,
-    seed: Annotated[int, Parameter(help="Same seed, same intervals.")] = 0,
-    cache: Annotated[bool, Parameter(help="Keep features of pictures, and use kept ones.")] = True,
-    report: Annotated[
-        Path | None, Parameter(help="Also write a page of HTML, with the numbers as JSON beside it.")
-    ] = None,
+    weights: Annotated[Path | None, option("File of the extractor's weights; default: this machine's.")] = None,
+    torchscript: Annotated[bool, flag("Allow a TorchScript file of Inception, which contains a program.")] = False,
+    device: Annotated[Literal["cpu", "cuda"], option("Device on which torch computes features.")] = "cpu",
+    resamples: Annotated[int | None, option("Bootstrap resamples; default: 200, fewer for over 500 images.")] = None,
+    seed: Annotated[int, option("Same seed, same intervals.")] = 0,
+    cache: Annotated[bool, option("Read and write cached features of images.")] = True,
+    report: Report = None,
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
 ) -> None:
@@ -255,37 +201,30 @@ def fid(
     """
     let_names_lead_outside(allow_outside)
     names = [name.strip() for name in extractor.split(",")]
-    _check(names, weights, resamples)
-    check_page(report, json)
-    kept = FeatureCache() if cache else None
-    extractors = [
-        _extractor(ExtractorChoice(name=name, weights=weights, device=device, allows_torchscript=torchscript))
-        for name in names
-    ]
-    sets = [(folder, _opened(folder)) for folder in (real, *fake)]
-    most = max(len(capture) for _, capture in sets)
-    times = resamples or max(_RESAMPLES * _MANY // max(most, _MANY), _MIN_DEFAULT)
-    hashes: dict[str, str] = {}
-    rows = [row for each in extractors for row in _rows(each, sets, kept, times, seed, hashes)]
-    _print_fid(rows, Console(file=table_stream(json), width=_FID_COLUMNS, highlight=False))
-    settings = {"resamples": times, "seed": seed, "confidence": CONFIDENCE}
-    facts = run_provenance(hashes, ("torch", "onnxruntime"))
-    numbers = {**settings, **facts, "rows": [_fid_numbers(row) for row in rows]}
-    write_numbers(json, numbers)
-    if report is not None:
-        write_report(report, _page(rows, {**settings, **provenance_lines(facts)}))
-        beside = write_report_numbers(report, json, numbers)
-        print(f"wrote {report}" + (f", {beside}" if beside else ""), file=sys.stderr)
-
-
-def _check(names: Sequence[str], weights: Path | None, resamples: int | None) -> None:
     for name in names:
         if name not in EXTRACTORS:
             raise ValueError(f"--extractor {name}: expected one of {', '.join(EXTRACTORS)}")
     if weights is not None and len(names) > 1:
         raise ValueError("--weights: belongs to one extractor, several are chosen")
-    if resamples is not None and not _MIN_RESAMPLES <= resamples <= _MAX_RESAMPLES:
-        raise ValueError(f"--resamples {resamples}: must be within {_MIN_RESAMPLES}..{_MAX_RESAMPLES}")
+    check_within("--resamples", resamples, 20, 10_000)
+    outputs.check_page(report, json)
+    features = FeatureCache() if cache else None
+    extractors = [
+        extractor_of(ExtractorChoice(name=name, weights=weights, device=device, allows_torchscript=torchscript))
+        for name in names
+    ]
+    sets = [(folder, _opened(folder)) for folder in (real, *fake)]
+    largest = max(len(capture) for _, capture in sets)
+    times = resamples or max(_RESAMPLES * _MANY // max(largest, _MANY), _MIN_DEFAULT)
+    hashes: dict[str, str] = {}
+    rows = [row for each in extractors for row in _rows(each, sets, features, times, seed, hashes)]
+    _print_fid(rows, Console(file=outputs.table_stream(json), width=_FID_COLUMNS))
+    settings = {"resamples": times, "seed": seed, "confidence": CONFIDENCE}
+    facts = outputs.run_provenance(hashes, ("torch", "onnxruntime"))
+    numbers = {**settings, **facts, "rows": [_fid_numbers(row) for row in rows]}
+    outputs.write_numbers(json, numbers)
+    if report is not None:
+        outputs.write_page(report, _page(rows, {**settings, **outputs.provenance_lines(facts)}), json, numbers)
 
 
 def _opened(folder: Path) -> Capture:
@@ -295,11 +234,12 @@ def _opened(folder: Path) -> Capture:
     return capture
 
 
-def _extractor(choice: ExtractorChoice) -> Extractor:
+def extractor_of(choice: ExtractorChoice, option: str = "--extractor") -> Extractor:
+    """Open an extractor. Raises ValueError, which names the package, if one is missing."""
     try:
         return open_extractor(choice)
     except ModuleNotFoundError as error:
-        raise ValueError(f"--extractor {choice.name} needs {error.name}: pip install 'gsrain[evaluate]'") from None
+        raise ValueError(f"{option} {choice.name} needs {error.name}: pip install 'gsrain[evaluate]'") from None
 
 
 def _rows(
@@ -313,7 +253,7 @@ def _rows(
     """Extract features of all sets and compare each set with the first; adds hashes of their pixels to `hashes`."""
     with progress_bar("Looking at pictures", sum(len(capture) for _, capture in sets)) as advance:
         looked = [extract_features(str(folder), capture, extractor, cache, advance) for folder, capture in sets]
-    hashes |= {each.name: set_hash(each.hashes) for each in looked}
+    hashes |= {each.name: outputs.set_hash(each.hashes) for each in looked}
     with progress_bar("Resampling", 2 * resamples * (len(sets) - 1)) as advance:
         return [
             distribution_distance(extractor, looked[0], each, resamples=resamples, seed=seed, advance=advance)
@@ -326,26 +266,20 @@ def _print_fid(rows: Sequence[DistributionDistance], console: Console) -> None:
         "set", "distance", "", "95 %", "same", "kernel distance", "x 1000", "95 %", "N real", "N", "extractor", box=None
     )
     for row in rows:
+        kernel = Interval(1000 * row.kernel_interval.low, 1000 * row.kernel_interval.high)
         table.add_row(
-            _short(row.fake),
-            row.metric,
-            bold(f"{row.frechet:.4g}"),
-            _range(row.frechet_interval),
+            _short(row.fake), row.metric, bold(f"{row.frechet:.4g}"), _range(row.frechet_interval),
             f"{row.same.mean:.4g} ({_range(row.same.interval)})",
-            row.kernel_metric,
-            bold(f"{1000 * row.kernel:.4g}"),
-            _range(Interval(1000 * row.kernel_interval.low, 1000 * row.kernel_interval.high)),
-            str(row.real_pictures),
-            str(row.fake_pictures),
-            row.extractor,
-        )
+            row.kernel_metric, bold(f"{1000 * row.kernel:.4g}"), _range(kernel),
+            str(row.real_pictures), str(row.fake_pictures), row.extractor,
+        )  # fmt: skip
     console.print(table)
     console.print(
         f'Compared with {rows[0].real}. "same": what the distance would be of two sets so large of one distribution.'
     )
     for row in rows:
         for warning in row.warnings:
-            console.print(f"{_short(row.fake)}, {row.metric}: {warning}.", soft_wrap=True, markup=False)
+            console.print(f"{_short(row.fake)}, {row.metric}: {warning}.", soft_wrap=True)
 
 
 def _short(folder: str) -> str:
@@ -373,54 +307,37 @@ def _page(rows: Sequence[DistributionDistance], settings: dict[str, Any]) -> Run
         title="Distances of distributions",
         settings={"real pictures": rows[0].real, **sets, **settings},
         headlines={f"{row.metric} of {_short(row.fake)}": f"{row.frechet:.4g}" for row in rows},
-        tables=(_frechet_table(rows), _kernel_table(rows)),
+        tables=(
+            ReportTable("Frechet distances", _FRECHET_COLUMNS, tuple(map(_frechet_row, rows)), caption=_CAPTION),
+            ReportTable("Kernel distances", _KERNEL_COLUMNS, tuple(map(_kernel_row, rows)), caption=_KERNEL_CAPTION),
+        ),
         notes=notes,
     )
 
 
-def _frechet_table(rows: Sequence[DistributionDistance]) -> ReportTable:
-    columns = ("set", "distance", "value", "low", "high", "same", "N real", "N", "extractor")
-    values = tuple(
-        (
-            _short(row.fake),
-            row.metric,
-            row.frechet,
-            *row.frechet_interval,
-            row.same.mean,
-            row.real_pictures,
-            row.fake_pictures,
-            row.extractor,
-        )
-        for row in rows
-    )
-    return ReportTable("Frechet distances", columns, values, caption=_CAPTION)
+_FRECHET_COLUMNS = ("set", "distance", "value", "low", "high", "same", "N real", "N", "extractor")
+_KERNEL_COLUMNS = ("set", "distance", "x 1000", "low", "high", "N real", "N", "extractor")
+_KERNEL_CAPTION = "Expected to be 0 for sets of one distribution."
 
 
-def _kernel_table(rows: Sequence[DistributionDistance]) -> ReportTable:
-    columns = ("set", "distance", "x 1000", "low", "high", "N real", "N", "extractor")
-    values = tuple(
-        (
-            _short(row.fake),
-            row.kernel_metric,
-            *(1000 * each for each in (row.kernel, *row.kernel_interval)),
-            row.real_pictures,
-            row.fake_pictures,
-            row.extractor,
-        )
-        for row in rows
-    )
-    return ReportTable("Kernel distances", columns, values, caption="Expected to be 0 for sets of one distribution.")
+def _frechet_row(row: DistributionDistance) -> tuple[Any, ...]:
+    values = row.frechet, *row.frechet_interval, row.same.mean
+    return (_short(row.fake), row.metric, *values, row.real_pictures, row.fake_pictures, row.extractor)
+
+
+def _kernel_row(row: DistributionDistance) -> tuple[Any, ...]:
+    values = (1000 * each for each in (row.kernel, *row.kernel_interval))
+    return (_short(row.fake), row.kernel_metric, *values, row.real_pictures, row.fake_pictures, row.extractor)
 
 
 # Published weights as plain arrays
 
-_Output = Annotated[Path, Parameter(name=["--output", "-o"], help="File to write: .safetensors, or .npz.")]
+_Output = Annotated[Path, option("File to write: .safetensors, or .npz.", "--output", "-o")]
 
 
 def lpips_weights(
     files: Annotated[
-        tuple[Path, ...],
-        Parameter(name="IN", help="A file of LPIPS weights, or two: the published heads and torchvision's network."),
+        tuple[Path, ...], option("A file of LPIPS weights, or the published heads and torchvision's.", "IN")
     ],
     /,
     *,
@@ -430,8 +347,8 @@ def lpips_weights(
 
     Nothing in a file is run: pickles may hold arrays and containers, no more.
     """
-    check_ending("--output", output, ARRAY_SUFFIXES)
-    check_writable(output)
+    outputs.check_ending("--output", output, ARRAY_SUFFIXES)
+    outputs.check_writable(output)
     weights = read_lpips_weights(*files)
     weights.write(output)
     title = {"alex": "AlexNet", "vgg": "VGG16"}[weights.network]
@@ -439,17 +356,14 @@ def lpips_weights(
 
 
 def inception_weights(
-    file: Annotated[Path, Parameter(name="IN", help="pt_inception-2015-12-05-6726825d.pth of pytorch-fid.")],
-    /,
-    *,
-    output: _Output,
+    file: Annotated[Path, option("pt_inception-2015-12-05-6726825d.pth of pytorch-fid.", "IN")], /, *, output: _Output
 ) -> None:
     """Convert the Inception weights of FID to plain arrays. Nothing in the file is run."""
     try:
         from gsrain_engine.evaluation.fid_torch_features import inception_weights as read  # torch is an extra
 
-        check_ending("--output", output, ARRAY_SUFFIXES)
-        check_writable(output)
+        outputs.check_ending("--output", output, ARRAY_SUFFIXES)
+        outputs.check_writable(output)
         weights = read(file)
     except ModuleNotFoundError as error:
         raise ValueError(f"inception-weights needs {error.name}: pip install 'gsrain[evaluate]'") from None
@@ -457,16 +371,12 @@ def inception_weights(
     print(f"{output}: Inception of FID, {output.stat().st_size / 1e6:.1f} MB, SHA-256 {hash_of(output)[:16]}")
 
 
-# LPIPS weights by name or file
-
-
-def perceived_distance(weights: str) -> Distance:
+def open_lpips(weights: str) -> ImageDistance:
     """Open LPIPS of alex, vgg or a file. Raises ValueError or FileNotFoundError if that is not possible."""
     try:
         from gsrain_engine.evaluation.lpips import Lpips  # torch is an extra
         from gsrain_engine.evaluation.lpips_weights import find_lpips_weights, read_lpips_weights
     except ModuleNotFoundError as error:
         raise ValueError(f"--lpips needs {error.name}: pip install 'gsrain[jobs]'") from None
-    if weights == "alex" or weights == "vgg":
-        return Lpips(find_lpips_weights(weights)).distance
-    return Lpips(read_lpips_weights(Path(weights))).distance
+    found = find_lpips_weights(weights) if weights in ("alex", "vgg") else read_lpips_weights(Path(weights))
+    return Lpips(found).distance

@@ -3,7 +3,6 @@
 import csv
 import io
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -11,69 +10,52 @@ from typing import Annotated, Any
 
 import msgspec
 import numpy as np
-from cyclopts import Parameter
+from jaxtyping import Int64
 from PIL import Image
 
-from gsrain_engine.evaluation.input_fingerprint import input_fingerprint
-from gsrain_engine.evaluation.lidar.results import RainRun, RainRunCounts, ReturnCounts, write_figure
+from gsrain_engine.evaluation.lidar.results import RainRun, RainRunCounts, write_figure
 from gsrain_engine.evaluation.lidar.results import rain_runs as lidar_runs
 from gsrain_engine.evaluation.lidar.scan import Answer, LidarTurn, capture_turns, scene_turns, write_sweep
 from gsrain_engine.evaluation.lidar.sensor import SENSORS, LidarSensor
-from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, write_report
+from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, input_fingerprint, write_report
 from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.safe_io.text_files import read_whole, yaml_values
-from gsrain_engine.scene.files import file_word, whole_file
+from gsrain_engine.scene.files import file_word
 from gsrain_engine.scene.open import file_hash, scene_hash
 
-from ..console import Console, Table
-from ..options import (
-    AllowOutside,
-    JsonFileOrScreen,
-    check_writable,
-    let_names_lead_outside,
-    lock_outputs,
-    table_stream,
-    write_numbers,
-)
-from ..progress import progress_bar
-from ..scene_options import names_scene
-from .run_facts import provenance_lines, run_provenance
+from ..console import Console, Table, progress_bar, table_of
+from ..options import AllowOutside, JsonFileOrScreen, check_within, let_names_lead_outside, option, parse_intensities
+from ..outputs import claim_outputs, provenance_lines, run_provenance, table_stream, write_numbers, write_text
+from ..scene import names_scene
 
 _COLUMNS = 130
-_MAX_SEEDS, _MAX_SWEEPS = 1000, 1000
+
+_Runs = Mapping[float, Sequence[RainRunCounts]]
+"""Runs by intensity in mm/h."""
 
 
 def lidar(
-    source: Annotated[
-        str, Parameter(name="SCENE|CAPTURE", help="What is scanned, or has been; default: the street.")
-    ] = "street",
+    source: Annotated[str, option("Scene, or capture with lidar; default: the street.", "SCENE|CAPTURE")] = "street",
     /,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder for figure, table and sweeps.")],
-    rain: Annotated[str, Parameter(help="Intensities in mm/h, with commas between.")] = "0,1.2,8.5,12",
-    seeds: Annotated[int, Parameter(help="Rains of each intensity: seeds 0, 1, ...")] = 5,
-    sweeps: Annotated[int, Parameter(help="Turns of the lidar, evenly over the capture or the drive.")] = 1,
-    sensor: Annotated[str, Parameter(help=f"{', '.join(SENSORS)} (beams, or nm), or a YAML file of a sensor.")] = "64",
+    output: Annotated[Path, option("Folder for figure, table and sweeps.", "--output", "-o")],
+    rain: Annotated[str, option("Intensities in mm/h, with commas between.", "--rain", "--intensity")] = "0,1.2,8.5,12",
+    seeds: Annotated[int, option("Number of rains of each intensity: seeds 0, 1, ...")] = 5,
+    sweeps: Annotated[int, option("Number of lidar turns, evenly over the capture or the drive.")] = 1,
+    sensor: Annotated[str, option(f"{', '.join(SENSORS)} (beams, or nm), or a YAML file of a sensor.")] = "64",
     range_10: Annotated[
-        float | None,
-        Parameter(
-            help="Range in m at which 10 % of reflectance is just detected; default: what a capture's sweeps tell."
-        ),
+        float | None, option("Range in m at which 10 % reflectance is detected; default: from a capture.")
     ] = None,
-    least_reflectance: Annotated[
-        float | None,
-        Parameter(
-            help="Least reflectance that is detected near by, 0..0.1: false returns hang on it; 0: constant gain."
-        ),
+    min_reflectance: Annotated[
+        float | None, option("Minimum reflectance detected at close range, 0..0.1; 0: constant gain.")
     ] = None,
-    answer: Annotated[Answer, Parameter(help="Which of a beam's echoes is reported.")] = "strongest",
-    wet_road: Annotated[bool, Parameter(help="Water on the road mirrors grazing beams away.")] = True,
+    answer: Annotated[Answer, option("Reported echo of a beam.")] = "strongest",
+    wet_road: Annotated[bool, option("Water on the road reflects grazing beams away.")] = True,
     full_intensity: Annotated[
-        float | None,
-        Parameter(help="A capture's intensity of what is white and matt; default: 1, or 100 where it goes beyond 1."),
+        float | None, option("A capture's intensity of white; default: 1, or 100 if values exceed 1.")
     ] = None,
-    reflectance: Annotated[float, Parameter(help="Near-infrared reflectance of all things in a scene.")] = 0.2,
-    write_sweeps: Annotated[bool, Parameter(help="Write each sweep in rain (.npz).")] = True,
+    reflectance: Annotated[float, option("Near-infrared reflectance of all surfaces of a scene.")] = 0.2,
+    write_sweeps: Annotated[bool, option("Write each sweep in rain (.npz).")] = True,
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
 ) -> None:
@@ -84,52 +66,54 @@ def lidar(
     ego's roof.
     """
     let_names_lead_outside(allow_outside)
-    intensities = _intensities(rain)
-    for name, count, most in (("--seeds", seeds, _MAX_SEEDS), ("--sweeps", sweeps, _MAX_SWEEPS)):
-        if not 1 <= count <= most:
-            raise ValueError(f"{name} {count}: must be within 1..{most}")
-    for name, value, most in (("--reflectance", reflectance, 1.0), ("--full-intensity", full_intensity, 1e6)):
-        if value is not None and not 0 < value <= most:
-            raise ValueError(f"{name} {value:g}: must be within 0..{most:g}")
-    check_writable(output / "lidar.png", output / "report.html", json, folders=[output])
-    lock_outputs(output)
-    chosen = _sensor(sensor, range_10, least_reflectance)
-    count, turns = _turns(source, chosen, sweeps, reflectance, full_intensity, told_range=range_10 is None)
+    intensities = parse_intensities(rain)
+    check_within("--seeds", seeds, 1, 1000)
+    check_within("--sweeps", sweeps, 1, 1000)
+    check_within("--reflectance", reflectance, 0, 1, is_open=True)
+    check_within("--full-intensity", full_intensity, 0, 1e6, is_open=True)
+    claim_outputs(output / "lidar.png", output / "report.html", json, folders=[output])
+    chosen = _sensor(sensor, range_10, min_reflectance)
+    count, turns = _turns(source, chosen, sweeps, reflectance, full_intensity, estimates_range=range_10 is None)
     by_intensity: dict[float, list[RainRunCounts]] = {}
-    shown: RainRun | None = None
+    strongest: RainRun | None = None
     with progress_bar("Raining", count * len(intensities) * seeds) as advance:
         for turn in turns:
             for run in lidar_runs(turn, intensities, range(seeds), answer=answer, wet_road=wet_road):
+                intensity = run.counts.state.intensity_mm_h
                 if write_sweeps:
-                    write_sweep(output / "sweeps" / _name(run), run.rainy)
-                if shown is None or run.state.intensity_mm_h > shown.state.intensity_mm_h:
-                    shown = run
-                by_intensity.setdefault(run.state.intensity_mm_h, []).append(run.without_points)
+                    name = f"{file_word(run.turn.name)}_rain{intensity:g}_seed{run.counts.seed}.npz"
+                    write_sweep(output / "sweeps" / name, run.rainy)
+                if strongest is None or intensity > strongest.counts.state.intensity_mm_h:
+                    strongest = run
+                by_intensity.setdefault(intensity, []).append(run.counts)
                 advance()
-    if shown is None:
+    if strongest is None:
         raise ValueError(f"{source}: no turn of a lidar came of it")
-    write_figure(output / "lidar.png", shown, by_intensity)
-    facts = run_provenance(_inputs(source, sensor), ("numba",))
-    asked = {"source": source, "seeds": list(range(seeds)), "answer": answer, "wet_road": wet_road}
-    report = lidar_report(by_intensity, shown.turn.sensor, **asked, **facts)
+    write_figure(output / "lidar.png", strongest, by_intensity)
+    inputs = {source: scene_hash(source) if names_scene(source) else input_fingerprint(Path(source))}
+    if sensor not in SENSORS:
+        inputs[sensor] = file_hash(Path(sensor))
+    report = {
+        "source": source,
+        "seeds": list(range(seeds)),
+        "answer": answer,
+        "wet_road": wet_road,
+        **run_provenance(inputs, ("numba",)),
+        "sensor": msgspec.to_builtins(strongest.turn.sensor),
+        "rows": [_row(run) for runs in by_intensity.values() for run in runs],
+    }
     write_lidar_table(output / "lidar.csv", report["rows"])
     write_numbers(output / "lidar.json", report)
     write_lidar_page(output / "report.html", output / "lidar.png", by_intensity, report)
     console = Console(file=table_stream(json), width=_COLUMNS, highlight=False)
-    print_lidar(by_intensity, shown.turn.sensor, console)
+    print_lidar(by_intensity, strongest.turn.sensor, console)
     what = "lidar.png, lidar.csv, lidar.json, report.html" + (", sweeps/" if write_sweeps else "")
     console.print(f"wrote {output}: {what}", soft_wrap=True)
     write_numbers(json, report)
 
 
-def _inputs(source: str, sensor: str) -> dict[str, str]:
-    """Return hashes of a scene's bytes, or of a capture's names, sizes and times, and of a sensor's file."""
-    found = {source: scene_hash(source) if names_scene(source) else input_fingerprint(Path(source))}
-    return found if sensor in SENSORS else found | {sensor: file_hash(Path(sensor))}
-
-
 def _turns(
-    source: str, sensor: LidarSensor, count: int, reflectance: float, full: float | None, told_range: bool
+    source: str, sensor: LidarSensor, count: int, reflectance: float, full: float | None, estimates_range: bool
 ) -> tuple[int, Iterator[LidarTurn]]:
     """Return the number of turns, and the turns."""
     if names_scene(source):
@@ -144,22 +128,11 @@ def _turns(
     from gsrain_engine.datasets.open_capture import open_capture
 
     capture = open_capture(source)
-    found = capture_turns(capture, sensor, count, full=full, told_range=told_range)
+    found = capture_turns(capture, sensor, count, full=full, estimates_range=estimates_range)
     return min(count, len(capture.sweeps)), found
 
 
-def _name(run: RainRun) -> str:
-    return f"{file_word(run.turn.name)}_rain{run.state.intensity_mm_h:g}_seed{run.seed}.npz"
-
-
-def _intensities(text: str) -> list[float]:
-    words = [word.strip() for word in text.split(",")]
-    if not all(re.fullmatch(r"\d*\.?\d+", word) and float(word) <= 100 for word in words):
-        raise ValueError(f"--rain {text}: expected intensities within 0..100 mm/h such as 0,1.2,8.5,12")
-    return sorted({float(word) for word in words})
-
-
-def _sensor(name: str, range_10: float | None, least_reflectance: float | None) -> LidarSensor:
+def _sensor(name: str, range_10: float | None, min_reflectance: float | None) -> LidarSensor:
     sensor = SENSORS.get(name)
     if sensor is None:
         path = Path(name)
@@ -170,14 +143,12 @@ def _sensor(name: str, range_10: float | None, least_reflectance: float | None) 
             sensor = convert_checked(yaml_values(data), LidarSensor)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
+    check_within("--range-10", range_10, 1, 1000, "m")
+    check_within("--min-reflectance", min_reflectance, 0, 0.1)
     if range_10 is not None:
-        if not 1 <= range_10 <= 1000:
-            raise ValueError(f"--range-10 {range_10:g}: must be within 1..1000 m")
         sensor = msgspec.structs.replace(sensor, range_m=range_10, farthest_m=max(sensor.farthest_m, range_10))
-    if least_reflectance is not None:
-        if not 0 <= least_reflectance <= 0.1:
-            raise ValueError(f"--least-reflectance {least_reflectance:g}: must be within 0..0.1")
-        sensor = msgspec.structs.replace(sensor, least_reflectance=least_reflectance)
+    if min_reflectance is not None:
+        sensor = msgspec.structs.replace(sensor, least_reflectance=min_reflectance)
     return sensor
 
 
@@ -185,14 +156,6 @@ def _sensor(name: str, range_10: float | None, least_reflectance: float | None) 
 
 _FEWEST = 20
 _COUNTED = ("clear", "kept", "dropped", "masked", "false")
-
-
-def lidar_report(
-    by_intensity: Mapping[float, Sequence[RainRunCounts]], sensor: LidarSensor, **settings: Any
-) -> dict[str, Any]:
-    """Return all results as plain values: a row for each turn, intensity and seed."""
-    rows = [_row(run) for runs in by_intensity.values() for run in runs]
-    return {**settings, "sensor": msgspec.to_builtins(sensor), "rows": rows}
 
 
 def _row(run: RainRunCounts) -> dict[str, Any]:
@@ -208,17 +171,12 @@ def _row(run: RainRunCounts) -> dict[str, Any]:
         "untouched": tally.untouched,
         "at_threshold": run.at_threshold,
         "range_rmse_m": None if math.isnan(tally.range_rmse_m) else tally.range_rmse_m,
-        "by_range": _by_range(tally),
+        "by_range": [
+            {"from_m": start, "to_m": None if math.isinf(end) else end}
+            | {name: int(getattr(tally, name)[k]) for name in _COUNTED}
+            for k, (start, end) in enumerate(pairwise(tally.edges_m.tolist()))
+        ],
     }
-
-
-def _by_range(tally: ReturnCounts) -> list[dict[str, Any]]:
-    ends = zip(tally.edges_m[:-1].tolist(), tally.edges_m[1:].tolist(), strict=True)
-    return [
-        {"from_m": start, "to_m": None if math.isinf(end) else end}
-        | {name: int(getattr(tally, name)[k]) for name in _COUNTED}
-        for k, (start, end) in enumerate(ends)
-    ]
 
 
 def write_lidar_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -229,27 +187,21 @@ def write_lidar_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     for row in rows:
         for part in row["by_range"]:
             writer.writerow([row["intensity_mm_h"], row["seed"], row["turn"], *part.values()])
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as beside:
-        beside.write_text(text.getvalue(), encoding="utf-8")
+    write_text(path, text.getvalue())
 
 
-def print_lidar(by_intensity: Mapping[float, Sequence[RainRunCounts]], sensor: LidarSensor, console: Console) -> None:
+def print_lidar(by_intensity: _Runs, sensor: LidarSensor, console: Console) -> None:
     """Print means over seeds and turns, and the shares of kept returns by range."""
-    table = Table("mm/h", "beta 1/km", "wetness", "clear", "kept", "too weak", "behind a drop", "drops", box=None)
-    table.add_column("noise mm")
+    table = table_of("mm/h,beta 1/km,wetness,clear,kept,too weak,behind a drop,drops,noise mm", wraps=True)
     for intensity, runs in by_intensity.items():
         tallies = [run.tally for run in runs]
         clear, kept = (int(np.sum([getattr(each, name) for each in tallies])) for name in ("clear", "kept"))
         table.add_row(
-            f"{intensity:g}",
-            f"{1e3 * runs[0].state.extinction_per_m:.2f}",
-            f"{runs[0].wetness:.2f}",
-            f"{clear / len(runs):,.0f}",
-            f"{kept / max(clear, 1):.2%}",
+            f"{intensity:g}", f"{1e3 * runs[0].state.extinction_per_m:.2f}", f"{runs[0].wetness:.2f}",
+            f"{clear / len(runs):,.0f}", f"{kept / max(clear, 1):.2%}",
             *(_spread([int(getattr(each, name).sum()) for each in tallies]) for name in ("dropped", "masked", "false")),
             f"{1e3 * np.mean([each.range_rmse_m for each in tallies]):.1f}",
-        )
+        )  # fmt: skip
     console.print(f"{sensor.name}; 10 % is detected up to {sensor.range_m:.0f} m")
     console.print(table)
     first = next(iter(by_intensity.values()))
@@ -264,20 +216,25 @@ def print_lidar(by_intensity: Mapping[float, Sequence[RainRunCounts]], sensor: L
         )
 
 
-def _return_share_by_range(by_intensity: Mapping[float, Sequence[RainRunCounts]]) -> Table:
+def _return_share_by_range(by_intensity: _Runs) -> Table:
     """Return the shares of the clear returns; bins with few returns are omitted."""
-    sums = {
-        intensity: [np.sum([getattr(run.tally, name) for run in runs], axis=0) for name in ("kept", "clear")]
-        for intensity, runs in by_intensity.items()
-    }
     first = next(iter(by_intensity.values()))
-    edges, clear = first[0].tally.edges_m.tolist(), next(iter(sums.values()))[1]
+    ends, clear = _ends(first), np.sum([run.tally.clear for run in first], axis=0)
     shown = [k for k in range(len(clear)) if clear[k] >= _FEWEST * len(first)]
-    ends = [f"{edges[k]:g}-{edges[k + 1]:g} m" if math.isfinite(edges[k + 1]) else f"> {edges[k]:g} m" for k in shown]
-    table = Table("mm/h", *ends, box=None)
-    for intensity, (kept, clear) in sums.items():
+    table = Table("mm/h", *(ends[k] for k in shown), box=None)
+    for intensity, runs in by_intensity.items():
+        kept, clear = _kept_and_clear(runs)
         table.add_row(f"{intensity:g}", *(f"{kept[k] / clear[k]:.1%}" for k in shown))
     return table
+
+
+def _ends(runs: Sequence[RainRunCounts]) -> list[str]:
+    edges = runs[0].tally.edges_m.tolist()
+    return [f"{a:g}-{b:g} m" if math.isfinite(b) else f"> {a:g} m" for a, b in pairwise(edges)]
+
+
+def _kept_and_clear(runs: Sequence[RainRunCounts]) -> list[Int64[np.ndarray, " bins"]]:
+    return [np.sum([getattr(run.tally, name) for run in runs], axis=0) for name in ("kept", "clear")]
 
 
 def _spread(counts: Sequence[int]) -> str:
@@ -287,36 +244,28 @@ def _spread(counts: Sequence[int]) -> str:
 
 # HTML page
 
-_NOTES = (
-    "False returns hang on the sensor's least reflectance near by, which makers don't state.",
-    "Spreads are those of the drops: they say nothing of other places.",
-)
 
-
-def write_lidar_page(
-    file: Path, figure: Path, by_intensity: Mapping[float, Sequence[RainRunCounts]], report: Mapping[str, Any]
-) -> None:
-    """Write the page; `report` comes from `lidar_report`, `figure` is the first image."""
+def write_lidar_page(file: Path, figure: Path, by_intensity: _Runs, report: Mapping[str, Any]) -> None:
+    """Write the page; `report` are the numbers of `--json`, `figure` is the first image."""
     with Image.open(figure) as opened:
         pixels = np.asarray(opened.convert("RGB"))
-    told = provenance_lines(report)
     settings = {name: value for name, value in report.items() if name not in ("sensor", "rows", "versions", "inputs")}
-    settings |= told
-    runs = len(next(iter(by_intensity.values())))
-    write_report(
-        file,
-        RunReport(
-            title=f"Lidar in rain: {report['source']}",
-            settings=settings | {f"sensor: {name}": value for name, value in report["sensor"].items()},
-            figures=(ReportFigure("From above, and by range", pixels),),
-            tables=(_totals(by_intensity), _page_by_range(by_intensity)),
-            headlines={"runs of each intensity": str(runs)},
-            notes=_NOTES,
+    settings |= provenance_lines(report)
+    page = RunReport(
+        title=f"Lidar in rain: {report['source']}",
+        settings=settings | {f"sensor: {name}": value for name, value in report["sensor"].items()},
+        figures=(ReportFigure("From above, and by range", pixels),),
+        tables=(_totals(by_intensity), _page_by_range(by_intensity)),
+        headlines={"runs of each intensity": str(len(next(iter(by_intensity.values()))))},
+        notes=(
+            "False returns depend on the sensor's minimum reflectance at close range, which makers don't state.",
+            "Spreads are those of the drops, not of other places.",
         ),
     )
+    write_report(file, page)
 
 
-def _totals(by_intensity: Mapping[float, Sequence[RainRunCounts]]) -> ReportTable:
+def _totals(by_intensity: _Runs) -> ReportTable:
     rows: list[tuple[str | float | None, ...]] = []
     for intensity, runs in by_intensity.items():
         clear, kept, dropped, masked, false = (
@@ -324,23 +273,19 @@ def _totals(by_intensity: Mapping[float, Sequence[RainRunCounts]]) -> ReportTabl
             for name in ("clear", "kept", "dropped", "masked", "false")
         )
         share = float(100 * kept.sum() / max(clear.sum(), 1))
-        beta = 1e3 * runs[0].state.extinction_per_m
-        rows.append(
-            (f"{intensity:g}", beta, runs[0].wetness, float(clear.mean()), share, float(dropped.mean()),
-             float(masked.mean()), float(false.mean()), float(false.min()), float(false.max()))
-        )  # fmt: skip
-    columns = (
-        "mm/h", "beta 1/km", "wetness", "clear", "kept %", "too weak", "behind a drop", "drops", "least", "most"
-    )  # fmt: skip
-    return ReportTable("Returns", columns, tuple(rows), decimals=2, caption="Means of the runs of each intensity.")
+        means = (float(each.mean()) for each in (dropped, masked, false))
+        about = f"{intensity:g}", 1e3 * runs[0].state.extinction_per_m, runs[0].wetness, float(clear.mean()), share
+        rows.append((*about, *means, float(false.min()), float(false.max())))
+    columns = "mm/h,beta 1/km,wetness,clear,kept %,too weak,behind a drop,drops,least,most"
+    caption = "Means of the runs of each intensity."
+    return ReportTable("Returns", tuple(columns.split(",")), tuple(rows), decimals=2, caption=caption)
 
 
-def _page_by_range(by_intensity: Mapping[float, Sequence[RainRunCounts]]) -> ReportTable:
-    edges = next(iter(by_intensity.values()))[0].tally.edges_m.tolist()
-    ends = [f"{a:g}-{b:g} m" if math.isfinite(b) else f"> {a:g} m" for a, b in pairwise(edges)]
+def _page_by_range(by_intensity: _Runs) -> ReportTable:
     rows: list[tuple[str | float | None, ...]] = []
     for intensity, runs in by_intensity.items():
-        kept, clear = (np.sum([getattr(run.tally, name) for run in runs], axis=0) for name in ("kept", "clear"))
-        rows.append((f"{intensity:g}", *(float(100 * k / c) if c else None for k, c in zip(kept, clear, strict=True))))
+        pairs = zip(*_kept_and_clear(runs), strict=True)
+        rows.append((f"{intensity:g}", *(float(100 * kept / clear) if clear else None for kept, clear in pairs)))
+    columns = ("mm/h", *_ends(next(iter(by_intensity.values()))))
     caption = "Per cent of the returns in clear weather."
-    return ReportTable("Kept, by range", ("mm/h", *ends), tuple(rows), decimals=1, caption=caption)
+    return ReportTable("Kept, by range", columns, tuple(rows), decimals=1, caption=caption)

@@ -20,7 +20,7 @@ from ..presets import load_values
 from ..safe_io.errors import convert_checked
 from ..safe_io.text_files import printable_line
 from ..scene.open import STREET
-from .consistency import ViewFolder, WarpAgreement, agreements, open_view_folder, pool_errors
+from .consistency import WarpAgreement, agreements, open_view_folder, pool_errors
 from .fid import DistributionDistance
 
 
@@ -31,7 +31,7 @@ class ComparisonPairs:
         """Find the pairs in the first folder with the most views; raises `CaptureError` for a broken folder."""
         opened = [open_view_folder(folder) for folder in folders]
         fullest = max(opened, key=lambda each: len(each.views))
-        names = _names(fullest)
+        names = fullest.names
         self._pairs = [(names[i], names[j]) for i, j in fullest.chosen(neighbours)]
 
     def agreement(self, folder: Path) -> tuple[int, WarpAgreement | None, WarpAgreement | None]:
@@ -41,22 +41,17 @@ class ComparisonPairs:
         are omitted; None if no pair remains or the film is unknown.
         """
         compared = open_view_folder(folder)
-        index = {name: i for i, name in enumerate(_names(compared))}
+        index = {name: i for i, name in enumerate(compared.names)}
         pairs = [(index[of], index[to]) for of, to in self._pairs if of in index and to in index]
         rows = list(agreements(compared.views, pairs, has_clear=compared.has_clear))
         dry = [row.outside_film for row in rows if row.outside_film is not None]
         return len(rows), pool_errors(row.everywhere for row in rows), pool_errors(dry)
 
 
-def _names(compared: ViewFolder) -> list[str]:
-    return [view.clear.name for view in compared.views]
-
-
 # Comparison table
 
 Value = str | int | float | None
-_KERNEL_SCALE = 1000
-_LEVELS = 255
+_KERNEL_SCALE, _LEVELS = 1000, 255
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,6 +81,7 @@ class ComparedRow:
         """
         distance, kernel = self.distance, f"{self.distance.kernel_metric} x1000"
         low, high = (_KERNEL_SCALE * each for each in distance.kernel_interval)
+        before, after, ratio, contrast_ratio = _errors(self.everywhere)
         return {
             "method": self.name,
             "N": distance.fake_pictures,
@@ -98,11 +94,11 @@ class ComparedRow:
             f"{kernel} low": low,
             f"{kernel} high": high,
             "pairs": self.pairs,
-            "error before": _error(self.everywhere, of_clear=True),
-            "error after": _error(self.everywhere, of_clear=False),
-            "ratio": _ratio(self.everywhere),
-            "per contrast": _contrast_ratio(self.everywhere),
-            "dry ratio": _ratio(self.outside_film),
+            "error before": None if before is None else _LEVELS * before,
+            "error after": None if after is None else _LEVELS * after,
+            "ratio": ratio,
+            "per contrast": contrast_ratio,
+            "dry ratio": _errors(self.outside_film)[2],
             "seconds": self.seconds,
         }
 
@@ -122,15 +118,12 @@ def markdown_table(rows: Sequence[ComparedRow]) -> str:
         cells += [_cell_text(values["same"]), _within(values, kernel)]
         cells += [_cell_text(values[each]) for each in titles[5:]]
         lines.append(_line(cells))
-    real = distance.real_pictures
-    lines += [
-        "",
-        f'Compared with {real} real pictures; features: {distance.extractor}. "same": the distance of two sets',
-    ]
-    lines[-1] += (
-        " so large of one distribution. Errors of warped neighbouring views in levels of 255; dry: outside water."
+    note = (
+        f'Compared with {distance.real_pictures} real pictures; features: {distance.extractor}. "same": the distance '
+        "of two sets so large of one distribution. Errors of warped neighbouring views in levels of 255; dry: outside "
+        "water."
     )
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, "", note, ""])
 
 
 def comparison_csv(rows: Sequence[ComparedRow]) -> str:
@@ -145,6 +138,7 @@ def comparison_csv(rows: Sequence[ComparedRow]) -> str:
 def plain_row(row: ComparedRow) -> dict[str, Any]:
     """Return a row for JSON, with its extractor and warnings."""
     distance = row.distance
+    before, after, ratio, contrast_ratio = _errors(row.everywhere)
     return {
         "name": row.name,
         "method": row.method,
@@ -159,34 +153,23 @@ def plain_row(row: ComparedRow) -> dict[str, Any]:
         "kernel": distance.kernel,
         "kernel_interval": list(distance.kernel_interval),
         "pairs": row.pairs,
-        "rmse_before": _rmse(row.everywhere, of_clear=True),
-        "rmse_after": _rmse(row.everywhere, of_clear=False),
-        "ratio": _ratio(row.everywhere),
-        "contrast_ratio": _contrast_ratio(row.everywhere),
-        "dry_ratio": _ratio(row.outside_film),
+        "rmse_before": before,
+        "rmse_after": after,
+        "ratio": ratio,
+        "contrast_ratio": contrast_ratio,
+        "dry_ratio": _errors(row.outside_film)[2],
         "seconds": row.seconds,
         "warnings": list(distance.warnings),
     }
 
 
-def _rmse(agreement: WarpAgreement | None, *, of_clear: bool) -> float | None:
+def _errors(agreement: WarpAgreement | None) -> tuple[float | None, float | None, float | None, float | None]:
+    """Errors before and after, their ratio, and that per contrast; None if unknown, since JSON has no NaN."""
     if agreement is None:
-        return None
-    error = agreement.before if of_clear else agreement.after
-    return None if error is None else error.rmse
-
-
-def _error(agreement: WarpAgreement | None, *, of_clear: bool) -> float | None:
-    rmse = _rmse(agreement, of_clear=of_clear)
-    return None if rmse is None else _LEVELS * rmse
-
-
-def _ratio(agreement: WarpAgreement | None) -> float | None:
-    return None if agreement is None or isnan(agreement.ratio) else agreement.ratio  # JSON has no NaN
-
-
-def _contrast_ratio(agreement: WarpAgreement | None) -> float | None:
-    return None if agreement is None or isnan(agreement.contrast_ratio) else agreement.contrast_ratio
+        return None, None, None, None
+    ratio, contrast_ratio = (None if isnan(each) else each for each in (agreement.ratio, agreement.contrast_ratio))
+    before = None if agreement.before is None else agreement.before.rmse
+    return before, agreement.after.rmse, ratio, contrast_ratio
 
 
 def _within(values: dict[str, Value], name: str) -> str:
@@ -206,21 +189,12 @@ def _line(cells: Sequence[str]) -> str:
 # Comparison settings
 # Also the schema of the YAML file.
 
-CLEAR = "clear"
-"""The method that changes nothing: baseline distance of clear images to rainy ones."""
-
-SHIPPED = "comparisons"
-"""Folder of sample_configs with the shipped comparisons."""
-
-DEFAULT_WIDTH_PX = 512
-"""Default width of all images: the paper's."""
-
+CLEAR = "clear"  # the method that changes nothing: baseline distance of clear images to rainy ones
+SHIPPED = "comparisons"  # folder of sample_configs with the shipped comparisons
 _FILES = (
     *("source", "capture", "real", "path", "extractor_weights"),
     *("weights", "images", "base", "normals_weights", "normals_checkout"),
 )
-
-_FIELDS = TransferSettings.__struct_fields__
 
 
 class ComparedMethod(TransferSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -239,7 +213,7 @@ class ComparedMethod(TransferSettings, frozen=True, kw_only=True, forbid_unknown
 
     @property
     def settings(self) -> TransferSettings:
-        return TransferSettings(**{field: getattr(self, field) for field in _FIELDS})
+        return TransferSettings(**{field: getattr(self, field) for field in TransferSettings.__struct_fields__})
 
 
 class TransferComparison(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -279,8 +253,8 @@ class TransferComparison(Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     @property
     def width_px(self) -> int:
-        """Maximum width of all compared images."""
-        return self.views.width_px or DEFAULT_WIDTH_PX
+        """Maximum width of all compared images: the paper's by default."""
+        return self.views.width_px or 512
 
     def only(self, names: tuple[str, ...]) -> "TransferComparison":
         """Keep the methods of these names; raises ValueError for an unknown name."""
@@ -325,11 +299,11 @@ def _problem(comparison: TransferComparison) -> str | None:
     if comparison.source is not None and not comparison.real:
         return "expected folders of real rainy pictures - at `$.real`"
     known = [CLEAR, *method_names()]
-    taken: set[str] = set()
+    names: set[str] = set()
     for i, each in enumerate(comparison.methods):
         if each.method not in known:
             return f"no method {each.method!r}, only {', '.join(known)} - at `$.methods[{i}].method`"
-        if each.name.lower() in taken:  # some disks ignore case in folder names
+        if each.name.lower() in names:  # some disks ignore case in folder names
             return f"{each.name!r} is there twice - at `$.methods[{i}].name`"
-        taken.add(each.name.lower())
+        names.add(each.name.lower())
     return None

@@ -13,19 +13,13 @@ import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
+from ..appearance import output_folder
 from ..appearance.base import ClearView, RainyView, Transfer
 from ..appearance.capture_views import capture_views
 from ..appearance.cyclegan_turbo.weight_paths import find_base_model, find_transfer_weights
 from ..appearance.finetune.dataset import DatasetImage, ImageSettings, open_images
 from ..appearance.normals import WEIGHTS
-from ..appearance.output_folder import (
-    TransferRecord,
-    check_transferred_folder,
-    is_transferred_folder,
-    read_record,
-    read_transferred,
-    write_transferred,
-)
+from ..appearance.output_folder import TransferRecord, read_transferred, write_transferred
 from ..appearance.registry import find_method, open_transfer
 from ..appearance.scene_views import evenly_spaced_indices
 from ..appearance.wet_look.environment import ImageEnvironment, ReflectionEnvironment
@@ -39,7 +33,7 @@ from ..scene.progress import Progress
 from .compare_results import CLEAR, ComparedMethod, ComparedRow, ComparisonPairs, TransferComparison
 from .fid import MIN_IMAGES, FeatureCache, ImageSetFeatures, distribution_distance, extract_features
 from .fid_features import Extractor
-from .input_fingerprint import input_fingerprint
+from .report import input_fingerprint
 
 _TRANSFERS, _FEATURES = 0.8, 0.9
 """Shares of the progress at which transfers and features are done; learned transfers take most of the time."""
@@ -51,14 +45,13 @@ class ComparisonResult:
 
     rows: tuple[ComparedRow, ...]
     figure: UInt8[np.ndarray, "h w 3"]
-    shown: tuple[str, ...]
+    figure_views: tuple[str, ...]
     """Names of the views in the figure."""
-    kept: tuple[str, ...]
+    reused: tuple[str, ...]
     """Methods whose images were reused from an earlier run."""
     has_cameras: bool
     """True if neighboring views could be compared."""
     notes: tuple[str, ...] = ()
-    """Limitations of the methods, a sentence each."""
 
 
 # Comparison inputs
@@ -91,16 +84,9 @@ def run_comparison(
 ) -> Generator[Progress, None, ComparisonResult]:
     """Create missing results and compare. A stopped run resumes with the next method.
 
-    Args:
-        comparison: Comparison that passed `check_methods`.
-        source: Clear views.
-        real: Rainy photographs.
-        extractor: Feature extractor.
-        cache: Feature cache.
-        output: Folder with one subfolder per method.
-
-    Raises:
-        ValueError: If a transfer or an image fails, with the method's row; immediately for too few views.
+    `comparison` has passed `check_methods`, `source` has the clear views, `real` the rainy photographs; `output` gets
+    one subfolder per method. Raises ValueError if a transfer or an image fails, with the method's row; immediately for
+    too few views.
     """
     for name, count in ((source.name, len(source.views)), (real.name, len(real))):
         if count < MIN_IMAGES:
@@ -116,13 +102,28 @@ def run_comparison(
                 continue
             share = (number + made / len(source.views)) / len(comparison.methods)
             yield Progress(_TRANSFERS * share, f"{method.name}: view {made} of {len(source.views)}")
-    looked = yield from _looked(folders, real, extractor, cache)
-    rows = yield from _rows(comparison, source, folders, looked, extractor)
+    sets: list[ImageSetFeatures] = []
+    for number, each in enumerate([None, *folders]):
+        name, share = "real" if each is None else each.method.name, number / (len(folders) + 1)
+        yield Progress(_TRANSFERS + (_FEATURES - _TRANSFERS) * share, f"{name}: features")
+        sets.append(extract_features(name, real if each is None else open_capture(each.folder), extractor, cache))
+    rows: list[ComparedRow] = []
+    pairs = ComparisonPairs([each.folder for each in folders], comparison.neighbours) if source.has_cameras else None
+    for number, (each, own) in enumerate(zip(folders, sets[1:], strict=True)):
+        name = each.method.name
+        yield Progress(_FEATURES + (1 - _FEATURES) * number / len(folders), f"{name}: distances")
+        distance = distribution_distance(extractor, sets[0], own, resamples=comparison.resamples, seed=comparison.seed)
+        yield Progress(_FEATURES + (1 - _FEATURES) * (number + 0.5) / len(folders), f"{name}: neighbouring views")
+        count, everywhere, dry = (0, None, None) if pairs is None else pairs.agreement(each.folder)
+        rows.append(
+            ComparedRow(name=name, method=each.method.method, distance=distance, pairs=count, everywhere=everywhere,
+                        outside_film=dry, seconds=each.seconds)
+        )  # fmt: skip
     names = choose_figure_views(folders, comparison.shown, comparison.columns)
-    kept = tuple(each.method.name for each in folders if each.was_reused)
     figure = comparison_figure(folders, names)
+    reused = tuple(each.method.name for each in folders if each.was_reused)
     notes = tuple(f"{each.method.name}, {note}" for each in folders for note in each.notes)
-    return ComparisonResult(tuple(rows), figure, tuple(names), kept, source.has_cameras, notes)
+    return ComparisonResult(tuple(rows), figure, tuple(names), reused, source.has_cameras, notes)
 
 
 # Method folders
@@ -138,48 +139,8 @@ class MethodFolder:
     seconds: float | None
     """Duration of its transfer, including model loading; None if it was stopped before this was written."""
     was_reused: bool
-    """True if it existed from an earlier run."""
     notes: tuple[str, ...] = ()
     """Limitations of its transfer, a sentence each."""
-
-
-def _looked(
-    folders: Sequence[MethodFolder], real: Capture, extractor: Extractor, cache: FeatureCache | None
-) -> Generator[Progress, None, list[ImageSetFeatures]]:
-    """Features of the real images, then of each method's."""
-    looked: list[ImageSetFeatures] = []
-    for number, each in enumerate([None, *folders]):
-        name = "real" if each is None else each.method.name
-        share = number / (len(folders) + 1)
-        yield Progress(_TRANSFERS + (_FEATURES - _TRANSFERS) * share, f"{name}: features")
-        looked.append(extract_features(name, real if each is None else open_capture(each.folder), extractor, cache))
-    return looked
-
-
-def _rows(
-    comparison: TransferComparison,
-    source: ComparedSource,
-    folders: Sequence[MethodFolder],
-    looked: Sequence[ImageSetFeatures],
-    extractor: Extractor,
-) -> Generator[Progress, None, list[ComparedRow]]:
-    rows: list[ComparedRow] = []
-    paired: ComparisonPairs | None = None
-    if source.has_cameras:
-        paired = ComparisonPairs([each.folder for each in folders], comparison.neighbours)
-    for number, (each, own) in enumerate(zip(folders, looked[1:], strict=True)):
-        name = each.method.name
-        yield Progress(_FEATURES + (1 - _FEATURES) * number / len(folders), f"{name}: distances")
-        distance = distribution_distance(
-            extractor, looked[0], own, resamples=comparison.resamples, seed=comparison.seed
-        )
-        yield Progress(_FEATURES + (1 - _FEATURES) * (number + 0.5) / len(folders), f"{name}: neighbouring views")
-        pairs, everywhere, dry = (0, None, None) if paired is None else paired.agreement(each.folder)
-        rows.append(
-            ComparedRow(name=name, method=each.method.method, distance=distance, pairs=pairs, everywhere=everywhere,
-                        outside_film=dry, seconds=each.seconds)
-        )  # fmt: skip
-    return rows
 
 
 _SECONDS = "seconds.json"
@@ -200,7 +161,7 @@ def check_methods(comparison: TransferComparison, output: Path) -> None:
     """Check inputs early; raises ValueError with the method's row. Learned methods need torch."""
     for each in comparison.methods:
         row = f"method {each.name!r}"
-        check_transferred_folder(output / each.name)
+        output_folder.check_transferred_folder(output / each.name)
         if each.method == CLEAR:
             continue
         needs = find_method(each.method).needs
@@ -235,63 +196,51 @@ def _check_learned(method: ComparedMethod) -> None:
 
 def record_of(method: ComparedMethod, source: ComparedSource, comparison: TransferComparison) -> TransferRecord:
     """Return the record of a method's folder: equal records give equal images."""
-    told: dict[str, Any] = msgspec.to_builtins(method.settings, enc_hook=str)
+    settings: dict[str, Any] = msgspec.to_builtins(method.settings, enc_hook=str)
     whole = msgspec.to_builtins(comparison, enc_hook=str)
-    told |= {part: whole[part] for part in ("source", "capture", "pictures", "views")} | {"stamp": source.stamp}
+    settings |= {part: whole[part] for part in ("source", "capture", "pictures", "views")} | {"stamp": source.stamp}
     files: dict[str, Path | None] = {field: getattr(method, field) for field in _FILES}
     if method.method == "cyclegan-turbo" and method.weights is None:
         files["weights"] = find_transfer_weights()
-    told["files"] = {field: input_fingerprint(path) for field, path in files.items() if path is not None}
-    return TransferRecord(method.method, source.name, json.loads(json.dumps(told)), source.to_world)
+    settings["files"] = {field: input_fingerprint(path) for field, path in files.items() if path is not None}
+    return TransferRecord(method.method, source.name, json.loads(json.dumps(settings)), source.to_world)
 
 
 def method_folder(
     method: ComparedMethod, source: ComparedSource, comparison: TransferComparison, output: Path
 ) -> Iterator[MethodFolder | int]:
-    """Create or reuse a method's folder: yields the number of finished views, finally the folder.
-
-    Raises the transfer's errors with the method's row as a prefix.
-    """
+    """Create or reuse a method's folder: yields numbers of finished views, then the folder; errors name the method."""
     folder, record = output / method.name, record_of(method, source, comparison)
-    if _stands(folder, record):
-        yield MethodFolder(method, folder, _read_seconds(folder), True, read_record(folder).notes)
+    if _is_reusable(folder, record):
+        try:
+            seconds = float(json.loads(read_file(folder / _SECONDS))["seconds"])
+        except (OSError, ValueError, KeyError, TypeError):
+            seconds = None
+        yield MethodFolder(method, folder, seconds, True, output_folder.read_record(folder).notes)
         return
     started = time.perf_counter()
     try:
-        transfer = _opened(method, source)
+        transfer: Transfer = IdentityTransfer()
+        if method.method != CLEAR:
+            transfer = open_transfer(method.method, method.settings, source.surroundings)
         for done, _ in enumerate(write_transferred(folder, transfer.transferred(source.views), record, source.mask)):
             yield done + 1
     except (ValueError, OSError) as error:
         raise ValueError(f"method {method.name!r}: {error}") from error
     seconds = round(time.perf_counter() - started, 3)
-    with whole_file(folder / _SECONDS) as beside:
-        beside.write_text(json.dumps({"seconds": seconds}) + "\n", encoding="utf-8")
-    yield MethodFolder(method, folder, seconds, False, read_record(folder).notes)
+    with whole_file(folder / _SECONDS) as temporary:
+        temporary.write_text(json.dumps({"seconds": seconds}) + "\n", encoding="utf-8")
+    yield MethodFolder(method, folder, seconds, False, output_folder.read_record(folder).notes)
 
 
-def _opened(method: ComparedMethod, source: ComparedSource) -> Transfer:
-    return (
-        IdentityTransfer()
-        if method.method == CLEAR
-        else open_transfer(method.method, method.settings, source.surroundings)
-    )
-
-
-def _stands(folder: Path, record: TransferRecord) -> bool:
-    if not is_transferred_folder(folder):
+def _is_reusable(folder: Path, record: TransferRecord) -> bool:
+    if not output_folder.is_transferred_folder(folder):
         return False
     try:
-        there = read_record(folder)
+        there = output_folder.read_record(folder)
     except CaptureError:
         return False
     return (there.method, there.made_of, dict(there.settings)) == (record.method, record.made_of, dict(record.settings))
-
-
-def _read_seconds(folder: Path) -> float | None:
-    try:
-        return float(json.loads(read_file(folder / _SECONDS))["seconds"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
 
 
 def capture_source(capture: Capture, width_px: int, source_stamp: str) -> ComparedSource:
@@ -312,10 +261,9 @@ def held_out_images(settings: ImageSettings, width_px: int) -> tuple[ComparedSou
     if not split.test.source or not split.test.target:
         raise ValueError(f"pictures: test_share {settings.test_share:g} leaves no clear or no rainy picture to test")
     stamps = "-".join(input_fingerprint(Path(each.path)) for each in settings.clear)
-    clear = _alone("clear test pictures", split.test.source)
-    return capture_source(clear, width_px, stamps), _narrowed(
-        _alone("rainy test pictures", split.test.target), width_px
-    )
+    clear = _unrelated("clear test pictures", split.test.source)
+    rainy = _unrelated("rainy test pictures", split.test.target)
+    return capture_source(clear, width_px, stamps), _narrowed(rainy, width_px)
 
 
 def real_images(folders: Sequence[Path], width_px: int) -> Capture:
@@ -327,7 +275,7 @@ def real_images(folders: Sequence[Path], width_px: int) -> Capture:
     return _narrowed(replace(captures[0], views=tuple(view for each in captures for view in each)), width_px)
 
 
-def _alone(name: str, pictures: Sequence[DatasetImage]) -> Capture:
+def _unrelated(name: str, pictures: Sequence[DatasetImage]) -> Capture:
     """A capture of unrelated images from several sources."""
     views = tuple(replace(each.view, name=flat_name(each.name), sensor="") for each in pictures)
     return Capture(name, views, is_metric=False, has_poses=False)
@@ -342,14 +290,10 @@ def _narrowed(capture: Capture, width_px: int) -> Capture:
 
 _CELL_PX, _GAP_PX, _TEXT_PX = 360, 8, 18
 _PAPER, _INK, _FAINT, _EMPTY = (255, 255, 255), (20, 20, 22), (110, 112, 118), (236, 236, 238)
-_Pixels = UInt8[np.ndarray, "_ _ 3"]
 
 
 def choose_figure_views(folders: Sequence[MethodFolder], names: Sequence[str], columns: int) -> list[str]:
-    """Choose the figure's views: the named ones, or `columns` evenly spaced ones of the method with the most.
-
-    Raises ValueError for an unknown name.
-    """
+    """The named views, or `columns` even ones of the method with the most; raises ValueError for an unknown name."""
     there = max(([view.clear.name for view in read_transferred(each.folder)] for each in folders), key=len)
     if not names:
         return [there[i] for i in evenly_spaced_indices(len(there), columns)]
@@ -361,7 +305,11 @@ def choose_figure_views(folders: Sequence[MethodFolder], names: Sequence[str], c
 
 def comparison_figure(folders: Sequence[MethodFolder], names: Sequence[str]) -> UInt8[np.ndarray, "h w 3"]:
     """Draw the named views of each method; a missing view stays empty."""
-    rows = [(each.method.name, _images(each, names)) for each in folders]
+    rows: list[tuple[str, list[UInt8[np.ndarray, "_ _ 3"] | None]]] = []
+    for each in folders:
+        views = {view.clear.name: view for view in read_transferred(each.folder) if view.clear.name in names}
+        images = {name: np.rint(255 * view.image).astype(np.uint8) for name, view in views.items()}
+        rows.append((each.method.name, [images.get(name) for name in names]))
     ratios = [one.shape[0] / one.shape[1] for _, pictures in rows for one in pictures if one is not None]
     tall = round(_CELL_PX * max(ratios, default=0.5))
     line, step = _TEXT_PX + _GAP_PX, tall + _TEXT_PX + 3 * _GAP_PX
@@ -371,7 +319,10 @@ def comparison_figure(folders: Sequence[MethodFolder], names: Sequence[str]) -> 
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(_TEXT_PX)
     lefts = [_GAP_PX + column * (_CELL_PX + _GAP_PX) for column in range(len(names))]
     for left, name in zip(lefts, names, strict=True):
-        draw.text((left, _GAP_PX // 2), _fitting(draw, font, name), _FAINT, font)
+        title = name
+        while draw.textlength(title, font) > _CELL_PX and len(title) > 2:  # frame names of a drive differ at their ends
+            title = f"…{title[2:]}"
+        draw.text((left, _GAP_PX // 2), title, _FAINT, font)
     for row, (method, pictures) in enumerate(rows):
         top = head + row * step
         draw.text((_GAP_PX, top), method, _INK, font)
@@ -381,30 +332,8 @@ def comparison_figure(folders: Sequence[MethodFolder], names: Sequence[str]) -> 
                 draw.rectangle(box, _EMPTY)
                 draw.text((left + _GAP_PX, box[1] + _GAP_PX), "no picture", _FAINT, font)
             else:
-                sheet.paste(Image.fromarray(_sized(picture)), box[:2])
+                scale = _CELL_PX / picture.shape[1]
+                size = (_CELL_PX, max(round(picture.shape[0] * scale), 1))
+                filtered = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+                sheet.paste(Image.fromarray(cv2.resize(picture, size, interpolation=filtered)), box[:2])
     return np.asarray(sheet)
-
-
-def _images(folder: MethodFolder, names: Sequence[str]) -> list[_Pixels | None]:
-    views = read_transferred(folder.folder)
-    found: dict[str, _Pixels] = {}
-    for view in views:
-        if view.clear.name in names:
-            found[view.clear.name] = np.rint(255 * view.image).astype(np.uint8)
-    return [found.get(name) for name in names]
-
-
-def _sized(picture: _Pixels) -> _Pixels:
-    scale = _CELL_PX / picture.shape[1]
-    size = (_CELL_PX, max(round(picture.shape[0] * scale), 1))
-    return np.asarray(
-        cv2.resize(picture, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC), np.uint8
-    )
-
-
-def _fitting(draw: ImageDraw.ImageDraw, font: ImageFont.ImageFont | ImageFont.FreeTypeFont, name: str) -> str:
-    """Truncate the start of a name wider than its column: frame names of a drive differ at their ends."""
-    cut = name
-    while draw.textlength(cut, font) > _CELL_PX and len(cut) > 2:
-        cut = f"…{cut[2:]}"
-    return cut

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float32
 
 from ..appearance.base import RainyView
 from ..appearance.correspondence import Correspondence, correspondence, warped
 from ..appearance.covisibility import rank_neighbors
 from ..appearance.output_folder import is_transferred_folder, read_transferred
 from ..appearance.scene_views import CachedViews
+from .image_metrics import Image, ImageDistance, Mask
 
 _CACHED_VIEWS = 6
 _DEFAULT_WIDTH_PX = 960
@@ -38,6 +38,10 @@ class ViewFolder:
         return f"{self.folder.name} ({self.method})" if self.method else self.folder.name
 
     @property
+    def names(self) -> list[str]:
+        return [view.clear.name for view in self.views]
+
+    @property
     def has_poses(self) -> bool:
         """True if the camera pose of any view is known."""
         return any(self.views[i].clear.has_pose for i in range(len(self.views)))
@@ -51,7 +55,7 @@ class ViewFolder:
         """Find another folder's pairs in this one by view name; raises ValueError for a missing view."""
         if other is self:
             return list(pairs)
-        mine = {self.views[i].clear.name: i for i in range(len(self.views))}
+        mine = {name: i for i, name in enumerate(self.names)}
         theirs = {i: other.views[i].clear.name for i in {each for pair in pairs for each in pair}}
         missing = sorted(name for name in theirs.values() if name not in mine)
         if missing:
@@ -66,52 +70,32 @@ def open_view_folder(folder: Path, width_px: int | None = None) -> ViewFolder:
     """
     if is_transferred_folder(folder):
         transferred = read_transferred(folder)
-        kept = _RecentViews(transferred)
-        return ViewFolder(folder, kept, True, transferred.record.method, dict(transferred.record.settings))
+        record, views = transferred.record, _LazyViews(len(transferred), transferred.__getitem__)
+        return ViewFolder(folder, views, True, record.method, dict(record.settings))
     from ..appearance.capture_views import capture_views
     from ..datasets.open_capture import open_capture  # loads every reader
 
     clear = capture_views(open_capture(folder), width_px or _DEFAULT_WIDTH_PX)
-    return ViewFolder(folder, _CaptureImages(clear), False)
+    return ViewFolder(folder, _LazyViews(len(clear), lambda i: RainyView(clear[i], clear[i].image)), False)
 
 
-class _RecentViews(Sequence[RainyView]):
-    """Caches the most recently used views, since each view is in several pairs."""
+class _LazyViews(Sequence[RainyView]):
+    """Views read on access; the most recent ones are cached, since each view is in several pairs."""
 
-    def __init__(self, views: Sequence[RainyView]) -> None:
-        self._views = views
-        self._read = lru_cache(maxsize=_CACHED_VIEWS)(views.__getitem__)
+    def __init__(self, count: int, read: Callable[[int], RainyView]) -> None:
+        self._count, self._read = count, lru_cache(maxsize=_CACHED_VIEWS)(read)
 
     def __len__(self) -> int:
-        return len(self._views)
+        return self._count
 
     def __getitem__(self, index: Any) -> Any:
         return self._read(index)
 
 
-class _CaptureImages(Sequence[RainyView]):
-    """Images of a capture in place of transferred ones."""
-
-    def __init__(self, views: Sequence[Any]) -> None:
-        self._views = views
-
-    def __len__(self) -> int:
-        return len(self._views)
-
-    def __getitem__(self, index: Any) -> Any:
-        clear = self._views[index]
-        return RainyView(clear, clear.image)
-
-
-# Pairs of neighboring views
-
-FILM_SHARE = 0.05
-"""Share of mirrored light from which a pixel counts as water film."""
-
-MIN_PIXELS = 256
-"""Pairs with fewer common pixels are skipped."""
-
 # Warping error
+
+FILM_SHARE = 0.05  # share of mirrored light from which a pixel counts as water film
+MIN_PIXELS = 256  # pairs with fewer common pixels are skipped
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +142,6 @@ class PairAgreement:
 
     of: str
     to: str
-    """The neighbor, which is warped onto the view."""
     matched_share: float
     """Share of the view's pixels that are visible in the neighbor."""
     everywhere: WarpAgreement
@@ -173,10 +156,9 @@ class WarpedPair:
     of: RainyView
     to: RainyView
     found: Correspondence
-    before: Float32[np.ndarray, "h w 3"]
-    """The neighbor's clear image, warped onto the view."""
-    after: Float32[np.ndarray, "h w 3"]
-    dry: Bool[np.ndarray, "h w"] | None
+    before: Image
+    after: Image
+    dry: Mask | None
     """Matched pixels outside the water film; None if the film is unknown."""
 
 
@@ -190,51 +172,40 @@ def warped_pair(of: RainyView, to: RainyView, film_share: float = FILM_SHARE) ->
     return WarpedPair(of, to, found, warped(to.clear.image, found), warped(to.image, found), dry)
 
 
-Image = Float32[np.ndarray, "h w 3"]
-Mask = Bool[np.ndarray, "h w"]
-Perceived = Callable[[Image, Image, Mask], float]
-"""A distance of two images (0..1) over a mask, such as `Lpips.distance`."""
-
-
 def agreements(
     views: Sequence[RainyView],
     pairs: Sequence[tuple[int, int]],
     *,
     has_clear: bool = True,
     film_share: float = FILM_SHARE,
-    perceived: Perceived | None = None,
+    perceived: ImageDistance | None = None,
 ) -> Iterator[PairAgreement]:
     """Compare pairs of views (of, to), one by one; pairs with almost no overlap are skipped.
 
-    Args:
-        views: May be lazy; a view is read once for each of its pairs.
-        pairs: Indices.
-        has_clear: True if the clear images are known; without them `before` is None.
-        film_share: Share of mirrored light from which a pixel counts as water film.
-        perceived: A second distance, such as LPIPS.
+    `views` may be lazy: a view is read once for each of its pairs. Without `has_clear` the clear images are unknown and
+    `before` is None. `film_share` is the share of mirrored light from which a pixel counts as water film, `perceived` a
+    second distance, such as LPIPS.
     """
     for i, j in pairs:
         pair = warped_pair(views[i], views[j], film_share)
-        mask = pair.found.valid
-        if np.count_nonzero(mask) >= MIN_PIXELS:
-            dry = pair.dry
-            is_dry = dry is not None and np.count_nonzero(dry) >= MIN_PIXELS
-            yield PairAgreement(
-                pair.of.clear.name,
-                pair.to.clear.name,
-                float(mask.mean()),
-                _agreement(pair, mask, has_clear, perceived),
-                _agreement(pair, dry, has_clear, perceived) if dry is not None and is_dry else None,
-            )
+        everywhere = _agreement(pair, pair.found.valid, has_clear, perceived)
+        if everywhere is not None:
+            dry = None if pair.dry is None else _agreement(pair, pair.dry, has_clear, perceived)
+            matched = float(pair.found.valid.mean())
+            yield PairAgreement(pair.of.clear.name, pair.to.clear.name, matched, everywhere, dry)
 
 
-def _agreement(pair: WarpedPair, mask: Mask, has_clear: bool, perceived: Perceived | None) -> WarpAgreement:
+def _agreement(pair: WarpedPair, mask: Mask, has_clear: bool, perceived: ImageDistance | None) -> WarpAgreement | None:
+    """Compare a pair over the pixels of a mask; None for too few."""
+    pixels = int(np.count_nonzero(mask))
+    if pixels < MIN_PIXELS:
+        return None
     after = warp_error(pair.of.image, pair.after, mask, perceived)
     before = warp_error(pair.of.clear.image, pair.before, mask, perceived) if has_clear else None
-    return WarpAgreement(int(np.count_nonzero(mask)), after, before)
+    return WarpAgreement(pixels, after, before)
 
 
-def warp_error(view: Image, other: Image, mask: Mask, perceived: Perceived | None = None) -> WarpError:
+def warp_error(view: Image, other: Image, mask: Mask, perceived: ImageDistance | None = None) -> WarpError:
     """Compare a view with another one, warped onto it, over the pixels of a mask; raises ValueError for an empty one.
 
     Root mean squared difference in display values of 0..1, over all channels: 0 (the views agree) to 1, lower is
@@ -242,9 +213,9 @@ def warp_error(view: Image, other: Image, mask: Mask, perceived: Perceived | Non
     """
     if not mask.any():
         raise ValueError("the mask leaves no pixel to compare")
-    shown = view[mask].astype(np.float64)
-    rmse = float(np.sqrt(np.mean((other[mask] - shown) ** 2)))
-    spread = float(np.sqrt(np.mean((shown - shown.mean(axis=0)) ** 2)))
+    pixels = view[mask].astype(np.float64)
+    rmse = float(np.sqrt(np.mean((other[mask] - pixels) ** 2)))
+    spread = float(np.sqrt(np.mean((pixels - pixels.mean(axis=0)) ** 2)))
     return WarpError(rmse, spread, None if perceived is None else perceived(other, view, mask))
 
 

@@ -25,13 +25,12 @@ class SheetPair(NamedTuple):
     """One transfer's version of a pair."""
 
     title: str
-    """Of the folder."""
     pair: WarpedPair
     has_clear: bool
 
 
-class _SheetStyle(NamedTuple):
-    words: str
+class _SheetRow(NamedTuple):
+    title: str
     view: Float32[np.ndarray, "h w 3"]
     other: Float32[np.ndarray, "h w 3"]
     valid: Bool[np.ndarray, "h w"]
@@ -44,8 +43,13 @@ def consistency_sheet(pairs: Sequence[Sequence[SheetPair]]) -> UInt8[np.ndarray,
     Next to each view are the neighbor warped onto it, dark without a match, and the error, from none (black) to a
     quarter of full scale (white); unmatched pixels are gray, those of the water film blue.
     """
-    looks = [_looks(shown) for shown in pairs]
-    blocks = [_block(shown[0].pair, own) for shown, own in zip(pairs, looks, strict=True)]
+    blocks: list[Image.Image] = []
+    for of_pair in pairs:
+        first = of_pair[0].pair
+        rows = [_SheetRow(title, pair.of.image, pair.after, pair.found.valid, pair.dry) for title, pair, _ in of_pair]
+        if of_pair[0].has_clear:
+            rows.insert(0, _SheetRow("before", first.of.clear.image, first.before, first.found.valid, None))
+        blocks.append(_block(first, rows))
     width = max(block.width for block in blocks)
     legend = _legend(width)
     sheet = Image.new("RGB", (width, sum(block.height for block in blocks) + legend.height), _PAPER)
@@ -56,58 +60,45 @@ def consistency_sheet(pairs: Sequence[Sequence[SheetPair]]) -> UInt8[np.ndarray,
     return np.asarray(sheet)
 
 
-def _looks(shown: Sequence[SheetPair]) -> list[_SheetStyle]:
-    looks: list[_SheetStyle] = []
-    first = shown[0].pair
-    if shown[0].has_clear:
-        looks.append(_SheetStyle("before", first.of.clear.image, first.before, first.found.valid, None))
-    for title, pair, _ in shown:
-        looks.append(_SheetStyle(title, pair.of.image, pair.after, pair.found.valid, pair.dry))
-    return looks
-
-
-def _block(pair: WarpedPair, looks: Sequence[_SheetStyle]) -> Image.Image:
+def _block(pair: WarpedPair, rows: Sequence[_SheetRow]) -> Image.Image:
     """One pair: a line of text, then a captioned row of three images for each variant."""
     height, width = pair.of.image.shape[:2]
     tall = max(round(_CELL_PX * height / width), 1)
     line = _TEXT_PX + _GAP_PX
     block = Image.new(
-        "RGB", (3 * _CELL_PX + 4 * _GAP_PX, line + len(looks) * (tall + line + _GAP_PX) + 2 * _GAP_PX), _PAPER
+        "RGB", (3 * _CELL_PX + 4 * _GAP_PX, line + len(rows) * (tall + line + _GAP_PX) + 2 * _GAP_PX), _PAPER
     )
     draw, font = ImageDraw.Draw(block), ImageFont.load_default(_TEXT_PX)
     names = f"{pair.of.clear.name}, and {pair.to.clear.name} warped onto it: {pair.found.valid.mean():.0%} matched"
     draw.text((_GAP_PX, _GAP_PX), names, _INK, font)
     top = _GAP_PX + line
-    for look in looks:
-        draw.text((_GAP_PX, top), f"{look.words}: {_figures(look)}", _FAINT, font)
+    for row in rows:
+        error = f"{row.title}: error {_levels(row, row.valid)} of 255"
+        outside = "" if row.dry is None else f", outside the water film {_levels(row, row.dry)}"
+        draw.text((_GAP_PX, top), error + outside, _FAINT, font)
         top += _TEXT_PX + _GAP_PX // 2
-        for column, picture in enumerate(_images(look)):
-            shown = cv2.resize(picture, (_CELL_PX, tall), interpolation=cv2.INTER_AREA)
-            block.paste(Image.fromarray(shown), (_GAP_PX + column * (_CELL_PX + _GAP_PX), top))
+        for column, picture in enumerate(_images(row)):
+            resized = cv2.resize(picture, (_CELL_PX, tall), interpolation=cv2.INTER_AREA)
+            block.paste(Image.fromarray(resized), (_GAP_PX + column * (_CELL_PX + _GAP_PX), top))
         top += tall + _GAP_PX + _GAP_PX // 2
     return block
 
 
-def _figures(look: _SheetStyle) -> str:
-    words = f"error {_levels(look, look.valid)} of 255"
-    return words if look.dry is None else f"{words}, outside the water film {_levels(look, look.dry)}"
-
-
-def _levels(look: _SheetStyle, mask: Bool[np.ndarray, "h w"]) -> str:
+def _levels(row: _SheetRow, mask: Bool[np.ndarray, "h w"]) -> str:
     if not mask.any():
         return "-"
-    return f"{255 * float(np.sqrt(np.mean((look.other[mask] - look.view[mask]) ** 2))):.2f}"
+    return f"{255 * float(np.sqrt(np.mean((row.other[mask] - row.view[mask]) ** 2))):.2f}"
 
 
-def _images(look: _SheetStyle) -> list[UInt8[np.ndarray, "h w 3"]]:
-    other = np.where(look.valid[..., None], look.other, _DIMMED * look.view)
-    error = np.abs(look.other - look.view).mean(axis=2)
+def _images(row: _SheetRow) -> list[UInt8[np.ndarray, "h w 3"]]:
+    other = np.where(row.valid[..., None], row.other, _DIMMED * row.view)
+    error = np.abs(row.other - row.view).mean(axis=2)
     shades = np.asarray(matplotlib.colormaps["magma"](np.linspace(0, 1, _SHADES)), np.float32)[:, :3]
-    shown = shades[np.rint(np.clip(error / LARGEST_ERROR, 0, 1) * (_SHADES - 1)).astype(int)]
-    if look.dry is not None:
-        shown = np.where((look.valid & ~look.dry)[..., None], 0.45 * shown + 0.55 * _WET, shown)
-    shown = np.where(look.valid[..., None], shown, np.array(_LEFT_OUT, np.float32) / 255)
-    return [np.rint(255 * np.clip(each, 0, 1)).astype(np.uint8) for each in (look.view, other, shown)]
+    colors = shades[np.rint(np.clip(error / LARGEST_ERROR, 0, 1) * (_SHADES - 1)).astype(int)]
+    if row.dry is not None:
+        colors = np.where((row.valid & ~row.dry)[..., None], 0.45 * colors + 0.55 * _WET, colors)
+    colors = np.where(row.valid[..., None], colors, np.array(_LEFT_OUT, np.float32) / 255)
+    return [np.rint(255 * np.clip(each, 0, 1)).astype(np.uint8) for each in (row.view, other, colors)]
 
 
 def _legend(width: int) -> Image.Image:
@@ -116,17 +107,16 @@ def _legend(width: int) -> Image.Image:
     shades = np.asarray(matplotlib.colormaps["magma"](np.linspace(0, 1, 120)))[:, :3]
     bar = np.repeat(np.rint(255 * shades).astype(np.uint8)[None], _TEXT_PX, axis=0)
     x = _GAP_PX
+    gray, blue = (
+        np.tile(np.array(color, np.uint8), (_TEXT_PX, _TEXT_PX, 1)) for color in (_LEFT_OUT, np.rint(255 * _WET))
+    )
     for swatch, words in (
         (bar, f"error 0 to {255 * LARGEST_ERROR:.0f} of 255"),
-        (_swatch(np.array(_LEFT_OUT)), "no match"),
-        (_swatch(np.rint(255 * _WET)), "water film, which mirrors and may differ"),
+        (gray, "no match"),
+        (blue, "water film, which mirrors and may differ"),
     ):
         legend.paste(Image.fromarray(swatch), (int(x), _GAP_PX))
         x += swatch.shape[1] + _GAP_PX
         draw.text((x, _GAP_PX), words, _FAINT, font)
         x += draw.textlength(words, font) + 4 * _GAP_PX
     return legend
-
-
-def _swatch(color: np.ndarray) -> UInt8[np.ndarray, "h w 3"]:
-    return np.tile(color.astype(np.uint8), (_TEXT_PX, _TEXT_PX, 1))

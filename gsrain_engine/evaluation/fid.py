@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -14,10 +14,14 @@ from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
 from ..datasets.capture import Capture
 from ..safe_io.limits import open_file
 from ..scene.files import whole_file
-from .fid_features import Extractor
+from .fid_features import SIZE_PX, Extractor, ExtractorChoice, cell_statistics
+from .image_metrics import CONFIDENCE
 
-MIN_IMAGES = 4
-"""Smaller sets are meaningless, and their resamples are almost all alike."""
+MIN_IMAGES = 4  # smaller sets are meaningless, and their resamples are almost all alike
+Features = Float[np.ndarray, "_ _"]  # one row per image
+Weights = Float64[np.ndarray, "_ k"]  # of each image, in k resamples
+Pairs = Bool[np.ndarray, "_ _"]
+Advance = Callable[[], object]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,61 +36,11 @@ class ImageSetFeatures:
         return len(self.hashes)
 
 
-# Confidence intervals
-
-
 class Interval(NamedTuple):
     """Ends of an interval with probability `CONFIDENCE`."""
 
     low: float
     high: float
-
-
-# Resampling of distances
-
-Features = Float[np.ndarray, "_ d"]
-Advance = Callable[[], None]
-
-
-def frechet_interval(
-    real: Features,
-    fake: Features,
-    resamples: int,
-    seed: int,
-    advance: Advance = lambda: None,
-    value: float | None = None,
-) -> Interval:
-    """Return the confidence interval of the Frechet distance for image sets of these sizes.
-
-    Bootstrap: images of each set are drawn with replacement (Efron 1979). Resamples contain fewer different images,
-    which raises their distances; this shift is removed: the interval is the value plus the quantiles of the resampled
-    distances around their mean. It does not cover the small-sample bias of the value itself, see `same_distribution`.
-    For few images it is too wide (for 32 with 64 features by half); for similar images, such as neighboring frames of a
-    drive, too narrow, since it assumes independence. `advance` is called after each resample. `value` is the distance
-    itself, if known.
-    """
-    value = frechet_distance(real, fake) if value is None else value
-    points = reduce_dimension(real, fake)
-    distances: list[float] = []
-    for chosen in _drawn(len(real), len(fake), resamples, seed):
-        distances.append(frechet_distance(*points, (_counts(chosen[0], len(real)), _counts(chosen[1], len(fake)))))
-        advance()
-    shifts = np.array(distances) - np.mean(distances)
-    interval = quantiles(shifts)
-    return Interval(max(value + interval.low, 0.0), value + interval.high)
-
-
-def kernel_interval(
-    real: Features, fake: Features, resamples: int, seed: int, shared: Bool[np.ndarray, "_ _"] | None = None
-) -> Interval:
-    """Return the confidence interval of KID for image sets of these sizes; KID is unbiased, so nothing is shifted.
-
-    Images are assumed independent, as in `frechet_interval`; `shared` is that of `weighted_distances`.
-    """
-    return kernel_estimate(real, fake, resamples, seed, shared)[1]
-
-
-# Small-sample bias of the Frechet distance
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,8 +76,88 @@ class DistributionDistance:
     warnings: tuple[str, ...]
 
 
+def distribution_distance(
+    extractor: Extractor,
+    real: ImageSetFeatures,
+    fake: ImageSetFeatures,
+    *,
+    resamples: int = 200,
+    seed: int = 0,
+    advance: Advance = lambda: None,
+) -> DistributionDistance:
+    """Compare two sets, deterministically. `advance` is called 2 `resamples` times."""
+    value = frechet_distance(real.features, fake.features)
+    same = same_distribution(real.features, fake.features, resamples, seed, advance)
+    in_both = len(set(real.hashes) & set(fake.hashes))
+    pairs = np.array(real.hashes)[:, None] == np.array(fake.hashes)[None, :] if in_both else None
+    kernel, kernel_spread = kernel_estimate(real.features, fake.features, resamples, seed, pairs)
+    warning = small_sample_warning(extractor, value, (len(real), len(fake)), same)
+    warnings = [] if warning is None else [warning]
+    if in_both:
+        warnings.append(f"{in_both} pictures are in both sets: they make every distance smaller")
+    for name, each in (("real", real), ("fake", fake)):
+        repeated = len(each) - len(set(each.hashes))
+        if repeated:
+            warnings.append(f"{repeated} of the {len(each)} {name} pictures repeat others of them")
+    interval = frechet_interval(real.features, fake.features, resamples, seed, advance, value)
+    return DistributionDistance(
+        metric=extractor.metric, kernel_metric=extractor.kernel_metric, extractor=extractor.described,
+        features=extractor.features, real=real.name, fake=fake.name, real_pictures=len(real), fake_pictures=len(fake),
+        shared_pictures=in_both, frechet=value, frechet_interval=interval, kernel=kernel, kernel_interval=kernel_spread,
+        same=same, warnings=tuple(warnings),
+    )  # fmt: skip
+
+
+def extract_features(
+    name: str, capture: Capture, extractor: Extractor, cache: "FeatureCache | None", advance: Advance = lambda: None
+) -> ImageSetFeatures:
+    """Extract features of a capture's images; raises `CaptureError` for a broken image, and ValueError for too few."""
+    if len(capture) < MIN_IMAGES:
+        raise ValueError(f"{name}: {len(capture)} pictures; a distribution takes at least {MIN_IMAGES}")
+    rows: list[Float32[np.ndarray, " d"]] = []
+    hashes: list[str] = []
+    for view in capture:
+        image: UInt8[np.ndarray, "h w 3"] = view.image
+        hashes.append(image_hash(image))
+        rows.append(extractor(image) if cache is None else cache.features(extractor, image, hashes[-1]))
+        advance()
+    return ImageSetFeatures(name, np.stack(rows), tuple(hashes))
+
+
+def image_hash(image: UInt8[np.ndarray, "h w 3"]) -> str:
+    """Return a SHA-256 hash of the pixels, independent of file name and lossless format."""
+    found = hashlib.sha256(np.array(image.shape, np.int64).tobytes())
+    found.update(image.tobytes())
+    return found.hexdigest()
+
+
+# Extractors by their `--extractor` names
+
+EXTRACTORS = ("inception", "pixels16")
+
+
+def open_extractor(choice: ExtractorChoice) -> Extractor:
+    """Open an extractor.
+
+    Raises ValueError for an unknown name or unsuitable weights, FileNotFoundError with download instructions if weights
+    are missing, and ModuleNotFoundError if it needs torch and torch is missing.
+    """
+    if choice.name not in EXTRACTORS:
+        raise ValueError(f"extractor {choice.name!r}: expected one of {', '.join(EXTRACTORS)}")
+    if choice.name == "inception":
+        from .fid_torch_features import open_inception  # torch is an extra
+
+        return open_inception(choice)
+    if choice.weights is not None:
+        raise ValueError(f"{choice.weights}: the extractor pixels16 takes no weights")
+    described = f"colour and edges of 4x4 cells, {SIZE_PX}x{SIZE_PX} px"
+    return Extractor(metric="FD-pixels16", described=described, features=160, key=None, function=cell_statistics)
+
+
 # Feature cache
 # Keyed by image content and extractor.
+
+PLACE = "GSRAIN_FEATURE_CACHE"  # environment variable with the folder of the feature cache
 
 
 class FeatureCache:
@@ -141,92 +175,26 @@ class FeatureCache:
         if extractor.key is None:
             return extractor(image)
         file = self._folder / extractor.key / digest[:2] / f"{digest}.npy"
-        kept = _read(file, extractor.features)
-        if kept is not None:
-            return kept
-        found = extractor(image)
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(file) as beside, beside.open("wb") as opened:
-            np.save(opened, found)
+        found = _read(file, extractor.features)
+        if found is None:
+            found = extractor(image)
+            file.parent.mkdir(parents=True, exist_ok=True)
+            with whole_file(file) as temporary, temporary.open("wb") as opened:
+                np.save(opened, found)
         return found
 
 
-def extract_features(
-    name: str,
-    capture: Capture,
-    extractor: Extractor,
-    cache: FeatureCache | None,
-    advance: Callable[[], None] = lambda: None,
-) -> ImageSetFeatures:
-    """Extract features of all images of a capture, displayed as `name`; without a cache, anew each time.
-
-    Raises `CaptureError` for a broken image, and ValueError for too few.
-    """
-    if len(capture) < MIN_IMAGES:
-        raise ValueError(f"{name}: {len(capture)} pictures; a distribution takes at least {MIN_IMAGES}")
-    rows: list[Float32[np.ndarray, " d"]] = []
-    hashes: list[str] = []
-    for view in capture:
-        image: UInt8[np.ndarray, "h w 3"] = view.image
-        hashes.append(image_hash(image))
-        rows.append(extractor(image) if cache is None else cache.features(extractor, image, hashes[-1]))
-        advance()
-    return ImageSetFeatures(name, np.stack(rows), tuple(hashes))
-
-
-def distribution_distance(
-    extractor: Extractor,
-    real: ImageSetFeatures,
-    fake: ImageSetFeatures,
-    *,
-    resamples: int = 200,
-    seed: int = 0,
-    advance: Callable[[], None] = lambda: None,
-) -> DistributionDistance:
-    """Compare two sets, deterministically. `advance` is called 2 `resamples` times."""
-    pairs = _shared(real.hashes, fake.hashes)
-    value = frechet_distance(real.features, fake.features)
-    same = same_distribution(real.features, fake.features, resamples, seed, advance)
-    counts = (len(real), len(fake))
-    kernel, kernel_spread = kernel_estimate(real.features, fake.features, resamples, seed, pairs)
-    told = small_sample_warning(extractor, value, counts, same)
-    in_both = len(set(real.hashes) & set(fake.hashes))
-    warnings = [] if told is None else [told]
-    if in_both:
-        warnings.append(f"{in_both} pictures are in both sets: they make every distance smaller")
-    for name, each in (("real", real), ("fake", fake)):
-        repeated = len(each) - len(set(each.hashes))
-        if repeated:
-            warnings.append(f"{repeated} of the {len(each)} {name} pictures repeat others of them")
-    return DistributionDistance(
-        metric=extractor.metric,
-        kernel_metric=extractor.kernel_metric,
-        extractor=extractor.described,
-        features=extractor.features,
-        real=real.name,
-        fake=fake.name,
-        real_pictures=counts[0],
-        fake_pictures=counts[1],
-        shared_pictures=in_both,
-        frechet=value,
-        frechet_interval=frechet_interval(real.features, fake.features, resamples, seed, advance, value),
-        kernel=kernel,
-        kernel_interval=kernel_spread,
-        same=same,
-        warnings=tuple(warnings),
-    )
-
-
-def _shared(real: Sequence[str], fake: Sequence[str]) -> Bool[np.ndarray, "n m"] | None:
-    if not set(real) & set(fake):
+def _read(file: Path, features: int) -> Float32[np.ndarray, " d"] | None:
+    """Read cached features; None if missing or damaged."""
+    try:
+        with open_file(file) as stream:
+            found = np.load(stream, allow_pickle=False)
+    except (OSError, ValueError, EOFError):
         return None
-    return np.array(real)[:, None] == np.array(fake)[None, :]
+    return found if found.shape == (features,) and found.dtype == np.float32 else None
 
 
 # Frechet distance
-
-FeatureTable = Float[np.ndarray, "_ _"]
-"""One row per image."""
 
 FeatureCounts = Int64[np.ndarray, " _"]
 _MANY = 256  # minimum number of images and features for the faster method
@@ -235,7 +203,7 @@ _ROUNDING = float(np.finfo(np.float64).eps)
 
 
 def frechet_distance(
-    real: FeatureTable, fake: FeatureTable, counts: tuple[FeatureCounts, FeatureCounts] | None = None
+    real: Features, fake: Features, counts: tuple[FeatureCounts, FeatureCounts] | None = None
 ) -> float:
     """Squared Frechet distance of Gaussians with the means and covariances of two sets of features.
 
@@ -251,8 +219,8 @@ def frechet_distance(
     Raises ValueError for fewer than two images, different numbers of features, or values that are not finite.
     """
     _check(real, fake)
-    told = counts or (np.ones(len(real), np.int64), np.ones(len(fake), np.int64))
-    (first, left), (second, right) = (_moments(each, own) for each, own in zip((real, fake), told, strict=True))
+    real_counts, fake_counts = counts or (np.ones(len(real), np.int64), np.ones(len(fake), np.int64))
+    (first, left), (second, right) = _moments(real, real_counts), _moments(fake, fake_counts)
     between = float(np.sum((first - second) ** 2))
     spreads = float(np.vdot(left, left) + np.vdot(right, right))
     if min(len(left), len(right), left.shape[1]) >= _MANY:
@@ -291,13 +259,8 @@ def nuclear_norm(left: Float64[np.ndarray, "n d"], right: Float64[np.ndarray, "m
     return float(roots.sum()), float(np.linalg.norm(uncertain))
 
 
-def reduce_dimension(
-    real: FeatureTable, fake: FeatureTable
-) -> tuple[Float64[np.ndarray, "n r"], Float64[np.ndarray, "m r"]]:
-    """Return the same points in fewer coordinates, at most one per image, with unchanged distances.
-
-    Speeds up repeated resampling.
-    """
+def reduce_dimension(real: Features, fake: Features) -> tuple[Float64[np.ndarray, "n r"], Float64[np.ndarray, "m r"]]:
+    """Return the same points with unchanged distances in fewer coordinates, at most one per image, for speed."""
     points = np.concatenate((real, fake)).astype(np.float64)
     points -= points.mean(axis=0)
     if len(points) < points.shape[1]:
@@ -305,9 +268,7 @@ def reduce_dimension(
     return points[: len(real)], points[len(real) :]
 
 
-def _moments(
-    features: FeatureTable, counts: FeatureCounts
-) -> tuple[Float64[np.ndarray, " d"], Float64[np.ndarray, "k d"]]:
+def _moments(features: Features, counts: FeatureCounts) -> tuple[Float64[np.ndarray, " d"], Float64[np.ndarray, "k d"]]:
     """Mean, and a root of the covariance: weighted, centered rows with nonzero count."""
     counted = np.flatnonzero(counts)
     rows = features[counted].astype(np.float64)
@@ -324,12 +285,10 @@ def _moments(
 
 def _small_root(root: Float64[np.ndarray, "n d"]) -> Float64[np.ndarray, "_ d"]:
     """Reduce a root with more images than features to as many rows as features, with the same covariance."""
-    if len(root) <= root.shape[1]:
-        return root
-    return np.asarray(np.linalg.qr(root, mode="r"))
+    return root if len(root) <= root.shape[1] else np.asarray(np.linalg.qr(root, mode="r"))
 
 
-def _check(real: FeatureTable, fake: FeatureTable) -> None:
+def _check(real: Features, fake: Features) -> None:
     for name, each in (("real", real), ("fake", fake)):
         if len(each) < 2:
             raise ValueError(f"{len(each)} {name} pictures: a covariance takes at least two")
@@ -339,15 +298,13 @@ def _check(real: FeatureTable, fake: FeatureTable) -> None:
         raise ValueError(f"features of {real.shape[1]} and {fake.shape[1]} numbers can't be compared")
 
 
+# Kernel distance
+
 _BLOCK_ROWS = 512
 
 
 def weighted_distances(
-    real: Features,
-    fake: Features,
-    real_weights: Float64[np.ndarray, "_ k"],
-    fake_weights: Float64[np.ndarray, "_ k"],
-    shared: Bool[np.ndarray, "_ _"] | None = None,
+    real: Features, fake: Features, real_weights: Weights, fake_weights: Weights, shared: Pairs | None = None
 ) -> Float64[np.ndarray, " k"]:
     """Unbiased squared maximum mean discrepancies of two sets of features, with the kernel (x.y / d + 1)^3.
 
@@ -372,7 +329,7 @@ def _kernel(rows: Float64[np.ndarray, "_ d"], columns: Float64[np.ndarray, "_ d"
     return cubed
 
 
-def _within(features: Features, weights: Float64[np.ndarray, "_ k"]) -> Float64[np.ndarray, " k"]:
+def _within(features: Features, weights: Weights) -> Float64[np.ndarray, " k"]:
     """Mean over pairs of one set: pairs below the diagonal count twice, the diagonal is excluded."""
     total = np.zeros(weights.shape[1])
     points = features.astype(np.float64)
@@ -387,11 +344,7 @@ def _within(features: Features, weights: Float64[np.ndarray, "_ k"]) -> Float64[
 
 
 def _across(
-    real: Features,
-    fake: Features,
-    real_weights: Float64[np.ndarray, "_ k"],
-    fake_weights: Float64[np.ndarray, "_ k"],
-    shared: Bool[np.ndarray, "_ _"] | None,
+    real: Features, fake: Features, real_weights: Weights, fake_weights: Weights, shared: Pairs | None
 ) -> Float64[np.ndarray, " k"]:
     total = np.zeros(real_weights.shape[1])
     pairs = np.sum(real_weights, axis=0) * np.sum(fake_weights, axis=0)
@@ -410,17 +363,49 @@ def _mean(total: Float64[np.ndarray, " k"], pairs: Float64[np.ndarray, " k"]) ->
     return np.divide(total, pairs, out=np.full_like(total, np.nan), where=pairs > 0)
 
 
-CONFIDENCE = 0.95
+# Confidence intervals and small samples
+
+NOTABLE_SHARE = 0.1  # share of a distance from which its small-sample bias triggers a warning
+
+
+def frechet_interval(
+    real: Features,
+    fake: Features,
+    resamples: int,
+    seed: int,
+    advance: Advance = lambda: None,
+    value: float | None = None,
+) -> Interval:
+    """Return the confidence interval of the Frechet distance for image sets of these sizes.
+
+    Bootstrap: images of each set are drawn with replacement (Efron 1979). Resamples contain fewer different images,
+    which raises their distances; this shift is removed: the interval is the value plus the quantiles of the resampled
+    distances around their mean. It does not cover the small-sample bias of the value itself, see `same_distribution`.
+    For few images it is too wide (for 32 with 64 features by half); for similar images, such as neighboring frames of a
+    drive, too narrow, since it assumes independence. `advance` is called after each resample. `value` is the distance
+    itself, if known.
+    """
+    value = frechet_distance(real, fake) if value is None else value
+    points = reduce_dimension(real, fake)
+    distances: list[float] = []
+    for counts in _drawn_counts(len(real), len(fake), resamples, seed):
+        distances.append(frechet_distance(*points, counts))
+        advance()
+    interval = quantiles(np.array(distances) - np.mean(distances))
+    return Interval(max(value + interval.low, 0.0), value + interval.high)
 
 
 def kernel_estimate(
-    real: Features, fake: Features, resamples: int, seed: int, shared: Bool[np.ndarray, "_ _"] | None = None
+    real: Features, fake: Features, resamples: int, seed: int, shared: Pairs | None = None
 ) -> tuple[float, Interval]:
-    """Return KID with its `kernel_interval`; kernels are computed once for both."""
+    """Return KID and its confidence interval for image sets of these sizes; kernels are computed once for both.
+
+    KID is unbiased, so the bootstrapped values are not shifted. Images are assumed independent, as in
+    `frechet_interval`; `shared` is that of `weighted_distances`.
+    """
     weights = [np.ones((len(each), 1 + resamples)) for each in (real, fake)]
-    for k, chosen in enumerate(_drawn(len(real), len(fake), resamples, seed)):
-        for own, drawn in zip(weights, chosen, strict=True):
-            own[:, 1 + k] = _counts(drawn, len(own))
+    for k, counts in enumerate(_drawn_counts(len(real), len(fake), resamples, seed)):
+        weights[0][:, 1 + k], weights[1][:, 1 + k] = counts
     values = weighted_distances(real, fake, weights[0], weights[1], shared)
     return float(values[0]), quantiles(values[1:])
 
@@ -432,28 +417,18 @@ def quantiles(values: Float64[np.ndarray, " n"]) -> Interval:
     return Interval(float(low), float(high))
 
 
-def _counts(drawn: Int64[np.ndarray, " n"], pictures: int) -> Int64[np.ndarray, " _"]:
-    return np.bincount(drawn, minlength=pictures)
-
-
-def _drawn(
-    real: int, fake: int, resamples: int, seed: int
-) -> Iterator[tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " m"]]]:
-    """Yield image indices drawn with replacement, at least two different ones per set, as distances require."""
+def _drawn_counts(real: int, fake: int, resamples: int, seed: int) -> Iterator[tuple[FeatureCounts, FeatureCounts]]:
+    """Yield the number of times that each image of both sets is drawn, with replacement."""
     random = np.random.default_rng(seed)
     for _ in range(resamples):
-        yield _some(random, real), _some(random, fake)
+        yield _draw(random, real), _draw(random, fake)
 
 
-def _some(random: np.random.Generator, count: int) -> Int64[np.ndarray, " n"]:
+def _draw(random: np.random.Generator, count: int) -> FeatureCounts:
     while True:
         drawn = random.integers(0, count, count)
-        if (drawn != drawn[0]).any():
-            return drawn
-
-
-NOTABLE_SHARE = 0.1
-"""Share of a distance from which its small-sample bias triggers a warning."""
+        if (drawn != drawn[0]).any():  # distances require at least two different images
+            return np.bincount(drawn, minlength=count)
 
 
 def same_distribution(
@@ -467,7 +442,8 @@ def same_distribution(
     to their mixture. `advance` is called after each split.
     """
     random = np.random.default_rng(seed)
-    points = np.concatenate([_centered(each) for each in reduce_dimension(real, fake)])
+    sets = [points - points.mean(axis=0) for points in reduce_dimension(real, fake)]
+    points = np.concatenate([each * np.sqrt(len(each) / (len(each) - 1)) for each in sets])
     distances: list[float] = []
     for _ in range(splits):
         mixed = points[random.permutation(len(points))]
@@ -483,36 +459,11 @@ def small_sample_warning(
     """Return a one-sentence warning if the sample size dominates the distance, else None."""
     if same.mean < NOTABLE_SHARE * value:
         return None
-    said = (
+    bias = (
         f"for want of pictures ({counts[0]} and {counts[1]} for {extractor.features} features) the "
         f"{extractor.metric} of two such sets of one distribution would be about {same.mean:.4g} "
         f"({same.interval.low:.4g} to {same.interval.high:.4g}): "
     )
     if value <= same.interval.high:
-        return f"{said}{value:.4g} tells no difference"
-    return f"{said}compare {value:.4g} only with values of as many pictures, or take {extractor.kernel_metric}"
-
-
-def _centered(points: Float64[np.ndarray, "n r"]) -> Float64[np.ndarray, "n r"]:
-    return (points - points.mean(axis=0)) * np.sqrt(len(points) / (len(points) - 1))
-
-
-PLACE = "GSRAIN_FEATURE_CACHE"
-"""Environment variable with the folder of the feature cache."""
-
-
-def image_hash(image: UInt8[np.ndarray, "h w 3"]) -> str:
-    """Return a SHA-256 hash of the pixels, independent of file name and lossless format."""
-    found = hashlib.sha256(np.array(image.shape, np.int64).tobytes())
-    found.update(image.tobytes())
-    return found.hexdigest()
-
-
-def _read(file: Path, features: int) -> Float32[np.ndarray, " d"] | None:
-    """Read cached features; None if missing or damaged."""
-    try:
-        with open_file(file) as stream:
-            kept = np.load(stream, allow_pickle=False)
-    except (OSError, ValueError, EOFError):
-        return None
-    return kept if kept.shape == (features,) and kept.dtype == np.float32 else None
+        return f"{bias}{value:.4g} tells no difference"
+    return f"{bias}compare {value:.4g} only with values of as many pictures, or take {extractor.kernel_metric}"

@@ -18,7 +18,6 @@ class Extractor:
     described: str
     """Network, weights with their hash, and input size."""
     features: int
-    """Number of features per image."""
     key: str | None
     """Identifies this extractor's features in the cache; None if they are not worth caching."""
     function: Callable[[UInt8[np.ndarray, "h w 3"]], Float32[np.ndarray, " d"]]
@@ -40,7 +39,6 @@ class ExtractorChoice:
     weights: Path | None = None
     """A file; None searches this machine's folders for weights."""
     device: str = "cpu"
-    """Torch device: cpu, cuda."""
     allows_torchscript: bool = False
     """Allow running a TorchScript file of Inception, which contains code, not only numbers."""
 
@@ -63,10 +61,7 @@ def resized(image: UInt8[np.ndarray, "h w 3"], width: int, height: int) -> Float
 # Cell statistics
 # The features of "FD-pixels16", without network weights.
 
-CELLS = 4
-SIZE_PX = 128
-PER_CELL = 10
-FEATURES = CELLS * CELLS * PER_CELL
+CELLS, SIZE_PX = 4, 128
 
 
 def cell_statistics(image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, " d"]:
@@ -79,14 +74,11 @@ def cell_statistics(image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, " 
     values = resized(image, SIZE_PX, SIZE_PX).astype(np.float64) / 255
     across, down = np.gradient(values.mean(axis=2), axis=(1, 0))
     slopes = np.stack([across, (across + down) / np.sqrt(2), down, (down - across) / np.sqrt(2)], axis=2)
-    parts = (_means(values), _deviations(values), np.sqrt(_means(slopes**2)))
-    return np.concatenate(parts, axis=2).reshape(-1).astype(np.float32)
+    means = _means(values)
+    deviations = np.sqrt(np.maximum(_means(values**2) - means**2, 0))
+    return np.concatenate((means, deviations, np.sqrt(_means(slopes**2))), axis=2).reshape(-1).astype(np.float32)
 
 
 def _means(values: Float64[np.ndarray, "h w c"]) -> Float64[np.ndarray, "cells cells c"]:
     height, width, channels = values.shape
     return values.reshape(CELLS, height // CELLS, CELLS, width // CELLS, channels).mean(axis=(1, 3))
-
-
-def _deviations(values: Float64[np.ndarray, "h w c"]) -> Float64[np.ndarray, "cells cells c"]:
-    return np.sqrt(np.maximum(_means(values**2) - _means(values) ** 2, 0))

@@ -1,28 +1,31 @@
 """Image metrics: PSNR, SSIM, affine color fits, and confidence intervals of means and shares."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float64
 
+Image = Float[np.ndarray, "h w 3"]
+Mask = Bool[np.ndarray, "h w"]
+ImageDistance = Callable[[Image, Image, Mask | None], float]
+"""Distance of a render and the ground truth (0..1) over a mask, such as `Lpips.distance`."""
+
 _PRIOR_WEIGHT = 1e-3  # tikhonov weight toward the identity, in squared color per pixel, for images without contrast
 
 
-def fitted_affine(
-    rendered: Float[np.ndarray, "h w 3"], truth: Float[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "h w"]
-) -> Float64[np.ndarray, "3 4"]:
+def fitted_affine(rendered: Image, truth: Image, mask: Mask) -> Float64[np.ndarray, "3 4"]:
     """Least-squares affine color map from rendered to true pixels; the identity without pixels."""
     identity = np.eye(3, 4)
-    there = rendered[mask].astype(np.float64)
-    basis = np.concatenate([there, np.ones((len(there), 1))], axis=1)
-    normal = basis.T @ basis + _PRIOR_WEIGHT * len(there) * np.eye(4)
-    wanted = basis.T @ (truth[mask].astype(np.float64) - there)
-    return identity + np.linalg.solve(normal, wanted).T if len(there) else identity
+    pixels = rendered[mask].astype(np.float64)
+    basis = np.concatenate([pixels, np.ones((len(pixels), 1))], axis=1)
+    normal = basis.T @ basis + _PRIOR_WEIGHT * len(pixels) * np.eye(4)
+    change = basis.T @ (truth[mask].astype(np.float64) - pixels)
+    return identity + np.linalg.solve(normal, change).T if len(pixels) else identity
 
 
-def with_affine(picture: Float[np.ndarray, "h w 3"], affine: Float64[np.ndarray, "3 4"]) -> Float[np.ndarray, "h w 3"]:
+def with_affine(picture: Image, affine: Float64[np.ndarray, "3 4"]) -> Image:
     """Map an image's display colors; the result is clipped to 0..1."""
     return np.clip(picture @ affine[:, :3].T + affine[:, 3], 0, 1).astype(picture.dtype)
 
@@ -31,16 +34,10 @@ def with_affine(picture: Float[np.ndarray, "h w 3"], affine: Float64[np.ndarray,
 
 WINDOW_PX = 11
 WINDOW_SIGMA_PX = 1.5
-C1, C2 = 0.01**2, 0.03**2
-"""Window and constants of Wang et al. 2004, for values of 0..1."""
-
+C1, C2 = 0.01**2, 0.03**2  # window and constants of Wang et al. 2004, for values of 0..1
 HALF_WINDOW_PX = WINDOW_PX // 2
-MIN_WEIGHT = 1e-8
-"""Minimum window weight within the mask for a comparison."""
-
+MIN_WEIGHT = 1e-8  # minimum window weight within the mask for a comparison
 _BAND_ROWS = 32  # rows per band: SSIM runs in bands whose intermediate results fit into the CPU cache
-Image = Float[np.ndarray, "h w 3"]
-Mask = Bool[np.ndarray, "h w"]
 
 
 def window() -> Float64[np.ndarray, " k"]:
@@ -127,8 +124,7 @@ def _similarity(rendered: Image, truth: Image, mask: Mask | None) -> Float64[np.
 
 
 def _blurred(values: Float64[np.ndarray, "h w c"]) -> Float64[np.ndarray, "hv wv c"]:
-    taps = window()
-    whole = cv2.sepFilter2D(values, -1, taps, taps, borderType=cv2.BORDER_CONSTANT)
+    whole = cv2.sepFilter2D(values, -1, window(), window(), borderType=cv2.BORDER_CONSTANT)
     return _valid(whole.reshape(values.shape))  # OpenCV drops the axis of a single channel
 
 
@@ -173,10 +169,7 @@ _Z95 = 1.959963984540054  # standard deviations that contain 95 % of a normal di
 
 
 def wilson_interval(hits: int, of: int) -> tuple[float, float]:
-    """Return the ends of the 95 % confidence interval of hits / of (Wilson 1927); 0..1 without trials.
-
-    For independent trials; also valid for few trials and for shares of 0 or 1.
-    """
+    """Return the 95 % confidence interval of hits / of for independent trials (Wilson 1927); 0..1 for none."""
     if not of:
         return 0.0, 1.0
     z2 = _Z95**2

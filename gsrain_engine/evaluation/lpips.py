@@ -6,20 +6,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
 
-from .lpips_weights import TAPS, LpipsWeights, Network, find_lpips_weights, read_lpips_weights
+from .image_metrics import Image, Mask
+from .lpips_weights import TAPS, LpipsWeights, find_lpips_weights, read_lpips_weights
 
 torch: Any = import_module("torch")
 Tensor = Any
-MIN_SIZE_PX = 32
-"""Smaller images have no pixel left after the last pooling."""
-
+MIN_SIZE_PX = 32  # smaller images have no pixel left after the last pooling
 _SHIFT = (-0.030, -0.088, -0.188)
 _SCALE = (0.458, 0.448, 0.450)  # ImageNet's mean and deviation, for values of -1..1
 _POOLED_BEFORE: dict[str, tuple[int, ...]] = {"alex": (1, 2), "vgg": (2, 4, 7, 10)}
 _POOL: dict[str, tuple[int, int]] = {"alex": (3, 2), "vgg": (2, 2)}  # size and stride
-_MIN_SQUARE = 1e-20  # the root of zero has no gradient
 
 
 class Lpips(torch.nn.Module):
@@ -28,24 +25,17 @@ class Lpips(torch.nn.Module):
     def __init__(self, weights: LpipsWeights) -> None:
         super().__init__()
         self.network = weights.network
-        self._layers = torch.nn.ModuleList(
-            _convolution(weights.network, i, kernel, bias)
-            for i, (kernel, bias) in enumerate(zip(weights.kernels, weights.biases, strict=True))
-        )
+        self._layers = torch.nn.ModuleList()
+        for i, (kernel, bias) in enumerate(zip(weights.kernels, weights.biases, strict=True)):
+            layer = torch.nn.Conv2d(kernel.shape[1], kernel.shape[0], *geometry(weights.network, i))
+            layer.weight.data, layer.bias.data = torch.from_numpy(kernel.copy()), torch.from_numpy(bias.copy())
+            self._layers.append(layer)
         for i, head in enumerate(weights.heads):
             self.register_buffer(f"head_{i}", torch.from_numpy(head.copy()).view(-1, 1, 1))
         self.requires_grad_(False)
 
-    @classmethod
-    def found(cls, network: Network = "vgg") -> "Lpips":
-        """Use the weights of this machine; raises FileNotFoundError with download instructions if missing."""
-        return cls(find_lpips_weights(network))
-
     def forward(self, rendered: Tensor, truth: Tensor) -> Tensor:
-        """Distance of two (h, w, 3) tensors of values 0..1, a scalar with gradients; 0 for equal images.
-
-        Raises ValueError for images of different shapes or with a side under 32 px.
-        """
+        """Distance of two (h, w, 3) tensors of 0..1, with gradients; raises ValueError for shapes it can't compare."""
         if rendered.shape != truth.shape or min(rendered.shape[:2]) < MIN_SIZE_PX:
             sizes = " and ".join(f"{each.shape[1]}x{each.shape[0]}" for each in (rendered, truth))
             raise ValueError(f"LPIPS takes pictures of one size and at least {MIN_SIZE_PX} px a side, not {sizes}")
@@ -55,18 +45,12 @@ class Lpips(torch.nn.Module):
             distance = distance + (head * (_unit(a) - _unit(b)) ** 2).sum(0).mean()
         return distance
 
-    def distance(
-        self,
-        rendered: Float[np.ndarray, "h w 3"],
-        truth: Float[np.ndarray, "h w 3"],
-        mask: Bool[np.ndarray, "h w"] | None = None,
-    ) -> float:
+    def distance(self, rendered: Image, truth: Image, mask: Mask | None = None) -> float:
         """Distance of two float images of values 0..1; pixels outside the mask are copied from `truth`."""
-        shown = rendered if mask is None else np.where(mask[..., None], rendered, truth)
-        head = self.head_0
+        compared = rendered if mask is None else np.where(mask[..., None], rendered, truth)
+        images = (np.ascontiguousarray(each, np.float32) for each in (compared, truth))
         with torch.no_grad():
-            first, second = (torch.as_tensor(np.ascontiguousarray(each, np.float32)) for each in (shown, truth))
-            return float(self(first.to(head.device), second.to(head.device)))
+            return float(self(*(torch.as_tensor(each).to(self.head_0.device) for each in images)))
 
     def features(self, image: Tensor) -> list[Tensor]:
         """Compared feature maps (channels, h, w) of a (h, w, 3) tensor of values 0..1, from fine to coarse."""
@@ -90,17 +74,9 @@ def geometry(network: str, index: int) -> tuple[int, int, int]:
     return 3, 1, 1
 
 
-def _convolution(network: str, index: int, kernel: np.ndarray, bias: np.ndarray) -> Any:
-    size, stride, padding = geometry(network, index)
-    layer = torch.nn.Conv2d(kernel.shape[1], kernel.shape[0], size, stride, padding)
-    layer.weight.data = torch.from_numpy(kernel.copy())
-    layer.bias.data = torch.from_numpy(bias.copy())
-    return layer
-
-
 def _unit(features: Tensor) -> Tensor:
-    """Features of unit length at each pixel."""
-    return features / ((features * features).sum(0, keepdim=True).clamp_min(_MIN_SQUARE).sqrt() + 1e-10)
+    """Features of unit length at each pixel; the root of zero has no gradient."""
+    return features / ((features * features).sum(0, keepdim=True).clamp_min(1e-20).sqrt() + 1e-10)
 
 
 # LPIPS as a training loss
@@ -123,8 +99,8 @@ def lpips_loss(file: Path | None, device: str) -> Callable[[Tensor, Tensor], Ten
             return None
     lpips = Lpips(weights).to(device)
 
-    def loss(shown: Tensor, truth: Tensor) -> Tensor:
-        pairs = zip(shown, truth, strict=True)
+    def loss(rendered: Tensor, truth: Tensor) -> Tensor:
+        pairs = zip(rendered, truth, strict=True)
         distances = [lpips(*((each * 0.5 + 0.5).permute(1, 2, 0) for each in pair)) for pair in pairs]
         return torch.stack(distances).mean()
 

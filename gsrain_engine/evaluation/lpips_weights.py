@@ -3,7 +3,7 @@
 import hashlib
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -19,9 +19,7 @@ from ..safe_io.numpy_files import read_archive
 from ..safe_io.text_files import printable_line
 from ..scene.files import whole_file
 
-PLACE = "GSRAIN_LPIPS_WEIGHTS"
-"""Environment variable with a file of weights, or a folder of such files."""
-
+PLACE = "GSRAIN_LPIPS_WEIGHTS"  # environment variable with a file of weights, or a folder of such files
 Network = Literal["alex", "vgg"]
 
 CHANNELS: dict[str, tuple[int, ...]] = {
@@ -58,22 +56,24 @@ class LpipsWeights:
         write_arrays(path, arrays)
 
 
-def lpips_places() -> tuple[Path, ...]:
-    """Search paths of weights: the file or folder of GSRAIN_LPIPS_WEIGHTS, else the user's data folder."""
+def lpips_place() -> Path:
+    """File or folder with weights: that of GSRAIN_LPIPS_WEIGHTS, else a folder in the user's data folder."""
     own = os.environ.get(PLACE)
-    return (Path(own),) if own else (platformdirs.user_data_path("gsrain", appauthor=False) / "lpips",)
+    return Path(own) if own else platformdirs.user_data_path("gsrain", appauthor=False) / "lpips"
 
 
 def find_lpips_weights(network: Network) -> LpipsWeights:
-    """Read the weights of a network from the search paths.
-
-    Raises FileNotFoundError with download instructions if there are none.
-    """
-    places = lpips_places()
-    files = [file for place in places for file in ([place] if place.is_file() else sorted(place.glob("*")))]
+    """Read a network's weights from the search paths; raises FileNotFoundError with download instructions."""
+    place = lpips_place()
+    files = [place] if place.is_file() else sorted(place.glob("*"))
     files = [file for file in files if file.suffix in SUFFIXES]
     faults: list[str] = []
-    for group in (*([file] for file in files), _pair(files, network)):
+    # The heads as originally published, and torchvision's network.
+    heads, body = (f"{network}.pth", f"lpips_{network}.pth"), {"alex": "alexnet", "vgg": "vgg16"}[network]
+    pair = [
+        file for file in files if file.name in heads or (file.suffix in (".pth", ".pt") and file.name.startswith(body))
+    ]
+    for group in (*([file] for file in files), pair):
         try:
             weights = read_lpips_weights(*group)
         except ValueError as error:
@@ -81,19 +81,8 @@ def find_lpips_weights(network: Network) -> LpipsWeights:
             continue
         if weights.network == network:
             return weights
-    looked = ", ".join(map(str, places))
     found = f" ({faults[0]})" if faults and len(files) == 1 else ""
-    raise FileNotFoundError(f"no weights of LPIPS ({network}) at {looked}{found}: {_HOW}")
-
-
-def _pair(files: Sequence[Path], network: Network) -> list[Path]:
-    """The heads as originally published, and torchvision's network."""
-    heads = (f"{network}.pth", f"lpips_{network}.pth")
-    return [file for file in files if file.name in heads or _is_body(file, network)]
-
-
-def _is_body(file: Path, network: Network) -> bool:
-    return file.suffix in (".pth", ".pt") and file.name.startswith({"alex": "alexnet", "vgg": "vgg16"}[network])
+    raise FileNotFoundError(f"no weights of LPIPS ({network}) at {place}{found}: {_HOW}")
 
 
 def read_lpips_weights(*paths: Path) -> LpipsWeights:
@@ -106,9 +95,10 @@ def read_lpips_weights(*paths: Path) -> LpipsWeights:
     named = ", ".join(map(str, paths)) or "no file"
     arrays = {name: array for path in paths for name, array in read_arrays(path).items()}
     numbered = sorted(arrays.items(), key=lambda item: [int(digits) for digits in re.findall(r"\d+", item[0])])
-    kernels = tuple(array for _, array in numbered if array.ndim == 4 and array.shape[2] * array.shape[3] > 1)
-    bodies = [name for name, array in numbered if array.ndim == 4 and array.shape[2] * array.shape[3] > 1]
-    biases = tuple(arrays[name] for name in (_bias_of(name) for name in bodies) if name in arrays)
+    bodies = {name: array for name, array in numbered if array.ndim == 4 and array.shape[2] * array.shape[3] > 1}
+    kernels = tuple(bodies.values())
+    bias_names = (re.sub("(weight|kernel)$", "bias", name) for name in bodies)
+    biases = tuple(arrays[name] for name in bias_names if name in arrays)
     heads = {int(found[1]): array.reshape(-1) for name, array in numbered if (found := _HEAD.search(name)) is not None}
     shapes = tuple(kernel.shape[0] for kernel in kernels)
     network = next((name for name, channels in CHANNELS.items() if channels[1:] == shapes), None)
@@ -128,18 +118,11 @@ def read_lpips_weights(*paths: Path) -> LpipsWeights:
 _HEAD = re.compile(r"(?:^|\.)(?:lin|lins\.|head\.|NetLinLayer_)(\d+)(?:\.|$)")
 
 
-def _bias_of(name: str) -> str:
-    return re.sub("(weight|kernel)$", "bias", name)
-
-
 # Array files
 # Read without running any code in them.
 
 SUFFIXES = (".npz", ".safetensors", ".ckpt", ".pth", ".pt")
-ARRAY_SUFFIXES = (".safetensors", ".npz")
-"""Suffixes of files that can be written."""
-
-Arrays = Mapping[str, np.ndarray]
+ARRAY_SUFFIXES = (".safetensors", ".npz")  # suffixes of files that can be written
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
@@ -155,27 +138,29 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
         except (ValueError, OSError) as error:
             raise ValueError(f"{path}: not a readable .npz: {printable_line(error)}") from None
     if path.suffix == ".safetensors":
-        return _safetensors(path)
+        load: Any = _safetensors_module(path).load_file
+        check_file(path)
+        try:
+            return load(path)
+        except Exception as error:  # safetensors' error class is not public
+            raise ValueError(f"{path}: not a readable .safetensors: {printable_line(error)}") from None
     if path.suffix == ".ckpt":
         return dict(_flat(read_pickle(path)))
     return _torch_state(path)
 
 
-def write_arrays(path: Path, arrays: Arrays) -> None:
-    """Write arrays as .npz or .safetensors, deterministically and atomically.
-
-    Raises ValueError for another suffix, and if a required package is missing.
-    """
+def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write .npz or .safetensors, deterministically and atomically; raises ValueError for another suffix."""
     contiguous: dict[str, Any] = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     if path.suffix not in ARRAY_SUFFIXES:
         raise ValueError(f"{path}: expected a name that ends with .safetensors or .npz")
     save = None if path.suffix == ".npz" else _safetensors_module(path).save_file
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as beside:
+    with whole_file(path) as temporary:
         if save is not None:
-            save(contiguous, str(beside))
+            save(contiguous, str(temporary))
         else:
-            with beside.open("wb") as file:  # given a path, NumPy would append its own suffix
+            with temporary.open("wb") as file:  # given a path, NumPy would append its own suffix
                 np.savez(file, **contiguous)
 
 
@@ -191,15 +176,6 @@ def _safetensors_module(path: Path) -> Any:
         raise ValueError(f"{path}: this takes safetensors: pip install safetensors") from error
 
 
-def _safetensors(path: Path) -> dict[str, np.ndarray]:
-    load: Any = _safetensors_module(path).load_file
-    check_file(path)
-    try:
-        return load(path)
-    except Exception as error:  # safetensors' error class is not public
-        raise ValueError(f"{path}: not a readable .safetensors: {printable_line(error)}") from None
-
-
 def _torch_state(path: Path) -> dict[str, np.ndarray]:
     try:
         torch: Any = import_module("torch")
@@ -210,7 +186,7 @@ def _torch_state(path: Path) -> dict[str, np.ndarray]:
             state: Mapping[str, Any] = torch.load(stream, map_location="cpu", weights_only=True)
         return {name: tensor.float().numpy() for name, tensor in state.items()}
     except Exception as error:  # torch raises many kinds of errors; their message is reported
-        first = str(error).splitlines()[0] if str(error) else type(error).__name__
+        first = next(iter(str(error).splitlines()), type(error).__name__)
         raise ValueError(f"{path}: not a readable file of torch weights: {printable_line(first)}") from None
 
 

@@ -1,6 +1,8 @@
-"""HTML report of a run: figures, curves, images, tables and settings."""
+"""HTML report of a run: figures, curves, images, tables and settings, and fingerprints of its inputs."""
 
-from collections.abc import Iterable, Mapping
+import hashlib
+import os
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -8,22 +10,12 @@ import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 from markupsafe import Markup
 
-from ..render.hardware import describe_machine
+from ..render.renderer import describe_machine
 from ..scene.files import whole_file
-from .report_charts import (
-    LARGEST_ERROR,
-    ImageComparison,
-    color_bar_uri,
-    error_map_uri,
-    format_number,
-    jpeg_data_uri,
-    png_data_uri,
-    svg_chart,
-)
-from .templates import rendered
+from . import report_charts as charts
+from .report_charts import ImageComparison
 
-MAX_IMAGES = 24
-"""Maximum number of shown views: the best, the worst and evenly spaced ones between; the table lists all."""
+MAX_IMAGES = 24  # maximum number of views: the best, the worst and evenly spaced ones between; the table lists all
 
 # Report contents
 
@@ -33,14 +25,12 @@ class ReportCurve:
     """A value over the course of a run."""
 
     name: str
-    """Such as "loss" or "held-out PSNR"."""
     steps: Int64[np.ndarray, " n"]
     values: Float64[np.ndarray, " n"]
     times_s: Float64[np.ndarray, " n"] | None = None
     """Since the start."""
     unit: str = ""
     is_logarithmic: bool = False
-    """Use a logarithmic vertical axis."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,32 +81,34 @@ class RunReport:
     problems: tuple[str, ...] = ()
     """Parts of the capture that were skipped, with reasons."""
     machine: Mapping[str, object] = field(default_factory=describe_machine)
-    """Description of the machine."""
     notes: tuple[str, ...] = ()
     """Remarks for readers of the figures, a sentence each."""
     held_out: bool = True
     """True if the comparisons are held-out views; otherwise they are labeled as images."""
     figures: tuple[ReportFigure, ...] = ()
-    """Shown first."""
     tables: tuple[ReportTable, ...] = ()
 
 
 def report_page(report: RunReport) -> str:
     """Return the whole page, byte-identical for the same run: it has no date. All text is escaped."""
-    return rendered(
+    pictures = report.comparisons
+    if len(pictures) > MAX_IMAGES:
+        ranked = sorted(pictures, key=lambda each: -each.psnr_db)
+        pictures = [ranked[i] for i in np.linspace(0, len(ranked) - 1, MAX_IMAGES).round().astype(int)]
+    return charts.rendered(
         "report.html",
         report=report,
         tiles={**_means(report.comparisons, "held-out " if report.held_out else ""), **report.headlines},
-        pictures=_chosen(report.comparisons),
+        pictures=pictures,
         scores=_scores(report.comparisons),
         charts=[_charts(curve) for curve in report.curves],
         longest_s=max(*report.timings.values(), 1e-9) if report.timings else 1.0,
         duration=_duration,
-        largest_error=LARGEST_ERROR,
-        photograph=jpeg_data_uri,
-        drawing=png_data_uri,
-        error_picture=error_map_uri,
-        color_bar=color_bar_uri,
+        largest_error=charts.LARGEST_ERROR,
+        photograph=charts.jpeg_data_uri,
+        drawing=charts.png_data_uri,
+        error_picture=charts.error_map_uri,
+        color_bar=charts.color_bar_uri,
     )
 
 
@@ -133,20 +125,15 @@ def _means(comparisons: tuple[ImageComparison, ...], which: str) -> dict[str, st
     return {**rows, f"{which}views" if which else "pictures": str(len(comparisons))}
 
 
-def _chosen(comparisons: tuple[ImageComparison, ...]) -> list[ImageComparison]:
-    if len(comparisons) <= MAX_IMAGES:
-        return list(comparisons)
-    ranked = sorted(comparisons, key=lambda each: -each.psnr_db)
-    return [ranked[i] for i in np.linspace(0, len(ranked) - 1, MAX_IMAGES).round().astype(int)]
-
-
 def _scores(comparisons: tuple[ImageComparison, ...]) -> Mapping[str, object]:
     """Columns, rows and means of the table of all views."""
     columns: dict[str, list[float]] = {
         "PSNR (dB)": [each.psnr_db for each in comparisons],
         "SSIM": [each.ssim for each in comparisons],
         "LPIPS": [float("nan") if each.lpips is None else each.lpips for each in comparisons],
-        "mean |difference|": [_error(each) for each in comparisons],
+        "mean |difference|": [
+            float(np.nanmean(each.error)) if np.isfinite(each.error).any() else float("nan") for each in comparisons
+        ],
     }
     if all(each.lpips is None for each in comparisons):
         del columns["LPIPS"]
@@ -154,22 +141,18 @@ def _scores(comparisons: tuple[ImageComparison, ...]) -> Mapping[str, object]:
     return {"columns": ["view", *columns], "rows": rows, "means": ["mean", *map(_mean, columns.values())]}
 
 
-def _error(comparison: ImageComparison) -> float:
-    return float(np.nanmean(comparison.error)) if np.isfinite(comparison.error).any() else float("nan")
-
-
 def _charts(curve: ReportCurve) -> Mapping[str, object]:
     """A curve over steps and, if its times are known, over time."""
 
     def over(values: Float64[np.ndarray, " n"], unit: str) -> Markup:
-        return svg_chart(values, curve.values, unit, curve.name, curve.is_logarithmic)
+        return charts.svg_chart(values, curve.values, unit, curve.name, curve.is_logarithmic)
 
-    last = format_number(float(curve.values[-1])) if len(curve.values) else ""
-    charts = {"curve": curve, "last": last, "by_step": over(curve.steps.astype(np.float64), "step")}
+    last = charts.format_number(float(curve.values[-1])) if len(curve.values) else ""
+    found = {"curve": curve, "last": last, "by_step": over(curve.steps.astype(np.float64), "step")}
     if curve.times_s is None:
-        return charts
+        return found
     in_minutes = len(curve.times_s) > 0 and curve.times_s.max() > 300
-    return {**charts, "by_time": over(curve.times_s / 60, "minutes") if in_minutes else over(curve.times_s, "seconds")}
+    return {**found, "by_time": over(curve.times_s / 60, "minutes") if in_minutes else over(curve.times_s, "seconds")}
 
 
 def _duration(seconds: float) -> str:
@@ -188,11 +171,28 @@ def _mean(values: Iterable[float]) -> float:
 
 
 def write_report(file: Path, report: RunReport) -> None:
-    """Write a self-contained HTML page with style, curves and images, atomically.
-
-    Missing parent folders are created.
-    """
+    """Write a self-contained HTML page with style, curves and images, atomically, creating missing folders."""
     page = report_page(report)
     file.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(file) as beside:
-        beside.write_text(page, encoding="utf-8")
+    with whole_file(file) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+# Fingerprint of inputs
+
+
+def input_fingerprint(path: Path) -> str:
+    """Hash (16 hex digits) of names, sizes and times, not contents, of a file or folder; "absent" without one."""
+    if not path.exists():
+        return "absent"
+    found = hashlib.sha256()
+    for file in [path] if path.is_file() else _files_below(path):
+        about = file.stat()
+        found.update(f"{file.relative_to(path).as_posix()}\0{about.st_size}\0{about.st_mtime_ns}\n".encode())
+    return found.hexdigest()[:16]
+
+
+def _files_below(folder: Path) -> Iterator[Path]:
+    for root, folders, files in os.walk(folder):
+        folders.sort()
+        yield from (Path(root) / name for name in sorted(files) if (Path(root) / name).is_file())

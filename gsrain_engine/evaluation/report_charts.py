@@ -1,16 +1,18 @@
-"""Images and charts of reports: SVG curves, image comparisons, and data URIs."""
+"""Images and charts of reports: SVG curves, image comparisons, data URIs, curve styles, and templates."""
 
 import base64
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, UInt8
+from jaxtyping import Float32, Float64, UInt8
+from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
-from .image_metrics import psnr, ssim
-from .templates import rendered
+from ..safe_io.text_files import escape_invisible
+from .image_metrics import Image, ImageDistance, Mask, psnr, ssim
 
 WIDTH, HEIGHT = 520, 260
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 14, 14, 40
@@ -22,8 +24,8 @@ def svg_chart(
     x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"], x_title: str, y_title: str, is_logarithmic: bool = False
 ) -> Markup:
     """Draw y over x as an SVG element without non-finite points, and without values <= 0 on a log axis."""
-    shown = np.isfinite(x) & np.isfinite(y) & ((y > 0) | (not is_logarithmic))
-    x, y = x[shown], y[shown]
+    drawn = np.isfinite(x) & np.isfinite(y) & ((y > 0) | (not is_logarithmic))
+    x, y = x[drawn], y[drawn]
     if len(x) == 0:
         return rendered("chart.svg")
     if is_logarithmic:
@@ -56,12 +58,12 @@ def svg_chart(
     )
 
 
-def axis_ticks(low: float, high: float, wanted: int) -> Iterator[float]:
-    """Yield round numbers within a range, about `wanted` and at least one."""
+def axis_ticks(low: float, high: float, count: int) -> Iterator[float]:
+    """Yield round numbers within a range, about `count` and at least one."""
     if high <= low:
         yield low
         return
-    rough = (high - low) / wanted
+    rough = (high - low) / count
     power = 10.0 ** np.floor(np.log10(rough))
     step = next(power * each for each in _STEPS if power * each >= rough * 0.999)
     for index in range(int(np.ceil(low / step - 1e-9)), int(np.floor(high / step + 1e-9)) + 1):
@@ -99,9 +101,6 @@ def _points(pairs: list[tuple[float, float]]) -> str:
 # Image comparison
 
 WIDEST_PX = 640
-Image = Float[np.ndarray, "h w 3"]
-Distance = Callable[[Image, Image, Bool[np.ndarray, "h w"] | None], float]
-"""Distance of a render and the ground truth over a mask, such as `Lpips.distance`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,28 +118,17 @@ class ImageComparison:
 
     @classmethod
     def measured(
-        cls,
-        name: str,
-        rendered: Image,
-        truth: Image,
-        mask: Bool[np.ndarray, "h w"] | None = None,
-        lpips: Distance | None = None,
+        cls, name: str, rendered: Image, truth: Image, mask: Mask | None = None, lpips: ImageDistance | None = None
     ) -> "ImageComparison":
         """Compare a render with the ground truth, values of 0..1, over the pixels of the mask."""
         error = np.abs(rendered.astype(np.float32) - truth.astype(np.float32)).mean(axis=2)
         small = _small(error)
         if mask is not None:
-            seen = _small(mask.astype(np.float32))
-            small = np.where(seen > 0.5, _small(np.where(mask, error, 0)) / np.maximum(seen, 0.5), np.nan)
-        return cls(
-            name,
-            _bytes(rendered),
-            _bytes(truth),
-            small.astype(np.float32),
-            psnr(rendered, truth, mask),
-            ssim(rendered, truth, mask),
-            None if lpips is None else lpips(rendered, truth, mask),
-        )
+            share = _small(mask.astype(np.float32))
+            small = np.where(share > 0.5, _small(np.where(mask, error, 0)) / np.maximum(share, 0.5), np.nan)
+        distance = None if lpips is None else lpips(rendered, truth, mask)
+        metrics = psnr(rendered, truth, mask), ssim(rendered, truth, mask), distance
+        return cls(name, _bytes(rendered), _bytes(truth), small.astype(np.float32), *metrics)
 
 
 def _small(values: np.ndarray) -> np.ndarray:
@@ -157,20 +145,17 @@ def _bytes(image: Image) -> UInt8[np.ndarray, "hs ws 3"]:
 
 # Data URIs and the error color scale
 
-LARGEST_ERROR = 0.25
-"""Upper end of the error color scale (of 1), the same in all reports for comparability."""
-
-_JPEG_QUALITY = 88
+LARGEST_ERROR = 0.25  # upper end of the error color scale (of 1), the same in all reports for comparability
 _LEFT_OUT = (128, 128, 128)
 _SHADES = 256
 
 
 def jpeg_data_uri(image: UInt8[np.ndarray, "h w 3"]) -> str:
-    return _data_uri(image, ".jpg", "image/jpeg", [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    return _data_uri(image, "jpeg", [cv2.IMWRITE_JPEG_QUALITY, 88])
 
 
 def png_data_uri(image: UInt8[np.ndarray, "h w 3"]) -> str:
-    return _data_uri(image, ".png", "image/png", [])
+    return _data_uri(image, "png")
 
 
 def error_map_uri(error: Float32[np.ndarray, "h w"]) -> str:
@@ -183,7 +168,7 @@ def error_map_uri(error: Float32[np.ndarray, "h w"]) -> str:
 
 def color_bar_uri() -> str:
     """Return the color scale from no error to the largest, left to right, as a data URI."""
-    return _data_uri(_shades()[None], ".png", "image/png", [])
+    return png_data_uri(_shades()[None])
 
 
 def _shades() -> UInt8[np.ndarray, "shades 3"]:
@@ -193,6 +178,67 @@ def _shades() -> UInt8[np.ndarray, "shades 3"]:
     return np.rint(255 * np.asarray(colors)[:, :3]).astype(np.uint8)
 
 
-def _data_uri(image: UInt8[np.ndarray, "h w 3"], ending: str, kind: str, options: list[int]) -> str:
-    _, encoded = cv2.imencode(ending, np.ascontiguousarray(image[..., ::-1]), options)
-    return f"data:{kind};base64,{base64.b64encode(encoded.tobytes()).decode()}"
+def _data_uri(image: UInt8[np.ndarray, "h w 3"], kind: str, options: Sequence[int] = ()) -> str:
+    _, encoded = cv2.imencode(f".{kind}", np.ascontiguousarray(image[..., ::-1]), options)
+    return f"data:image/{kind};base64,{base64.b64encode(encoded.tobytes()).decode()}"
+
+
+# Curve styles
+
+_LINES: tuple[str | tuple[int, tuple[float, ...]], ...] = (
+    "-", (0, (4, 1.5)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)), (0, (3, 1, 1, 1, 1, 1)),
+)  # fmt: skip
+_MARKERS = ("o", "s", "^", "D", "v", "P")
+Color = tuple[float, ...]
+
+
+class SeriesStyle(NamedTuple):
+    """Style of one curve."""
+
+    color: Color
+    line: str | tuple[int, tuple[float, ...]]
+    """A dash pattern as in Matplotlib's `linestyle`; format strings do not support custom patterns."""
+    marker: str
+    band: float
+    """Opacity of the band around it; lower for many curves, so that bands do not hide them."""
+
+
+def series_styles(count: int) -> list[SeriesStyle]:
+    """Return styles of `count` curves: ten colors, repeated with other dashes and markers; the first 300 differ."""
+    from matplotlib import colormaps  # slow to import, and rarely needed
+
+    styles: list[SeriesStyle] = []
+    for place in range(count):
+        turn, color = divmod(place, 10)
+        line, marker = _LINES[turn % len(_LINES)], _MARKERS[turn % len(_MARKERS)]
+        styles.append(SeriesStyle(tuple(colormaps["tab10"](color)), line, marker, min(0.18, 1.3 / count)))
+    return styles
+
+
+def shades(count: int, low: float = 0.3, high: float = 1.0, colormap: str = "Blues") -> list[Color]:
+    """Return `count` colors from light to dark, for ordered curves."""
+    from matplotlib import colormaps  # slow to import, and rarely needed
+
+    places = np.linspace(low, high, count) if count > 1 else np.array([(low + high) / 2])
+    return [tuple(colormaps[colormap](each)) for each in places]
+
+
+# Templates of pages and charts
+
+
+def rendered(template: str, **values: object) -> Markup:
+    """Fill a template of this folder; all values are escaped, and invisible characters are written out."""
+    return Markup(_TEMPLATES.get_template(template).render(values))
+
+
+def _visible(value: object) -> object:
+    return value if isinstance(value, Markup) else escape_invisible(str(value))
+
+
+_TEMPLATES = Environment(
+    loader=PackageLoader(__package__ or "", ""),
+    autoescape=True,
+    finalize=_visible,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)

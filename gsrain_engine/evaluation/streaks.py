@@ -1,4 +1,4 @@
-"""Rain streaks in frames of a static camera: detection, geometry, brightness, statistics, and simulated frames.
+"""Rain streaks in frames of a static camera: detection, statistics, and comparison of simulated and real rain.
 
 The residual (frame minus temporal median) is averaged along short lines of twelve directions, the best direction is
 compared with its noise, and significant pixels form connected components. Moments of each component in the residual
@@ -8,12 +8,14 @@ give the angle, and the length, width and rise of the box with the same moments.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from typing import NamedTuple
 
 import cv2
+import msgspec
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
+from ..datasets.rainsense import RainSequence
+from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
 from ..render.cpu.renderer import CpuRenderer
 from ..render.draw import RenderView, rain_frame_of
@@ -21,12 +23,8 @@ from ..scene.camera import Camera
 from ..scene.geometry import linear_to_srgb, srgb_to_linear
 from ..scene.scene import Scene
 
-LINE_PX = 15
-"""Length of the lines of the streak detector."""
-
-FALL_BY_DIAMETER_S = 0.3e-3
-"""D/V of the drops that make visible streaks."""
-
+LINE_PX = 15  # length of the lines of the streak detector
+FALL_BY_DIAMETER_S = 0.3e-3  # D/V of the drops that make visible streaks
 _DIRECTIONS = 12
 _ACROSS_SIGMA_PX = 1.0
 _EDGE_Z, _PEAK_Z = 4.0, 7.0
@@ -79,33 +77,7 @@ class StreakTable:
         return FALL_BY_DIAMETER_S * np.sqrt(np.pi / 4 * squared / self.coverage_px2)
 
 
-class _Box(NamedTuple):
-    x: float
-    y: float
-    angle_deg: float
-    length_px: float
-    width_px: float
-    rise_levels: float
-
-
-# Temporal-median residuals
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MedianResiduals:
-    """Gray levels (0-255) of a static camera."""
-
-    median: UInt8[np.ndarray, "h w"]
-    """Of each pixel over time."""
-    values: Float32[np.ndarray, "t h w"]
-    """Frame minus median, without the frame's common offset (automatic exposure)."""
-    sigma: Float32[np.ndarray, "h w"]
-    """Typical deviation around each pixel, 1.4826 times the median of |value|: noise, since rain is in few frames."""
-    still: Bool[np.ndarray, "h w"]
-    """Mask of pixels where only noise and rain change."""
-
-
-def find_streaks(found: MedianResiduals, drop_levels: float, *, darker: bool = False) -> StreakTable:
+def find_streaks(found: "MedianResiduals", drop_levels: float, *, darker: bool = False) -> StreakTable:
     """Find and measure bright streaks; `drop_levels` is the display level of a drop's own light, about that of the sky.
 
     `darker` detects streaks below the background instead: rain causes none in front of dark backgrounds, so their
@@ -129,9 +101,12 @@ def coverage(
     return ((after - before) / np.maximum(light - before, 0.02)).astype(np.float32)
 
 
-def _in_frame(found: MedianResiduals, number: int, sign: float, drop_levels: float) -> Iterator[tuple[float, ...]]:
+def _in_frame(found: "MedianResiduals", number: int, sign: float, drop_levels: float) -> Iterator[tuple[float, ...]]:
     values = np.where(found.still, np.float32(sign) * found.values[number], np.float32(0))
-    z = _line_response(values / found.sigma)
+    normalized = values / found.sigma
+    z = np.full(values.shape, -np.inf, np.float32)  # the largest mean along a short line over all directions
+    for kernel in _line_kernels():
+        np.maximum(z, cv2.filter2D(normalized, -1, kernel), out=z)
     quiet = z[found.still]
     middle = float(np.median(quiet))
     z = (z - middle) / max(_MAD_TO_SIGMA * float(np.median(np.abs(quiet - middle))), 1e-6)
@@ -144,37 +119,23 @@ def _in_frame(found: MedianResiduals, number: int, sign: float, drop_levels: flo
             continue
         rows = slice(max(top - _MARGIN_PX, 0), top + h + _MARGIN_PX)
         columns = slice(max(left - _MARGIN_PX, 0), left + w + _MARGIN_PX)
-        part = (rows, columns)
+        part = rows, columns
         own, others = labels[part] == label, ~np.isin(labels[part], (0, label))
         response = np.where(own, z[part], np.float32(0))
         if response.max() < _PEAK_Z:
             continue
-        own = _grown(_core(response)) & ~others
+        # The connected region around the peak: lines that cross a bright streak also respond.
+        _, pieces = cv2.connectedComponents((response > _CORE_SHARE * response.max()).astype(np.uint8), connectivity=8)
+        core = (pieces == pieces.flat[int(response.argmax())]).astype(np.uint8)
+        margin = np.ones((2 * _MARGIN_PX + 1,) * 2, np.uint8)  # adds the flanks that the threshold cut off
+        own = (cv2.dilate(core, margin) > 0) & ~others
         box, covered = _box(values[part], own), sign * float(light[part][own].sum())
-        if box is None or covered <= 0 or box.length_px < max(_MIN_LENGTH_PX, _MIN_ELONGATION * box.width_px):
+        if box is None or covered <= 0:
             continue
-        background = float(np.median(found.median[part][own]))
-        x, y, *shape = box
-        yield (number, x + columns.start, y + rows.start, *shape, background, covered)
-
-
-def _core(response: Float32[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Connected region around the peak above a share of it: lines that cross a bright streak also respond."""
-    _, pieces = cv2.connectedComponents((response > _CORE_SHARE * response.max()).astype(np.uint8), connectivity=8)
-    return pieces == pieces.flat[int(response.argmax())]
-
-
-def _grown(own: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Add the flanks that the threshold cut off."""
-    return cv2.dilate(own.astype(np.uint8), np.ones((2 * _MARGIN_PX + 1,) * 2, np.uint8)) > 0
-
-
-def _line_response(values: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """Largest mean along a short line over all directions."""
-    best = np.full(values.shape, -np.inf, np.float32)
-    for kernel in _line_kernels():
-        np.maximum(best, cv2.filter2D(values, -1, kernel), out=best)
-    return best
+        x, y, angle_deg, length_px, width_px, rise_levels = box
+        if length_px >= max(_MIN_LENGTH_PX, _MIN_ELONGATION * width_px):
+            background, place = float(np.median(found.median[part][own])), (x + columns.start, y + rows.start)
+            yield (number, *place, angle_deg, length_px, width_px, rise_levels, background, covered)
 
 
 @cache
@@ -189,8 +150,8 @@ def _line_kernels() -> tuple[Float32[np.ndarray, "k k"], ...]:
     return tuple(kernels)
 
 
-def _box(values: Float32[np.ndarray, "h w"], own: Bool[np.ndarray, "h w"]) -> _Box | None:
-    """Box with the moments of some pixels; None for noise."""
+def _box(values: Float32[np.ndarray, "h w"], own: Bool[np.ndarray, "h w"]) -> tuple[float, ...] | None:
+    """Center, angle, length, width (px) and rise of the box with the moments of some pixels; None for noise."""
     y, x = np.nonzero(own)
     weights = values[own].astype(np.float64)
     total = float(weights.sum())
@@ -205,25 +166,92 @@ def _box(values: Float32[np.ndarray, "h w"], own: Bool[np.ndarray, "h w"]) -> _B
     # The long axis is (sin a, cos a) in x and y, so a is measured from the vertical.
     angle = np.degrees(np.arctan2(2 * xy, yy - xx) / 2)
     length, width = np.sqrt(12 * (middle + half_difference)), np.sqrt(12 * (middle - half_difference))
-    return _Box(cx, cy, float(angle), float(length), float(width), total / float(length * width))
+    return (cx, cy, float(angle), float(length), float(width), total / float(length * width))
+
+
+# Temporal-median residuals
+
+VISIBLE_LEVELS = 8  # a pixel counts as changed if it differs from its median by more gray levels than this
+RESTLESS_LEVELS = 4.5  # larger typical deviations mean motion in most frames: leaves, water, people. Rain is in few
+_MIN_SIGMA = 0.5  # of a level: gray values are integers
+_RESTLESS_MARGIN_PX = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MedianResiduals:
+    """Gray levels (0-255) of a static camera."""
+
+    median: UInt8[np.ndarray, "h w"]
+    """Of each pixel over time."""
+    values: Float32[np.ndarray, "t h w"]
+    """Frame minus median, without the frame's common offset (automatic exposure)."""
+    sigma: Float32[np.ndarray, "h w"]
+    """Typical deviation around each pixel, 1.4826 times the median of |value|: noise, since rain is in few frames."""
+    still: Bool[np.ndarray, "h w"]
+    """Mask of pixels where only noise and rain change."""
+
+
+def median_residuals(frames: UInt8[np.ndarray, "t h w"]) -> MedianResiduals:
+    """Subtract the temporal median from gray frames; raises ValueError for fewer than 5, too few to remove rain."""
+    if len(frames) < 5:
+        raise ValueError(f"{len(frames)} frames: a temporal median free of rain takes at least 5")
+    middle = len(frames) // 2
+    median = np.partition(frames, middle, axis=0)[middle]
+    values = frames.astype(np.float32) - median
+    values -= np.median(values.reshape(len(values), -1), axis=1).astype(np.float32)[:, None, None]
+    # Gray levels are integers: only averaging over neighbors resolves deviations better than 1.5 levels.
+    sigma = cv2.blur(_MAD_TO_SIGMA * np.partition(np.abs(values), middle, axis=0)[middle], (7, 7)).astype(np.float32)
+    restless = (sigma > RESTLESS_LEVELS).astype(np.uint8)
+    around = np.ones((2 * _RESTLESS_MARGIN_PX + 1,) * 2, np.uint8)
+    still = cv2.dilate(restless, around) == 0
+    return MedianResiduals(median, values, np.maximum(sigma, np.float32(_MIN_SIGMA)), still)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResidualStatistics:
+    """Statistics over all frames of the still pixels; shares refer to them, levels are gray levels of 255."""
+
+    frames: int
+    still_share: float
+    """Of all pixels."""
+    background_levels: float
+    noise_levels: float
+    """Median over the still pixels of their typical deviation."""
+    std_levels: float
+    share_above: float
+    """More than VISIBLE_LEVELS above the median."""
+    share_below: float
+    """More than VISIBLE_LEVELS below the median: rain in front of a dark background never causes this."""
+
+
+def residual_statistics(found: MedianResiduals) -> ResidualStatistics:
+    """Summarize residuals; raises ValueError if no pixel is still."""
+    if not found.still.any():
+        raise ValueError("no pixel stands still in these frames: choose another window")
+    values = found.values[:, found.still]
+    return ResidualStatistics(
+        frames=len(values),
+        still_share=float(found.still.mean()),
+        background_levels=float(np.median(found.median[found.still])),
+        noise_levels=float(np.median(found.sigma[found.still])),
+        std_levels=float(values.std()),
+        share_above=float((values > VISIBLE_LEVELS).mean()),
+        share_below=float((values < -VISIBLE_LEVELS).mean()),
+    )
 
 
 # Streak statistics
 
-DARK_BAND = (32.0, 64.0)
-"""Background levels for streak comparisons: dark, but above a camera's crushed blacks."""
-
+DARK_BAND = (32.0, 64.0)  # background levels for streak comparisons: dark, but above a camera's crushed blacks
 BANDS = ((0.0, 16.0), (16.0, 32.0), DARK_BAND, (64.0, 96.0), (96.0, 140.0))
 """Background levels by brightness, to test how light adds."""
 
-STEEP_DEG = 45.0
-"""Lines with a larger angle are branches or ripples, not rain."""
-
+STEEP_DEG = 45.0  # lines with a larger angle are branches or ripples, not rain
 LENGTH_EDGES_PX = (0, 10, 20, 30, 40, 60, 80, 120, 160, 240, 1e4)
 ANGLE_EDGES_DEG = tuple(range(-45, 46, 5))
+_MEASURES = ("angle_deg", "length_px", "width_px", "rise_levels", "opacity", "exposure_s")
 _QUANTILES = (10, 50, 90)
-Quantiles = tuple[float, float, float]
-"""The 10, 50 and 90 % quantiles; NaN without streaks."""
+Quantiles = tuple[float, float, float]  # the 10, 50 and 90 % quantiles; NaN without streaks
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -246,9 +274,7 @@ class StreakStatistics:
     exposure_s: Quantiles
     """Estimated from the streaks, see `StreakTable.exposure_s`."""
     length_histogram: tuple[int, ...]
-    """Counts between LENGTH_EDGES_PX."""
     angle_histogram: tuple[int, ...]
-    """Counts between ANGLE_EDGES_DEG."""
 
 
 def streak_statistics(
@@ -265,14 +291,9 @@ def streak_statistics(
         darker=control,
         megapixels=searched,
         per_megapixel=len(chosen) / searched if searched else 0.0,
-        angle_deg=_quantiles(chosen.angle_deg),
-        length_px=_quantiles(chosen.length_px),
-        width_px=_quantiles(chosen.width_px),
-        rise_levels=_quantiles(chosen.rise_levels),
-        opacity=_quantiles(chosen.opacity),
-        exposure_s=_quantiles(chosen.exposure_s),
-        length_histogram=tuple(int(n) for n in np.histogram(chosen.length_px, LENGTH_EDGES_PX)[0]),
-        angle_histogram=tuple(int(n) for n in np.histogram(chosen.angle_deg, ANGLE_EDGES_DEG)[0]),
+        **{name: _quantiles(getattr(chosen, name)) for name in _MEASURES},
+        length_histogram=tuple(np.histogram(chosen.length_px, LENGTH_EDGES_PX)[0].tolist()),
+        angle_histogram=tuple(np.histogram(chosen.angle_deg, ANGLE_EDGES_DEG)[0].tolist()),
     )
 
 
@@ -288,71 +309,9 @@ def _quantiles(values: Float64[np.ndarray, " n"]) -> Quantiles:
     return float(low), float(middle), float(high)
 
 
-VISIBLE_LEVELS = 8
-"""A pixel counts as changed if it differs from its median by more gray levels than this."""
-
-RESTLESS_LEVELS = 4.5
-"""Larger typical deviations mean motion in most frames: leaves, water, people. Rain is in few."""
-
-_MIN_SIGMA = 0.5  # of a level: gray values are integers
-_RESTLESS_MARGIN_PX = 3
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ResidualStatistics:
-    """Statistics over all frames of the still pixels; shares refer to them, levels are gray levels of 255."""
-
-    frames: int
-    still_share: float
-    """Of all pixels."""
-    background_levels: float
-    """Median over the still pixels of their temporal median."""
-    noise_levels: float
-    """Median over the still pixels of their typical deviation."""
-    std_levels: float
-    share_above: float
-    """More than VISIBLE_LEVELS above the median."""
-    share_below: float
-    """More than VISIBLE_LEVELS below the median: rain in front of a dark background never causes this."""
-
-
-def median_residuals(frames: UInt8[np.ndarray, "t h w"]) -> MedianResiduals:
-    """Subtract the temporal median from gray frames; raises ValueError for fewer than 5, too few to remove rain."""
-    if len(frames) < 5:
-        raise ValueError(f"{len(frames)} frames: a temporal median free of rain takes at least 5")
-    middle = len(frames) // 2
-    median = np.partition(frames, middle, axis=0)[middle]
-    values = frames.astype(np.float32) - median
-    values -= np.median(values.reshape(len(values), -1), axis=1).astype(np.float32)[:, None, None]
-    # Gray levels are integers: only averaging over neighbors resolves deviations better than 1.5 levels.
-    sigma = cv2.blur(_MAD_TO_SIGMA * np.partition(np.abs(values), middle, axis=0)[middle], (7, 7)).astype(np.float32)
-    restless = (sigma > RESTLESS_LEVELS).astype(np.uint8)
-    around = np.ones((2 * _RESTLESS_MARGIN_PX + 1,) * 2, np.uint8)
-    still = cv2.dilate(restless, around) == 0
-    return MedianResiduals(median, values, np.maximum(sigma, np.float32(_MIN_SIGMA)), still)
-
-
-def residual_statistics(found: MedianResiduals) -> ResidualStatistics:
-    """Summarize residuals; raises ValueError if no pixel is still."""
-    if not found.still.any():
-        raise ValueError("no pixel stands still in these frames: choose another window")
-    values = found.values[:, found.still]
-    return ResidualStatistics(
-        frames=len(values),
-        still_share=float(found.still.mean()),
-        background_levels=float(np.median(found.median[found.still])),
-        noise_levels=float(np.median(found.sigma[found.still])),
-        std_levels=float(values.std()),
-        share_above=float((values > VISIBLE_LEVELS).mean()),
-        share_below=float((values < -VISIBLE_LEVELS).mean()),
-    )
-
-
 # Simulated rain in front of a photograph
 
-Window = tuple[int, int, int, int]
-"""Left, top, width, height of a part of an image, in pixels."""
-
+Window = tuple[int, int, int, int]  # left, top, width, height of a part of an image, in pixels
 _NO_SCENE = Scene("no scene", (), up=(0.0, 0.0, 1.0))
 
 
@@ -376,7 +335,6 @@ def render_rain_frames(
     the background and S the drop's light: enc((1 - W) dec(B) + W S), or a mix of display values, as set in the rain;
     then white noise of the given standard deviation, seeded by the rain's seed, and rounding to gray levels.
     """
-    shot = RenderView(camera)
     display, drop = background.astype(np.float32) / 255, drop_levels / 255
     linear = rainfall.rain.rain_light == "linear"
     encode, decode = (linear_to_srgb, srgb_to_linear) if linear else (np.asarray, np.asarray)
@@ -384,10 +342,104 @@ def render_rain_frames(
     random = np.random.default_rng(rainfall.rain.seed)
     renderer = CpuRenderer()
     for time_s in times_s:
-        renderer.draw(
-            [], camera, rain_frame_of(_NO_SCENE, rainfall, (1.0, 1.0, 1.0), replace(shot, time_s=float(time_s)))
-        )
+        shot = RenderView(camera, time_s=float(time_s))
+        renderer.draw([], camera, rain_frame_of(_NO_SCENE, rainfall, (1.0, 1.0, 1.0), shot))
         share = renderer.read().rgba[..., 3]
         mixed = 255 * encode((1 - share) * behind + share * light)
         noisy = mixed + noise_levels * random.standard_normal(background.shape, np.float32)
         yield np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+# Comparison with real rain
+
+_SKY_PERCENTILE = 90
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameStatistics:
+    """Statistics of one sequence of frames."""
+
+    exposure_s: float | None
+    """Simulated shutter time; None for real frames, whose shutter time is unknown."""
+    residual: ResidualStatistics
+    streak: StreakStatistics
+    """In front of the dark band of backgrounds."""
+    by_background: tuple[StreakStatistics, ...]
+    """In front of each band of BANDS."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RealRainComparison:
+    """One real sequence, and simulated rain in front of its background."""
+
+    sequence: str
+    labelled_mm_h: float
+    """Labeled rain rate of the real sequence."""
+    rendered_mm_h: float
+    window: Window
+    sky_levels: float
+    """Display level of the drops' light: the 90th percentile above the horizon."""
+    real: FrameStatistics
+    ours: tuple[FrameStatistics, ...]
+    """One for each exposure."""
+
+
+def above_horizon(sequence: RainSequence) -> Window:
+    """Return the part above the horizon of a level camera's image, without moving reflections of a wet road."""
+    camera = sequence.camera
+    return 0, 0, camera.width, int(np.clip(camera.cy, 1, camera.height))
+
+
+def evenly_chosen(sequence: RainSequence, count: int, max_spacing_s: float = 0.2) -> list[int]:
+    """Choose frames around the middle of a sequence, at most `max_spacing_s` apart: light and wind change slowly."""
+    spacing = (sequence.times_s[-1] - sequence.times_s[0]) / max(len(sequence) - 1, 1)
+    step = max(min(len(sequence) // count, int(max_spacing_s / spacing + 0.5)), 1) if spacing > 0 else 1
+    number = min(count, len(sequence))
+    first = (len(sequence) - (number - 1) * step - 1) // 2
+    return [first + k * step for k in range(number)]
+
+
+def compare_with_real_rain(
+    sequence: RainSequence, rain: RainSettings, exposures_s: Sequence[float], numbers: Sequence[int], window: Window
+) -> RealRainComparison:
+    """Measure frames of a sequence, and simulated rain at each exposure in front of their temporal median.
+
+    The simulation uses the sequence's camera, times, background and noise, without haze, since the distance of the
+    background is unknown. Pixels that move in the real frames are excluded from both. Raises ValueError for a window
+    outside the image, and as `median_residuals` does.
+    """
+    x, y, width, height = window
+    camera = sequence.camera
+    if min(x, y) < 0 or min(width, height) < 32 or x + width > camera.width or y + height > camera.height:
+        raise ValueError(
+            f"window {x},{y},{width},{height}: must be 32 px or more within {camera.width}x{camera.height}"
+        )
+    pictures = [sequence.gray_image(k) for k in numbers]
+    real = median_residuals(np.stack([picture[y : y + height, x : x + width] for picture in pictures]))
+    horizon = above_horizon(sequence)[3]
+    sky = float(np.median([np.percentile(picture[:horizon], _SKY_PERCENTILE) for picture in pictures]))
+    ours: list[FrameStatistics] = []
+    for exposure in exposures_s:
+        falling = RainSimulation.start(msgspec.structs.replace(rain, exposure_s=exposure, haze=False))
+        times = [sequence.times_s[k] for k in numbers]
+        frames = render_rain_frames(real.median, real.sigma, cropped_camera(camera, window), falling, times, sky)
+        ours.append(_measured(replace(median_residuals(np.stack(list(frames))), still=real.still), sky, exposure))
+    return RealRainComparison(
+        sequence=sequence.name,
+        labelled_mm_h=sequence.intensity_mm_h,
+        rendered_mm_h=rain.intensity_mm_h,
+        window=window,
+        sky_levels=sky,
+        real=_measured(real, sky, None),
+        ours=tuple(ours),
+    )
+
+
+def _measured(found: MedianResiduals, sky: float, exposure_s: float | None) -> FrameStatistics:
+    bright, darker = find_streaks(found, sky), find_streaks(found, sky, darker=True)
+    return FrameStatistics(
+        exposure_s=exposure_s,
+        residual=residual_statistics(found),
+        streak=streak_statistics(bright, darker, found),
+        by_background=tuple(streak_statistics(bright, darker, found, band) for band in BANDS),
+    )

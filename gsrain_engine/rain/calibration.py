@@ -100,11 +100,11 @@ def load_calibration(name: str) -> Calibration:
 
 def save_calibration(calibration: Calibration, path: Path | str) -> None:
     """Write a calibration file atomically."""
-    with whole_file(Path(path)) as beside:
+    with whole_file(Path(path)) as partial:
         text = yaml.safe_dump(
             msgspec.to_builtins(calibration), sort_keys=False, default_flow_style=None, allow_unicode=True, width=120
         )
-        beside.write_text(text, encoding="utf-8")
+        partial.write_text(text, encoding="utf-8")
 
 
 def calibration_names() -> list[str]:

@@ -43,7 +43,7 @@ class Drops(NamedTuple):
     """Position in the cell: 0 is the lower face, 2^32 the upper one."""
 
     def positions(self, period_m: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "m 3"]:
-        """Positions in meters from the center of the cell."""
+        """In meters from the center of the cell."""
         return (self.fractions * 2.0**-32 - 0.5) * period_m
 
 
@@ -66,24 +66,12 @@ class DropCulling(NamedTuple):
 
 
 def drop_phases(
-    displacement_m: Float64[np.ndarray, "classes 3"],
-    cell_center_m: Float64[np.ndarray, "3"],
-    period_m: Float64[np.ndarray, "3"],
-) -> DropPhases:
-    """Split (drop displacement - cell center) / period + 1/2 into whole wraps and a 32-bit fraction."""
-    wraps, fractions = np.empty(displacement_m.shape, np.int32), np.empty(displacement_m.shape, np.uint32)
-    for axis in range(3):
-        _split(displacement_m[:, axis], cell_center_m[axis], period_m[axis], wraps[:, axis], fractions[:, axis])
-    return DropPhases(wraps, fractions)
-
-
-def drop_phases_of_motion(
     motion: DropMotion, time_s: float, cell_center_m: Float64[np.ndarray, "3"], period_m: Float64[np.ndarray, "3"]
 ) -> DropPhases:
-    """Return the same bits as `drop_phases` of the motion's displacement, but faster: all classes drift alike."""
+    """Split (drop displacement - cell center) / period + 1/2 into whole wraps and a 32-bit fraction."""
     drift, fallen = motion.drift(time_s), motion.fallen(time_s)
     wraps, fractions = np.empty((len(fallen), 3), np.int32), np.empty((len(fallen), 3), np.uint32)
-    for axis in range(2):
+    for axis in range(2):  # all classes drift alike
         _split(drift[axis : axis + 1], cell_center_m[axis], period_m[axis], wraps[:1, axis], fractions[:1, axis])
         wraps[1:, axis], fractions[1:, axis] = wraps[0, axis], fractions[0, axis]
     _split(-fallen, cell_center_m[2], period_m[2], wraps[:, 2], fractions[:, 2])
@@ -100,67 +88,26 @@ def _split(displacement, center, period, wraps, fractions):
         fractions[c] = np.uint32(np.uint64((periods - whole) * 2.0**32))
 
 
-def place_drops(numbers: Int64[np.ndarray, " m"], seed: int, where: DropPhases) -> Drops:
-    """Place drops by their numbers: readable reference of the compiled search below."""
-    classes = (numbers * CLASS_STRIDE) % CLASSES
-    i, s = numbers.astype(np.uint32), np.full(len(numbers), seed, np.uint32)
-    zero = np.zeros_like(i)
-    fractions = np.empty((len(numbers), 3), np.uint32)
-    wrap_z = _place(pcg4d(i, zero, zero, s)[2], where, classes, 2, fractions)
-    wrap_x = _place(pcg4d(i, wrap_z, zero + 1, s)[0], where, classes, 0, fractions)
-    _place(pcg4d(i, wrap_z, wrap_x * 2 + 2, s)[1], where, classes, 1, fractions)
-    return Drops(numbers, classes, fractions)
-
-
-def _place(
-    start: UInt32[np.ndarray, " m"],
-    where: DropPhases,
-    classes: Int64[np.ndarray, " m"],
-    axis: int,
-    fractions: UInt32[np.ndarray, "m 3"],
-) -> UInt32[np.ndarray, " m"]:
-    """Write the fraction on one axis and return the number of wraps of each drop (modulo 2^32)."""
-    moved = start + where.fractions[classes, axis]
-    fractions[:, axis] = moved
-    return where.wraps[classes, axis].view(np.uint32) + (moved < start)
-
-
-def visible_drops(
-    count: int, seed: int, where: DropPhases, period_m: Float64[np.ndarray, "3"], culling: DropCulling
-) -> Drops:
-    """Find the drops with numbers below `count` that may be visible to the camera, in rising order."""
-    return place_drops(_search(count, seed, where, period_m, culling, only_seen=True), seed, where)
-
-
-def find_in_region(
-    count: int, seed: int, where: DropPhases, period_m: Float64[np.ndarray, "3"], culling: DropCulling
-) -> Drops:
-    """Find the drops in the streak region, visible or not, in rising order."""
-    return place_drops(_search(count, seed, where, period_m, culling, only_seen=False), seed, where)
-
-
-def count_in_region(
-    count: int, seed: int, where: DropPhases, period_m: Float64[np.ndarray, "3"], culling: DropCulling
-) -> int:
-    return len(_search(count, seed, where, period_m, culling, only_seen=False))
-
-
-def _search(
+def find_drops(
     count: int,
     seed: int,
     where: DropPhases,
     period_m: Float64[np.ndarray, "3"],
     culling: DropCulling,
     *,
-    only_seen: bool,
-) -> Int64[np.ndarray, " m"]:
+    in_view: bool = True,
+) -> Drops:
+    """Find the drops with numbers below `count` that may be visible to the camera, in rising order.
+
+    Without `in_view` all those in the streak region.
+    """
     turns = -(-count // (CLASSES * _LANES)) * _LANES  # whole SIMD vectors: a remainder would run one by one
     found = np.empty((CLASSES, turns), np.bool_)
     geometry = np.concatenate([np.ravel(each) for each in (period_m, *culling[:5])])
     margins, far = culling.class_margin_m, culling.class_far_m
-    _mark(np.uint32(seed), np.uint32(count), where.wraps, where.fractions, geometry, margins, far, not only_seen, found)
-    class_index, turn = np.divmod(np.flatnonzero(found), found.shape[1])
-    return np.sort(turn * CLASSES + class_index * FIRST_OF_CLASS % CLASSES)
+    _mark(np.uint32(seed), np.uint32(count), where.wraps, where.fractions, geometry, margins, far, not in_view, found)
+    class_index, turn = np.divmod(np.flatnonzero(found), turns)
+    return place_drops(np.sort(turn * CLASSES + class_index * FIRST_OF_CLASS % CLASSES), seed, where)
 
 
 @numba.njit(parallel=True, cache=True)
@@ -222,13 +169,28 @@ def _mark_class(first, count, seed, wraps, fractions, geometry, margin, far, eve
         found[k] = (i < count) & in_region & (in_view | everywhere)
 
 
+def place_drops(numbers: Int64[np.ndarray, " m"], seed: int, where: DropPhases) -> Drops:
+    """Place drops by their numbers: readable reference of `_mark_class`."""
+    classes = (numbers * CLASS_STRIDE) % CLASSES
+    i, s = numbers.astype(np.uint32), np.full(len(numbers), seed, np.uint32)
+    zero = np.zeros_like(i)
+    fractions = np.empty((len(numbers), 3), np.uint32)
+
+    def wraps_on(axis: int, start: UInt32[np.ndarray, " m"]) -> UInt32[np.ndarray, " m"]:
+        fractions[:, axis] = start + where.fractions[classes, axis]
+        return where.wraps[classes, axis].view(np.uint32) + (fractions[:, axis] < start)
+
+    wrap_z = wraps_on(2, pcg4d(i, zero, zero, s)[2])
+    wrap_x = wraps_on(0, pcg4d(i, wrap_z, zero + 1, s)[0])
+    wraps_on(1, pcg4d(i, wrap_z, wrap_x * 2 + 2, s)[1])
+    return Drops(numbers, classes, fractions)
+
+
 # Stateless random numbers: the pcg4d hash
 # Jarzynski and Olano 2020, "Hash Functions for GPU Rendering". A number is a pure function of its inputs, so any drop
 # at any time can be computed independently, with identical bits in NumPy, Numba and GLSL.
 
-MULTIPLIER = np.uint32(1664525)
-INCREMENT = np.uint32(1013904223)
-_SHIFT = np.uint32(16)
+MULTIPLIER, INCREMENT = np.uint32(1664525), np.uint32(1013904223)
 _Bits = UInt32[np.ndarray, "*n"]
 
 
@@ -236,7 +198,7 @@ def pcg4d(x: _Bits, y: _Bits, z: _Bits, w: _Bits) -> tuple[_Bits, _Bits, _Bits, 
     """Hash four 32-bit numbers to four: readable reference of `pcg4d_scalar`."""
     with np.errstate(over="ignore"):
         x, y, z, w = _mix(*(v * MULTIPLIER + INCREMENT for v in (x, y, z, w)))
-        return _mix(*(v ^ (v >> _SHIFT) for v in (x, y, z, w)))
+        return _mix(*(v ^ (v >> np.uint32(16)) for v in (x, y, z, w)))
 
 
 def _mix(x: _Bits, y: _Bits, z: _Bits, w: _Bits) -> tuple[_Bits, _Bits, _Bits, _Bits]:
@@ -252,20 +214,13 @@ def _mix(x: _Bits, y: _Bits, z: _Bits, w: _Bits) -> tuple[_Bits, _Bits, _Bits, _
 def pcg4d_scalar(x, y, z, w):
     """Hash four 32-bit numbers to four, inside compiled code."""
     m, c, s = np.uint32(1664525), np.uint32(1013904223), np.uint32(16)
-    x = np.uint32(x * m + c)
-    y = np.uint32(y * m + c)
-    z = np.uint32(z * m + c)
-    w = np.uint32(w * m + c)
+    x, y, z, w = np.uint32(x * m + c), np.uint32(y * m + c), np.uint32(z * m + c), np.uint32(w * m + c)
     x = np.uint32(x + y * w)
     y = np.uint32(y + z * x)
     z = np.uint32(z + x * y)
     w = np.uint32(w + y * z)
-    x = np.uint32(x ^ (x >> s))
-    y = np.uint32(y ^ (y >> s))
-    z = np.uint32(z ^ (z >> s))
-    w = np.uint32(w ^ (w >> s))
+    x, y, z, w = np.uint32(x ^ (x >> s)), np.uint32(y ^ (y >> s)), np.uint32(z ^ (z >> s)), np.uint32(w ^ (w >> s))
     x = np.uint32(x + y * w)
     y = np.uint32(y + z * x)
     z = np.uint32(z + x * y)
-    w = np.uint32(w + y * z)
-    return x, y, z, w
+    return x, y, z, np.uint32(w + y * z)

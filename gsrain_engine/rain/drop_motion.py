@@ -11,8 +11,7 @@ from .keyframes import KeyframeCurve, RainKeyframes
 from .properties import DropClassTable
 from .settings import RainSettings
 
-GUST_PERIODS_S = (7.0, 11.3, 18.1)
-"""Periods of a gust's sines: no common multiple within hours."""
+GUST_PERIODS_S = (7.0, 11.3, 18.1)  # periods of a gust's sines: no common multiple within hours
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,19 +24,19 @@ class Wind:
 
     def velocity(self, time_s: float) -> Float64[np.ndarray, "2"]:
         """Wind along world x and y in m/s."""
-        amplitude, rate, phase = self._sines()
+        amplitude, rate, phase = self._sines
         return np.asarray(self.mean_m_s) + np.sum(amplitude * np.sin(rate * time_s + phase), axis=1)
 
     def displacement(self, time_s: float) -> Float64[np.ndarray, "2"]:
         """Integral of the velocity from 0 to t, in meters."""
-        amplitude, rate, phase = self._sines()
+        amplitude, rate, phase = self._sines
         swing = np.sum(amplitude / rate * (np.cos(phase) - np.cos(rate * time_s + phase)), axis=1)
         return np.asarray(self.mean_m_s) * time_s + swing
 
+    @cached_property
     def _sines(self) -> tuple[Float64[np.ndarray, "2 3"], Float64[np.ndarray, "3"], Float64[np.ndarray, "2 3"]]:
         phase = np.random.default_rng(self.seed).uniform(0, 2 * np.pi, (2, 3))
-        rate = 2 * np.pi / np.array(GUST_PERIODS_S)
-        return np.full((2, 3), self.gust_m_s / 3), rate, phase
+        return np.full((2, 3), self.gust_m_s / 3), 2 * np.pi / np.array(GUST_PERIODS_S), phase
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,13 +55,6 @@ class DropMotion:
     """Drift of all drops up to `since_s`; None is zero."""
     fallen_m: Float64[np.ndarray, " classes"] | None = None
     """Fall of each class up to `since_s`; None is zero."""
-
-    def displacement(self, time_s: float) -> Float64[np.ndarray, "classes 3"]:
-        """World displacement of each class in meters."""
-        moved = np.empty((len(self.fall_speed_m_s), 3))
-        moved[:, :2] = self.drift(time_s)
-        moved[:, 2] = -self.fallen(time_s)
-        return moved
 
     def without_drift(self) -> "DropMotion":
         return replace(self, wind=Wind(), drifted_m=None)
@@ -115,7 +107,11 @@ class KeyframedDropMotion:
         wind = curves.get("wind_m_s") or _still(*rain.wind_m_s)
         table = DropClassTable.between(float(intensity.values.min()), float(intensity.values.max()), rain, calibration)
         mean_wind, gusts = (_still(0.0, 0.0), Wind()) if paper else (wind, Wind((0.0, 0.0), rain.gust_m_s, rain.seed))
-        return cls(intensity, mean_wind, gusts, table, _weights(intensity, table))
+        rates = intensity.values[:, 0]
+        steps = table.mean_shares(rates[:-1], rates[1:])
+        steps *= np.diff(intensity.times_s)[:, None]
+        weights = np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
+        return cls(intensity, mean_wind, gusts, table, weights)
 
     def diameters_mm(self, time_s: float) -> Float64[np.ndarray, " classes"]:
         return self.table.at(self.table.diameters_mm, self._rate(time_s))
@@ -132,7 +128,7 @@ class KeyframedDropMotion:
         return moved if self.drifted_m is None else moved + self.drifted_m
 
     def fallen(self, time_s: float) -> Float64[np.ndarray, " classes"]:
-        moved = self._since_first_knot(time_s) - self._at_zero
+        moved = self._since_first_knot(time_s) - self._since_first_knot_at_zero
         return moved if self.fallen_m is None else moved + self.fallen_m
 
     def going_on_from(self, motion: DropMotion) -> "KeyframedDropMotion":
@@ -146,7 +142,7 @@ class KeyframedDropMotion:
         return float(self.intensity.at(time_s)[0])
 
     @cached_property
-    def _at_zero(self) -> Float64[np.ndarray, " classes"]:
+    def _since_first_knot_at_zero(self) -> Float64[np.ndarray, " classes"]:
         return self._since_first_knot(0.0)
 
     def _since_first_knot(self, time_s: float) -> Float64[np.ndarray, " classes"]:
@@ -168,13 +164,6 @@ class KeyframedDropMotion:
             self._base[knot, interval] = base
         # Between two nodes the speed is linear in R: its mean is the speed at the mean R.
         return base + table.at(table.fall_speed_m_s, 0.5 * (start + rate)) * (time_s - start_s)
-
-
-def _weights(intensity: KeyframeCurve, table: DropClassTable) -> Float64[np.ndarray, "n nodes"]:
-    values = intensity.values[:, 0]
-    steps = table.mean_shares(values[:-1], values[1:])
-    steps *= np.diff(intensity.times_s)[:, None]
-    return np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
 
 
 def _still(*values: float) -> KeyframeCurve:

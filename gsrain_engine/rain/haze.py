@@ -1,6 +1,6 @@
 """Haze: far drops as large, faint Gaussians with the extinction of the drops."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt32
@@ -9,11 +9,8 @@ from .drop_field import pcg4d
 from .settings import RainSettings
 from .shelter_map import ShelterMap
 
-LIFETIME_S, FADE_S = 4.0, 1.0
-"""Lifetime of a haze Gaussian, with a smoothstep fade at both ends."""
-
-RAMP_M = (3.0, 5.0)
-"""Distances from the camera between which haze fades in; streaks represent nearer drops."""
+LIFETIME_S, FADE_S = 4.0, 1.0  # lifetime of a haze Gaussian, with a smoothstep fade at both ends
+RAMP_M = (3.0, 5.0)  # distances from the camera between which haze fades in; streaks represent nearer drops
 
 _SMOOTH_COUNT, _MAX_SHARES = 16_000, 16
 """M Gaussians are split into the geometric mean of M and `_SMOOTH_COUNT`, at most 16 each, to limit their number."""
@@ -22,17 +19,11 @@ _SALT = 0x68617A65  # makes haze independent of drops with the same seed
 _FADE_MEAN = (LIFETIME_S - FADE_S) / LIFETIME_S  # a smoothstep has mean 1/2
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Haze:
+class Haze(NamedTuple):
     """Isotropic haze Gaussians in the world."""
 
     means: Float32[np.ndarray, "n 3"]
     opacities: Float32[np.ndarray, " n"]
-
-    def outside(self, roofs: ShelterMap) -> "Haze":
-        """Return the haze without Gaussians whose center is under a roof."""
-        kept = ~roofs.shelter(self.means.astype(np.float64))
-        return Haze(self.means[kept], self.opacities[kept])
 
 
 def make_haze(
@@ -41,27 +32,28 @@ def make_haze(
     time_s: float,
     anchor_to_world: Float64[np.ndarray, "4 4"],
     camera_position: Float64[np.ndarray, "3"],
+    roofs: ShelterMap | None = None,
 ) -> Haze:
     """Place the haze Gaussians at a time; `count` is M, the number within the haze region at full opacity.
 
     Each of the M is split into several fainter ones at independent positions that share its opacity, unless the
-    settings fix the number or use the paper's reset.
+    settings fix the number or use the paper's reset. Those with a center under one of the `roofs` are left out.
     """
     shares = 1.0
     if rain.haze_reset == "paper":
         positions, fade = _jumping(rain, count, time_s, anchor_to_world)
     else:
-        shares = _shares(count) if rain.haze_count is None else 1.0
+        if rain.haze_count is None:  # noise falls with the square root of their number
+            shares = float(np.clip(np.sqrt(_SMOOTH_COUNT / max(count, 1)), 1, _MAX_SHARES))
         positions, fade = _fading(rain, count * shares, time_s, anchor_to_world)
     ramp = _smoothstep((np.linalg.norm(positions - camera_position, axis=1) - RAMP_M[0]) / (RAMP_M[1] - RAMP_M[0]))
     opacity = rain.haze_opacity / shares * fade * ramp
-    kept = opacity > 0
-    return Haze(positions[kept].astype(np.float32), opacity[kept].astype(np.float32))
-
-
-def _shares(count: int) -> float:
-    """Number of Gaussians that each of the M is split into; noise falls with its square root."""
-    return float(np.clip(np.sqrt(_SMOOTH_COUNT / max(count, 1)), 1, _MAX_SHARES))
+    is_drawn = opacity > 0
+    haze = Haze(positions[is_drawn].astype(np.float32), opacity[is_drawn].astype(np.float32))
+    if roofs is None:
+        return haze
+    is_open = ~roofs.shelter(haze.means.astype(np.float64))
+    return Haze(haze.means[is_open], haze.opacities[is_open])
 
 
 def _fading(

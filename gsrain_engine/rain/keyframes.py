@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from operator import attrgetter
 from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
@@ -20,14 +21,12 @@ from ..scene.scene import Scene
 from .settings import RainSettings
 
 Keyed = Literal["intensity_mm_h", "wind_m_s", "exposure_s"]
-KEYED: tuple[Keyed, ...] = ("intensity_mm_h", "wind_m_s", "exposure_s")
-"""Fields of the rain that can have keyframes."""
-
-HEAVIEST_MM_H = 100.0
-"""Maximum intensity of a keyframe; measured series are clipped to it."""
-
-LONGEST_S = 1e7
-"""Maximum absolute time of a keyframe."""
+KEYED: tuple[Keyed, ...] = ("intensity_mm_h", "wind_m_s", "exposure_s")  # fields of the rain that can have keyframes
+HEAVIEST_MM_H = 100.0  # maximum intensity of a keyframe; measured series are clipped to it
+LONGEST_S = 1e7  # maximum absolute time of a keyframe
+_PIECES = 16  # number of straight pieces per smooth stretch between two keyframes: off by at most 1/300 of its height
+_MAX_KNOTS = 200_000
+_TIME = attrgetter("time_s")
 
 
 class RainKeyframe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -93,7 +92,7 @@ class KeyframeCurve:
 
     def integral(self, time_s: float) -> Float64[np.ndarray, " k"]:
         """Integral from 0 to a time."""
-        return self._from_first(time_s) - self._from_first_to_zero
+        return self._from_first(time_s) - self._from_first(0.0)
 
     def before(self, time_s: float) -> int:
         """Index of the last knot that is not later than a time; -1 before the first."""
@@ -103,10 +102,6 @@ class KeyframeCurve:
     def _sums(self) -> Float64[np.ndarray, "n k"]:
         steps = 0.5 * (self.values[1:] + self.values[:-1]) * np.diff(self.times_s)[:, None]
         return np.concatenate([np.zeros((1, self.values.shape[1])), np.cumsum(steps, axis=0)])
-
-    @cached_property
-    def _from_first_to_zero(self) -> Float64[np.ndarray, " k"]:
-        return self._from_first(0.0)
 
     def _from_first(self, time_s: float) -> Float64[np.ndarray, " k"]:
         knot = max(self.before(time_s), 0)
@@ -138,12 +133,11 @@ class RainKeyframes(
     @cached_property
     def curves(self) -> dict[Keyed, KeyframeCurve]:
         found: dict[Keyed, KeyframeCurve] = {}
-        for name in KEYED:
-            set_there = [key for key in self.keys if getattr(key, name) is not None]
-            if set_there:
-                times = self.key_times[name]
-                values = np.array([getattr(key, name) for key in set_there], np.float64).reshape(len(times), -1)
-                found[name] = KeyframeCurve.through(times, values, smooth=self.between == "smooth")
+        for name, times in self.key_times.items():
+            if len(times):
+                values = [value for key in self.keys if (value := getattr(key, name)) is not None]
+                rows = np.array(values, np.float64).reshape(len(times), -1)
+                found[name] = KeyframeCurve.through(times, rows, smooth=self.between == "smooth")
         return found
 
     @cached_property
@@ -155,14 +149,15 @@ class RainKeyframes(
 
     def key_at(self, time_s: float) -> RainKeyframe | None:
         """Return the keyframe at a time; None without one."""
-        at = bisect_left(self.keys, time_s, key=_time)
+        at = bisect_left(self.keys, time_s, key=_TIME)
         return self.keys[at] if at < len(self.keys) and self.keys[at].time_s == time_s else None
 
     def rain_at(self, rain: RainSettings, time_s: float) -> RainSettings:
         """Return the rain at a time: fields with keyframes from the curves, the others unchanged."""
         if not self.keys:
             return rain
-        changes = {name: _plain(curve.at(time_s)) for name, curve in self.curves.items()}
+        values = {name: curve.at(time_s).tolist() for name, curve in self.curves.items()}
+        changes = {name: each[0] if len(each) == 1 else tuple(each) for name, each in values.items()}
         return msgspec.structs.replace(rain, **changes)
 
     def heaviest_mm_h(self, rain: RainSettings) -> float:
@@ -180,10 +175,10 @@ class RainKeyframes(
         present = self.key_at(time_s)
         if present is None:
             return self
-        kept = [each for each in self.keys if each is not present]
+        keys = [each for each in self.keys if each is not present]
         if name is not None:
-            kept.append(msgspec.structs.replace(present, **{name: None}))
-        return self._with(*(each for each in kept if not each.is_empty))
+            keys.append(msgspec.structs.replace(present, **{name: None}))
+        return self._with(*(key for key in keys if not key.is_empty))
 
     def without(self, name: Keyed) -> "RainKeyframes":
         """Return a copy without any keyframe of a field."""
@@ -210,22 +205,10 @@ class RainKeyframes(
         }
 
     def _with(self, *keys: RainKeyframe) -> "RainKeyframes":
-        return RainKeyframes(keys=tuple(sorted(keys, key=_time)), between=self.between)
+        return RainKeyframes(keys=tuple(sorted(keys, key=_TIME)), between=self.between)
 
 
-def _time(key: RainKeyframe) -> float:
-    return key.time_s
-
-
-def _plain(value: Float64[np.ndarray, " k"]) -> float | tuple[float, ...]:
-    numbers = [float(each) for each in value]
-    return numbers[0] if len(numbers) == 1 else tuple(numbers)
-
-
-_PIECES = 16  # number of straight pieces per smooth stretch between two keyframes: off by at most 1/300 of its height
-_MAX_KNOTS = 200_000
-NO_KEYFRAMES = RainKeyframes()
-"""No keyframes: the rain is constant."""
+NO_KEYFRAMES = RainKeyframes()  # no keyframes: the rain is constant
 
 
 def keyframes_from_series(times_s: Float64[np.ndarray, " n"], rates_mm_h: Float64[np.ndarray, " n"]) -> RainKeyframes:
@@ -243,13 +226,8 @@ def shower_keyframes(
     start_s: float = 0.0, *, duration_s: float = 60.0, peak_mm_h: float = 12.0, steps: int = 6
 ) -> RainKeyframes:
     """Return a shower with its peak in the middle: R = R_max sin^2(pi t / T)."""
-    keys = (
-        RainKeyframe(
-            time_s=start_s + duration_s * k / steps,
-            intensity_mm_h=round(peak_mm_h * math.sin(math.pi * k / steps) ** 2, 6),
-        )
-        for k in range(steps + 1)
-    )
+    rates = [round(peak_mm_h * math.sin(math.pi * k / steps) ** 2, 6) for k in range(steps + 1)]
+    keys = (RainKeyframe(time_s=start_s + duration_s * k / steps, intensity_mm_h=rate) for k, rate in enumerate(rates))
     return RainKeyframes(keys=tuple(keys), between="smooth")
 
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -17,6 +17,12 @@ from .settings import CALIBRATED_UP_TO_MM_H, RainSettings
 
 EXTINCTION_EFFICIENCY = 2.0
 """Q: a drop much larger than the wavelength removes twice its cross-section from a beam (van de Hulst, 1957)."""
+
+SMALLEST_MM, LARGEST_MM = 0.1, 8.0
+"""Diameter limits: smaller drops are drizzle mist, larger ones break up. The distribution is cut and renormalized."""
+
+CLASSES = 16384
+"""Diameter classes: class c is the quantile (c + 1/2) / CLASSES, and a drop keeps its class as R changes."""
 
 _MIN_MM_H = 1e-3  # intensity below which drop sizes no longer change
 Velocity = Callable[[Float[np.ndarray, "*n"]], Float[np.ndarray, "*n"]]
@@ -58,10 +64,6 @@ class DropSizes:
         log_density = (self.shape - 1) * np.log(diameter) - diameter / self.scale_mm
         mass = weight * np.exp(log_density - log_density.max())
         return float(np.sum(mass * quantity(diameter)) / np.sum(mass))
-
-    @cached_property
-    def mean_mm(self) -> float:
-        return self.expectation(lambda diameter: diameter)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,20 +127,24 @@ def rain_properties(rain: RainSettings, calibration: Calibration) -> RainPropert
         density, drawn = table_density * intensity / implied, intensity
     square_m2 = 1e-6 * sizes.expectation(lambda d: d**2)
     extinction = rain.haze_gain * np.pi / 4 * EXTINCTION_EFFICIENCY * density * square_m2
+    haze_gaussians = rain.haze_count if extinction > 0 else 0
+    if haze_gaussians is None:  # M = beta V_f / (2 pi s_h^2 alpha_m): the extinction along a ray equals that of drops
+        shadow_m2 = 2 * np.pi * rain.haze_sigma_m**2 * rain.haze_opacity
+        haze_gaussians = round(extinction * rain.haze_region.volume_m3 / shadow_m2)
     return RainProperties(
         intensity_mm_h=intensity,
         density_m3=density,
         table_density_m3=table_density,
         shape=sizes.shape,
         scale_mm=sizes.scale_mm,
-        mean_diameter_mm=sizes.mean_mm,
+        mean_diameter_mm=sizes.expectation(lambda d: d),
         mean_fall_speed_m_s=sizes.expectation(velocity),
         implied_mm_h=drawn,
         table_implied_mm_h=implied,
         extinction_per_m=extinction,
         visibility_m=float(np.log(20)) / float(extinction) if extinction > 0 else float("inf"),
         drops=round(density * rain.streak_region.volume_m3),
-        haze_gaussians=_haze_gaussians(rain, extinction),
+        haze_gaussians=haze_gaussians,
     )
 
 
@@ -154,22 +160,12 @@ def intensity_for_density(density_m3: float, rain: RainSettings, calibration: Ca
         state = rain_properties(msgspec.structs.replace(rain, intensity_mm_h=float(np.exp(log_intensity))), calibration)
         return float(np.log(state.density_m3 / density_m3))
 
-    least, most = float(np.log(_MIN_MM_H)), float(np.log(100.0))
-    if not density_m3 > 0 or surplus(most) < 0:
+    low, high = float(np.log(_MIN_MM_H)), float(np.log(100.0))
+    if not density_m3 > 0 or surplus(high) < 0:
         raise ValueError(f"{density_m3:g} drops per m3: must be within 0 and what {calibration.name} has at 100 mm/h")
-    if surplus(least) >= 0:
+    if surplus(low) >= 0:
         return _MIN_MM_H
-    return float(np.exp(scipy.optimize.root_scalar(surplus, bracket=(least, most), method="brentq").root))
-
-
-def _haze_gaussians(rain: RainSettings, extinction_per_m: float) -> int:
-    """M = beta V_f / (2 pi s_h^2 alpha_m): the extinction along a ray equals that of the drops."""
-    if extinction_per_m == 0:
-        return 0
-    if rain.haze_count is not None:
-        return rain.haze_count
-    shadow = 2 * np.pi * rain.haze_sigma_m**2 * rain.haze_opacity
-    return round(extinction_per_m * rain.haze_region.volume_m3 / shadow)
+    return float(np.exp(scipy.optimize.root_scalar(surplus, bracket=(low, high), method="brentq").root))
 
 
 def _interpolate_table(calibration: Calibration, intensity: float) -> tuple[float, DropSizes]:
@@ -177,12 +173,21 @@ def _interpolate_table(calibration: Calibration, intensity: float) -> tuple[floa
     for row in calibration.rows:
         if row.intensity_mm_h == intensity:
             return row.density_m3, DropSizes(row.shape, row.scale_mm)
-    table = _table(calibration)
+    log_density, log_mean, shapes = _log_curves(calibration)
     x = float(np.log(intensity))
-    density = float(np.exp(table.log_density(x)))
-    mean = float(np.exp(table.log_mean(x)))
-    shape = float(table.shape.inside(np.clip(x, *table.shape.ends)))
-    return density, DropSizes(shape, mean / shape)
+    shape = float(shapes.inside(np.clip(x, *shapes.ends)))
+    return float(np.exp(log_density(x))), DropSizes(shape, float(np.exp(log_mean(x))) / shape)
+
+
+@lru_cache(maxsize=8)
+def _log_curves(calibration: Calibration) -> "tuple[_LogCurve, _LogCurve, _LogCurve]":
+    """Logarithms of density and mean diameter, and the shape, over ln R."""
+    rows = calibration.rows
+    log_r = np.log([row.intensity_mm_h for row in rows])
+    log_density = np.log([row.density_m3 for row in rows])
+    log_mean = np.log([row.shape * row.scale_mm for row in rows])
+    shape = np.array([row.shape for row in rows])
+    return _LogCurve.through(log_r, log_density), _LogCurve.through(log_r, log_mean), _LogCurve.through(log_r, shape)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,33 +208,6 @@ class _LogCurve:
         return float(self.inside(inside)) + self.slope * (at - inside)
 
 
-class _CalibrationCurves(NamedTuple):
-    """Rows of a calibration as curves over ln R."""
-
-    log_density: _LogCurve
-    log_mean: _LogCurve
-    shape: _LogCurve
-
-
-@lru_cache(maxsize=8)
-def _table(calibration: Calibration) -> _CalibrationCurves:
-    rows = calibration.rows
-    log_r = np.log([row.intensity_mm_h for row in rows])
-    return _CalibrationCurves(
-        _LogCurve.through(log_r, np.log([row.density_m3 for row in rows])),
-        _LogCurve.through(log_r, np.log([row.shape * row.scale_mm for row in rows])),
-        _LogCurve.through(log_r, np.array([row.shape for row in rows])),
-    )
-
-
-SMALLEST_MM = 0.1
-LARGEST_MM = 8.0
-"""Diameter limits: smaller drops are drizzle mist, larger ones break up. The distribution is cut and renormalized."""
-
-CLASSES = 16384
-"""Diameter classes of a drop field: class c is the quantile (c + 1/2) / CLASSES. A drop keeps its class as R changes.
-"""
-
 _PANELS, _NODES = 20, 20
 """Few nodes in each of many panels: the eigenvalues for 400 nodes at once take seconds on a busy machine."""
 
@@ -246,8 +224,7 @@ def _quadrature() -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]
 # Diameter and fall speed of each class over the intensity
 # Tabulated and interpolated, so that drops change continuously with the intensity.
 
-LOWEST_MM_H = 0.02
-"""Intensity below which drops no longer change."""
+LOWEST_MM_H = 0.02  # intensity below which drops no longer change
 
 _RATIO = 1.2
 """Ratio of successive nodes. Linear interpolation is off by 0.04 % in diameter outside the calibration; between the
@@ -346,8 +323,7 @@ def _classes_at(
 
 # Calibration curves for plots
 
-_INTENSITIES_MM_H = np.geomspace(0.1, 100, 61)
-_DIAMETERS_MM = np.linspace(SMALLEST_MM, LARGEST_MM, 159)
+_INTENSITIES_MM_H, _DIAMETERS_MM = np.geomspace(0.1, 100, 61), np.linspace(SMALLEST_MM, LARGEST_MM, 159)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -10,7 +10,7 @@ from .calibration import calibration_names
 
 Vector = tuple[float, float, float]
 CALIBRATED_UP_TO_MM_H = 13.0
-"""Upper end of the published calibration; higher intensities are marked as extrapolated wherever R is shown."""
+"""Upper end of the published calibration; higher intensities are marked as extrapolated in window and reports."""
 
 
 class RegionBox(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -26,13 +26,13 @@ class RegionBox(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     @property
     def size_m(self) -> Vector:
-        x, y, z = (high - low for low, high in zip(self.minimum_m, self.maximum_m, strict=True))
-        return x, y, z
+        (left, back, low), (right, front, high) = self.minimum_m, self.maximum_m
+        return right - left, front - back, high - low
 
     @property
     def center_m(self) -> Vector:
-        x, y, z = ((high + low) / 2 for low, high in zip(self.minimum_m, self.maximum_m, strict=True))
-        return x, y, z
+        (left, back, low), (right, front, high) = self.minimum_m, self.maximum_m
+        return (right + left) / 2, (front + back) / 2, (high + low) / 2
 
     @property
     def volume_m3(self) -> float:
@@ -47,176 +47,90 @@ HAZE_REGION = RegionBox(minimum_m=(-10.0, -10.0, -1.5), maximum_m=(60.0, 10.0, 2
 class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Rain parameters. The defaults are physical; docs/physics.md gives the reason for each."""
 
-    intensity_mm_h: Annotated[
-        float,
-        Meta(
-            ge=0,
-            le=100,
-            title="Intensity",
-            description="Rainfall intensity R (eq. 8). Calibrated up to 13 mm/h.",
-            extra={"unit": "mm/h"},
-        ),
-    ] = 0.0
-    exposure_s: Annotated[
-        float | None,
-        Meta(
-            title="Exposure",
-            description="Shutter time T (eq. 5); none takes the camera's own (4 ms by day).",
-            extra={"unit": "s", "ge": 1e-5, "le": 1.0},
-        ),
-    ] = None
+    # fmt: off
+    intensity_mm_h: Annotated[float, Meta(
+        ge=0, le=100, title="Intensity", extra={"unit": "mm/h"},
+        description="Rainfall intensity R (eq. 8). Calibrated up to 13 mm/h.")] = 0.0
+    exposure_s: Annotated[float | None, Meta(
+        title="Exposure", extra={"unit": "s", "ge": 1e-5, "le": 1.0},
+        description="Shutter time T (eq. 5); none takes the camera's own (4 ms by day).")] = None
     seed: Annotated[int, Meta(ge=0, le=2**32 - 1, title="Seed", description="Same seed and time, same drops.")] = 0
 
     streaks: Annotated[bool, Meta(title="Streaks", description="Draw near drops as streaks (eq. 10-12).")] = True
     haze: Annotated[bool, Meta(title="Haze", description="Draw far drops as haze (eq. 6, 7).")] = True
-    roofs: Annotated[
-        bool, Meta(title="Shelter under roofs", description="No rain under bridges, canopies and trees.")
-    ] = False
-    streak_region: Annotated[
-        RegionBox, Meta(title="Streak region", description="Where drops are simulated one by one.")
-    ] = STREAK_REGION
-    haze_region: Annotated[RegionBox, Meta(title="Haze region", description="Where drops are haze Gaussians.")] = (
-        HAZE_REGION
-    )
+    roofs: Annotated[bool, Meta(
+        title="Shelter under roofs", description="No rain under bridges, canopies and trees.")] = False
+    streak_region: Annotated[RegionBox, Meta(
+        title="Streak region", description="Where drops are simulated one by one.")] = STREAK_REGION
+    haze_region: Annotated[RegionBox, Meta(
+        title="Haze region", description="Where drops are haze Gaussians.")] = HAZE_REGION
 
-    wind_m_s: Annotated[
-        tuple[float, float],
-        Meta(
-            title="Wind",
-            description="Horizontal wind along world x and y.",
-            extra={"unit": "m/s", "ge": -40.0, "le": 40.0},
-        ),
-    ] = (0.0, 0.0)
-    gust_m_s: Annotated[
-        float,
-        Meta(ge=0, le=20, title="Gusts", description="Amplitude of the wind's slow variation.", extra={"unit": "m/s"}),
-    ] = 0.0
+    wind_m_s: Annotated[tuple[float, float], Meta(
+        title="Wind", extra={"unit": "m/s", "ge": -40.0, "le": 40.0},
+        description="Horizontal wind along world x and y.")] = (0.0, 0.0)
+    gust_m_s: Annotated[float, Meta(
+        ge=0, le=20, title="Gusts", extra={"unit": "m/s"}, description="Amplitude of the wind's slow variation.")] = 0.0
 
-    calibration: Annotated[
-        str, Meta(title="Calibration", description="Name of a shipped calibration, or a calibration file.")
-    ] = "published"
-    closure: Annotated[
-        Literal["density", "published"],
-        Meta(title="Closure", description="density: as many drops as the intensity needs. published: the table as is."),
-    ] = "density"
-    velocity: Annotated[
-        Literal["calibration", "atlas"],
-        Meta(title="Fall speed", description="V(D) (eq. 9): the calibration's fit, or Atlas 1973."),
-    ] = "calibration"
+    calibration: Annotated[str, Meta(
+        title="Calibration", description="Name of a shipped calibration, or a calibration file.")] = "published"
+    closure: Annotated[Literal["density", "published"], Meta(
+        title="Closure",
+        description="density: as many drops as the intensity needs. published: the table as is.")] = "density"
+    velocity: Annotated[Literal["calibration", "atlas"], Meta(
+        title="Fall speed", description="V(D) (eq. 9): the calibration's fit, or Atlas 1973.")] = "calibration"
 
-    streak_frame: Annotated[
-        Literal["camera", "world"],
-        Meta(title="Streak frame", description="camera: streaks follow the drop's motion seen from the moving camera."),
-    ] = "camera"
-    rain_light: Annotated[
-        Literal["linear", "display"],
-        Meta(title="Light", description="linear: a drop's light adds in linear space. display: the paper's mixing."),
-    ] = "linear"
-    far_drops: Annotated[
-        Literal["haze", "published"],
-        Meta(title="Far drops", description="haze: far drops are haze only. published: drawn with the haze opacity."),
-    ] = "haze"
-    streak_reset: Annotated[
-        Literal["lattice", "paper"],
-        Meta(title="Streak reset", description="lattice: uniform density. paper: drops re-enter at the top only."),
-    ] = "lattice"
-    haze_reset: Annotated[
-        Literal["fade", "paper"],
-        Meta(title="Haze reset", description="fade: come and go slowly. paper: jump each frame."),
-    ] = "fade"
+    streak_frame: Annotated[Literal["camera", "world"], Meta(
+        title="Streak frame",
+        description="camera: streaks follow the drop's motion seen from the moving camera.")] = "camera"
+    rain_light: Annotated[Literal["linear", "display"], Meta(
+        title="Light",
+        description="linear: a drop's light adds in linear space. display: the paper's mixing.")] = "linear"
+    far_drops: Annotated[Literal["haze", "published"], Meta(
+        title="Far drops",
+        description="haze: far drops are haze only. published: drawn with the haze opacity.")] = "haze"
+    streak_reset: Annotated[Literal["lattice", "paper"], Meta(
+        title="Streak reset",
+        description="lattice: uniform density. paper: drops re-enter at the top only.")] = "lattice"
+    haze_reset: Annotated[Literal["fade", "paper"], Meta(
+        title="Haze reset", description="fade: come and go slowly. paper: jump each frame.")] = "fade"
 
-    critical_haze_coefficient: Annotated[
-        float,
-        Meta(
-            ge=0.1,
-            le=50,
-            title="Critical haze coefficient",
-            description="phi (eq. 6, 7): drops beyond phi f D are haze.",
-        ),
-    ] = 2.0
-    max_copies: Annotated[
-        int,
-        Meta(
-            ge=1,
-            le=16,
-            title="Gaussians a streak",
-            description="n_max (eq. 10-12): at most so many Gaussians a streak.",
-        ),
-    ] = 4
-    haze_opacity: Annotated[
-        float,
-        Meta(ge=0.001, le=0.5, title="Haze opacity", description="alpha_m (eq. 7): largest alpha of a haze Gaussian."),
-    ] = 0.05
-    haze_sigma_m: Annotated[
-        float,
-        Meta(
-            ge=0.05,
-            le=5,
-            title="Haze size",
-            description="s_h: standard deviation of a haze Gaussian.",
-            extra={"unit": "m"},
-        ),
-    ] = 0.5
-    haze_count: Annotated[
-        int | None,
-        Meta(
-            title="Haze Gaussians",
-            description="M: none takes as many as the extinction needs, and splits them up to be smooth.",
-            extra={"ge": 0, "le": 200_000},
-        ),
-    ] = None
-    haze_gain: Annotated[
-        float, Meta(ge=0, le=50, title="Haze gain", description="Multiplies the extinction; 1 is physical.")
-    ] = 1.0
-    streak_gain: Annotated[
-        float,
-        Meta(ge=0, le=50, title="Streak gain", description="Multiplies the streaks' opacity (eq. 5); 1 is physical."),
-    ] = 1.0
-    aperture_mm: Annotated[
-        float,
-        Meta(
-            ge=0,
-            le=50,
-            title="Aperture",
-            description="Diameter of the lens opening; drops out of focus blur with it. 0 is a pinhole: all sharp.",
-            extra={"unit": "mm"},
-        ),
-    ] = 0.0
-    focus_distance_m: Annotated[
-        float,
-        Meta(
-            ge=0.2,
-            le=10_000,
-            title="Focus distance",
-            description="Where the lens is focused. Matters with an aperture above 0.",
-            extra={"unit": "m"},
-        ),
-    ] = 10.0
-    drop_color: Annotated[
-        tuple[float, float, float] | None,
-        Meta(
-            title="Drop color", description="Display color of a drop (eq. 3); none takes the mean of the scene's sky."
-        ),
-    ] = None
+    critical_haze_coefficient: Annotated[float, Meta(
+        ge=0.1, le=50, title="Critical haze coefficient",
+        description="phi (eq. 6, 7): drops beyond phi f D are haze.")] = 2.0
+    max_copies: Annotated[int, Meta(
+        ge=1, le=16, title="Gaussians a streak",
+        description="n_max (eq. 10-12): at most so many Gaussians a streak.")] = 4
+    haze_opacity: Annotated[float, Meta(
+        ge=0.001, le=0.5, title="Haze opacity",
+        description="alpha_m (eq. 7): largest alpha of a haze Gaussian.")] = 0.05
+    haze_sigma_m: Annotated[float, Meta(
+        ge=0.05, le=5, title="Haze size", extra={"unit": "m"},
+        description="s_h: standard deviation of a haze Gaussian.")] = 0.5
+    haze_count: Annotated[int | None, Meta(
+        title="Haze Gaussians", extra={"ge": 0, "le": 200_000},
+        description="M: none takes as many as the extinction needs, and splits them up to be smooth.")] = None
+    haze_gain: Annotated[float, Meta(
+        ge=0, le=50, title="Haze gain", description="Multiplies the extinction; 1 is physical.")] = 1.0
+    streak_gain: Annotated[float, Meta(
+        ge=0, le=50, title="Streak gain",
+        description="Multiplies the streaks' opacity (eq. 5); 1 is physical.")] = 1.0
+    aperture_mm: Annotated[float, Meta(
+        ge=0, le=50, title="Aperture", extra={"unit": "mm"},
+        description="Diameter of the lens opening; drops out of focus blur with it. 0 is a pinhole: all sharp.")] = 0.0
+    focus_distance_m: Annotated[float, Meta(
+        ge=0.2, le=10_000, title="Focus distance", extra={"unit": "m"},
+        description="Where the lens is focused. Matters with an aperture above 0.")] = 10.0
+    drop_color: Annotated[Vector | None, Meta(
+        title="Drop color",
+        description="Display color of a drop (eq. 3); none takes the mean of the scene's sky.")] = None
 
-    wetness: Annotated[
-        float | None,
-        Meta(
-            title="Wetness",
-            description="Share of the soaked colours, 0..1; none follows the intensity (docs/physics.md, 11).",
-            extra={"ge": 0.0, "le": 1.0},
-        ),
-    ] = None
-    drying_s: Annotated[
-        float,
-        Meta(
-            ge=0,
-            le=7200,
-            title="Drying",
-            description="Time in which what is wet dries to 1/e when the rain gets weaker; 0 dries at once.",
-            extra={"unit": "s"},
-        ),
-    ] = 0.0
+    wetness: Annotated[float | None, Meta(
+        title="Wetness", extra={"ge": 0.0, "le": 1.0},
+        description="Share of the soaked colours, 0..1; none follows the intensity (docs/physics.md, 11).")] = None
+    drying_s: Annotated[float, Meta(
+        ge=0, le=7200, title="Drying", extra={"unit": "s"},
+        description="Time in which what is wet dries to 1/e when the rain gets weaker; 0 dries at once.")] = 0.0
+    # fmt: on
 
     def __post_init__(self) -> None:
         if self.wetness is not None and not 0 <= self.wetness <= 1:

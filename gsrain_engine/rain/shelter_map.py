@@ -11,14 +11,10 @@ from jaxtyping import Bool, Float32, Float64, Int32
 from ..scene.flags import BitMask
 from ..scene.gaussians import Gaussians, scene_cache
 from ..scene.geometry import matrices_from_quaternions
-from ..scene.scene import DrawItem, Layer, Scene, robust_bounds
+from ..scene.scene import DrawItem, Scene, robust_bounds
 
-CELL_M = 0.5
-"""Edge of a cell: about the spacing of Gaussians of a captured surface, and less than any canopy."""
-
-CLEARANCE_M = 2.0
-"""Minimum height of a roof above the lowest solid surface; a road surface fails it at any slope."""
-
+CELL_M = 0.5  # edge of a cell: about the spacing of Gaussians of a captured surface, and less than any canopy
+CLEARANCE_M = 2.0  # minimum height of a roof above the lowest solid surface; a road surface fails it at any slope
 _SOLID = np.log(2)  # optical depth from above at which a surface counts as solid: floaters alone don't reach it
 _MAX_CELLS = 2048  # maximum number of cells per side; a larger scene is covered in its middle only
 _MAX_GAUSSIANS = 1_000_000  # number of Gaussians above which every n-th is used, with n-fold weight
@@ -67,7 +63,7 @@ class _GaussianPieces(NamedTuple):
     cells: Int32[np.ndarray, " n"]
     heights_m: Float32[np.ndarray, " n"]
     depths: Float32[np.ndarray, " n"]
-    """Optical depth that a piece adds to its cell, seen from above."""
+    """Optical depth that a piece adds to its cell, from above."""
 
 
 class _SolidLayer(NamedTuple):
@@ -85,23 +81,16 @@ def shelter_map_of(scene: Scene) -> ShelterMap | None:
     The maps of the last two scenes are cached, for split views.
     """
     layers = [layer for layer in scene.layers if layer.visible and layer.kind == "background"]
-    ways = [np.ascontiguousarray(scene.scene_to_world @ layer.to_scene).tobytes() for layer in layers]
-    return _roofs_of_solids(tuple(map(_solid, layers, ways)))
-
-
-def _solid(layer: Layer, to_world: bytes) -> _SolidLayer:
-    return _SolidLayer(layer.gaussians, to_world, layer.marks.left_out, layer.opacity)
+    poses = [np.ascontiguousarray(scene.scene_to_world @ layer.to_scene).tobytes() for layer in layers]
+    solids = zip(layers, poses, strict=True)
+    return _roofs_of_solids(tuple(_SolidLayer(e.gaussians, pose, e.marks.left_out, e.opacity) for e, pose in solids))
 
 
 @scene_cache(maxsize=2)
 def _roofs_of_solids(solids: tuple[_SolidLayer, ...]) -> ShelterMap | None:
-    ways = [np.frombuffer(each.to_world).reshape(4, 4) for each in solids]
-    return build_shelter_map(
-        [
-            DrawItem(each.gaussians, way, left_out=each.left_out, opacity=each.opacity)
-            for each, way in zip(solids, ways, strict=True)
-        ]
-    )
+    poses = [np.frombuffer(each.to_world).reshape(4, 4) for each in solids]
+    items = zip(solids, poses, strict=True)
+    return build_shelter_map([DrawItem(e.gaussians, p, left_out=e.left_out, opacity=e.opacity) for e, p in items])
 
 
 def build_shelter_map(parts: Sequence[DrawItem]) -> ShelterMap | None:
@@ -117,11 +106,10 @@ def build_shelter_map(parts: Sequence[DrawItem]) -> ShelterMap | None:
         return None
     grid = _grid(parts)
     pieces = [points for part in parts for points in _points(part, grid)]
-    cells, heights, depths = (np.concatenate(column) for column in zip(*pieces, strict=True))
-    highest = _roof_candidates(_GaussianPieces(cells, heights, depths), grid)
+    highest = _roof_candidates(_GaussianPieces(*map(np.concatenate, zip(*pieces, strict=True))), grid)
     core = scipy.ndimage.rank_filter(highest, rank=2, size=3, mode="constant", cval=-np.inf)
-    neighbour = scipy.ndimage.maximum_filter(core, size=3, mode="constant", cval=-np.inf)
-    roofs = np.maximum(core, np.minimum(highest, neighbour))
+    neighbor = scipy.ndimage.maximum_filter(core, size=3, mode="constant", cval=-np.inf)
+    roofs = np.maximum(core, np.minimum(highest, neighbor))
     if not np.any(np.isfinite(roofs)):
         return None
     return ShelterMap(roofs, (float(grid.corner_m[0]), float(grid.corner_m[1])))
@@ -129,16 +117,13 @@ def build_shelter_map(parts: Sequence[DrawItem]) -> ShelterMap | None:
 
 def _grid(parts: Sequence[DrawItem]) -> _HeightGrid:
     """Grid over the area that contains most Gaussians."""
-    boxes = [robust_bounds(part.gaussians, share=0.999) for part in parts]
-    corners = np.concatenate([_corners(np.stack(box)) @ p.to_world[:3, :3].T + p.to_world[:3, 3]
-                              for box, p in zip(boxes, parts, strict=True)])[:, :2]  # fmt: skip
+    boxes = [np.stack(robust_bounds(part.gaussians, share=0.999)) for part in parts]
+    corners = [np.stack([each.ravel() for each in np.meshgrid(*box.T)], axis=1) for box in boxes]
+    corners = [c @ p.to_world[:3, :3].T + p.to_world[:3, 3] for c, p in zip(corners, parts, strict=True)]
+    corners = np.concatenate(corners)[:, :2]
     low, high = corners.min(axis=0) - CELL_M, corners.max(axis=0) + CELL_M
     size = np.minimum(np.ceil((high - low) / CELL_M), _MAX_CELLS).astype(int)
     return _HeightGrid((low + high) / 2 - size * CELL_M / 2, int(size[0]), int(size[1]))
-
-
-def _corners(box: Float64[np.ndarray, "2 3"]) -> Float64[np.ndarray, "8 3"]:
-    return np.stack([each.ravel() for each in np.meshgrid(*box.T)], axis=1)
 
 
 def _points(part: DrawItem, grid: _HeightGrid) -> Iterator[_GaussianPieces]:
@@ -147,34 +132,22 @@ def _points(part: DrawItem, grid: _HeightGrid) -> Iterator[_GaussianPieces]:
     step = -(-len(g) // _MAX_GAUSSIANS)
     for first in range(0, len(g), _CHUNK * step):
         chunk = g.take(slice(first, first + _CHUNK * step, step))
-        means, axes = _in_world(chunk, to_world)
+        means = chunk.means @ to_world[:3, :3].T + to_world[:3, 3]
+        turn = matrices_from_quaternions(chunk.quaternions.astype(np.float64))
+        axes = to_world[:3, :3] @ (turn * chunk.scales[:, None, :])  # columns: standard deviations in meters
         flat = axes[:, :2] @ axes[:, :2].transpose(0, 2, 1)
         shadow_m2 = 2 * np.pi * np.sqrt(np.maximum(np.linalg.det(flat), 0))
         depth = step * chunk.opacities * shadow_m2 / CELL_M**2
         longest = np.sqrt(np.maximum(flat[:, 0, 0], flat[:, 1, 1]))
-        for count, least, most in ((1, 0.0, 0.3), (8, 0.3, 0.8), (64, 0.8, np.inf)):
-            own = np.flatnonzero((longest >= least * CELL_M) & (longest < most * CELL_M))
+        for count, low, high in ((1, 0.0, 0.3), (8, 0.3, 0.8), (64, 0.8, np.inf)):
+            own = np.flatnonzero((longest >= low * CELL_M) & (longest < high * CELL_M))
             draws = _DRAWS[:count] - _DRAWS[:count].mean(axis=0)
-            places = means[own, None] + np.einsum("kj,nij->nki", draws, axes[own])
-            yield _in_cells(places.reshape(-1, 3), np.repeat(depth[own] / count, count), grid)
-
-
-def _in_world(
-    gaussians: Gaussians, to_world: Float64[np.ndarray, "4 4"]
-) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3 3"]]:
-    """Centers, and axes scaled to standard deviations (columns), in meters."""
-    turn = matrices_from_quaternions(gaussians.quaternions.astype(np.float64))
-    axes = to_world[:3, :3] @ (turn * gaussians.scales[:, None, :])
-    return gaussians.means @ to_world[:3, :3].T + to_world[:3, 3], axes
-
-
-def _in_cells(
-    places_m: Float64[np.ndarray, "n 3"], depths: Float64[np.ndarray, " n"], grid: _HeightGrid
-) -> _GaussianPieces:
-    column, row = np.clip(np.floor((places_m[:, :2] - grid.corner_m) / CELL_M), -1, _MAX_CELLS).astype(np.int64).T
-    inside = (column >= 0) & (column < grid.columns) & (row >= 0) & (row < grid.rows)
-    cells = (row[inside] * grid.columns + column[inside]).astype(np.int32)
-    return _GaussianPieces(cells, places_m[inside, 2].astype(np.float32), depths[inside].astype(np.float32))
+            places = (means[own, None] + np.einsum("kj,nij->nki", draws, axes[own])).reshape(-1, 3)
+            cells = np.clip(np.floor((places[:, :2] - grid.corner_m) / CELL_M), -1, _MAX_CELLS).astype(np.int64)
+            inside = np.all((cells >= 0) & (cells < [grid.columns, grid.rows]), axis=1)
+            numbers = (cells[inside, 1] * grid.columns + cells[inside, 0]).astype(np.int32)
+            depths = np.repeat(depth[own] / count, count)[inside].astype(np.float32)
+            yield _GaussianPieces(numbers, places[inside, 2].astype(np.float32), depths)
 
 
 def _roof_candidates(points: _GaussianPieces, grid: _HeightGrid) -> Float32[np.ndarray, "rows columns"]:

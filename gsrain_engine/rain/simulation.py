@@ -11,18 +11,17 @@ from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians, sh_from_color
 from ..scene.geometry import linear_to_srgb, srgb_to_linear
 from .calibration import Calibration, load_calibration
-from .drop_field import DropCulling, drop_phases_of_motion
+from .drop_field import DropCulling, drop_phases
 from .drop_motion import DropMotion, KeyframedDropMotion, Wind
 from .haze import Haze, make_haze
 from .keyframes import NO_KEYFRAMES, RainKeyframes
 from .properties import RainProperties, fall_speed, rain_properties
 from .settings import RainSettings
 from .shelter_map import ShelterMap
-from .streaks import STREAK_REACH, DropBatch, ShutterModel, circle_of_confusion_m, visible_distance_m
+from .streaks import STREAK_REACH, DropBatch, ShutterModel, camera_slopes, circle_of_confusion_m, visible_distance_m
 from .wetness import WetnessCurve, wetness
 
-OVERCAST: tuple[float, float, float] = (0.78, 0.79, 0.80)
-"""Display color of drops in scenes without sky."""
+OVERCAST: tuple[float, float, float] = (0.78, 0.79, 0.80)  # display color of drops in scenes without sky
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,10 +84,8 @@ class RainFrame:
     def _streaks(self) -> tuple[int, Gaussians]:
         if self.streak_field is None:
             return 0, Gaussians.empty()
-        drops = self.streak_field.drops()
-        made = self.streak_field.streaks(drops)
-        n = len(made.means)
-        return len(drops.numbers), Gaussians(made.means, made.scales, made.quaternions, made.opacities, self._sh(n))
+        count, streaks = self.streak_field.streaks()
+        return count, Gaussians(*streaks, self._sh(len(streaks.means)))
 
     def _sh(self, count: int) -> Float32[np.ndarray, "n 1 3"]:
         return np.broadcast_to(sh_from_color(self.color.astype(np.float32)[None]), (count, 1, 3)).copy()
@@ -108,8 +105,8 @@ class RainSimulation:
     diameters_mm: Float64[np.ndarray, " classes"]
     motion: DropMotion
     weather: RainKeyframes = NO_KEYFRAMES
-    _course: KeyframedDropMotion | None = None
-    _moments: "dict[float, RainSimulation]" = field(default_factory=dict, init=False)
+    _keyed_motion: KeyframedDropMotion | None = None
+    _frozen: "dict[float, RainSimulation]" = field(default_factory=dict, init=False)
     """Cache of the latest `frozen_at`."""
 
     @classmethod
@@ -117,41 +114,37 @@ class RainSimulation:
         cls, rain: RainSettings, calibration: Calibration | None = None, weather: RainKeyframes | None = None
     ) -> "RainSimulation":
         """Begin a rain whose drops are a function of (seed, t) alone."""
-        calibration = calibration or load_calibration(rain.calibration)
-        weather = weather or NO_KEYFRAMES
-        course = KeyframedDropMotion.of(rain, weather, calibration) if weather.keys else None
-        state = rain_properties(rain, calibration)
-        diameters = state.sizes.class_diameters_mm
-        motion = DropMotion(_wind(rain), fall_speed(rain, calibration)(diameters))
-        return cls(rain, calibration, state, diameters, motion, weather, course)
+        calibration, weather = calibration or load_calibration(rain.calibration), weather or NO_KEYFRAMES
+        state, diameters, wind, speeds = _drops(rain, calibration)
+        keyed = KeyframedDropMotion.of(rain, weather, calibration) if weather.keys else None
+        return cls(rain, calibration, state, diameters, DropMotion(wind, speeds), weather, keyed)
 
     def changed(self, rain: RainSettings, time_s: float, weather: RainKeyframes | None = None) -> "RainSimulation":
         """Change the rain, and optionally its keyframes; drops continue from their current positions."""
-        calibration = self.calibration
-        if rain.calibration != self.rain.calibration:
-            calibration = load_calibration(rain.calibration)
-        weather, now = self.weather if weather is None else weather, self.frozen_at(time_s)
-        state = rain_properties(rain, calibration)
-        diameters = state.sizes.class_diameters_mm
-        motion = now.motion.changed(time_s, _wind(rain), fall_speed(rain, calibration)(diameters))
-        course = None
-        if weather.keys:
-            same = weather is self.weather and _what_moves(rain) == _what_moves(self.rain)
-            course = self._course if same else KeyframedDropMotion.of(rain, weather, calibration).going_on_from(motion)
-        return RainSimulation(rain, calibration, state, diameters, motion, weather, course)
+        is_same = rain.calibration == self.rain.calibration
+        calibration = self.calibration if is_same else load_calibration(rain.calibration)
+        weather = self.weather if weather is None else weather
+        state, diameters, wind, speeds = _drops(rain, calibration)
+        motion, keyed = self.frozen_at(time_s).motion.changed(time_s, wind, speeds), None
+        if weather.keys and weather is self.weather and all(getattr(rain, f) == getattr(self.rain, f) for f in _MOVING):
+            keyed = self._keyed_motion
+        elif weather.keys:
+            keyed = KeyframedDropMotion.of(rain, weather, calibration).going_on_from(motion)
+        return RainSimulation(rain, calibration, state, diameters, motion, weather, keyed)
 
     def frozen_at(self, time_s: float) -> "RainSimulation":
         """Return the rain at a time, without keyframes; valid for that time only."""
-        if self._course is None:
+        keyed = self._keyed_motion
+        if keyed is None:
             return self
-        now = self._moments.get(time_s)
-        if now is None:
-            rain, course = self.weather.rain_at(self.rain, time_s), self._course
+        if time_s not in self._frozen:
+            rain = self.weather.rain_at(self.rain, time_s)
             state = rain_properties(rain, self.calibration)
-            now = RainSimulation(rain, self.calibration, state, course.diameters_mm(time_s), course.motion(time_s))
-            self._moments.clear()
-            self._moments[time_s] = now
-        return now
+            self._frozen.clear()
+            self._frozen[time_s] = RainSimulation(
+                rain, self.calibration, state, keyed.diameters_mm(time_s), keyed.motion(time_s)
+            )
+        return self._frozen[time_s]
 
     def state_at(self, time_s: float) -> RainProperties:
         return self.frozen_at(time_s).state
@@ -160,16 +153,13 @@ class RainSimulation:
         """Share of the soaked colors at a time, 0..1: the set value, or derived from the intensity."""
         if self.rain.wetness is not None:
             return self.rain.wetness
-        return self._steady_wetness if self._wetness is None else self._wetness.at(time_s)
+        return self._wetness.at(time_s) if isinstance(self._wetness, WetnessCurve) else self._wetness
 
     @cached_property
-    def _steady_wetness(self) -> float:
-        return wetness(self.rain.intensity_mm_h)
-
-    @cached_property
-    def _wetness(self) -> WetnessCurve | None:
+    def _wetness(self) -> WetnessCurve | float:
         intensity = self.weather.curves.get("intensity_mm_h")
-        return None if intensity is None else WetnessCurve(intensity, self.rain.drying_s)
+        steady = self.rain.intensity_mm_h
+        return wetness(steady) if intensity is None else WetnessCurve(intensity, self.rain.drying_s)
 
     @property
     def can_rain(self) -> bool:
@@ -177,88 +167,63 @@ class RainSimulation:
 
     def at(self, time_s: float, view: RainCamera, sky: tuple[float, float, float] = OVERCAST) -> RainFrame | None:
         """Return the drops and haze at a time; None at 0 mm/h. `sky` is the display color of the scene's sky."""
-        if self._course is not None:
-            return self.frozen_at(time_s).at(time_s, view, sky)
-        rain = self.rain
-        if self.state.intensity_mm_h == 0:
+        now = self.frozen_at(time_s)
+        rain, haze = now.rain, None
+        if now.state.intensity_mm_h == 0:
             return None
+        if rain.haze:
+            anchor, eye = view.anchor_to_world, view.camera.position
+            haze = make_haze(rain, now.state.haze_gaussians, time_s, anchor, eye, view.roofs)
         color = np.array(rain.drop_color or sky)
         return RainFrame(
-            streak_field=self.streak_field(time_s, view) if rain.streaks else None,
-            haze=self._haze(time_s, view) if rain.haze else None,
-            haze_sigma_m=rain.haze_sigma_m,
-            color=color,
-            light_linear=srgb_to_linear(color).astype(np.float32),
+            streak_field=now.streak_field(time_s, view) if rain.streaks else None, haze=haze,
+            haze_sigma_m=rain.haze_sigma_m, color=color, light_linear=srgb_to_linear(color).astype(np.float32),
             mixing=rain.rain_light,
-        )
+        )  # fmt: skip
 
-    def drops_in_region(self, time_s: float, view: RainCamera) -> int:
-        """Count the drops in the streak region at a time, visible or not."""
-        return self.streak_field(time_s, view).drops_in_region()
-
-    def exposure_s(self, view: RainCamera) -> float:
+    def exposure_s(self, camera: Camera) -> float:
         """Shutter time: the rain's own, or the camera's."""
-        whole = self.rain.exposure_s if self.rain.exposure_s is not None else view.camera.exposure_s
-        return whole * view.exposure_share
-
-    def _haze(self, time_s: float, view: RainCamera) -> Haze:
-        count, anchor = self.state.haze_gaussians, view.anchor_to_world
-        haze = make_haze(self.rain, count, time_s, anchor, view.camera.position)
-        return haze if view.roofs is None else haze.outside(view.roofs)
-
-    def _blur_reach(self, far_m: Float64[np.ndarray, " classes"], farthest_m: float) -> Float64[np.ndarray, " classes"]:
-        """Distance over which defocus spreads drops up to a depth: five standard deviations of the largest circle."""
-        if self.rain.aperture_mm == 0:
-            return np.zeros(len(far_m))
-        at_ends = [circle_of_confusion_m(depth, self.rain) for depth in (0 * far_m, np.minimum(far_m, farthest_m))]
-        return 5 / 4 * np.maximum(*at_ends)
-
-    def _focal(self, view: RainCamera) -> float:
-        return view.focal_px or float(np.sqrt(view.camera.fx * view.camera.fy))
+        return self.rain.exposure_s if self.rain.exposure_s is not None else camera.exposure_s
 
     def streak_field(self, time_s: float, view: RainCamera) -> DropBatch:
         """Place the cell of drops around a camera at a time."""
-        if self._course is not None:
+        if self._keyed_motion is not None:
             return self.frozen_at(time_s).streak_field(time_s, view)
-        region, turn = self.rain.streak_region, view.anchor_to_world[:3, :3]
-        size = np.array(region.size_m)
-        center = turn @ np.array(region.center_m) + view.anchor_to_world[:3, 3]
-        if self.rain.streak_reset == "paper":
+        rain, motion, camera = self.rain, self.motion, view.camera
+        turn, size = view.anchor_to_world[:3, :3], np.array(rain.streak_region.size_m)
+        center = turn @ np.array(rain.streak_region.center_m) + view.anchor_to_world[:3, 3]
+        if rain.streak_reset == "paper":
             # The region itself is the cell: drops stay in the ego's frame, fall straight and re-enter at the top.
             period, axes = size, turn
-            where = drop_phases_of_motion(self.motion.without_drift(), time_s, np.zeros(3), period)
+            where = drop_phases(motion.without_drift(), time_s, np.zeros(3), period)
         else:
             # World axes; a horizontal period of the region's diagonal covers the region at any yaw.
             period, axes = np.array([*np.full(2, np.hypot(size[0], size[1])), size[2]]), np.eye(3)
-            where = drop_phases_of_motion(self.motion, time_s, center, period)
-        camera = view.camera
-        slopes = np.array(
-            [
-                -camera.cx / camera.fx,
-                (camera.width - camera.cx) / camera.fx,
-                -camera.cy / camera.fy,
-                (camera.height - camera.cy) / camera.fy,
-            ]
-        )
-        if self.rain.far_drops == "haze":
-            far = self.rain.critical_haze_coefficient * visible_distance_m(self.diameters_mm, self._focal(view))
-        else:
-            far = np.full(len(self.diameters_mm), 1e6)
-        wind, fall = self.motion.wind.velocity(time_s), self.motion.fall_speed_m_s
-        eye = view.velocity_m_s if self.rain.streak_frame == "camera" else np.zeros(3)
+            where = drop_phases(motion, time_s, center, period)
+        focal_px = view.focal_px or float(np.sqrt(camera.fx * camera.fy))
+        exposure_s = self.exposure_s(camera) * view.exposure_share
+        far = np.full(len(self.diameters_mm), 1e6)
+        if rain.far_drops == "haze":
+            far = rain.critical_haze_coefficient * visible_distance_m(self.diameters_mm, focal_px)
+        wind, fall = motion.wind.velocity(time_s), motion.fall_speed_m_s
+        eye = view.velocity_m_s if rain.streak_frame == "camera" else np.zeros(3)
         speeds = np.sqrt(float(np.sum((wind - eye[:2]) ** 2)) + (fall + eye[2]) ** 2)
-        farthest = float(np.linalg.norm(camera.position - center) + np.linalg.norm(size) / 2)
+        blur = np.zeros(len(far))
+        if rain.aperture_mm != 0:  # five standard deviations of the largest circle of confusion up to that depth
+            farthest = float(np.linalg.norm(camera.position - center) + np.linalg.norm(size) / 2)
+            blur = 5 / 4 * np.maximum(*(circle_of_confusion_m(d, rain) for d in (0 * far, np.minimum(far, farthest))))
         culling = DropCulling(
             region_rotation=np.ascontiguousarray(turn[:2, :2].T @ axes[:2, :2]),
             region_half=size / 2,
             camera_position=axes.T @ (camera.position - center),
             cell_to_camera=np.ascontiguousarray(camera.world_to_camera[:3, :3] @ axes),
-            slopes=slopes,
-            class_margin_m=STREAK_REACH * self.exposure_s(view) * speeds + 0.02 + self._blur_reach(far, farthest),
+            slopes=camera_slopes(camera),
+            class_margin_m=STREAK_REACH * exposure_s * speeds + 0.02 + blur,
             class_far_m=far,
         )
+        roofs, reach = view.roofs, float(np.hypot(period[0], period[1])) / 2
         return DropBatch(
-            rain=self.rain,
+            rain=rain,
             count=round(self.state.density_m3 * float(np.prod(period))),
             where=where,
             period_m=period,
@@ -268,29 +233,23 @@ class RainSimulation:
             diameters_mm=self.diameters_mm,
             wind_m_s=wind,
             fall_speed_m_s=fall,
-            shutter=ShutterModel(camera, view.velocity_m_s, self.exposure_s(view), self._focal(view)),
-            roofs=_roofs_over(view.roofs, center, period),
+            shutter=ShutterModel(camera, view.velocity_m_s, exposure_s, focal_px),
+            roofs=None if roofs is None else roofs.around(float(center[0]), float(center[1]), reach),
         )
 
 
-def _roofs_over(
-    roofs: ShelterMap | None, center_m: Float64[np.ndarray, "3"], size_m: Float64[np.ndarray, "3"]
-) -> ShelterMap | None:
-    if roofs is None:
-        return None
-    return roofs.around(float(center_m[0]), float(center_m[1]), float(np.hypot(size_m[0], size_m[1])) / 2)
+_MOVING = "intensity_mm_h", "wind_m_s", "gust_m_s", "seed", "velocity", "calibration", "streak_reset"
+"""Fields of the rain that determine the fall and drift of drops under keyframes."""
 
 
-def _wind(rain: RainSettings) -> Wind:
-    if rain.streak_reset == "paper":  # the paper's drops fall straight down
-        return Wind()
-    return Wind(rain.wind_m_s, rain.gust_m_s, rain.seed)
-
-
-def _what_moves(rain: RainSettings) -> tuple[object, ...]:
-    """Fields that determine the fall and drift of drops under keyframes."""
-    moving = rain.intensity_mm_h, rain.wind_m_s, rain.gust_m_s, rain.seed
-    return (*moving, rain.velocity, rain.calibration, rain.streak_reset)
+def _drops(
+    rain: RainSettings, calibration: Calibration
+) -> tuple[RainProperties, Float64[np.ndarray, " classes"], Wind, Float64[np.ndarray, " classes"]]:
+    """Properties, diameters (mm), wind and fall speeds (m/s); the paper's drops fall straight down."""
+    state = rain_properties(rain, calibration)
+    diameters = state.sizes.class_diameters_mm
+    wind = Wind() if rain.streak_reset == "paper" else Wind(rain.wind_m_s, rain.gust_m_s, rain.seed)
+    return state, diameters, wind, fall_speed(rain, calibration)(diameters)
 
 
 def mean_linear_color(colors: Float64[np.ndarray, "n 3"]) -> tuple[float, float, float]:

@@ -1,27 +1,23 @@
 """Rain streaks: near drops as Gaussians with the size, opacity and direction of a drop's motion blur."""
 
 from dataclasses import dataclass
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numba
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
 from ..scene.camera import Camera
-from .drop_field import DropCulling, DropPhases, Drops, count_in_region, find_in_region, visible_drops
+from .drop_field import DropCulling, DropPhases, Drops, find_drops
 from .settings import RainSettings
 from .shelter_map import ShelterMap
 
-AXIS_RATIO_SLOPE, AXIS_RATIO_OFFSET = -0.07, 1.07
-"""tau(D) = k D + b for 1 mm < D < 9 mm (paper, eq. 4)."""
+AXIS_RATIO_SLOPE, AXIS_RATIO_OFFSET = -0.07, 1.07  # tau(D) = k D + b for 1 mm < D < 9 mm (paper, eq. 4)
 
-STREAK_REACH = 2.0
-"""Maximum distance of a streak fragment from its drop, in streak lengths (last visible fragment of the outermost copy).
-"""
+STREAK_REACH = 2.0  # maximum distance of the last visible fragment of a streak from its drop, in streak lengths
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StreakGaussians:
+class StreakGaussians(NamedTuple):
     """Streak Gaussians in the world, without color."""
 
     means: Float32[np.ndarray, "n 3"]
@@ -39,6 +35,12 @@ class ShutterModel:
     exposure_s: float
     focal_px: float
     """Focal length of the *output* image, at any drawn resolution."""
+
+
+def camera_slopes(camera: Camera) -> Float64[np.ndarray, "4"]:
+    """Edges of a camera's view: lowest and highest x/z, lowest and highest y/z."""
+    c = camera
+    return np.array([-c.cx / c.fx, (c.width - c.cx) / c.fx, -c.cy / c.fy, (c.height - c.cy) / c.fy])
 
 
 def visible_distance_m(diameter_mm: Float64[np.ndarray, " n"], focal_px: float) -> Float64[np.ndarray, " n"]:
@@ -80,32 +82,22 @@ class DropBatch:
     roofs: ShelterMap | None = None
     """Sheltered areas over the cell; None without any."""
 
-    def drops(self) -> Drops:
-        """Drops that may be visible to the camera."""
-        return self._in_the_open(visible_drops(self.count, self.rain.seed, self.where, self.period_m, self.culling))
-
-    def region_drops(self) -> Drops:
-        """Drops in the streak region, visible or not, for sensors other than the camera."""
-        return self._in_the_open(find_in_region(self.count, self.rain.seed, self.where, self.period_m, self.culling))
-
-    def _in_the_open(self, found: Drops) -> Drops:
+    def drops(self, *, in_view: bool = True) -> Drops:
+        """Drops in the open that may be visible to the camera; without `in_view` all in the streak region."""
+        found = find_drops(self.count, self.rain.seed, self.where, self.period_m, self.culling, in_view=in_view)
         if self.roofs is None:
             return found
-        kept = ~self.roofs.shelter(self.positions(found))
-        return Drops(found.numbers[kept], found.class_index[kept], found.fractions[kept])
-
-    def drops_in_region(self) -> int:
-        """Count the drops in the streak region, visible or not, including sheltered ones."""
-        return count_in_region(self.count, self.rain.seed, self.where, self.period_m, self.culling)
+        is_open = ~self.roofs.shelter(self.positions(found))
+        return Drops(*(each[is_open] for each in found))
 
     def positions(self, drops: Drops) -> Float64[np.ndarray, "m 3"]:
         return drops.positions(self.period_m) @ self.axes.T + self.center_m
 
-    def streaks(self, drops: Drops) -> StreakGaussians:
-        c = drops.class_index
-        return streak_gaussians(
-            self.positions(drops), self.diameters_mm[c], self.velocities(c), self.shutter, self.rain
-        )
+    def streaks(self) -> tuple[int, StreakGaussians]:
+        """Number of drops that may be visible to the camera, and their Gaussians."""
+        drops = self.drops()
+        c, positions = drops.class_index, self.positions(drops)
+        return len(c), streak_gaussians(positions, self.diameters_mm[c], self.velocities(c), self.shutter, self.rain)
 
     def velocities(self, class_index: Int64[np.ndarray, " m"]) -> Float64[np.ndarray, "m 3"]:
         """World velocities of drops of some classes in m/s."""
@@ -144,23 +136,21 @@ def streak_gaussians(
     equals the drop's cross-section, pi D^2 / 4 (f / d)^2, at any distance and focus: the circle of confusion adds a
     sixteenth of its squared diameter to the variances, as a disc has.
     """
-    camera, most = shutter.camera, rain.max_copies
-    rows = np.empty((len(positions_m) * most, 11), np.float32)
-    kept = np.zeros(len(rows), np.bool_)
-    edges = np.array([camera.cx / camera.fx, (camera.width - camera.cx) / camera.fx])
-    edges = np.concatenate([edges, [camera.cy / camera.fy, (camera.height - camera.cy) / camera.fy]])
+    camera, max_copies = shutter.camera, rain.max_copies
+    rows = np.empty((len(positions_m) * max_copies, 11), np.float32)
+    is_drawn = np.zeros(len(rows), np.bool_)
+    left, right, top, bottom = camera_slopes(camera)
+    edges = np.array([-left, right, -top, bottom])
     moving = rain.streak_frame == "camera"
-    numbers = np.array(
-        [
-            shutter.exposure_s, shutter.focal_px, rain.critical_haze_coefficient, rain.haze_opacity, rain.streak_gain,
-            1e-3 * rain.aperture_mm, rain.focus_distance_m,
-        ]
-    )  # fmt: skip
+    numbers = np.array([
+        shutter.exposure_s, shutter.focal_px, rain.critical_haze_coefficient, rain.haze_opacity, rain.streak_gain,
+        1e-3 * rain.aperture_mm, rain.focus_distance_m,
+    ])  # fmt: skip
     _fill(
         positions_m, diameters_mm, velocities_m_s, shutter.velocity_m_s if moving else np.zeros(3), moving,
-        np.ascontiguousarray(camera.world_to_camera), camera.position, edges, numbers, most, rows, kept,
+        np.ascontiguousarray(camera.world_to_camera), camera.position, edges, numbers, max_copies, rows, is_drawn,
     )  # fmt: skip
-    rows = rows[np.flatnonzero(kept)]
+    rows = rows[np.flatnonzero(is_drawn)]
     means, scales, quaternions = (np.ascontiguousarray(rows[:, a:b]) for a, b in ((0, 3), (3, 6), (6, 10)))
     return StreakGaussians(means, scales, quaternions, rows[:, 10].copy())
 
@@ -168,8 +158,9 @@ def streak_gaussians(
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
 def _fill(
-    positions, diameters, velocities, camera_velocity, moving, world_to_camera, eye, edges, numbers, most, rows, kept
-):
+    positions, diameters, velocities, camera_velocity, moving, world_to_camera, eye, edges, numbers, max_copies, rows,
+    is_drawn,
+):  # fmt: skip
     exposure, focal, phi, haze_opacity, gain, aperture, focus = numbers
     chunk_size = 256
     for chunk in numba.prange((len(positions) + chunk_size - 1) // chunk_size):
@@ -198,15 +189,15 @@ def _fill(
 
             length = speed * exposure
             ratio = AXIS_RATIO_SLOPE * diameter_mm + AXIS_RATIO_OFFSET if diameter_mm > 1 else 1.0
-            copies = int(min(max(np.rint(length / (ratio * diameter)), 1), most))
+            copies = int(min(max(np.rint(length / (ratio * diameter)), 1), max_copies))
             narrowing = alpha / max(np.sqrt(2 * np.pi) * opacity, 1e-30)
             across_sigma = np.sqrt(np.pi / 32) * max(diameter, depth / focal) * narrowing
             along_sigma = max(length / copies, across_sigma)
             if aperture > 0:
                 blur = aperture * abs(1 - depth / focus) / 4
                 sine = across / max(speed, 1e-9)
-                seen_sigma = np.hypot(along_sigma * sine, across_sigma * np.sqrt(max(1 - sine * sine, 0.0)))
-                opacity *= across_sigma / np.hypot(across_sigma, blur) * seen_sigma / np.hypot(seen_sigma, blur)
+                apparent_sigma = np.hypot(along_sigma * sine, across_sigma * np.sqrt(max(1 - sine * sine, 0.0)))
+                opacity *= across_sigma / np.hypot(across_sigma, blur) * apparent_sigma / np.hypot(apparent_sigma, blur)
                 across_sigma, along_sigma = np.hypot(across_sigma, blur), np.hypot(along_sigma, blur)
             reach = _REACH * along_sigma
             # Half-way quaternion from +z; the sign of a streak's axis is free, so never turn by over 90 degrees.
@@ -226,8 +217,8 @@ def _fill(
                     continue
                 if v < -edges[2] * wide - reach or v > edges[3] * wide + reach:
                     continue
-                n = m * most + copy
-                kept[n] = True
+                n = m * max_copies + copy
+                is_drawn[n] = True
                 row = rows[n]
                 row[0], row[1], row[2] = x + eye[0], y + eye[1], z + eye[2]
                 row[3], row[4], row[5] = across_sigma, across_sigma, along_sigma

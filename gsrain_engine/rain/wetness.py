@@ -9,21 +9,14 @@ from jaxtyping import Float64
 
 from .keyframes import KeyframeCurve
 
-DRAINAGE_LENGTH_M = 5.0
-"""Drainage path over the road: from the crown to the middle of the outer lane."""
-
-CROSS_SLOPE = 0.02
-"""Cross slope of a road, m/m; a usual design value."""
-
-TEXTURE_DEPTH_MM = 0.5
-"""Mean texture depth of dense asphalt."""
+DRAINAGE_LENGTH_M = 5.0  # over the road: from the crown to the middle of the outer lane
+CROSS_SLOPE = 0.02  # of a road, m/m; a common design value
+TEXTURE_DEPTH_MM = 0.5  # mean, of dense asphalt
 
 SOAKING_DEPTH_MM = 0.2
 """Mean depth of water at which a road has 1 - 1/e of its soaked look; our choice, see docs/physics.md."""
 
-_SCALE, _OF_TEXTURE, _OF_LENGTH, _OF_INTENSITY, _OF_SLOPE = 0.01485, 0.11, 0.43, 0.59, 0.42
-"""Gallaway et al. 1979, in mm, m and mm/h."""
-
+_OF_INTENSITY = 0.59
 _THIRDS = 60
 
 
@@ -33,8 +26,8 @@ def water_depth_mm(intensity_mm_h: float) -> float:
     0.01485 MTD^0.11 L^0.43 R^0.59 / S^0.42 (Gallaway, Ivey, Hayes, Ledbetter, Olson, Woods and Schiller 1979, Federal
     Highway Administration report RD-79-31); they subtract MTD to measure from the texture's top.
     """
-    road = TEXTURE_DEPTH_MM**_OF_TEXTURE * DRAINAGE_LENGTH_M**_OF_LENGTH / CROSS_SLOPE**_OF_SLOPE
-    return _SCALE * road * intensity_mm_h**_OF_INTENSITY
+    road = TEXTURE_DEPTH_MM**0.11 * DRAINAGE_LENGTH_M**0.43 / CROSS_SLOPE**0.42
+    return 0.01485 * road * intensity_mm_h**_OF_INTENSITY
 
 
 def wetness(intensity_mm_h: float) -> float:
@@ -57,27 +50,25 @@ class WetnessCurve:
     intensity: KeyframeCurve
     drying_s: float
     """Time in which a wet surface dries to 1/e; 0 follows the intensity at once."""
-    _at: dict[float, float] = field(default_factory=dict[float, float], init=False)
+    _latest: dict[float, float] = field(default_factory=dict[float, float], init=False)
 
     def at(self, time_s: float) -> float:
-        if time_s not in self._at:
-            value = self._found(time_s)
-            self._at.clear()
-            self._at[time_s] = value
-        return self._at[time_s]
-
-    def _found(self, time_s: float) -> float:
-        now = wetness(float(self.intensity.at(time_s)[0]))
+        """Wetness at a time, 0..1; the latest one is cached."""
+        if time_s in self._latest:
+            return self._latest[time_s]
+        found = wetness(float(self.intensity.at(time_s)[0]))
         knot = self.intensity.before(time_s)
-        if self.drying_s == 0 or knot < 0:  # the rain was constant before the first keyframe
-            return now
-        times, values = self.intensity.times_s, self.intensity.values[:, 0]
-        kept = self._decayed_max[knot]
-        if knot + 1 < len(times):
-            share = (time_s - times[knot]) / (times[knot + 1] - times[knot])
-            ends = np.array([values[knot], values[knot] + share * (values[knot + 1] - values[knot])])
-            kept = max(kept, self._decayed_max_between(np.array([times[knot], time_s]), ends)[0])
-        return max(now, math.exp(kept - time_s / self.drying_s))
+        if self.drying_s != 0 and knot >= 0:  # the rain was constant before the first keyframe
+            times, values = self.intensity.times_s, self.intensity.values[:, 0]
+            decayed = self._decayed_max[knot]
+            if knot + 1 < len(times):
+                share = (time_s - times[knot]) / (times[knot + 1] - times[knot])
+                ends = np.array([values[knot], values[knot] + share * (values[knot + 1] - values[knot])])
+                decayed = max(decayed, self._decayed_max_between(np.array([times[knot], time_s]), ends)[0])
+            found = max(found, math.exp(decayed - time_s / self.drying_s))
+        self._latest.clear()
+        self._latest[time_s] = found
+        return found
 
     @cached_property
     def _decayed_max(self) -> Float64[np.ndarray, " n"]:

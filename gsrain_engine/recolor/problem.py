@@ -10,8 +10,9 @@ from jaxtyping import Bool, Float, Float32, Float64, Int64
 from msgspec import Meta, Struct
 
 from ..scene.gaussians import SH_C0
-from .solver import TIKHONOV, ColorTarget, SolverStep, evaluate_colors, solve_colors
+from .solver import TIKHONOV, Basis, ColorTarget, Harmonics, Rows, SolverStep, evaluate_colors, solve_colors
 from .views import NO_CHANGE, ViewAffine, ViewObservation, view_affines
+from .weights import Picture
 
 _HALF = np.float32(0.5)
 _FROZEN = np.float32(1e9)  # prior weight that keeps a harmonic unchanged
@@ -21,26 +22,26 @@ _FROZEN = np.float32(1e9)  # prior weight that keeps a harmonic unchanged
 class ProblemView:
     """A view with the indices of its splats among the unknowns."""
 
-    seen: ViewObservation
-    indices: Int64[np.ndarray, " m"]
-    basis: Float32[np.ndarray, "m k"]
+    observed: ViewObservation
+    indices: Rows
+    basis: Basis
 
-    def picture(self, sh: Float32[np.ndarray, "n k 3"]) -> Float32[np.ndarray, "h w 3"]:
+    def picture(self, sh: Harmonics) -> Picture:
         """Premultiplied image of the harmonics in the linear model."""
-        return self.seen.weights.blend(_HALF + evaluate_colors(sh, self.indices, self.basis))
+        return self.observed.weights.blend(_HALF + evaluate_colors(sh, self.indices, self.basis))
 
-    def rendered(self, sh: Float32[np.ndarray, "n k 3"]) -> Float32[np.ndarray, "h w 3"]:
+    def rendered(self, sh: Harmonics) -> Picture:
         """Image as renderers show it, splat colors clipped at 0; the target fills the remaining transparency."""
         colors = np.maximum(_HALF + evaluate_colors(sh, self.indices, self.basis), np.float32(0))
-        over = (1 - self.seen.alpha[..., None]) * self.seen.target.image
-        return np.clip(self.seen.weights.blend(colors) + over, 0, 1)
+        over = (1 - self.observed.alpha[..., None]) * self.observed.target.image
+        return np.clip(self.observed.weights.blend(colors) + over, 0, 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
     """Solved colors with the view parameters estimated along with them."""
 
-    sh: Float32[np.ndarray, "n k 3"]
+    sh: Harmonics
     affines: tuple[ViewAffine, ...]
     """Exposure and white balance of each image."""
     trust: Float64[np.ndarray, " v"]
@@ -74,12 +75,6 @@ class RecolorSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     """Limit for stored weights; views beyond it recompute their tiles on each use. With 0, solving the street with 24
     views of 640 px took 7 times as long in total, 1.2 times the CPU time, and 0.73 of the memory."""
 
-    @property
-    def iterations_by_round(self) -> list[int]:
-        """Iterations of each round, as even as possible, the last ones longer."""
-        rounds = min(self.rounds, self.iterations)
-        return [self.iterations * (i + 1) // rounds - self.iterations * i // rounds for i in range(rounds)]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColorProblem:
@@ -90,7 +85,7 @@ class ColorProblem:
     views: tuple[ProblemView, ...]
     held_out: tuple[ProblemView, ...]
     """Views that are not fitted."""
-    prior: Float32[np.ndarray, "n k 3"]
+    prior: Harmonics
     one_view: Float32[np.ndarray, " n"]
     """Mean evidence (sum of squared weights) of each Gaussian in one view."""
 
@@ -101,50 +96,47 @@ class ColorProblem:
         regardless of its number of pixels.
         """
         tikhonov = TIKHONOV if settings.tikhonov is None else settings.tikhonov
-        pull = np.full((*self.prior.shape[:2], 1), tikhonov, np.float32)
-        pull[:, 1:, 0] = tikhonov * settings.directional + settings.per_view * self.one_view[:, None]
-        pull[:, (settings.sh_degree + 1) ** 2 :] = _FROZEN
-        return pull
+        weights = np.full((*self.prior.shape[:2], 1), tikhonov, np.float32)
+        weights[:, 1:, 0] = tikhonov * settings.directional + settings.per_view * self.one_view[:, None]
+        weights[:, (settings.sh_degree + 1) ** 2 :] = _FROZEN
+        return weights
 
     def solve(self, settings: RecolorSettings) -> Generator[SolverStep, None, Solution]:
-        """Solve for colors; exposures are estimated first, trust before each round.
-
-        Yields:
-            The solver's steps; their `change` is relative to the prior.
-        """
-        sh = self.prior
-        affines, pull = (NO_CHANGE,) * len(self.views), self.prior_weights(settings)
+        """Solve for colors, first the exposures, before each round the trust; steps yield the change from the prior."""
+        affines, weights = (NO_CHANGE,) * len(self.views), self.prior_weights(settings)
         if settings.exposure and len(self.views) > 1:
             affines = _affines(self.views, len(self.rows))
-        solution = Solution(sh, affines, np.ones(len(self.views)))
-        for turn, iterations in enumerate(settings.iterations_by_round):
+        solution = Solution(self.prior, affines, np.ones(len(self.views)))
+        rounds = min(settings.rounds, settings.iterations)
+        for turn in range(rounds):
+            # As even as possible, the last rounds longer.
+            iterations = settings.iterations * (turn + 1) // rounds - settings.iterations * turn // rounds
             pictures = [view.picture(solution.sh) for view in self.views]
             solution, targets = self._weighed(solution, pictures, settings, is_first=turn == 0)
             offset = solution.sh - self.prior
-            solver = solve_colors(targets, len(self.rows), iterations, pull, offset)
             change = offset
-            for step in solver:
+            for step in solve_colors(targets, len(self.rows), iterations, weights, offset):
                 change = offset + step.change
                 yield SolverStep(step.length, change)
-            solution = Solution(self.prior + change, solution.affines, solution.trust)
+            solution = replace(solution, sh=self.prior + change)
         return solution
 
     def first_targets(self, settings: RecolorSettings) -> list[ColorTarget]:
         """Targets of the views before the first solve, with identity exposures."""
-        beginning = Solution(self.prior, (NO_CHANGE,) * len(self.views), np.ones(len(self.views)))
+        first = Solution(self.prior, (NO_CHANGE,) * len(self.views), np.ones(len(self.views)))
         pictures = [view.picture(self.prior) for view in self.views]
-        return self._weighed(beginning, pictures, settings, is_first=True)[1]
+        return self._weighed(first, pictures, settings, is_first=True)[1]
 
     def _weighed(
         self, solution: Solution, pictures: Sequence[Float32[np.ndarray, "_ _ 3"]], settings: RecolorSettings,
         *, is_first: bool,
     ) -> tuple[Solution, list[ColorTarget]]:  # fmt: skip
         """Compute trust from the images of the current colors, and the targets weighted by it."""
-        affines, trust = solution.affines, solution.trust
-        counted = [view.seen.counted for view in self.views]
+        trust = solution.trust
+        counted = [view.observed.counted for view in self.views]
         residuals = [
-            affine.undone(view.seen.target.image) * view.seen.alpha[..., None] - picture
-            for view, picture, affine in zip(self.views, pictures, affines, strict=True)
+            affine.undone(view.observed.target.image) * view.observed.alpha[..., None] - picture
+            for view, picture, affine in zip(self.views, pictures, solution.affines, strict=True)
         ]
         by_pixel = [each.astype(np.float32) for each in counted]
         if settings.robust:
@@ -157,30 +149,33 @@ class ColorProblem:
                 for of_view, own, residual in zip(trust, by_pixel, residuals, strict=True)
             ]
         targets = [
-            ColorTarget(view.seen.weights, view.indices, view.basis, residual, pixels)
+            ColorTarget(view.observed.weights, view.indices, view.basis, residual, pixels)
             for view, residual, pixels in zip(self.views, residuals, by_pixel, strict=True)
         ]
-        return Solution(solution.sh, affines, trust), targets
+        return replace(solution, trust=trust), targets
 
 
 def _affines(views: Sequence[ProblemView], count: int) -> tuple[ViewAffine, ...]:
-    counted = [view.seen.counted.astype(np.float32)[..., None] for view in views]
-    seen = [
-        view.seen.weights.accumulate(own * view.seen.target.image) for view, own in zip(views, counted, strict=True)
-    ]
-    evidence = [
-        np.ascontiguousarray(view.seen.weights.accumulate(np.repeat(own, 3, axis=2))[:, 0])
+    counted = [view.observed.counted.astype(np.float32)[..., None] for view in views]
+    colors = [
+        view.observed.weights.accumulate(own * view.observed.target.image)
         for view, own in zip(views, counted, strict=True)
     ]
-    return tuple(view_affines(seen, evidence, [view.indices for view in views], count))
+    evidence = [
+        np.ascontiguousarray(view.observed.weights.accumulate(np.repeat(own, 3, axis=2))[:, 0])
+        for view, own in zip(views, counted, strict=True)
+    ]
+    return tuple(view_affines(colors, evidence, [view.indices for view in views], count))
 
 
 # Color prior
 
-SURFACES = ("sky", "ground", "other")
-"""Kinds of surface, each with its own map."""
-
+SURFACES = ("sky", "ground", "other")  # kinds of surface, each with its own map
 _FEWEST_PIXELS = 200.0
+_STEP_PX = 3  # subsampling step; every third pixel in each direction suffices for maps of twelve numbers
+
+
+Pixels = Sequence[Float32[np.ndarray, "_ 3"]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,9 +185,7 @@ class ColorPrior:
     matrices: Float64[np.ndarray, "3 3 3"]
     offsets: Float64[np.ndarray, "3 3"]
 
-    def of_sh(
-        self, sh: Float32[np.ndarray, "n k 3"], shares: Float32[np.ndarray, "n 3"]
-    ) -> Float32[np.ndarray, "n k 3"]:
+    def of_sh(self, sh: Harmonics, shares: Float32[np.ndarray, "n 3"]) -> Harmonics:
         """Map harmonics; `shares` (sky, ground, other; sum 1) classifies each Gaussian."""
         changed = np.zeros_like(sh)
         for surface in range(len(SURFACES)):
@@ -215,15 +208,8 @@ class ColorPrior:
         return changed
 
 
-def fit_color_prior(
-    clear: Sequence[Float32[np.ndarray, "_ 3"]],
-    changed: Sequence[Float32[np.ndarray, "_ 3"]],
-    shares: Sequence[Float32[np.ndarray, "_ 3"]],
-) -> ColorPrior:
-    """Fit the maps to pixels (display colors, one entry per view) by least squares, weighted by the pixels' `shares`.
-
-    A kind of surface with too few pixels gets the map of all pixels.
-    """
+def fit_color_prior(clear: Pixels, changed: Pixels, shares: Pixels) -> ColorPrior:
+    """Fit the maps to pixels (display colors) by least squares; a surface with too few gets the map of all pixels."""
     x = np.concatenate([np.concatenate(list(clear)), np.ones((sum(map(len, clear)), 1), np.float32)], axis=1)
     y = np.concatenate(list(changed))
     weights = np.concatenate(list(shares))
@@ -233,6 +219,22 @@ def fit_color_prior(
         for surface in range(len(SURFACES))
     ]
     return ColorPrior(np.stack([each[:3].T for each in maps]), np.stack([each[3] for each in maps]))
+
+
+def color_prior_of(views: Sequence[ViewObservation], *, robust: bool) -> ColorPrior:
+    """Fit the color maps to all views, then refit with less weight on views with large errors."""
+    some = [slice(None, None, _STEP_PX)] * 2
+    clear = [view.clear[*some].reshape(-1, 3) for view in views]
+    changed = [view.target.image[*some].reshape(-1, 3) for view in views]
+    shares = [(view.surfaces * view.counted[..., None])[*some].reshape(-1, 3) for view in views]
+    change = fit_color_prior(clear, changed, shares)
+    if not robust or len(views) < 3:
+        return change
+    errors = [(change.of_colors(x, w) - y)[None] for x, y, w in zip(clear, changed, shares, strict=True)]
+    trust = irls_view_weights(
+        [error_scale(error, (w.sum(axis=1) > 0)[None]) for error, w in zip(errors, shares, strict=True)]
+    )
+    return fit_color_prior(clear, changed, [np.float32(t) * w for t, w in zip(trust, shares, strict=True)])
 
 
 def _fit(
@@ -265,43 +267,34 @@ def choose_prior_weight(problem: ColorProblem, settings: RecolorSettings) -> Gen
     """
     views = problem.views[:: -(-len(problem.views) // _MAX_VIEWS)]
     spared = views[_SPARED // 2 :: _SPARED]
-    taught = tuple(view for i, view in enumerate(views) if i % _SPARED != _SPARED // 2)
+    fitted = tuple(view for i, view in enumerate(views) if i % _SPARED != _SPARED // 2)
     if len(views) < _SPARED:
         return STRENGTHS[1]
-    trial = replace(problem, views=taught, held_out=spared)
-    best, least = STRENGTHS[0], np.inf
+    trial = replace(problem, views=fitted, held_out=spared)
+    best, lowest = STRENGTHS[0], np.inf
     targets, nothing = trial.first_targets(settings), np.zeros_like(problem.prior)
     for strength in STRENGTHS:
-        pull = trial.prior_weights(msgspec.structs.replace(settings, tikhonov=strength))
+        weights = trial.prior_weights(msgspec.structs.replace(settings, tikhonov=strength))
         change = nothing
-        for step in solve_colors(targets, len(problem.rows), _ITERATIONS, pull, nothing):
+        for step in solve_colors(targets, len(problem.rows), _ITERATIONS, weights, nothing):
             change = step.change
             yield step
-        error = float(np.median([_error(view, problem.prior + change) for view in spared]))
-        if error > least:
+        errors: list[float] = []
+        for view in spared:
+            difference = view.rendered(problem.prior + change)[view.observed.counted]
+            difference = difference - view.observed.target.image[view.observed.counted]
+            errors.append(float(np.mean(difference**2)) if len(difference) else 0.0)
+        if float(np.median(errors)) > lowest:
             break
-        best, least = strength, error
+        best, lowest = strength, float(np.median(errors))
     return best
-
-
-def _error(view: ProblemView, sh: np.ndarray) -> float:
-    """Mean squared error of a view; 0 without valid pixels."""
-    counted = view.seen.counted
-    difference = (view.rendered(sh) - view.seen.target.image)[counted]
-    return float(np.mean(difference**2)) if counted.any() else 0.0
 
 
 # Robust weights (IRLS)
 
-VIEW_LIMIT = 2.0
-"""A view counts fully up to this multiple of the median view's typical error."""
-
-PIXEL_LIMIT = 6.0
-"""Number of standard deviations beyond which the error of a pixel is no longer squared."""
-
-MIN_SPREAD = 1 / 255
-"""Smallest standard deviation: 8-bit quantization is no disagreement."""
-
+VIEW_LIMIT = 2.0  # a view counts fully up to this multiple of the median view's typical error
+PIXEL_LIMIT = 6.0  # number of standard deviations beyond which the error of a pixel is no longer squared
+MIN_SPREAD = 1 / 255  # smallest standard deviation: 8-bit quantization is no disagreement
 _QUANTILE, _NORMAL = 0.9, 1.645
 """Quantile of the absolute error that estimates the spread, and its value in standard deviations of a normal
 distribution. A high quantile is used because half the pixels of a road or wall are fitted immediately."""
@@ -309,27 +302,21 @@ distribution. A high quantile is used because half the pixels of a road or wall 
 _SPACING_PX = 3  # subsampling step; every third pixel in each direction suffices for a quantile
 
 
-def error_scale(residual: Float32[np.ndarray, "h w 3"], counted: Bool[np.ndarray, "h w"]) -> float:
+def error_scale(residual: Picture, counted: Bool[np.ndarray, "h w"]) -> float:
     """Typical error of an image: standard deviation estimated from a quantile; 0 without valid pixels."""
     some = residual[::_SPACING_PX, ::_SPACING_PX][counted[::_SPACING_PX, ::_SPACING_PX]]
     return float(np.quantile(np.abs(some), _QUANTILE)) / _NORMAL if some.size else 0.0
 
 
 def irls_view_weights(spreads: Sequence[float]) -> Float64[np.ndarray, " v"]:
-    """Trust in each view by its spread: 1 up to the limit, then falling with the fourth power.
-
-    The influence redescends (as in Geman and McClure 1985), so an image of something else has almost no effect.
-    """
+    """Trust in each view by its spread: 1 up to the limit, then falling to almost none (as Geman and McClure 1985)."""
     scaled = np.maximum(np.asarray(spreads, np.float64), MIN_SPREAD)
     limit = VIEW_LIMIT * np.median(scaled)
     return (limit / np.maximum(scaled, limit)) ** 4
 
 
-def irls_pixel_weights(residual: Float32[np.ndarray, "h w 3"], typical: float) -> Float32[np.ndarray, "h w"]:
-    """Trust in each pixel by its error over all channels (Huber 1964): 1 up to the limit, then falling.
-
-    `typical` is the standard deviation of a channel in a consistent view.
-    """
+def irls_pixel_weights(residual: Picture, typical: float) -> Float32[np.ndarray, "h w"]:
+    """Trust in each pixel by its error (Huber 1964); `typical` is the deviation of a channel in a consistent view."""
     limit = np.float32(PIXEL_LIMIT * np.sqrt(3) * max(typical, MIN_SPREAD))
     length = np.sqrt(np.einsum("hwc,hwc->hw", residual, residual))
     return limit / np.maximum(length, limit)

@@ -1,6 +1,6 @@
-"""Recoloring of a scene to images: solving, optional refinement, scores and report."""
+"""Recoloring of a scene to images: solving, optional refinement, scores and report; and wet colors by a transfer."""
 
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Annotated, Any, TypeVar
@@ -10,30 +10,26 @@ import numpy as np
 from jaxtyping import Float32
 from msgspec import Meta, Struct
 
+from ..appearance.base import ClearView, Transfer
+from ..appearance.scene_views import ViewChoice, chosen_cameras, scene_views
+from ..appearance.wet_look.settings import WetSettings
 from ..datasets.capture import Capture
 from ..evaluation.image_metrics import psnr
 from ..evaluation.report import ReportCurve, RunReport
 from ..evaluation.report_charts import ImageComparison
-from ..scene.gaussians import Gaussians
 from ..scene.progress import Progress, subprogress
 from ..scene.scene import Scene
 from ..training.evaluation import validation_indices
-from .problem import (
-    ColorPrior,
-    ColorProblem,
-    ProblemView,
-    RecolorSettings,
-    Solution,
-    choose_prior_weight,
-    error_scale,
-    fit_color_prior,
-    irls_view_weights,
-)
-from .result import RecolorMember, scene_members
+from .problem import ColorProblem, ProblemView, RecolorSettings, Solution, choose_prior_weight, color_prior_of
+from .result import RecolorMember, scene_members, with_colors
+from .solver import Harmonics, SolverStep
 from .views import TargetView, ViewObservation, ground_height_m, observe_view, surface_shares, target_views, thumbnail
 
 _SETUP_DONE, _CHOSEN_DONE, _SOLVED_DONE = 0.4, 0.55, 0.96
 """Shares of the total time, measured on the built-in street with 30 views."""
+
+_Result = TypeVar("_Result")
+Colors = dict[str, Float32[np.ndarray, "_ _ 3"]]  # harmonics by member key
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,12 +56,12 @@ class ProblemInputs:
 
     problem: ColorProblem
     members: tuple[RecolorMember, ...]
-    prior: dict[str, Float32[np.ndarray, "_ _ 3"]]
-    """Mapped clear harmonics by member key."""
+    prior: Colors
+    """Mapped clear harmonics."""
 
-    def colors(self, sh: Float32[np.ndarray, "n k 3"]) -> dict[str, Float32[np.ndarray, "_ _ 3"]]:
+    def colors(self, sh: Harmonics) -> Colors:
         """Harmonics of every member: solved where a view shows the Gaussian, else the mapped clear ones."""
-        result: dict[str, Float32[np.ndarray, "_ _ 3"]] = {}
+        result: Colors = {}
         for member in self.members:
             first, last = np.searchsorted(self.problem.rows, [member.rows.start, member.rows.stop])
             own = self.prior[member.key].copy()
@@ -82,24 +78,19 @@ class RecolorResult:
     setup: ProblemInputs
     solution: Solution
     seconds: dict[str, float]
-    """By stage."""
     lengths: tuple[float, ...]
     """Norm of the preconditioned residual after each step, relative to the start of its round."""
-    pull: float
+    prior_weight: float
     """Weight of the mapped clear colors, given or selected."""
 
     @property
-    def colors(self) -> dict[str, Float32[np.ndarray, "_ _ 3"]]:
+    def colors(self) -> Colors:
         return self.setup.colors(self.solution.sh)
 
     @property
     def weights_mb(self) -> float:
         problem = self.setup.problem
-        return sum(view.seen.weights.nbytes for view in (*problem.views, *problem.held_out)) / 1e6
-
-    def with_solution(self, solution: Solution) -> "RecolorResult":
-        """Return a copy with other colors and new scores."""
-        return replace(self, solution=solution, views=_reports(self.setup, solution))
+        return sum(view.observed.weights.nbytes for view in (*problem.views, *problem.held_out)) / 1e6
 
     @property
     def measured(self) -> list[RecolorViewReport]:
@@ -113,21 +104,31 @@ def recolor_scene(
     """Solve the colors of a scene for images; its geometry and clear colors are unchanged.
 
     It may be stopped at every step; nothing is written. Stored weights stay within `settings.memory_mb`; the images and
-    five times the harmonics of the visible Gaussians need additional memory.
-
-    Raises:
-        ValueError: Without images, or if none shows anything of the scene.
+    five times the harmonics of the visible Gaussians need additional memory. Raises ValueError without images, or if
+    none shows anything of the scene.
     """
     started = perf_counter()
     setup = yield from subprogress(prepare_problem(scene, targets, held_out, settings), 0.0, _SETUP_DONE)
     ready = perf_counter()
-    pull = settings.tikhonov if settings.tikhonov is not None else (yield from _chosen(setup, settings))
-    settings = msgspec.structs.replace(settings, tikhonov=pull)
+    problem, prior_weight = setup.problem, settings.tikhonov
+    if prior_weight is None:
+        prior_weight = yield from _followed(choose_prior_weight(problem, settings), _choosing)
+    settings = msgspec.structs.replace(settings, tikhonov=prior_weight)
     chosen = perf_counter()
-    solution, lengths = yield from _solved(setup, settings)
+    lengths: list[float] = []
+
+    def solving(done: int, step: SolverStep | None) -> Progress:
+        share = _CHOSEN_DONE + (_SOLVED_DONE - _CHOSEN_DONE) * done / settings.iterations
+        if step is None:
+            return Progress(share, f"Solving colours of {len(problem.rows):,} Gaussians")
+        lengths.append(step.length)
+        picture = problem.views[0].rendered(problem.prior + step.change)
+        return Progress(share, f"Solving colours, step {done} of {settings.iterations}", thumbnail(picture))
+
+    solution = yield from _followed(problem.solve(settings), solving)
     solved = perf_counter()
     yield Progress(_SOLVED_DONE, "Measuring")
-    reports = _reports(setup, solution)
+    reports = _view_reports(setup, solution)
     seconds = {
         "set-up": ready - started,
         "choosing": chosen - ready,
@@ -135,64 +136,46 @@ def recolor_scene(
         "measuring": perf_counter() - solved,
     }
     yield Progress(1.0, "Done")
-    return RecolorResult(reports, setup, solution, seconds, lengths, pull)
+    return RecolorResult(reports, setup, solution, seconds, tuple(lengths), prior_weight)
 
 
-def _chosen(setup: ProblemInputs, settings: RecolorSettings) -> Generator[Progress, None, float]:
-    trials, done = choose_prior_weight(setup.problem, settings), 0
+def _followed(
+    steps: Generator[SolverStep, None, _Result], progress: Callable[[int, SolverStep | None], Progress]
+) -> Generator[Progress, None, _Result]:
+    """Yield the progress before the first step and after each one; returns the result of the steps."""
+    done, step = 0, None
     while True:
-        share = 1 - 0.9**done  # the number of trials is not known in advance
-        yield Progress(_SETUP_DONE + (_CHOSEN_DONE - _SETUP_DONE) * share, "Choosing how far to trust the pictures")
+        yield progress(done, step)
         try:
-            next(trials)
+            step = next(steps)
         except StopIteration as finished:
             return finished.value
         done += 1
 
 
-def _solved(
-    setup: ProblemInputs, settings: RecolorSettings
-) -> Generator[Progress, None, tuple[Solution, tuple[float, ...]]]:
-    problem, lengths = setup.problem, list[float]()
-    solver = problem.solve(settings)
-    yield Progress(_CHOSEN_DONE, f"Solving colours of {len(problem.rows):,} Gaussians")
-    while True:
-        try:
-            step = next(solver)
-        except StopIteration as finished:
-            return finished.value, tuple(lengths)
-        lengths.append(step.length)
-        share = _CHOSEN_DONE + (_SOLVED_DONE - _CHOSEN_DONE) * len(lengths) / settings.iterations
-        picture = problem.views[0].rendered(problem.prior + step.change)
-        yield Progress(share, f"Solving colours, step {len(lengths)} of {settings.iterations}", thumbnail(picture))
+def _choosing(done: int, _: SolverStep | None) -> Progress:
+    share = 1 - 0.9**done  # the number of trials is not known in advance
+    return Progress(_SETUP_DONE + (_CHOSEN_DONE - _SETUP_DONE) * share, "Choosing how far to trust the pictures")
 
 
-def _reports(setup: ProblemInputs, solution: Solution) -> tuple[RecolorViewReport, ...]:
+def _view_reports(setup: ProblemInputs, solution: Solution) -> tuple[RecolorViewReport, ...]:
     problem = setup.problem
-    taught = [(view, trust, False) for view, trust in zip(problem.views, solution.trust.tolist(), strict=True)]
-    measured = [*taught, *((view, 1.0, True) for view in problem.held_out)]
-    return tuple(
-        _report(view, setup, solution, trust, is_held_out=is_held_out)
-        for view, trust, is_held_out in measured
-        if view.seen.counted.any()
-    )
-
-
-def _report(
-    view: ProblemView, setup: ProblemInputs, solution: Solution, trust: float, *, is_held_out: bool
-) -> RecolorViewReport:
-    seen = view.seen
-    clear = seen.alpha[..., None] * seen.clear + (1 - seen.alpha[..., None]) * seen.target.image
-    pictures = (np.clip(clear, 0, 1), view.rendered(setup.problem.prior), view.rendered(solution.sh))
-    figures = [psnr(picture, seen.target.image, seen.counted) for picture in pictures]
-    return RecolorViewReport(seen.target.name, is_held_out, trust, *figures)
+    fitted = [(view, trust, False) for view, trust in zip(problem.views, solution.trust.tolist(), strict=True)]
+    reports: list[RecolorViewReport] = []
+    for view, trust, is_held_out in [*fitted, *((view, 1.0, True) for view in problem.held_out)]:
+        observed = view.observed
+        if observed.counted.any():
+            clear = observed.alpha[..., None] * observed.clear + (1 - observed.alpha[..., None]) * observed.target.image
+            pictures = (np.clip(clear, 0, 1), view.rendered(problem.prior), view.rendered(solution.sh))
+            figures = [psnr(picture, observed.target.image, observed.counted) for picture in pictures]
+            reports.append(RecolorViewReport(observed.target.name, is_held_out, trust, *figures))
+    return tuple(reports)
 
 
 # Recoloring a scene to a capture
 
 _READ_DONE = 0.05
 _COMPARED = 6
-_Result = TypeVar("_Result")
 
 
 class RecolorOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -219,7 +202,6 @@ class RecolorRun:
     recolored: RecolorResult
     report: RunReport
     numbers: dict[str, Any]
-    """Content of the `--json` output."""
 
 
 def recolor_to_capture(
@@ -232,82 +214,70 @@ def recolor_to_capture(
     """
     if not capture.has_poses:
         raise ValueError(f"{capture.name}: has pictures, but not where their cameras stood; name them with --capture")
-    kept = set(validation_indices([view.name for view in capture], options.held_out))
+    spared = set(validation_indices([view.name for view in capture], options.held_out))
     targets: list[TargetView] = []
     for target in target_views(scene, capture, options.width_px):
         yield Progress(_READ_DONE * len(targets) / len(capture), f"Reading {target.name}")
         targets.append(target)
-    taught, held_out = ([t for i, t in enumerate(targets) if (i in kept) == out] for out in (False, True))
+    fitted, held_out = ([t for i, t in enumerate(targets) if (i in spared) == out] for out in (False, True))
     later = (options.polish > 0) + (options.refine > 0)
     last = 1 / (1 + 2 * later)
-    recolored = yield from subprogress(recolor_scene(scene, taught, held_out, options.colors), _READ_DONE, last)
+    recolored = yield from subprogress(recolor_scene(scene, fitted, held_out, options.colors), _READ_DONE, last)
     if options.polish:
         middle = last + (1 - last) / later
         recolored = yield from subprogress(_polished(recolored, options), last, middle)
         last = middle
-    gaussians: dict[str, Gaussians] = {}
+    changed = {key: scene.member(key).gaussians.with_sh(sh) for key, sh in recolored.colors.items()}
     if options.refine:
-        gaussians = yield from subprogress(_refined(scene, recolored, options.refine), last, 1.0)
-    result = _with_colors(scene, recolored.colors, gaussians, replace_clear=options.replace_clear)
+        from .refine import refine  # torch is an extra
+
+        problem = recolored.setup.problem
+        eyes = np.stack([view.observed.target.camera.position for view in problem.views])
+        size_m = max(float(np.linalg.norm(eyes - eyes.mean(axis=0), axis=1).max()) * 1.1, 1.0)
+        refining = refine(changed, problem.views, recolored.solution, options.refine, size_m)
+        changed = yield from subprogress(refining, last, 1.0)
+    result = scene
+    for key, new in changed.items():
+        if options.replace_clear:
+            result = result.with_member(key, gaussians=new, wet_sh=None)
+        else:
+            clear = scene.member(key).gaussians
+            result = result.with_member(key, gaussians=new.with_sh(clear.sh), wet_sh=new.sh)
     yield Progress(1.0, "Done")
     numbers = _numbers(scene, recolored)
     return RecolorRun(result, recolored, _run_report(scene, capture, recolored, options, numbers), numbers)
 
 
-def _with_colors(
-    scene: Scene, colors: dict[str, Float32[np.ndarray, "_ _ 3"]], refined: dict[str, Gaussians], *, replace_clear: bool
-) -> Scene:
-    for key, sh in colors.items():
-        clear = scene.member(key).gaussians
-        new = refined.get(key, clear.with_sh(sh))
-        if replace_clear:
-            scene = scene.with_member(key, gaussians=new, wet_sh=None)
-        else:
-            scene = scene.with_member(key, gaussians=new.with_sh(clear.sh), wet_sh=new.sh)
-    return scene
-
-
 def _polished(recolored: RecolorResult, options: RecolorOptions) -> Generator[Progress, None, RecolorResult]:
     from .refine import photometric_refine  # torch is an extra
 
-    steps, done = options.polish, 0
-    solver = photometric_refine(recolored.setup.problem, recolored.solution, steps, options.colors.sh_degree)
-    while True:
-        yield Progress(done / steps, f"Polishing, step {done + 1} of {steps}")
-        try:
-            next(solver)
-        except StopIteration as finished:
-            return recolored.with_solution(replace(recolored.solution, sh=finished.value))
-        done = min(done + 1, steps - 1)
+    def polishing(done: int, _: SolverStep | None) -> Progress:
+        done = min(done, options.polish - 1)
+        return Progress(done / options.polish, f"Polishing, step {done + 1} of {options.polish}")
 
-
-def _refined(scene: Scene, recolored: RecolorResult, steps: int) -> Generator[Progress, None, dict[str, Gaussians]]:
-    from .refine import refine  # torch is an extra
-
-    members = {key: scene.member(key).gaussians.with_sh(sh) for key, sh in recolored.colors.items()}
-    problem, solution = recolored.setup.problem, recolored.solution
-    eyes = np.stack([view.seen.target.camera.position for view in problem.views])
-    size_m = max(float(np.linalg.norm(eyes - eyes.mean(axis=0), axis=1).max()) * 1.1, 1.0)
-    return (yield from refine(members, problem.views, solution, steps, size_m))
+    solution = recolored.solution
+    solver = photometric_refine(recolored.setup.problem, solution, options.polish, options.colors.sh_degree)
+    solution = replace(solution, sh=(yield from _followed(solver, polishing)))
+    return replace(recolored, solution=solution, views=_view_reports(recolored.setup, solution))
 
 
 def _numbers(scene: Scene, recolored: RecolorResult) -> dict[str, Any]:
     held_out = [view for view in recolored.views if view.is_held_out]
-    taught = [view for view in recolored.views if not view.is_held_out]
+    fitted = [view for view in recolored.views if not view.is_held_out]
     return {
         "seconds": round(sum(recolored.seconds.values()), 3),
         "gaussians": scene.gaussian_count,
-        "views": len(taught),
+        "views": len(fitted),
         "views_held_out": len(held_out),
-        "width_px": max(view.seen.target.camera.width for view in recolored.setup.problem.views),
+        "width_px": max(view.observed.target.camera.width for view in recolored.setup.problem.views),
         "psnr_before_db": _mean([view.psnr_clear_db for view in recolored.measured]),
         "psnr_mapped_db": _mean([view.psnr_mapped_db for view in recolored.measured]),
         "psnr_held_out_db": _mean([view.psnr_db for view in held_out]),
-        "psnr_db": _mean([view.psnr_db for view in taught]),
-        "trust": {view.name: round(view.trust, 4) for view in taught},
+        "psnr_db": _mean([view.psnr_db for view in fitted]),
+        "trust": {view.name: round(view.trust, 4) for view in fitted},
         "seconds_by_stage": {name: round(seconds, 3) for name, seconds in recolored.seconds.items()},
         "weights_mb": round(recolored.weights_mb, 1),
-        "pull": recolored.pull,
+        "pull": recolored.prior_weight,
     }
 
 
@@ -320,8 +290,8 @@ def _mean(figures: list[float]) -> float | None:
 def _run_report(
     scene: Scene, capture: Capture, recolored: RecolorResult, options: RecolorOptions, numbers: dict[str, Any]
 ) -> RunReport:
-    problem, solution = recolored.setup.problem, recolored.solution
-    shown = (problem.held_out or problem.views)[:_COMPARED]
+    problem = recolored.setup.problem
+    compared = (problem.held_out or problem.views)[:_COMPARED]
     steps = np.arange(1, len(recolored.lengths) + 1)
     plain = msgspec.to_builtins(options)
     settings = plain.pop("colors") | plain
@@ -329,7 +299,12 @@ def _run_report(
         f"Recolouring of {scene.name} to {capture.name}",
         settings,
         (ReportCurve("residual", steps, np.array(recolored.lengths, np.float64), is_logarithmic=True),),
-        tuple(_comparison(view, solution) for view in shown if view.seen.counted.any()),
+        tuple(
+            ImageComparison.measured(
+                own.target.name, view.rendered(recolored.solution.sh), own.target.image, own.counted
+            )
+            for view in compared if (own := view.observed).counted.any()
+        ),
         recolored.seconds,
         {
             "Gaussians": f"{numbers['gaussians']:,}",
@@ -344,23 +319,15 @@ def _run_report(
     )  # fmt: skip
 
 
-def _comparison(view: ProblemView, solution: Solution) -> ImageComparison:
-    seen = view.seen
-    return ImageComparison.measured(seen.target.name, view.rendered(solution.sh), seen.target.image, seen.counted)
-
+# Set-up
 
 _VIEWS_DONE = 0.6  # share of the set-up spent on rendering views, measured on the built-in street
-_SPACING_PX = 3  # subsampling step; every third pixel in each direction suffices for maps of twelve numbers
 
 
 def prepare_problem(
     scene: Scene, targets: Sequence[TargetView], held_out: Sequence[TargetView], settings: RecolorSettings
 ) -> Generator[Progress, None, ProblemInputs]:
-    """Set up the recoloring of a scene to images; progress covers the set-up alone.
-
-    Raises:
-        ValueError: Without images, or if none shows anything of the scene.
-    """
+    """Set up the recoloring of a scene to images; raises ValueError if none shows anything of the scene."""
     if not targets:
         raise ValueError("recolouring needs at least one picture to recolour to")
     members, ground_m = scene_members(scene), ground_height_m(scene)
@@ -372,74 +339,85 @@ def prepare_problem(
         room -= views[-1].weights.nbytes
     used_mb = settings.memory_mb - room / 1e6
     yield Progress(_VIEWS_DONE, f"Mapping colours; weights of {len(views)} views take {used_mb:,.0f} MB")
-    setup = prepare_observations(scene, members, views, len(targets), settings)
+    fitted = views[: len(targets)]
+    if not any(len(view.splats) and view.counted.any() for view in fitted):
+        raise ValueError(f"none of the {len(fitted)} cameras sees anything of the scene {scene.name!r}")
+    change = color_prior_of(fitted, robust=settings.robust)
+    shares = surface_shares(scene, members, fitted, ground_m)
+    prior = {member.key: change.of_sh(member.gaussians.sh, own) for member, own in zip(members, shares, strict=True)}
+    setup = ProblemInputs(_problem(members, prior, views, len(targets)), tuple(members), prior)
     yield Progress(1.0, "Set up")
     return setup
 
 
-def prepare_observations(
-    scene: Scene,
-    members: Sequence[RecolorMember],
-    views: Sequence[ViewObservation],
-    taught: int,
-    settings: RecolorSettings,
-) -> ProblemInputs:
-    """Set up a problem from observed views; those after the first `taught` are held out.
-
-    Raises:
-        ValueError: If none of the fitted views shows anything of the scene.
-    """
-    if not any(len(view.splats) and view.counted.any() for view in views[:taught]):
-        raise ValueError(f"none of the {taught} cameras sees anything of the scene {scene.name!r}")
-    change = _color_change(views[:taught], robust=settings.robust)
-    prior: dict[str, Float32[np.ndarray, "_ _ 3"]] = {}
-    shares = surface_shares(scene, members, views[:taught], ground_height_m(scene))
-    for member, own in zip(members, shares, strict=True):
-        prior[member.key] = change.of_sh(member.gaussians.sh, own)
-    return ProblemInputs(_problem(members, prior, views, taught), tuple(members), prior)
-
-
-def _color_change(views: Sequence[ViewObservation], *, robust: bool) -> ColorPrior:
-    """Fit the color maps to all views, then refit with less weight on views with large errors."""
-    some = [slice(None, None, _SPACING_PX)] * 2
-    clear = [view.clear[*some].reshape(-1, 3) for view in views]
-    wanted = [view.target.image[*some].reshape(-1, 3) for view in views]
-    shares = [(view.surfaces * view.counted[..., None])[*some].reshape(-1, 3) for view in views]
-    change = fit_color_prior(clear, wanted, shares)
-    if not robust or len(views) < 3:
-        return change
-    errors = [(change.of_colors(x, w) - y)[None] for x, y, w in zip(clear, wanted, shares, strict=True)]
-    trust = irls_view_weights(
-        [error_scale(error, (w.sum(axis=1) > 0)[None]) for error, w in zip(errors, shares, strict=True)]
-    )
-    return fit_color_prior(clear, wanted, [np.float32(t) * w for t, w in zip(trust, shares, strict=True)])
-
-
 def _problem(
-    members: Sequence[RecolorMember],
-    prior: dict[str, Float32[np.ndarray, "_ _ 3"]],
-    views: Sequence[ViewObservation],
-    taught: int,
+    members: Sequence[RecolorMember], prior: Colors, views: Sequence[ViewObservation], fitted: int
 ) -> ColorProblem:
     k = max(member.gaussians.sh.shape[1] for member in members)
-    is_seen = np.zeros(sum(len(member.gaussians) for member in members), np.bool_)
+    is_visible = np.zeros(sum(len(member.gaussians) for member in members), np.bool_)
     for view in views:
-        is_seen[view.rows] = True
-    rows, numbers = np.flatnonzero(is_seen), np.cumsum(is_seen) - 1
+        is_visible[view.rows] = True
+    rows, numbers = np.flatnonzero(is_visible), np.cumsum(is_visible) - 1
     start = np.zeros((len(rows), k, 3), np.float32)
     for member in members:
         first, last = np.searchsorted(rows, [member.rows.start, member.rows.stop])
         own = prior[member.key]
         start[first:last, : own.shape[1]] = own[rows[first:last] - member.first]
     listed = tuple(ProblemView(view, numbers[view.rows], view.basis(k)) for view in views)
-    return ColorProblem(rows, listed[:taught], listed[taught:], start, _one_view(listed[:taught], len(rows)))
-
-
-def _one_view(views: Sequence[ProblemView], count: int) -> Float32[np.ndarray, " n"]:
-    """Mean evidence of each Gaussian in one view, sum e^2 / sum e with e the sum of its squared weights in a view."""
-    evidence = np.zeros((2, count), np.float32)
-    for view in views:
-        own = view.seen.weights.squared_sums(view.seen.counted.astype(np.float32))
+    evidence = np.zeros((2, len(rows)), np.float32)
+    for view in listed[:fitted]:
+        own = view.observed.weights.squared_sums(view.observed.counted.astype(np.float32))
         evidence[0, view.indices] += own
         evidence[1, view.indices] += own * own
-    return evidence[1] / np.maximum(evidence[0], np.float32(1e-6))
+    one_view = evidence[1] / np.maximum(evidence[0], np.float32(1e-6))
+    return ColorProblem(rows, listed[:fitted], listed[fitted:], start, one_view)
+
+
+# Wet colors from transferred views
+
+QUICK = RecolorSettings(iterations=10, rounds=1, sh_degree=1, tikhonov=0.3, exposure=False, robust=False)
+"""For transfers with consistent views; degree 1 suffices for a wet road."""
+
+_TRANSFERRED_DONE = 0.7  # share of the total time, measured on the built-in street with the wet look
+
+
+def rainy_scene(
+    scene: Scene, views: Sequence[ClearView], transfer: Transfer, settings: RecolorSettings = QUICK
+) -> Generator[Progress, None, Scene]:
+    """Give a scene wet colors; its geometry and clear colors are unchanged.
+
+    The views may be lazy. The transfer makes a view rainy; fully wet, since wetness then blends between clear and wet
+    colors. It may be stopped at every step without having written anything. Previews are thumbnails of the latest
+    transferred view, then of the first view with the current colors. Raises ValueError without views, or if none shows
+    anything of the scene.
+    """
+    if not len(views):
+        raise ValueError("a scene needs at least one view to become rainy")
+    targets = yield from _transferred(views, transfer)
+    recolored = yield from subprogress(recolor_scene(scene, targets, [], settings), _TRANSFERRED_DONE, 1.0)
+    return with_colors(scene, recolored.colors)
+
+
+def _transferred(views: Sequence[ClearView], transfer: Transfer) -> Generator[Progress, None, list[TargetView]]:
+    targets, preview = list[TargetView](), None
+    rainy = iter(transfer.transferred(views))
+    while True:
+        done, count = len(targets), len(views)
+        yield Progress(
+            _TRANSFERRED_DONE * done / count, f"Making view {min(done + 1, count)} of {count} rainy", preview
+        )
+        made = next(rainy, None)
+        if made is None:
+            return targets
+        targets.append(TargetView(made.clear.name, made.clear.camera, made.clear.time_s, made.image))
+        preview = thumbnail(made.image)
+
+
+def wet_scene(scene: Scene, settings: WetSettings | None = None) -> Generator[Progress, None, Scene]:
+    """Give a scene the quick wet look from 8 small views, without network weights; as `rainy_scene`."""
+    from ..appearance.wet_look.environment import SceneEnvironment
+    from ..appearance.wet_look.translator import WetTransfer  # loads slow parts of scipy
+
+    views = scene_views(scene, chosen_cameras(scene, ViewChoice(count=8)))
+    transfer = WetTransfer(settings or WetSettings(), SceneEnvironment(scene))
+    return rainy_scene(scene, views, transfer)

@@ -6,20 +6,18 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32
 
 from ..render.autodiff.differentiable import render_gaussians
-from ..render.autodiff.types import Rendered
 from ..render.cpu.fast_math import harmonics
 from ..render.cpu.projection import view_directions
 from ..scene.gaussians import Gaussians
 from ..scene.geometry import quaternions_from_matrices
 from ..scene.progress import Progress
 from ..scene.scene import DrawItem
-from ..training.parameters import FIRST_DECAY, SECOND_DECAY, SplatParameters, adam_step
+from ..training.parameters import FIRST_DECAY, SECOND_DECAY, SplatParameters, adam_step, rotate_quaternions
 from ..training.step import d_ssim, l1
 from .problem import ColorProblem, ProblemView, Solution
-from .solver import SolverStep, add_colors_transposed, evaluate_colors
+from .solver import Harmonics, SolverStep, add_colors_transposed, evaluate_colors
 
 torch: Any = import_module("torch")
 Tensor = Any
@@ -39,31 +37,23 @@ class _TrainedMember:
     parameters: SplatParameters
 
     def activated(self, view: ProblemView) -> tuple[Tensor, ...]:
-        """Means, scales, quaternions, opacities and colours in the world, without what is left out."""
-        own, kept = self.parameters, self._drawn()
+        """Means, scales, quaternions, opacities and colors in the world, without what is left out."""
+        own, left_out = self.parameters, self.part.left_out
+        rows = torch.from_numpy((~left_out).indices.astype(np.int64)) if left_out else slice(None)
         scale = float(np.cbrt(np.linalg.det(self.part.to_world[:3, :3])))
-        turn = quaternions_from_matrices(self.part.to_world[:3, :3] / scale)
         matrix = torch.as_tensor(self.part.to_world, dtype=torch.float32)
+        turn = quaternions_from_matrices(self.part.to_world[:3, :3] / scale)
         means = own.tensors["means"] @ matrix[:3, :3].T + matrix[:3, 3]
-        quaternions = own.tensors["quaternions"] @ _product(turn).T
-        return tuple(
-            each[kept]
-            for each in (
-                means, own.scales * scale, quaternions, own.opacities * self.part.opacity, self._colors(view)
-            )
-        )  # fmt: skip
-
-    def _drawn(self) -> Tensor:
-        if not self.part.left_out:
-            return slice(None)
-        return torch.from_numpy((~self.part.left_out).indices.astype(np.int64))
+        quaternions = rotate_quaternions(turn, own.tensors["quaternions"])
+        opacities = own.opacities * self.part.opacity
+        return tuple(each[rows] for each in (means, own.scales * scale, quaternions, opacities, self._colors(view)))
 
     def _colors(self, view: ProblemView) -> Tensor:
         """Display colors; view directions count as fixed, since a step barely changes them."""
         means = self.parameters.tensors["means"].detach().numpy()
         g = self.part.gaussians
         now = self.part._replace(gaussians=Gaussians(means, g.scales, g.quaternions, g.opacities, g.sh))
-        directions = view_directions([now], view.seen.target.camera, np.arange(len(means)))
+        directions = view_directions([now], view.observed.target.camera, np.arange(len(means)))
         basis = torch.from_numpy(harmonics(directions, g.sh.shape[1]))
         return 0.5 + torch.einsum("nk,nkc->nc", basis, self.parameters.sh)
 
@@ -72,10 +62,7 @@ def refine(
     members: dict[str, Gaussians], views: Sequence[ProblemView], solution: Solution, steps: int, size_m: float,
     seed: int = 0,
 ) -> Generator[Progress, None, dict[str, Gaussians]]:  # fmt: skip
-    """Train all parameters of members (recolored Gaussians by key) on the views, one per step.
-
-    The number of Gaussians is unchanged, so that clear colors remain assigned. `size_m` is the size of the scene.
-    """
+    """Train all parameters of members (recolored Gaussians by key) on the views, one a step, in a scene of `size_m`."""
     trained = {key: SplatParameters.from_gaussians(each, each.sh_degree) for key, each in members.items()}
     chosen = np.flatnonzero(solution.trust > 0.1)
     order, turns = np.random.default_rng(seed), np.zeros(0, np.int64)
@@ -86,52 +73,34 @@ def refine(
             turns = order.permutation(chosen)
         index, turns = int(turns[0]), turns[1:]
         view = views[index]
-        visible = view.seen.visible
+        visible = view.observed.visible
         parts = [_TrainedMember(p, trained[m.key]) for m, p in zip(visible.members, visible.parts, strict=True)]
-        rendered = _rendered(parts, view)
-        wanted = torch.from_numpy(solution.affines[index].undone(view.seen.target.image))
-        wanted = wanted * rendered.alpha.detach()[..., None]
-        mask = torch.from_numpy(view.seen.counted)
-        loss = (1 - D_SSIM_SHARE) * l1(rendered.color, wanted, mask)
-        (loss + D_SSIM_SHARE * d_ssim(rendered.color, wanted, mask)).backward()
+        pieces = zip(*(each.activated(view) for each in parts), strict=True)
+        rendered = render_gaussians(*(torch.cat(each) for each in pieces), view.observed.target.camera)
+        target = torch.from_numpy(solution.affines[index].undone(view.observed.target.image))
+        target = target * rendered.alpha.detach()[..., None]
+        mask = torch.from_numpy(view.observed.counted)
+        loss = (1 - D_SSIM_SHARE) * l1(rendered.color, target, mask)
+        (loss + D_SSIM_SHARE * d_ssim(rendered.color, target, mask)).backward()
         for moving in parts:
             moving.parameters.step(rates)
             moving.parameters.zero_grad()
     return {key: each.to_gaussians() for key, each in trained.items()}
 
 
-def _rendered(parts: Sequence[_TrainedMember], view: ProblemView) -> Rendered:
-    pieces = zip(*(each.activated(view) for each in parts), strict=True)
-    means, scales, quaternions, opacities, colors = (torch.cat(each) for each in pieces)
-    return render_gaussians(means, scales, quaternions, opacities, colors, view.seen.target.camera)
-
-
-def _product(turn: np.ndarray) -> Tensor:
-    w, x, y, z = turn.tolist()
-    return torch.tensor([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
-
-
 # Photometric refinement of colors
 
-D_SSIM_SHARE = 0.2
-"""Of the loss, as in 3DGS (Kerbl et al. 2023, eq. 7)."""
-
-RATE, DIRECTIONAL_RATE = 2.5e-3, 2.5e-3 / 20
-"""For degree 0, and for higher degrees (3DGS)."""
+D_SSIM_SHARE = 0.2  # of the loss, as in 3DGS (Kerbl et al. 2023, eq. 7)
+RATE, DIRECTIONAL_RATE = 2.5e-3, 2.5e-3 / 20  # for degree 0, and for higher degrees (3DGS)
 
 
 def photometric_refine(
     problem: ColorProblem, solution: Solution, steps: int, sh_degree: int = 3, seed: int = 0
-) -> Generator[SolverStep, None, Float32[np.ndarray, "n k 3"]]:
+) -> Generator[SolverStep, None, Harmonics]:
     """Continue from a solution by Adam, one view per step, with the stored weights and without rasterization.
 
     Unlike least squares it models the renderers' clipping of colors at 0. Trust and exposures of views are unchanged.
-
-    Yields:
-        The loss, and the current change from the prior.
-
-    Returns:
-        The harmonics.
+    Yields the loss and the current change from the prior; returns the harmonics.
     """
     sh = solution.sh.copy()
     n, k = sh.shape[:2]
@@ -156,17 +125,17 @@ def photometric_refine(
 
 
 def _descend(
-    view: ProblemView, solution: Solution, index: int, sh: Float32[np.ndarray, "n k 3"],
-    gradient: Float32[np.ndarray, "n k 3"],
+    view: ProblemView, solution: Solution, index: int, sh: Harmonics,
+    gradient: Harmonics,
 ) -> float:  # fmt: skip
     """Add one view's gradient with respect to the harmonics; return its loss."""
-    seen = view.seen
+    observed = view.observed
     colors = np.float32(0.5) + evaluate_colors(sh, view.indices, view.basis)
-    image = torch.from_numpy(seen.weights.blend(np.maximum(colors, np.float32(0)))).requires_grad_()
-    wanted = torch.from_numpy(solution.affines[index].undone(seen.target.image) * seen.alpha[..., None])
-    mask = torch.from_numpy(seen.counted)
-    loss = (1 - D_SSIM_SHARE) * l1(image, wanted, mask) + D_SSIM_SHARE * d_ssim(image, wanted, mask)
+    image = torch.from_numpy(observed.weights.blend(np.maximum(colors, np.float32(0)))).requires_grad_()
+    target = torch.from_numpy(solution.affines[index].undone(observed.target.image) * observed.alpha[..., None])
+    mask = torch.from_numpy(observed.counted)
+    loss = (1 - D_SSIM_SHARE) * l1(image, target, mask) + D_SSIM_SHARE * d_ssim(image, target, mask)
     loss.backward()
-    gathered = seen.weights.accumulate(np.ascontiguousarray(image.grad.numpy()))
+    gathered = observed.weights.accumulate(np.ascontiguousarray(image.grad.numpy()))
     add_colors_transposed(gradient, view.indices, view.basis, np.where(colors > 0, gathered, np.float32(0)))
     return float(loss.detach())

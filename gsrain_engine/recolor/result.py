@@ -22,25 +22,21 @@ def write_recolored(path: Path, colors: Mapping[str, Float32[np.ndarray, "_ _ 3"
     path.parent.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, Any] = {"version": np.array(_VERSION), "names": np.array(list(colors), dtype=np.str_)}
     arrays |= {f"sh_{i}": sh for i, sh in enumerate(colors.values())}
-    with whole_file(path) as beside, beside.open("wb") as file:
+    with whole_file(path) as temporary, temporary.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
 
 
 def read_recolored(path: Path | str) -> dict[str, Float32[np.ndarray, "_ _ 3"]]:
-    """Read harmonics by name (`layers/NAME`, `actors/ID`).
-
-    Raises:
-        SceneFormatError: If the file has other content.
-    """
+    """Read harmonics by name (`layers/NAME`, `actors/ID`); raises `SceneFormatError` if the file has other content."""
     try:
         file = read_archive(Path(path))
         version = int(file["version"])
         if version > _VERSION:
             raise SceneFormatError(path, f"version {version} is newer than {_VERSION}, which this program knows")
         colors = {str(name): file[f"sh_{i}"] for i, name in enumerate(file["names"])}
+    except SceneFormatError:
+        raise
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        if isinstance(error, SceneFormatError):
-            raise
         raise SceneFormatError(path, f"not a file of recoloured Gaussians: {printable_line(error)}") from None
     for name, sh in colors.items():
         if sh.dtype != np.float32 or sh.ndim != 3 or sh.shape[2] != 3:
@@ -52,10 +48,7 @@ def read_recolored(path: Path | str) -> dict[str, Float32[np.ndarray, "_ _ 3"]]:
 
 
 def with_colors(scene: Scene, colors: Mapping[str, Float32[np.ndarray, "_ _ 3"]]) -> Scene:
-    """Return the scene with wet colors by `layers/NAME` and `actors/ID`; other members are unchanged.
-
-    Colors cover all of a member's Gaussians, or only those not deleted, as in files.
-    """
+    """Return the scene with wet colors by key: of all Gaussians of a member, or of those not deleted, as in files."""
     for key, sh in colors.items():
         member = scene.member(key)
         deleted = member.marks.deleted
@@ -112,8 +105,8 @@ def visible_members(scene: Scene, members: list[RecolorMember], time_s: float) -
     """Select the members visible at a time, with their transforms; grading applies after the solved colors."""
     placed = [
         (member, part._replace(colors=None))
-        for member, shown in zip(members, scene.members, strict=True)
-        if shown.visible and (part := scene.part(shown, time_s)) is not None
+        for member, placed in zip(members, scene.members, strict=True)
+        if placed.visible and (part := scene.part(placed, time_s)) is not None
     ]
     none = np.zeros(0, np.int64)
     return VisibleMembers(
@@ -126,9 +119,9 @@ def visible_members(scene: Scene, members: list[RecolorMember], time_s: float) -
 
 def world_heights(scene: Scene, member: RecolorMember) -> Float32[np.ndarray, " n"]:
     """World z of a layer's Gaussians in meters; for an actor, height above its own bottom."""
-    shown = scene.member(member.key)
-    if isinstance(shown, Layer):
-        to_world = scene.scene_to_world @ shown.to_scene
+    placed = scene.member(member.key)
+    if isinstance(placed, Layer):
+        to_world = scene.scene_to_world @ placed.to_scene
         up, offset = to_world[2, :3], to_world[2, 3]
     else:
         up, offset = np.array([0, 0, scene.metres_per_unit]), 0.0

@@ -16,7 +16,7 @@ from ..render.cpu.projection import view_directions
 from ..scene.camera import Camera
 from ..scene.scene import Scene
 from .result import RecolorMember, VisibleMembers, scene_members, visible_members, world_heights
-from .weights import LazyWeights, StoredWeights, weights_of
+from .weights import LazyWeights, Picture, Plane, StoredWeights, weights_of
 
 _UNSEEN_WEIGHT_PX = 0.5
 """Total weight in pixels below which a Gaussian's surface kind follows from its height instead of the views."""
@@ -33,7 +33,7 @@ class TargetView:
     camera: Camera
     """In the world (meters, z up)."""
     time_s: float
-    image: Float32[np.ndarray, "h w 3"]
+    image: Picture
     """Display color."""
     mask: Bool[np.ndarray, "h w"] | None = None
     """Mask of valid pixels; None means all."""
@@ -48,12 +48,12 @@ class ViewObservation:
     weights: StoredWeights | LazyWeights
     splats: Int64[np.ndarray, " m"]
     """Index of each splat with nonzero weight, consecutive over the visible parts."""
-    clear: Float32[np.ndarray, "h w 3"]
+    clear: Picture
     """Display color, divided by alpha."""
-    alpha: Float32[np.ndarray, "h w"]
-    depth: Float32[np.ndarray, "h w"]
+    alpha: Plane
+    depth: Plane
     """Meters along the view axis; 0 where only sky is visible."""
-    surfaces: Float32[np.ndarray, "h w 3"]
+    surfaces: Picture
     """Shares of sky, ground and other, weighted by alpha."""
 
     @property
@@ -87,12 +87,12 @@ def target_views(scene: Scene, capture: Capture, width_px: int) -> Iterator[Targ
 
 
 def observe_view(
-    scene: Scene, members: list[RecolorMember], target: TargetView, ground_m: float, most_bytes: float = np.inf
+    scene: Scene, members: list[RecolorMember], target: TargetView, ground_m: float, max_bytes: float = np.inf
 ) -> ViewObservation:
-    """Render the current scene from a target's camera; weights are stored if they fit into `most_bytes`."""
+    """Render the current scene from a target's camera; weights are stored if they fit into `max_bytes`."""
     visible = visible_members(scene, members, target.time_s)
     view = color_operator(visible.parts, target.camera)
-    weights = weights_of(view, most_bytes)
+    weights = weights_of(view, max_bytes)
     splats = view.splats.indices[weights.rows]
     colors = view.splats.colors[weights.rows]
     is_sky = visible.is_sky[splats].astype(np.float32)
@@ -103,23 +103,20 @@ def observe_view(
     depth = expected(np.ascontiguousarray(geometry[..., 2]), np.ascontiguousarray(solid))
     depth[solid <= _SOLID * alpha] = 0
     sky = expected(np.ascontiguousarray(geometry[..., 1]), alpha)
-    ground = ground_share(depth, up_facing(depth, target.camera), target.camera, ground_m) * (1 - sky)
+    ground = ground_share(
+        depth, np.ascontiguousarray(normals_from_depth(depth, target.camera)[..., 2]), target.camera, ground_m
+    ) * (1 - sky)
     surfaces = alpha[..., None] * np.stack([sky, ground, 1 - sky - ground], axis=-1)
     return ViewObservation(target, visible, weights, splats, clear, alpha, depth, surfaces)
-
-
-def up_facing(depth: Float32[np.ndarray, "h w"], camera: Camera) -> Float32[np.ndarray, "h w"]:
-    """World-up component of the surface normals estimated from depth."""
-    return np.ascontiguousarray(normals_from_depth(depth, camera)[..., 2])
 
 
 def surface_shares(
     scene: Scene, members: Sequence[RecolorMember], views: Sequence[ViewObservation], ground_m: float
 ) -> list[Float32[np.ndarray, "_ 3"]]:
     """Surface kind of each Gaussian: from the views, or from its height if hardly visible."""
-    seen = np.zeros((sum(len(member.gaussians) for member in members), 3), np.float32)
+    sums = np.zeros((sum(len(member.gaussians) for member in members), 3), np.float32)
     for view in views:
-        seen[view.rows] += view.weights.accumulate(view.surfaces)
+        sums[view.rows] += view.weights.accumulate(view.surfaces)
     shares: list[Float32[np.ndarray, "_ 3"]] = []
     for member in members:
         guess = np.zeros((len(member.gaussians), 3), np.float32)
@@ -129,7 +126,7 @@ def surface_shares(
             level = ground_m if member.key.startswith("layers/") else -np.inf
             is_low = np.abs(world_heights(scene, member) - level) < _GROUND_HEIGHT_M
             guess[:, 1], guess[:, 2] = is_low, ~is_low
-        mixed = (_UNSEEN_WEIGHT_PX * guess + seen[member.rows]) if not member.is_sky else guess
+        mixed = (_UNSEEN_WEIGHT_PX * guess + sums[member.rows]) if not member.is_sky else guess
         shares.append(mixed / mixed.sum(axis=1, keepdims=True))
     return shares
 
@@ -137,12 +134,8 @@ def surface_shares(
 # Exposure and white balance
 # Affine color map per view, with their median fixed.
 
-PRIOR_WEIGHT = 1e-3
-"""Tikhonov weight toward the identity, in squared color, for images without contrast."""
-
-SWEEPS = 6
-"""Rounds over all views; each uses the other views' latest maps."""
-
+PRIOR_WEIGHT = 1e-3  # tikhonov weight toward the identity, in squared color, for images without contrast
+SWEEPS = 6  # rounds over all views; each uses the other views' latest maps
 _MIN_PX = 1.0  # minimum weight in pixels, in a view and in all others together, of a Gaussian that constrains exposures
 _MIDDLE = 0.5
 _GAIN_LIMITS = 0.2, 5.0  # bounds that keep a map invertible: a black image has no gain
@@ -164,7 +157,7 @@ NO_CHANGE = ViewAffine(np.ones(3), np.zeros(3))
 
 
 def view_affines(
-    seen: Sequence[Float32[np.ndarray, "_ 3"]],
+    colors: Sequence[Float32[np.ndarray, "_ 3"]],
     evidence: Sequence[Float32[np.ndarray, " _"]],
     indices: Sequence[Int64[np.ndarray, " _"]],
     count: int,
@@ -172,18 +165,14 @@ def view_affines(
     """Estimate the maps by comparing the same Gaussians across views.
 
     Each view's Gaussians are compared with the mean over all *other* views, weighted by visibility in both: a view
-    can't agree with itself, and the colors need not be known. View-dependent color counts as noise.
-
-    Args:
-        seen: For each view, the sum of weight * color of each splat over the image.
-        evidence: For each view, the sum of each splat's weights in pixels.
-        indices: Row of each splat among all Gaussians.
-        count: Number of Gaussians.
+    can't agree with itself, and the colors need not be known. View-dependent color counts as noise. For each view,
+    `colors` is the sum of weight * color of each splat over the image, `evidence` the sum of its weights in pixels, and
+    `indices` its row among all `count` Gaussians.
     """
-    kept = [np.flatnonzero(each >= _MIN_PX) for each in evidence]
-    means = [own[rows] / each[rows, None] for own, each, rows in zip(seen, evidence, kept, strict=True)]
-    amounts = [each[rows] for each, rows in zip(evidence, kept, strict=True)]
-    places = [each[rows] for each, rows in zip(indices, kept, strict=True)]
+    chosen = [np.flatnonzero(each >= _MIN_PX) for each in evidence]
+    means = [own[rows] / each[rows, None] for own, each, rows in zip(colors, evidence, chosen, strict=True)]
+    amounts = [each[rows] for each, rows in zip(evidence, chosen, strict=True)]
+    places = [each[rows] for each, rows in zip(indices, chosen, strict=True)]
     sums, totals = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
     for mean, amount, place in zip(means, amounts, places, strict=True):
         sums[place] += mean * amount[:, None]
@@ -196,7 +185,11 @@ def view_affines(
             both = np.where(others >= _MIN_PX, amount * others / np.maximum(totals[place], _MIN_PX), 0)
             affines[v] = _fitted(sums[place] / np.maximum(others, _MIN_PX)[:, None], mean, both.astype(np.float32))
             sums[place] += affines[v].undone(mean) * amount[:, None]
-    return _gauge_fixed(affines)
+    # The same change of scene colors is removed from each map, so that the median map is the identity: a darker scene
+    # with brighter images would fit equally well. The median is robust against a single image of something else.
+    gain = np.median([each.gains for each in affines], axis=0)
+    offset = np.median([each.offsets for each in affines], axis=0)
+    return [ViewAffine(each.gains / gain, each.offsets - each.gains / gain * offset) for each in affines]
 
 
 def _fitted(
@@ -205,38 +198,23 @@ def _fitted(
     """Fit the map from scene colors to image colors by weighted ridge regression toward the identity."""
     x, change = scene - np.float32(_MIDDLE), picture - scene
     total = float(trust.sum(dtype=np.float64))
-    pull = PRIOR_WEIGHT * total + 1e-9
+    ridge = PRIOR_WEIGHT * total + 1e-9
     mean, square, shift, product = (
         np.einsum("p,pc->c", trust, each, dtype=np.float64) for each in (x, x * x, change, x * change)
     )
-    determinant = (square + pull) * (total + pull) - mean**2
-    gains = 1 + ((total + pull) * product - mean * shift) / determinant
-    offsets = ((square + pull) * shift - mean * product) / determinant
+    determinant = (square + ridge) * (total + ridge) - mean**2
+    gains = 1 + ((total + ridge) * product - mean * shift) / determinant
+    offsets = ((square + ridge) * shift - mean * product) / determinant
     return ViewAffine(np.clip(gains, *_GAIN_LIMITS), offsets)
-
-
-def _gauge_fixed(affines: Sequence[ViewAffine]) -> list[ViewAffine]:
-    """Normalize the median map to the identity: a darker scene with brighter images would otherwise fit equally well.
-
-    The same change of scene colors is removed from each map: A_v becomes A_v M^-1. The median is robust against a
-    single image of something else.
-    """
-    gain = np.median([each.gains for each in affines], axis=0)
-    offset = np.median([each.offsets for each in affines], axis=0)
-    return [ViewAffine(each.gains / gain, each.offsets - each.gains / gain * offset) for each in affines]
 
 
 # Ground height
 
-_LOW_SHARE = 0.05
-"""Quantile for the ground: the lowest part of a street is mostly ground, with fewer stray Gaussians below it."""
+_LOW_SHARE = 0.05  # quantile: the lowest part of a street is mostly ground, with fewer stray Gaussians below it
 
 
 def ground_height_m(scene: Scene) -> float:
-    """Height of the ground in meters in the world (z up): the scene's own value, else a low quantile.
-
-    The quantile is the lowest twentieth of the Gaussians with opacity above 0.5; 0 without any.
-    """
+    """Height of the ground in the world in m: the scene's own, else a low quantile of opaque Gaussians, else 0."""
     if scene.ground_m is not None:
         return scene.ground_m
     heights = [np.zeros(0, np.float32)]
@@ -254,16 +232,11 @@ _FACING_UP = (0.6, 0.9)  # upward components of normals from which surfaces may 
 _BAND_M = (0.25, 0.6)  # heights above the ground up to which pixels certainly are ground, and from which they are not
 
 
-def ground_share(
-    depth: Float32[np.ndarray, "h w"], upness: Float32[np.ndarray, "h w"], camera: Camera, ground_m: float
-) -> Float32[np.ndarray, "h w"]:
+def ground_share(depth: Plane, upness: Plane, camera: Camera, ground_m: float) -> Plane:
     """Share of ground in each pixel, 0 to 1.
 
-    Args:
-        depth: Along the view axis in meters, 0 where unknown.
-        upness: World-up component of the unit normal, -1..1.
-        camera: In the world (meters, z up).
-        ground_m: Height of the ground in the world.
+    `depth` is along the view axis in meters, 0 where unknown; `upness` is the world-up component of the unit normal,
+    -1..1. The camera is in the world (meters, z up), whose ground is at `ground_m`.
     """
     heights = world_points(depth, camera)[..., 2] - ground_m
     share = _rising(*_FACING_UP, upness.astype(np.float64)) * (1 - _rising(*_BAND_M, heights))
@@ -281,7 +254,7 @@ def _rising(low: float, high: float, x: Float64[np.ndarray, "h w"]) -> Float64[n
 _WIDTH_PX = 320
 
 
-def thumbnail(picture: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "_ _ 3"]:
+def thumbnail(picture: Picture) -> UInt8[np.ndarray, "_ _ 3"]:
     """Return an image (display color) downscaled to at most 320 pixels in width."""
     shrink = min(1.0, _WIDTH_PX / picture.shape[1])
     small = cv2.resize(picture, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)

@@ -1,23 +1,25 @@
 """Blending weights of one view for fixed geometry: stored as a sparse matrix, or recomputed on each use."""
 
 from dataclasses import dataclass
-from typing import no_type_check
+from typing import Any, no_type_check
 
 import numba
 import numpy as np
 from jaxtyping import Float32, Int64, UInt8, UInt16
+from llvmlite import ir
+from numba.core import types
+from numba.extending import intrinsic
 
-from ..render.cpu.compositing import BATCH, MIN_TRANSMITTANCE, ColorOperator, alpha_of, columns_of, is_finished
+from ..render.cpu.compositing import ColorOperator, absorb, alpha_of, column_of, columns_of, is_finished, tile_at
 from ..render.cpu.fast_math import FAST
-from ..render.cpu.tiles import TILE
-from .solver import LANES, add_piece, sum_piece
+from ..render.cpu.tiles import BATCH, TILE
 
-STEP = np.float32(1 / 65535)
-"""Weights are stored as multiples of this."""
-
-MIN_PIECE = 8
-"""Smaller weights (0.03 % of all light on the built-in street, a fifth of their number) are dropped."""
-
+SplatColors = Float32[np.ndarray, "m 3"]
+Picture = Float32[np.ndarray, "h w 3"]
+Plane = Float32[np.ndarray, "h w"]
+STEP = np.float32(1 / 65535)  # weights are stored as multiples of this
+MIN_PIECE = 8  # smaller weights (0.03 % of all light on the built-in street, a fifth of their number) are dropped
+LANES = 8  # pixels per piece, in vertical order
 _PIECES = TILE * TILE // LANES
 
 
@@ -49,31 +51,29 @@ class StoredWeights:
         arrays = (self.rows, self.pair_starts, self.splats, self.piece_starts, self.places, self.weights)
         return sum(each.nbytes for each in arrays)
 
-    def blend(self, colors: Float32[np.ndarray, "m 3"]) -> Float32[np.ndarray, "h w 3"]:
+    def blend(self, colors: SplatColors) -> Picture:
         image = np.empty((self.height, self.width, 3), np.float32)
         _blend(self.pair_starts, self.splats, self.piece_starts, self.places, self.weights, colors, image)
         return image
 
-    def accumulate(self, image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "m 3"]:
+    def accumulate(self, image: Picture) -> SplatColors:
         """W transposed times an image: the weighted sum of its pixels for each splat."""
         by_pair = np.empty((len(self.splats), 3), np.float32)
         _gather(self.pair_starts, self.piece_starts, self.places, self.weights, image, by_pair)
         return self._by_splat(by_pair)
 
-    def normal(
-        self, colors: Float32[np.ndarray, "m 3"], trust: Float32[np.ndarray, "h w"]
-    ) -> Float32[np.ndarray, "m 3"]:
+    def normal(self, colors: SplatColors, trust: Plane) -> SplatColors:
         """W transposed times trust times W times colors, tile by tile: weights are read from memory once."""
         by_pair = np.empty((len(self.splats), 3), np.float32)
         _normal(self.pair_starts, self.splats, self.piece_starts, self.places, self.weights, colors, trust, by_pair)
         return self._by_splat(by_pair)
 
-    def squared_sums(self, trust: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, " m"]:
+    def squared_sums(self, trust: Plane) -> Float32[np.ndarray, " m"]:
         by_pair = np.zeros((len(self.splats), 3), np.float32)
         _squares(self.pair_starts, self.piece_starts, self.places, self.weights, trust, by_pair)
         return self._by_splat(by_pair)[:, 0]
 
-    def _by_splat(self, by_pair: Float32[np.ndarray, "pairs 3"]) -> Float32[np.ndarray, "m 3"]:
+    def _by_splat(self, by_pair: Float32[np.ndarray, "pairs 3"]) -> SplatColors:
         sums = np.zeros((len(self.rows), 3), np.float32)
         _add_pairs(self.splats, by_pair, sums)
         return sums
@@ -96,50 +96,42 @@ class LazyWeights:
         splats, tiles = self.view.splats, self.view.tiles
         return splats.shapes.nbytes + splats.colors.nbytes + splats.indices.nbytes + tiles.members.nbytes
 
-    def blend(self, colors: Float32[np.ndarray, "m 3"]) -> Float32[np.ndarray, "h w 3"]:
+    def blend(self, colors: SplatColors) -> Picture:
         return self.view.blend(colors)
 
-    def accumulate(self, image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "m 3"]:
+    def accumulate(self, image: Picture) -> SplatColors:
         return self.view.accumulate(image)
 
-    def normal(
-        self, colors: Float32[np.ndarray, "m 3"], trust: Float32[np.ndarray, "h w"]
-    ) -> Float32[np.ndarray, "m 3"]:
+    def normal(self, colors: SplatColors, trust: Plane) -> SplatColors:
         return self.view.accumulate(self.view.blend(colors) * trust[..., None])
 
-    def squared_sums(self, trust: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, " m"]:
+    def squared_sums(self, trust: Plane) -> Float32[np.ndarray, " m"]:
         """Diagonal of W transposed times trust times W, with trust averaged over each splat."""
         trusted = self.view.accumulate(np.dstack([trust, np.ones_like(trust), trust]))
         return self.view.squared_sums() * trusted[:, 0] / np.maximum(trusted[:, 1], np.float32(1e-12))
 
 
-def weights_of(view: ColorOperator, most_bytes: float = np.inf) -> StoredWeights | LazyWeights:
-    """Store a view's weights if they fit into `most_bytes`; else recompute them on each use."""
-    stored = stored_weights(view, most_bytes)
-    return LazyWeights(view) if stored is None else stored
-
-
-def stored_weights(view: ColorOperator, most_bytes: float = np.inf) -> StoredWeights | None:
-    """Compute the weights of a view; None if they would exceed `most_bytes`."""
+def weights_of(view: ColorOperator, max_bytes: float = np.inf) -> StoredWeights | LazyWeights:
+    """Store a view's weights if they fit into `max_bytes`; else recompute them on each use."""
     tiles, shapes = view.tiles, view.splats.shapes
     counts = np.zeros(len(tiles.members) + 1, np.int64)
     where = (shapes, tiles.starts, tiles.members, tiles.width, tiles.height, counts[1:])
     _walk(*where, None, None, None)
     starts = np.cumsum(counts)
     pieces = int(starts[-1])
-    if pieces * (1 + 2 * LANES) > most_bytes:
-        return None
+    if pieces * (1 + 2 * LANES) > max_bytes:
+        return LazyWeights(view)
     places, weights = np.empty(pieces, np.uint8), np.empty((pieces, LANES), np.uint16)
     _walk(*where, starts, places, weights)
-    kept = counts[1:] > 0
-    before = np.concatenate([[0], np.cumsum(kept)])
-    members = tiles.members[kept]
-    seen = np.zeros(len(view.splats), np.bool_)
-    seen[members] = True
-    numbers = np.cumsum(seen) - 1
+    contributes = counts[1:] > 0
+    before = np.concatenate([[0], np.cumsum(contributes)])
+    members = tiles.members[contributes]
+    visible = np.zeros(len(view.splats), np.bool_)
+    visible[members] = True
+    numbers = np.cumsum(visible) - 1
     return StoredWeights(
-        tiles.width, tiles.height, np.flatnonzero(seen), before[tiles.starts], numbers[members],
-        starts[np.append(kept, True)], places, weights,
+        tiles.width, tiles.height, np.flatnonzero(visible), before[tiles.starts], numbers[members],
+        starts[np.append(contributes, True)], places, weights,
     )  # fmt: skip
 
 
@@ -148,11 +140,8 @@ def stored_weights(view: ColorOperator, most_bytes: float = np.inf) -> StoredWei
 def _walk(shapes, tile_starts, members, width, height, counts, starts, places, weights):
     """Composite without colors: count each pair's pieces, or write them at `starts`."""
     columns = (width + TILE - 1) // TILE
-    rows = (len(tile_starts) - 1) // columns
     for place in numba.prange(len(tile_starts) - 1):
-        # Column by column, as in compositing.
-        tile = place % rows * columns + place // rows
-        x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
+        tile, x0, y0 = tile_at(place, tile_starts, columns)
         state = np.zeros((TILE, TILE), np.float32)
         state[: width - x0, : min(TILE, height - y0)] = 1
         steps = np.empty(TILE, np.float32)
@@ -182,15 +171,10 @@ def _walk(shapes, tile_starts, members, width, height, counts, starts, places, w
 @no_type_check
 def _weigh(shape, u, x0, y0, line, steps):
     """Weights of a splat in one column of a tile, as in compositing, in units of `STEP`."""
-    dx = np.float32(u) + (x0 - shape[0])
-    peak = shape[5] + shape[3] * dx * dx
-    start = y0 - (shape[1] + shape[2] * dx)
+    _, peak, start = column_of(shape, u, x0, y0)
     for v in range(TILE):
         dy = start + np.float32(v)
-        before = line[v]
-        weight = before * alpha_of(shape[4] * dy * dy + peak, shape[6])
-        after = before - weight
-        line[v] = after if after >= MIN_TRANSMITTANCE else np.float32(0)
+        weight = absorb(line, v, alpha_of(shape[4] * dy * dy + peak, shape[6], np.float32), np.float32)
         steps[v] = weight * np.float32(65535) + np.float32(0.5)
 
 
@@ -300,3 +284,72 @@ def _add_pairs(splats, by_pair, sums):
         n = splats[k]
         for channel in range(3):
             sums[n, channel] += by_pair[k, channel]
+
+
+# SIMD intrinsics
+# Eight weights at a time, for loops that LLVM does not vectorize by itself.
+
+_FLOATS = ir.VectorType(ir.FloatType(), LANES)
+_SHORTS = ir.VectorType(ir.IntType(16), LANES)
+_CONTRACT = ("contract",)
+
+
+@intrinsic
+def add_piece(typing: Any, weights: Any, piece: Any, red: Any, green: Any, blue: Any, canvas: Any, place: Any) -> Any:
+    """Add weights[piece, :] times (red, green, blue) to canvas[place], whose row has LANES reds, greens and blues."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        weights, piece, red, green, blue, canvas, place = arguments
+        weight = _weights(context, builder, signature.args[0], weights, piece)
+        line = _data(context, builder, signature.args[5], canvas)
+        for channel, color in enumerate((red, green, blue)):
+            at = _vector_at(builder, line, place, 3, channel)
+            product = builder.fmul(weight, _splat(builder, color), flags=_CONTRACT)
+            builder.store(builder.fadd(builder.load(at, align=4), product, flags=_CONTRACT), at, align=4)
+        return context.get_dummy_value()
+
+    return types.void(weights, types.intp, *[types.float32] * 3, canvas, types.intp), generate
+
+
+@intrinsic
+def sum_piece(typing: Any, weights: Any, piece: Any, canvas: Any, place: Any, lanes: Any) -> Any:
+    """Add weights[piece, :] times canvas[place] to `lanes`, per lane and channel."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        weights, piece, canvas, place, lanes = arguments
+        weight = _weights(context, builder, signature.args[0], weights, piece)
+        line = _data(context, builder, signature.args[2], canvas)
+        sums = _data(context, builder, signature.args[4], lanes)
+        zero = ir.Constant(place.type, 0)
+        for channel in range(3):
+            product = builder.fmul(
+                weight, builder.load(_vector_at(builder, line, place, 3, channel), align=4), flags=_CONTRACT
+            )
+            at = _vector_at(builder, sums, zero, 3, channel)
+            builder.store(builder.fadd(builder.load(at, align=4), product, flags=_CONTRACT), at, align=4)
+        return context.get_dummy_value()
+
+    return types.void(weights, types.intp, canvas, types.intp, lanes), generate
+
+
+def _data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
+    return context.make_array(kind)(context, builder, array).data
+
+
+def _weights(context: Any, builder: Any, kind: Any, weights: Any, piece: Any) -> Any:
+    """Load a row of uint16 as float32."""
+    first = builder.gep(_data(context, builder, kind, weights), [builder.mul(piece, ir.Constant(piece.type, LANES))])
+    return builder.uitofp(builder.load(builder.bitcast(first, _SHORTS.as_pointer()), align=2), _FLOATS)
+
+
+def _vector_at(builder: Any, data: Any, row: Any, vectors: int, vector: int) -> Any:
+    offset = builder.add(
+        builder.mul(row, ir.Constant(row.type, vectors * LANES)), ir.Constant(row.type, vector * LANES)
+    )
+    return builder.bitcast(builder.gep(data, [offset]), _FLOATS.as_pointer())
+
+
+def _splat(builder: Any, value: Any) -> Any:
+    one = builder.insert_element(ir.Constant(_FLOATS, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
+    zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+    return builder.shuffle_vector(one, ir.Constant(_FLOATS, ir.Undefined), zeros)

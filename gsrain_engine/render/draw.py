@@ -30,40 +30,6 @@ class RenderView:
     """Fraction of the shutter time, for one of several sub-frames that share it."""
 
 
-# Level of detail
-
-_Shape = tuple[int, int]  # identity of the arrays that growth depends on: scales and opacities
-
-
-@dataclass(slots=True)
-class LodSubset:
-    """Draws the most important share of each part's Gaussians, enlarged to cover as much as all of them.
-
-    Gaussians must be in their drawing order. Growths are cached by set of Gaussians. Masks are ignored: if they leave
-    out many important Gaussians, the rest is drawn slightly too large.
-    """
-
-    share: float
-    _growths: dict[_Shape, tuple[Gaussians, float]] = field(
-        default_factory=dict[_Shape, "tuple[Gaussians, float]"]  # a reference, so that the identity stays unique
-    )
-
-    def __call__(self, part: DrawItem) -> DrawItem:
-        """Limit a part to its most important Gaussians."""
-        return part._replace(limit=math.ceil(self.share * len(part.gaussians)), growth=self.growth(part.gaussians))
-
-    def growth(self, gaussians: Gaussians) -> float:
-        """Scale factor of the remaining Gaussians; cached for all colors of the same Gaussians."""
-        key = _shape(gaussians)
-        if key not in self._growths:
-            self._growths[key] = gaussians, lod_growth(gaussians, self.share)
-        return self._growths[key][1]
-
-    def forget_all_but(self, kept: Iterable[Gaussians]) -> None:
-        keys = {_shape(each) for each in kept}
-        self._growths = {key: known for key, known in self._growths.items() if key in keys}
-
-
 def draw_view(
     renderer: Renderer,
     scene: Scene,
@@ -73,7 +39,7 @@ def draw_view(
     *,
     with_depth: bool = False,
     look: RenderMode = "splats",
-    thinning: LodSubset | None = None,
+    thinning: "LodSubset | None" = None,
     selection: bool = False,
 ) -> None:
     """Draw a scene with its rain into the renderer's image; render modes other than "splats" omit the rain.
@@ -83,24 +49,21 @@ def draw_view(
     """
     falling = rain_frame_of(scene, rainfall, sky, shot) if rainfall is not None and look == "splats" else None
     wetness = rainfall.wetness_at(shot.time_s) if rainfall is not None else 0.0
-    parts = scene.parts(shot.time_s, selection=selection, wetness=wetness)
-    if thinning is not None:
-        parts = [thinning(part) for part in parts]
+    parts = subset_items(scene.parts(shot.time_s, selection=selection, wetness=wetness), thinning)
     renderer.draw(parts, shot.camera, falling, with_depth=with_depth, look=look)
 
 
 def rain_frame_of(scene: Scene, rainfall: RainSimulation, sky: Color, shot: RenderView) -> RainFrame | None:
     """Drops and haze of a view; None at 0 mm/h."""
-    return rainfall.at(shot.time_s, rain_camera_of(scene, rainfall, shot), sky)
-
-
-def rain_camera_of(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> RainCamera:
-    """Camera, velocity, rain anchor and sheltered areas of a view."""
-    velocity = shot.velocity_m_s if shot.velocity_m_s is not None else np.zeros(3)
-    roofs = shelter_map_of(scene) if rainfall.rain.roofs else None
-    return RainCamera(
-        shot.camera, rain_anchor(scene, rainfall, shot), velocity, shot.focal_px, roofs, shot.exposure_share
+    view = RainCamera(
+        shot.camera,
+        rain_anchor(scene, rainfall, shot),
+        shot.velocity_m_s if shot.velocity_m_s is not None else np.zeros(3),
+        shot.focal_px,
+        shelter_map_of(scene) if rainfall.rain.roofs else None,
+        shot.exposure_share,
     )
+    return rainfall.at(shot.time_s, view, sky)
 
 
 def rain_anchor(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> Float64[np.ndarray, "4 4"]:
@@ -129,9 +92,42 @@ def _leveled(forward: Float64[np.ndarray, "3"], origin: Float64[np.ndarray, "3"]
     return frame
 
 
-def subset_items(parts: Sequence[DrawItem], thinning: LodSubset | None) -> Sequence[DrawItem]:
+# Level of detail
+
+
+def subset_items(parts: Sequence[DrawItem], thinning: "LodSubset | None") -> Sequence[DrawItem]:
     return parts if thinning is None else [thinning(part) for part in parts]
 
 
-def _shape(gaussians: Gaussians) -> _Shape:
+@dataclass(slots=True)
+class LodSubset:
+    """Draws the most important share of each part's Gaussians, enlarged to cover as much as all of them.
+
+    Gaussians must be in their drawing order. Growths are cached by set of Gaussians. Masks are ignored: if they leave
+    out many important Gaussians, the rest is drawn slightly too large.
+    """
+
+    share: float
+    _growths: dict[tuple[int, int], tuple[Gaussians, float]] = field(
+        default_factory=dict[tuple[int, int], "tuple[Gaussians, float]"]  # a reference keeps the identity unique
+    )
+
+    def __call__(self, part: DrawItem) -> DrawItem:
+        """Limit a part to its most important Gaussians."""
+        return part._replace(limit=math.ceil(self.share * len(part.gaussians)), growth=self.growth(part.gaussians))
+
+    def growth(self, gaussians: Gaussians) -> float:
+        """Scale factor of the remaining Gaussians; cached for all colors of the same Gaussians."""
+        key = _shape(gaussians)
+        if key not in self._growths:
+            self._growths[key] = gaussians, lod_growth(gaussians, self.share)
+        return self._growths[key][1]
+
+    def forget_all_but(self, used: Iterable[Gaussians]) -> None:
+        keys = {_shape(each) for each in used}
+        self._growths = {key: known for key, known in self._growths.items() if key in keys}
+
+
+def _shape(gaussians: Gaussians) -> tuple[int, int]:
+    """Identity of the arrays that growth depends on."""
     return id(gaussians.scales), id(gaussians.opacities)

@@ -4,10 +4,8 @@ import shlex
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import UInt8
 
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
@@ -16,8 +14,8 @@ from ..scene.camera_path import CameraPath
 from ..scene.files import hold_for_writing
 from ..scene.progress import Progress
 from ..scene.scene import Scene
-from .export_settings import DEFAULT_SIZE_PX, ExportSettings, Pass, export_files, export_outputs
-from .images import FrameWriter, open_frame_writer
+from .export_settings import DEFAULT_SIZE_PX, ExportSettings, export_files, export_outputs
+from .images import open_frame_writer
 from .object_labels import draw_labels, label_legend
 from .renderer import Frame, Renderer, RenderMode
 from .sequence import FrameSequence, RigCameraView, find_rig_cameras
@@ -47,41 +45,54 @@ def export_frames(
     with ExitStack() as stack:
         for path in export_outputs(recording, list(sequences)):
             stack.enter_context(hold_for_writing(path))
-        takes = _open(recording, sequences, stack)
+        streams = [
+            _OutputStream(stack, recording, sequence, name if len(sequences) > 1 else None, is_clear)
+            for name, sequence in sequences.items()
+            for is_clear in ((True, False) if recording.twin else (False,))
+        ]
         yield Progress(0.0, "Looking at the sky")
         sky = next(iter(sequences.values())).sky(renderer)
-        pace = _EtaEstimator(len(numbers))
+        estimator = EtaEstimator(len(numbers))
         for number in numbers:
             try:
-                frames = [take.write(renderer, number, sky, look) for take in takes]
+                frames = [stream.write(renderer, number, sky, look) for stream in streams]
             except OSError as error:
-                raise OSError(_problem(recording, error, pace.done)) from error
-            yield pace.step(frames[-1])
+                reason, done = error.strerror or str(error), estimator.done
+                raise OSError(
+                    f"{recording.output} can't be written on after {done} frames: {reason}; "
+                    "what was written before is whole"
+                ) from error
+            yield estimator.step(frames[-1])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class _OutputStream:
-    """Output of one camera, with or without rain."""
+    """Output of one camera, with or without rain; `stack` closes it."""
 
-    sequence: FrameSequence
-    sink: FrameWriter
-    passes: frozenset[Pass]
-    is_clear: bool
+    def __init__(
+        self, stack: ExitStack, recording: ExportSettings, sequence: FrameSequence, camera: str | None, is_clear: bool
+    ) -> None:
+        files = export_files(recording, camera, is_clear=is_clear)
+        size = sequence.width, sequence.height
+        try:
+            self._writer = stack.enter_context(open_frame_writer(recording, files, size, label_legend(sequence.scene)))
+        except OSError as error:
+            raise OSError(f"{files.path} can't be written: {error.strerror or error}") from error
+        self._sequence, self._passes, self._is_clear = sequence, files.passes, is_clear
 
     def write(self, renderer: Renderer, number: int, sky: SkyColor, look: RenderMode) -> Frame | None:
         """Render a frame and write its passes; the renderer's last image is the color pass."""
         labels = frame = None
-        if "labels" in self.passes:
-            shot = self.sequence.shot(number)
-            labels = draw_labels(renderer, self.sequence.scene, shot.camera, shot.time_s)
-        if self.passes - {"labels"}:
-            seen = None if self.is_clear else sky
-            frame = self.sequence.frame(renderer, number, seen, with_depth="depth" in self.passes, look=look)
-        self.sink.write(number, frame, labels)
+        if "labels" in self._passes:
+            shot = self._sequence.shot(number)
+            labels = draw_labels(renderer, self._sequence.scene, shot.camera, shot.time_s)
+        if self._passes - {"labels"}:
+            rain_sky, with_depth = None if self._is_clear else sky, "depth" in self._passes
+            frame = self._sequence.frame(renderer, number, rain_sky, with_depth=with_depth, look=look)
+        self._writer.write(number, frame, labels)
         return frame
 
 
-class _EtaEstimator:
+class EtaEstimator:
     """Progress, preview and remaining time of an export."""
 
     def __init__(self, frames: int) -> None:
@@ -93,44 +104,17 @@ class _EtaEstimator:
         self.done += 1
         now, preview = time.perf_counter(), None
         if frame is not None and now - self._previewed >= _PREVIEW_EVERY_S:
-            preview, self._previewed = _small(frame), now
+            step = -(-frame.rgba.shape[1] // _PREVIEW_PX)
+            preview, self._previewed = np.ascontiguousarray(Frame(frame.rgba[::step, ::step]).to_uint8()), now
         message = f"Frame {self.done:,} of {self._frames:,}"
         if self.done == 1:  # excluded from the estimate: it loads data and compiles kernels
             self._began = now
         else:
             left_s = (now - self._began) / (self.done - 1) * (self._frames - self.done)
-            message += f", {_clock_time(left_s)} left"
+            minutes, seconds = divmod(round(left_s), 60)
+            hours = f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d} h"
+            message += f", {hours if minutes >= 60 else f'{minutes}:{seconds:02d} min'} left"
         return Progress(self.done / self._frames, message, preview)
-
-
-def _open(recording: ExportSettings, sequences: Mapping[str, FrameSequence], stack: ExitStack) -> list[_OutputStream]:
-    """Return one output stream per camera, the clear twin before the rainy one; `stack` closes them."""
-    takes: list[_OutputStream] = []
-    for name, sequence in sequences.items():
-        for is_clear in (True, False) if recording.twin else (False,):
-            files = export_files(recording, name if len(sequences) > 1 else None, is_clear=is_clear)
-            size = sequence.width, sequence.height
-            try:
-                sink = stack.enter_context(open_frame_writer(recording, files, size, label_legend(sequence.scene)))
-            except OSError as error:
-                raise OSError(f"{files.path} can't be written: {error.strerror or error}") from error
-            takes.append(_OutputStream(sequence, sink, files.passes, is_clear))
-    return takes
-
-
-def _clock_time(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d} h" if minutes >= 60 else f"{minutes}:{rest:02d} min"
-
-
-def _small(frame: Frame) -> UInt8[np.ndarray, "h w 3"]:
-    step = -(-frame.rgba.shape[1] // _PREVIEW_PX)
-    return np.ascontiguousarray(Frame(frame.rgba[::step, ::step]).to_uint8())
-
-
-def _problem(recording: ExportSettings, error: OSError, done: int) -> str:
-    reason = error.strerror or str(error)
-    return f"{recording.output} can't be written on after {done} frames: {reason}; what was written before is whole"
 
 
 # Export from scene, rain and camera
@@ -169,14 +153,14 @@ def film_frames(
     """
     rainfall = RainSimulation.start(rain)
     (sequence,) = export_sequences(recording, scene, rainfall, camera, in_scene_time=True).values()
-    numbers = frame_numbers(recording, {"": sequence})
-    return (each.frame for each in sequence.render(renderer, numbers, sequence.sky(renderer), with_depth=with_depth))
+    numbers, sky = frame_numbers(recording, {"": sequence}), sequence.sky(renderer)
+    return (sequence.frame(renderer, number, sky, with_depth=with_depth) for number in numbers)
 
 
 # Cameras, size and times of an export
 
 LONGEST_DEFAULT_S = 10.0
-"""Maximum default length of a video from a fixed camera or a path with times of its own."""
+"""Maximum default length of a video from a fixed camera or a path with times of its own; a drive is exported whole."""
 
 
 def export_sequences(
@@ -194,24 +178,22 @@ def export_sequences(
     """
     recording.check()
     views: dict[str, Camera | CameraPath | RigCameraView] = {"": viewpoint}
-    if recording.cameras:
-        views = _by_name(find_rig_cameras(scene, recording.cameras))
+    if recording.cameras:  # named as their files; prefixed with the rig if there are several rigs
+        found = find_rig_cameras(scene, recording.cameras)
+        several = len({each.rig for each in found}) > 1
+        views = {f"{each.rig}_{each.name}" if several else each.name: each for each in found}
     sequences: dict[str, FrameSequence] = {}
     for name, view in views.items():
-        width, height = recording.size_px or _own_size(view, recording.first_s)
+        size_px = recording.size_px or DEFAULT_SIZE_PX
+        if recording.size_px is None and not isinstance(view, CameraPath):
+            camera = view if isinstance(view, Camera) else view.at(recording.first_s)
+            size_px = camera.width, camera.height
+        is_untimed = isinstance(view, CameraPath) and not view.is_timed
         sequences[name] = FrameSequence(
-            scene,
-            rainfall,
-            view,
-            width,
-            height,
-            recording.fps,
-            recording.first_s,
-            in_scene_time and isinstance(view, CameraPath),
-            recording.supersampling,
-            recording.motion_blur,
-            at_rest=recording.is_still and isinstance(view, CameraPath) and not view.is_timed,
-        )
+            scene, rainfall, view, *size_px, fps=recording.fps, start_s=recording.first_s,
+            in_scene_time=in_scene_time and isinstance(view, CameraPath), supersampling=recording.supersampling,
+            motion_blur=recording.motion_blur, at_rest=recording.is_still and is_untimed,
+        )  # fmt: skip
     return sequences
 
 
@@ -221,40 +203,20 @@ def frame_numbers(recording: ExportSettings, sequences: Mapping[str, FrameSequen
         return range(1)
     if recording.last_s is not None:
         return range(max(1, round((recording.last_s - recording.first_s) * recording.fps)))
-    length_s = max(_length_s(each) for each in sequences.values())
-    return range(max(1, round(max(length_s, 1 / recording.fps) * recording.fps)))
-
-
-def _length_s(sequence: FrameSequence) -> float:
-    """Full length of a drive or a path in scene time; at most `LONGEST_DEFAULT_S` otherwise."""
-    length_s = LONGEST_DEFAULT_S if sequence.length_s is None else sequence.length_s
-    is_made = sequence.in_scene_time or isinstance(sequence.camera, RigCameraView)
-    return length_s if is_made else min(LONGEST_DEFAULT_S, length_s)
-
-
-def _by_name(cameras: list[RigCameraView]) -> dict[str, Camera | CameraPath | RigCameraView]:
-    """Name cameras as their files; prefixed with the rig if there are several rigs."""
-    several = len({each.rig for each in cameras}) > 1
-    return {f"{each.rig}_{each.name}" if several else each.name: each for each in cameras}
-
-
-def _own_size(view: Camera | CameraPath | RigCameraView, time_s: float) -> tuple[int, int]:
-    if isinstance(view, CameraPath):
-        return DEFAULT_SIZE_PX
-    camera = view if isinstance(view, Camera) else view.at(time_s)
-    return camera.width, camera.height
+    lengths_s = [1 / recording.fps]
+    for each in sequences.values():
+        length_s = LONGEST_DEFAULT_S if each.length_s is None else each.length_s
+        has_times = each.in_scene_time or isinstance(each.camera, RigCameraView)
+        lengths_s.append(length_s if has_times else min(LONGEST_DEFAULT_S, length_s))
+    return range(max(1, round(max(lengths_s) * recording.fps)))
 
 
 # Equivalent command line
 
 _OPTIONS = {
-    "fps": "--fps",
-    "first_s": "--from",
-    "last_s": "--to",
-    "supersampling": "--supersampling",
-    "motion_blur": "--motion-blur",
-    "quality": "--quality",
-}
+    "fps": "--fps", "first_s": "--from", "last_s": "--to", "supersampling": "--supersampling",
+    "motion_blur": "--motion-blur", "quality": "--quality",
+}  # fmt: skip
 
 
 def export_command(recording: ExportSettings, project: str) -> str:
@@ -274,5 +236,5 @@ def export_command(recording: ExportSettings, project: str) -> str:
     if recording.format != plain.format:
         words += ["--codec", recording.codec]
     if recording.twin:
-        words.append("--twin")
+        words.append("--clear-pair")
     return shlex.join(words)

@@ -23,101 +23,54 @@ DEFAULT_JPEG_QUALITY = 93
 """With full-resolution chroma: errors of about one level, so that one-pixel rain streaks survive."""
 
 _CONTAINERS: dict[str, tuple[str, ...]] = {
-    "h264": (".mp4",),
-    "vp9": (".webm",),
-    "av1": (".webm", ".mp4"),
-    "png": (".png", ""),
-    "jpeg": (".jpg", ".jpeg", ""),
-    "exr": (".exr", ""),
-    "npy": (".npy",),
-}
+    "h264": (".mp4",), "vp9": (".webm",), "av1": (".webm", ".mp4"), "png": (".png", ""), "jpeg": (".jpg", ".jpeg", ""),
+    "exr": (".exr", ""), "npy": (".npy",),
+}  # fmt: skip
 """File suffixes of each codec, the default one first; "" is a folder."""
 
-_BY_SUFFIX = {
-    ".mp4": "h264",
-    ".webm": "vp9",
-    ".png": "png",
-    ".jpg": "jpeg",
-    ".jpeg": "jpeg",
-    ".exr": "exr",
-    ".npy": "npy",
-    "": "png",
-}
+_BY_SUFFIX = {suffix: codec for codec, suffixes in _CONTAINERS.items() for suffix in suffixes if codec != "av1"}
+_BY_SUFFIX[""] = "png"
 
 
 class ExportSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of one export; scene, rain and path belong to the document."""
 
-    output: Annotated[
-        str,
-        Meta(
-            title="Output",
-            description="PNG, JPEG, EXR or NPY for a still, MP4 or WebM for a video, a folder for numbered frames.",
-        ),
-    ]
-    size_px: Annotated[
-        tuple[Pixels, Pixels] | None,
-        Meta(title="Size", description="Width and height; none takes each rig camera's own.", extra={"unit": "px"}),
-    ] = None
-    fps: Annotated[
-        float, Meta(ge=0.1, le=1000, title="Frame rate", description="Frames a second.", extra={"unit": "1/s"})
-    ] = 30.0
-    first_s: Annotated[
-        float, Meta(ge=-36000, le=36000, title="From", description="Moment of the first frame.", extra={"unit": "s"})
-    ] = 0.0
-    last_s: Annotated[
-        float | None,
-        Meta(title="To", description="Moment at which the clip ends; none: where the path ends.", extra={"unit": "s"}),
-    ] = None
-    supersampling: Annotated[
-        int,
-        Meta(
-            ge=1,
-            le=4,
-            title="Supersampling",
-            description="Draw so many times wider and higher, and take the mean. Which drops exist stays the same.",
-        ),
-    ] = 1
-    motion_blur: Annotated[
-        int,
-        Meta(
-            ge=1,
-            le=64,
-            title="Motion blur",
-            description="k sub-frames over the exposure T, with T/k each, averaged in linear light. 1 is none.",
-        ),
-    ] = 1
-    cameras: Annotated[
-        tuple[str, ...],
-        Meta(
-            title="Cameras",
-            description="Rig cameras: RIG, RIG/NAME, NAME, or all; each gets a file of its own. None takes the path.",
-        ),
-    ] = ()
-    passes: Annotated[
-        tuple[Pass, ...],
-        Meta(
-            min_length=1,
-            title="Passes",
-            description="color; depth (16 bit, cm); alpha (8 bit); labels: which layer or actor a pixel shows.",
-        ),
-    ] = ("color",)
-    twin: Annotated[
-        bool, Meta(title="Also render without rain", description="The same at 0 mm/h, as NAME.clear, for paired tests.")
-    ] = False
-    codec: Annotated[
-        Codec,
-        Meta(title="Codec", description="auto goes by the output's ending: H.264 in MP4, VP9 in WebM, PNG frames."),
-    ] = "auto"
-    quality: Annotated[
-        int | None,
-        Meta(
-            title="Quality",
-            description="Constant rate factor of a video, lower is better; none: 18 (H.264), 24 (VP9), 28 (AV1). "
-            "Of JPEG 1 to 100, higher is better; none: 93.",
-            extra={"ge": 0, "le": 63},
-        ),
-    ] = None
+    # fmt: off
+    output: Annotated[str, Meta(
+        title="Output",
+        description="PNG, JPEG, EXR or NPY for a still, MP4 or WebM for a video, a folder for numbered frames.")]
+    size_px: Annotated[tuple[Pixels, Pixels] | None, Meta(
+        title="Size", extra={"unit": "px"}, description="Width and height; none takes each rig camera's own.")] = None
+    fps: Annotated[float, Meta(
+        ge=0.1, le=1000, title="Frame rate", extra={"unit": "1/s"}, description="Frames a second.")] = 30.0
+    first_s: Annotated[float, Meta(
+        ge=-36000, le=36000, title="From", extra={"unit": "s"}, description="Moment of the first frame.")] = 0.0
+    last_s: Annotated[float | None, Meta(
+        title="To", extra={"unit": "s"},
+        description="Moment at which the clip ends; none: where the path ends.")] = None
+    supersampling: Annotated[int, Meta(
+        ge=1, le=4, title="Supersampling",
+        description="Draw so many times wider and higher, and take the mean. Which drops exist stays the same.")] = 1
+    motion_blur: Annotated[int, Meta(
+        ge=1, le=64, title="Motion blur",
+        description="k sub-frames over the exposure T, with T/k each, averaged in linear light. 1 is none.")] = 1
+    cameras: Annotated[tuple[str, ...], Meta(
+        title="Cameras",
+        description="Rig cameras: RIG, RIG/NAME, NAME, or all; each gets a file of its own. None takes the path.")] = ()
+    passes: Annotated[tuple[Pass, ...], Meta(
+        min_length=1, title="Passes",
+        description="color; depth (16 bit, cm); alpha (8 bit); labels: which layer or actor a pixel shows.",
+    )] = ("color",)
+    twin: Annotated[bool, Meta(
+        title="Also render without rain",
+        description="The same at 0 mm/h, as NAME.clear, for paired tests.")] = False
+    codec: Annotated[Codec, Meta(
+        title="Codec", description="auto goes by the output's ending: H.264 in MP4, VP9 in WebM, PNG frames.")] = "auto"
+    quality: Annotated[int | None, Meta(
+        title="Quality", extra={"ge": 0, "le": 63},
+        description="Constant rate factor of a video, lower is better; none: 18 (H.264), 24 (VP9), 28 (AV1). "
+        "Of JPEG 1 to 100, higher is better; none: 93.")] = None
+    # fmt: on
 
     def __post_init__(self) -> None:
         if self.last_s is not None and not self.first_s < self.last_s <= self.first_s + 36000:
@@ -168,8 +121,8 @@ class ExportSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
             )
         allowed = _CONTAINERS[self.format]
         if self.suffix not in allowed and not (self.suffix == "" and len(self.cameras) > 0):
-            wanted = " or ".join(each or "nothing (a folder)" for each in allowed)
-            raise ValueError(f"{self.output}: {self.format} needs an output that ends in {wanted}")
+            suffixes = " or ".join(each or "nothing (a folder)" for each in allowed)
+            raise ValueError(f"{self.output}: {self.format} needs an output that ends in {suffixes}")
         if self.format == "jpeg" and (others := [each for each in self.passes if each != "color"]):
             raise ValueError(f"{self.output}: JPEG holds colors alone; for the pass {others[0]} take PNG, EXR or NPY")
         if self.is_video and self.size_px is not None and any(side % 2 for side in self.size_px):

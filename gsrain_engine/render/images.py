@@ -3,7 +3,7 @@
 import colorsys
 import json
 import struct
-from collections.abc import Generator, Mapping, Set
+from collections.abc import Callable, Generator, Mapping, Set
 from contextlib import contextmanager, nullcontext
 from functools import cache
 from pathlib import Path
@@ -20,12 +20,25 @@ from .export_settings import DEFAULT_JPEG_QUALITY, ExportFiles, ExportSettings, 
 from .renderer import Frame
 from .video import VideoWriter
 
-_PALETTE_COLORS = 255  # maximum number of labels besides 0 in an 8-bit indexed image
+
+@contextmanager
+def _new_file(path: Path) -> Generator[Path]:
+    """Replace a file atomically; creates missing folders."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as partial:
+        yield partial
 
 
-def write_png(path: Path | str, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
-    """Write an 8-bit image as PNG; creates missing folders."""
-    _write_png(Path(path), Image.fromarray(pixels))
+def write_png(path: Path | str, pixels: UInt8[np.ndarray, "h w *c"] | UInt16[np.ndarray, "h w"]) -> None:
+    """Write an 8-bit image, or 16-bit gray, as PNG; creates missing folders."""
+    with _new_file(Path(path)) as partial:
+        Image.fromarray(pixels).save(partial, format="PNG")
+
+
+def write_image(path: Path, image: Image.Image) -> None:
+    """Write an image in the format of its suffix; PNG if the suffix is unknown."""
+    with _new_file(path) as partial:
+        image.save(partial, format=Image.registered_extensions().get(path.suffix.lower(), "PNG"))
 
 
 def write_jpeg(path: Path, pixels: UInt8[np.ndarray, "h w 3"], quality: int) -> None:
@@ -33,11 +46,9 @@ def write_jpeg(path: Path, pixels: UInt8[np.ndarray, "h w 3"], quality: int) -> 
 
     The same pixels give the same bytes. Creates missing folders.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as beside:
-        Image.fromarray(pixels).save(
-            beside, format="JPEG", quality=quality, subsampling=0, optimize=True, icc_profile=_srgb_profile()
-        )
+    options: dict[str, Any] = {"subsampling": 0, "optimize": True, "icc_profile": _srgb_profile()}
+    with _new_file(path) as partial:
+        Image.fromarray(pixels).save(partial, format="JPEG", quality=quality, **options)
 
 
 @cache
@@ -48,50 +59,19 @@ def _srgb_profile() -> bytes:
     return bytes(profile)
 
 
-def write_image(path: Path, image: Image.Image) -> None:
-    """Write an image in the format of its suffix; PNG if the suffix is unknown."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as beside:
-        image.save(beside, format=Image.registered_extensions().get(path.suffix.lower(), "PNG"))
-
-
-def write_depth(path: Path, depth_m: Float32[np.ndarray, "h w"]) -> None:
-    """Write depth as 16-bit PNG in centimeters; saturates beyond 655.35 m, 0 is empty."""
-    _write_png(path, Image.fromarray(np.rint(np.clip(depth_m * 100, 0, 65535)).astype(np.uint16)))
-
-
-def write_alpha(path: Path, alpha: Float32[np.ndarray, "h w"]) -> None:
-    """Write alpha as 8-bit gray PNG; 255 is solid."""
-    _write_png(path, Image.fromarray(np.rint(np.clip(alpha, 0, 1) * 255).astype(np.uint8)))
-
-
 def write_labels(path: Path, labels: UInt16[np.ndarray, "h w"], count: int) -> None:
     """Write labels 0..count as indexed PNG with distinct colors; more than 255 as 16-bit gray."""
-    if count > _PALETTE_COLORS:
-        _write_png(path, Image.fromarray(labels))
-        return
-    image = Image.fromarray(labels.astype(np.uint8))
-    colors = [(0.0, 0.0, 0.0), *(layer_color(number) for number in range(count))]
-    image.putpalette([round(255 * channel) for color in colors for channel in color])
-    _write_png(path, image)
+    image = Image.fromarray(labels)
+    if count <= 255:
+        image = Image.fromarray(labels.astype(np.uint8))
+        colors = [(0.0, 0.0, 0.0), *(layer_color(number) for number in range(count))]
+        image.putpalette([round(255 * channel) for color in colors for channel in color])
+    write_image(path, image)
 
 
-def write_legend(path: Path, legend: Mapping[str, Any]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as beside:
-        beside.write_text(json.dumps(legend, indent=1) + "\n", encoding="utf-8")
-
-
-def write_array(path: Path, values: Float32[np.ndarray, "..."]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as beside, beside.open("wb") as file:
+def _write_array(path: Path, values: Float32[np.ndarray, "..."]) -> None:
+    with _new_file(path) as partial, partial.open("wb") as file:
         np.save(file, values, allow_pickle=False)
-
-
-def _write_png(path: Path, image: Image.Image) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as beside:
-        image.save(beside, format="PNG")
 
 
 # OpenEXR
@@ -112,10 +92,9 @@ def write_exr(path: Path, frame: Frame, passes: Set[Pass]) -> None:
     if "depth" in passes and frame.depth is not None:
         channels["Z"] = np.ascontiguousarray(frame.depth)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as beside:
+    with _new_file(path) as partial:
         try:
-            OpenEXR.File(header, channels).write(str(beside))
+            OpenEXR.File(header, channels).write(str(partial))
         except RuntimeError as error:  # raised by OpenEXR's C++ code for I/O errors
             raise OSError(str(error)) from None
 
@@ -163,15 +142,20 @@ class FrameWriter:
         self._has_legend = False
 
     def write(self, number: int, frame: Frame | None, labels: UInt16[np.ndarray, "h w"] | None = None) -> None:
-        """Write a frame of a sequence. Raises `OSError` if it can't be written."""
-        if frame is not None and self._files.format == "exr":
-            write_exr(self._files.color(number), frame, self._files.passes)
+        """Write a frame of a sequence: depth as 16-bit PNG in cm (0 is empty, at most 655.35 m), alpha as gray PNG.
+
+        Raises `OSError` if it can't be written.
+        """
+        files = self._files
+        if frame is not None and files.format == "exr":
+            write_exr(files.color(number), frame, files.passes)
         elif frame is not None:
             self._write_passes(number, frame)
         if labels is not None:
-            write_labels(self._files.pass_file(number, "labels"), labels, len(self._legend) - 1)
+            write_labels(files.pass_file(number, "labels"), labels, len(self._legend) - 1)
             if not self._has_legend:
-                write_legend(self._files.legend, self._legend)
+                with _new_file(files.legend) as partial:
+                    partial.write_text(json.dumps(self._legend, indent=1) + "\n", encoding="utf-8")
                 self._has_legend = True
 
     def _write_passes(self, number: int, frame: Frame) -> None:
@@ -179,49 +163,48 @@ class FrameWriter:
         if self._video is not None:
             self._video.write(frame.to_uint8())
         elif "color" in files.passes and files.format == "npy":
-            write_array(files.color(number), frame.rgba)
+            _write_array(files.color(number), frame.rgba)
         elif "color" in files.passes and files.format == "jpeg":
             write_jpeg(files.color(number), frame.to_uint8(), self._quality)
         elif "color" in files.passes:
             write_png(files.color(number), frame.to_uint8())
         if "depth" in files.passes and frame.depth is not None:
-            write = write_array if files.format == "npy" else write_depth
-            write(files.pass_file(number, "depth"), frame.depth)
+            path = files.pass_file(number, "depth")
+            if files.format == "npy":
+                _write_array(path, frame.depth)
+            else:
+                write_png(path, np.rint(np.clip(frame.depth * 100, 0, 65535)).astype(np.uint16))
         if "alpha" in files.passes:
-            write_alpha(files.pass_file(number, "alpha"), frame.rgba[..., 3])
+            alpha = np.rint(np.clip(frame.rgba[..., 3], 0, 1) * 255).astype(np.uint8)
+            write_png(files.pass_file(number, "alpha"), alpha)
 
 
 # Display and linear-light colors
 
-_MIN_ALPHA = np.float32(1e-6)
-
 
 def to_linear_light(rgba: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h w 4"]:
     """Convert premultiplied display colors to premultiplied linear light; decodes the color, not the product."""
-    alpha = np.maximum(rgba[..., 3:], _MIN_ALPHA)
-    return np.concatenate([srgb_to_linear(rgba[..., :3] / alpha) * alpha, rgba[..., 3:]], axis=-1, dtype=np.float32)
+    return _straight(rgba, srgb_to_linear)
 
 
 def to_display(light: Float32[np.ndarray, "h w 4"]) -> Float32[np.ndarray, "h w 4"]:
     """Convert premultiplied linear light to premultiplied display colors."""
-    alpha = np.maximum(light[..., 3:], _MIN_ALPHA)
-    return np.concatenate([linear_to_srgb(light[..., :3] / alpha) * alpha, light[..., 3:]], axis=-1, dtype=np.float32)
+    return _straight(light, linear_to_srgb)
+
+
+def _straight(rgba: Float32[np.ndarray, "h w 4"], curve: Callable[[Any], Any]) -> Float32[np.ndarray, "h w 4"]:
+    alpha = np.maximum(rgba[..., 3:], np.float32(1e-6))
+    return np.concatenate([curve(rgba[..., :3] / alpha) * alpha, rgba[..., 3:]], axis=-1, dtype=np.float32)
 
 
 # Color maps
 # The same as in common_heat.glsl.
 
-_COEFFICIENTS = np.array(
-    [
-        [0.13572138, 0.09140261, 0.10667330],
-        [4.61539260, 2.19418839, 12.64194608],
-        [-42.66032258, 4.84296658, -60.58204836],
-        [132.13108234, -14.18503333, 110.36276771],
-        [-152.94239396, 4.27729857, -89.90310912],
-        [59.28637943, 2.82956604, 27.34824973],
-    ],
-    np.float32,
-)
+_COEFFICIENTS = np.array([
+    [0.13572138, 0.09140261, 0.10667330], [4.61539260, 2.19418839, 12.64194608],
+    [-42.66032258, 4.84296658, -60.58204836], [132.13108234, -14.18503333, 110.36276771],
+    [-152.94239396, 4.27729857, -89.90310912], [59.28637943, 2.82956604, 27.34824973],
+], np.float32)  # fmt: skip
 
 
 def turbo_colors(numbers: Float32[np.ndarray, "*n"]) -> Float32[np.ndarray, "*n 3"]:

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, UInt16
@@ -30,21 +30,12 @@ class CocoLabels:
         self._annotations: list[dict[str, Any]] = []
         self._own_classes: dict[str, int] = {}
 
-    def add(self, number: int, time_s: float, camera: Camera, seen: Sequence[VisibleObject], **files: str) -> None:
+    def add(self, number: int, time_s: float, camera: Camera, objects: Sequence[VisibleObject], **files: str) -> None:
         """Add a frame; `files` are its files by kind, of which `file_name` is part of COCO."""
-        image_id = len(self._images) + 1
-        self._images.append(
-            {
-                "id": image_id,
-                "width": camera.width,
-                "height": camera.height,
-                **files,
-                "frame": number,
-                "time_s": time_s,
-                "camera": camera.to_json(),
-            }
-        )
-        for each in seen:
+        image_id, size = len(self._images) + 1, {"width": camera.width, "height": camera.height}
+        times = {"frame": number, "time_s": time_s, "camera": camera.to_json()}
+        self._images.append({"id": image_id, **size, **files, **times})
+        for each in objects:
             self._annotations.append(self._annotation(len(self._annotations) + 1, image_id, each))
 
     @property
@@ -62,31 +53,29 @@ class CocoLabels:
             "categories": [{"id": number, "name": name} for name, number in categories.items()],
         }
 
-    def _annotation(self, number: int, image_id: int, seen: VisibleObject) -> dict[str, Any]:
-        left, top, right, bottom = seen.box_xyxy
+    def _annotation(self, number: int, image_id: int, item: VisibleObject) -> dict[str, Any]:
+        left, top, right, bottom = item.box_xyxy
+        name = coco_class(item.object.class_name)
+        own = self._own_classes
+        if name not in COCO_CATEGORIES:
+            own.setdefault(name, _FIRST_OWN + len(own))
         return {
             "id": number,
             "image_id": image_id,
-            "category_id": self._category(seen.object.class_name),
+            "category_id": (COCO_CATEGORIES | own)[name],
             "bbox": [left, top, right - left, bottom - top],
-            "area": int(seen.mask.sum()),
-            "segmentation": encode_rle(seen.mask),
+            "area": int(item.mask.sum()),
+            "segmentation": encode_rle(item.mask),
             "iscrowd": 0,
-            "object": seen.object.id,
-            "visibility": round(seen.visibility, 4),
-            "truncation": round(seen.truncation, 4),
-            "distance_m": round(seen.distance_m, 3),
+            "object": item.object.id,
+            "visibility": round(item.visibility, 4),
+            "truncation": round(item.truncation, 4),
+            "distance_m": round(item.distance_m, 3),
             "box_3d": {
-                "size_lwh_m": [round(side, 4) for side in seen.size_lwh_m],
-                "object_to_camera": seen.to_camera.round(6).tolist(),
+                "size_lwh_m": [round(side, 4) for side in item.size_lwh_m],
+                "object_to_camera": item.to_camera.round(6).tolist(),
             },
         }
-
-    def _category(self, class_name: str) -> int:
-        name = coco_class(class_name)
-        if name in COCO_CATEGORIES:
-            return COCO_CATEGORIES[name]
-        return self._own_classes.setdefault(name, _FIRST_OWN + len(self._own_classes))
 
 
 # KITTI
@@ -99,22 +88,19 @@ _EGO_TO_CAMERA = "0 -1 0 0 0 0 -1 0 1 0 0 0"
 """From x forward, y left, z up (KITTI's lidar) to x right, y down, z forward; without translation."""
 
 
-def label_line(seen: VisibleObject) -> str:
+def label_line(item: VisibleObject) -> str:
     """Type, truncation, occlusion, alpha, 2D box, height, width, length, bottom center, rotation about y."""
-    x, y, z = seen.to_camera[:3, 3]
-    ahead = seen.to_camera[:3, 0]
+    x, y, z = item.to_camera[:3, 3]
+    ahead = item.to_camera[:3, 0]
     turn = float(np.arctan2(-ahead[2], ahead[0]))
-    alpha = _wrapped(turn - float(np.arctan2(x, z)))
-    occlusion = 0 if seen.visibility >= _FREE else 1 if seen.visibility >= _PARTLY else 2
-    length, width, height = seen.size_lwh_m
-    box = [edge - 0.5 for edge in seen.box_xyxy]
+    alpha = float((turn - float(np.arctan2(x, z)) + np.pi) % (2 * np.pi) - np.pi)
+    occlusion = 0 if item.visibility >= _FREE else 1 if item.visibility >= _PARTLY else 2
+    length, width, height = item.size_lwh_m
+    box = [edge - 0.5 for edge in item.box_xyxy]
     numbers = [alpha, *box, height, width, length, x, y, z, turn]
-    return f"{_kind(seen)} {seen.truncation:.2f} {occlusion} " + " ".join(f"{each:.2f}" for each in numbers)
-
-
-def label_file(seen: Sequence[VisibleObject]) -> str:
-    """Label lines of a frame, nearest object first."""
-    return "".join(f"{label_line(each)}\n" for each in seen)
+    name = item.object.class_name
+    kind = "Van" if name.lower() == "van" else _CLASSES.get(coco_class(name), "Misc")
+    return f"{kind} {item.truncation:.2f} {occlusion} " + " ".join(f"{each:.2f}" for each in numbers)
 
 
 def calibration_file(camera: Camera) -> str:
@@ -127,23 +113,12 @@ def calibration_file(camera: Camera) -> str:
     )
 
 
-def instances(seen: Sequence[VisibleObject], camera: Camera) -> UInt16[np.ndarray, "h w"]:
+def instances(objects: Sequence[VisibleObject], camera: Camera) -> UInt16[np.ndarray, "h w"]:
     """Number of the label line, counted from 1, for each pixel; 0 is none."""
     picture = np.zeros((camera.height, camera.width), np.uint16)
-    for line, each in enumerate(seen, start=1):
+    for line, each in enumerate(objects, start=1):
         picture[each.mask] = line
     return picture
-
-
-def _kind(seen: VisibleObject) -> str:
-    name = seen.object.class_name
-    if name.lower() == "van":
-        return "Van"
-    return _CLASSES.get(coco_class(name), "Misc")
-
-
-def _wrapped(angle: float) -> float:
-    return float((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
 # Label files
@@ -172,33 +147,33 @@ def write_object_labels(
         coco = CocoLabels(sequence.scene.name)
         for done, number in enumerate(numbers):
             shot = sequence.shot(number)
-            seen = visible_objects(renderer, sequence.scene, objects, shot.camera, shot.time_s)
+            visible = visible_objects(renderer, sequence.scene, objects, shot.camera, shot.time_s)
             if form == "coco":
-                coco.add(number, shot.time_s, shot.camera, seen, **_names(files, twin, number))
+                coco.add(number, shot.time_s, shot.camera, visible, **_names(files, twin, number))
             else:
-                _write_kitti(files, number, sequence, seen)
+                _write_kitti(files, number, sequence, visible)
             yield Progress((place + (done + 1) / len(numbers)) / len(sequences), f"Labels of frame {number}")
+        written.append(_labels_of(form, files))
         if form == "coco":
-            with whole_file(coco_file(files)) as beside:
-                beside.write_text(json.dumps(coco.document) + "\n", encoding="utf-8")
-        written.append(coco_file(files) if form == "coco" else kitti_folder(files))
+            with whole_file(written[-1]) as partial:
+                partial.write_text(json.dumps(coco.document) + "\n", encoding="utf-8")
     return written
 
 
 def label_outputs(form: LabelFormat, recording: ExportSettings, cameras: Sequence[str]) -> list[Path]:
     """Files and folders of these cameras' labels, except those inside folders of frames."""
     found = [export_files(recording, name if len(cameras) > 1 else None) for name in cameras]
-    return [coco_file(each) if form == "coco" else kitti_folder(each) for each in found if not each.is_folder]
+    return [_labels_of(form, each) for each in found if not each.is_folder]
 
 
-def coco_file(files: ExportFiles) -> Path:
-    """Path of one camera's labels: in the folder of its frames, or next to its file."""
-    return files.path / "labels.coco.json" if files.is_folder else files.path.with_name(f"{files.path.stem}.coco.json")
+def _labels_of(form: LabelFormat, files: ExportFiles) -> Path:
+    """Labels of one camera, in the folder of its frames or next to its file.
 
-
-def kitti_folder(files: ExportFiles) -> Path:
-    """Folder of label_2, calib and instance_2: that of the frames, or one next to their file."""
-    return files.path if files.is_folder else files.path.with_name(f"{files.path.stem}.kitti")
+    COCO has one file, KITTI a folder with label_2, calib and instance_2.
+    """
+    if files.is_folder:
+        return files.path / "labels.coco.json" if form == "coco" else files.path
+    return files.path.with_name(f"{files.path.stem}.{'coco.json' if form == 'coco' else 'kitti'}")
 
 
 def _names(files: ExportFiles, twin: ExportFiles | None, number: int) -> dict[str, str]:
@@ -217,30 +192,21 @@ def _name(files: ExportFiles, number: int) -> str:
     return f"{files.path.name}/{number:06d}" if files.is_video else files.color(number).name
 
 
-def _write_kitti(files: ExportFiles, number: int, sequence: FrameSequence, seen: Sequence[VisibleObject]) -> None:
-    folder, camera = kitti_folder(files), sequence.shot(number).camera
-    for kind, text in (("label_2", label_file(seen)), ("calib", calibration_file(camera))):
+def _write_kitti(files: ExportFiles, number: int, sequence: FrameSequence, objects: Sequence[VisibleObject]) -> None:
+    folder, camera = _labels_of("kitti", files), sequence.shot(number).camera
+    lines = "".join(f"{label_line(each)}\n" for each in objects)  # nearest object first
+    for kind, text in (("label_2", lines), ("calib", calibration_file(camera))):
         file = folder / kind / f"{number:06d}.txt"
         file.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(file) as beside:
-            beside.write_text(text, encoding="ascii")
+        with whole_file(file) as partial:
+            partial.write_text(text, encoding="ascii")
     (folder / "instance_2").mkdir(parents=True, exist_ok=True)
-    write_labels(folder / "instance_2" / f"{number:06d}.png", instances(seen, camera), 256)
+    write_labels(folder / "instance_2" / f"{number:06d}.png", instances(objects, camera), 256)
 
 
 # COCO masks
 # Run lengths by column (maskApi.c of the COCO API, Lin and Dollar, 2015). Strings hold five bits per
 # character, starting at "0", and from the third run on the difference to the run before the last.
-
-_FIRST = 48
-
-
-class RunLengths(TypedDict):
-    """Mask in COCO's JSON format."""
-
-    size: list[int]
-    """Height, width."""
-    counts: str
 
 
 def run_lengths(mask: Bool[np.ndarray, "h w"]) -> list[int]:
@@ -251,8 +217,8 @@ def run_lengths(mask: Bool[np.ndarray, "h w"]) -> list[int]:
     return np.diff(edges).tolist()
 
 
-def encode_rle(mask: Bool[np.ndarray, "h w"]) -> RunLengths:
-    """Return a mask in COCO's compressed format: its size and its runs as a string."""
+def encode_rle(mask: Bool[np.ndarray, "h w"]) -> dict[str, Any]:
+    """Return a mask in COCO's compressed format: "size" (height, width), and "counts", its runs as a string."""
     runs = run_lengths(mask)
     text = "".join(_characters(run - (runs[k - 2] if k > 2 else 0)) for k, run in enumerate(runs))
     return {"size": list(mask.shape), "counts": text}
@@ -263,6 +229,6 @@ def _characters(value: int) -> str:
     while True:
         bits, value = value & 0x1F, value >> 5
         more = value != (-1 if bits & 0x10 else 0)
-        text += chr((bits | (0x20 if more else 0)) + _FIRST)
+        text += chr((bits | (0x20 if more else 0)) + ord("0"))
         if not more:
             return text

@@ -1,8 +1,8 @@
 """Object labels: label pass, masks, boxes and visibility of layers and actors."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -15,6 +15,7 @@ from ..scene.objects import SceneObject
 from ..scene.scene import Actor, DrawItem, Scene, take_gaussians
 from .renderer import Renderer
 
+LabelFormat = Literal["coco", "kitti"]
 _MIN_ALPHA = 0.5  # minimum alpha of a labeled pixel, as for depth
 
 
@@ -24,17 +25,16 @@ def draw_labels(renderer: Renderer, scene: Scene, camera: Camera, time_s: float)
     Three members at a time are drawn in pure red, green and blue, the others in black: each channel is then a member's
     blending weight. Rain is ignored.
     """
-    shown = [
+    visible = [
         (number, part)
         for number, member in enumerate(scene.members, start=1)
         if member.visible and (part := scene.part(member, time_s)) is not None
     ]
     labels = np.zeros((camera.height, camera.width), np.uint16)
     largest = np.zeros((camera.height, camera.width), np.float32)
-    for first in range(0, len(shown), 3):
-        renderer.draw(_in_signal_colors([part for _, part in shown], first), camera)
-        rgba = renderer.read().rgba
-        for channel, (number, _) in enumerate(shown[first : first + 3]):
+    for first in range(0, len(visible), 3):
+        rgba = _drawn(renderer, _in_signal_colors([part for _, part in visible], first), camera)
+        for channel, (number, _) in enumerate(visible[first : first + 3]):
             weight = np.where(rgba[..., 3] >= _MIN_ALPHA, rgba[..., channel], np.float32(0))
             labels[weight > largest] = number
             largest = np.maximum(largest, weight)
@@ -69,9 +69,7 @@ def single_channel_grading(channel: int) -> Float64[np.ndarray, "3 4"]:
 
 # Visible objects
 
-MIN_SHARE = 0.5
-"""Minimum share of a pixel's light that an object needs to own the pixel."""
-
+MIN_SHARE = 0.5  # minimum share of a pixel's light that an object needs to own the pixel
 _MIN_HEIGHT_PX = 3.0  # minimum height of an object's outline; smaller ones are skipped
 
 
@@ -111,14 +109,6 @@ class VisibleObject:
         return float(np.linalg.norm(self.center_m))
 
 
-class _ObjectCandidate(NamedTuple):
-    object: SceneObject
-    to_camera: Float64[np.ndarray, "4 4"]
-    size_lwh_m: tuple[float, float, float]
-    truncation: float
-    outline_xyxy: BoxXYXY
-
-
 def visible_objects(
     renderer: Renderer, scene: Scene, objects: Sequence[SceneObject], camera: Camera, time_s: float = 0.0
 ) -> list[VisibleObject]:
@@ -129,24 +119,21 @@ def visible_objects(
     """
     candidates = _in_image(scene, objects, camera, time_s)
     rest, own = _split(scene, candidates, time_s)
-    seen: list[VisibleObject] = []
+    found: list[VisibleObject] = []
     for first in range(0, len(candidates), 3):
-        signals = [part._replace(colors=single_channel_grading(number - first)) for number, part in enumerate(own)]
-        shares = _drawn(renderer, [*rest, *signals], camera)
+        shares = _drawn(renderer, [*rest, *_in_signal_colors(own, first)], camera)
         for channel, candidate in enumerate(candidates[first : first + 3]):
             mask = shares[..., channel] >= MIN_SHARE
             if mask.any():
-                alone = _drawn(renderer, [own[first + channel]._replace(colors=single_channel_grading(0))], camera)[
-                    ..., 0
-                ]
+                alone = _drawn(renderer, _in_signal_colors([own[first + channel]], 0), camera)[..., 0]
                 visibility = int(mask.sum()) / max(int((mask | (alone >= MIN_SHARE)).sum()), 1)
-                to_camera, size, truncation, box = candidate[1:]
-                seen.append(VisibleObject(candidate.object, to_camera, size, mask, visibility, truncation, box))
-    return sorted(seen, key=lambda each: each.distance_m)
+                found.append(replace(candidate, mask=mask, visibility=visibility))
+    return sorted(found, key=lambda each: each.distance_m)
 
 
-def _in_image(scene: Scene, objects: Sequence[SceneObject], camera: Camera, time_s: float) -> list[_ObjectCandidate]:
-    found: list[_ObjectCandidate] = []
+def _in_image(scene: Scene, objects: Sequence[SceneObject], camera: Camera, time_s: float) -> list[VisibleObject]:
+    """Candidates with boxes in the image, without mask and visibility."""
+    found: list[VisibleObject] = []
     for each in objects:
         pose = each.track.pose(time_s)
         if pose is None or not len(each.rows):
@@ -158,15 +145,12 @@ def _in_image(scene: Scene, objects: Sequence[SceneObject], camera: Camera, time
         within = cut_at_edges(hull, camera)
         if len(within) and np.ptp(hull[:, 1]) >= _MIN_HEIGHT_PX:
             truncation = min(max(1 - area_px(within) / max(area_px(hull), 1e-9), 0.0), 1.0)
-            found.append(
-                _ObjectCandidate(each, to_camera, (length, width, height), truncation, bounding_rectangle(within))
-            )
+            size, nothing, box = (length, width, height), np.zeros((0, 0), np.bool_), bounding_rectangle(within)
+            found.append(VisibleObject(each, to_camera, size, nothing, 0.0, truncation, box))
     return found
 
 
-def _split(
-    scene: Scene, candidates: Sequence[_ObjectCandidate], time_s: float
-) -> tuple[list[DrawItem], list[DrawItem]]:
+def _split(scene: Scene, candidates: Sequence[VisibleObject], time_s: float) -> tuple[list[DrawItem], list[DrawItem]]:
     """Split the scene into the parts that are no object (in black) and one part per object."""
     rest: list[DrawItem] = []
     own: dict[int, DrawItem] = {}
@@ -174,14 +158,14 @@ def _split(
         part = scene.part(member, time_s) if member.visible else None
         if part is None:
             continue
-        taken = np.zeros(len(member.gaussians), bool) if part.left_out is None else part.left_out.flags.copy()
+        is_left_out = np.zeros(len(member.gaussians), bool) if part.left_out is None else part.left_out.flags.copy()
         for number, candidate in enumerate(candidates):
             if candidate.object.member == member.key:
-                rows = candidate.object.rows[~taken[candidate.object.rows]]
+                rows = candidate.object.rows[~is_left_out[candidate.object.rows]]
                 gaussians, _ = take_gaussians(member, rows)
                 own[number] = DrawItem(gaussians, part.to_world, opacity=part.opacity)
-                taken[rows] = True
-        rest.append(part._replace(colors=single_channel_grading(-1), left_out=BitMask.of(taken)))
+                is_left_out[rows] = True
+        rest.append(part._replace(colors=single_channel_grading(-1), left_out=BitMask.of(is_left_out)))
     return rest, [own[number] for number in range(len(candidates))]
 
 
@@ -219,6 +203,3 @@ def bounding_rectangle(polygon: Float64[np.ndarray, "c 2"]) -> BoxXYXY:
     left, top = polygon.min(axis=0).tolist()
     right, bottom = polygon.max(axis=0).tolist()
     return left, top, right, bottom
-
-
-LabelFormat = Literal["coco", "kitti"]

@@ -1,10 +1,16 @@
-"""Renderer interface: images, render modes, statistics and timing."""
+"""Renderer interface: images, render modes, statistics, timing, and the description of the machine."""
 
+import os
+import platform
 import time
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
 from typing import Literal, Protocol, runtime_checkable
 
+import numba
 import numpy as np
 from jaxtyping import Float32, UInt8
 
@@ -42,8 +48,7 @@ class RenderStatistics:
 
 # Images
 
-Color = tuple[float, float, float]
-"""Red, green, blue as display values (sRGB-encoded), 0 to 1."""
+Color = tuple[float, float, float]  # red, green, blue as display values (sRGB-encoded), 0 to 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,10 +66,10 @@ class Frame:
 
     def to_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> UInt8[np.ndarray, "h w 3"]:
         """Return the 8-bit image over a plain background, rounded to nearest."""
-        shown = self.over(background)
-        np.clip(shown, 0, 1, out=shown)  # in place, since every video frame is converted here
-        shown *= 255
-        return np.rint(shown, out=shown).astype(np.uint8)
+        image = self.over(background)
+        np.clip(image, 0, 1, out=image)  # in place, since every video frame is converted here
+        image *= 255
+        return np.rint(image, out=image).astype(np.uint8)
 
 
 @runtime_checkable
@@ -72,9 +77,7 @@ class Renderer(Protocol):
     """Interface of the renderers: `SplatRenderer` (OpenGL), `CpuRenderer` and `CudaRenderer`."""
 
     @property
-    def name(self) -> str:
-        """Name on the command line."""
-        ...
+    def name(self) -> str: ...
 
     @property
     def statistics(self) -> RenderStatistics: ...
@@ -95,26 +98,40 @@ class Renderer(Protocol):
         """
         ...
 
-    def read(self) -> Frame:
-        """Return the last image, with depth if it was drawn."""
-        ...
+    def read(self) -> Frame: ...
 
 
 NEAREST_M, FARTHEST_M = 0.5, 200.0
 """Range of the depth colors: each octave is distinct for small captures and for streets."""
 
-MAX_FRAGMENTS = 256
-"""Upper end of the overdraw colors."""
+MAX_FRAGMENTS = 256  # upper end of the overdraw colors
 
 
-class Stopwatch:
-    """Adds the wall time of a `with` block to a stage, in milliseconds."""
+@contextmanager
+def timed(stages_ms: dict[str, float], stage: str) -> Generator[None]:
+    """Add the wall time of a `with` block to a stage."""
+    start = time.perf_counter()
+    yield
+    stages_ms[stage] += 1000 * (time.perf_counter() - start)
 
-    def __init__(self, stages: dict[str, float], stage: str) -> None:
-        self._stages, self._stage = stages, stage
 
-    def __enter__(self) -> None:
-        self._start = time.perf_counter()
+# Machine
 
-    def __exit__(self, *_: object) -> None:
-        self._stages[self._stage] += 1000 * (time.perf_counter() - self._start)
+
+def describe_machine() -> dict[str, str | int]:
+    """Processor, operating system, and versions that affect speed."""
+    return {
+        "cpu": processor_name(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1,
+        "threads": numba.get_num_threads(),
+        "platform": platform.platform(),
+        "python": platform.python_version(),
+        **{name: metadata.version(name) for name in ("numpy", "numba", "moderngl")},
+    }
+
+
+def processor_name() -> str:
+    listing = Path("/proc/cpuinfo")  # Linux only
+    lines = listing.read_text().splitlines() if listing.exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()

@@ -1,8 +1,7 @@
 """Frame sequences: cameras and times of a video; frame k doesn't depend on the other frames."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, Float64
@@ -13,17 +12,10 @@ from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
 from ..scene.rig import rig_camera
 from ..scene.scene import RigCamera, Scene
-from .draw import RenderView, draw_view, rain_camera_of
+from .draw import RenderView, draw_view
 from .images import to_display, to_linear_light
-from .renderer import Color, Frame, Renderer, RenderMode
+from .renderer import Frame, Renderer, RenderMode
 from .sky_color import SkyColor, sky_color
-
-
-class SequenceFrame(NamedTuple):
-    """Rendered frame and its number."""
-
-    number: int
-    frame: Frame
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,29 +32,15 @@ class RigCameraView:
 
     def velocity(self, time_s: float) -> Float64[np.ndarray, "3"]:
         """Velocity at a time; zero outside the drive, and when the vehicle appears or disappears."""
-        times = self._times_s
+        times = self.times_s
         before, after = np.clip([time_s - _STEP_S, time_s + _STEP_S], times[0], times[-1])
-        if not before < after or not times[0] <= time_s <= times[-1]:
-            return np.zeros(3)
-        try:
-            return (self.at(float(after)).position - self.at(float(before)).position) / (after - before)
-        except ValueError:
-            return np.zeros(3)
+        if before < after and times[0] <= time_s <= times[-1]:
+            with suppress(ValueError):
+                return (self.at(float(after)).position - self.at(float(before)).position) / (after - before)
+        return np.zeros(3)
 
     @property
-    def end_s(self) -> float:
-        return float(self._times_s[-1])
-
-    @property
-    def front_at_start(self) -> Camera:
-        """The rig's most forward-facing camera, at the start of the drive."""
-        assert self.scene.ego is not None
-        ahead = max(self.scene.rigs[self.rig], key=lambda each: each.camera_to_ego[0, 2])
-        first = int(np.argmax(self.scene.ego.valid))
-        return rig_camera(self.scene, self.rig, ahead.name, float(self._times_s[first]))
-
-    @property
-    def _times_s(self) -> Float64[np.ndarray, " t"]:
+    def times_s(self) -> Float64[np.ndarray, " t"]:
         assert self.scene.ego is not None
         return self.scene.ego.times
 
@@ -101,7 +79,7 @@ class FrameSequence:
             case CameraPath():
                 return (self.camera.end_s if self.in_scene_time else self.camera.duration_s) - self.start_s
             case RigCameraView():
-                return self.camera.end_s - self.start_s
+                return float(self.camera.times_s[-1]) - self.start_s
 
     def shot(self, number: int) -> RenderView:
         return self.shot_at(self.time_s(number))
@@ -126,7 +104,10 @@ class FrameSequence:
             case CameraPath():
                 place = self.camera.camera(0.0, self.width, self.height)
             case RigCameraView():
-                place = self.camera.front_at_start
+                rig, ego = self.camera.rig, self.scene.ego
+                assert ego is not None
+                front = max(self.scene.rigs[rig], key=lambda each: each.camera_to_ego[0, 2])
+                place = rig_camera(self.scene, rig, front.name, float(ego.times[int(np.argmax(ego.valid))]))
         return sky_color(renderer, self.scene, place)
 
     def frame(
@@ -138,103 +119,57 @@ class FrameSequence:
         with_depth: bool = False,
         look: RenderMode = "splats",
     ) -> Frame:
-        """Render a frame; `sky=None` omits the rain. Depth is the scene's at the frame's time, one sample per pixel."""
-        shots, rainfall = self._shots(number), None if sky is None else self.rainfall
-        color = (0.0, 0.0, 0.0) if sky is None else sky.at(self.rainfall.wetness_at(self.time_s(number)))
-        at_once = with_depth and len(shots) == self.supersampling == 1
-        times = self.supersampling
-        frame = expose(renderer, self.scene, rainfall, color, shots, times, with_depth=at_once, look=look)
-        if at_once or not with_depth:
-            return frame
-        alone = expose(renderer, self.scene, None, color, [self.shot(number)], with_depth=True)
-        return replace(frame, depth=alone.depth)
+        """Render a frame; `sky=None` omits the rain. Depth is the scene's at the frame's time, one sample per pixel.
 
-    def render(
-        self,
-        renderer: Renderer,
-        numbers: Iterable[int],
-        sky: SkyColor,
-        *,
-        with_depth: bool = False,
-        look: RenderMode = "splats",
-    ) -> Iterator[SequenceFrame]:
-        """Render frames by their numbers, in any order."""
-        for number in numbers:
-            yield SequenceFrame(number, self.frame(renderer, number, sky, with_depth=with_depth, look=look))
+        Samples inside a pixel are averaged as the renderer blends: premultiplied, in display values. Sub-frames are
+        averaged as on a sensor: in linear light.
+        """
+        rainfall = None if sky is None else self.rainfall
+        color = (0.0, 0.0, 0.0) if sky is None else sky.at(self.rainfall.wetness_at(self.time_s(number)))
+        shots, side = self._shots(number), self.supersampling
+        has_own_depth = with_depth and len(shots) == side == 1
+        frame: Frame | None = None
+        total: Float32[np.ndarray, "h w 4"] | None = None
+        for shot in shots:
+            if side > 1:  # the choice of drops still follows the output image's focal length
+                camera = shot.camera
+                finer = camera.resized(side * camera.width, side * camera.height)
+                shot = replace(shot, camera=finer, focal_px=shot.focal_px or float(np.sqrt(camera.fx * camera.fy)))
+            draw_view(renderer, self.scene, rainfall, color, shot, with_depth=has_own_depth, look=look)
+            frame = renderer.read()
+            if side > 1:
+                blocks = frame.rgba.reshape(frame.rgba.shape[0] // side, side, frame.rgba.shape[1] // side, side, 4)
+                frame = replace(frame, rgba=blocks.mean(axis=(1, 3), dtype=np.float32))
+            if len(shots) > 1:
+                light = to_linear_light(frame.rgba)
+                total = light if total is None else total + light
+        assert frame is not None
+        if total is not None:
+            frame = replace(frame, rgba=to_display(total / np.float32(len(shots))))
+        if with_depth and not has_own_depth:
+            draw_view(renderer, self.scene, None, color, self.shot(number), with_depth=True)
+            frame = replace(frame, depth=renderer.read().depth)
+        return frame
 
     def _shots(self, number: int) -> list[RenderView]:
         """Views of the sub-frames, evenly spaced over the exposure around the frame's time."""
         middle, k = self.shot(number), self.motion_blur
         if k == 1:
             return [middle]
-        rain = self.rainfall.frozen_at(middle.time_s)
-        exposure_s = rain.exposure_s(rain_camera_of(self.scene, rain, middle))
-        moments = middle.time_s + exposure_s * ((np.arange(k) + 0.5) / k - 0.5)
-        # A path has no speed beyond its ends: there the camera keeps its last position on the path.
-        low, high = self._flight_s
-        places = np.clip(moments, low, high) if low <= middle.time_s <= high else moments
+        exposure_s = self.rainfall.frozen_at(middle.time_s).exposure_s(middle.camera)
+        times = middle.time_s + exposure_s * ((np.arange(k) + 0.5) / k - 0.5)
+        places = times
         if self.at_rest:
             places = np.full(k, middle.time_s)
+        elif isinstance(self.camera, CameraPath) and not self.camera.loop:
+            # A path has no speed beyond its ends: there the camera keeps its last position on the path.
+            start = self.camera.start_s if self.in_scene_time else 0.0
+            if start <= middle.time_s <= start + self.camera.duration_s:
+                places = np.clip(times, start, start + self.camera.duration_s)
         return [
             replace(self.shot_at(float(place)), time_s=float(t), exposure_share=1 / k)
-            for place, t in zip(places, moments, strict=True)
+            for place, t in zip(places, times, strict=True)
         ]
-
-    @property
-    def _flight_s(self) -> tuple[float, float]:
-        """Start and end of a path; infinite for fixed cameras, loops and drives."""
-        if not isinstance(self.camera, CameraPath) or self.camera.loop:
-            return -np.inf, np.inf
-        start = self.camera.start_s if self.in_scene_time else 0.0
-        return start, start + self.camera.duration_s
-
-
-# Supersampling and motion blur
-
-
-def expose(
-    renderer: Renderer,
-    scene: Scene,
-    rainfall: RainSimulation | None,
-    sky: Color,
-    shots: Sequence[RenderView],
-    supersampling: int = 1,
-    *,
-    with_depth: bool = False,
-    look: RenderMode = "splats",
-) -> Frame:
-    """Average the images of several views, each drawn `supersampling` times wider and higher.
-
-    Samples inside a pixel are averaged as the renderer blends: premultiplied, in display values. Sub-frames are
-    averaged as on a sensor: in linear light. Depth is that of the last view.
-    """
-    total: Float32[np.ndarray, "h w 4"] | None = None
-    frame: Frame | None = None
-    for shot in shots:
-        fine = _finer(shot, supersampling)
-        draw_view(renderer, scene, rainfall, sky, fine, with_depth=with_depth, look=look)
-        frame = renderer.read()
-        if supersampling > 1:
-            frame = replace(frame, rgba=_mean_of_blocks(frame.rgba, supersampling))
-        if len(shots) > 1:
-            light = to_linear_light(frame.rgba)
-            total = light if total is None else total + light
-    assert frame is not None, "an exposure needs at least one shot"
-    return frame if total is None else replace(frame, rgba=to_display(total / np.float32(len(shots))))
-
-
-def _finer(shot: RenderView, times: int) -> RenderView:
-    """Return the view in more pixels; the choice of drops still follows the output image's focal length."""
-    if times == 1:
-        return shot
-    camera = shot.camera
-    focal_px = shot.focal_px or float(np.sqrt(camera.fx * camera.fy))
-    return replace(shot, camera=camera.resized(times * camera.width, times * camera.height), focal_px=focal_px)
-
-
-def _mean_of_blocks(rgba: Float32[np.ndarray, "H W 4"], side: int) -> Float32[np.ndarray, "h w 4"]:
-    height, width = rgba.shape[0] // side, rgba.shape[1] // side
-    return rgba.reshape(height, side, width, side, 4).mean(axis=(1, 3), dtype=np.float32)
 
 
 _STEP_S = 0.005  # half the time span for velocities: tracks are linear between samples 100 ms apart
@@ -245,19 +180,19 @@ def find_rig_cameras(scene: Scene, names: tuple[str, ...]) -> list[RigCameraView
 
     Raises `ValueError` for an unmatched name, or a scene without an ego vehicle.
     """
+
+    def fits(name: str, rig: str, camera: RigCamera) -> bool:
+        return name in ("all", rig, camera.name, f"{rig}/{camera.name}")
+
     every = [(rig, camera) for rig, cameras in scene.rigs.items() for camera in cameras]
     if not every or scene.ego is None or not len(scene.ego.times):
         raise ValueError(f"scene {scene.name!r} has no vehicle with cameras")
     for name in names:
-        if not any(_fits(name, rig, camera) for rig, camera in every):
+        if not any(fits(name, rig, camera) for rig, camera in every):
             known = ", ".join(f"{rig}/{camera.name}" for rig, camera in every)
             raise ValueError(f"scene {scene.name!r} has no camera {name!r}, only {known}")
-    chosen = [(rig, camera) for rig, camera in every if any(_fits(name, rig, camera) for name in names)]
+    chosen = [(rig, camera) for rig, camera in every if any(fits(name, rig, camera) for name in names)]
     return [RigCameraView(scene, rig, camera.name) for rig, camera in chosen]
-
-
-def _fits(name: str, rig: str, camera: RigCamera) -> bool:
-    return name in ("all", rig, camera.name, f"{rig}/{camera.name}")
 
 
 # Single image

@@ -40,10 +40,10 @@ def sky_color(renderer: Renderer, scene: Scene, place: Camera, time_s: float = 0
     Sky is the visible part of a sky layer; in a scene without one, distant pixels above the horizon. If there is
     neither, drops have the color of an overcast sky.
     """
-    looking = sample_sky(renderer, scene, place, time_s)
+    steps = sample_sky(renderer, scene, place, time_s)
     while True:
         try:
-            next(looking)
+            next(steps)
         except StopIteration as end:
             return end.value
 
@@ -68,7 +68,13 @@ def _mean_visible_sky(
     found: list[np.ndarray] = []
     sky = [layer for layer in scene.layers if layer.kind == "sky" and layer.visible]
     without_sky = replace(scene, layers=tuple(layer for layer in scene.layers if layer.kind != "sky"))
-    for camera in _look_around(place):
+    forward = place.world_to_camera[2, :3]
+    heading = float(np.arctan2(forward[1], forward[0]))
+    for k in range(_VIEWS):  # tilted up by 20 degrees
+        angle = heading + 2 * np.pi * k / _VIEWS
+        target = place.position + [np.cos(angle), np.sin(angle), np.tan(np.radians(20.0))]
+        pose = look_at(place.position, target, np.array([0.0, 0.0, 1.0]))
+        camera = Camera.from_fov(_WIDTH, _HEIGHT, _FOV_DEG, pose)
         renderer.draw(subset_items(scene.parts(time_s, wetness=wetness), thinning), camera, with_depth=True)
         frame = renderer.read()
         assert frame.depth is not None
@@ -78,26 +84,9 @@ def _mean_visible_sky(
             renderer.draw(subset_items(without_sky.parts(time_s), thinning), camera)
             mask = (renderer.read().rgba[..., 3] < 0.05) & (alpha > 0.5)
             yield
-        else:
-            mask = (alpha > 0.5) & (frame.depth > _FAR_M) & (np.arange(_HEIGHT)[:, None] < _horizon_row(camera))
+        else:  # above points straight ahead at the camera's own height, and five degrees more
+            horizon_row = float(camera.cy + camera.fy * np.tan(np.radians(15.0)))
+            mask = (alpha > 0.5) & (frame.depth > _FAR_M) & (np.arange(_HEIGHT)[:, None] < horizon_row)
         found.append(frame.rgba[mask][:, :3] / alpha[mask][:, None])
     colors = np.concatenate(found).astype(np.float64)
     return mean_linear_color(np.clip(colors, 0, 1)) if len(colors) >= _MIN_PIXELS else None
-
-
-def _look_around(place: Camera) -> list[Camera]:
-    """Cameras in four directions, tilted up by 20 degrees."""
-    eye = place.position
-    forward = place.world_to_camera[2, :3]
-    heading = float(np.arctan2(forward[1], forward[0]))
-    cameras: list[Camera] = []
-    for k in range(_VIEWS):
-        angle = heading + 2 * np.pi * k / _VIEWS
-        target = eye + [np.cos(angle), np.sin(angle), np.tan(np.radians(20.0))]
-        cameras.append(Camera.from_fov(_WIDTH, _HEIGHT, _FOV_DEG, look_at(eye, target, np.array([0.0, 0.0, 1.0]))))
-    return cameras
-
-
-def _horizon_row(camera: Camera) -> float:
-    """Image row of points straight ahead at the camera's own height, raised by five degrees."""
-    return float(camera.cy + camera.fy * np.tan(np.radians(15.0)))

@@ -6,7 +6,7 @@ from contextlib import suppress
 from fractions import Fraction
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
@@ -17,16 +17,11 @@ SUFFIXES = (".mp4", ".webm")
 _GROUP = 30  # frames between key frames: the maximum loss in an interrupted file
 
 
-class _Encoder(NamedTuple):
-    name: str
-    options: dict[str, str]
-
-
-_ENCODERS = {
+_ENCODERS: dict[str, tuple[str, dict[str, str]]] = {
     # mbtree=0: its lookahead, and thus the bytes, depend on the number of threads.
-    "h264": _Encoder("libx264", {"preset": "medium", "x264-params": "mbtree=0"}),
-    "vp9": _Encoder("libvpx-vp9", {"b": "0", "deadline": "good", "cpu-used": "4"}),
-    "av1": _Encoder("libsvtav1", {"preset": "8", "svtav1-params": "lp=1"}),
+    "h264": ("libx264", {"preset": "medium", "x264-params": "mbtree=0"}),
+    "vp9": ("libvpx-vp9", {"b": "0", "deadline": "good", "cpu-used": "4"}),
+    "av1": ("libsvtav1", {"preset": "8", "svtav1-params": "lp=1"}),
 }
 
 _CONTAINERS = {
@@ -61,11 +56,18 @@ class VideoWriter:
             raise ValueError(f"{path}: {suffix} holds {' or '.join(_CODECS[suffix])}, not {codec}")
         if width % 2 or height % 2:
             raise ValueError(f"{path}: a video needs an even width and height, got {width}x{height}")
-        self._av = _pyav(path)
+        try:
+            import av  # lazily: PyInstaller builds omit it, since its wheel contains encoders under the GPL
+        except ImportError as error:
+            raise ValueError(
+                f"{path}: videos need PyAV, which is not here (pip install av; a frozen program never has it); "
+                "a folder of pictures or .exr goes without"
+            ) from error
+        self._av: Any = av
         codec = codec or _CODECS[suffix][0]
-        encoder = _ENCODERS[codec]
-        options = {"crf": str(DEFAULT_QUALITY[codec] if quality is None else quality), **encoder.options}
-        if encoder.name == "libsvtav1":
+        encoder, options = _ENCODERS[codec]
+        options = {"crf": str(DEFAULT_QUALITY[codec] if quality is None else quality), **options}
+        if encoder == "libsvtav1":
             os.environ.setdefault("SVT_LOG", "1")  # errors only: SVT-AV1 is verbose on the console
         path.parent.mkdir(parents=True, exist_ok=True)
         # Ctrl-C is raised in the main thread, and would be lost inside a callback from FFmpeg.
@@ -73,9 +75,8 @@ class VideoWriter:
         self._file = ErrorCapturingFile(path)
         self._container: Any = self._av.open(self._file, mode="w", format=suffix[1:], options=_CONTAINERS[suffix])
         rate = Fraction(fps).limit_denominator(1001)
-        self._stream: Any = self._container.add_stream(encoder.name, rate=rate, options=options)
-        self._stream.width, self._stream.height = width, height
-        self._stream.pix_fmt = "yuv420p"
+        self._stream: Any = self._container.add_stream(encoder, rate=rate, options=options)
+        self._stream.width, self._stream.height, self._stream.pix_fmt = width, height, "yuv420p"
         self._stream.codec_context.gop_size = _GROUP
 
     def write(self, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
@@ -109,21 +110,6 @@ class VideoWriter:
         container.close()
         self._file.close()
         self._file.check()
-
-
-def _pyav(path: Path) -> Any:
-    """Import PyAV lazily, so that programs without it can still write images.
-
-    PyInstaller builds omit it: the wheel of PyAV contains encoders under the GPL.
-    """
-    try:
-        import av
-    except ImportError as error:
-        raise ValueError(
-            f"{path}: videos need PyAV, which is not here (pip install av; a frozen program never has it); "
-            "a folder of pictures or .exr goes without"
-        ) from error
-    return av
 
 
 class ErrorCapturingFile:

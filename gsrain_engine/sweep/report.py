@@ -12,8 +12,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from ..evaluation.plot_styles import SeriesStyle, series_styles
 from ..evaluation.report import ReportFigure, ReportTable, RunReport, write_report
+from ..evaluation.report_charts import SeriesStyle, series_styles
 from ..rain.settings import CALIBRATED_UP_TO_MM_H
 from ..safe_io.text_files import figure_words
 from ..scene.files import shortened, whole_file

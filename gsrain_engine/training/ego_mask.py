@@ -56,8 +56,10 @@ class _SmallImage:
         v = local[..., 1] / z * other.camera.fy + other.camera.cy - 0.5
         inside = np.isfinite(z) & (u >= 0) & (v >= 0) & (u <= other.camera.width - 1) & (v <= other.camera.height - 1)
         planes = cv2.split(other.channels)
-        taken = np.dstack([cv2.remap(p, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR) for p in planes])
-        return np.where(inside[..., None], _difference(taken, self.channels), np.inf).astype(np.float32)
+        sampled = np.dstack(
+            [cv2.remap(p, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR) for p in planes]
+        )
+        return np.where(inside[..., None], _difference(sampled, self.channels), np.inf).astype(np.float32)
 
 
 def _difference(one: Float32[np.ndarray, "h w 5"], other: Float32[np.ndarray, "h w 5"]) -> Float32[np.ndarray, "h w 2"]:
@@ -76,10 +78,9 @@ def ego_masks(
     columns finds the contour along static edges that best separates both. Cameras without clear evidence, and cameras
     that did not move, get no mask.
 
-    Args:
-        views: Undistorted. Sizes may differ by a few pixels, as after per-image undistortion; images with an unusual
-            aspect ratio for their sensor are ignored.
-        depths: Of the static scene, completed down to the lower edge (`completed_depth`).
+    Views are undistorted. Their sizes may differ by a few pixels, as after per-image undistortion; images with an
+    unusual aspect ratio for their sensor are ignored. Depths are those of the static scene, completed down to the lower
+    edge (`completed_depth`).
     """
     found: dict[str, Bool[np.ndarray, "_ _"]] = {}
     for sensor in dict.fromkeys(view.sensor for view in views):
@@ -91,18 +92,19 @@ def ego_masks(
         size = width, max(round(camera.height * width / camera.width), 1)
         own = [_SmallImage(views[row], depths[row], size) for row in rows]
         contour = _contour(_evidence(own))
-        if contour is not None:
-            found[sensor] = _above(contour, own[0].camera, camera)
+        if contour is not None:  # with a margin of one of the small image's pixels
+            scale = camera.width / size[0]
+            columns = (np.arange(camera.width) + 0.5) / scale - 0.5
+            rows_above = np.where(contour < size[1], contour - 1, size[1])
+            first = np.interp(columns, np.arange(len(contour)), rows_above) * scale
+            found[sensor] = np.arange(camera.height)[:, None] < first[None, :]
     return found
 
 
 def mask_ego_vehicle(
     views: Sequence[CaptureFrame], depths: Sequence[Float32[np.ndarray, "_ _"]]
 ) -> tuple[list[CaptureFrame], dict[str, float]]:
-    """Exclude the ego's own body, where `ego_masks` finds one, from the views' masks and log the cameras.
-
-    Returns the views, and by sensor the share (0..1) of its images that the body covers.
-    """
+    """Exclude the ego's body (`ego_masks`) from the views' masks; returns them, and the covered shares by sensor."""
     masks = ego_masks(views, depths)
     shares = {sensor: 1 - float(mask.mean()) for sensor, mask in masks.items()}
     for sensor, share in shares.items():
@@ -133,9 +135,9 @@ def _evidence(own: Sequence[_SmallImage]) -> Float32[np.ndarray, "h w 2"]:
     for each in [own[int(k)] for k in np.linspace(0, len(own) - 1, min(_FRAMES, len(own)))]:
         others = sorted((o for o in own if o is not each), key=lambda o: abs(o.time_s - each.time_s))[:_OTHERS]
         errors = np.sort([each.difference_to(other) for other in others], axis=0)
-        seen = np.isfinite(errors).sum(axis=0)
-        as_world = np.take_along_axis(errors, (seen[None] - 1) // 4, axis=0)[0]  # the lower quartile
-        known = seen[..., :1] > 0
+        visible = np.isfinite(errors).sum(axis=0)
+        as_world = np.take_along_axis(errors, (visible[None] - 1) // 4, axis=0)[0]  # the lower quartile
+        known = visible[..., :1] > 0
         worse = np.where(known, as_world, 0) - _difference(each.channels, middle)
         total += np.where(known, np.clip(worse, -_CLIP, _CLIP), 0)
         count += known
@@ -150,13 +152,13 @@ def _contour(evidence: Float32[np.ndarray, "h w 2"]) -> Float64[np.ndarray, " w"
     gain[:height] = np.cumsum((color - _PRIOR)[::-1], axis=0)[::-1] + _EDGE * edges
     gain[: round(_LOWEST_PART * height)] = -np.inf
     best, back = gain[:, 0].copy(), np.zeros((height + 1, width), np.int64)
-    ways = np.arange(-_STEEPEST, _STEEPEST + 1)
+    steps = np.arange(-_STEEPEST, _STEEPEST + 1)
     for column in range(1, width):
-        source = np.arange(height + 1)[:, None] + ways
+        source = np.arange(height + 1)[:, None] + steps
         values = np.where((source >= 0) & (source <= height), best[np.clip(source, 0, height)], -np.inf)
-        values = values - _SLOPE * np.abs(ways)
+        values = values - _SLOPE * np.abs(steps)
         choice = values.argmax(axis=1)
-        back[:, column] = np.clip(np.arange(height + 1) + ways[choice], 0, height)
+        back[:, column] = np.clip(np.arange(height + 1) + steps[choice], 0, height)
         best = values[np.arange(height + 1), choice] + gain[:, column]
     rows = np.full(width, height)
     rows[-1] = int(best.argmax())
@@ -166,11 +168,3 @@ def _contour(evidence: Float32[np.ndarray, "h w 2"]) -> Float64[np.ndarray, " w"
     if not region.any() or float(color[region].mean()) < _PRIOR + _MIN_GAIN:
         return None
     return rows.astype(np.float64)
-
-
-def _above(rows: Float64[np.ndarray, " w"], small: Camera, camera: Camera) -> Bool[np.ndarray, "h w"]:
-    """Mask of the pixels above a contour found in a smaller image, with a margin of one of its pixels."""
-    scale = camera.width / small.width
-    columns = (np.arange(camera.width) + 0.5) / scale - 0.5
-    first = np.interp(columns, np.arange(len(rows)), np.where(rows < small.height, rows - 1, small.height)) * scale
-    return np.arange(camera.height)[:, None] < first[None, :]

@@ -2,26 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float32, Shaped, UInt8
+from jaxtyping import Shaped, UInt8
 
-from ..evaluation.image_metrics import fitted_affine, psnr, ssim, with_affine
-
-
-@runtime_checkable
-class PerceptualMetric(Protocol):
-    """A learned image distance such as LPIPS."""
-
-    def distance(
-        self,
-        rendered: Float32[np.ndarray, "h w 3"],
-        truth: Float32[np.ndarray, "h w 3"],
-        mask: Bool[np.ndarray, "h w"] | None = None,
-    ) -> float:
-        """Distance of two images (0..1) over the pixels of a mask; 0 for equal ones."""
-        ...
+from ..evaluation.image_metrics import Image, ImageDistance, Mask, fitted_affine, psnr, ssim, with_affine
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,10 +24,7 @@ class RenderScore:
 
 
 def validation_indices(names: Sequence[str], every: int, named: Sequence[str] = ()) -> list[int]:
-    """Indices of the held-out views: the named ones, else every `every`-th from the middle of the first interval.
-
-    Raises ValueError for an unknown name, and if no training view would remain.
-    """
+    """Held-out views: the named ones, else every `every`-th; raises ValueError if one is unknown or no view remains."""
     if named:
         missing = sorted(set(named) - set(names))
         if missing:
@@ -56,11 +38,7 @@ def validation_indices(names: Sequence[str], every: int, named: Sequence[str] = 
 
 
 def score(
-    name: str,
-    rendered: Float32[np.ndarray, "h w 3"],
-    image: UInt8[np.ndarray, "h w 3"],
-    mask: Bool[np.ndarray, "h w"] | None,
-    perceived: PerceptualMetric | None = None,
+    name: str, rendered: Image, image: UInt8[np.ndarray, "h w 3"], mask: Mask | None, lpips: ImageDistance | None = None
 ) -> RenderScore:
     """Measure a render against its ground truth over the pixels of a mask."""
     rendered, truth = np.clip(rendered, 0, 1), image.astype(np.float32) / 255
@@ -69,18 +47,14 @@ def score(
     left = whole.copy()
     left[:, middle:] = False
     exposed = with_affine(rendered, fitted_affine(rendered, truth, left))
-    return RenderScore(
-        name,
-        psnr(rendered, truth, whole),
-        ssim(rendered, truth, mask),
-        psnr(exposed[:, middle:], truth[:, middle:], whole[:, middle:]),
-        None if perceived is None else perceived.distance(rendered, truth, mask),
-    )
+    psnr_exposed_db = psnr(exposed[:, middle:], truth[:, middle:], whole[:, middle:])
+    distance = None if lpips is None else lpips(rendered, truth, mask)
+    return RenderScore(name, psnr(rendered, truth, whole), ssim(rendered, truth, mask), psnr_exposed_db, distance)
 
 
 def mean_of(scores: Sequence[RenderScore], field: str) -> float | None:
     """Mean of one score over views; None if no view has it."""
-    values = [getattr(each, field) for each in scores if getattr(each, field) is not None]
+    values = [value for each in scores if (value := getattr(each, field)) is not None]
     return float(np.mean(values)) if values else None
 
 

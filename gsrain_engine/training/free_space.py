@@ -1,20 +1,19 @@
 """Free-space carving: removes Gaussians of the static scene between the cameras and the surfaces they observe."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, no_type_check
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Shaped
+from jaxtyping import Bool, Float32, Float64
 from numba import njit, prange
 from scipy.ndimage import minimum_filter
 from scipy.spatial import KDTree
 
 from ..scene.camera import Camera
-from .parameters import SplatParameters, Tensor
-from .strategy import Strategy
-from .surfels import LONGEST
+from .parameters import SplatParameters
+from .surfels import LONGEST, Depths
 
 torch: Any = import_module("torch")
 _ROWS, _COLUMNS = 48, 80
@@ -40,26 +39,19 @@ class FreeSpaceCarving:
     """Focal lengths and principal point in cells: fx, fy, cx, cy."""
     limits: Float32[np.ndarray, "v rows columns"]
     """Depth along the view axis up to which space is empty; 0 where unknown."""
-    way: Float32[np.ndarray, "p 3"]
-    """Positions along the camera trajectory."""
+    trajectory: Float32[np.ndarray, "p 3"]
     near: float
     """Distance to the trajectory within which space is empty."""
 
     @classmethod
     def of(
-        cls,
-        cameras: Sequence[Camera],
-        depths: Sequence[Float32[np.ndarray, "_ _"]],
-        way: Float64[np.ndarray, "p 3"],
-        share: float,
+        cls, cameras: Sequence[Camera], depths: Depths, trajectory: Float64[np.ndarray, "p 3"], share: float
     ) -> "FreeSpaceCarving | None":
         """Treat a share of each image's depth as free space; None if no image has any depth.
 
-        Args:
-            cameras: Undistorted.
-            depths: Measured depth of the static scene in each image, 0 where unmeasured.
-            way: Positions along the camera trajectory, in the capture's world.
-            share: Share of the depth, 0 to 1: there may be nearer objects between measured points.
+        `depths` are measured ones of the static scene, 0 where unmeasured, in front of undistorted `cameras`;
+        `trajectory` has positions along that of the cameras, in the capture's world; `share` of the depth is 0 to 1,
+        since there may be nearer objects between measured points.
         """
         known = np.concatenate([np.zeros(0, np.float32), *(depth[depth > 0] for depth in depths)])
         if not len(known):
@@ -73,69 +65,44 @@ class FreeSpaceCarving:
             np.stack([camera.world_to_camera[:3] for camera in cameras]).astype(np.float32),
             np.array(lenses, np.float32),
             np.stack([share * _nearest_surfaces(depth) for depth in depths]).astype(np.float32),
-            way.astype(np.float32),
+            trajectory.astype(np.float32),
             near,
         )
 
     def holds(self, means: Float32[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         """Mask of the points in free space."""
         found = self.distances(means) < self.near
-        _look(np.ascontiguousarray(means), self.poses, self.lenses, self.limits, found)
+        _mark_free(np.ascontiguousarray(means), self.poses, self.lenses, self.limits, found)
         return found
 
     def distances(self, means: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, " n"]:
         """Distance of each point to the camera trajectory."""
-        return KDTree(self.way).query(means)[0].astype(np.float32)
+        return KDTree(self.trajectory).query(means)[0].astype(np.float32)
 
 
-class FreeSpaceStrategy:
-    """A density control that also clears free space throughout the training."""
-
-    def __init__(self, control: Strategy, free: FreeSpaceCarving, steps: int) -> None:
-        self._control, self._free, self._last = control, free, steps - 1
-
-    def observe(self, step: int, rendered: Any, rows: slice | Tensor = slice(None)) -> None:
-        self._control.observe(step, rendered, rows)
-
-    def adapt(self, step: int, parameters: SplatParameters, generator: Tensor) -> str | None:
-        """Run the wrapped density control, then clear free space periodically and at the last step."""
-        done = self._control.adapt(step, parameters, generator)
-        if step % _EVERY and step != self._last:
-            return done
-        count = prune_free_space(parameters, self._free)
-        clip_long_gaussians(parameters, self._free)
-        return ", ".join([*([done] if done else []), f"{count} cleared away"]) if count else done
-
-    def regularization(self, parameters: SplatParameters) -> Tensor | None:
-        return self._control.regularization(parameters)
-
-    def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
-        return self._control.state()
-
-    def restore(self, state: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
-        self._control.restore(state)
+def clear_free_space(step: int, steps: int, parameters: SplatParameters, free: FreeSpaceCarving) -> str | None:
+    """Clear free space periodically and at the last of `steps`; returns a short summary, or None."""
+    if step % _EVERY and step != steps - 1:
+        return None
+    count = prune_free_space(parameters, free)
+    clip_long_gaussians(parameters, free)
+    return f"{count} cleared away" if count else None
 
 
 def prune_free_space(parameters: SplatParameters, free: FreeSpaceCarving) -> int:
     """Remove the Gaussians whose mean is in free space; returns their number."""
-    means = _means(parameters)
-    standing = free.holds(means)
-    count = int(standing.sum())
-    if count:
-        parameters.keep(torch.as_tensor(~standing, device=parameters.device))
-    return count
+    is_inside = free.holds(parameters.to_means())
+    if is_inside.any():
+        parameters.keep(torch.as_tensor(~is_inside, device=parameters.device))
+    return int(is_inside.sum())
 
 
 def clip_long_gaussians(parameters: SplatParameters, free: FreeSpaceCarving) -> None:
     """Limit each Gaussian's length to a share of its distance to the camera trajectory, see `LONGEST`."""
-    limits = torch.as_tensor(np.log(np.maximum(_LEEWAY * LONGEST * free.distances(_means(parameters)), 1e-9)))
+    limits = torch.as_tensor(np.log(np.maximum(_LEEWAY * LONGEST * free.distances(parameters.to_means()), 1e-9)))
     with torch.no_grad():
         sizes = parameters.tensors["log_scales"]
         sizes.copy_(torch.minimum(sizes, limits.to(sizes)[:, None]))
-
-
-def _means(parameters: SplatParameters) -> Float32[np.ndarray, "n 3"]:
-    return parameters.tensors["means"].detach().cpu().to(torch.float32).numpy()
 
 
 def _nearest_surfaces(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "rows columns"]:
@@ -143,13 +110,13 @@ def _nearest_surfaces(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, 
     rows, columns = np.nonzero(depth > 0)
     cells = np.full((_ROWS, _COLUMNS), np.inf, np.float32)
     np.minimum.at(cells, (rows * _ROWS // depth.shape[0], columns * _COLUMNS // depth.shape[1]), depth[rows, columns])
-    least = minimum_filter(cells, _WINDOW)
-    return np.where(np.isfinite(least), least, 0).astype(np.float32)
+    nearest = minimum_filter(cells, _WINDOW)
+    return np.where(np.isfinite(nearest), nearest, 0).astype(np.float32)
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
 @no_type_check
-def _look(means, poses, lenses, limits, found):
+def _mark_free(means, poses, lenses, limits, found):
     """Mark each of `means` (n, 3) that is nearer to a camera than the limit of its cell."""
     views, rows, columns = limits.shape
     for i in prange(len(means)):

@@ -11,31 +11,22 @@ from scipy.spatial import KDTree
 
 from ..datasets.capture import Capture, CaptureFrame, TrackedBox
 from ..datasets.completed_depth import completed_depth
-from ..datasets.depth_maps import DepthPriors, camera_height_above_road, depth_priors, measured_depths
+from ..datasets.depth_maps import DepthPriors, camera_height_above_road, depth_priors
 from ..datasets.geometry import lidar_depth
 from ..datasets.masks import box_outline, can_move, is_moving, moving_boxes, pixel_rays, points_in_box, static_mask
-from ..datasets.sky_masks import sky_masks
 from ..render.cpu.renderer import CpuRenderer
 from ..scene.gaussians import Gaussians, sh_from_color
 from ..scene.geometry import normalized, quaternions_from_matrices
 from ..scene.scene import Actor, DrawItem
-from .surfels import (
-    Surfels,
-    camera_trajectory,
-    cell_means,
-    grid_shape,
-    point_colors,
-    projected,
-    split_long_gaussians,
-    surfels_of_view,
-)
+from .surfels import Surfels, camera_trajectory, cell_means, point_colors, projected, split_long_gaussians, view_surfels
 
-SURFACE_OPACITY = 0.85
-"""Of Gaussians with known positions: together they are opaque, and gradients still pass."""
+Depths = Sequence[Float32[np.ndarray, "_ _"]]
+Points = Float64[np.ndarray, "n 3"]
+Skies = Sequence[Bool[np.ndarray, "_ _"]]
+Trajectory = Float64[np.ndarray, "p 3"]
 
-RANDOM_OPACITY = 0.1
-"""Of Gaussians with random positions, as in 3DGS (Kerbl et al. 2023)."""
-
+SURFACE_OPACITY = 0.85  # of Gaussians with known positions: together they are opaque, and gradients still pass
+RANDOM_OPACITY = 0.1  # of Gaussians with random positions, as in 3DGS (Kerbl et al. 2023)
 _COVERED = 6 / 9  # gaussians per cell, averaged over 3x3 cells, that count as full coverage
 _COARSER = 1.7  # size of the existing Gaussians over the cell size from which a nearer view adds its own
 _FOR_HOLES = 0.1  # share of the budget reserved for holes
@@ -52,84 +43,63 @@ def initial_gaussians(
 ) -> Gaussians:
     """Cover the static scene in the views with at most `budget` Gaussians, in the capture's world.
 
-    With depth, lidar or points, each view is completed to dense depth, and its cells of some pixels become discs along
-    the surface unless earlier views cover them; cells are as small as the budget allows. Otherwise Gaussians are spread
-    at random in the view frustums. The sky is excluded.
-
-    Args:
-        capture: Provides sweeps, points and boxes.
-        views: Training views, undistorted and at training size (`training_views`).
-        budget: Maximum number of Gaussians; leave room for density control.
-        seed: Of the random positions.
-        known: Depth and sky of the views; computed if None.
+    With depth, lidar or points, each view (undistorted and at training size, `training_views`) is completed to dense
+    depth, and its cells of some pixels become discs along the surface unless earlier views cover them; cells are as
+    small as the budget allows. Otherwise Gaussians are spread at random in the view frustums, by `seed`. The sky is
+    excluded. The budget leaves room for density control; `known` depth and sky are computed if None.
     """
     known = depth_priors(capture, views) if known is None else known
     moving = moving_boxes(capture)
     unmasked = [view.held() for view in views]
     views = [replace(view, mask_source=static_mask(view, moving)) for view in unmasked]
-    if sum(int((depth > 0).sum()) >= _MIN_MEASURED for depth in known.measured) == 0:
+    if not any(np.count_nonzero(depth > 0) >= _MIN_MEASURED for depth in known.measured):
         return _random_gaussians(views, known.skies, budget, seed)
     depths = known.completed
-    hidden = [_hidden_by_movers(view, own) for view, own in zip(views, unmasked, strict=True)]
+    hidden: list[CaptureFrame] = []  # behind movers, inpainted from around them
+    hidden_depths: list[Float32[np.ndarray, "_ _"]] = []
+    for view, own, depth in zip(views, (each.mask for each in unmasked), depths, strict=True):
+        assert view.mask is not None  # the static mask
+        behind = ~view.mask if own is None else own & ~view.mask
+        if behind.any():
+            painted = cv2.inpaint(view.image, behind.astype(np.uint8), _PAINTED_FROM, cv2.INPAINT_TELEA)
+            hidden.append(replace(view, image_source=np.asarray(painted, np.uint8), mask_source=behind))
+            hidden_depths.append(depth)
+    every, every_depth = [*views, *hidden], [*depths, *hidden_depths]
     pixels = sum(view.camera.width * view.camera.height for view in views if view.time_s == views[0].time_s)
     stride = max(int(np.sqrt(pixels / max(budget, 1)) / 2), 1)
-    while (surfels := _covering(views, depths, hidden, stride, round((1 - _FOR_HOLES - _FOR_PIECES) * budget))) is None:
+    while (surfels := _covering(every, every_depth, stride, round((1 - _FOR_HOLES - _FOR_PIECES) * budget))) is None:
         stride += 1
         if stride > max(view.camera.width for view in views):  # not even one per view
             raise ValueError(f"a budget of {budget} Gaussians is too small for {len(views)} views")
     gaussians = _without_holes(surfels, views, depths, stride, round((1 - _FOR_PIECES) * budget))
-    way = camera_trajectory(views, known.median_depth)
-    ground = inpaint_road(gaussians, views, way, capture.up, round(_FOR_GROUND * budget), SURFACE_OPACITY)
-    return split_long_gaussians(Gaussians.concatenate([gaussians, ground]), way, budget)
+    trajectory = camera_trajectory(views, known.median_depth)
+    ground = inpaint_road(gaussians, views, trajectory, capture.up, round(_FOR_GROUND * budget), SURFACE_OPACITY)
+    return split_long_gaussians(Gaussians.concatenate([gaussians, ground]), trajectory, budget)
 
 
-def _hidden_by_movers(view: CaptureFrame, unmasked: CaptureFrame) -> CaptureFrame | None:
-    """The view masked to the area behind movers, inpainted from around them; None without movers."""
-    mask, own = view.mask, unmasked.mask
-    assert mask is not None  # set to the static mask by the caller
-    hidden = ~mask if own is None else own & ~mask
-    if not hidden.any():
-        return None
-    painted = cv2.inpaint(view.image, hidden.astype(np.uint8), _PAINTED_FROM, cv2.INPAINT_TELEA)
-    return replace(view, image_source=np.asarray(painted, np.uint8), mask_source=hidden)
-
-
-def _covering(
-    views: Sequence[CaptureFrame],
-    depths: Sequence[Float32[np.ndarray, "_ _"]],
-    hidden: Sequence[CaptureFrame | None],
-    stride: int,
-    budget: int,
-) -> Surfels | None:
-    """Cover one view after another, finally the areas behind movers; None if that exceeds the budget."""
+def _covering(views: Sequence[CaptureFrame], depths: Depths, stride: int, budget: int) -> Surfels | None:
+    """Cover one view after another; None if that exceeds the budget."""
     nothing = np.zeros((0, 3), np.float32)
-    all_of_them = Surfels(nothing, np.zeros((0, 2, 3), np.float32), nothing)
-    last = [(view, depth) for view, depth in zip(hidden, depths, strict=True) if view is not None]
-    for view, depth in [*zip(views, depths, strict=True), *last]:
-        mask = view.mask
-        free = np.ones(depth.shape, np.bool_) if mask is None else mask
-        wanted = (cell_means(free[..., None], stride)[..., 0] > 0.5) & ~_covered(all_of_them, view, depth, stride)
-        all_of_them = Surfels.joined([all_of_them, surfels_of_view(view, depth, stride, wanted)])
-        if len(all_of_them) > budget:
+    surfels = Surfels(nothing, np.zeros((0, 2, 3), np.float32), nothing)
+    for view, depth in zip(views, depths, strict=True):
+        free = np.ones(depth.shape, np.bool_) if view.mask is None else view.mask
+        cells = (cell_means(free[..., None], stride)[..., 0] > 0.5) & ~_covered(surfels, view, depth, stride)
+        surfels = Surfels.joined([surfels, view_surfels(view, depth, stride, cells)])
+        if len(surfels) > budget:
             return None
-    return all_of_them
+    return surfels
 
 
 def _without_holes(
-    surfels: Surfels,
-    views: Sequence[CaptureFrame],
-    depths: Sequence[Float32[np.ndarray, "_ _"]],
-    stride: int,
-    budget: int,
+    surfels: Surfels, views: Sequence[CaptureFrame], depths: Depths, stride: int, budget: int
 ) -> Gaussians:
     """Render the discs in each view and add more where alpha is too low, mostly at seams between views."""
     gaussians, renderer = surfels.gaussians(SURFACE_OPACITY), CpuRenderer()
     for view, depth in zip(views, depths, strict=True):
-        mask = view.mask
         renderer.draw([DrawItem(gaussians, np.eye(4))], view.camera)
         empty = (renderer.read().rgba[..., 3] < _HOLE) & (depth > 0)
-        empty = empty if mask is None else empty & mask
-        more = surfels_of_view(view, depth, stride, cell_means(empty[..., None], stride)[..., 0] > 0.5)
+        empty = empty if view.mask is None else empty & view.mask
+        more = view_surfels(view, depth, stride, cell_means(empty[..., None], stride)[..., 0] > 0.5)
         room = budget - len(gaussians)
         gaussians = Gaussians.concatenate([gaussians, more.gaussians(SURFACE_OPACITY).take(slice(0, max(room, 0)))])
     return gaussians
@@ -139,7 +109,7 @@ def _covered(
     surfels: Surfels, view: CaptureFrame, depth: Float32[np.ndarray, "h w"], stride: int
 ) -> Bool[np.ndarray, "rows columns"]:
     """Mask of a view's cells with enough Gaussians that are fine enough and not behind the view's surface."""
-    rows, columns = grid_shape(view.camera, stride)
+    rows, columns = -(-view.camera.height // stride), -(-view.camera.width // stride)
     index, row, column, z = projected(surfels.means, view.camera)
     size = np.linalg.norm(surfels.axes[index], axis=2).min(axis=1)
     surface = depth[row, column]
@@ -149,9 +119,7 @@ def _covered(
     return uniform_filter(np.minimum(density, 2.0), 3, mode="nearest") >= np.float32(_COVERED - 1e-3)
 
 
-def _random_gaussians(
-    views: Sequence[CaptureFrame], skies: Sequence[Bool[np.ndarray, "_ _"]], budget: int, seed: int
-) -> Gaussians:
+def _random_gaussians(views: Sequence[CaptureFrame], skies: Skies, budget: int, seed: int) -> Gaussians:
     """Spread Gaussians over the frustums, uniformly in inverse distance from a distance set by the camera spread."""
     random = np.random.default_rng(seed)
     eyes = np.array([view.camera.position for view in views])
@@ -173,9 +141,7 @@ def _random_gaussians(
     return round_gaussians(points, colors, RANDOM_OPACITY)
 
 
-def round_gaussians(
-    points: Float64[np.ndarray, "n 3"], colors: Float32[np.ndarray, "n 3"], opacity: float
-) -> Gaussians:
+def round_gaussians(points: Points, colors: Float32[np.ndarray, "n 3"], opacity: float) -> Gaussians:
     """Spheres sized by the mean distance to the three nearest neighbors (Kerbl et al. 2023), outliers clipped."""
     n = len(points)
     sizes = np.ones(n)
@@ -183,13 +149,10 @@ def round_gaussians(
         distances = KDTree(points).query(points, min(4, n))[0][:, 1:]
         sizes = np.sqrt((distances**2).mean(axis=1))
         sizes = np.clip(sizes, max(float(np.quantile(sizes, 0.02)), 1e-6), max(float(np.quantile(sizes, 0.98)), 1e-6))
-    return Gaussians(
-        points.astype(np.float32),
-        np.repeat(sizes[:, None], 3, axis=1).astype(np.float32),
-        np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
-        np.full(n, opacity, np.float32),
-        sh_from_color(colors),
-    )
+    scales = np.repeat(sizes[:, None], 3, axis=1).astype(np.float32)
+    upright = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))
+    opacities = np.full(n, opacity, np.float32)
+    return Gaussians(points.astype(np.float32), scales, upright, opacities, sh_from_color(colors))
 
 
 # Road under the ego
@@ -207,42 +170,36 @@ _MIN_ROAD = 100
 def inpaint_road(
     surface: Gaussians,
     views: Sequence[CaptureFrame],
-    way: Float64[np.ndarray, "p 3"],
+    trajectory: Trajectory,
     up: tuple[float, float, float],
-    most: int,
+    max_count: int,
     opacity: float,
 ) -> Gaussians:
     """Discs that fill holes in the road under and around the cameras, with the height and color of nearby road.
 
-    Args:
-        surface: Static scene in the capture's world; its low, flat part is the road.
-        views: Views whose cameras drove on that road.
-        way: Camera trajectory, see `camera_trajectory`.
-        up: Upward direction.
-        most: Maximum number of discs; spacing grows to meet it, up to a limit beyond which none are added.
-        opacity: Of the discs.
-
-    Returns:
-        The discs; empty if no road is found under the cameras.
+    The low, flat part of `surface`, in the capture's world, is the road; the cameras of the views drove on it, along
+    `trajectory` (`camera_trajectory`). Spacing grows to at most `max_count` discs, up to a limit beyond which none are
+    added. Empty if no road is found under the cameras.
     """
     frame = _frame(up)
     drop = camera_height_above_road(surface.means.astype(np.float64), views, up) if len(surface) else None
     if drop is None:
         return surface.take(slice(0, 0))
-    way = way @ frame.T
+    trajectory = trajectory @ frame.T
     places = surface.means.astype(np.float64) @ frame.T
-    distance, nearest = KDTree(way[:, :2]).query(places[:, :2])
-    is_road = (distance < 3 * _REACH * drop) & (np.abs(way[nearest, 2] - drop - places[:, 2]) < _FLAT * drop)
+    distance, nearest = KDTree(trajectory[:, :2]).query(places[:, :2])
+    is_road = (distance < 3 * _REACH * drop) & (np.abs(trajectory[nearest, 2] - drop - places[:, 2]) < _FLAT * drop)
     road = surface.take(np.flatnonzero(is_road))
     if len(road) < _MIN_ROAD:
         return surface.take(slice(0, 0))
     known = places[is_road]
     tree = KDTree(known[:, :2])
     covered = np.sqrt(np.sort(road.scales, axis=1)[:, 1:].prod(axis=1)) * _COVERS
-    spacing = _SPACING * drop
-    while len(holes := _holes(way[:, :2], spacing, _REACH * drop, tree, covered)) > most and spacing < _COARSEST * drop:
+    spacing, coarsest = _SPACING * drop, _COARSEST * drop
+    path = trajectory[:, :2]
+    while len(holes := _holes(path, spacing, _REACH * drop, tree, covered)) > max_count and spacing < coarsest:
         spacing *= 1.3
-    if not 0 < len(holes) <= most:
+    if not 0 < len(holes) <= max_count:
         return surface.take(slice(0, 0))
     apart, neighbours = tree.query(holes, _NEIGHBORS)
     weight = 1 / np.maximum(apart, spacing) ** 2
@@ -267,22 +224,24 @@ def _frame(up: tuple[float, float, float]) -> Float64[np.ndarray, "3 3"]:
 
 
 def _holes(
-    way: Float64[np.ndarray, "p 2"], spacing: float, reach: float, road: KDTree, covered: Float32[np.ndarray, " r"]
+    trajectory: Float64[np.ndarray, "p 2"],
+    spacing: float,
+    reach: float,
+    road: KDTree,
+    covered: Float32[np.ndarray, " r"],
 ) -> Float64[np.ndarray, "h 2"]:
     """Grid positions near the trajectory that no road Gaussian covers."""
-    low, high = way.min(axis=0) - reach, way.max(axis=0) + reach
+    low, high = trajectory.min(axis=0) - reach, trajectory.max(axis=0) + reach
     axes = [np.arange(low[k], high[k], spacing) for k in range(2)]
     grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-    grid = grid[np.isfinite(KDTree(way).query(grid, distance_upper_bound=reach)[0])]
+    grid = grid[np.isfinite(KDTree(trajectory).query(grid, distance_upper_bound=reach)[0])]
     apart, nearest = road.query(grid)
     return grid[apart > np.maximum(covered[nearest], spacing)]
 
 
 # Sky dome
 
-SKY_GAUSSIANS = 8000
-"""On the upper half of the dome they are 1.6 degrees apart: fine enough for clouds, not for leaves."""
-
+SKY_GAUSSIANS = 8000  # on the upper half of the dome they are 1.6 degrees apart: fine enough for clouds, not for leaves
 _LOWEST = float(np.sin(np.radians(-3.0)))  # the dome reaches slightly below the horizon, since streets end before it
 _SPREAD, _SKY_THICKNESS, _OPACITY = 0.75, 0.02, 0.98
 """Sigma along and across the dome over the spacing of directions, and opacity."""
@@ -293,33 +252,31 @@ _SAMPLES = 3  # side in pixels of the window averaged for one direction's color 
 
 
 def initial_sky(
-    capture: Capture,
-    views: Sequence[CaptureFrame],
-    surface: Gaussians,
-    skies: Sequence[Bool[np.ndarray, "_ _"]] | None = None,
-    count: int = SKY_GAUSSIANS,
+    capture: Capture, views: Sequence[CaptureFrame], surface: Gaussians, skies: Skies, count: int = SKY_GAUSSIANS
 ) -> Gaussians:
     """Make a dome of about `count` Gaussians around the scene; empty if no view shows sky.
 
     A direction visible as sky has the median color of its views; others interpolate the known ones, more smoothly with
-    distance, so that views upward or backward also show sky.
-
-    Args:
-        capture: Provides the up direction and metric scale.
-        views: Undistorted.
-        surface: The scene under the dome, in the capture's world.
-        skies: Sky pixels of each view; found by `sky_masks` if None.
-        count: Number of Gaussians on the dome.
+    distance, so that views upward or backward also show sky. `surface` is the scene under the dome, in the capture's
+    world; `skies` are the sky pixels of the undistorted views.
     """
-    if skies is None:
-        skies = sky_masks(views, measured_depths(capture, views), capture.up)
     if not any(sky.any() for sky in skies):
         return Gaussians.empty()
     center = np.mean([view.camera.position for view in views], axis=0)
     radius = dome_radius(surface, center, capture.is_metric)
     directions = dome_directions(count, capture.up)
     colors = _colors(directions, center + radius * directions, views, skies)
-    return _dome(directions, center, radius, colors)
+    n, spacing = len(directions), radius * np.sqrt(2 * np.pi * (1 - _LOWEST) / len(directions))
+    # Rotation from x to the direction: halfway quaternion (1 + cos, axis * sin).
+    turns = np.stack([1 + directions[:, 0], np.zeros(n), -directions[:, 2], directions[:, 1]], axis=1)
+    turns[turns[:, 0] < 1e-6] = [0, 0, 0, 1]
+    return Gaussians(
+        (center + radius * directions).astype(np.float32),
+        np.tile(np.array([_SKY_THICKNESS, 1, 1]) * _SPREAD * spacing, (n, 1)).astype(np.float32),
+        normalized(turns).astype(np.float32),
+        np.full(n, _OPACITY, np.float32),
+        sh_from_color(colors),
+    )
 
 
 def dome_radius(surface: Gaussians, center: Float64[np.ndarray, "3"], is_metric: bool) -> float:
@@ -328,23 +285,16 @@ def dome_radius(surface: Gaussians, center: Float64[np.ndarray, "3"], is_metric:
     return max(_BEYOND * far, _MIN_RADIUS) if is_metric else _BEYOND * far
 
 
-def dome_directions(count: int, up: tuple[float, float, float]) -> Float64[np.ndarray, "n 3"]:
+def dome_directions(count: int, up: tuple[float, float, float]) -> Points:
     """Uniformly spread unit vectors above the lowest elevation: a Fibonacci lattice on the upper sphere."""
     height = _LOWEST + (1 - _LOWEST) * (np.arange(count) + 0.5) / count
     angle = np.pi * (3 - np.sqrt(5)) * np.arange(count)
     ring = np.sqrt(1 - height**2)
-    axis = np.array(up, np.float64) / np.linalg.norm(up)
-    side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
-    side /= np.linalg.norm(side)
-    frame = np.stack([side, np.cross(axis, side), axis])
-    return np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1) @ frame
+    return np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1) @ _frame(up)
 
 
 def _colors(
-    directions: Float64[np.ndarray, "n 3"],
-    places: Float64[np.ndarray, "n 3"],
-    views: Sequence[CaptureFrame],
-    skies: Sequence[Bool[np.ndarray, "_ _"]],
+    directions: Points, places: Points, views: Sequence[CaptureFrame], skies: Skies
 ) -> Float32[np.ndarray, "n 3"]:
     """Median over the views that show a direction's sky; elsewhere an inverse-distance-weighted mean of known ones."""
     samples: list[list[np.ndarray]] = [[] for _ in directions]
@@ -366,78 +316,45 @@ def _colors(
         all_sky = np.concatenate([view.image[sky] for view, sky in zip(views, skies, strict=True)])
         return np.broadcast_to(np.median(all_sky, axis=0).astype(np.float32) / 255, colors.shape).copy()
     colors[known] = [np.median(each, axis=0) / 255 for each in samples if each]
-    colors[~known] = _spread_out(directions[known], colors[known], directions[~known])
+    if not known.all():
+        found = KDTree(directions[known]).query(directions[~known], min(64, int(known.sum())))
+        distance, index = (each.reshape(int((~known).sum()), -1) for each in found)
+        weight = 1 / np.maximum(distance, 1e-6) ** 2
+        colors[~known] = (weight[..., None] * colors[known][index]).sum(axis=1) / weight.sum(axis=1)[:, None]
     return colors
-
-
-def _spread_out(
-    known: Float64[np.ndarray, "k 3"], colors: Float32[np.ndarray, "k 3"], wanted: Float64[np.ndarray, "m 3"]
-) -> Float32[np.ndarray, "m 3"]:
-    if not len(wanted):
-        return np.zeros((0, 3), np.float32)
-    distance, index = KDTree(known).query(wanted, min(64, len(known)))
-    distance, index = distance.reshape(len(wanted), -1), index.reshape(len(wanted), -1)
-    weight = 1 / np.maximum(distance, 1e-6) ** 2
-    return ((weight[..., None] * colors[index]).sum(axis=1) / weight.sum(axis=1)[:, None]).astype(np.float32)
-
-
-def _dome(
-    directions: Float64[np.ndarray, "n 3"],
-    center: Float64[np.ndarray, "3"],
-    radius: float,
-    colors: Float32[np.ndarray, "n 3"],
-) -> Gaussians:
-    n = len(directions)
-    spacing = radius * np.sqrt(2 * np.pi * (1 - _LOWEST) / n)
-    # Rotation from x to the direction: halfway quaternion (1 + cos, axis * sin).
-    turns = np.stack([1 + directions[:, 0], np.zeros(n), -directions[:, 2], directions[:, 1]], axis=1)
-    turns[turns[:, 0] < 1e-6] = [0, 0, 0, 1]
-    return Gaussians(
-        (center + radius * directions).astype(np.float32),
-        np.tile(np.array([_SKY_THICKNESS, 1, 1]) * _SPREAD * spacing, (n, 1)).astype(np.float32),
-        normalized(turns).astype(np.float32),
-        np.full(n, _OPACITY, np.float32),
-        sh_from_color(colors),
-    )
 
 
 # Actors from lidar
 
-MIN_POINTS = 60
-"""Lidar points that an actor needs; fewer do not define a shape."""
-
+MIN_POINTS = 60  # lidar points that an actor needs; fewer do not define a shape
 _MARGIN_M = 0.1
 _LIFT_M = 0.12  # points lower than this in the box may belong to the road
 _MIN_SPACING_M = 0.04
 _MAX_VIEWS = 24
 
 
-def actor_layers(capture: Capture, views: Sequence[CaptureFrame], least_points: int = MIN_POINTS) -> tuple[Actor, ...]:
+def actor_layers(capture: Capture, views: Sequence[CaptureFrame]) -> tuple[Actor, ...]:
     """Make an actor of each moving vehicle or person with enough lidar points, on the track of its box.
 
     Points of all sweeps are accumulated in the actor's frame and mirrored at its plane of symmetry, since one side is
-    seldom visible. Colors come from the views that show it, at their times.
-
-    Args:
-        capture: With sweeps and boxes; without either there are no actors.
-        views: Undistorted.
-        least_points: Actors with fewer points are omitted.
+    seldom visible. Colors come from the views (undistorted) that show it, at their times. Without sweeps or boxes there
+    are no actors.
     """
     actors: list[Actor] = []
     for box in capture.boxes:
         if not (can_move(box) and is_moving(box)):
             continue
         points = points_of_box(capture, box)
-        if len(points) < least_points:
+        if len(points) < MIN_POINTS:
             continue
-        points, is_mirrored = _with_mirror_image(points)
-        colors, seen = _actor_colors(capture, box, points, views)
-        if not seen.any():
+        partner = np.arange(2 * len(points)) - len(points)  # below 0 for the points that are not mirror images
+        points = np.concatenate([points, points * [1, -1, 1]])
+        colors, visible = _actor_colors(capture, box, points, views)
+        if not visible.any():
             continue
-        partner = np.where(is_mirrored, np.arange(len(points)) - is_mirrored.argmax(), -1)
-        borrowed = ~seen & (partner >= 0)  # hidden points take the color of their mirror image
+        borrowed = ~visible & (partner >= 0)  # hidden points take the color of their mirror image
         colors[borrowed] = colors[partner[borrowed]]
-        known = seen | (borrowed & seen[partner])
+        known = visible | (borrowed & visible[partner])
         colors[~known] = np.median(colors[known], axis=0)
         gaussians = round_gaussians(points, colors, SURFACE_OPACITY)
         actors.append(
@@ -455,19 +372,9 @@ def points_of_box(capture: Capture, box: TrackedBox) -> Float64[np.ndarray, "p 3
             points = sweep.points_m.astype(np.float64)
             local = (points[points_in_box(points, box, sweep.time_s, _MARGIN_M)] - pose[:3, 3]) @ pose[:3, :3]
             found.append(local[local[:, 2] > _LIFT_M])
-    return _thinned(np.concatenate(found))
-
-
-def _thinned(points: Float64[np.ndarray, "p 3"]) -> Float64[np.ndarray, "q 3"]:
-    """Keep the first point per cell of the minimum spacing."""
+    points = np.concatenate(found)
     _, first = np.unique(np.floor(points / _MIN_SPACING_M).astype(np.int64), axis=0, return_index=True)
     return points[np.sort(first)]
-
-
-def _with_mirror_image(points: Float64[np.ndarray, "p 3"]) -> tuple[Float64[np.ndarray, "q 3"], Bool[np.ndarray, " q"]]:
-    """Append each point's mirror image across the box's plane of symmetry."""
-    both = np.concatenate([points, points * [1, -1, 1]])
-    return both, np.arange(len(both)) >= len(points)
 
 
 def _actor_colors(
@@ -476,9 +383,9 @@ def _actor_colors(
     """Colors from the views that show the box, each transformed to the box's frame at its time."""
     own: list[CaptureFrame] = []
     depths: list[Float32[np.ndarray, "_ _"]] = []
-    seen = [view for view in views if len(box_outline(view, box))]
-    seen.sort(key=lambda view: float(np.linalg.norm(_pose(box, view)[:3, 3] - view.camera.position)))
-    for view in seen[:_MAX_VIEWS]:
+    showing = [view for view in views if len(box_outline(view, box))]
+    showing.sort(key=lambda view: float(np.linalg.norm(_pose(box, view)[:3, 3] - view.camera.position)))
+    for view in showing[:_MAX_VIEWS]:
         nearest = min(capture.sweeps, key=lambda sweep: abs(sweep.time_s - view.time_s))
         own.append(replace(view, camera=view.camera.moved(np.linalg.inv(_pose(box, view))), mask_source=None))
         depths.append(completed_depth(lidar_depth(view, [nearest])))

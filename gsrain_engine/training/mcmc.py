@@ -1,16 +1,15 @@
 """3DGS-MCMC density control (Kheradmand et al. 2024): relocates dead Gaussians, adds new ones, adds position noise."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, Shaped
 from scipy.special import comb
 
 from .parameters import SplatParameters, Tensor
-from .strategy import rotate_vectors
+from .strategy import Strategy, rotate_vectors
 
 torch: Any = import_module("torch")
 _STILL = 0.25  # opacity above which no noise is applied; its factor is below 1e-10 there
@@ -22,8 +21,7 @@ _STEEPNESS, _MIDDLE = 100.0, 0.995
 class MCMCSettings:
     """Schedule and strength of relocation and noise; defaults are the paper's for 30,000 steps."""
 
-    most: int
-    """Maximum number of Gaussians."""
+    max_count: int
     means_rate: Callable[[int], float]
     """Learning rate of the means at a step; scales the noise."""
     first_step: int = 500
@@ -40,11 +38,11 @@ class MCMCSettings:
     scale_weight: float = 0.01
 
     @classmethod
-    def for_run(cls, steps: int, most: int, means_rate: Callable[[int], float]) -> "MCMCSettings":
+    def for_run(cls, steps: int, max_count: int, means_rate: Callable[[int], float]) -> "MCMCSettings":
         """Scale the paper's schedule of 30,000 steps to a run of `steps`."""
         share = min(steps / 30_000, 1.0)
         return cls(
-            most=most,
+            max_count=max_count,
             means_rate=means_rate,
             first_step=max(round(500 * share), 30),
             last_step=round(25_000 * share),
@@ -52,14 +50,11 @@ class MCMCSettings:
         )
 
 
-class MCMCStrategy:
+class MCMCStrategy(Strategy):
     """Treats Gaussians as samples of the scene: their number grows to a cap and none are pruned."""
 
     def __init__(self, settings: MCMCSettings) -> None:
         self._settings = settings
-
-    def observe(self, step: int, rendered: Any, rows: slice | Tensor = slice(None)) -> None:
-        """Record nothing: opacity alone decides."""
 
     def adapt(self, step: int, parameters: SplatParameters, generator: Tensor) -> str | None:
         s = self._settings
@@ -77,13 +72,6 @@ class MCMCStrategy:
         s = self._settings
         return s.opacity_weight * parameters.opacities.mean() + s.scale_weight * parameters.scales.mean()
 
-    def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
-        """Return nothing: parameters and generator hold the whole state."""
-        return {}
-
-    def restore(self, state: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
-        """Do nothing, see `state`."""
-
     def _relocate(self, parameters: SplatParameters, generator: Tensor) -> int:
         """Move dead Gaussians onto live ones drawn by opacity, preserving the rendered image (eq. 9)."""
         dead = torch.nonzero(parameters.opacities <= self._settings.dead_below)[:, 0]
@@ -96,7 +84,7 @@ class MCMCStrategy:
         return len(dead)
 
     def _add(self, parameters: SplatParameters, generator: Tensor) -> int:
-        count = min(self._settings.most - len(parameters), int(self._settings.growth * len(parameters)))
+        count = min(self._settings.max_count - len(parameters), int(self._settings.growth * len(parameters)))
         if count <= 0:
             return 0
         sources = _drawn_by_opacity(parameters.opacities, count, generator)
@@ -139,18 +127,17 @@ def _drawn_by_opacity(opacities: Tensor, count: int, generator: Tensor) -> Tenso
 
 # Relocation factors
 
-MAX_COPIES = 51
-"""Larger counts are clamped to this, as in the authors' code: the sums lose precision beyond."""
+MAX_COPIES = 51  # larger counts are clamped to this, as in the authors' code: the sums lose precision beyond
+_N, _K = np.ogrid[: MAX_COPIES + 1, :MAX_COPIES]
+_TERMS = comb(_N, _K + 1) * (-1.0) ** _K / np.sqrt(_K + 1)
+"""Coefficients (-1)^k C(N, k + 1) / sqrt(k + 1): the double sum of eq. 9, summed over its first index."""
 
 
 def relocation_factors(opacities: Tensor, copies: Tensor) -> tuple[Tensor, Tensor]:
     """Opacity and scale factor of each of N equal Gaussians that replace one (Kheradmand et al. 2024, eq. 9).
 
-    The stack keeps the original's opacity at the center and its integral along a line through it.
-
-    Args:
-        opacities: (n,) of the originals.
-        copies: (n,) number after the change, original included.
+    The stack keeps the original's opacity at the center and its integral along a line through it. `opacities` (n,) are
+    those of the originals, `copies` (n,) the numbers after the change, originals included.
     """
     count = copies.clamp(max=MAX_COPIES)
     old = opacities.double()
@@ -159,12 +146,3 @@ def relocation_factors(opacities: Tensor, copies: Tensor) -> tuple[Tensor, Tenso
     powers = new[:, None] ** torch.arange(1, MAX_COPIES + 1, device=old.device)
     factor = old / (terms * powers).sum(dim=1)
     return new.to(opacities.dtype), factor.to(opacities.dtype)
-
-
-def _terms() -> Float64[np.ndarray, "n k"]:
-    """Coefficients (-1)^k C(N, k + 1) / sqrt(k + 1): the double sum of eq. 9, summed over its first index."""
-    n, k = np.arange(MAX_COPIES + 1)[:, None], np.arange(MAX_COPIES)[None, :]
-    return np.asarray(comb(n, k + 1) * (-1.0) ** k / np.sqrt(k + 1), np.float64)
-
-
-_TERMS = _terms()

@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float64, Shaped
 
 from ..datasets.capture import EGO_HEIGHT_M, Capture, CaptureFrame
-from ..render.autodiff.differentiable import render_gaussians
-from ..render.autodiff.types import Rendered
+from ..render.autodiff.differentiable import Rendered, render_gaussians
 from ..safe_io.numpy_files import read_archive
 from ..safe_io.text_files import printable_line
 from ..scene.camera import Camera
@@ -22,7 +21,7 @@ from ..scene.files import whole_file
 from ..scene.gaussians import Gaussians
 from ..scene.geometry import quaternions_from_matrices
 from ..scene.scene import Actor, Layer, RigCamera, Scene, rotation_to_z_up
-from .parameters import SplatParameters
+from .parameters import SplatParameters, rotate_quaternions
 from .settings import TrainingSettings
 
 torch: Any = import_module("torch")
@@ -64,8 +63,15 @@ class SplatModel:
                 pieces.append(_ActivatedPart.of(parameters, sh_degree).moved(pose))
                 rows[key] = slice(count, count + len(parameters))
                 count += len(parameters)
-        front = _drawn(pieces, camera)
-        sky = None if self.sky is None else _drawn([_ActivatedPart.of(self.sky, sh_degree).standing], camera)
+        if len(pieces) > 1:
+            harmonics, pad = max(piece.sh.shape[1] for piece in pieces), torch.nn.functional.pad
+            padded = [piece._replace(sh=pad(piece.sh, (0, 0, 0, harmonics - piece.sh.shape[1]))) for piece in pieces]
+            pieces = [_ActivatedPart(*(torch.cat(each) for each in zip(*padded, strict=True)))]
+        front = render_gaussians(*pieces[0], camera)
+        sky = None
+        if self.sky is not None:  # only its colors are trained
+            part = _ActivatedPart.of(self.sky, sh_degree)
+            sky = render_gaussians(*_ActivatedPart(*(each.detach() for each in part))._replace(sh=part.sh), camera)
         color = front.color if sky is None else front.color + (1 - front.alpha)[..., None] * sky.color
         return TrainingRender(color, front, slice(0, len(self.background)), rows, sky)
 
@@ -91,9 +97,7 @@ class SplatModel:
     def restore(self, state: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
         """Restore the output of `state`; raises KeyError if something is missing."""
         for part, parameters in self.parts:
-            prefix = f"{part}:"
-            own = {name.removeprefix(prefix): array for name, array in state.items() if name.startswith(prefix)}
-            parameters.restore(own)
+            parameters.restore(arrays_of(state, part))
 
 
 class _ActivatedPart(NamedTuple):
@@ -111,36 +115,17 @@ class _ActivatedPart(NamedTuple):
         sh = parameters.sh_up_to(sh_degree)
         return cls(tensors["means"], parameters.scales, tensors["quaternions"], parameters.opacities, sh)
 
-    @property
-    def standing(self) -> "_ActivatedPart":
-        """A copy of which only the colors are trained."""
-        means, scales, quaternions, opacities, sh = self
-        return _ActivatedPart(means.detach(), scales.detach(), quaternions.detach(), opacities.detach(), sh)
-
     def moved(self, pose: Float64[np.ndarray, "4 4"]) -> "_ActivatedPart":
         """Transform from an object's frame to the world; colors are unchanged."""
         matrix = torch.as_tensor(pose, dtype=self.means.dtype, device=self.means.device)
-        turn = quaternions_from_matrices(pose[:3, :3]).tolist()
-        return self._replace(
-            means=self.means @ matrix[:3, :3].T + matrix[:3, 3], quaternions=_turned(turn, self.quaternions)
-        )
+        quaternions = rotate_quaternions(quaternions_from_matrices(pose[:3, :3]), self.quaternions)
+        return self._replace(means=self.means @ matrix[:3, :3].T + matrix[:3, 3], quaternions=quaternions)
 
 
-def _turned(turn: list[float], quaternions: Tensor) -> Tensor:
-    w, x, y, z = turn
-    rows = [[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]]
-    return quaternions @ torch.tensor(rows, dtype=quaternions.dtype, device=quaternions.device).T
-
-
-def _drawn(pieces: list[_ActivatedPart], camera: Camera) -> Rendered:
-    if len(pieces) > 1:
-        most = max(piece.sh.shape[1] for piece in pieces)
-        pad = torch.nn.functional.pad
-        padded = [piece._replace(sh=pad(piece.sh, (0, 0, 0, most - piece.sh.shape[1]))) for piece in pieces]
-        means, scales, quaternions, opacities, sh = (torch.cat(each) for each in zip(*padded, strict=True))
-    else:
-        means, scales, quaternions, opacities, sh = pieces[0]
-    return render_gaussians(means, scales, quaternions, opacities, sh, camera)
+def arrays_of(state: Mapping[str, Shaped[np.ndarray, "..."]], part: str) -> dict[str, Shaped[np.ndarray, "..."]]:
+    """Arrays of one part of a state, whose names start with the part and a colon."""
+    prefix = f"{part}:"
+    return {name.removeprefix(prefix): array for name, array in state.items() if name.startswith(prefix)}
 
 
 # Model to scene
@@ -206,16 +191,12 @@ def _rigs(capture: Capture) -> dict[str, tuple[RigCamera, ...]]:
     for view in capture:
         pose = capture.ego.pose(view.time_s)
         if view.sensor not in mounted and pose is not None:
-            mounted[view.sensor] = _mounted(view, pose)
+            camera = view.camera
+            mounted[view.sensor] = RigCamera(
+                view.sensor or "camera", camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy,
+                np.linalg.inv(pose) @ camera.camera_to_world, camera.exposure_s,
+            )  # fmt: skip
     return {RIG: tuple(mounted.values())} if mounted else {}
-
-
-def _mounted(view: CaptureFrame, ego_to_world: Float64[np.ndarray, "4 4"]) -> RigCamera:
-    camera = view.camera
-    return RigCamera(
-        view.sensor or "camera", camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy,
-        np.linalg.inv(ego_to_world) @ camera.camera_to_world, camera.exposure_s,
-    )  # fmt: skip
 
 
 # Checkpoints
@@ -255,7 +236,7 @@ def write_training_checkpoint(
         version=_VERSION, step=checkpoint.step, seconds=checkpoint.seconds, capture=capture, settings=settings
     )
     named = {"head": np.frombuffer(msgspec.json.encode(head), np.uint8), **checkpoint.arrays}
-    with whole_file(file) as beside, beside.open("wb") as stream:
+    with whole_file(file) as temporary, temporary.open("wb") as stream:
         np.savez(stream, allow_pickle=False, **named)
 
 

@@ -5,15 +5,13 @@ from importlib import import_module
 from typing import Any, no_type_check
 
 import numpy as np
-from jaxtyping import Float32, Shaped
+from jaxtyping import Float32, Float64, Shaped
 from numba import njit, prange
 
 from ..scene.gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 
 torch: Any = import_module("torch")
-Tensor = Any
-"""A torch tensor; torch is an optional extra, so its types can't be named here."""
-
+Tensor = Any  # a torch tensor; torch is an optional extra, so its types can't be named here
 NAMES = ("means", "log_scales", "quaternions", "opacity_logits", "sh_dc", "sh_rest")
 _MIN_SCALE, _MIN_OPACITY = 1e-12, 1e-8  # lower bounds of values before their logarithm is taken
 
@@ -29,8 +27,8 @@ class SplatParameters:
         if set(tensors) != set(NAMES):
             raise ValueError(f"trainable Gaussians have {sorted(NAMES)}, not {sorted(tensors)}")
         self.tensors: dict[str, Tensor] = {name: _leaf(tensors[name]) for name in NAMES}
-        self._first = {name: torch.zeros_like(each, requires_grad=False) for name, each in self.tensors.items()}
-        self._second = {name: torch.zeros_like(each, requires_grad=False) for name, each in self.tensors.items()}
+        self._first = {name: torch.zeros_like(each.detach()) for name, each in self.tensors.items()}
+        self._second = {name: torch.zeros_like(each.detach()) for name, each in self.tensors.items()}
         self._steps: dict[str, int] = dict.fromkeys(NAMES, 0)
 
     @classmethod
@@ -58,13 +56,12 @@ class SplatParameters:
         """Return the current Gaussians, activated, in float32."""
         with torch.no_grad():
             quaternions = torch.nn.functional.normalize(self.tensors["quaternions"], dim=1)
-            return Gaussians(
-                _array(self.tensors["means"]),
-                _array(self.scales),
-                _array(quaternions),
-                _array(self.opacities),
-                _array(self.sh),
-            )
+            values = (self.tensors["means"], self.scales, quaternions, self.opacities, self.sh)
+            return Gaussians(*map(_array, values))
+
+    def to_means(self) -> Float32[np.ndarray, "n 3"]:
+        """Return the current means in float32."""
+        return _array(self.tensors["means"])
 
     def __len__(self) -> int:
         return len(self.tensors["means"])
@@ -107,10 +104,8 @@ class SplatParameters:
     def step(self, learning_rates: Mapping[str, float], rows: Tensor | None = None) -> None:
         """Do one step of Adam (Kingma and Ba 2015) on every tensor that has a gradient and a learning rate.
 
-        Args:
-            learning_rates: By name; tensors without a rate, or with 0, keep their values and moments.
-            rows: (n,) bool: only these move, and only their moments change. None moves all: invisible rows then
-                continue along their moments, as in 3DGS.
+        Tensors without a rate by name, or with 0, keep their values and moments. Only `rows` ((n,) bool) move, and only
+        their moments change; None moves all: invisible rows then continue along their moments, as in 3DGS.
         """
         for name, rate in learning_rates.items():
             values = self.tensors[name]
@@ -120,18 +115,18 @@ class SplatParameters:
             shares = 1 - FIRST_DECAY ** self._steps[name], 1 - SECOND_DECAY ** self._steps[name]
             with torch.no_grad():
                 if values.device.type == "cpu":
-                    self._step_here(name, rate, shares, rows)
+                    self._step_cpu(name, rate, shares, rows)
                 else:
-                    self._step_there(name, rate, shares, rows)
+                    self._step_device(name, rate, shares, rows)
 
-    def _step_here(self, name: str, rate: float, shares: tuple[float, float], rows: Tensor | None) -> None:
+    def _step_cpu(self, name: str, rate: float, shares: tuple[float, float], rows: Tensor | None) -> None:
         n = len(self)
         four = (self.tensors[name], self.tensors[name].grad, self._first[name], self._second[name])
         values, slope, first, second = (each.detach().contiguous().numpy().reshape(n, -1) for each in four)
-        taking_part = np.zeros(0, np.bool_) if rows is None else rows.numpy()
-        adam_step(values, slope, first, second, taking_part, rate, shares[0], shares[1])
+        mask = np.zeros(0, np.bool_) if rows is None else rows.numpy()
+        adam_step(values, slope, first, second, mask, rate, shares[0], shares[1])
 
-    def _step_there(self, name: str, rate: float, shares: tuple[float, float], rows: Tensor | None) -> None:
+    def _step_device(self, name: str, rate: float, shares: tuple[float, float], rows: Tensor | None) -> None:
         values, first, second = self.tensors[name], self._first[name], self._second[name]
         slope = values.grad
         if rows is not None:
@@ -205,6 +200,13 @@ def _copy(tensor: Tensor) -> Shaped[np.ndarray, "..."]:
     return tensor.detach().cpu().numpy().copy()
 
 
+def rotate_quaternions(turn: Float64[np.ndarray, "4"], quaternions: Tensor) -> Tensor:
+    """(n, 4) products of a quaternion and others, wxyz."""
+    w, x, y, z = turn.tolist()
+    rows = [[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]]
+    return quaternions @ torch.tensor(rows, dtype=quaternions.dtype, device=quaternions.device).T
+
+
 # Adam step on the CPU
 # One pass over memory without allocations.
 
@@ -219,15 +221,9 @@ _CHUNK = 4096
 def adam_step(values, gradients, first, second, rows, rate, first_share, second_share):
     """Update `values` (n, c) and their moments in place; rows are independent.
 
-    Args:
-        values: Trained values.
-        gradients: Of the loss with respect to `values`.
-        first: Running mean of the gradients.
-        second: Running mean of their squares.
-        rows: (n,) bool mask of the updated rows, or an empty array for all.
-        rate: Learning rate.
-        first_share: 1 - FIRST_DECAY ** steps: bias correction of the first moment.
-        second_share: 1 - SECOND_DECAY ** steps.
+    `gradients` are those of the loss with respect to `values`, `first` and `second` the running means of them and of
+    their squares. Only `rows` ((n,) bool) are updated, all for an empty array. `first_share` is 1 - FIRST_DECAY **
+    steps, the bias correction of the first moment; `second_share` likewise.
     """
     count, channels = values.shape
     kind = values.dtype.type

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -154,22 +154,13 @@ def load_settings(name: str | Path | None = None, **changes: Any) -> TrainingSet
     return convert_checked(values | changed, TrainingSettings)
 
 
-def help_of(name: str) -> str:
-    """Description of a setting with its default, for a command's help."""
-    hint = get_type_hints(TrainingSettings, include_extras=True)[name]
-    return f"{hint.__metadata__[-1].description} Default: {getattr(TrainingSettings(), name)}."
-
-
 def settings_names() -> list[str]:
     return shipped_config_names(_FOLDER)
 
 
 # Training schedule
 
-LEVELS = 3
-"""Number of image sizes: full, half and quarter."""
-
-_EXTENT_MARGIN = 1.1
+LEVELS = 3  # number of image sizes: full, half and quarter
 _TRANSIENTS_FROM = 0.25
 """Share of the steps from which transients are masked: earlier the scene is too rough, later it has overfitted them."""
 
@@ -189,13 +180,15 @@ class TrainingSchedule:
         rates, haste = self.settings.rates, self.settings.haste
         done = step / max(self.settings.steps - 1, 1)
         means = float(np.exp((1 - done) * np.log(rates.means) + done * np.log(rates.last_means)))
+        # Colors settle in the last third: short runs have no time to average out noise.
+        settling = float(np.clip(1 - (done - 2 / 3) * 3 * 0.9, 0.1, 1))
         return {
             "means": haste * means * self.extent,
             "log_scales": haste * rates.log_scales,
             "quaternions": haste * rates.quaternions,
             "opacity_logits": haste * rates.opacity_logits,
-            "sh_dc": haste * rates.sh_dc * self._settling(done),
-            "sh_rest": haste * rates.sh_rest * self._settling(done),
+            "sh_dc": haste * rates.sh_dc * settling,
+            "sh_rest": haste * rates.sh_rest * settling,
         }
 
     def level(self, step: int) -> int:
@@ -213,20 +206,15 @@ class TrainingSchedule:
         """True if pixels that contradict other images are masked at this step."""
         return self.settings.transients > 0 and step >= _TRANSIENTS_FROM * self.settings.steps
 
-    def _settling(self, done: float) -> float:
-        """Decay the colors' learning rate in the last third: short runs have no time to average out noise."""
-        return float(np.clip(1 - (done - 2 / 3) * 3 * 0.9, 0.1, 1))
-
 
 def camera_extent(views: Sequence[CaptureFrame]) -> float:
     """Largest distance of a camera from their mean plus 10 %, at least 1 (Kerbl et al. 2023, their code)."""
     places = np.array([view.camera.position for view in views])
     spread = float(np.linalg.norm(places - places.mean(axis=0), axis=1).max())
-    return max(_EXTENT_MARGIN * spread, 1.0)
+    return max(1.1 * spread, 1.0)
 
 
 def view_order(count: int, steps: int, seed: int) -> list[int]:
     """View index of each step: every view once per epoch, reshuffled for each epoch."""
-    epochs = range(-(-steps // count))
-    shuffled = [np.random.default_rng([seed, epoch]).permutation(count) for epoch in epochs]
+    shuffled = [np.random.default_rng([seed, epoch]).permutation(count) for epoch in range(-(-steps // count))]
     return np.concatenate(shuffled)[:steps].tolist()

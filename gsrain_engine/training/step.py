@@ -9,29 +9,25 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, Shaped, UInt8
 
-from ..evaluation.image_metrics import C1, C2, HALF_WINDOW_PX, MIN_WEIGHT, WINDOW_PX, check_pair, window
+from ..evaluation.image_metrics import C1, C2, HALF_WINDOW_PX, MIN_WEIGHT, WINDOW_PX, ImageDistance, check_pair, window
 from .data import PyramidLevel, TrainingView
-from .evaluation import PerceptualMetric, RenderScore, score
-from .model import SplatModel, TrainingRender
+from .evaluation import RenderScore, score
+from .free_space import FreeSpaceCarving, clear_free_space
+from .model import SplatModel, TrainingRender, arrays_of
 from .settings import TrainingSchedule, TrainingSettings, view_order
 from .strategy import Strategy
 
 torch: Any = import_module("torch")
 Tensor = Any
-_EXPOSURES = "exposures"
-_CONTROL = "control"
-_STAGES = ("reading", "forward", "backward", "optimizer", "density")
+Render = Float32[np.ndarray, "h w 3"]
 
 
 class TrainingStepResult(NamedTuple):
     """Result of one training step."""
 
-    step: int
-    """Counted from 0."""
     loss: float
     change: str | None
-    """Summary of the density control's change."""
-    shown: Tensor
+    exposed: Tensor
     """(h, w, 3) render with the image's own exposure applied."""
     truth: Tensor
 
@@ -46,10 +42,13 @@ class Trainer:
         schedule: TrainingSchedule,
         control: Strategy,
         device: str,
+        free: FreeSpaceCarving | None = None,
     ) -> None:
         self.model, self.views, self.schedule = model, views, schedule
-        self.seconds_by_stage: dict[str, float] = dict.fromkeys(_STAGES, 0.0)
-        self._control, self._device = control, device
+        self.seconds_by_stage: dict[str, float] = dict.fromkeys(
+            ("reading", "forward", "backward", "optimizer", "density"), 0.0
+        )
+        self._control, self._device, self._free = control, device, free
         settings = schedule.settings
         self._exposures = ExposureAffine(len(views), device) if settings.exposure else None
         self._order = view_order(len(views), settings.steps, settings.seed)
@@ -63,28 +62,31 @@ class Trainer:
         clock.stop("reading")
         self.model.zero_grad()
         picture = self.model.render(level.camera, view.time_s, self.schedule.sh_degree(number))
-        shown = picture.color if self._exposures is None else self._exposures.apply(index, picture.color)
+        exposed = picture.color if self._exposures is None else self._exposures.apply(index, picture.color)
         if self.schedule.leaves_out(number):
-            truth = truth._replace(mask=robust_mask(shown, truth.image, truth.mask, settings.transients))
-        loss = view_loss(picture, shown, truth, settings)
+            truth = truth._replace(mask=robust_mask(exposed, truth.image, truth.mask, settings.transients))
+        loss = view_loss(picture, exposed, truth, settings)
         total = loss.total
         if self._exposures is not None:
             total = total + settings.exposure * self._exposures.penalty(index)
-        pull = self._control.regularization(self.model.background)
-        if pull is not None:
-            total = total + pull
+        regularization = self._control.regularization(self.model.background)
+        if regularization is not None:
+            total = total + regularization
         clock.stop("forward")
         total.backward()
         clock.stop("backward")
         self._control.observe(number, picture.front, picture.background_rows)
-        self._move(number, picture, everything=pull is not None)
+        self._move(number, picture, everything=regularization is not None)
         clock.stop("optimizer")
         generator = torch.Generator().manual_seed(settings.seed * 1_000_003 + number)
         change = self._control.adapt(number, self.model.background, generator)
+        if self._free is not None:
+            cleared = clear_free_space(number, settings.steps, self.model.background, self._free)
+            change = ", ".join(filter(None, (change, cleared))) or None
         clock.stop("density")
-        return TrainingStepResult(number, float(loss.total.detach()), change, shown.detach(), truth.image)
+        return TrainingStepResult(float(loss.total.detach()), change, exposed.detach(), truth.image)
 
-    def render(self, view: TrainingView) -> Float32[np.ndarray, "h w 3"]:
+    def render(self, view: TrainingView) -> Render:
         """Render the whole model for a view at full size, without gradients."""
         with torch.no_grad():
             color = self.model.render(view.levels[0].camera, view.time_s).color
@@ -93,27 +95,26 @@ class Trainer:
     def measure(
         self,
         view: TrainingView,
-        perceived: PerceptualMetric | None = None,
-        rendered: Float32[np.ndarray, "h w 3"] | None = None,
+        lpips: ImageDistance | None = None,
+        rendered: Render | None = None,
     ) -> RenderScore:
         """Compare a render, computed here if None, with a view's ground truth."""
-        if rendered is None:
-            rendered = self.render(view)
-        return score(view.name, rendered, view.levels[0].image, view.seen, perceived)
+        rendered = self.render(view) if rendered is None else rendered
+        return score(view.name, rendered, view.levels[0].image, view.valid, lpips)
 
     def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
         arrays = self.model.state()
-        arrays |= {f"{_CONTROL}:{name}": array for name, array in self._control.state().items()}
+        arrays |= {f"control:{name}": array for name, array in self._control.state().items()}
         if self._exposures is not None:
-            arrays |= {f"{_EXPOSURES}:{name}": array for name, array in self._exposures.state().items()}
+            arrays |= {f"exposures:{name}": array for name, array in self._exposures.state().items()}
         return arrays
 
     def restore(self, arrays: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
         """Restore the output of `state`; raises KeyError if something is missing."""
         self.model.restore(arrays)
-        self._control.restore(_named(arrays, _CONTROL))
+        self._control.restore(arrays_of(arrays, "control"))
         if self._exposures is not None:
-            self._exposures.restore(_named(arrays, _EXPOSURES))
+            self._exposures.restore(arrays_of(arrays, "exposures"))
 
     def _move(self, number: int, picture: TrainingRender, *, everything: bool) -> None:
         """Step the optimizers: only drawn Gaussians move, unless a regularization applies to all of them."""
@@ -129,9 +130,9 @@ class Trainer:
             self._exposures.step(self.schedule.settings.rates.exposure * self.schedule.settings.haste)
 
 
-def comparison_image(shown: Tensor, truth: Tensor) -> UInt8[np.ndarray, "h w 3"]:
+def comparison_image(exposed: Tensor, truth: Tensor) -> UInt8[np.ndarray, "h w 3"]:
     """8-bit image of a render and its ground truth side by side."""
-    both = torch.cat([shown, truth], dim=1).clamp(0, 1)
+    both = torch.cat([exposed, truth], dim=1).clamp(0, 1)
     return (both * 255 + 0.5).to(torch.uint8).cpu().numpy()
 
 
@@ -145,11 +146,6 @@ class _StageClock:
         now = time.perf_counter()
         self._seconds[stage] += now - self._last
         self._last = now
-
-
-def _named(arrays: Mapping[str, Shaped[np.ndarray, "..."]], kind: str) -> dict[str, Shaped[np.ndarray, "..."]]:
-    prefix = f"{kind}:"
-    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 
 
 # Loss of one view
@@ -193,17 +189,17 @@ class Loss(NamedTuple):
     cover: Tensor
 
 
-def view_loss(picture: TrainingRender, shown: Tensor, truth: TrainingTarget, settings: TrainingSettings) -> Loss:
+def view_loss(picture: TrainingRender, exposed: Tensor, truth: TrainingTarget, settings: TrainingSettings) -> Loss:
     """Loss of one render against its target.
 
-    Color is (1 - s) L1 + s D-SSIM (Kerbl et al. 2023, eq. 7) of `shown`, the render with its camera's exposure. Depth
+    Color is (1 - s) L1 + s D-SSIM (Kerbl et al. 2023, eq. 7) of `exposed`, the render with its camera's exposure. Depth
     is |d - m| / (d + m) of expected depth d and measured depth m: independent of scale, and bounded, since a beam that
     grazes an edge may be meters off. Cover is the missing alpha at measured surfaces, and the alpha in front of known
     sky.
     """
-    color = (1 - settings.d_ssim) * l1(shown, truth.image, truth.mask)
+    color = (1 - settings.d_ssim) * l1(exposed, truth.image, truth.mask)
     if settings.d_ssim:
-        color = color + settings.d_ssim * d_ssim(shown, truth.image, truth.mask)
+        color = color + settings.d_ssim * d_ssim(exposed, truth.image, truth.mask)
     nothing = color.new_zeros(())
     depth, cover = nothing, nothing
     if len(truth.hits) and (settings.depth or settings.cover):
@@ -300,29 +296,24 @@ _THRESHOLDS, _TIMES = 0.08, 4.0
 """Color difference (0..1) below which no pixel is masked, and required multiple of the median."""
 
 
-def robust_mask(shown: Tensor, truth: Tensor, mask: Tensor | None, most: float) -> Tensor:
-    """(h, w) bool: a mask without the patches where render and image differ far more than elsewhere.
+def robust_mask(exposed: Tensor, truth: Tensor, mask: Tensor | None, max_share: float) -> Tensor:
+    """(h, w) bool: a mask without the patches where render and image (h, w, 3) differ far more than elsewhere.
 
     Follows robust losses for scenes with distractors (Sabour et al. 2023, section 3.2). Their quantile is only an upper
-    bound here, so that no pixel of a well-fitted image is masked.
-
-    Args:
-        shown: (h, w, 3) render.
-        truth: (h, w, 3) ground truth.
-        mask: (h, w) bool, valid pixels; None means all.
-        most: Largest share of them that may be masked.
+    bound here, so that no pixel of a well-fitted image is masked: at most `max_share` of the valid pixels of `mask`
+    (all for None).
     """
     with torch.no_grad():
         counts = torch.ones(truth.shape[:2], dtype=torch.bool, device=truth.device) if mask is None else mask
         if not counts.any():
             return counts
-        difference = torch.where(counts, (shown - truth).abs().mean(dim=2), 0)
+        difference = torch.where(counts, (exposed - truth).abs().mean(dim=2), 0)
         reach = max(round(_WINDOW * truth.shape[1] / 2), 1)
         both = torch.stack([difference, counts.to(difference.dtype)])[None]
         mean, part = torch.nn.functional.avg_pool2d(both, 2 * reach + 1, 1, reach)[0]
         mean = mean / part.clamp_min(1e-6)
         ordered = mean[counts].sort().values
-        bound = ordered[min(int((1 - most) * len(ordered)), len(ordered) - 1)]
+        bound = ordered[min(int((1 - max_share) * len(ordered)), len(ordered) - 1)]
         limit = torch.maximum(bound, (_TIMES * ordered[len(ordered) // 2]).clamp_min(_THRESHOLDS))
         return counts & (mean <= limit)
 

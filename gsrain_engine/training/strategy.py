@@ -1,55 +1,45 @@
-"""Density control: the strategy interface and the default strategy of 3DGS."""
+"""Density control: the base class of strategies and the default strategy of 3DGS."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Shaped
 
 from .parameters import SplatParameters, Tensor
 
+torch: Any = import_module("torch")
 
-@runtime_checkable
-class Strategy(Protocol):
-    """Interface of strategies that change the number of Gaussians during training.
+
+class Strategy:
+    """Changes the number of Gaussians during training; this base class changes none.
 
     The training calls `observe` after each backward pass and `adapt` after each step of the optimizer, with the same
     step number (from 0). All randomness comes from the generator.
     """
 
     def observe(self, step: int, rendered: Any, rows: slice | Tensor = slice(None)) -> None:
-        """Record statistics of a render after its backward pass.
-
-        Args:
-            step: Number of steps done before this one.
-            rendered: The `Rendered` of `render_gaussians`.
-            rows: Rows of the rendered Gaussians that are under control, in their order.
-        """
-        ...
+        """Record statistics of the `Rendered` of `render_gaussians`; `rows` of it are under control, in their order."""
 
     def adapt(self, step: int, parameters: SplatParameters, generator: Tensor) -> str | None:
         """Change Gaussians if due at this step; returns a short summary of the change, or None."""
-        ...
 
     def regularization(self, parameters: SplatParameters) -> Tensor | None:
         """Return a term to add to each step's loss, or None."""
-        ...
 
     def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
         """Return the statistics since the last change as arrays, for a checkpoint."""
-        ...
+        return {}
 
     def restore(self, state: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
         """Restore the output of `state`."""
-        ...
 
 
 # Density control of 3DGS
 # Clone small, split large, prune invisible Gaussians (Kerbl et al. 2023).
 
-torch: Any = import_module("torch")
 _CHILDREN = 2
 _SHRINK = 0.8 * _CHILDREN  # A child's scale is its parent's over 1.6 (Kerbl et al. 2023, section 5.2).
 
@@ -60,7 +50,7 @@ class DefaultStrategySettings:
 
     extent: float
     """Radius of the relevant scene around the cameras' center, in scene units."""
-    most: int
+    max_count: int
     """Maximum number of Gaussians; under this limit the highest gradients are served first."""
     first_step: int = 500
     last_step: int = 15_000
@@ -82,7 +72,7 @@ class DefaultStrategySettings:
     reset_to: float = 0.01
 
     @classmethod
-    def for_run(cls, steps: int, extent: float, most: int) -> "DefaultStrategySettings":
+    def for_run(cls, steps: int, extent: float, max_count: int) -> "DefaultStrategySettings":
         """Scale the schedule of 30,000 steps to a run of `steps`.
 
         Opacities need a few hundred steps to recover from a reset: runs of less than 2,000 steps have none.
@@ -90,7 +80,7 @@ class DefaultStrategySettings:
         share = min(steps / 30_000, 1.0)
         return cls(
             extent=extent,
-            most=most,
+            max_count=max_count,
             first_step=max(round(500 * share), 30),
             last_step=round(15_000 * share),
             every=max(round(100 * share), 25),
@@ -98,7 +88,7 @@ class DefaultStrategySettings:
         )
 
 
-class DefaultStrategy:
+class DefaultStrategy(Strategy):
     """Clones, splits and prunes by the screen-space gradients of the centers."""
 
     def __init__(self, settings: DefaultStrategySettings) -> None:
@@ -128,12 +118,12 @@ class DefaultStrategy:
                 done = self._change(step, parameters, generator)
             self._notes = {}
         if s.reset_every and 0 < step < s.last_step and step % s.reset_every == 0:
-            _reset_opacities(parameters, s.reset_to)
+            # All become nearly transparent, so that floaters near the cameras have to regain their opacity.
+            highest = float(np.log(s.reset_to / (1 - s.reset_to)))
+            lowered = parameters.tensors["opacity_logits"].detach().clamp(max=highest)
+            parameters.put("opacity_logits", slice(None), lowered)
             done = f"{done}, opacities reset" if done else "opacities reset"
         return done or None
-
-    def regularization(self, parameters: SplatParameters) -> Tensor | None:
-        return None
 
     def state(self) -> dict[str, Shaped[np.ndarray, "..."]]:
         return {name: each.cpu().numpy().copy() for name, each in self._notes.items()}
@@ -143,14 +133,14 @@ class DefaultStrategy:
 
     def _change(self, step: int, parameters: SplatParameters, generator: Tensor) -> str:
         s = self._settings
-        pull = self._notes["pull"] / self._notes["count"].clamp(min=1)
+        gradients = self._notes["pull"] / self._notes["count"].clamp(min=1)
         size = parameters.scales.amax(dim=1)
         gone = parameters.opacities < s.min_opacity
         if s.reset_every and step > s.reset_every:
             gone |= (size > s.largest * s.extent) | (self._notes["radius"] > s.largest_on_screen)
-        room = max(s.most - len(parameters) + int(gone.sum()), 0)
+        room = max(s.max_count - len(parameters) + int(gone.sum()), 0)
         wide = self._notes["radius"] > s.split_on_screen
-        growing = _highest(((pull >= s.gradient) | wide) & ~gone, pull + wide * float(pull.max()), room)
+        growing = _highest(((gradients >= s.gradient) | wide) & ~gone, gradients + wide * float(gradients.max()), room)
         large = (size > s.split_from * s.extent) | wide
         split, cloned = growing & large, growing & ~large
         more = [parameters.rows(cloned), _children(parameters.rows(split), generator)]
@@ -159,11 +149,11 @@ class DefaultStrategy:
         return f"{int(cloned.sum())} cloned, {int(split.sum())} split, {int(gone.sum())} pruned"
 
 
-def _highest(candidates: Tensor, pull: Tensor, room: int) -> Tensor:
+def _highest(candidates: Tensor, gradients: Tensor, room: int) -> Tensor:
     """The `room` candidates with the highest gradients (each adds one); ties by index."""
     if int(candidates.sum()) <= room:
         return candidates
-    order = torch.argsort(torch.where(candidates, pull, -1), descending=True, stable=True)
+    order = torch.argsort(torch.where(candidates, gradients, -1), descending=True, stable=True)
     chosen = torch.zeros_like(candidates)
     chosen[order[:room]] = True
     return chosen
@@ -185,10 +175,3 @@ def rotate_vectors(quaternions: Tensor, vectors: Tensor) -> Tensor:
     w, axis = unit[:, :1], unit[:, 1:]
     turn = 2 * torch.linalg.cross(axis, vectors)
     return vectors + w * turn + torch.linalg.cross(axis, turn)
-
-
-def _reset_opacities(parameters: SplatParameters, ceiling: float) -> None:
-    """Make all Gaussians nearly transparent, so that floaters near the cameras have to regain their opacity."""
-    logits = parameters.tensors["opacity_logits"].detach()
-    lowered = logits.clamp(max=float(np.log(ceiling / (1 - ceiling))))
-    parameters.put("opacity_logits", slice(None), lowered)

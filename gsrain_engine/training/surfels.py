@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int64
 from scipy.spatial import KDTree
 
 from ..datasets.capture import CaptureFrame
@@ -14,9 +14,8 @@ from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians, sh_from_color
 from ..scene.geometry import matrices_from_quaternions, quaternions_from_matrices
 
-SPREAD = 0.6
-"""Standard deviation of a disc over the spacing of discs: they overlap without much blur."""
-
+Depths = Sequence[Float32[np.ndarray, "_ _"]]
+SPREAD = 0.6  # standard deviation of a disc over the spacing of discs: they overlap without much blur
 _THICKNESS = 0.1  # standard deviation across the surface over the smaller one along it
 _STEEPEST = 16.0  # largest aspect ratio of a disc: surfaces at grazing angles are imprecise
 _SLIGHT, _STEEP, _STRAIGHT = 0.05, 0.5, 0.3
@@ -50,27 +49,16 @@ class Surfels:
         sizes[:, 2] = np.minimum(sizes[:, 2], _STEEPEST * sizes[:, 1])
         sizes[:, 0] = _THICKNESS * sizes[:, 1]
         vectors[:, :, 0] *= np.sign(np.linalg.det(vectors))[:, None]
-        return Gaussians(
-            self.means,
-            sizes.astype(np.float32),
-            quaternions_from_matrices(vectors).astype(np.float32),
-            np.full(len(self), opacity, np.float32),
-            sh_from_color(self.colors),
-        )
+        quaternions, opacities = quaternions_from_matrices(vectors), np.full(len(self), opacity, np.float32)
+        scales, rotations = sizes.astype(np.float32), quaternions.astype(np.float32)
+        return Gaussians(self.means, scales, rotations, opacities, sh_from_color(self.colors))
 
 
-def surfels_of_view(
-    view: CaptureFrame, depth: Float32[np.ndarray, "h w"], stride: int, wanted: Bool[np.ndarray, "rows columns"]
+def view_surfels(
+    view: CaptureFrame, depth: Float32[np.ndarray, "h w"], stride: int, cells: Bool[np.ndarray, "rows columns"]
 ) -> Surfels:
-    """Make one disc for each wanted cell of stride x stride pixels with a depth, at the cell's center.
-
-    Args:
-        view: Undistorted.
-        depth: Along the view axis, 0 where unknown.
-        stride: Side of a cell in pixels.
-        wanted: Cells to cover, see `grid_shape`.
-    """
-    rows, columns = np.nonzero(wanted)
+    """Make one disc for each wanted cell of stride x stride pixels with a depth along the view axis, at its center."""
+    rows, columns = np.nonzero(cells)
     v = np.minimum(rows * stride + stride // 2, view.camera.height - 1)
     u = np.minimum(columns * stride + stride // 2, view.camera.width - 1)
     there = depth[v, u] > 0
@@ -89,10 +77,7 @@ def surfels_of_view(
 
 
 def depth_slopes(depth: Float32[np.ndarray, "h w"]) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
-    """Relative depth change per pixel, horizontally and vertically; 0 at edges and where depth is unknown.
-
-    Uses the neighbor with the closer inverse depth, which is linear on planes.
-    """
+    """Relative depth change per pixel to the neighbor with closer inverse depth; 0 at edges and where unknown."""
     inverse = np.where(depth > 0, 1 / np.maximum(depth, 1e-6), 0)
     found: list[Float32[np.ndarray, "h w"]] = []
     for axis in (1, 0):
@@ -107,10 +92,6 @@ def depth_slopes(depth: Float32[np.ndarray, "h w"]) -> tuple[Float32[np.ndarray,
         is_surface = (np.abs(change) < _SLIGHT) | ((bend < _STRAIGHT) & (np.abs(change) < _STEEP))
         found.append(np.where(is_surface, -change, 0).astype(np.float32))
     return found[0], found[1]
-
-
-def grid_shape(camera: Camera, stride: int) -> tuple[int, int]:
-    return -(-camera.height // stride), -(-camera.width // stride)
 
 
 def cell_means(pixels: np.ndarray, stride: int) -> Float32[np.ndarray, "rows columns c"]:
@@ -131,21 +112,19 @@ LONGEST = 0.1
 Gaussian's center (Zwicker et al. 2001, section 6.2): a road Gaussian that extends past a camera would smear the sky."""
 
 
-def split_long_gaussians(gaussians: Gaussians, way: Float64[np.ndarray, "p 3"], most: int) -> Gaussians:
+def split_long_gaussians(gaussians: Gaussians, trajectory: Float64[np.ndarray, "p 3"], max_count: int) -> Gaussians:
     """Split Gaussians that are elongated relative to their camera distance into a row of shorter ones.
 
-    Args:
-        gaussians: In the capture's world.
-        way: Current and possible camera positions.
-        most: Maximum number afterwards; beyond it, the remaining ones are shortened without a split.
+    `trajectory` has current and possible camera positions. Beyond `max_count` Gaussians the remaining ones are
+    shortened without a split.
     """
     longest = gaussians.scales.argmax(axis=1)
     rows = np.arange(len(gaussians))
     sigma = gaussians.scales[rows, longest]
-    limit = np.maximum(LONGEST * KDTree(way).query(gaussians.means)[0], 1e-6)
+    limit = np.maximum(LONGEST * KDTree(trajectory).query(gaussians.means)[0], 1e-6)
     pieces = np.maximum(np.ceil(sigma / limit), 1).astype(np.int64)
     order = np.argsort(pieces, kind="stable")
-    fits = np.cumsum(pieces[order] - 1) <= most - len(gaussians)
+    fits = np.cumsum(pieces[order] - 1) <= max_count - len(gaussians)
     pieces[order[~fits]] = 1
     source = np.repeat(rows, pieces)
     first = np.cumsum(pieces) - pieces
@@ -166,26 +145,15 @@ _PARTS = 8  # parts per segment between two images
 _LONGEST = 0.5  # longest interpolated segment over the typical depth: within it the cameras observe free space
 
 
-def camera_trajectory(views: Sequence[CaptureFrame], usual_depth: float) -> Float64[np.ndarray, "p 3"]:
-    """Camera positions in the capture's world, interpolated between consecutive images of a sensor.
-
-    Args:
-        views: In any order.
-        usual_depth: Typical depth of the views in the capture's unit; segments long relative to it are not
-            interpolated.
-    """
-    stretches: list[tuple[np.ndarray, np.ndarray]] = []
+def camera_trajectory(views: Sequence[CaptureFrame], typical_depth: float) -> Float64[np.ndarray, "p 3"]:
+    """Camera positions, interpolated between consecutive images of a sensor that are near for the typical depth."""
+    places = [view.camera.position for view in views]
     for sensor in dict.fromkeys(view.sensor for view in views):
         own = sorted((view for view in views if view.sensor == sensor), key=lambda view: view.time_s)
-        stretches += [(one.camera.position, other.camera.position) for one, other in pairwise(own)]
-    lengths = [float(np.linalg.norm(end - start)) for start, end in stretches]
-    between = [
-        start + (end - start) * part / _PARTS
-        for (start, end), length in zip(stretches, lengths, strict=True)
-        if 0 < length <= _LONGEST * usual_depth
-        for part in range(1, _PARTS)
-    ]
-    return np.array([view.camera.position for view in views] + between)
+        for start, end in pairwise(view.camera.position for view in own):
+            if 0 < float(np.linalg.norm(end - start)) <= _LONGEST * typical_depth:
+                places += [start + (end - start) * part / _PARTS for part in range(1, _PARTS)]
+    return np.array(places)
 
 
 # Point colors
@@ -196,42 +164,35 @@ _SLACK = 0.15  # added tolerance in the world's unit, for points on thin objects
 
 
 def projected(
-    points: Float32[np.ndarray, "p 3"] | Float64[np.ndarray, "p 3"], camera: Camera
+    points: Float[np.ndarray, "p 3"], camera: Camera
 ) -> tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " m"], Int64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
     """Index, row, column and depth of each point that projects into the image."""
-    seen = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    ahead = np.flatnonzero(seen[:, 2] > _NEAR)
-    z = seen[ahead, 2]
-    column = np.floor(seen[ahead, 0] / z * camera.fx + camera.cx)
-    row = np.floor(seen[ahead, 1] / z * camera.fy + camera.cy)
+    local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    ahead = np.flatnonzero(local[:, 2] > _NEAR)
+    z = local[ahead, 2]
+    column = np.floor(local[ahead, 0] / z * camera.fx + camera.cx)
+    row = np.floor(local[ahead, 1] / z * camera.fy + camera.cy)
     inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
     return ahead[inside], row[inside].astype(np.int64), column[inside].astype(np.int64), z[inside].astype(np.float64)
 
 
 def point_colors(
-    points: Float32[np.ndarray, "p 3"] | Float64[np.ndarray, "p 3"],
-    views: Sequence[CaptureFrame],
-    depths: Sequence[Float32[np.ndarray, "_ _"]],
-    most_views: int = 8,
+    points: Float[np.ndarray, "p 3"], views: Sequence[CaptureFrame], depths: Depths, max_views: int = 8
 ) -> tuple[Float32[np.ndarray, "p 3"], Bool[np.ndarray, " p"]]:
     """Median display color of each point over its nearest views, and a mask of visible points (others are gray).
 
-    Args:
-        points: In the world of the capture.
-        views: Undistorted; pixels outside their masks are ignored.
-        depths: Surface depth in each pixel, for occlusion; 0 occludes nothing.
-        most_views: Number of nearest views per point.
+    Points are in the world of the capture, views undistorted; pixels outside their masks are ignored. `depths` are
+    those of the surface in each pixel, for occlusion; 0 occludes nothing.
     """
-    nearest = np.full((len(points), most_views), np.inf)
-    samples = np.full((len(points), most_views, 3), np.nan, np.float32)
+    nearest = np.full((len(points), max_views), np.inf)
+    samples = np.full((len(points), max_views, 3), np.nan, np.float32)
     for view, depth in zip(views, depths, strict=True):
         index, row, column, z = projected(points, view.camera)
         surface = depth[row, column]
-        seen = (surface <= 0) | (z <= surface * _HIDDEN + _SLACK)
-        mask = view.mask
-        if mask is not None:
-            seen &= mask[row, column]
-        index, row, column, z = index[seen], row[seen], column[seen], z[seen]
+        visible = (surface <= 0) | (z <= surface * _HIDDEN + _SLACK)
+        if view.mask is not None:
+            visible &= view.mask[row, column]
+        index, row, column, z = index[visible], row[visible], column[visible], z[visible]
         slot = nearest[index].argmax(axis=1)
         nearer = z < nearest[index, slot]
         index, slot = index[nearer], slot[nearer]

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float32, UInt8
 from ..datasets.capture import Capture, CaptureError, CaptureFrame
 from ..datasets.depth_maps import DepthPriors, depth_priors
 from ..datasets.masks import moving_boxes, static_mask
+from ..evaluation.image_metrics import ImageDistance
 from ..evaluation.lpips import Lpips
 from ..evaluation.lpips_weights import find_lpips_weights, read_lpips_weights
 from ..evaluation.report import ReportCurve, RunReport, write_report
@@ -23,10 +24,10 @@ from ..evaluation.report_charts import ImageComparison
 from ..scene.formats.scene_files import write_scene
 from ..scene.gaussians import Gaussians
 from ..scene.progress import Progress
-from .data import TrainingView, training_views
+from .data import ReconstructionTask, TrainingView, training_views
 from .ego_mask import mask_ego_vehicle
-from .evaluation import PerceptualMetric, RenderScore, TrainingCurves, mean_of
-from .free_space import FreeSpaceCarving, FreeSpaceStrategy
+from .evaluation import RenderScore, TrainingCurves, mean_of
+from .free_space import FreeSpaceCarving
 from .init import actor_layers, initial_gaussians, initial_sky
 from .mcmc import MCMCSettings, MCMCStrategy
 from .model import (
@@ -36,20 +37,19 @@ from .model import (
     read_training_checkpoint,
     scene_of,
     write_training_checkpoint,
-)
+)  # fmt: skip
 from .parameters import SplatParameters
 from .settings import TrainingSchedule, TrainingSettings, camera_extent
-from .step import Trainer, TrainingStepResult, comparison_image
+from .step import Trainer, comparison_image
 from .strategy import DefaultStrategy, DefaultStrategySettings, Strategy
 from .surfels import camera_trajectory
-from .task import ReconstructionTask
 
+torch: Any = import_module("torch")
 logger = logging.getLogger("gsrain")
 _STARTED, _TRAINED = 0.04, 0.95  # shares of the total progress at which training starts and ends
 _PREVIEW_INTERVAL_S = 2.0
 _QUICK_VIEWS = 4  # number of held-out views evaluated during training; all of them at the end
 _LEARNED_VIEWS = 4  # number of training views evaluated at the end, for comparison
-_BEFORE = "before"
 
 # Ego mask report
 
@@ -60,7 +60,6 @@ class EgoMaskReport:
 
     searched: bool
     reason: str
-    """Reason for the decision to search or not."""
     shares: Mapping[str, float] = field(default_factory=dict[str, float])
     """Share (0..1) of the images that the body covers, by camera; cameras without it are omitted."""
 
@@ -90,7 +89,7 @@ class MeasuredRender:
     score: RenderScore
     rendered: Float32[np.ndarray, "h w 3"]
     truth: UInt8[np.ndarray, "h w 3"]
-    seen: Bool[np.ndarray, "h w"] | None
+    valid: Bool[np.ndarray, "h w"] | None
     """Valid pixels; None means all."""
     is_held_out: bool
 
@@ -136,11 +135,7 @@ class TrainingReport:
             "held_out": [asdict(each) for each in self.held_out],
             "steps": len(self.curves.losses),
             "seconds_by_stage": self.seconds_by_stage,
-            "own_body": {
-                "searched": self.own_body.searched,
-                "reason": self.own_body.reason,
-                "shares": dict(self.own_body.shares),
-            },
+            "own_body": asdict(self.own_body),
             "problems": list(self.capture.problems),
         }
 
@@ -148,12 +143,9 @@ class TrainingReport:
 def reconstruct(task: ReconstructionTask, opened: Capture | None = None) -> Generator[Progress, None, TrainingReport]:
     """Fit Gaussians to a capture (read from the task if None) and write the scene and the requested report.
 
-    Yields:
-        Progress, at least once a step. If stopped there, the last checkpoint remains.
-
-    Raises:
-        CaptureError: If the capture can't be read or has nothing to train on.
-        TrainingCheckpointError: If `resume` finds no checkpoint, or one of another training.
+    Yields progress at least once a step; if it is stopped there, the last checkpoint remains. Raises `CaptureError` if
+    the capture can't be read or has nothing to train on, and `TrainingCheckpointError` if `resume` finds no checkpoint,
+    or one of another training.
     """
     yield Progress(0.0, "Reading the capture")
     capture = task.read() if opened is None else opened
@@ -167,7 +159,6 @@ def reconstruct(task: ReconstructionTask, opened: Capture | None = None) -> Gene
     task.output.parent.mkdir(parents=True, exist_ok=True)
     write_scene(scene_of(started.training.model, capture), task.output)
     if task.report is not None:
-        task.report.parent.mkdir(parents=True, exist_ok=True)
         write_training_report(task.report, result)
     task.checkpoint.unlink(missing_ok=True)
     yield Progress(1.0, f"{result.gaussians:,} Gaussians")
@@ -180,8 +171,7 @@ class PreparedTraining:
 
     training: Trainer
     held_out: list[TrainingView]
-    """Views excluded from training."""
-    perceived: PerceptualMetric | None
+    perceived: ImageDistance | None
     own_body: "EgoMaskReport"
 
 
@@ -194,7 +184,7 @@ class _TrainingLoop:
         self._held, self._perceived, self._own_body = started.held_out, started.perceived, started.own_body
         self._first, self._curves = 0, TrainingCurves()
         self._before: tuple[RenderScore, ...] = ()
-        self._shown_at = -np.inf
+        self._preview_at = -np.inf
 
     def look_before(self) -> Generator[Progress]:
         yield Progress(_STARTED, "Measuring what it starts from")
@@ -208,7 +198,8 @@ class _TrainingLoop:
         try:
             self._training.restore(checkpoint.arrays)
             self._curves = TrainingCurves.restored(checkpoint.arrays)
-            self._before = _scores(self._held, checkpoint.arrays[_BEFORE])
+            scores = checkpoint.arrays["before"].tolist()
+            self._before = tuple(RenderScore(view.name, *row) for view, row in zip(self._held, scores, strict=True))
         except KeyError as error:
             raise TrainingCheckpointError(f"{file}: holds no {error}; begin anew without --resume") from None
         self._first = checkpoint.step
@@ -219,7 +210,11 @@ class _TrainingLoop:
         for number in range(self._first, settings.steps):
             done = self._training.step(number)
             self._curves.add(done.loss, self._training.model.count, self._seconds)
-            yield self._losses_progress(done)
+            count, loss, preview = self._training.model.count, self._curves.recent_loss(), None
+            if time.perf_counter() - self._preview_at > _PREVIEW_INTERVAL_S:
+                self._preview_at, preview = time.perf_counter(), comparison_image(done.exposed, done.truth)
+            message = f"Step {number + 1:,} of {settings.steps:,}: loss {loss:.4f}, {count:,} Gaussians"
+            yield self._progress_at(number, f"{message} ({done.change})" if done.change else message, preview)
             if _is_due(settings.measured_every, number, settings.steps):
                 yield self._look(number)
             if _is_due(settings.saved_every, number, settings.steps):
@@ -233,20 +228,22 @@ class _TrainingLoop:
         if not self._held:
             return self._progress_at(number, f"After {number + 1:,} steps: loss {self._curves.recent_loss():.4f}")
         self._note(number + 1, [self._training.measure(view) for view in self._held[:_QUICK_VIEWS]])
-        told = f"Held-out views after {number + 1:,} steps: {self._curves.measured_db[-1]:.2f} dB"
-        logger.info("%s, %.0f s", told, self._seconds)
-        return self._progress_at(number, told)
+        message = f"Held-out views after {number + 1:,} steps: {self._curves.measured_db[-1]:.2f} dB"
+        logger.info("%s, %.0f s", message, self._seconds)
+        return self._progress_at(number, message)
 
     def measure(self) -> Generator[Progress, None, TrainingReport]:
         """Evaluate all held-out views and some training views."""
         seconds = self._seconds
-        learned = _spread(self._training.views, _LEARNED_VIEWS)
+        views = self._training.views
+        spread = np.linspace(0, len(views) - 1, min(_LEARNED_VIEWS, len(views))).round().astype(int)
+        learned = [views[index] for index in np.unique(spread)]
         chosen = [(view, True) for view in self._held] + [(view, False) for view in learned]
         pictures: list[MeasuredRender] = []
         for view, is_held_out in chosen:
             rendered = self._training.render(view)
             score = self._training.measure(view, self._perceived, rendered)
-            pictures.append(MeasuredRender(score, rendered, view.levels[0].image, view.seen, is_held_out))
+            pictures.append(MeasuredRender(score, rendered, view.levels[0].image, view.valid, is_held_out))
             fraction = _TRAINED + (0.98 - _TRAINED) * len(pictures) / len(chosen)
             yield Progress(fraction, f"{view.name}: {score.psnr_db:.2f} dB{'' if is_held_out else ', learned from'}")
         held = [each.score for each in pictures if each.is_held_out]
@@ -261,14 +258,6 @@ class _TrainingLoop:
     def _seconds(self) -> float:
         return time.perf_counter() - self._began
 
-    def _losses_progress(self, done: TrainingStepResult) -> Progress:
-        now, preview = time.perf_counter(), None
-        if now - self._shown_at > _PREVIEW_INTERVAL_S:
-            self._shown_at, preview = now, comparison_image(done.shown, done.truth)
-        message = f"Step {done.step + 1:,} of {self._settings.steps:,}: loss {self._curves.recent_loss():.4f}, "
-        message += f"{self._training.model.count:,} Gaussians"
-        return self._progress_at(done.step, f"{message} ({done.change})" if done.change else message, preview)
-
     def _progress_at(self, number: int, message: str, preview: np.ndarray | None = None) -> Progress:
         done = (number + 1) / self._settings.steps
         return Progress(_STARTED + (_TRAINED - _STARTED) * done, message, preview)
@@ -282,13 +271,9 @@ class _TrainingLoop:
         file = self._task.checkpoint
         file.parent.mkdir(parents=True, exist_ok=True)
         before = np.array([[each.psnr_db, each.ssim, each.psnr_exposed_db] for each in self._before]).reshape(-1, 3)
-        arrays = self._training.state() | self._curves.state() | {_BEFORE: before}
+        arrays = self._training.state() | self._curves.state() | {"before": before}
         checkpoint = TrainingCheckpoint(steps, self._seconds, arrays)
         write_training_checkpoint(file, checkpoint, self._settings, self._task.fingerprint(self._capture))
-
-
-def _scores(views: Sequence[TrainingView], figures: np.ndarray) -> tuple[RenderScore, ...]:
-    return tuple(RenderScore(view.name, *row) for view, row in zip(views, figures.tolist(), strict=True))
 
 
 def _is_due(every: int, number: int, steps: int) -> bool:
@@ -296,12 +281,8 @@ def _is_due(every: int, number: int, steps: int) -> bool:
     return every > 0 and (number + 1) % every == 0 and number + 1 < steps
 
 
-def _spread(views: Sequence[TrainingView], count: int) -> list[TrainingView]:
-    chosen = np.unique(np.linspace(0, len(views) - 1, min(count, len(views))).round().astype(int))
-    return [views[index] for index in chosen]
+# Preparation
 
-
-torch: Any = import_module("torch")
 _INITIAL_SHARE = 0.7  # initial share of the allowed Gaussians; the rest is left to density control
 
 
@@ -309,7 +290,10 @@ def start_training(
     capture: Capture, settings: TrainingSettings, held_out: Sequence[int], lpips: Path | None = None
 ) -> Generator[Progress, None, PreparedTraining]:
     """Prepare everything. Held-out views are used only to find the sky color and the vehicle's own body."""
-    device = _device(settings.device)
+    can_use_cuda = torch.cuda.is_available() and find_spec("gsplat") is not None
+    if settings.device == "cuda" and not can_use_cuda:
+        raise ValueError("--device cuda: needs an NVIDIA GPU, torch with CUDA, and gsplat (pip install gsrain[cuda])")
+    device = "cuda" if can_use_cuda and settings.device != "cpu" else "cpu"
     yield Progress(0.0, f"Reading {len(capture)} pictures")
     views = training_views(capture, settings.width_px)
     yield Progress(0.005, "Looking for surfaces and sky")
@@ -321,7 +305,8 @@ def start_training(
         own_body = replace(own_body, shares=shares)
     learned = [index for index in range(len(views)) if index not in set(held_out)]
     yield Progress(0.015, "Placing the first Gaussians")
-    model = _model(capture, settings, [views[i] for i in learned], known.of(learned), device)
+    own, own_views = known.of(learned), [views[i] for i in learned]
+    model = _model(capture, settings, own_views, own, device)
     moving = [box for box in moving_boxes(capture) if box.id not in model.actors]
     ready = [
         TrainingView.of(
@@ -334,18 +319,21 @@ def start_training(
     ]
     if capture.boxes:  # boxes already mark moving objects
         settings = msgspec.structs.replace(settings, transients=0.0)
-    schedule = TrainingSchedule(settings, camera_extent([views[i] for i in learned]))
-    control = _control(settings, schedule)
-    own, own_views = known.of(learned), [views[i] for i in learned]
-    way = camera_trajectory(own_views, own.median_depth)
-    free = FreeSpaceCarving.of([view.camera for view in own_views], own.measured, way, settings.free_space)
-    if free is not None and settings.free_space:
-        control = FreeSpaceStrategy(control, free, settings.steps)
-    training = Trainer(model, [ready[i] for i in learned], schedule, control, device)
+    schedule = TrainingSchedule(settings, camera_extent(own_views))
+    control: Strategy = MCMCStrategy(
+        MCMCSettings.for_run(settings.steps, settings.gaussians, lambda step: schedule.rates(step)["means"])
+    )
+    if settings.density == "adaptive":
+        control = DefaultStrategy(DefaultStrategySettings.for_run(settings.steps, schedule.extent, settings.gaussians))
+    trajectory = camera_trajectory(own_views, own.median_depth)
+    free = FreeSpaceCarving.of([view.camera for view in own_views], own.measured, trajectory, settings.free_space)
+    training = Trainer(
+        model, [ready[i] for i in learned], schedule, control, device, free if settings.free_space else None
+    )
     if not capture.is_metric:
         logger.info(
             "%s: nothing tells how long a metre is; set the scene's scale before it rains (in the window, or by "
-            "gsrain convert --metres-per-unit)", capture.name,
+            "gsrain convert --meters-per-unit)", capture.name,
         )  # fmt: skip
     return PreparedTraining(training, [ready[i] for i in held_out], _perceived(lpips, device), own_body)
 
@@ -368,25 +356,7 @@ def _model(
     )
 
 
-def _device(asked: str) -> str:
-    """Return "cuda" if requested or usable; raises ValueError if requested but unavailable."""
-    usable = torch.cuda.is_available() and find_spec("gsplat") is not None
-    if asked == "cuda" and not usable:
-        raise ValueError("--device cuda: needs an NVIDIA GPU, torch with CUDA, and gsplat (pip install gsrain[cuda])")
-    return "cuda" if usable and asked != "cpu" else "cpu"
-
-
-def _control(settings: TrainingSettings, schedule: TrainingSchedule) -> Strategy:
-    if settings.density == "adaptive":
-        return DefaultStrategy(DefaultStrategySettings.for_run(settings.steps, schedule.extent, settings.gaussians))
-
-    def means_rate(step: int) -> float:
-        return schedule.rates(step)["means"]
-
-    return MCMCStrategy(MCMCSettings.for_run(settings.steps, settings.gaussians, means_rate))
-
-
-def _perceived(lpips: Path | None, device: str) -> PerceptualMetric | None:
+def _perceived(lpips: Path | None, device: str) -> ImageDistance | None:
     """LPIPS with VGG16 from a file or from this machine; None if neither is available."""
     try:
         weights = find_lpips_weights("vgg") if lpips is None else read_lpips_weights(lpips)
@@ -394,7 +364,7 @@ def _perceived(lpips: Path | None, device: str) -> PerceptualMetric | None:
         if lpips is not None:
             raise
         return None
-    return Lpips(weights).to(device)
+    return Lpips(weights).to(device).distance
 
 
 # Training report page
@@ -403,24 +373,18 @@ _SMOOTHED_STEPS = 25  # smoothing window: each step uses another view, so single
 
 
 def write_training_report(file: Path, result: TrainingReport) -> None:
-    shown = [each for each in result.pictures if each.is_held_out] or list(result.pictures)
+    comparisons: list[ImageComparison] = []
+    for each in [each for each in result.pictures if each.is_held_out] or result.pictures:
+        truth = each.truth.astype(np.float32) / 255
+        name = each.score.name if each.is_held_out else f"{each.score.name} (learned from)"
+        compared = ImageComparison.measured(name, np.clip(each.rendered, 0, 1), truth, each.valid)
+        comparisons.append(replace(compared, lpips=each.score.lpips))
+    settings = {key: str(value) for key, value in msgspec.to_builtins(result.settings).items()}
     report = RunReport(
-        f"Reconstruction of {result.capture.name}",
-        {key: str(value) for key, value in msgspec.to_builtins(result.settings).items()},
-        _curves(result),
-        tuple(_comparison(each) for each in shown),
-        result.seconds_by_stage,
-        _headlines(result),
-        result.capture.problems,
-    )
+        f"Reconstruction of {result.capture.name}", settings, _curves(result), tuple(comparisons),
+        result.seconds_by_stage, _headlines(result), result.capture.problems,
+    )  # fmt: skip
     write_report(file, report)
-
-
-def _comparison(each: MeasuredRender) -> ImageComparison:
-    truth = each.truth.astype(np.float32) / 255
-    name = each.score.name if each.is_held_out else f"{each.score.name} (learned from)"
-    compared = ImageComparison.measured(name, np.clip(each.rendered, 0, 1), truth, each.seen)
-    return replace(compared, lpips=each.score.lpips)
 
 
 def _curves(result: TrainingReport) -> tuple[ReportCurve, ...]:

@@ -34,6 +34,7 @@ def test_no_option_takes_nan_however_deep_it_stands():
         ({"intensity_mm_h": -3.0}, RainSettings, "--rain: Expected `float` >= 0.0"),
         ({"exposure_s": 2.0}, RainSettings, "--exposure must be within 0.00001..1 s, got 2.0"),
         ({"haze_count": -1}, RainSettings, "--haze-count must be within 0..200000, got -1"),
+        ({"closure": "even"}, RainSettings, "--drop-density: Invalid enum value 'even', expected density, published"),
         ({"output": "a", "passes": ["blue"]}, ExportSettings,
          "--passes: Invalid enum value 'blue', expected alpha, color, depth, labels"),
     ],

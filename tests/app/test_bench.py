@@ -145,7 +145,7 @@ def test_alone_it_times_all_there_is(tmp_path, monkeypatch):
         (["loading", "--formats", ".sog"], "--formats .sog: expected folder, .ply, .splat, .spz"),
         (["loading", "--repeats", "0"], "--repeats 0: must be within 1..1000"),
         (["recoloring", "--views", "0"], "--views 0: must be within 1..1000"),
-        (["recoloring", "--iterations", "0"], "--iterations 0: Expected `int` >= 1"),
+        (["recoloring", "--iterations", "0"], "--iterations: Expected `int` >= 1"),
     ],
 )
 def test_what_can_not_be_timed_is_said(words, said, capsys):

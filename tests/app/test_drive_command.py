@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from app import drive as drive_command
-from app import drive_outputs
 from app.main import BAD_INPUT, run
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.scene import Layer
@@ -103,7 +102,7 @@ def test_bad_input_gets_one_line(arguments, says, tmp_path, monkeypatch, capsys)
 
 def test_what_an_export_needs_is_told_before_the_drive(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(drive_outputs.EXPORTS, "mcap", "a_package_that_is_not_there")
+    monkeypatch.setitem(drive_command.EXPORTS, "mcap", "a_package_that_is_not_there")
     assert drive("--export", "mcap") == BAD_INPUT
     said = capsys.readouterr().err
     assert "--export mcap needs a_package_that_is_not_there: pip install 'gsrain[drive]'" in said
@@ -134,9 +133,9 @@ def test_a_start_inside_of_the_scene_says_what_to_look_at(scenario, tmp_path, ca
     write_scene(replace(scene, layers=(*scene.layers, box)), tmp_path / "boxed")
     asked = (scenario, "--agent", "oracle-idm", "--no-video")
     assert drive(*asked, "--scene", tmp_path / "boxed", "-o", tmp_path / "inside") == 0
-    assert "It begins inside of what stands in scene 'boxed'" in capsys.readouterr().out
+    assert "The drive begins inside of an obstacle of scene 'boxed'" in capsys.readouterr().out
     assert drive(*asked, "-o", tmp_path / "free") == 0
-    assert "It begins inside" not in capsys.readouterr().out
+    assert "begins inside" not in capsys.readouterr().out
 
 
 def test_an_agent_that_cannot_be_is_told_before_the_scene_is_read(scenario, tmp_path, monkeypatch, capsys):

@@ -87,12 +87,12 @@ def test_a_real_sweep_is_rained_on(test_data, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--rain", "1,-2"), "--rain 1,-2: expected intensities"),
-        (("--rain", "101"), "--rain 101: expected intensities"),
+        (("--rain", "1,-2"), "--rain 1,-2: expected mm/h"),
+        (("--rain", "101"), "--rain 101: expected mm/h"),
         (("--seeds", "0"), "--seeds 0: must be within 1..1000"),
-        (("--reflectance", "1.5"), "--reflectance 1.5: must be within"),
+        (("--reflectance", "1.5"), "--reflectance 1.5: must be above 0"),
         (("--sensor", "99"), "--sensor 99: expected 32, 64, 128, 1550, or"),
-        (("--least-reflectance", "0.2"), "--least-reflectance 0.2: must be within 0..0.1"),
+        (("--least-reflectance", "0.2"), "--min-reflectance 0.2: must be within 0..0.1"),
         (("--range-10", "0"), "--range-10 0: must be within 1..1000 m"),
     ],
 )

@@ -14,11 +14,10 @@ import pytest
 from PIL import Image
 
 from app import main, train, translate
-from app.console import Console, Table, bold, print_lines, use_any_encoding
+from app.console import Console, Table, bold, print_lines, progress_bar, run_with_progress, use_any_encoding
 from app.console import print as print_line
 from app.doctor import Finding
 from app.main import run
-from app.progress import followed, progress_bar
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.evaluation.report import ReportTable, RunReport, report_page
 from gsrain_engine.safe_io.text_files import escape_invisible, figure_words
@@ -224,7 +223,7 @@ def test_titles_and_messages_of_progress(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     with progress_bar(f"Timing {NAME}", 1) as advance:
         advance()
-    assert followed(work()) == 3
+    assert run_with_progress(work()) == 3
     printed = clean(_STYLES.sub("", capsys.readouterr().err).replace("\r", ""))
     assert f"Timing {SHOWN}" in printed
 
@@ -258,7 +257,7 @@ def test_results_of_long_commands(capsys):
     with pytest.raises(AttributeError):  # the problems are printed before what is missing here
         train._print_recolor(Anything(), Capture("c", (), problems=(NAME,)))
     with pytest.raises(AttributeError):
-        train._print(Anything(), Path(FILE))
+        train._print(Anything())
     assert clean(capsys.readouterr().out).count("\\u202e") >= 6
 
 

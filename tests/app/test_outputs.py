@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from app.main import BAD_INPUT, app, run
-from app.options import check_scene_folder, check_writable, report_path
+from app.outputs import check_scene_folder, check_writable, report_path
 from gsrain_engine.scene.files import file_word, name_problem, shortened
 
 OUTPUTS = {
@@ -18,7 +18,7 @@ OUTPUTS = {
     "calibrate": ["none -o OUT.yaml", "none -o ok.yaml --plot OUT.png", "none -o ok.yaml --json OUT"],
     "disdrometer": ["-o OUT.nc", "--json OUT"],
     "reconstruct": ["none -o OUT", "none -o ok --report OUT.html", "none -o ok --json OUT"],
-    "transfer": ["none -o OUT", "none -o ok --sheet OUT.png", "none -o ok --json OUT"],
+    "transfer": ["none -o OUT", "none -o ok --contact-sheet OUT.png", "none -o ok --json OUT"],
     "recolor": [
         "none --images x -o OUT",
         "none --images x -o ok --report OUT.html",
@@ -33,7 +33,7 @@ OUTPUTS = {
     "bench loading": ["--json OUT"],
     "bench recoloring": ["--json OUT"],
     "evaluate streaks": ["none --json OUT"],
-    "evaluate consistency": ["none --sheet OUT.png", "none --report OUT.html", "none --json OUT"],
+    "evaluate consistency": ["none --contact-sheet OUT.png", "none --report OUT.html", "none --json OUT"],
     "evaluate fid": ["none none --report OUT.html", "none none --json OUT"],
     "evaluate transfers": ["paper -o OUT", "paper -o ok --json OUT"],
     "evaluate images": ["none none --report OUT.html", "none none --json OUT"],
@@ -43,7 +43,7 @@ OUTPUTS = {
     "evaluate lidar": ["none -o OUT", "none -o ok --json OUT"],
 }
 """Command lines with OUT in each place of a file or folder that is written; what they read is not there."""
-_WRITTEN = {"output", "target", "directory", "json", "sheet", "plot", "report", "video", "overlay"}
+_WRITTEN = {"output", "target", "directory", "json", "contact_sheet", "plot", "report", "video", "overlay"}
 LINES = [f"{command} {rest}" for command, lines in OUTPUTS.items() for rest in lines]
 
 
@@ -113,7 +113,7 @@ def test_endings_are_known_before_the_work(tmp_path, monkeypatch, capsys):
     for line, said in {
         "evaluate images a b --report r.pdf": "--report r.pdf: expected a name that ends in .html or .htm",
         "evaluate detection --detector x --video v.avi": "--video v.avi: expected a name that ends in .mp4 or .webm",
-        "transfer none -o out --sheet s.doc": "--sheet s.doc: expected a picture, such as s.png",
+        "transfer none -o out --contact-sheet s.doc": "--contact-sheet s.doc: expected a picture, such as s.png",
         "convert none.ply out.sog": "out.sog: .sog is read but not written",
     }.items():
         assert run(line.split()) == BAD_INPUT

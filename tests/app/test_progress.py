@@ -2,7 +2,7 @@
 
 import pytest
 
-from app.progress import progress_bar
+from app.console import progress_bar
 
 
 @pytest.fixture

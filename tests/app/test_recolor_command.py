@@ -88,7 +88,7 @@ def test_pictures_of_different_sizes_go_all_the_way(files, tmp_path):
         ({"--held-out": "1"}, "would be held out"),
         ({"-o": "clear/scene.json/out"}, "scene.json is a file"),
         ({"--report": "clear/scene.json/out.html"}, "scene.json is a file"),
-        ({"--polish": "5"}, "--polish needs torch, which is not installed: pip install 'gsrain[jobs]'"),
+        ({"--polish": "5"}, "--photometric-steps needs torch, which is not installed: pip install 'gsrain[jobs]'"),
     ],
 )
 def test_bad_input_ends_in_one_line(files, capsys, monkeypatch, changes, expected):

@@ -58,7 +58,7 @@ def test_cameras_passes_and_twin(project, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--to", "0"], "--to must be above --from (0 s)"),
+        (["--to", "0"], "--to must be above --time (0 s)"),
         (["--duration", "1", "--to", "1"], "--duration and --to exclude each other"),
         (["--cameras", "TOP"], "no camera 'TOP', only one/FRONT"),
         (["--passes", "colour"], "--passes: Invalid enum value 'colour', expected alpha, color, depth, labels"),

@@ -107,7 +107,7 @@ def test_ctrl_c_says_how_it_goes_on(sweep, tmp_path, capsys, monkeypatch):
             next(work)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(command, "followed", stopped)
+    monkeypatch.setattr(command, "run_with_progress", stopped)
     assert run(["sweep", str(sweep), "--workers", "0"]) == command.INTERRUPTED
     assert "stopped with 5 jobs to do; the same command goes on from there" in capsys.readouterr().err
     assert not (tmp_path / "out" / "table.csv").exists()

@@ -22,6 +22,7 @@ from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.scene import SceneCore
 from gsrain_engine.simulation.ground import road_surface_of
 from gsrain_engine.simulation.obstacles import occupied_space_of
+from oracles.drop_phases import displacement
 from small_scene import small_scene
 
 
@@ -54,9 +55,9 @@ def test_rain_changes_are_undone_and_the_rainfall_follows(session):
 def test_moving_the_slider_moves_no_drop(session):
     session.change_rain("Intensity", intensity_mm_h=4.0)
     session.update(10.0)
-    before = session.rainfall.motion.displacement(session.clock.time_s)
+    before = displacement(session.rainfall.motion, session.clock.time_s)
     session.change_rain("Intensity", intensity_mm_h=4.5)
-    assert np.allclose(session.rainfall.motion.displacement(session.clock.time_s), before)
+    assert np.allclose(displacement(session.rainfall.motion, session.clock.time_s), before)
 
 
 def test_time_goes_on_in_real_seconds_while_it_plays(session):

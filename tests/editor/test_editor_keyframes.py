@@ -10,6 +10,7 @@ from gsrain_engine.editor.editor import Editor
 from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes, shower_keyframes
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.scene.formats.scene_files import write_scene
+from oracles.drop_phases import displacement
 from small_scene import small_scene
 
 
@@ -58,17 +59,17 @@ def test_drops_go_on_from_where_they_are_when_keys_change(session):
     session.change_rain("Intensity", intensity_mm_h=3.0)
     session.clock.time_s = 6.0
 
-    def displacement():
-        return session.rainfall.frozen_at(6.0).motion.displacement(6.0)
+    def moved():
+        return displacement(session.rainfall.frozen_at(6.0).motion, 6.0)
 
-    before = displacement()
+    before = moved()
     session.set_weather("Shower", keys((0.0, 0.0), (10.0, 10.0)))
-    assert np.allclose(displacement(), before, atol=1e-9)
+    assert np.allclose(moved(), before, atol=1e-9)
     session.set_weather("Wind", session.weather.with_key(2.0, wind_m_s=(5.0, 1.0)))
-    assert np.allclose(displacement(), before, atol=1e-9)
+    assert np.allclose(moved(), before, atol=1e-9)
     session.undo()
     session.undo()
-    assert np.allclose(displacement(), before, atol=1e-9)
+    assert np.allclose(moved(), before, atol=1e-9)
 
 
 def test_weather_is_saved_with_the_scene_and_comes_back(session, tmp_path):

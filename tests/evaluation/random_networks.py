@@ -10,7 +10,7 @@ from gsrain_engine.evaluation.lpips_weights import write_arrays
 def random_arrays(make, seed=0):
     """Arrays for every name of a network, of sizes at which signals neither die nor explode."""
     random = np.random.default_rng(seed)
-    from gsrain_engine.evaluation.networks import build_without_weights  # torch is an extra
+    from gsrain_engine.evaluation.fid_torch_features import build_without_weights  # torch is an extra
 
     arrays: dict[str, np.ndarray] = {}
     for name, tensor in build_without_weights(make).state_dict().items():
@@ -26,7 +26,7 @@ def random_arrays(make, seed=0):
 
 
 def write_inception(file: Path, seed=0) -> Path:
-    from gsrain_engine.evaluation.networks import Inception
+    from gsrain_engine.evaluation.fid_torch_features import Inception
 
     write_arrays(file, {**random_arrays(Inception, seed), "fc.weight": np.zeros((1008, 2048), np.float32)})
     return file

@@ -22,9 +22,9 @@ from gsrain_engine.evaluation.compare_translators import (
     real_images,
     run_comparison,
 )
+from gsrain_engine.evaluation.fid import open_extractor
 from gsrain_engine.evaluation.fid_features import ExtractorChoice
-from gsrain_engine.evaluation.fid_registry import open_extractor
-from gsrain_engine.evaluation.input_fingerprint import input_fingerprint
+from gsrain_engine.evaluation.report import input_fingerprint
 from gsrain_engine.presets import shipped_config_names
 from tests.app.picture_sets import write_pictures
 from tests.training.drive_capture import drive_capture
@@ -70,9 +70,9 @@ def test_what_a_stopped_run_has_made_is_not_made_again(started, tmp_path):
     assert sorted(each.name for each in (tmp_path / "out").iterdir()) == ["clear"]  # no part of wet is left over
     assert is_transferred_folder(tmp_path / "out" / "clear")
     result = finished(work())
-    assert result.kept == ("clear",)
+    assert result.reused == ("clear",)
     again = finished(work())
-    assert again.kept == ("clear", "wet")
+    assert again.reused == ("clear", "wet")
     assert markdown_table(again.rows) == markdown_table(result.rows)
     assert (again.figure == result.figure).all()
 

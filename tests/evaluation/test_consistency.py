@@ -129,8 +129,8 @@ def written(tmp_path):
 
 def test_folders_are_compared_side_by_side(written, capsys):
     folders = [str(written / "alike"), str(written / "mirroring")]
-    files = ["--json", str(written / "c.json"), "--sheet", str(written / "c.png")]
-    assert run(["evaluate", "consistency", *folders, *files, "--sheet-pairs", "1"]) == 0
+    files = ["--json", str(written / "c.json"), "--contact-sheet", str(written / "c.png")]
+    assert run(["evaluate", "consistency", *folders, *files, "--contact-sheet-pairs", "1"]) == 0
     report = json.loads((written / "c.json").read_text())
     alike, mirroring = report["means"]
     assert (alike["method"], alike["settings"], alike["pairs"]) == ("alike", {"seed": 1}, 8)
@@ -152,7 +152,7 @@ def test_folders_are_compared_side_by_side(written, capsys):
 def test_a_page_says_where_its_numbers_come_from(written):
     folders = [str(written / "alike"), str(written / "mirroring")]
     page = written / "c.html"
-    assert run(["evaluate", "consistency", *folders, "--report", str(page), "--sheet-pairs", "1"]) == 0
+    assert run(["evaluate", "consistency", *folders, "--report", str(page), "--contact-sheet-pairs", "1"]) == 0
     numbers, html = json.loads((written / "c.json").read_text()), page.read_text()
     assert set(numbers["inputs"]) == set(folders)
     assert numbers["versions"]["gsrain"]
@@ -176,8 +176,8 @@ def test_bad_input_is_told_in_one_line(written, capsys):
     assert run(["evaluate", "consistency"]) == BAD_INPUT
     assert run(["evaluate", "consistency", str(written / "nowhere")]) == BAD_INPUT
     assert "nowhere" in capsys.readouterr().err
-    assert run(["evaluate", "consistency", folder, "--film", "2"]) == BAD_INPUT
-    assert "--film 2: must be within 0..1" in capsys.readouterr().err
+    assert run(["evaluate", "consistency", folder, "--water-film", "2"]) == BAD_INPUT
+    assert "--water-film 2: must be within 0..1" in capsys.readouterr().err
     assert run(["evaluate", "consistency", folder, "--lpips", str(written / "none.pth")]) == BAD_INPUT
     assert "none.pth" in capsys.readouterr().err
     record = TransferRecord("few", "street")
@@ -206,4 +206,4 @@ def test_the_help_names_the_papers_ablations(capsys):
     assert run(["evaluate", "consistency", "--help"]) == 0
     out = " ".join(capsys.readouterr().out.split())
     assert "--no-normals" in out
-    assert "--no-mutual-attention" in out
+    assert "--no-cross-view-attention" in out

@@ -5,9 +5,15 @@ import pytest
 from PIL import Image
 
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.evaluation.fid import PLACE, FeatureCache, distribution_distance, extract_features, image_hash
+from gsrain_engine.evaluation.fid import (
+    PLACE,
+    FeatureCache,
+    distribution_distance,
+    extract_features,
+    image_hash,
+    open_extractor,
+)
 from gsrain_engine.evaluation.fid_features import Extractor, ExtractorChoice
-from gsrain_engine.evaluation.fid_registry import open_extractor
 
 
 def _pictures(folder, count, seed, darker=1.0):

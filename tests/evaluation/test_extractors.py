@@ -7,26 +7,17 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from gsrain_engine.evaluation.fid_features import (  # noqa: E402
-    ExtractorChoice,
-    resized,
-)
-from gsrain_engine.evaluation.fid_registry import (  # noqa: E402
-    EXTRACTORS,
-    open_extractor,
-)
+from gsrain_engine.evaluation.fid import EXTRACTORS, open_extractor  # noqa: E402
+from gsrain_engine.evaluation.fid_features import ExtractorChoice, resized  # noqa: E402
 from gsrain_engine.evaluation.fid_torch_features import (  # noqa: E402
     INCEPTION_PLACE,
+    Inception,
+    build_with_weights,
     inception_weights,
-    is_published_inception,
     is_torchscript,
     matched_inception,
 )
 from gsrain_engine.evaluation.lpips_weights import read_arrays  # noqa: E402
-from gsrain_engine.evaluation.networks import (  # noqa: E402
-    Inception,
-    build_with_weights,
-)
 
 from .random_networks import write_inception  # noqa: E402
 
@@ -69,11 +60,6 @@ def test_only_inception_is_called_fid(inception_file, picture, monkeypatch):
 def test_nothing_here_needs_torchvision():
     """Its builds are bound to single builds of torch, and peft looks for it when it is there."""
     assert find_spec("torchvision") is None
-
-
-def test_published_weights_are_known_by_their_hash():
-    assert is_published_inception("6726825d" + "0" * 56)
-    assert not is_published_inception("0" * 64)
 
 
 def test_wrong_weights_are_told(inception_file, tmp_path):

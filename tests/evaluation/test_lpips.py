@@ -11,7 +11,13 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from gsrain_engine.evaluation.lpips import Lpips  # noqa: E402
-from gsrain_engine.evaluation.lpips_weights import CHANNELS, PLACE, LpipsWeights, find_lpips_weights, read_lpips_weights  # noqa: E402
+from gsrain_engine.evaluation.lpips_weights import (  # noqa: E402
+    CHANNELS,
+    PLACE,
+    LpipsWeights,
+    find_lpips_weights,
+    read_lpips_weights,
+)
 
 from .random_lpips import random_weights  # noqa: E402
 
@@ -191,7 +197,7 @@ def test_real_weights_grow_with_blur_and_noise(network: str):
     if PLACE not in os.environ:
         pytest.skip(f"no real weights ({PLACE} is not set)")
     try:
-        lpips = Lpips.found(network)
+        lpips = Lpips(find_lpips_weights(network))
     except FileNotFoundError as error:
         pytest.skip(str(error))
     picture, generator = _picture(), np.random.default_rng(0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsrain_engine.evaluation.fid_features import FEATURES, cell_statistics, resized
+from gsrain_engine.evaluation.fid_features import cell_statistics, resized
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def test_fine_stripes_become_grey_and_nothing_leaves_the_range():
 
 
 def test_cell_statistics_see_colour_and_direction(picture):
-    assert cell_statistics(picture).shape == (FEATURES,)
+    assert cell_statistics(picture).shape == (160,)
     flat = np.full((50, 70, 3), (51, 102, 204), np.uint8)
     cells = cell_statistics(flat).reshape(16, 10)
     np.testing.assert_allclose(cells[:, :3], np.tile([0.2, 0.4, 0.8], (16, 1)), atol=1e-6)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.rainsense import RainSequence
-from gsrain_engine.evaluation.real_rain import evenly_chosen
 from gsrain_engine.evaluation.streaks import (
     BANDS,
     FALL_BY_DIAMETER_S,
@@ -14,6 +13,7 @@ from gsrain_engine.evaluation.streaks import (
     StreakTable,
     coverage,
     cropped_camera,
+    evenly_chosen,
     find_streaks,
     median_residuals,
     render_rain_frames,

@@ -3,8 +3,8 @@
 from importlib import import_module
 from typing import Any
 
-from gsrain_engine.render.autodiff.types import Tensor
-from gsrain_engine.render.cuda.gaussians import sh_basis
+from gsrain_engine.render.autodiff.differentiable import Tensor
+from gsrain_engine.render.cuda import sh_basis
 from gsrain_engine.scene.camera import Camera
 
 torch: Any = import_module("torch")

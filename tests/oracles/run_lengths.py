@@ -1,14 +1,14 @@
 """COCO's packed run lengths read back."""
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Bool
-
-from gsrain_engine.render.label_export import RunLengths
 
 _FIRST = 48
 
 
-def unpacked(value: RunLengths) -> Bool[np.ndarray, "h w"]:
+def unpacked(value: dict[str, Any]) -> Bool[np.ndarray, "h w"]:
     """Read what `packed` returns. Raises ValueError where the runs don't fill the picture."""
     runs: list[int] = []
     number = shift = 0

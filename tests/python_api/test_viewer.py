@@ -12,7 +12,7 @@ from PIL import Image
 
 import gsrain as gr
 from extension_package import titled_blocks
-from gsrain.viewer_messages import GetState, Reply, Request, SetRain, receive, send
+from gsrain.viewer_messages import REQUESTS, GetState, Reply, SetRain, receive, send
 from gsrain_engine.scene.formats.scene_files import write_scene
 from repository import REPOSITORY
 from small_scene import small_scene
@@ -115,8 +115,8 @@ def test_messages_are_whole_or_none():
     send(file, sent)
     send(file, GetState(number=8))
     file.seek(0)
-    assert receive(file, Request) == sent and receive(file, Request) == GetState(number=8)
-    assert receive(file, Request) is None
-    assert receive(io.BytesIO(file.getvalue()[:20]), Request) is None
+    assert receive(file, REQUESTS) == sent and receive(file, REQUESTS) == GetState(number=8)
+    assert receive(file, REQUESTS) is None
+    assert receive(io.BytesIO(file.getvalue()[:20]), REQUESTS) is None
     with pytest.raises(ValueError, match="at most"):
         receive(io.BytesIO(b"\xff\xff\xff\xff"), Reply)

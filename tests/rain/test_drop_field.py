@@ -5,16 +5,15 @@ from scipy import stats
 from gsrain_engine.rain.drop_field import (
     CLASS_STRIDE,
     DropCulling,
-    count_in_region,
     drop_phases,
-    drop_phases_of_motion,
+    find_drops,
     pcg4d,
     pcg4d_scalar,
     place_drops,
-    visible_drops,
 )
 from gsrain_engine.rain.drop_motion import DropMotion, Wind
 from gsrain_engine.rain.properties import CLASSES
+from oracles.drop_phases import displacement, phases_of
 
 PERIOD = np.array([8.0, 8.0, 6.0])
 FALL = np.linspace(1.0, 8.0, CLASSES)  # m/s by class
@@ -28,7 +27,7 @@ def displaced(time_s, wind=(0.0, 0.0)):
 
 def positions_at(time_s, center=(0.0, 0.0, 0.0), wind=(0.0, 0.0), count=20_000):
     center = np.array(center, float)
-    drops = place_drops(np.arange(count), 7, drop_phases(displaced(time_s, wind), center, PERIOD))
+    drops = place_drops(np.arange(count), 7, phases_of(displaced(time_s, wind), center, PERIOD))
     return drops.positions(PERIOD) + center, drops
 
 
@@ -78,9 +77,9 @@ def test_every_class_comes_once_in_a_round():
 
 @pytest.mark.parametrize("time_s", [0.0, 12.3, 9_999.9])
 def test_compiled_search_finds_what_the_reference_places(time_s):
-    where = drop_phases(displaced(time_s, (1.0, -2.0)), np.array([1.0, 2.0, 3.0]), PERIOD)
+    where = phases_of(displaced(time_s, (1.0, -2.0)), np.array([1.0, 2.0, 3.0]), PERIOD)
     cull = culling()
-    found = visible_drops(50_000, 7, where, PERIOD, cull)
+    found = find_drops(50_000, 7, where, PERIOD, cull)
     every = place_drops(np.arange(50_000), 7, where)
     p = every.positions(PERIOD)
     in_region = np.all(np.abs(p[:, :2] @ cull.region_rotation.T) <= cull.region_half[:2], axis=1)
@@ -92,7 +91,7 @@ def test_compiled_search_finds_what_the_reference_places(time_s):
     assert seen.sum() > 50
     assert np.array_equal(found.numbers, np.flatnonzero(seen))
     assert np.array_equal(found.fractions, every.fractions[seen])
-    assert count_in_region(50_000, 7, where, PERIOD, cull) == in_region.sum()
+    assert len(find_drops(50_000, 7, where, PERIOD, cull, in_view=False).numbers) == in_region.sum()
 
 
 @pytest.mark.parametrize("time_s", [0.0, 3.7, 5_000.0])
@@ -144,7 +143,7 @@ def test_a_motion_gives_the_offsets_of_its_displacement_to_the_bit():
     center = np.array([3.0, -2.0, 0.5])
     motion = DropMotion(Wind((1.3, -0.4), 2.0, 5), FALL)
     for moving in (motion, motion.changed(7.0, Wind((4.0, 0.0)), 2 * FALL), motion.without_drift()):
-        ours = drop_phases_of_motion(moving, 1234.5, center, PERIOD)
-        expected = drop_phases(moving.displacement(1234.5), center, PERIOD)
+        ours = drop_phases(moving, 1234.5, center, PERIOD)
+        expected = phases_of(displacement(moving, 1234.5), center, PERIOD)
         np.testing.assert_array_equal(ours.wraps, expected.wraps)
         np.testing.assert_array_equal(ours.fractions, expected.fractions)

@@ -12,15 +12,14 @@ from gsrain_engine.rain.drop_field import (
     FIRST_OF_CLASS,
     DropCulling,
     DropPhases,
-    count_in_region,
-    drop_phases,
+    find_drops,
     place_drops,
-    visible_drops,
 )
 from gsrain_engine.rain.properties import CLASSES, LARGEST_MM, SMALLEST_MM, fall_speed
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainCamera, RainSimulation
 from gsrain_engine.scene.camera import Camera, look_at
+from oracles.drop_phases import displacement, phases_of
 
 SPEED, YAW_RATE, CLIMB, WIND = 12.0, 0.25, 0.3, (2.0, -1.5)
 
@@ -299,9 +298,9 @@ FAR_M = np.array([8_000.0, -6_000.0, 120.0])
 
 def test_compiled_search_places_drops_to_the_last_bit_far_and_late():
     """At 10,000 s and 10 km a drop is found in a box that ends exactly on it, but in none a rounding step smaller."""
-    where_then = RainSimulation.start(rain(0.2, gust_m_s=5.0)).motion.displacement(10_000.0)
+    where_then = displacement(RainSimulation.start(rain(0.2, gust_m_s=5.0)).motion, 10_000.0)
     period = np.array([8.5, 8.5, 6.0])
-    where = drop_phases(where_then, FAR_M, period)
+    where = phases_of(where_then, FAR_M, period)
     drops = place_drops(np.arange(CLASSES), 3, where)
     distance = np.abs(drops.positions(period))
     for number in range(0, CLASSES, 2048):
@@ -310,11 +309,11 @@ def test_compiled_search_places_drops_to_the_last_bit_far_and_late():
             if smaller is not None:
                 half[smaller] = np.nextafter(half[smaller], 0)
             box = culling(half)
-            found = visible_drops(CLASSES, 3, where, period, box).numbers
+            found = find_drops(CLASSES, 3, where, period, box).numbers
             expected = np.flatnonzero(np.all(distance <= half, axis=1))
             np.testing.assert_array_equal(found, expected)
             assert (number in found) == (smaller is None)
-            assert count_in_region(CLASSES, 3, where, period, box) == len(expected)
+            assert len(find_drops(CLASSES, 3, where, period, box, in_view=False).numbers) == len(expected)
 
 
 def culling(half):

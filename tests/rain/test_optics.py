@@ -127,7 +127,7 @@ def test_no_drop_whose_blur_reaches_the_picture_is_left_out(renderer):
     wider = replace(field, culling=field.culling._replace(slopes=np.array([-9.0, 9, -9, 9])))
     alphas = []
     for each in (field, wider):
-        made = each.streaks(each.drops())
+        _, made = each.streaks()
         color = sh_from_color(np.full((len(made.means), 3), 0.8, np.float32))
         drops = Gaussians(made.means, made.scales, made.quaternions, made.opacities, color)
         renderer.draw([], camera, given_rain(drops, np.full(3, 0.6, np.float32), "linear"))

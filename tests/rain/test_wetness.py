@@ -76,7 +76,7 @@ def test_a_course_remembers_one_moment():
     course = WetnessCurve(curve((0, 0), (10, 12)), 30.0)
     for time_s in np.linspace(0, 20, 50).tolist():
         course.at(time_s)
-    assert len(course._at) == 1
+    assert len(course._latest) == 1
 
 
 def test_after_a_shower_it_dries_by_its_time_constant():

@@ -9,7 +9,7 @@ from gsrain_engine.appearance.scene_views import PlacedCamera, ViewChoice, chose
 from gsrain_engine.appearance.wet_look.environment import SceneEnvironment
 from gsrain_engine.appearance.wet_look.settings import WetSettings
 from gsrain_engine.appearance.wet_look.translator import WetTransfer
-from gsrain_engine.recolor.rainy_scene import rainy_scene
+from gsrain_engine.recolor.recolor import rainy_scene
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.gaussians import SH_C0

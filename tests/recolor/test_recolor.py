@@ -1,7 +1,6 @@
 import numpy as np
 
 from gsrain_engine.recolor.solver import (
-    DIRECTIONAL_TIKHONOV,
     TIKHONOV,
     ColorTarget,
     apply_normal,
@@ -19,7 +18,7 @@ from gsrain_engine.scene.scene import DrawItem
 
 def plain_pull(k: int, tikhonov: float = TIKHONOV) -> np.ndarray:
     """Pull on k harmonics that is the same for all Gaussians."""
-    return (tikhonov * np.where(np.arange(k) == 0, 1, DIRECTIONAL_TIKHONOV)).astype(np.float32)[None, :, None]
+    return (tikhonov * np.where(np.arange(k) == 0, 1, 4)).astype(np.float32)[None, :, None]
 
 
 def ball(count: int = 300, seed: int = 0) -> DrawItem:

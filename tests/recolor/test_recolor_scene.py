@@ -155,8 +155,8 @@ def test_the_pull_is_chosen_by_how_far_views_agree(street):
         with_image(v, v.image + np.kron(r.normal(0, 0.2, (8, 12, 1)), np.ones((8, 8, 1)))) for v in pictures(clear)
     ]
     settings = RecolorSettings(exposure=False)
-    assert run(clear, agreeing, (), settings).pull == 0.3
-    assert run(clear, blotched, (), settings).pull > 3
+    assert run(clear, agreeing, (), settings).prior_weight == 0.3
+    assert run(clear, blotched, (), settings).prior_weight > 3
 
 
 def test_the_same_bytes_every_time(street):

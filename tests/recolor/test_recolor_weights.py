@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.recolor.weights import MIN_PIECE, STEP, LazyWeights, StoredWeights, stored_weights, weights_of
+from gsrain_engine.recolor.weights import MIN_PIECE, STEP, LazyWeights, StoredWeights, weights_of
 from gsrain_engine.render.cpu.compositing import color_operator
 from gsrain_engine.scene.camera import Camera, look_at
 
@@ -67,8 +67,6 @@ def test_pictures_whose_size_is_no_multiple_of_a_tile():
 
 def test_without_room_nothing_is_stored():
     view = color_operator([ball()], around(0.0))
-    assert stored_weights(view, most_bytes=100) is None
-    assert isinstance(weights_of(view, most_bytes=100), LazyWeights)
-    stored = stored_weights(view)
-    assert stored is not None
+    assert isinstance(weights_of(view, max_bytes=100), LazyWeights)
+    stored = weights_of(view)
     assert stored.nbytes > 100

@@ -29,6 +29,6 @@ def test_a_closed_scene_is_free(context, backend):
         view.draw(*SIZE)
     gc.collect()
     assert [each() is None for each in held] == [True] * 3
-    assert view._opengl.arrays.mark_count == 0
+    assert not view._opengl.arrays.masks
     session.files.give_up()
     session.close()

@@ -112,7 +112,7 @@ def test_marks_go_back_when_they_are_gone(context, renderer):
     for seed in range(3):
         drawn(renderer, [DrawItem(g, np.eye(4), selected=some_of(200, 0.5, seed))])
     assert drawn(renderer, [DrawItem(g, np.eye(4))]).tobytes() == before.tobytes()
-    assert renderer.arrays.mark_count == 0
+    assert not renderer.arrays.masks
 
 
 def test_a_step_back_finds_its_colours_still_there(context, renderer, monkeypatch):

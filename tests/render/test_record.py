@@ -17,7 +17,7 @@ from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.draw import draw_view
-from gsrain_engine.render.export import export_frames, export_sequences, frame_numbers
+from gsrain_engine.render.export import EtaEstimator, export_frames, export_sequences, frame_numbers
 from gsrain_engine.render.export_settings import ExportSettings
 from gsrain_engine.render.images import to_display, to_linear_light
 from gsrain_engine.render.object_labels import draw_labels
@@ -253,7 +253,5 @@ def test_a_full_disk_is_one_sentence(scene, rainfall, path, tmp_path):
 
 
 def test_large_previews_are_made_small():
-    from gsrain_engine.render.export import _small
-
-    rgba = np.ones((720, 1280, 4), np.float32)
-    assert _small(Frame(rgba)).shape == (180, 320, 3)
+    preview = EtaEstimator(2).step(Frame(np.ones((720, 1280, 4), np.float32))).preview
+    assert preview.shape == (180, 320, 3)

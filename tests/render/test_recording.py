@@ -6,8 +6,7 @@ import msgspec
 import pytest
 from cyclopts import App
 
-from app.options import parse_size
-from app.render import RecordingOptions
+from app.render import RecordingOptions, _export_settings
 from gsrain_engine.render.export import export_command
 from gsrain_engine.render.export_settings import ExportSettings, export_files, export_outputs
 from gsrain_engine.safe_io.errors import convert_checked
@@ -112,8 +111,7 @@ def test_the_command_line_says_the_same(fields):
     recording, said = ExportSettings(**fields), []
 
     def render(scene: str, /, *, output: str, size: str | None = None, recording: RecordingOptions | None = None):
-        size_px = parse_size(size) if size else None
-        said.append((scene, (recording or RecordingOptions()).recording(output, size_px, depth=False)))
+        said.append((scene, _export_settings(recording or RecordingOptions(), output, size, with_depth=False)))
 
     program, *words = shlex.split(export_command(recording, "my scene"))
     assert (program, words[0]) == ("gsrain", "render")

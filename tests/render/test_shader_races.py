@@ -13,8 +13,7 @@ from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.rain.shelter_map import ShelterMap
 from gsrain_engine.rain.simulation import RainCamera, RainSimulation
 from gsrain_engine.render.opengl import shaders, sort
-from gsrain_engine.render.opengl.buffers import GpuArrays, ProjectedSplatBuffer
-from gsrain_engine.render.opengl.prefix_sum import COUNT_OFFSET
+from gsrain_engine.render.opengl.buffers import COUNT_OFFSET, GpuArrays, ProjectedSplatBuffer
 from gsrain_engine.render.opengl.projection import ProjectionPass
 from gsrain_engine.render.opengl.rain import RainPass, streak_slots
 from gsrain_engine.render.opengl.renderer import SplatRenderer

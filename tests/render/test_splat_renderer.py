@@ -265,7 +265,7 @@ def test_uploading_in_slices_shows_the_same(context):
     rng = np.random.default_rng(5)
     set_ = gaussians(rng.uniform([-2, -1, 1], [2, 1, 9], (5000, 3)), 0.1, 0.5)
     renderer = SplatRenderer(context)
-    steps = list(renderer.upload(set_, slice_size=1000))
+    steps = list(renderer.arrays.upload(set_, slice_size=1000))
     assert len(steps) == 20
     assert steps[-1] == 1.0
     sliced = draw(renderer, set_).rgba
@@ -277,4 +277,4 @@ def test_recolouring_uploads_only_colours(context):
     set_ = gaussians([[0, 0, 2.0]] * 100)
     draw(renderer, set_)
     recolored = set_.with_sh(set_.sh * np.float32(0.5))
-    assert len(list(renderer.upload(recolored, slice_size=50))) == 2  # 100 Gaussians, one array of four
+    assert len(list(renderer.arrays.upload(recolored, slice_size=50))) == 2  # 100 Gaussians, one array of four

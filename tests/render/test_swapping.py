@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsrain_engine.editor.drawing import live_view, uploads
-from gsrain_engine.editor.drawing.live_view import LiveView
-from gsrain_engine.editor.drawing.uploads import SkyColorSampler
+from gsrain_engine.editor.drawing import live_view
+from gsrain_engine.editor.drawing.live_view import LiveView, SkyColorSampler
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.viewport_state import PendingScene
 from gsrain_engine.rain.settings import load_preset
@@ -121,14 +120,14 @@ def test_a_scene_that_is_opened_lets_go_of_the_last_one(context, session):
 def test_giving_up_an_upload_keeps_what_is_shown(context):
     renderer, g, other = SplatRenderer(context), random_gaussians(300, 1), random_gaussians(300, 2)
     renderer.draw([DrawItem(g, np.eye(4))], small_camera())
-    slices = renderer.upload(other, slice_size=100)
+    slices = renderer.arrays.upload(other, slice_size=100)
     for _ in range(7):  # two arrays, and a third of the third
         next(slices)
     slices.close()
     renderer.arrays.release_awaited()
     assert renderer.arrays.missing(g) == 0
     assert renderer.arrays.missing(other) == 300
-    assert len(list(renderer.upload(other, slice_size=100))) == 12
+    assert len(list(renderer.arrays.upload(other, slice_size=100))) == 12
 
 
 class Counting(SplatRenderer):
@@ -199,7 +198,7 @@ def test_no_look_while_something_is_dragged_nor_when_only_the_selection_changes(
 def test_large_scenes_are_looked_at_in_part_first_and_in_full_at_rest(renderer, monkeypatch):
     watch, scene = SkyColorSampler(), small_scene()
     watch.look(renderer, scene, HERE, resting=False)
-    monkeypatch.setattr(uploads, "_QUICK", 500)
+    monkeypatch.setattr(live_view, "_QUICK", 500)
     other, looks = darkened(scene), []
     for resting in (False, True):
         renderer.limits.clear()
@@ -214,7 +213,7 @@ def test_large_scenes_are_looked_at_in_part_first_and_in_full_at_rest(renderer, 
 
 
 def test_a_screenshot_finds_the_exact_sky(context, session, monkeypatch, tmp_path):
-    monkeypatch.setattr(uploads, "_QUICK", 500)
+    monkeypatch.setattr(live_view, "_QUICK", 500)
     session.change_rain("Rain", **msgspec.structs.asdict(load_preset("8.5")))
     view = LiveView(context, session, "opengl")
     picture(view)

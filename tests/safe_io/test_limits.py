@@ -350,7 +350,7 @@ ALLOWED = {
     "gsrain_engine/presets.py": "files of the package",
     "gsrain_engine/render/opengl/shaders.py": "files of the package",
     "app/bench.py": "reads a folder that it has written, to time that",
-    "gsrain_engine/render/hardware.py": "a list of processors that Linux makes",
+    "gsrain_engine/render/renderer.py": "a list of processors that Linux makes",
     "gsrain_engine/appearance/cyclegan_turbo/weights.py": "puts a file that it has just written in order",
     "gsrain_engine/sweep/executors.py": "the worker's end: jobs of the program that has started it",
     "ui/window.py": "files of the package",

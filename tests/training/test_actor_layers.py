@@ -5,6 +5,7 @@ import pytest
 
 from gsrain_engine.datasets.capture import Capture, CaptureFrame
 from gsrain_engine.scene.scene import DrawItem
+from gsrain_engine.training import init
 from gsrain_engine.training.init import actor_layers, points_of_box
 from rasterized import rasterize
 
@@ -65,13 +66,14 @@ def test_a_car_becomes_an_actor_in_its_colour(car) -> None:
     assert frame.depth is not None and frame.depth[row, column] == pytest.approx(middle[2], abs=0.3)
 
 
-def test_what_stands_or_has_few_points_is_no_actor(car) -> None:
+def test_what_stands_or_has_few_points_is_no_actor(car, monkeypatch) -> None:
     parked = box("parked", (8, 0.5), 0.0)
     capture = with_car(drive_capture(4), parked)
     assert actor_layers(capture, capture.views) == ()
     capture = with_car(drive_capture(4), car)
-    assert actor_layers(capture, capture.views, least_points=300) == ()
     assert actor_layers(drive_capture(4), capture.views) == ()
+    monkeypatch.setattr(init, "MIN_POINTS", 300)
+    assert actor_layers(capture, capture.views) == ()
 
 
 def test_what_no_view_shows_is_no_actor(car) -> None:

@@ -31,12 +31,12 @@ def generator(seed: int = 0):
 
 
 def adaptive(**changes: object) -> DefaultStrategy:
-    values = {"extent": 10.0, "most": 1000, "first_step": 0, "last_step": 100, "every": 10, "reset_every": 0}
+    values = {"extent": 10.0, "max_count": 1000, "first_step": 0, "last_step": 100, "every": 10, "reset_every": 0}
     return DefaultStrategy(DefaultStrategySettings(**(values | changes)))
 
 
 def monte_carlo(**changes: object) -> MCMCStrategy:
-    values = {"most": 1000, "means_rate": lambda step: 0.0, "first_step": 0, "last_step": 100, "every": 10}
+    values = {"max_count": 1000, "means_rate": lambda step: 0.0, "first_step": 0, "last_step": 100, "every": 10}
     return MCMCStrategy(MCMCSettings(**(values | changes)))
 
 
@@ -77,7 +77,7 @@ def test_children_lie_as_their_parent_did() -> None:
     wide = Gaussians(g.means, np.array([[0.5, 2.0, 0.1]], np.float32), g.quaternions, np.ones(1, np.float32) / 2, g.sh)
     n = 4000
     splats = SplatParameters.from_gaussians(wide.take(np.zeros(n, np.int64)), 0)
-    control = adaptive(most=10 * n)
+    control = adaptive(max_count=10 * n)
     control.observe(9, picture(np.full(n, 1e-3)))
     control.adapt(10, splats, generator())
     means = splats.to_gaussians().means.astype(np.float64)
@@ -103,7 +103,7 @@ def test_rows_tell_which_are_under_control() -> None:
 
 
 def test_the_highest_gradients_win_the_room_that_is_left() -> None:
-    control, splats = adaptive(most=6), parameters((0.01,) * 4, (0.5,) * 4)
+    control, splats = adaptive(max_count=6), parameters((0.01,) * 4, (0.5,) * 4)
     means = splats.to_gaussians().means
     control.observe(9, picture([4e-6, 9e-6, 5e-6, 8e-6]))
     control.adapt(10, splats, generator())
@@ -171,7 +171,7 @@ def test_relocation_keeps_the_picture() -> None:
 
 
 def test_the_dead_move_to_the_living_by_opacity() -> None:
-    n, control = 3000, monte_carlo(most=0)
+    n, control = 3000, monte_carlo(max_count=0)
     opacities = np.r_[np.full(n, 0.001), 0.2, 0.6]
     splats = parameters((0.1,) * (n + 2), opacities)
     places = splats.to_gaussians().means[n:]
@@ -188,12 +188,12 @@ def test_moments_of_source_and_copy_start_again() -> None:
     for each in splats.tensors.values():
         each.grad = torch.ones_like(each)
     splats.step({"means": 1e-9, "sh_dc": 1e-9})
-    monte_carlo(most=0).adapt(10, splats, generator())
+    monte_carlo(max_count=0).adapt(10, splats, generator())
     assert not splats.state()["means.first"].any() and not splats.state()["sh_dc.second"].any()
 
 
 def test_the_number_grows_to_the_cap() -> None:
-    control, splats = monte_carlo(most=110), parameters((0.1,) * 100, (0.5,) * 100)
+    control, splats = monte_carlo(max_count=110), parameters((0.1,) * 100, (0.5,) * 100)
     counts = []
     for step in (10, 20, 30, 40):
         control.adapt(step, splats, generator(step))

@@ -7,16 +7,11 @@ torch = pytest.importorskip("torch")
 
 from gsrain_engine.training.free_space import (  # noqa: E402
     FreeSpaceCarving,
-    FreeSpaceStrategy,
+    clear_free_space,
     clip_long_gaussians,
     prune_free_space,
 )
-from gsrain_engine.training.mcmc import (  # noqa: E402
-    MCMCSettings,
-    MCMCStrategy,
-)
 from gsrain_engine.training.parameters import SplatParameters  # noqa: E402
-from gsrain_engine.training.strategy import Strategy  # noqa: E402
 from gsrain_engine.training.surfels import (  # noqa: E402
     LONGEST,
     camera_trajectory,
@@ -90,11 +85,7 @@ def test_what_is_near_the_cameras_may_not_become_long() -> None:
 def test_a_control_clears_now_and_then_and_at_the_end() -> None:
     space = free()
     assert space is not None
-    inner = MCMCStrategy(MCMCSettings(most=3, means_rate=lambda step: 0.0, first_step=1000))
-    control = FreeSpaceStrategy(inner, space, steps=40)
-    assert isinstance(control, Strategy)
-    generator = torch.Generator().manual_seed(0)
     for step, done in ((7, None), (25, "1 cleared away"), (39, "1 cleared away")):
         found = splats([[8, 0, 1], [29, 0, 1]])
-        assert control.adapt(step, found, generator) == done
+        assert clear_free_space(step, 40, found, space) == done
         assert len(found) == (2 if done is None else 1)

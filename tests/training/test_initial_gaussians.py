@@ -6,6 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gsrain_engine.datasets.capture import Capture
+from gsrain_engine.datasets.depth_maps import depth_priors
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.sky_masks import sky_masks
 from gsrain_engine.datasets.undistort import undistort_frame
@@ -133,11 +134,11 @@ def test_a_tunnel_has_no_sky(drive: Capture) -> None:
     dark = [replace(view, image_source=np.full((64, 96, 3), 40, np.uint8)) for view in drive.views]
     nothing = [np.zeros((64, 96), np.float32) for _ in dark]
     assert not any(mask.any() for mask in sky_masks(dark, nothing))
-    assert len(initial_sky(drive, dark, Gaussians.empty())) == 0
+    assert len(initial_sky(drive, dark, Gaussians.empty(), sky_masks(dark, nothing))) == 0
 
 
 def test_the_dome_shows_the_sky_everywhere(drive: Capture, first: Gaussians) -> None:
-    sky = initial_sky(drive, drive.views, first, count=1500)
+    sky = initial_sky(drive, drive.views, first, depth_priors(drive, drive.views).skies, 1500)
     far = dome_radius(first, drive.views[0].camera.position, True)
     assert far >= 400
     view = drive.views[0]
@@ -162,7 +163,7 @@ def test_a_real_street_begins_as_a_coarse_picture_of_itself(test_data: Path) -> 
     capture = open_capture(test_data / "driving" / "dgp")
     front = [undistort_frame(view, 160).held() for view in capture.views if view.sensor == "CAMERA_01"]
     found = initial_gaussians(capture, front, 8000)
-    sky = initial_sky(capture, front, found, count=2000)
+    sky = initial_sky(capture, front, found, depth_priors(capture, front).skies, 2000)
     frame = rasterize([DrawItem(found, np.eye(4)), DrawItem(sky, np.eye(4))], front[1].camera)
     assert frame.rgba[..., 3].mean() > 0.95
     assert psnr(frame.rgba[..., :3], front[1].image / 255.0) > 15

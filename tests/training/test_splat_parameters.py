@@ -85,7 +85,7 @@ def test_the_slow_way_of_other_devices_does_the_same() -> None:
         with torch.no_grad():
             for name, rate in RATES.items():
                 there._steps[name] += 1
-                there._step_there(name, rate, shares, which)
+                there._step_device(name, rate, shares, which)
     for name in NAMES:
         np.testing.assert_allclose(here.tensors[name].detach(), there.tensors[name].detach(), atol=1e-6)
 

@@ -15,9 +15,9 @@ from gsrain_engine.datasets.capture import CaptureError
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.progress import Progress
+from gsrain_engine.training.data import ReconstructionTask
 from gsrain_engine.training.model import TrainingCheckpointError
 from gsrain_engine.training.settings import TrainingSettings, load_settings
-from gsrain_engine.training.task import ReconstructionTask
 from gsrain_engine.training.train import TrainingReport, reconstruct
 from small_capture import small_capture
 

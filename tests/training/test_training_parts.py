@@ -14,7 +14,7 @@ from gsrain_engine.evaluation.image_metrics import (  # noqa: E402
     fitted_affine,
     with_affine,
 )
-from gsrain_engine.render.autodiff.types import (  # noqa: E402
+from gsrain_engine.render.autodiff.differentiable import (  # noqa: E402
     Footprint,
     Rendered,
 )

@@ -15,10 +15,10 @@ def test_a_patch_that_contradicts_is_left_out_and_noise_is_not() -> None:
     truth = torch.rand(60, 100, 3, generator=torch.Generator().manual_seed(0)) * 0.1
     shown = truth + 0.01
     shown[20:30, 40:55] += 0.5
-    counts = robust_mask(shown, truth, None, most=0.2)
+    counts = robust_mask(shown, truth, None, max_share=0.2)
     assert not counts[22:28, 42:53].any()
     assert counts[:15].all() and counts[:, 70:].all()
-    assert robust_mask(truth + 0.05, truth, None, most=0.2).all()
+    assert robust_mask(truth + 0.05, truth, None, max_share=0.2).all()
 
 
 def test_no_more_is_left_out_than_allowed_and_masks_stay() -> None:
@@ -26,10 +26,10 @@ def test_no_more_is_left_out_than_allowed_and_masks_stay() -> None:
     mask[:5] = False
     shown = truth.clone()
     shown[:40, :60] = 1.0
-    counts = robust_mask(shown, truth, mask, most=0.1)
+    counts = robust_mask(shown, truth, mask, max_share=0.1)
     assert not counts[:5].any()
     assert float(counts.sum()) >= 0.89 * float(mask.sum())
-    assert not robust_mask(shown, truth, torch.zeros_like(mask), most=0.1).any()
+    assert not robust_mask(shown, truth, torch.zeros_like(mask), max_share=0.1).any()
 
 
 def test_transients_wait_until_the_scene_is_there() -> None:

@@ -10,7 +10,7 @@ from ui.commands.registry import ACTIONS
 from ui.dialogs import matches
 from ui.panels.registry import BUILT_IN_PANELS
 from ui.shell import MENUS, panel_windows
-from ui.tools.registry import TOOLS
+from ui.tools import TOOLS
 from window_driver import Driver, imgui
 
 _CTRL, _SHIFT = imgui.Key.mod_ctrl, imgui.Key.mod_shift

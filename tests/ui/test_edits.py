@@ -9,7 +9,7 @@ from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.scene import Actor, PoseTrack
 from small_scene import patch, small_scene
 from ui.commands.base import chord
-from ui.tools.registry import TOOLS
+from ui.tools import TOOLS
 from window_driver import Driver, imgui
 
 

@@ -16,8 +16,8 @@ PANEL = "//Make it rainy/"
 
 def test_what_a_field_says_about_being_left_out():
     tile = field_info("tile_px", TransferSettings)
-    assert (tile.none, tile.usual, tile.multiple_of, tile.low, tile.high) == ("in one piece", 512, 64, 64, 4096)
-    assert (field_info("side_px", TransferSettings).none, field_info("side_px", TransferSettings).usual) == (
+    assert (tile.none, tile.initial, tile.multiple_of, tile.low, tile.high) == ("in one piece", 512, 64, 64, 4096)
+    assert (field_info("side_px", TransferSettings).none, field_info("side_px", TransferSettings).initial) == (
         "as they are", 512,
     )  # fmt: skip
     assert field_info("count", ViewChoice).none is not None

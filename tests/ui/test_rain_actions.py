@@ -8,7 +8,7 @@ from gsrain_engine.editor.editor import Editor
 from gsrain_engine.rain.keyframes import shower_keyframes
 from small_scene import small_scene
 from ui.commands.registry import ACTIONS
-from ui.tools.registry import TOOLS
+from ui.tools import TOOLS
 
 
 @pytest.fixture

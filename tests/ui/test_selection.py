@@ -8,7 +8,7 @@ import pytest
 from gsrain_engine.editor.selection.candidates import selected, selected_count
 from small_scene import small_scene
 from ui.commands.base import chord
-from ui.tools.registry import TOOLS
+from ui.tools import TOOLS
 from window_driver import Driver, imgui
 
 KEY = imgui.Key

@@ -4,253 +4,270 @@ from typing import get_args
 
 import numpy as np
 from imgui_bundle import icons_fontawesome_6, imgui
+from jaxtyping import Bool
 
 from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.edits.members import is_editable
 from gsrain_engine.editor.selection import screen
-from gsrain_engine.editor.selection.candidates import Mode, base_color, is_selectable, select_similar_colors
+from gsrain_engine.editor.selection.candidates import Found, Mode, base_color, select_similar_colors
 from gsrain_engine.editor.selection.commands import select
-from gsrain_engine.editor.selection.screen import Depths, select_in_screen_shape
-from gsrain_engine.editor.selection.volume import Volume, flood_select, in_volume
+from gsrain_engine.editor.selection.volume import flood_select
 from gsrain_engine.editor.viewport.picking import PickResult, pick
 
 from ..widgets.draw import Viewport, is_clicked
 from . import base
-from .base import LeftDrag
-
-_MIN_PX, _MAX_PX = 2.0, 300.0
-_STEP = 1.2
-
-# Brush
+from .base import same_line_if_fits
 
 MODIFIERS = "Shift adds, Ctrl removes, both intersect."
+_DEPTH_HELP = (
+    "all through: everything behind the shape as well\n"
+    "front-most: only what is seen, not what it hides\n"
+    "to a depth: down to so many metres from the camera"
+)
 
 
-class BrushTool:
-    """Paint with a disc."""
+class ShapeTool(base.DragTool):
+    """A shape drawn with the left button; the release selects the Gaussians in it."""
 
-    name = "Brush"
-    icon = icons_fontawesome_6.ICON_FA_PAINTBRUSH
-    key: imgui.Key | None = imgui.Key.n
-    help = f"Paint over what to select; [ and ] change the brush. {MODIFIERS}"
-
-    def __init__(self) -> None:
-        self._drag = LeftDrag()
-
-    def draw(self, session: Editor, viewport: Viewport) -> bool:
-        options = session.selecting
-        if not (imgui.get_io().want_text_input or imgui.get_io().key_ctrl):
-            for key, factor in ((imgui.Key.left_bracket, 1 / _STEP), (imgui.Key.right_bracket, _STEP)):
-                if imgui.is_key_pressed(key):
-                    options.brush_radius_px = min(max(options.brush_radius_px * factor, _MIN_PX), _MAX_PX)
-        state = self._drag.follow(viewport)
-        if state != "none":
-            size = viewport.width, viewport.height
-            pixels = screen.stroke(self._drag.points, options.brush_radius_px, *size)
-            if state == "released":
-                take_shape(session, viewport, pixels, "brush")
-                self._drag.drop()
-            else:
-                for edge in screen.outlines(pixels):
-                    base.draw_polyline(viewport, edge.tolist(), closed=True)
-        if viewport.hovered or viewport.active:
-            base.draw_ring(viewport, viewport.mouse_px, options.brush_radius_px)
-        return True
-
-    def options(self, session: Editor) -> None:
-        options = session.selecting
-        shape_options(session)
-        same_line_if_fits(7)
-        imgui.set_next_item_width(7 * imgui.get_font_size())
-        flags = imgui.SliderFlags_.always_clamp
-        _, options.brush_radius_px = imgui.drag_float(
-            "##radius", options.brush_radius_px, 0.5, _MIN_PX, _MAX_PX, "radius %.0f px", flags
-        )
-        imgui.set_item_tooltip("Radius of the brush in pixels ([ and ]).")
-
-
-# Lasso
-
-
-class LassoTool:
-    """Drag around the Gaussians to select."""
-
-    name = "Lasso"
-    icon = icons_fontawesome_6.ICON_FA_PENCIL
-    key: imgui.Key | None = imgui.Key.l
-    help = f"Drag around what to select. {MODIFIERS}"
-
-    def __init__(self) -> None:
-        self._drag = LeftDrag()
+    selects_by_click = False
 
     def draw(self, session: Editor, viewport: Viewport) -> bool:
-        state = self._drag.follow(viewport)
+        state = self.follow_drag(viewport)
         if state in ("pressed", "dragged"):
-            base.draw_polyline(viewport, self._drag.points)
-            base.draw_faint_line(viewport, self._drag.points[-1], self._drag.points[0])
-        elif state == "released":
-            if self._drag.has_moved:
-                pixels = screen.polygon(self._drag.points, viewport.width, viewport.height)
-                take_shape(session, viewport, pixels, "lasso")
-            self._drag.drop()
+            self.outline(session, viewport)
+        elif state == "released" and (self.has_moved or self.selects_by_click):
+            self.select(session, viewport)
         return True
 
-    def options(self, session: Editor) -> None:
-        shape_options(session)
+    def outline(self, session: Editor, viewport: Viewport) -> None:
+        raise NotImplementedError
 
+    def mask(self, session: Editor, width: int, height: int) -> Bool[np.ndarray, "h w"]:
+        """Pixels of the shape in a viewport of a size."""
+        raise NotImplementedError
 
-# Polygon
-
-
-class PolygonTool:
-    """Click corners; the first one, or Enter, closes. Deactivating the tool clears the corners."""
-
-    name = "Polygon"
-    icon = icons_fontawesome_6.ICON_FA_DRAW_POLYGON
-    key: imgui.Key | None = imgui.Key.p
-    help = f"Click corners; Enter or the first one closes, Backspace drops the last. {MODIFIERS}"
-
-    def __init__(self) -> None:
-        self._corners: list[tuple[float, float]] = []
-        self._frame = -1
-
-    def draw(self, session: Editor, viewport: Viewport) -> bool:
-        if imgui.get_frame_count() != self._frame + 1:
-            self._corners.clear()
-        self._frame = imgui.get_frame_count()
-        closes = self._take_keys()
-        if viewport.hovered and imgui.is_mouse_clicked(imgui.MouseButton_.left):
-            if len(self._corners) >= 3 and base.is_mouse_at(viewport, self._corners[0]):
-                closes = True
-            else:
-                self._corners.append(viewport.mouse_px)
-        if closes and len(self._corners) >= 3:
-            pixels = screen.polygon(self._corners, viewport.width, viewport.height)
-            take_shape(session, viewport, pixels, "polygon")
-            self._corners.clear()
-        self._show(viewport)
-        return True
+    def select(self, session: Editor, viewport: Viewport) -> None:
+        pixels = self.mask(session, viewport.width, viewport.height)
+        found = screen.select_in_screen_shape(session.scene, viewport.shot, pixels, session.selecting.reach)
+        select(session, found, mode_now(session), self.name.lower())
 
     def options(self, session: Editor) -> None:
-        shape_options(session)
-        same_line_if_fits(10)
-        imgui.align_text_to_frame_padding()
-        imgui.text_disabled("click corners, Enter closes" if self._corners else "click corners")
-        imgui.set_item_tooltip("Enter or a click on the first corner closes; Backspace drops the last; Esc drops all.")
-
-    def _take_keys(self) -> bool:
-        if imgui.get_io().want_text_input:
-            return False
-        if imgui.is_key_pressed(imgui.Key.backspace) and self._corners:
-            self._corners.pop()
-        return imgui.is_key_pressed(imgui.Key.enter, False) or imgui.is_key_pressed(imgui.Key.keypad_enter, False)
-
-    def _show(self, viewport: Viewport) -> None:
-        if not self._corners:
-            return
-        if viewport.hovered:
-            for end in {self._corners[0], self._corners[-1]}:
-                base.draw_faint_line(viewport, end, viewport.mouse_px)
-        base.draw_polyline(viewport, self._corners)
-        for corner in self._corners:
-            is_end = corner is self._corners[0] and len(self._corners) >= 3
-            base.draw_knob(viewport, corner, is_lit=is_end and base.is_mouse_at(viewport, corner))
+        options = session.selecting
+        mode_options(session)
+        same_line_if_fits(14)
+        choices = get_args(screen.Depths)
+        imgui.set_next_item_width(7.5 * imgui.get_font_size())
+        changed, picked = imgui.combo("##depths", choices.index(options.depths), list(choices))
+        imgui.set_item_tooltip(_DEPTH_HELP)
+        if changed:
+            options.depths = choices[picked]
+        if options.depths == "to a depth":
+            same_line_if_fits(5.5)
+            help_text = "How deep, in metres from the camera along its view axis."
+            _, options.depth_m = base.drag_number(
+                "##depth_m", options.depth_m, 0.1, (0.2, 2000.0), "%.1f m", help_text, 5.5, flags=0
+            )
+        same_line_if_fits(6)
+        _, options.touching = imgui.checkbox("Touching", options.touching)
+        imgui.set_item_tooltip(
+            "Take in Gaussians that the shape touches within one standard deviation, not only those whose centre it "
+            "covers."
+        )
 
 
-# Rectangle
-
-
-class RectangleTool:
+class RectangleTool(ShapeTool):
     """Drag from corner to corner."""
 
     name = "Rectangle"
     icon = icons_fontawesome_6.ICON_FA_VECTOR_SQUARE
-    key: imgui.Key | None = imgui.Key.b
+    key = imgui.Key.b
     help = f"Drag from corner to corner. {MODIFIERS}"
 
-    def __init__(self) -> None:
-        self._drag = LeftDrag()
+    def outline(self, session: Editor, viewport: Viewport) -> None:
+        base.draw_rectangle(viewport, self.points[0], self.points[-1])
+
+    def mask(self, session: Editor, width: int, height: int) -> Bool[np.ndarray, "h w"]:
+        return screen.rectangle(self.points[0], self.points[-1], width, height)
+
+
+class LassoTool(ShapeTool):
+    """Drag around the Gaussians to select."""
+
+    name = "Lasso"
+    icon = icons_fontawesome_6.ICON_FA_PENCIL
+    key = imgui.Key.l
+    help = f"Drag around what to select. {MODIFIERS}"
+
+    def outline(self, session: Editor, viewport: Viewport) -> None:
+        base.draw_polyline(viewport, self.points)
+        base.draw_faint_line(viewport, self.points[-1], self.points[0])
+
+    def mask(self, session: Editor, width: int, height: int) -> Bool[np.ndarray, "h w"]:
+        return screen.polygon(self.points, width, height)
+
+
+class PolygonTool(LassoTool):
+    """Click corners; the first one, or Enter, closes. Deactivating the tool clears the corners."""
+
+    name = "Polygon"
+    icon = icons_fontawesome_6.ICON_FA_DRAW_POLYGON
+    key = imgui.Key.p
+    help = f"Click corners; Enter or the first one closes, Backspace drops the last. {MODIFIERS}"
 
     def draw(self, session: Editor, viewport: Viewport) -> bool:
-        state = self._drag.follow(viewport)
-        if state in ("pressed", "dragged"):
-            base.draw_rectangle(viewport, self._drag.points[0], self._drag.points[-1])
-        elif state == "released":
-            if self._drag.has_moved:
-                ends = self._drag.points[0], self._drag.points[-1]
-                pixels = screen.rectangle(*ends, viewport.width, viewport.height)
-                take_shape(session, viewport, pixels, "rectangle")
-            self._drag.drop()
+        corners = () if self.is_resumed() else self.points
+        closes = False
+        if not imgui.get_io().want_text_input:
+            if imgui.is_key_pressed(imgui.Key.backspace):
+                corners = corners[:-1]
+            closes = any(imgui.is_key_pressed(key, False) for key in (imgui.Key.enter, imgui.Key.keypad_enter))
+        if viewport.hovered and imgui.is_mouse_clicked(imgui.MouseButton_.left):
+            if len(corners) >= 3 and _is_mouse_at(viewport, corners[0]):
+                closes = True
+            else:
+                corners = (*corners, viewport.mouse_px)
+        self.points = corners
+        if closes and len(corners) >= 3:
+            self.select(session, viewport)
+            self.points = ()
+        if self.points:
+            self.outline(session, viewport)
         return True
 
+    def outline(self, session: Editor, viewport: Viewport) -> None:
+        if viewport.hovered:
+            for end in {self.points[0], self.points[-1]}:
+                base.draw_faint_line(viewport, end, viewport.mouse_px)
+        base.draw_polyline(viewport, self.points)
+        draw = imgui.get_window_draw_list()
+        for corner in self.points:
+            closes = corner is self.points[0] and len(self.points) >= 3 and _is_mouse_at(viewport, corner)
+            center = viewport.on_screen(*corner)
+            draw.add_circle_filled(center, _KNOB_PX if closes else _KNOB_PX - 2, imgui.get_color_u32(base.DARK))
+            draw.add_circle_filled(center, _KNOB_PX - (2 if closes else 3.5), imgui.get_color_u32(base.LIGHT))
+
     def options(self, session: Editor) -> None:
-        shape_options(session)
+        super().options(session)
+        same_line_if_fits(10)
+        imgui.align_text_to_frame_padding()
+        imgui.text_disabled("click corners, Enter closes" if self.points else "click corners")
+        imgui.set_item_tooltip("Enter or a click on the first corner closes; Backspace drops the last; Esc drops all.")
 
 
-# Flood and color pick
+_KNOB_PX = 7.0  # half the width of a corner's knob
 
 
-class FloodTool:
-    """Click on a Gaussian to select connected ones of similar color."""
+def _is_mouse_at(viewport: Viewport, at: base.Pixel) -> bool:
+    x, y = viewport.mouse_px
+    return max(abs(x - at[0]), abs(y - at[1])) <= _KNOB_PX + 2
 
-    name = "Flood"
-    icon = icons_fontawesome_6.ICON_FA_FILL_DRIP
-    key: imgui.Key | None = imgui.Key.g
-    help = f"Click on what to select as far as it hangs together and looks alike. {MODIFIERS}"
+
+class BrushTool(ShapeTool):
+    """Paint with a disc."""
+
+    name = "Brush"
+    icon = icons_fontawesome_6.ICON_FA_PAINTBRUSH
+    key = imgui.Key.n
+    help = f"Paint over what to select; [ and ] change the brush. {MODIFIERS}"
+    selects_by_click = True
 
     def draw(self, session: Editor, viewport: Viewport) -> bool:
-        options, picked = session.selecting, _clicked(session, viewport)
-        if picked is not None:
-            moment = viewport.shot.time_s
-            found = flood_select(
-                session.scene, moment, picked.key, picked.gaussian, options.tolerance, options.flood_reach
-            )
-            select(session, found, mode_now(session), "flood")
+        options, io = session.selecting, imgui.get_io()
+        if not (io.want_text_input or io.key_ctrl):
+            for key, factor in ((imgui.Key.left_bracket, 1 / _STEP), (imgui.Key.right_bracket, _STEP)):
+                if imgui.is_key_pressed(key):
+                    options.brush_radius_px = min(max(options.brush_radius_px * factor, _RADII_PX[0]), _RADII_PX[1])
+        super().draw(session, viewport)
+        if viewport.hovered or viewport.active:
+            draw, at = imgui.get_window_draw_list(), viewport.on_screen(*viewport.mouse_px)
+            for color, width in ((base.DARK, 3.5), (base.LIGHT, 1.5)):
+                draw.add_circle(at, options.brush_radius_px, imgui.get_color_u32(color), 0, width)
+        return True
+
+    def outline(self, session: Editor, viewport: Viewport) -> None:
+        for edge in screen.outlines(self.mask(session, viewport.width, viewport.height)):
+            base.draw_polyline(viewport, edge.tolist(), closed=True)
+
+    def mask(self, session: Editor, width: int, height: int) -> Bool[np.ndarray, "h w"]:
+        return screen.stroke(self.points, session.selecting.brush_radius_px, width, height)
+
+    def options(self, session: Editor) -> None:
+        options = session.selecting
+        super().options(session)
+        same_line_if_fits(7)
+        help_text = "Radius of the brush in pixels ([ and ])."
+        _, options.brush_radius_px = base.drag_number(
+            "##radius", options.brush_radius_px, 0.5, _RADII_PX, "radius %.0f px", help_text, 7
+        )
+
+
+_RADII_PX = 2.0, 300.0
+_STEP = 1.2
+
+# Gaussians alike the one under the mouse
+
+
+class ColorPickTool(base.Tool):
+    """Click on a color to select it everywhere."""
+
+    name = "Colour pick"
+    icon = icons_fontawesome_6.ICON_FA_EYE_DROPPER
+    key = imgui.Key.i
+    help = f"Click on a colour to select it everywhere. {MODIFIERS}"
+    by = "colour"
+
+    def draw(self, session: Editor, viewport: Viewport) -> bool:
+        if is_clicked(viewport):
+            picked = pick(session.scene, viewport.shot, *viewport.mouse_px, is_editable)
+            if picked is not None:
+                select(session, self.find(session, picked, viewport.shot.time_s), mode_now(session), self.by)
         return False
+
+    def find(self, session: Editor, picked: PickResult, time_s: float) -> Found:
+        part = session.scene.part(session.scene.member(picked.key), time_s)
+        assert part is not None, "what was picked is there"
+        color = base_color(part, picked.gaussian)
+        return select_similar_colors(session.scene, time_s, color, session.selecting.tolerance)
 
     def options(self, session: Editor) -> None:
         options = session.selecting
         mode_options(session)
         same_line_if_fits(9)
-        tolerance_option(session)
-        same_line_if_fits(9)
-        imgui.set_next_item_width(9 * imgui.get_font_size())
-        flags = imgui.SliderFlags_.always_clamp
-        _, options.flood_reach = imgui.drag_float(
-            "##reach", options.flood_reach, 0.05, 0.5, 20.0, "reach %.1f spacings", flags
+        help_text = (
+            "How far red, green and blue may each differ from the colour under the mouse, 0..1.\n"
+            "Drag, or double-click to type."
         )
-        imgui.set_item_tooltip(
-            "Over how wide a gap the flood runs, in spacings: the distance to the eighth nearest alike Gaussian there."
+        _, options.tolerance = base.drag_number(
+            "##tolerance", options.tolerance, 0.005, (0, 1), "tolerance %.2f", help_text, 9
         )
 
 
-class ColorPickTool:
-    """Click on a color to select it everywhere."""
+class FloodTool(ColorPickTool):
+    """Click on a Gaussian to select connected ones of similar color."""
 
-    name = "Colour pick"
-    icon = icons_fontawesome_6.ICON_FA_EYE_DROPPER
-    key: imgui.Key | None = imgui.Key.i
-    help = f"Click on a colour to select it everywhere. {MODIFIERS}"
+    name = "Flood"
+    icon = icons_fontawesome_6.ICON_FA_FILL_DRIP
+    key = imgui.Key.g
+    help = f"Click on what to select as far as it hangs together and looks alike. {MODIFIERS}"
+    by = "flood"
 
-    def draw(self, session: Editor, viewport: Viewport) -> bool:
-        picked = _clicked(session, viewport)
-        if picked is not None:
-            part = session.scene.part(session.scene.member(picked.key), viewport.shot.time_s)
-            assert part is not None, "what was picked is there"
-            color = base_color(part, picked.gaussian)
-            found = select_similar_colors(session.scene, viewport.shot.time_s, color, session.selecting.tolerance)
-            select(session, found, mode_now(session), "colour")
-        return False
+    def find(self, session: Editor, picked: PickResult, time_s: float) -> Found:
+        options = session.selecting
+        return flood_select(session.scene, time_s, picked.key, picked.gaussian, options.tolerance, options.flood_reach)
 
     def options(self, session: Editor) -> None:
-        mode_options(session)
+        options = session.selecting
+        super().options(session)
         same_line_if_fits(9)
-        tolerance_option(session)
+        help_text = (
+            "Over how wide a gap the flood runs, in spacings: the distance to the eighth nearest alike Gaussian there."
+        )
+        _, options.flood_reach = base.drag_number(
+            "##reach", options.flood_reach, 0.05, (0.5, 20.0), "reach %.1f spacings", help_text, 9
+        )
 
 
-def _clicked(session: Editor, viewport: Viewport) -> PickResult | None:
-    """Return the selectable Gaussian under a finished click, or None."""
-    return pick(session.scene, viewport.shot, *viewport.mouse_px, is_selectable) if is_clicked(viewport) else None
-
+# Modes
 
 _MODE_HELP: dict[Mode, str] = {
     "set": "Select what the tool finds, and nothing else.",
@@ -258,12 +275,6 @@ _MODE_HELP: dict[Mode, str] = {
     "remove": "Take away what the tool finds (Ctrl or Alt).",
     "intersect": "Keep only what was selected and is found (Shift+Ctrl).",
 }
-
-_DEPTH_HELP = (
-    "all through: everything behind the shape as well\n"
-    "front-most: only what is seen, not what it hides\n"
-    "to a depth: down to so many metres from the camera"
-)
 
 
 def mode_now(session: Editor) -> Mode:
@@ -275,82 +286,15 @@ def mode_now(session: Editor) -> Mode:
     return "remove" if removes else session.selecting.mode
 
 
-def take_shape(session: Editor, viewport: Viewport, pixels: np.ndarray, by: str) -> None:
-    found = select_in_screen_shape(session.scene, viewport.shot, pixels, session.selecting.reach)
-    select(session, found, mode_now(session), by)
-
-
-def apply_volume(session: Editor, time_s: float, volume: Volume, by: str, *, now: bool = False) -> None:
-    """Select the Gaussians in a volume, if Enter was pressed or `now`."""
-    keys = (imgui.Key.enter, imgui.Key.keypad_enter)
-    is_entered = not imgui.get_io().want_text_input and any(imgui.is_key_pressed(key, False) for key in keys)
-    if now or is_entered:
-        select(session, in_volume(session.scene, time_s, volume), mode_now(session), by)
-
-
 def mode_options(session: Editor) -> None:
     """Draw the four selection modes; the current one is highlighted."""
     now = mode_now(session)
-    for number, mode in enumerate(get_args(Mode)):
+    for number, (mode, help_text) in enumerate(_MODE_HELP.items()):
         if number:
             imgui.same_line(0, 2)
-        lit = mode == now
-        if lit:
-            imgui.push_style_color(imgui.Col_.button, imgui.get_style_color_vec4(imgui.Col_.button_active))
+        color = imgui.get_style_color_vec4(imgui.Col_.button_active if mode == now else imgui.Col_.button)
+        imgui.push_style_color(imgui.Col_.button, color)
         if imgui.button(mode.capitalize()):
             session.selecting.mode = mode
-        if lit:
-            imgui.pop_style_color()
-        imgui.set_item_tooltip(_MODE_HELP[mode])
-
-
-def shape_options(session: Editor) -> None:
-    options = session.selecting
-    mode_options(session)
-    same_line_if_fits(14)
-    choices = get_args(Depths)
-    imgui.set_next_item_width(7.5 * imgui.get_font_size())
-    changed, picked = imgui.combo("##depths", choices.index(options.depths), list(choices))
-    imgui.set_item_tooltip(_DEPTH_HELP)
-    if changed:
-        options.depths = choices[picked]
-    if options.depths == "to a depth":
-        same_line_if_fits(5.5)
-        imgui.set_next_item_width(5.5 * imgui.get_font_size())
-        _, options.depth_m = imgui.drag_float("##depth_m", options.depth_m, 0.1, 0.2, 2000.0, "%.1f m")
-        imgui.set_item_tooltip("How deep, in metres from the camera along its view axis.")
-    same_line_if_fits(6)
-    _, options.touching = imgui.checkbox("Touching", options.touching)
-    imgui.set_item_tooltip(
-        "Take in Gaussians that the shape touches within one standard deviation, not only those whose centre it covers."
-    )
-
-
-def tolerance_option(session: Editor) -> None:
-    options = session.selecting
-    imgui.set_next_item_width(9 * imgui.get_font_size())
-    flags = imgui.SliderFlags_.always_clamp
-    _, options.tolerance = imgui.drag_float("##tolerance", options.tolerance, 0.005, 0, 1, "tolerance %.2f", flags)
-    imgui.set_item_tooltip(
-        "How far red, green and blue may each differ from the colour under the mouse, 0..1.\n"
-        "Drag, or double-click to type."
-    )
-
-
-def volume_buttons(session: Editor, volume: Volume, name: str) -> bool:
-    """Draw the buttons of a volume; returns True if it is to be removed."""
-    same_line_if_fits(11)
-    if imgui.button(f"Apply##{name}"):
-        apply_volume(session, session.clock.time_s, volume, name, now=True)
-    imgui.set_item_tooltip("Select what is inside (Enter), whether the camera sees it or not.")
-    imgui.same_line()
-    is_dropped = imgui.button(f"Drop##{name}")
-    imgui.set_item_tooltip(f"Take the {name} away; the selection stays.")
-    return is_dropped
-
-
-def same_line_if_fits(width_em: float) -> None:
-    """Continue on the same line, after a gap, if the width still fits; else on the next."""
-    imgui.same_line(0, 10)
-    if imgui.get_content_region_avail().x < width_em * imgui.get_font_size():
-        imgui.new_line()
+        imgui.pop_style_color()
+        imgui.set_item_tooltip(help_text)

@@ -12,36 +12,52 @@ from gsrain_engine.editor.capture_view import LARGE_PX, THUMBNAIL_PX, ImageReque
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.matching import MatchResult
 from gsrain_engine.editor.overlays import Frustum, KeyHandle, drag_in_view, frustums, image_grid, path_overlay_of
-from gsrain_engine.editor.overlays_drive import BoxMark, DetectionBox, RolloutOverlay, detection_boxes, rollout_overlay
+from gsrain_engine.editor.overlays_drive import BoxMark, DetectionBox, detection_boxes, rollout_overlay
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.simulation.metrics.collisions import LONGEST_S
 
-from ..widgets.draw import CHOSEN, KEY, OUTLINE, PLAYHEAD, Viewport, color
+from ..widgets.draw import CHOSEN, KEY, OUTLINE, PLAYHEAD, Viewport, color, draw_card, draw_dot, draw_lines
 
 Overlay = Callable[[Editor, Viewport], bool]
 """Draws into the window's draw list; returns True if it uses the left mouse button now (a handle is dragged)."""
 
+Grid = Float64[np.ndarray, "rows columns 2"]
+"""Viewport pixels of the corners of an image's cells."""
+
+_LEFT = imgui.MouseButton_.left
+_MARGIN = 10.0
+_PAPER = ImVec4(0.06, 0.065, 0.08, 0.8)
+_INK = ImVec4(0.94, 0.94, 0.96, 1.0)
+_FAINT = ImVec4(0.7, 0.71, 0.75, 1.0)
+
 # Camera path
+
+_PATH_COLOR = ImVec4(0.55, 0.78, 1.0, 0.9)
+_HANDLE_PX, _REACH_PX = 5.5, 10.0
+_DRAG_PX = 2.0
 
 
 def path_overlay(session: Editor, viewport: Viewport) -> bool:
     """Draw the path, unless the camera rides along it; returns True if a keyframe is dragged or under the mouse."""
     timeline = session.timeline
-    drag = timeline.drag if timeline.drag is not None and timeline.drag.in_view else None
+    is_dragged = timeline.drag is not None and timeline.drag.in_view
     if not timeline.show_path or session.view.follow_path:
         return False
     drawing = path_overlay_of(session, viewport.shot.camera)
     if drawing is None:
         return False
-    _lines(viewport, drawing.path_px, _PATH_COLOR, 2.0)
+    draw_lines(viewport, drawing.path_px.tolist(), _PATH_COLOR, 2.0, outline=1.5)
     for x, y in drawing.ticks_px.tolist():
         imgui.get_window_draw_list().add_circle_filled(viewport.on_screen(x, y), 2.5, color(_PATH_COLOR))
-    _lines(viewport, drawing.now_px, PLAYHEAD, 1.5)
-    under = _under_the_mouse(viewport, drawing.keys) if session.view.tool == "" or drag is not None else None
+    draw_lines(viewport, drawing.now_px.tolist(), PLAYHEAD, 1.5, outline=1.5)
+    under: int | None = None
+    if session.view.tool == "" or is_dragged:
+        near = [mark.key for mark in drawing.keys if _is_near(viewport, mark.handle_px, _REACH_PX)]
+        under = near[-1] if near else None  # drawn last
     for mark in drawing.keys:
-        _key(session, viewport, mark, is_near=mark.key == under)
-    if drag is not None:
-        _drag(session, viewport)
+        _draw_keyframe(session, viewport, mark, is_near=mark.key == under)
+    if is_dragged:
+        _drag_keyframe(session, viewport)
         return True
     if under is None or not viewport.hovered:
         return False
@@ -53,96 +69,24 @@ def path_overlay(session: Editor, viewport: Viewport) -> bool:
     return True
 
 
-# Capture
+def _is_near(viewport: Viewport, pixel: tuple[float, float], reach_px: float) -> bool:
+    x, y = viewport.mouse_px
+    return abs(pixel[0] - x) <= reach_px and abs(pixel[1] - y) <= reach_px
 
 
-def capture_overlay(session: Editor, viewport: Viewport) -> bool:
-    """Draw the visible parts of the capture; returns True if the mouse is over one of its cameras."""
-    captures = session.captures
-    captures.viewport_px = viewport.width, viewport.height
-    if captures.capture is None:
-        return False
-    here = captures.stands_at(session)
-    if here is not None:
-        _recorded_image(session, viewport, here)
-    if captures.points_texture is not None:
-        low, high = viewport.corner, viewport.on_screen(viewport.width, viewport.height)
-        imgui.get_window_draw_list().add_image(imgui.ImTextureRef(captures.points_texture.name), low, high)
-    if here is not None:
-        return False  # from inside, frustums would hide the compared images
-    if not captures.show_frustums:
-        return False
-    length = captures.length_m(session.scene)
-    cameras = captures.cameras(session.scene)
-    found = frustums(cameras, captures.listed, length, viewport.shot.camera)
-    under = _capture_under_the_mouse(viewport, found) if viewport.hovered and session.view.tool == "" else None
-    for number, each in enumerate(found):
-        if number >= len(found) - _IMAGES:
-            _image(session, viewport, cameras[each.view], each.view, THUMBNAIL_PX, 1.0)
-        _frustum(session, viewport, each, is_near=under is each)
-    return under is not None and _act(session, under)
+def _draw_keyframe(session: Editor, viewport: Viewport, mark: KeyHandle, *, is_near: bool) -> None:
+    hue = CHOSEN if camera_path.active_keyframe(session) == mark.key else KEY
+    draw_lines(viewport, mark.frustum_px.tolist(), hue, 1.5, outline=1.5)
+    radius = _HANDLE_PX + (2 if is_near else 0)
+    draw_dot(viewport, mark.handle_px, hue, radius)
+    at = viewport.on_screen(*mark.handle_px)
+    low = at.y + 0.35 * imgui.get_font_size()
+    for offset, ink in ((1.0, OUTLINE), (0.0, hue)):
+        corner = ImVec2(at.x + radius + 3 + offset, low + offset)
+        imgui.get_window_draw_list().add_text(corner, color(ink), str(mark.key + 1))
 
 
-# Matching
-
-
-def matching_overlay(session: Editor, viewport: Viewport) -> bool:
-    """Draw the match with another view, if enabled; never uses the mouse."""
-    matching = session.matching
-    if not matching.is_on:
-        return False
-    shown = matching.shown
-    if shown is None:
-        _card(viewport, matching.problem or "Matching...", [])
-        return False
-    texture = session.matching.texture
-    grid = image_grid(shown.camera, 1.0, viewport.shot.camera, _CELLS)
-    if texture is None or grid is None:
-        return False
-    draw_placed_image(viewport, texture.name, grid, 1.0)
-    if matching.lines:
-        _matching_lines(viewport, shown, grid)
-    under = _match_under_the_mouse(viewport, shown, grid)
-    _inset(session, viewport, shown, under)
-    named = [each for each in shown.shares.items() if each[1] >= _MIN_SHARE]
-    if matching.mode != "pixels":  # matches have their own colors, and the title has their share
-        named = [each for each in named if each[0] != MatchOutcome.MATCHED]
-    _card(viewport, _title(shown), named)
-    return False
-
-
-# Roll-out
-
-
-def drive_overlay(session: Editor, viewport: Viewport) -> bool:
-    """Draw the roll-out at the current time; never uses the mouse."""
-    drives = session.drives
-    shown = drives.placed_in(session)
-    if shown is None:
-        return False
-    inside = drives.chase.mode == "front camera"
-    drawing = rollout_overlay(shown, session.clock.time_s, viewport.shot.camera, from_inside=inside)
-    if drives.show_plan:
-        _plan(viewport, drawing)
-    if drives.show_boxes:
-        for box in drawing.boxes:
-            _box(viewport, box)
-    if drives.show_boxes and inside and shown.front_camera is not None:
-        step = shown.played.step(shown.own_time_s(session.clock.time_s))
-        for seen in detection_boxes(step, shown.front_camera, viewport.shot.camera):
-            _draw_detection(viewport, seen)
-    _figures(session, viewport)
-    return False
-
-
-OVERLAYS: tuple[Overlay, ...] = (capture_overlay, matching_overlay, path_overlay, drive_overlay)
-_PATH_COLOR = ImVec4(0.55, 0.78, 1.0, 0.9)
-_HANDLE, _REACH = 5.5, 10.0
-_LEFT = imgui.MouseButton_.left
-_DRAG_PX = 2.0
-
-
-def _drag(session: Editor, viewport: Viewport) -> None:
+def _drag_keyframe(session: Editor, viewport: Viewport) -> None:
     drag, moved = session.timeline.drag, imgui.get_mouse_drag_delta(_LEFT, _DRAG_PX)
     if drag is None:
         return
@@ -154,56 +98,69 @@ def _drag(session: Editor, viewport: Viewport) -> None:
         camera_path.end_drag(session)
 
 
-def _under_the_mouse(viewport: Viewport, keys: list[KeyHandle]) -> int | None:
-    """Return the keyframe whose handle is under the mouse; of several, the one drawn last."""
-    x, y = viewport.mouse_px
-    for mark in reversed(keys):
-        if abs(mark.handle_px[0] - x) <= _REACH and abs(mark.handle_px[1] - y) <= _REACH:
-            return mark.key
-    return None
-
-
-def _key(session: Editor, viewport: Viewport, mark: KeyHandle, *, is_near: bool) -> None:
-    draw, hue = imgui.get_window_draw_list(), CHOSEN if camera_path.active_keyframe(session) == mark.key else KEY
-    _lines(viewport, mark.frustum_px, hue, 1.5)
-    at = viewport.on_screen(*mark.handle_px)
-    radius = _HANDLE + (2 if is_near else 0)
-    draw.add_circle_filled(at, radius + 1.5, color(OUTLINE))
-    draw.add_circle_filled(at, radius, color(hue))
-    low = at.y + 0.35 * imgui.get_font_size()
-    for offset, ink in ((1.0, OUTLINE), (0.0, hue)):
-        draw.add_text(ImVec2(at.x + radius + 3 + offset, low + offset), color(ink), str(mark.key + 1))
-
-
-def _lines(viewport: Viewport, lines_px: Float64[np.ndarray, "m 2 2"], hue: ImVec4, width: float) -> None:
-    draw = imgui.get_window_draw_list()
-    for (x0, y0), (x1, y1) in lines_px.tolist():
-        draw.add_line(viewport.on_screen(x0, y0), viewport.on_screen(x1, y1), color(OUTLINE), width + 1.5)
-    for (x0, y0), (x1, y1) in lines_px.tolist():
-        draw.add_line(viewport.on_screen(x0, y0), viewport.on_screen(x1, y1), color(hue), width)
-
+# Capture
 
 _CAMERA = ImVec4(0.5, 0.85, 0.62, 0.9)
-_CAPTURE_HANDLE, _CAPTURE_REACH = 4.0, 9.0
+_CAMERA_PX, _CAMERA_REACH_PX = 4.0, 9.0
 _IMAGES = 24  # number of nearest cameras that show their images
 
 
-def _recorded_image(session: Editor, viewport: Viewport, view: int) -> None:
+def capture_overlay(session: Editor, viewport: Viewport) -> bool:
+    """Draw the visible parts of the capture; returns True if the mouse is over one of its cameras."""
+    captures = session.captures
+    captures.viewport_px = viewport.width, viewport.height
+    if captures.capture is None:
+        return False
+    here = captures.stands_at(session)
+    if here is not None:
+        _draw_recorded_image(session, viewport, here)
+    if captures.points_texture is not None:
+        low, high = viewport.corner, viewport.on_screen(viewport.width, viewport.height)
+        imgui.get_window_draw_list().add_image(imgui.ImTextureRef(captures.points_texture.name), low, high)
+    if here is not None or not captures.show_frustums:  # from inside, frustums would hide the compared images
+        return False
+    cameras = captures.cameras(session.scene)
+    found = frustums(cameras, captures.listed, captures.length_m(session.scene), viewport.shot.camera)
+    under: Frustum | None = None
+    if viewport.hovered and session.view.tool == "":
+        near = [each for each in found if each.eye_px and _is_near(viewport, each.eye_px, _CAMERA_REACH_PX)]
+        under = near[-1] if near else None
+    for number, each in enumerate(found):
+        if number >= len(found) - _IMAGES:
+            _draw_image(session, viewport, cameras[each.view], each.view, THUMBNAIL_PX, 1.0)
+        is_chosen = captures.chosen == each.view
+        hue = CHOSEN if is_chosen or under is each else _CAMERA
+        draw_lines(viewport, each.lines_px.tolist(), hue, 2.0 if is_chosen else 1.0)
+        if each.eye_px is not None:
+            draw_dot(viewport, each.eye_px, hue, _CAMERA_PX + 2 * (under is each))
+    if under is None:
+        return False
+    view = captures.capture[under.view]
+    moment = f", {view.time_s:.2f} s" if captures.has_times else ""
+    imgui.set_tooltip(f"{view.name}{moment}. Click: choose it. Double click: look from there.")
+    if imgui.is_mouse_double_clicked(_LEFT):
+        captures.look_from(session, under.view)
+    elif imgui.is_mouse_clicked(_LEFT):
+        captures.chosen = under.view
+    return True
+
+
+def _draw_recorded_image(session: Editor, viewport: Viewport, view: int) -> None:
     captures = session.captures
     camera = captures.cameras(session.scene)[view]
     if captures.show_picture and captures.opacity > 0:
         is_there = ImageRequest(view, LARGE_PX) in captures.textures
         if captures.pictures is not None:
             captures.pictures.want(view, LARGE_PX)
-        _image(session, viewport, camera, view, LARGE_PX if is_there else THUMBNAIL_PX, captures.opacity)
+        _draw_image(session, viewport, camera, view, LARGE_PX if is_there else THUMBNAIL_PX, captures.opacity)
     grid = image_grid(camera, captures.length_m(session.scene), viewport.shot.camera, (1, 1))
     if grid is not None:
         a, b, d, c = (viewport.on_screen(x, y) for x, y in grid.reshape(4, 2).tolist())
         imgui.get_window_draw_list().add_quad(a, b, c, d, color(CHOSEN), 1.5)
 
 
-def _image(session: Editor, viewport: Viewport, camera: Camera, view: int, width: int, opacity: float) -> None:
-    """Draw a recorded image in its camera's frustum; in cells, since draw lists have no perspective."""
+def _draw_image(session: Editor, viewport: Viewport, camera: Camera, view: int, width: int, opacity: float) -> None:
+    """Draw a recorded image in its camera's frustum."""
     captures = session.captures
     if captures.pictures is None:
         return
@@ -212,50 +169,11 @@ def _image(session: Editor, viewport: Viewport, camera: Camera, view: int, width
     cells = (4, 3) if width == THUMBNAIL_PX else (8, 6)
     grid = image_grid(camera, captures.length_m(session.scene), viewport.shot.camera, cells)
     if texture is not None and grid is not None:
-        draw_placed_image(viewport, texture.name, grid, opacity)
+        _draw_placed_image(viewport, texture.name, grid, opacity)
 
 
-def _frustum(session: Editor, viewport: Viewport, frustum: Frustum, *, is_near: bool) -> None:
-    draw, is_chosen = imgui.get_window_draw_list(), session.captures.chosen == frustum.view
-    hue = CHOSEN if is_chosen or is_near else _CAMERA
-    for (x0, y0), (x1, y1) in frustum.lines_px.tolist():
-        draw.add_line(viewport.on_screen(x0, y0), viewport.on_screen(x1, y1), color(hue), 2.0 if is_chosen else 1.0)
-    if frustum.eye_px is not None:
-        at = viewport.on_screen(*frustum.eye_px)
-        draw.add_circle_filled(at, _CAPTURE_HANDLE + 1.5 + 2 * is_near, color(OUTLINE))
-        draw.add_circle_filled(at, _CAPTURE_HANDLE + 2 * is_near, color(hue))
-
-
-def _capture_under_the_mouse(viewport: Viewport, found: list[Frustum]) -> Frustum | None:
-    x, y = viewport.mouse_px
-    near = [
-        each
-        for each in found
-        if (at := each.eye_px) and abs(at[0] - x) <= _CAPTURE_REACH and abs(at[1] - y) <= _CAPTURE_REACH
-    ]
-    return near[-1] if near else None
-
-
-def _act(session: Editor, frustum: Frustum) -> bool:
-    captures = session.captures
-    assert captures.capture is not None, "only a capture has cameras"
-    view = captures.capture[frustum.view]
-    moment = f", {view.time_s:.2f} s" if captures.has_times else ""
-    imgui.set_tooltip(f"{view.name}{moment}. Click: choose it. Double click: look from there.")
-    if imgui.is_mouse_double_clicked(_LEFT):
-        captures.look_from(session, frustum.view)
-    elif imgui.is_mouse_clicked(_LEFT):
-        captures.chosen = frustum.view
-    return True
-
-
-# Image in perspective, drawn in cells since draw lists have no perspective
-
-
-def draw_placed_image(
-    viewport: Viewport, texture: int, grid: Float64[np.ndarray, "rows columns 2"], opacity: float
-) -> None:
-    """Draw a texture (its OpenGL name), first row on top, onto a grid of viewport pixels."""
+def _draw_placed_image(viewport: Viewport, texture: int, grid: Grid, opacity: float) -> None:
+    """Draw a texture (its OpenGL name), first row on top; in cells, since draw lists have no perspective."""
     low, high = grid.min(axis=(0, 1)), grid.max(axis=(0, 1))
     if not (high[0] > 0 and high[1] > 0 and low[0] < viewport.width and low[1] < viewport.height):
         return
@@ -263,57 +181,55 @@ def draw_placed_image(
     on_screen = [[viewport.on_screen(x, y) for x, y in row] for row in grid.tolist()]
     rows, columns = len(on_screen) - 1, len(on_screen[0]) - 1
     for row in range(rows):
-        top, bottom = row / rows, (row + 1) / rows
         for column in range(columns):
-            left, right = column / columns, (column + 1) / columns
-            draw.add_image_quad(
-                imgui.ImTextureRef(texture),
-                on_screen[row][column],
-                on_screen[row][column + 1],
-                on_screen[row + 1][column + 1],
-                on_screen[row + 1][column],
-                ImVec2(left, top),
-                ImVec2(right, top),
-                ImVec2(right, bottom),
-                ImVec2(left, bottom),
-                tint,
-            )
+            corners = [(row, column), (row, column + 1), (row + 1, column + 1), (row + 1, column)]
+            places = [on_screen[down][right] for down, right in corners]
+            shares = [ImVec2(right / columns, down / rows) for down, right in corners]
+            draw.add_image_quad(imgui.ImTextureRef(texture), *places, *shares, tint)
 
 
-WORDS: dict[MatchOutcome, str] = {
-    MatchOutcome.MATCHED: "matched",
-    MatchOutcome.HIDDEN: "hidden there",
-    MatchOutcome.EDGE: "edge of something",
-    MatchOutcome.MOVING: "may have moved",
-    MatchOutcome.UNKNOWN: "depth unknown",
+# Matching
+
+_WORDS: dict[MatchOutcome, str] = {
+    MatchOutcome.MATCHED: "matched", MatchOutcome.HIDDEN: "hidden there", MatchOutcome.EDGE: "edge of something",
+    MatchOutcome.MOVING: "may have moved", MatchOutcome.UNKNOWN: "depth unknown",
     MatchOutcome.OUTSIDE: "outside that view",
-}
-
+}  # fmt: skip
 _CELLS = (8, 6)
 _MIN_SHARE = 0.005  # minimum share of the image for an entry in the legend
 _LINE = ImVec4(0.35, 0.95, 0.6, 0.85)
-_INSET_SHARE, _MAX_INSET_EM, _MARGIN = 0.3, 16.0, 10.0
-_PAPER = ImVec4(0.06, 0.065, 0.08, 0.82)
-_INK = ImVec4(0.94, 0.94, 0.96, 1.0)
-_FAINT = ImVec4(0.7, 0.71, 0.75, 1.0)
+_INSET_SHARE, _MAX_INSET_EM = 0.3, 16.0
+_LEGEND_PAPER = ImVec4(0.06, 0.065, 0.08, 0.82)
 
 
-def _title(shown: MatchResult) -> str:
-    return f"{shown.matched.found.valid.mean():.0%} matched with {shown.matched.to.name}"
+def matching_overlay(session: Editor, viewport: Viewport) -> bool:
+    """Draw the match with another view, if enabled; never uses the mouse."""
+    matching = session.matching
+    if not matching.is_on:
+        return False
+    result = matching.shown
+    if result is None:
+        _draw_legend(viewport, matching.problem or "Matching...", [])
+        return False
+    grid = image_grid(result.camera, 1.0, viewport.shot.camera, _CELLS)
+    if matching.texture is None or grid is None:
+        return False
+    _draw_placed_image(viewport, matching.texture.name, grid, 1.0)
+    if matching.lines:
+        starts, ends = (_on_grid(result.lines[:, k], grid).tolist() for k in (0, 1))
+        for start, end in zip(starts, ends, strict=True):
+            draw_lines(viewport, [(start, end)], _LINE, 1.3, outline=1.7)
+            draw_dot(viewport, start, _LINE, 1.6, outline=0.8)
+    _draw_other_view(session, viewport, result, _match_under_mouse(viewport, result, grid))
+    named = [each for each in result.shares.items() if each[1] >= _MIN_SHARE]
+    if matching.mode != "pixels":  # matches have their own colors, and the title has their share
+        named = [each for each in named if each[0] != MatchOutcome.MATCHED]
+    title = f"{result.matched.found.valid.mean():.0%} matched with {result.matched.to.name}"
+    _draw_legend(viewport, title, named)
+    return False
 
 
-def _matching_lines(viewport: Viewport, shown: MatchResult, grid: Float64[np.ndarray, "rows columns 2"]) -> None:
-    draw = imgui.get_window_draw_list()
-    starts, ends = (_on_grid(shown.lines[:, k], grid) for k in (0, 1))
-    for (x0, y0), (x1, y1) in zip(starts.tolist(), ends.tolist(), strict=True):
-        start, end = viewport.on_screen(x0, y0), viewport.on_screen(x1, y1)
-        draw.add_line(start, end, color(OUTLINE), 3.0)
-        draw.add_line(start, end, color(_LINE), 1.3)
-        draw.add_circle_filled(start, 2.4, color(OUTLINE))
-        draw.add_circle_filled(start, 1.6, color(_LINE))
-
-
-def _on_grid(shares: np.ndarray, grid: Float64[np.ndarray, "rows columns 2"]) -> Float64[np.ndarray, "n 2"]:
+def _on_grid(shares: np.ndarray, grid: Grid) -> Float64[np.ndarray, "n 2"]:
     """Return viewport pixels at relative positions of the image; the image's corners are those of the grid."""
     x, y = shares[:, :1].astype(np.float64), shares[:, 1:].astype(np.float64)
     top = (1 - x) * grid[0, 0] + x * grid[0, -1]
@@ -321,27 +237,24 @@ def _on_grid(shares: np.ndarray, grid: Float64[np.ndarray, "rows columns 2"]) ->
     return (1 - y) * top + y * bottom
 
 
-def _match_under_the_mouse(
-    viewport: Viewport, shown: MatchResult, grid: Float64[np.ndarray, "rows columns 2"]
-) -> tuple[int, int] | None:
+def _match_under_mouse(viewport: Viewport, result: MatchResult, grid: Grid) -> tuple[int, int] | None:
     """Return row and column of the matched image under the mouse; None outside it."""
     if not viewport.hovered:
         return None
-    height, width = shown.matched.found.outcome.shape
+    height, width = result.matched.found.outcome.shape
     right, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
-    away = np.array(viewport.mouse_px) - grid[0, 0]
-    share = np.linalg.solve(np.stack([right, down], axis=1), away)
+    share = np.linalg.solve(np.stack([right, down], axis=1), np.array(viewport.mouse_px) - grid[0, 0])
     column, row = int(np.floor(share[0] * width)), int(np.floor(share[1] * height))
     return (row, column) if 0 <= row < height and 0 <= column < width else None
 
 
-def _inset(session: Editor, viewport: Viewport, shown: MatchResult, under: tuple[int, int] | None) -> None:
+def _draw_other_view(session: Editor, viewport: Viewport, result: MatchResult, under: tuple[int, int] | None) -> None:
     """Draw the other view in the corner, with a cross at the pixel that matches the mouse position."""
-    captures, other = session.captures, shown.matched.to
+    captures, other = session.captures, result.matched.to
     if captures.pictures is None:
         return
-    captures.pictures.want(shown.request.to, THUMBNAIL_PX)
-    texture = captures.textures.get(ImageRequest(shown.request.to, THUMBNAIL_PX))
+    captures.pictures.want(result.request.to, THUMBNAIL_PX)
+    texture = captures.textures.get(ImageRequest(result.request.to, THUMBNAIL_PX))
     if texture is None:
         return
     width = min(_INSET_SHARE * viewport.width, _MAX_INSET_EM * imgui.get_font_size())
@@ -353,178 +266,157 @@ def _inset(session: Editor, viewport: Viewport, shown: MatchResult, under: tuple
     draw.add_rect(low, high, color(CHOSEN), thickness=1.5)
     if under is None:
         return
-    outcome = MatchOutcome(int(shown.matched.found.outcome[under]))
-    if outcome == MatchOutcome.MATCHED:
-        x, y = shown.matched.found.places[under].tolist()
-        at = ImVec2(low.x + x / other.camera.width * width, low.y + y / other.camera.height * height)
-        for line, thick in ((OUTLINE, 3.5), (CHOSEN, 1.5)):
-            draw.add_line(ImVec2(at.x - 7, at.y), ImVec2(at.x + 7, at.y), color(line), thick)
-            draw.add_line(ImVec2(at.x, at.y - 7), ImVec2(at.x, at.y + 7), color(line), thick)
-        imgui.set_tooltip(f"There at column {x:.1f}, row {y:.1f} of {other.camera.width} x {other.camera.height} px.")
-    else:
-        imgui.set_tooltip(f"No match in {other.name}: {WORDS[outcome]}.")
+    outcome = MatchOutcome(int(result.matched.found.outcome[under]))
+    if outcome != MatchOutcome.MATCHED:
+        imgui.set_tooltip(f"No match in {other.name}: {_WORDS[outcome]}.")
+        return
+    x, y = result.matched.found.places[under].tolist()
+    at = ImVec2(low.x + x / other.camera.width * width, low.y + y / other.camera.height * height)
+    for ink, thick in ((OUTLINE, 3.5), (CHOSEN, 1.5)):
+        draw.add_line(ImVec2(at.x - 7, at.y), ImVec2(at.x + 7, at.y), color(ink), thick)
+        draw.add_line(ImVec2(at.x, at.y - 7), ImVec2(at.x, at.y + 7), color(ink), thick)
+    imgui.set_tooltip(f"There at column {x:.1f}, row {y:.1f} of {other.camera.width} x {other.camera.height} px.")
 
 
-def _card(viewport: Viewport, title: str, shares: list[tuple[MatchOutcome, float]]) -> None:
+def _draw_legend(viewport: Viewport, title: str, shares: list[tuple[MatchOutcome, float]]) -> None:
     """Draw the legend in the lower right corner; tools are on the left."""
     draw, em = imgui.get_window_draw_list(), imgui.get_font_size()
     line = imgui.get_text_line_height() * 1.2
-    rows = [f"{WORDS[each]}  {share:.0%}" for each, share in shares]
+    rows = [f"{_WORDS[each]}  {share:.0%}" for each, share in shares]
     width = max([imgui.calc_text_size(title).x, *(imgui.calc_text_size(row).x + 1.4 * em for row in rows)]) + 1.2 * em
     height = (1 + len(rows)) * line + 0.8 * em
     low = viewport.on_screen(viewport.width - width - _MARGIN, viewport.height - height - _MARGIN)
-    draw.add_rect_filled(low, ImVec2(low.x + width, low.y + height), color(_PAPER), 5.0)
+    draw.add_rect_filled(low, ImVec2(low.x + width, low.y + height), color(_LEGEND_PAPER), 5.0)
     x, y = low.x + 0.6 * em, low.y + 0.4 * em
     draw.add_text(ImVec2(x, y), color(_INK), title)
     for (outcome, _), row in zip(shares, rows, strict=True):
         y += line
-        red, green, blue = COLORS[outcome]
         box = ImVec2(x, y + 0.2 * em), ImVec2(x + 0.8 * em, y + em)
-        draw.add_rect_filled(*box, color(ImVec4(red, green, blue, 1.0)), 2.0)
+        draw.add_rect_filled(*box, color((*COLORS[outcome], 1.0)), 2.0)
         draw.add_rect(*box, color(_FAINT), 2.0)
         draw.add_text(ImVec2(x + 1.4 * em, y), color(_FAINT), row)
 
+
+# Roll-out
 
 _PLAN = ImVec4(0.2, 0.95, 0.6, 1.0)
 _DRIVEN = ImVec4(0.45, 0.78, 1.0, 0.55)
 _USER = ImVec4(1.0, 0.74, 0.3, 0.95)
 _EGO = ImVec4(0.45, 0.78, 1.0, 0.95)
 _HIT = ImVec4(1.0, 0.3, 0.25, 1.0)
-_ROLLOUT_PAPER = ImVec4(0.06, 0.065, 0.08, 0.8)
 _DETECTION_COLOR = ImVec4(1.0, 0.5, 0.85, 0.95)
-_ROLLOUT_MARGIN = 10.0
-
 _ENDS = {
-    "time": "The time of the scenario is over",
-    "completed": "The end of the route",
-    "off route": "Too far off the route",
-    "agent": "The agent has ended the drive",
-    "stopped": "The drive was stopped",
-}
+    "time": "The time of the scenario is over", "completed": "The end of the route",
+    "off route": "Too far off the route", "agent": "The agent has ended the drive", "stopped": "The drive was stopped",
+}  # fmt: skip
 
 
-def _plan(viewport: Viewport, drawing: RolloutOverlay) -> None:
-    draw = imgui.get_window_draw_list()
-    for (x0, y0), (x1, y1) in drawing.driven_px.tolist():
-        draw.add_line(viewport.on_screen(x0, y0), viewport.on_screen(x1, y1), color(_DRIVEN), 2.0)
-    for ink, thick in ((OUTLINE, 4.5), (_PLAN, 2.5)):
-        for (x0, y0), (x1, y1) in drawing.plan_px.tolist():
-            draw.add_line(viewport.on_screen(x0, y0), viewport.on_screen(x1, y1), color(ink), thick)
-    for x, y, radius in drawing.dots:
-        draw.add_circle_filled(viewport.on_screen(x, y), radius + 1.5, color(OUTLINE))
-        draw.add_circle_filled(viewport.on_screen(x, y), radius, color(_PLAN))
+def drive_overlay(session: Editor, viewport: Viewport) -> bool:
+    """Draw the roll-out at the current time; never uses the mouse."""
+    drives = session.drives
+    rollout = drives.placed_in(session)
+    if rollout is None:
+        return False
+    inside = drives.chase.mode == "front camera"
+    drawing = rollout_overlay(rollout, session.clock.time_s, viewport.shot.camera, from_inside=inside)
+    if drives.show_plan:
+        draw_lines(viewport, drawing.driven_px.tolist(), _DRIVEN, 2.0)
+        draw_lines(viewport, drawing.plan_px.tolist(), _PLAN, 2.5, outline=2.0)
+        for x, y, radius in drawing.dots:
+            draw_dot(viewport, (x, y), _PLAN, radius)
+    if drives.show_boxes:
+        for box in drawing.boxes:
+            _draw_box(viewport, box)
+    if drives.show_boxes and inside and rollout.front_camera is not None:
+        step = rollout.played.step(rollout.own_time_s(session.clock.time_s))
+        for detection in detection_boxes(step, rollout.front_camera, viewport.shot.camera):
+            _draw_detection(viewport, detection)
+    _draw_figures(session, viewport)
+    return False
 
 
-def _box(viewport: Viewport, box: BoxMark) -> None:
-    draw, hue = imgui.get_window_draw_list(), _HIT if box.is_hit else (_EGO if box.is_ego else _USER)
-    for (x0, y0), (x1, y1) in box.lines_px.tolist():
-        draw.add_line(viewport.on_screen(x0, y0), viewport.on_screen(x1, y1), color(hue), 2.0 if box.is_hit else 1.3)
+def _draw_box(viewport: Viewport, box: BoxMark) -> None:
+    hue = _HIT if box.is_hit else _EGO if box.is_ego else _USER
+    draw_lines(viewport, box.lines_px.tolist(), hue, 2.0 if box.is_hit else 1.3)
     if box.top_px is None or box.is_ego:
         return
-    words = f"{box.name}  {box.speed_m_s:.1f} m/s"
+    words, (x, y) = f"{box.name}  {box.speed_m_s:.1f} m/s", box.top_px
     size = imgui.calc_text_size(words)
-    x, y = box.top_px
-    low = viewport.on_screen(x - size.x / 2 - 5, y - size.y - 12)
-    high = ImVec2(low.x + size.x + 10, low.y + size.y + 4)
-    draw.add_rect_filled(low, high, color(_ROLLOUT_PAPER), 4.0)
-    draw.add_text(ImVec2(low.x + 5, low.y + 2), color(hue), words)
+    draw_card(words, viewport.on_screen(x - size.x / 2, y - size.y - 10), hue, _PAPER, (5, 2))
 
 
-def _draw_detection(viewport: Viewport, seen: DetectionBox) -> None:
-    draw, hue = imgui.get_window_draw_list(), _PLAN if seen.is_lead else _DETECTION_COLOR
-    low, high = viewport.on_screen(*seen.low_px), viewport.on_screen(*seen.high_px)
-    draw.add_rect(low, high, color(hue), 2.0, thickness=2.0 if seen.is_lead else 1.2)
-    size = imgui.calc_text_size(seen.words)
-    corner = ImVec2(low.x, high.y + 2)
-    draw.add_rect_filled(corner, ImVec2(low.x + size.x + 8, corner.y + size.y), color(_ROLLOUT_PAPER), 3.0)
-    draw.add_text(ImVec2(low.x + 4, corner.y), color(hue), seen.words)
+def _draw_detection(viewport: Viewport, box: DetectionBox) -> None:
+    hue = _PLAN if box.is_lead else _DETECTION_COLOR
+    low, high = viewport.on_screen(*box.low_px), viewport.on_screen(*box.high_px)
+    thick = 2.0 if box.is_lead else 1.2
+    imgui.get_window_draw_list().add_rect(low, high, color(hue), 2.0, thickness=thick)
+    draw_card(box.words, ImVec2(low.x + 4, high.y + 2), hue, _PAPER, (4, 0), 3.0)
 
 
-def _figures(session: Editor, viewport: Viewport) -> None:
+def _draw_figures(session: Editor, viewport: Viewport) -> None:
     """Draw the ego vehicle's current state at the lower edge; above it, the collision."""
     drives = session.drives
-    step, playing, shown = drives.step_now(session), drives.playing, drives.placed_in(session)
-    if step is None or playing is None or shown is None:
+    step, playing, rollout = drives.step_now(session), drives.playing, drives.placed_in(session)
+    if step is None or playing is None or rollout is None:
         return
-    time_s = shown.own_time_s(session.clock.time_s)
-    state, ttc_s = shown.played.state(time_s), playing.curves.ttc_at(time_s)
+    time_s = rollout.own_time_s(session.clock.time_s)
+    state, ttc_s = rollout.played.state(time_s), playing.curves.ttc_at(time_s)
     words = [
         f"{time_s:.2f} s",
         f"{state.speed_m_s:.1f} m/s",
         f"{step.ego.acceleration_m_s2:z.1f} m/s\u00b2",
         f"TTC {ttc_s:.1f} s" if ttc_s < LONGEST_S else f"TTC {LONGEST_S:g} s or more",
     ]
-    y = viewport.height - _ROLLOUT_MARGIN
-    y = _line(viewport, "    ".join(words), y, _INK)
+    y = _draw_line_of_text(viewport, "    ".join(words), viewport.height - _MARGIN, _INK)
     if step.collision is not None:
-        _line(viewport, f"Hits {step.collision} at {step.ego.speed_m_s:.1f} m/s", y - 4, _HIT)
-    elif time_s >= shown.played.end_s:
-        _line(viewport, _ENDS.get(playing.rollout.end, playing.rollout.end), y - 4, _FAINT)
+        _draw_line_of_text(viewport, f"Hits {step.collision} at {step.ego.speed_m_s:.1f} m/s", y - 4, _HIT)
+    elif time_s >= rollout.played.end_s:
+        _draw_line_of_text(viewport, _ENDS.get(playing.rollout.end, playing.rollout.end), y - 4, _FAINT)
 
 
-def _line(viewport: Viewport, words: str, low: float, ink: ImVec4) -> float:
+def _draw_line_of_text(viewport: Viewport, words: str, low: float, ink: ImVec4) -> float:
     """Draw a line of text above a height of the viewport; returns the height of its upper edge."""
     size, em = imgui.calc_text_size(words), imgui.get_font_size()
-    corner = viewport.on_screen((viewport.width - size.x) / 2 - 0.7 * em, low - size.y - 0.5 * em)
-    end = ImVec2(corner.x + size.x + 1.4 * em, corner.y + size.y + 0.5 * em)
-    draw = imgui.get_window_draw_list()
-    draw.add_rect_filled(corner, end, color(_ROLLOUT_PAPER), 5.0)
-    draw.add_text(ImVec2(corner.x + 0.7 * em, corner.y + 0.25 * em), color(ink), words)
+    at = viewport.on_screen((viewport.width - size.x) / 2, low - size.y - 0.25 * em)
+    draw_card(words, at, ink, _PAPER, (0.7 * em, 0.25 * em), 5.0)
     return low - size.y - 0.5 * em
 
 
+OVERLAYS: tuple[Overlay, ...] = (capture_overlay, matching_overlay, path_overlay, drive_overlay)
+
 # Divider of two images
 
-_HALF_GRIP = 6.0
-_DIVIDER_MARGIN = 8.0
+_GRIP_PX = 6.0  # half its width
+_LABEL_PX = 8.0  # margin of the labels
 
 
 def draw_divider(session: Editor, labels: tuple[str, str], corner: ImVec2, width: int, height: int) -> None:
-    """Draw the draggable divider with the labels of both sides; a double click centers it."""
+    """Draw the draggable divider with the labels of both images; a double click centers it."""
     view = session.view
     x = corner.x + view.divider * width
-    imgui.set_cursor_screen_pos(ImVec2(x - _HALF_GRIP, corner.y))
-    imgui.invisible_button("divider", ImVec2(2 * _HALF_GRIP, height))
+    imgui.set_cursor_screen_pos(ImVec2(x - _GRIP_PX, corner.y))
+    imgui.invisible_button("divider", ImVec2(2 * _GRIP_PX, height))
     held, hovered = imgui.is_item_active(), imgui.is_item_hovered()
     if held or hovered:
         imgui.set_mouse_cursor(imgui.MouseCursor_.resize_ew)
     if held:
         view.divider = min(max(view.divider + imgui.get_io().mouse_delta.x / width, 0.0), 1.0)
-    if hovered and imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
+    if hovered and imgui.is_mouse_double_clicked(_LEFT):
         view.divider = 0.5
-    _line_and_labels(session, labels, corner, width, height, bright=held or hovered)
-
-
-def _line_and_labels(
-    session: Editor, labels: tuple[str, str], corner: ImVec2, width: int, height: int, *, bright: bool
-) -> None:
-    left, right = labels
-    x = corner.x + session.view.divider * width
-    draw = imgui.get_window_draw_list()
+    x, draw = corner.x + view.divider * width, imgui.get_window_draw_list()
     draw.push_clip_rect(corner, ImVec2(corner.x + width, corner.y + height), True)
-    color = imgui.get_color_u32((1.0, 1.0, 1.0, 1.0 if bright else 0.75))
-    draw.add_line(ImVec2(x, corner.y), ImVec2(x, corner.y + height), color, 2.0)
-    draw.add_circle_filled(ImVec2(x, corner.y + height / 2), 7.0, color)
-    size = imgui.calc_text_size(left)
-    _label(draw, left, ImVec2(x - size.x - 2 * _DIVIDER_MARGIN, corner.y + _DIVIDER_MARGIN))
-    _label(draw, right, ImVec2(x + 2 * _DIVIDER_MARGIN, corner.y + _DIVIDER_MARGIN))
+    ink = color((1.0, 1.0, 1.0, 1.0 if held or hovered else 0.75))
+    draw.add_line(ImVec2(x, corner.y), ImVec2(x, corner.y + height), ink, 2.0)
+    draw.add_circle_filled(ImVec2(x, corner.y + height / 2), 7.0, ink)
+    left = x - imgui.calc_text_size(labels[0]).x - 2 * _LABEL_PX
+    for label, at in zip(labels, (left, x + 2 * _LABEL_PX), strict=True):
+        paper = (0.0, 0.0, 0.0, 0.55)
+        draw_card(label, ImVec2(at, corner.y + _LABEL_PX), paper=paper, padding=(5, 2), rounding=3.0)
     draw.pop_clip_rect()
 
 
-def _label(draw: imgui.ImDrawList, text: str, at: ImVec2) -> None:
-    size = imgui.calc_text_size(text)
-    dark = imgui.get_color_u32((0.0, 0.0, 0.0, 0.55))
-    draw.add_rect_filled(ImVec2(at.x - 5, at.y - 2), ImVec2(at.x + size.x + 5, at.y + size.y + 2), dark, 3.0)
-    draw.add_text(at, imgui.get_color_u32((1.0, 1.0, 1.0, 0.95)), text)
-
-
-# Preview next to the live view
-
-LABELS = "now", "preview, soaked"
-
-
 def preview_side(session: Editor, corner: ImVec2, width: int, height: int) -> tuple[str, str] | None:
-    """Draw the preview over the right part of the viewport; returns the labels of both sides, or None."""
+    """Draw the preview over the right part of the viewport; returns the labels of both images, or None."""
     rainy = session.rainy
     rainy.viewport_px = width, height
     if session.view.split != "now | preview" or rainy.texture is None or not rainy.fits(session):
@@ -532,4 +424,4 @@ def preview_side(session: Editor, corner: ImVec2, width: int, height: int) -> tu
     at = session.view.divider
     low, high = ImVec2(corner.x + at * width, corner.y), ImVec2(corner.x + width, corner.y + height)
     imgui.get_window_draw_list().add_image(imgui.ImTextureRef(rainy.texture.name), low, high, ImVec2(at, 0))
-    return LABELS
+    return "now", "preview, soaked"

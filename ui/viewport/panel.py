@@ -1,33 +1,30 @@
-"""The viewport: image, navigation by mouse and keys, region outlines, notices, and the start page."""
+"""The viewport: image, navigation by mouse and keys, region outlines, bars, notices, and the start page."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from typing import get_args
 
-from imgui_bundle import ImVec2, ImVec4, icons_fontawesome_6, imgui
+from imgui_bundle import ImVec2, ImVec4, imgui
+from imgui_bundle import icons_fontawesome_6 as icons
 
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.rain_regions import region_outlines
+from gsrain_engine.editor.viewport.options import Split
+from gsrain_engine.render.renderer import RenderMode
 
+from ..commands.base import chord_name
 from ..commands.registry import ACTIONS
-from ..tools.registry import TOOLS
-from ..widgets.draw import Viewport
+from ..tools import TOOLS
+from ..widgets.draw import Viewport, draw_lines
+from ..widgets.fields import help_button
 from ..widgets.text import label
 from .overlays import OVERLAYS, draw_divider, preview_side
-from .toolbar import tool_bar, tool_options, view_bar
-
-TexturesOf = Callable[[int, int], list[int]]
-"""Draws the session in a size in pixels and returns the OpenGL names of its sides, from left to right."""
 
 _OUTLINE = {"streak region": ImVec4(0.45, 0.85, 1.0, 0.9), "haze region": ImVec4(1.0, 0.8, 0.45, 0.9)}
-_RADIANS_PER_PIXEL = 0.005
-_FAST = 4.0
-
-_KEYS = {
-    imgui.Key.w: (1, 0, 0), imgui.Key.s: (-1, 0, 0), imgui.Key.d: (0, 1, 0), imgui.Key.a: (0, -1, 0),
-    imgui.Key.e: (0, 0, 1), imgui.Key.q: (0, 0, -1),
-}  # fmt: skip
 
 
-def viewport_panel(session: Editor, textures_of: TexturesOf) -> None:
+def viewport_panel(session: Editor, textures_of: Callable[[int, int], list[int]]) -> None:
+    """Draw the panel; `textures_of` a size in pixels returns the OpenGL names of the panes, from left to right."""
     view_bar(session)
     size = imgui.get_content_region_avail()
     width, height = max(int(size.x), 16), max(int(size.y), 16)
@@ -51,32 +48,37 @@ def viewport_panel(session: Editor, textures_of: TexturesOf) -> None:
     hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
     viewport = Viewport(corner, width, height, session.shot(width, height), hovered, active)
     imgui.get_window_draw_list().push_clip_rect(corner, ImVec2(corner.x + width, corner.y + height), True)
-    taken = [overlay(session, viewport) for overlay in OVERLAYS]
+    use_button = [overlay(session, viewport) for overlay in OVERLAYS]
     tool = next((each for each in TOOLS if each.name == session.view.tool), None)
-    is_taken = any(taken) or (tool is not None and tool.draw(session, viewport))
-    _outlines(session, corner, width, height)
+    uses_button = any(use_button) or (tool is not None and tool.draw(session, viewport))
+    for outline in region_outlines(session, width, height):
+        draw_lines(viewport, outline.lines_px.tolist(), _OUTLINE[outline.name], 1.5)
     imgui.get_window_draw_list().pop_clip_rect()
-    _mouse(session, viewport, is_taken)
-    _keyboard(session)
+    _navigate_by_mouse(session, viewport, uses_button)
+    _navigate_by_keys(session)
     left = tool_bar(session, corner, height)
     tool_options(session, corner, left, width)
-    empty_state(session, corner, width, height)
-    draw_notice(session, corner, width, height)
+    if not session.scene.members and session.busy is None:
+        draw_start_page(session, corner, width, height)
+    if session.busy is not None:
+        _draw_busy(session.busy, corner, width, height)
+    if session.problem is not None:
+        _draw_problem(session, session.problem, corner, width, height)
 
 
-def _outlines(session: Editor, corner: ImVec2, width: int, height: int) -> None:
-    draw = imgui.get_window_draw_list()
-    for outline in region_outlines(session, width, height):
-        color = imgui.get_color_u32(_OUTLINE[outline.name])
-        for (x0, y0), (x1, y1) in outline.lines_px.tolist():
-            draw.add_line(ImVec2(corner.x + x0, corner.y + y0), ImVec2(corner.x + x1, corner.y + y1), color, 1.5)
+_RADIANS_PER_PIXEL = 0.005
+_FAST = 4.0
+_KEYS = {
+    imgui.Key.w: (1, 0, 0), imgui.Key.s: (-1, 0, 0), imgui.Key.d: (0, 1, 0), imgui.Key.a: (0, -1, 0),
+    imgui.Key.e: (0, 0, 1), imgui.Key.q: (0, 0, -1),
+}  # fmt: skip
 
 
-def _mouse(session: Editor, viewport: Viewport, is_taken: bool) -> None:
+def _navigate_by_mouse(session: Editor, viewport: Viewport, uses_left: bool) -> None:
     navigation, io = session.navigation, imgui.get_io()
     if viewport.active:
         moved = io.mouse_delta
-        if is_taken and imgui.is_mouse_down(imgui.MouseButton_.left):
+        if uses_left and imgui.is_mouse_down(imgui.MouseButton_.left):
             return
         if moved.x or moved.y:
             session.stop_riding()
@@ -94,21 +96,111 @@ def _mouse(session: Editor, viewport: Viewport, is_taken: bool) -> None:
             session.dolly(io.mouse_wheel)
 
 
-def _keyboard(session: Editor) -> None:
-    io = imgui.get_io()
-    if io.want_text_input or not imgui.is_window_hovered(imgui.HoveredFlags_.root_and_child_windows):
-        session.navigation.stop()
-        return
-    pressed = [direction for key, direction in _KEYS.items() if imgui.is_key_down(key)] if not io.key_ctrl else []
+def _navigate_by_keys(session: Editor) -> None:
+    io, navigation = imgui.get_io(), session.navigation
+    is_here = imgui.is_window_hovered(imgui.HoveredFlags_.root_and_child_windows)
+    listens = is_here and not (io.want_text_input or io.key_ctrl)
+    pressed = [direction for key, direction in _KEYS.items() if listens and imgui.is_key_down(key)]
     if not pressed:
-        session.navigation.stop()
+        navigation.stop()
         return
     session.stop_riding()
-    forward, right, up = (sum(axis) for axis in zip(*pressed, strict=True))
     fast = _FAST if io.key_shift else 1.0
     # The frame in which a key was pressed may have begun long before: don't move in that one.
-    held_s = io.delta_time if session.navigation.is_flying else 0.0
-    session.navigation.fly(fast * forward, fast * right, fast * up, held_s)
+    held_s = io.delta_time if navigation.is_flying else 0.0
+    navigation.fly(*(fast * sum(axis) for axis in zip(*pressed, strict=True)), held_s)
+
+
+# Bars: tools, settings of the active tool, and view options
+
+_GAP = 3.0
+
+
+def tool_bar(session: Editor, corner: ImVec2, height: float) -> float:
+    """Draw the bar over the viewport; a click activates a tool or deactivates it. Returns its right edge."""
+    side = 1.9 * imgui.get_font_size()
+    columns = -(-(len(TOOLS) + 1) // max(int((height - 24) / (side + _GAP)), 1))
+    imgui.set_cursor_screen_pos(ImVec2(corner.x + 8, corner.y + 8))
+    imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(4, 4))
+    imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(_GAP, _GAP))
+    with _card("tools", 0, imgui.Col_.window_bg, 0.82, imgui.ChildFlags_.auto_resize_x):
+        if _tool_button(icons.ICON_FA_ARROW_POINTER, "Navigate", session.view.tool == "", side):
+            session.view.tool = ""
+        imgui.set_item_tooltip("Navigate: the left button orbits (Esc).")
+        for number, tool in enumerate(TOOLS, start=1):
+            if number % columns:
+                imgui.same_line()
+            if _tool_button(tool.icon, tool.name, session.view.tool == tool.name, side):
+                session.view.tool = "" if session.view.tool == tool.name else tool.name
+            key = f" ({chord_name(int(tool.key))})" if tool.key is not None else ""
+            imgui.set_item_tooltip(f"{tool.name}{key}: {tool.help}")
+    imgui.pop_style_var(2)
+    return 8 + columns * (side + _GAP) + 8
+
+
+def _tool_button(icon: str, name: str, is_on: bool, side: float) -> bool:
+    color = imgui.Col_.button_active if is_on else imgui.Col_.child_bg
+    imgui.push_style_color(imgui.Col_.button, imgui.get_style_color_vec4(color))
+    clicked = imgui.button(f"{icon}##{name}", ImVec2(side, side))
+    imgui.pop_style_color()
+    return clicked
+
+
+def tool_options(session: Editor, corner: ImVec2, left: float, width: float) -> None:
+    """Draw the bar over the viewport, starting at `left`; nothing without an active tool."""
+    tool = next((each for each in TOOLS if each.name == session.view.tool), None)
+    if tool is None:
+        return
+    imgui.set_cursor_screen_pos(ImVec2(corner.x + left, corner.y + 8))
+    imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(8, 5))
+    with _card("tool options", max(width - left - 8, 50), imgui.Col_.window_bg, 0.82):
+        imgui.align_text_to_frame_padding()
+        imgui.text(tool.name)
+        imgui.set_item_tooltip(tool.help)
+        imgui.same_line(0, 12)
+        tool.options(session)
+    imgui.pop_style_var()
+
+
+def view_bar(session: Editor) -> None:
+    icon = icons.ICON_FA_PAUSE if session.clock.playing else icons.ICON_FA_PLAY
+    if _view_button(icon, "Play", "Start or stop time (Space)."):
+        session.clock.toggle()
+    frame_help = "Move back until the active layer or actor, or else the whole scene, is visible (F)."
+    if _view_button(icons.ICON_FA_EXPAND, "Frame", frame_help):
+        session.frame_scene()
+    if _view_button(icons.ICON_FA_HOUSE, "Home", "Return to the initial view of the scene (R)."):
+        session.go_home()
+    if _view_button(icons.ICON_FA_CAMERA, "Screenshot", "Save the viewport as PNG (F12); the log has its path."):
+        session.take_screenshot()
+    _, session.view.follow_path = imgui.checkbox("Follow path", session.view.follow_path)
+    imgui.set_item_tooltip("Follow the camera path: your own keyframes, else the ego vehicle's drive or a swing (V).")
+    imgui.same_line()
+    for field, title, choices, width_em, help_text in (
+        ("look", "Mode", get_args(RenderMode), 9, "Render mode of the viewport."),
+        ("split", "Compare", get_args(Split), 11, "Compare two images side by side."),
+    ):
+        imgui.set_next_item_width(width_em * imgui.get_font_size())
+        present = getattr(session.view, field)
+        if imgui.begin_combo(f"##{field}", f"{title}: {present}"):
+            for each in choices:
+                if imgui.selectable(each, each == present)[0]:
+                    setattr(session.view, field, each)
+            imgui.end_combo()
+        imgui.set_item_tooltip(help_text)
+        imgui.same_line()
+    words = f"{session.clock.time_s:.2f} s   Fly speed {session.navigation.speed_m_s:.3g} m/s"
+    if imgui.calc_text_size(words).x < imgui.get_content_region_avail().x:
+        imgui.text_disabled(words)
+        imgui.set_item_tooltip("Time in the scene, and speed of W A S D (Ctrl+wheel). F1 shows all keys.")
+    else:
+        imgui.new_line()
+
+
+def _view_button(icon: str, name: str, help_text: str) -> bool:
+    clicked = help_button(f"{icon}###{name}", f"{name}: {help_text}")
+    imgui.same_line()
+    return clicked
 
 
 # Start page without a scene
@@ -118,10 +210,7 @@ _OFFERED = ("Open...", "Open the built-in street")
 _MAX_RECENT = 6
 
 
-def empty_state(session: Editor, corner: ImVec2, width: int, height: int) -> None:
-    """Draw the offers if no scene is open or loading."""
-    if session.scene.members or session.busy is not None:
-        return
+def draw_start_page(session: Editor, corner: ImVec2, width: int, height: int) -> None:
     wide = min(_WIDTH_EM * imgui.get_font_size(), width - 20.0)
     imgui.set_cursor_screen_pos(ImVec2(corner.x + (width - wide) / 2, corner.y + 0.25 * height))
     flags = imgui.ChildFlags_.auto_resize_y | imgui.ChildFlags_.always_use_window_padding
@@ -135,71 +224,59 @@ def empty_state(session: Editor, corner: ImVec2, width: int, height: int) -> Non
         if recent:
             imgui.separator_text("Recent")
         for path in recent:
-            if imgui.button(
-                label(f"{icons_fontawesome_6.ICON_FA_CLOCK_ROTATE_LEFT}  {path.name}", str(path)), ImVec2(-1, 0)
-            ):
+            name = label(f"{icons.ICON_FA_CLOCK_ROTATE_LEFT}  {path.name}", str(path))
+            if imgui.button(name, ImVec2(-1, 0)):
                 session.open(str(path))
             imgui.set_item_tooltip(str(path))
     imgui.end_child()
 
 
-# Notices
+# Notices: an animated bar while a scene loads, and the last error
 
 _NOTICE_WIDTH_EM = 34.0
 _MARGIN = 10.0
 
 
-def draw_notice(session: Editor, corner: ImVec2, width: int, height: int) -> None:
-    """Draw an animated bar while a scene loads, and the last error."""
-    if session.busy is not None:
-        _busy(session.busy, corner, width, height)
-    if session.problem is not None:
-        _problem(session, session.problem, corner, width, height)
-
-
-def _busy(words: str, corner: ImVec2, width: int, height: int) -> None:
+def _draw_busy(words: str, corner: ImVec2, width: int, height: int) -> None:
     wide = min(_NOTICE_WIDTH_EM * imgui.get_font_size(), width - 2 * _MARGIN)
     imgui.set_cursor_screen_pos(ImVec2(corner.x + (width - wide) / 2, corner.y + 0.4 * height))
-    if _begin("busy", wide):
+    with _card("busy", wide, imgui.Col_.popup_bg, 0.94, imgui.ChildFlags_.borders):
         imgui.text_wrapped(words)
         imgui.progress_bar(-imgui.get_time(), ImVec2(-1, 0), "")
-    _end()
 
 
-def _problem(session: Editor, problem: str, corner: ImVec2, width: int, height: int) -> None:
+def _draw_problem(session: Editor, problem: str, corner: ImVec2, width: int, height: int) -> None:
     wide = min(_NOTICE_WIDTH_EM * imgui.get_font_size(), width - 2 * _MARGIN)
     padding = imgui.get_style().window_padding
-    words = f"{icons_fontawesome_6.ICON_FA_TRIANGLE_EXCLAMATION}  {problem}"
+    words = f"{icons.ICON_FA_TRIANGLE_EXCLAMATION}  {problem}"
     text_height = imgui.calc_text_size(words, False, wide - 2 * padding.x).y
     tall = text_height + 2 * padding.y + imgui.get_frame_height_with_spacing()
-    at = ImVec2(corner.x + width - wide - _MARGIN, corner.y + height - tall - _MARGIN)
-    imgui.set_cursor_screen_pos(at)
-    if _begin("problem", wide):
+    imgui.set_cursor_screen_pos(ImVec2(corner.x + width - wide - _MARGIN, corner.y + height - tall - _MARGIN))
+    with _card("problem", wide, imgui.Col_.popup_bg, 0.94, imgui.ChildFlags_.borders):
         imgui.push_style_color(imgui.Col_.text, (0.95, 0.45, 0.38, 1.0))
         imgui.text_wrapped(words)
         imgui.pop_style_color()
         if imgui.button("Close"):
             session.problem = None
         imgui.same_line()
-        if imgui.button("Details"):
+        if help_button("Details", "Show the log, which has the rest."):
             imgui.set_window_focus("Log")
-        imgui.set_item_tooltip("Show the log, which has the rest.")
         imgui.same_line()
-        if imgui.button("Copy"):
+        if help_button("Copy", "Put the sentence on the clipboard."):
             imgui.set_clipboard_text(problem)
-        imgui.set_item_tooltip("Put the sentence on the clipboard.")
-    _end()
 
 
-def _begin(name: str, wide: float) -> bool:
-    color = imgui.get_style_color_vec4(imgui.Col_.popup_bg)
-    imgui.push_style_color(imgui.Col_.child_bg, (color.x, color.y, color.z, 0.94))
+@contextmanager
+def _card(
+    name: str, width: float, background: imgui.Col_, opacity: float, flags: imgui.ChildFlags_ | int = 0
+) -> Generator[None]:
+    """Begin a card over the viewport that is as tall as its content."""
+    color = imgui.get_style_color_vec4(background)
+    imgui.push_style_color(imgui.Col_.child_bg, (color.x, color.y, color.z, opacity))
     imgui.push_style_var(imgui.StyleVar_.child_rounding, 5.0)
-    flags = imgui.ChildFlags_.auto_resize_y | imgui.ChildFlags_.always_use_window_padding | imgui.ChildFlags_.borders
-    return imgui.begin_child(name, ImVec2(wide, 0), flags)
-
-
-def _end() -> None:
+    flags |= imgui.ChildFlags_.auto_resize_y | imgui.ChildFlags_.always_use_window_padding
+    imgui.begin_child(name, ImVec2(width, 0), flags)
+    yield
     imgui.end_child()
     imgui.pop_style_var()
     imgui.pop_style_color()

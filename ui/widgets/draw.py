@@ -1,6 +1,6 @@
 """Drawing: colors, the viewport's coordinates, plots, and the transform gizmo."""
 
-from collections.abc import Generator
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -8,18 +8,14 @@ import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, imguizmo, implot
 from jaxtyping import Float64
 
-from gsrain_engine.editor.viewport.picking import (
-    Handle,
-    column_major,
-    from_column_major,
-    gizmo_delta,
-    opengl_projection,
-    opengl_view,
-    project_point,
-)
+from gsrain_engine.editor.viewport import picking
 from gsrain_engine.render.draw import RenderView
 
 from .text import visible_name
+
+Rgba = tuple[float, float, float, float]
+Color = ImVec4 | Rgba | int
+"""A color; a number is a style color (`imgui.Col_`), which follows the theme."""
 
 KEY = ImVec4(0.93, 0.93, 0.95, 1.0)
 CHOSEN = ImVec4(1.0, 0.66, 0.2, 1.0)
@@ -30,26 +26,20 @@ TOO_FAST = ImVec4(0.95, 0.33, 0.28, 0.75)
 RAIN = ImVec4(0.45, 0.85, 1.0, 1.0)
 PRESENT = ImVec4(0.45, 0.7, 0.5, 0.6)
 OUTLINE = ImVec4(0.0, 0.0, 0.0, 0.65)
-
-
-def color(value: ImVec4 | int) -> int:
-    """Return the number of a color for draw lists; numbers of style colors (`imgui.Col_`) follow the theme."""
-    if isinstance(value, ImVec4):
-        return imgui.get_color_u32(value)
-    return imgui.get_color_u32(imgui.get_style_color_vec4(value))
-
-
 DIM = int(imgui.Col_.text_disabled)
 FAINT = int(imgui.Col_.separator)
 BACKGROUND = int(imgui.Col_.frame_bg)
 STRIPE = int(imgui.Col_.table_row_bg_alt)
 TEXT = int(imgui.Col_.text)
-
-# Points, lines and text at world positions
-
-Rgba = tuple[float, float, float, float]
+WHITE: Rgba = (1.0, 1.0, 1.0, 1.0)
 YELLOW: Rgba = (1.0, 0.85, 0.25, 1.0)
 _SHADOW: Rgba = (0.0, 0.0, 0.0, 0.6)
+
+
+def color(value: Color) -> int:
+    """Return the number of a color for draw lists."""
+    return imgui.get_color_u32(imgui.get_style_color_vec4(value) if isinstance(value, int) else value)
+
 
 # Viewport coordinates
 
@@ -86,42 +76,79 @@ class Viewport:
 
     def pixel(self, point_m: Float64[np.ndarray, "3"]) -> tuple[float, float] | None:
         """Return the pixel of a world point; None behind the camera."""
-        seen = project_point(point_m, self.shot.camera)
+        seen = picking.project_point(point_m, self.shot.camera)
         return seen and (seen.x, seen.y)
+
+
+# Points, lines and text at positions of the world, and of the viewport
 
 
 def draw_point(viewport: Viewport, point_m: Float64[np.ndarray, "3"], color: Rgba = YELLOW, radius: float = 5) -> None:
     """Draw a dot; nothing behind the camera."""
     pixel = viewport.pixel(point_m)
     if pixel is not None:
-        draw, at = imgui.get_window_draw_list(), viewport.on_screen(*pixel)
-        draw.add_circle_filled(at, radius + 1.5, imgui.get_color_u32(_SHADOW))
-        draw.add_circle_filled(at, radius, imgui.get_color_u32(color))
+        draw_dot(viewport, pixel, color, radius, shadow=_SHADOW)
 
 
 def draw_line(
     viewport: Viewport, start_m: Float64[np.ndarray, "3"], end_m: Float64[np.ndarray, "3"], color: Rgba = YELLOW
 ) -> None:
     """Draw a straight line; nothing if one end is behind the camera."""
-    first, second = viewport.pixel(start_m), viewport.pixel(end_m)
-    if first is not None and second is not None:
-        draw = imgui.get_window_draw_list()
-        start, end = viewport.on_screen(*first), viewport.on_screen(*second)
-        draw.add_line(start, end, imgui.get_color_u32(_SHADOW), 4.0)
-        draw.add_line(start, end, imgui.get_color_u32(color), 2.0)
+    start, end = viewport.pixel(start_m), viewport.pixel(end_m)
+    if start is not None and end is not None:
+        draw_lines(viewport, [(start, end)], color, 2.0, outline=2.0, shadow=_SHADOW)
 
 
 def draw_words(viewport: Viewport, point_m: Float64[np.ndarray, "3"], words: str) -> None:
     pixel = viewport.pixel(point_m)
     if pixel is not None:
         at = viewport.on_screen(*pixel)
-        _write(ImVec2(at.x + 10, at.y - 0.5 * imgui.get_font_size()), words)
+        draw_card(words, ImVec2(at.x + 10, at.y - 0.5 * imgui.get_font_size()))
 
 
 def draw_hint(viewport: Viewport, words: str) -> None:
     """Draw a tool's hint at the lower edge of the viewport."""
     size = imgui.calc_text_size(words)
-    _write(viewport.on_screen((viewport.width - size.x) / 2, viewport.height - 2.2 * size.y), words)
+    draw_card(words, viewport.on_screen((viewport.width - size.x) / 2, viewport.height - 2.2 * size.y))
+
+
+def draw_dot(
+    viewport: Viewport, pixel: Sequence[float], hue: Color, radius: float, outline: float = 1.5, shadow: Color = OUTLINE
+) -> None:
+    draw, at = imgui.get_window_draw_list(), viewport.on_screen(*pixel)
+    draw.add_circle_filled(at, radius + outline, color(shadow))
+    draw.add_circle_filled(at, radius, color(hue))
+
+
+def draw_lines(
+    viewport: Viewport,
+    lines_px: Iterable[Sequence[Sequence[float]]],
+    hue: Color,
+    width: float,
+    *,
+    outline: float = 0.0,
+    shadow: Color = OUTLINE,
+) -> None:
+    """Draw lines between pixels of the viewport; `outline` is the additional width of dark lines below all of them."""
+    ends = [(viewport.on_screen(*start), viewport.on_screen(*end)) for start, end in lines_px]
+    for ink, thick in ((shadow, width + outline), (hue, width))[0 if outline else 1 :]:
+        for start, end in ends:
+            imgui.get_window_draw_list().add_line(start, end, color(ink), thick)
+
+
+def draw_card(
+    words: str,
+    at: ImVec2,
+    ink: Color = (1.0, 1.0, 1.0, 0.95),
+    paper: Color = _SHADOW,
+    padding: tuple[float, float] = (6, 3),
+    rounding: float = 4.0,
+) -> None:
+    """Draw text on a card; `at` is the text's upper left corner on the screen."""
+    size, draw, (x, y) = imgui.calc_text_size(words), imgui.get_window_draw_list(), padding
+    low, high = ImVec2(at.x - x, at.y - y), ImVec2(at.x + size.x + x, at.y + size.y + y)
+    draw.add_rect_filled(low, high, color(paper), rounding)
+    draw.add_text(at, color(ink), words)
 
 
 def is_clicked(viewport: Viewport) -> bool:
@@ -129,13 +156,6 @@ def is_clicked(viewport: Viewport) -> bool:
     left = imgui.MouseButton_.left
     moved = imgui.get_io().mouse_drag_max_distance_sqr[left]
     return viewport.hovered and imgui.is_mouse_released(left) and moved < 16.0
-
-
-def _write(at: ImVec2, words: str) -> None:
-    size, draw = imgui.calc_text_size(words), imgui.get_window_draw_list()
-    low, high = ImVec2(at.x - 6, at.y - 3), ImVec2(at.x + size.x + 6, at.y + size.y + 3)
-    draw.add_rect_filled(low, high, imgui.get_color_u32(_SHADOW), 4.0)
-    draw.add_text(at, imgui.get_color_u32((1.0, 1.0, 1.0, 0.95)), words)
 
 
 # Plots in panels
@@ -147,10 +167,7 @@ _HEIGHT_EM, _LEGEND_EM = 12.0, 4.5
 def plot(
     title: str, x: str, y: str, *, log_x: bool = False, log_y: bool = False, legend: bool = False
 ) -> Generator[bool]:
-    """Begin a plot as wide as the panel, with its axis titles; yields True if it is visible and can be drawn into.
-
-    A legend is below it; plots with the same lines in the same order need only one.
-    """
+    """Begin a plot as wide as the panel; yields True if it can be drawn into. A legend is below it."""
     flags = implot.Flags_.no_menus | implot.Flags_.no_box_select | implot.Flags_.no_mouse_text
     if not legend:
         flags |= implot.Flags_.no_legend
@@ -182,13 +199,8 @@ def points(label: str, x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"
 
 _GIZMO = imguizmo.im_guizmo
 
-_OPERATIONS = {
-    "translate": _GIZMO.OPERATION.translate,
-    "rotate": _GIZMO.OPERATION.rotate,
-    "scale": _GIZMO.OPERATION.scale,
-}
-
 _SIZE = 0.17  # share of the viewport
+_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # to OpenGL's axes: x right, y up, z backward
 _STEPS = {"translate": 0.5, "rotate": 15.0, "scale": 0.1}  # meters, degrees and factors that Ctrl snaps to
 
 
@@ -200,15 +212,11 @@ class Gizmo:
     _start: Float64[np.ndarray, "4 4"] | None = None
     _present: Float64[np.ndarray, "4 4"] | None = None
 
-    @property
-    def is_held(self) -> bool:
-        return self._start is not None
-
     def let_go(self) -> None:
         self._start = self._present = None
 
     def draw(
-        self, viewport: Viewport, frame: Float64[np.ndarray, "4 4"], handle: Handle
+        self, viewport: Viewport, frame: Float64[np.ndarray, "4 4"], handle: picking.Handle
     ) -> tuple[Float64[np.ndarray, "4 4"] | None, bool]:
         """Draw the gizmo in a frame of the world (meters) and handle the mouse, each frame.
 
@@ -224,14 +232,14 @@ class Gizmo:
         _GIZMO.allow_axis_flip(False)
         _GIZMO.set_drawlist()
         _GIZMO.set_rect(viewport.corner.x, viewport.corner.y, viewport.width, viewport.height)
-        matrix = _GIZMO.Matrix16(column_major(present))
+        matrix = _GIZMO.Matrix16(picking.column_major(present))
         snap = _GIZMO.Matrix3([_STEPS[handle]] * 3) if imgui.get_io().key_ctrl else None
         camera = viewport.shot.camera
         with _hide_viewport_button(viewport):
             _GIZMO.manipulate(
-                _GIZMO.Matrix16(opengl_view(camera)),
-                _GIZMO.Matrix16(opengl_projection(camera)),
-                _OPERATIONS[handle],
+                _GIZMO.Matrix16(picking.column_major(_FLIP @ camera.world_to_camera)),
+                _GIZMO.Matrix16(picking.opengl_projection(camera)),
+                _GIZMO.OPERATION[handle],
                 _GIZMO.MODE.world if handle != "scale" else _GIZMO.MODE.local,
                 matrix,
                 None,
@@ -242,8 +250,8 @@ class Gizmo:
         if not held:
             self.let_go()
             return None, hovered
-        self._start, self._present = start, from_column_major(matrix.values)
-        return gizmo_delta(handle, start, self._present), True
+        self._start, self._present = start, matrix.values.astype(np.float64).reshape(4, 4).T
+        return picking.gizmo_delta(handle, start, self._present), True
 
 
 @contextmanager

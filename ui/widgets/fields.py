@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 from imgui_bundle import ImVec2, ImVec4, icons_fontawesome_6, im_file_dialog, imgui
@@ -16,10 +16,7 @@ from gsrain_engine.rain.keyframes import Keyed
 from gsrain_engine.rain.settings import RainSettings, RegionBox
 from gsrain_engine.scene.formats.registry import writable_suffixes
 
-LABEL_WIDTH = 0.42
-"""Share of a panel's width for labels; longer ones take more."""
-
-_SIDE_MARGIN_EM = 1.0
+_LABEL_WIDTH = 0.42  # share of a panel's width for labels; longer ones take more
 
 
 @dataclass(frozen=True)
@@ -35,8 +32,12 @@ class FieldInfo:
     multiple_of: int = 1
     none: str | None = None
     """Text for an optional number that is None; None if the number is required."""
-    usual: float = 0.0
+    initial: float = 0.0
     """Value of an optional number when it is enabled."""
+
+    @property
+    def label(self) -> str:
+        return f"{self.title} ({self.unit})" if self.unit else self.title
 
 
 @cache
@@ -52,17 +53,16 @@ def field_info(name: str, owner: type[msgspec.Struct] = RainSettings) -> FieldIn
     high = meta.le if meta.le is not None else extra.get("le", 1.0)
     none = str(extra.get("none", "none")) if is_optional and kind in (int, float) else None
     default = next(each for each in msgspec.structs.fields(owner) if each.name == name).default
-    usual = extra.get("usual", default if isinstance(default, int | float) else low)
-    multiple = int(meta.multiple_of or 1)
-    return FieldInfo(
-        meta.title or name, extra.get("unit", ""), meta.description or "", low, high, choices, multiple, none, usual
-    )
+    initial = extra.get("usual", default if isinstance(default, int | float) else low)
+    multiple, unit = int(meta.multiple_of or 1), extra.get("unit", "")
+    return FieldInfo(meta.title or name, unit, meta.description or "", low, high, choices, multiple, none, initial)
 
 
-def label(name: str) -> None:
+def label(name: str) -> FieldInfo:
     """Draw a field's title with its help as tooltip, and move to the position of its widget."""
     info = field_info(name)
-    plain_label(f"{info.title} ({info.unit})" if info.unit else info.title, info.help)
+    plain_label(info.label, info.help)
+    return info
 
 
 def plain_label(text: str, help_text: str) -> None:
@@ -71,10 +71,8 @@ def plain_label(text: str, help_text: str) -> None:
     imgui.text(text)
     if help_text:
         imgui.set_item_tooltip(help_text)
-    at = max(
-        LABEL_WIDTH * imgui.get_window_width(), imgui.calc_text_size(text).x + _SIDE_MARGIN_EM * imgui.get_font_size()
-    )
-    imgui.same_line(at)
+    width = imgui.calc_text_size(text).x + imgui.get_font_size()
+    imgui.same_line(max(_LABEL_WIDTH * imgui.get_window_width(), width))
     imgui.set_next_item_width(-1)
 
 
@@ -82,8 +80,7 @@ def slider(
     session: Editor, name: str, *, high: float | None = None, logarithmic: bool = False, beside_px: float = 0.0
 ) -> None:
     """Edit the current value of a number between its bounds; one drag is one undo step. `beside_px` stays free."""
-    info = field_info(name)
-    label(name)
+    info = label(name)
     if beside_px:
         imgui.set_next_item_width(-beside_px)
     flags = imgui.SliderFlags_.always_clamp | (imgui.SliderFlags_.logarithmic if logarithmic else 0)
@@ -95,8 +92,7 @@ def slider(
 
 
 def integer(session: Editor, name: str) -> None:
-    info = field_info(name)
-    label(name)
+    info = label(name)
     changed, value = imgui.input_int(f"##{name}", getattr(session.rain, name))
     if changed:
         session.change_rain(info.title, name, **{name: int(min(max(value, info.low), info.high, 2**31 - 1))})
@@ -104,8 +100,7 @@ def integer(session: Editor, name: str) -> None:
 
 
 def choice(session: Editor, name: str) -> None:
-    info = field_info(name)
-    label(name)
+    info = label(name)
     present = info.choices.index(getattr(session.rain, name))
     changed, picked = imgui.combo(f"##{name}", present, list(info.choices))
     if changed:
@@ -142,35 +137,31 @@ def end_gesture_when_released(session: Editor) -> None:
 # Fields of any settings: metadata and type select the widget
 
 _Settings = TypeVar("_Settings", bound=msgspec.Struct)
-ALL_FILES = "All files{.*}"
 
 
 def edit_field(settings: _Settings, name: str, *, label: str | None = None, step: int = 1) -> _Settings:
-    """Draw a field's widget; returns the updated settings.
-
-    `label` replaces a title that is too long for a panel; `step` is the increment of an integer's buttons.
-    """
+    """Draw a field's widget and return the settings; `label` replaces a long title, `step` is that of an integer."""
     info, value = field_info(name, type(settings)), getattr(settings, name)
     if isinstance(value, bool):
-        changed, value = _checkbox(name, info, value)
+        changed, value = imgui.checkbox(f"{info.title}###{name}", value)
     else:
-        plain_label(label or (f"{info.title} ({info.unit})" if info.unit else info.title), info.help)
+        plain_label(label or info.label, info.help)
         if info.none is not None:
             switched, value = _optional_toggle(name, info, value)
             if switched or value is None:
-                return _with(settings, name, value) if switched else settings
+                return msgspec.structs.replace(settings, **{name: value}) if switched else settings
         if info.choices:
-            changed, value = _combo(name, info.choices, value)
+            changed, at = imgui.combo(f"##{name}", info.choices.index(value), list(info.choices))
+            value = info.choices[at]
         elif isinstance(value, int):
             step = max(step, info.multiple_of)
             changed, value = imgui.input_int(f"##{name}", value, step, 10 * step)
             value = int(min(max(round(value / info.multiple_of) * info.multiple_of, info.low), info.high))
         else:
-            changed, value = imgui.slider_float(
-                f"##{name}", value, info.low, info.high, "%.4g", imgui.SliderFlags_.always_clamp
-            )
-        imgui.set_item_tooltip(info.help)
-    return _with(settings, name, value) if changed else settings
+            flags = imgui.SliderFlags_.always_clamp
+            changed, value = imgui.slider_float(f"##{name}", value, info.low, info.high, "%.4g", flags)
+    imgui.set_item_tooltip(info.help)
+    return msgspec.structs.replace(settings, **{name: value}) if changed else settings
 
 
 def path_field(
@@ -183,8 +174,7 @@ def path_field(
     info, present = field_info(name, type(settings)), getattr(settings, name)
     value = "" if present is None else str(present)
     plain_label(label or info.title, info.help)
-    beside = imgui.get_frame_height() + imgui.get_style().item_spacing.x
-    imgui.set_next_item_width(-beside)
+    imgui.set_next_item_width(-keyframe_button_width())
     _, typed = imgui.input_text_with_hint(f"##{name}", "none chosen", value)
     # A half-typed path doesn't exist yet: accept it only after editing.
     if imgui.is_item_deactivated_after_edit():
@@ -192,12 +182,8 @@ def path_field(
     imgui.set_item_tooltip(f"{info.help}\n{value}".strip())
     imgui.same_line()
     if square_button(icons_fontawesome_6.ICON_FA_FOLDER_OPEN, f"choose {name}"):
-        ask_what_to_open(f"{info.title}{'' if kinds else ' (folder)'}", kinds, lambda chosen: take(_first(chosen)))
+        ask_what_to_open(f"{info.title}{'' if kinds else ' (folder)'}", kinds, lambda chosen: take(str(chosen[0])))
     imgui.set_item_tooltip("Choose a file..." if kinds else "Choose a folder...")
-
-
-def _first(chosen: Sequence[Path]) -> str:
-    return str(chosen[0])
 
 
 def _optional_toggle(name: str, info: FieldInfo, value: float | None) -> tuple[bool, float | None]:
@@ -208,43 +194,28 @@ def _optional_toggle(name: str, info: FieldInfo, value: float | None) -> tuple[b
     imgui.set_next_item_width(-1)
     if not is_given:
         imgui.text_disabled(info.none or "")
-    return changed, (value if is_given and value is not None else info.usual if is_given else None)
-
-
-def _checkbox(name: str, info: FieldInfo, value: bool) -> tuple[bool, bool]:
-    changed, value = imgui.checkbox(f"{info.title}###{name}", value)
-    imgui.set_item_tooltip(info.help)
-    return changed, value
-
-
-def _combo(name: str, choices: Sequence[str], value: str) -> tuple[bool, str]:
-    changed, at = imgui.combo(f"##{name}", choices.index(value), list(choices))
-    return changed, choices[at]
-
-
-def _with(settings: _Settings, name: str, value: Any) -> _Settings:
-    return msgspec.structs.replace(settings, **{name: value})
+        return changed, None
+    return changed, info.initial if value is None else value
 
 
 # Keyframe diamond: gray without keyframes, lit with some, bright at a keyframe's time
 
-KEYED = ImVec4(0.95, 0.66, 0.25, 1.0)
-HERE = ImVec4(1.0, 0.93, 0.45, 1.0)
+_KEYED = ImVec4(0.95, 0.66, 0.25, 1.0)
+_HERE = ImVec4(1.0, 0.93, 0.45, 1.0)
 _TITLES = {"intensity_mm_h": "intensity", "wind_m_s": "wind", "exposure_s": "exposure"}
 
 
 def keyframe_button_width() -> float:
+    """Width of a square button with its gap."""
     return imgui.get_frame_height() + imgui.get_style().item_spacing.x
 
 
 def keyframe_button(session: Editor, name: Keyed) -> None:
-    weather, now_s, title = session.weather, session.clock.time_s, _TITLES[name]
-    is_keyed = weather.is_keyed(name)
-    present = weather.key_at(now_s)
-    is_here = present is not None and getattr(present, name) is not None
+    now_s, title = session.clock.time_s, _TITLES[name]
+    is_keyed, is_here = session.weather.is_keyed(name), _is_keyed_now(session, name)
     imgui.same_line()
     imgui.push_style_color(imgui.Col_.button, ImVec4(0, 0, 0, 0))
-    color = HERE if is_here else KEYED if is_keyed else imgui.get_style_color_vec4(imgui.Col_.text_disabled)
+    color = _HERE if is_here else _KEYED if is_keyed else imgui.get_style_color_vec4(imgui.Col_.text_disabled)
     imgui.push_style_color(imgui.Col_.text, color)
     clicked = square_button(icons_fontawesome_6.ICON_FA_DIAMOND, f"key {name}")
     imgui.pop_style_color(2)
@@ -273,11 +244,16 @@ def toggle_keyframe(session: Editor, name: Keyed) -> None:
     session.set_weather(f"Insert {title} keyframe", weather.with_key(now_s, **{name: value}))
 
 
+def _is_keyed_now(session: Editor, name: Keyed) -> bool:
+    present = session.weather.key_at(session.clock.time_s)
+    return present is not None and getattr(present, name) is not None
+
+
 def tint_keyframed(session: Editor, name: Keyed) -> int:
     """Tint the frame of the next field if it has keyframes; returns the number of colors to pop."""
     if not session.weather.is_keyed(name):
         return 0
-    imgui.push_style_color(imgui.Col_.frame_bg, ImVec4(KEYED.x, KEYED.y, KEYED.z, 0.22))
+    imgui.push_style_color(imgui.Col_.frame_bg, ImVec4(_KEYED.x, _KEYED.y, _KEYED.z, 0.22))
     return 1
 
 
@@ -291,15 +267,10 @@ def keyframed_slider(session: Editor, name: Keyed, *, high: float) -> None:
 # File dialogs, answered by a callback in a later frame
 
 Answer = Callable[[list[Path]], None]
+_open: dict[str, tuple[Answer, list[str]]] = {}
+"""Answers to open dialogs by title, and names that a save dialog returns for an empty one, such as `.ply` or `.*`."""
 
-
-class _Waiting(NamedTuple):
-    answer: Answer
-    nameless: frozenset[str]
-    """Names that a save dialog returns for an empty name: a bare suffix, such as `.ply` or `.*`."""
-
-
-_waiting: dict[str, _Waiting] = {}  # open dialogs by title; there is one window
+ALL_FILES = "All files{.*}"
 SCENE_FOLDERS = "Scene folders{.*}"
 
 
@@ -310,37 +281,34 @@ def exported_kinds() -> str:
 
 def ask_what_to_open(title: str, kinds: str, answer: Answer, *, several: bool = False) -> None:
     """Open a dialog for existing files; `kinds` as in "Scenes{.ply,.spz},All files{.*}"."""
-    _waiting[title] = _Waiting(answer, frozenset())
+    _open[title] = answer, []
     im_file_dialog.FileDialog.instance().open(title, title, kinds, several)
 
 
 def ask_where_to_save(title: str, kinds: str, answer: Answer) -> None:
-    ends = re.findall(r"[{,](\.[^,{}]*)", kinds)
-    _waiting[title] = _Waiting(answer, frozenset(ends))
+    _open[title] = answer, re.findall(r"[{,](\.[^,{}]*)", kinds)
     im_file_dialog.FileDialog.instance().save(title, title, kinds)
 
 
 def answer_dialogs(session: Editor) -> None:
     """Handle closed dialogs. Call it once per frame."""
     dialogs = im_file_dialog.FileDialog.instance()
-    for title in list(_waiting):
-        if not dialogs.is_done(title):
-            continue
-        waiting = _waiting.pop(title)
+    for title in [each for each in _open if dialogs.is_done(each)]:
+        answer, suffixes = _open.pop(title)
         chosen = [Path(each.path()) for each in dialogs.get_results()] if dialogs.has_result() else []
         dialogs.close()
-        if any(path.name in waiting.nameless for path in chosen):
+        if any(path.name in suffixes for path in chosen):
             session.problem = f"{title}: no name was typed; choose a folder, then type a name behind File name."
         elif chosen:
-            waiting.answer([_meant(path) for path in chosen])
+            # The dialog appends the chosen type's suffix to a name without one, even `.*`.
+            answer([path.with_suffix("") if path.suffix == ".*" else path for path in chosen])
 
 
-def _meant(path: Path) -> Path:
-    """Return the typed path: the dialog appends the chosen type's suffix to a name without one, even `.*`."""
-    return path.with_suffix("") if path.suffix == ".*" else path
-
-
-# Square icon button
+def help_button(label: str, help_text: str) -> bool:
+    """Draw a button with a tooltip; returns True if clicked."""
+    clicked = imgui.button(label)
+    imgui.set_item_tooltip(help_text)
+    return clicked
 
 
 def square_button(icon: str, name: str) -> bool:
@@ -454,4 +422,4 @@ def edit_choice(
     """Draw a combo box of other choices or titles than the field's own; returns the updated settings."""
     info, value = settings_label(type(settings), name), getattr(settings, name)
     picked = combo(f"##{name}", value, choices, help_text or info.help)
-    return settings if picked == value else _with(settings, name, picked)
+    return settings if picked == value else msgspec.structs.replace(settings, **{name: picked})

@@ -24,6 +24,13 @@ def readings(table: str, rows: Iterable[tuple[str, str, str]]) -> None:
     imgui.end_table()
 
 
+def inline_text(text: str, *, faint: bool = False) -> None:
+    """Draw text in line with the widget that comes next."""
+    imgui.align_text_to_frame_padding()
+    (imgui.text_disabled if faint else imgui.text)(text)
+    imgui.same_line()
+
+
 # Names from files: their text must not act as a label's id, change the text direction or crash the window
 
 _HIDDEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
@@ -44,10 +51,7 @@ _ONLY_WORDS = ("separator_text", "progress_bar")
 
 
 def label(name: str, identity: str = "") -> str:
-    """Return a widget's label that shows a name; `identity` distinguishes equal names.
-
-    Dear ImGui hides text after ## and uses text after ### as the identity; in a name they are plain text.
-    """
+    """Return a widget's label that shows a name as it is, even with ##; `identity` distinguishes equal names."""
     return f"{visible_name(name)}##{plain_identity(identity)}" if identity else visible_name(name)
 
 
@@ -61,10 +65,7 @@ def plain_identity(name: str) -> str:
 
 
 def escape_all_text() -> None:
-    """Make every function of Dear ImGui that takes text escape characters that can't be drawn, from now on.
-
-    Panels don't have to do so: names come from files, and invalid Unicode would crash the window.
-    """
+    """Make Dear ImGui's functions escape text that can't be drawn: names from files would crash the window."""
     for name in _DRAWING:
         function = getattr(imgui, name)
         if not hasattr(function, "__wrapped__"):
@@ -93,11 +94,8 @@ def _escaping(function: Callable[..., Any], words: Callable[[str], str] | None =
 
 def _visible(value: Any) -> Any:
     if isinstance(value, str):
-        return value if value.isascii() and value.isprintable() else _HIDDEN.sub(_escape, value)
+        is_plain = value.isascii() and value.isprintable()
+        return value if is_plain else _HIDDEN.sub(lambda found: repr(found[0])[1:-1], value)
     if isinstance(value, list) and value and isinstance(value[0], str):  # the choices of a combo box
         return [_all_words(_visible(each)) for each in value]
     return value
-
-
-def _escape(found: re.Match[str]) -> str:
-    return repr(found[0])[1:-1]

@@ -2,7 +2,7 @@
 
 import os
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta, Struct
@@ -153,11 +153,6 @@ def code_of(settings: FinetuningSettings) -> dict[str, str]:
         return {}
     code = checkout_code(Path(pictures.normals_checkout))
     return {str(code.path): code.digest}
-
-
-def finetuning_help(name: str) -> str:
-    hint = get_type_hints(FinetuningSettings, include_extras=True)[name]
-    return f"{hint.__metadata__[-1].description} Default: what CONFIG says."
 
 
 def finetuning_names() -> list[str]:

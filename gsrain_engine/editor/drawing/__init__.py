@@ -1,1 +1,1 @@
-"""Drawing an editor: live view, textures, uploads."""
+"""Drawing an editor: live view and textures."""

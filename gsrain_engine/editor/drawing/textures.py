@@ -1,7 +1,4 @@
-"""Textures of captures, jobs and CPU renders, and the capture points on the GPU.
-
-All live in the window's OpenGL context and on its thread.
-"""
+"""Textures of captures, jobs and CPU renders, and capture points, in the window's OpenGL context and thread."""
 
 import logging
 import threading
@@ -28,9 +25,39 @@ from ..jobs.job import BackgroundJob
 from ..services import EditorServices
 from ..viewport.options import Texture
 
-_NEAR_M = 0.05
-_POINT_PX = 3.0
-_A_FRAME = 4  # maximum number of images uploaded per frame
+_NEAR_M, _POINT_PX = 0.05, 3.0
+_PER_FRAME = 4  # maximum number of images uploaded
+
+
+logger = logging.getLogger("gsrain")
+
+
+class CachedTexture:
+    """A texture of an image in display colors, first row on top, that is written only when the image changes."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self.pixels: UInt8[np.ndarray, "h w c"] | None = None
+        self._texture: moderngl.Texture | None = None
+
+    def show(self, pixels: UInt8[np.ndarray, "h w c"] | None) -> Texture | None:
+        """Upload an image; None frees the texture."""
+        if pixels is self.pixels:
+            return self.texture
+        self.pixels, old = pixels, self._texture
+        if old is not None and (pixels is None or (old.height, old.width, old.components) != pixels.shape):
+            old.release()
+            self._texture = None
+        if pixels is not None:
+            height, width, channels = pixels.shape
+            self._texture = self._texture or self._context.texture((width, height), channels, alignment=1)
+            self._texture.write(np.ascontiguousarray(pixels), alignment=1)
+        return self.texture
+
+    @property
+    def texture(self) -> Texture | None:
+        texture = self._texture
+        return None if texture is None else Texture(texture.glo, texture.width, texture.height)
 
 
 class CaptureTextures:
@@ -38,7 +65,7 @@ class CaptureTextures:
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
-        self._pictures: dict[ImageRequest, tuple[UInt8[np.ndarray, "h w 3"], moderngl.Texture]] = {}
+        self._pictures: dict[ImageRequest, CachedTexture] = {}
         self._program: moderngl.Program | None = None
         self._points: tuple[PointSample, moderngl.VertexArray, list[moderngl.Buffer]] | None = None
         self._target: moderngl.Framebuffer | None = None
@@ -48,15 +75,13 @@ class CaptureTextures:
     def update(self, session: Editor) -> None:
         """Upload new images, release old ones, and update the editor's textures. Once a frame."""
         there = {} if session.captures.pictures is None else dict(session.captures.pictures)
-        for wish in [each for each, (pixels, _) in self._pictures.items() if there.get(each) is not pixels]:
-            self._pictures.pop(wish)[1].release()
-        for wish in [each for each in there if each not in self._pictures][:_A_FRAME]:
-            pixels = there[wish]
-            size = pixels.shape[1], pixels.shape[0]
-            texture = self._context.texture(size, 3, np.ascontiguousarray(pixels), alignment=1)
-            self._pictures[wish] = pixels, texture
+        for request in [each for each, cached in self._pictures.items() if there.get(each) is not cached.pixels]:
+            self._pictures.pop(request).show(None)
+        for request in [each for each in there if each not in self._pictures][:_PER_FRAME]:
+            self._pictures[request] = CachedTexture(self._context)
+            self._pictures[request].show(there[request])
         session.captures.textures = {
-            wish: Texture(texture.glo, texture.width, texture.height) for wish, (_, texture) in self._pictures.items()
+            request: texture for request, cached in self._pictures.items() if (texture := cached.texture) is not None
         }
         session.matching.texture = self._matching.show(session.matching.picture)
 
@@ -93,9 +118,8 @@ class CaptureTextures:
         if self._program is None:
             self._program = load_program(self._context, "capture_points.vert", "capture_points.frag")
         if self._points is None or self._points[0] is not points:
-            if self._points is not None:
-                for old in (self._points[1], *self._points[2]):
-                    old.release()
+            for old in (self._points[1], *self._points[2]) if self._points is not None else ():
+                old.release()
             buffers = [self._context.buffer(np.ascontiguousarray(each)) for each in (points.positions, points.colors)]
             content = [(buffers[0], "3f", "position"), (buffers[1], "3f1", "color")]
             self._points = points, self._context.vertex_array(self._program, content), buffers
@@ -112,68 +136,21 @@ class CaptureTextures:
         return self._target
 
 
-# Job previews
-
-
 class JobPreviews:
     """One texture for each running job that has a preview."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
-        self._kept: dict[BackgroundJob, CachedTexture] = {}
+        self._cached: dict[BackgroundJob, CachedTexture] = {}
 
     def update(self, session: EditorServices) -> None:
         """Upload new previews and update `session.previews`. Once a frame."""
-        for job in [each for each in self._kept if each.state != "running"]:
-            self._kept.pop(job).show(None)
+        for job in [each for each in self._cached if each.state != "running"]:
+            self._cached.pop(job).show(None)
         for job in session.running_jobs:
             if job.progress.preview is not None:
-                self._kept.setdefault(job, CachedTexture(self._context)).show(job.progress.preview)
-        session.previews = {job: texture for job, kept in self._kept.items() if (texture := kept.texture) is not None}
-
-
-# Cached texture
-
-Pixels = UInt8[np.ndarray, "h w c"]
-"""Display color, with or without alpha; first row on top."""
-
-
-class CachedTexture:
-    """A texture that is written only when the image changes."""
-
-    def __init__(self, context: moderngl.Context) -> None:
-        self._context = context
-        self._pixels: Pixels | None = None
-        self._texture: moderngl.Texture | None = None
-
-    def show(self, pixels: Pixels | None) -> Texture | None:
-        """Upload an image; None frees the texture."""
-        if pixels is not self._pixels:
-            self._pixels = pixels
-            self._bring(pixels)
-        return self.texture
-
-    @property
-    def texture(self) -> Texture | None:
-        kept = self._texture
-        return None if kept is None else Texture(kept.glo, kept.width, kept.height)
-
-    def _bring(self, pixels: Pixels | None) -> None:
-        old = self._texture
-        if old is not None and (pixels is None or (old.height, old.width, old.components) != pixels.shape):
-            old.release()
-            self._texture = None
-        if pixels is None:
-            return
-        if self._texture is None:
-            height, width, channels = pixels.shape
-            self._texture = self._context.texture((width, height), channels, alignment=1)
-        self._texture.write(np.ascontiguousarray(pixels), alignment=1)
-
-
-# Images of the CPU renderer
-
-logger = logging.getLogger("gsrain")
+                self._cached.setdefault(job, CachedTexture(self._context)).show(job.progress.preview)
+        session.previews = {job: texture for job, each in self._cached.items() if (texture := each.texture) is not None}
 
 
 class CpuTexture:

@@ -15,23 +15,17 @@ from .members import find_unlocked_member
 
 def moved_actor(actor: Actor, similarity: Float64[np.ndarray, "4 4"]) -> Actor:
     """Transform an actor with its whole track by a similarity of the scene; its Gaussians scale along."""
+    moved = replace(actor, track=actor.track.moved(similarity))
     scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
-    scaling = np.diag([scale, scale, scale, 1.0])
-    is_rigid = abs(scale - 1) < 1e-12
-    length, width, height = actor.size_lwh
-    return replace(
-        actor,
-        track=actor.track.moved(similarity),
-        gaussians=actor.gaussians if is_rigid else transform_gaussians(actor.gaussians, scaling),
-        size_lwh=actor.size_lwh if is_rigid else (scale * length, scale * width, scale * height),
-    )
+    if abs(scale - 1) < 1e-12:
+        return moved
+    length, width, height = (scale * each for each in actor.size_lwh)
+    gaussians = transform_gaussians(actor.gaussians, np.diag([scale, scale, scale, 1.0]))
+    return replace(moved, gaussians=gaussians, size_lwh=(length, width, height))
 
 
 def turn_actor(scene: Scene, key: str, left_deg: float) -> Scene:
-    """Rotate an actor to the left about its own z axis, at every time; its positions stay.
-
-    Raises `ValueError` if there is no such actor or it is locked.
-    """
+    """Rotate an unlocked actor to the left about its own z axis, at every time; its positions stay."""
     actor = _unlocked_actor(scene, key)
     half = np.radians(left_deg) / 2
     turn = np.broadcast_to([np.cos(half), 0.0, 0.0, np.sin(half)], actor.track.quaternions_wxyz.shape)
@@ -40,15 +34,11 @@ def turn_actor(scene: Scene, key: str, left_deg: float) -> Scene:
 
 
 def retime_actor(scene: Scene, key: str, start_s: float, duration_s: float) -> Scene:
-    """Change the start and duration of an actor's track; a track of one sample only shifts.
-
-    Raises `ValueError` if there is no such actor, it is locked, or the duration is not above 0.
-    """
+    """Change start and duration (above 0) of an unlocked actor's track; a track of one sample only shifts."""
     actor = _unlocked_actor(scene, key)
     if not (duration_s > 0 and np.isfinite([start_s, duration_s]).all()):
         raise ValueError(f"The drive of {actor.name} must last longer than 0 s, not {duration_s:g} s.")
-    times = actor.track.times
-    span = duration_of(actor)
+    times, span = actor.track.times, duration_of(actor)
     stretch = duration_s / span if span > 0 else 1.0
     return scene.with_member(key, track=replace(actor.track, times=start_s + stretch * (times - times[:1])))
 
@@ -73,14 +63,10 @@ def _unlocked_actor(scene: Scene, key: str) -> Actor:
 
 # Ego drive along a camera path
 
-RIG = "drive"
-"""Name of the rig that `drive_along` creates."""
-
+RIG = "drive"  # name of the rig that `drive_along` creates
 _STEP_M = 0.5  # minimum distance of samples: closer ones show the camera's shaking rather than the route
 _SAMPLES_PER_S, _MAX_SAMPLES = 10.0, 20_000
-_AHEAD_COS = 0.5
-"""Minimum cosine to the direction of travel (60 degrees) at which the camera's orientation is used for the rig."""
-
+_AHEAD_COS = 0.5  # minimum cosine to the direction of travel at which the rig has the camera's orientation
 _LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Camera axes (x right, y down, z forward) to ego axes (x forward, y left, z up), looking straight ahead."""
 
@@ -94,31 +80,32 @@ def drive_along(scene: Scene, path: CameraPath, width: int = 1600, height: int =
 
     Raises ValueError if the camera moves less than a step of 0.5 m.
     """
-    times = _times(path)
     to_world = scene.scene_to_world
+    turn = to_world[:3, :3] / np.cbrt(np.linalg.det(to_world[:3, :3]))
+    count = int(np.clip(path.duration_s * _SAMPLES_PER_S, 2, _MAX_SAMPLES))
+    times = np.union1d(np.linspace(path.start_s, path.end_s, count), path.times_s)
     cameras = [path.camera(float(t), width, height) for t in times]
     places = np.stack([to_world[:3, :3] @ each.position + to_world[:3, 3] for each in cameras])
-    kept = _apart(places)
-    if len(kept) < 2:
+    rows = _apart(places)
+    if len(rows) < 2:
         raise ValueError(f"The camera moves less than {_STEP_M:g} m: no vehicle can drive along that.")
-    way = np.gradient(places[kept], axis=0)
-    headings = np.unwrap(np.arctan2(way[:, 1], way[:, 0]))
+    ahead = np.gradient(places[rows], axis=0)
+    headings = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
     rotation = scipy.spatial.transform.Rotation
     upright = rotation.from_rotvec(np.outer(headings, [0.0, 0.0, 1.0]))
     track = PoseTrack(
-        times[kept],
-        (places[kept] - to_world[:3, 3]) @ np.linalg.inv(to_world[:3, :3]).T,
-        _in_scene(upright.as_matrix(), to_world),
-        np.ones(len(kept), np.bool_),
+        times[rows],
+        (places[rows] - to_world[:3, 3]) @ np.linalg.inv(to_world[:3, :3]).T,
+        np.asarray(quaternions_from_matrices(turn.T @ upright.as_matrix()), np.float64),
+        np.ones(len(rows), np.bool_),
     )
-    turn = to_world[:3, :3] / np.cbrt(np.linalg.det(to_world[:3, :3]))
-    seen = np.stack([turn @ cameras[i].camera_to_world[:3, :3] for i in kept])
-    mean = (upright.inv() * rotation.from_matrix(seen)).mean().as_matrix()
-    first = cameras[0]
+    cameras_to_world = np.stack([turn @ cameras[i].camera_to_world[:3, :3] for i in rows])
+    mean = (upright.inv() * rotation.from_matrix(cameras_to_world)).mean().as_matrix()
+    camera_to_ego, first = np.eye(4), cameras[0]
+    camera_to_ego[:3, :3] = mean if mean[0, 2] > _AHEAD_COS else _LEVEL
     mounted = RigCamera(
-        "front", first.width, first.height, first.fx, first.fy, first.cx, first.cy,
-        _pose(mean if mean[0, 2] > _AHEAD_COS else _LEVEL), path.exposure_s,
-    )  # fmt: skip
+        "front", first.width, first.height, first.fx, first.fy, first.cx, first.cy, camera_to_ego, path.exposure_s
+    )
     return replace(scene, ego=track, rigs=scene.rigs or {RIG: (mounted,)})
 
 
@@ -129,32 +116,13 @@ def drive_along_own_path(scene: Scene) -> Scene:
     return drive_along(scene, scene.path)
 
 
-def _times(path: CameraPath) -> Float64[np.ndarray, " n"]:
-    """Return the times of all keyframes, and samples between them."""
-    count = int(np.clip(path.duration_s * _SAMPLES_PER_S, 2, _MAX_SAMPLES))
-    return np.union1d(np.linspace(path.start_s, path.end_s, count), path.times_s)
-
-
 def _apart(places: Float64[np.ndarray, "n 3"]) -> list[int]:
     """Indices of positions at least a step apart on the ground, including the first and the last."""
-    kept: list[int] = []
+    rows = [0]
     for i, place in enumerate(places):
-        if not kept or np.linalg.norm(place[:2] - places[kept[-1]][:2]) >= _STEP_M:
-            kept.append(i)
-    return [*kept[:-1], len(places) - 1] if len(kept) > 1 else kept
-
-
-def _in_scene(
-    upright: Float64[np.ndarray, "n 3 3"], to_world: Float64[np.ndarray, "4 4"]
-) -> Float64[np.ndarray, "n 4"]:
-    turn = to_world[:3, :3] / np.cbrt(np.linalg.det(to_world[:3, :3]))
-    return np.asarray(quaternions_from_matrices(turn.T @ upright), np.float64)
-
-
-def _pose(rotation: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "4 4"]:
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation
-    return matrix
+        if np.linalg.norm(place[:2] - places[rows[-1]][:2]) >= _STEP_M:
+            rows.append(i)
+    return [*rows[:-1], len(places) - 1] if len(rows) > 1 else rows
 
 
 # Ego start and scene origin
@@ -182,10 +150,7 @@ def set_ego_start(scene: Scene, ground_point_m: Float64[np.ndarray, "3"], headin
 
 
 def set_origin(scene: Scene, point_m: Float64[np.ndarray, "3"]) -> Scene:
-    """Move everything so that a point of the world becomes its origin: layers, actors, ego, camera path, ground.
-
-    Locked layers move too, so that relative positions stay.
-    """
+    """Move everything, also locked layers, so that a point of the world becomes its origin."""
     shift = np.eye(4)
     shift[:3, 3] = -np.linalg.inv(scene.scene_to_world)[:3, :3] @ point_m
     return replace(

@@ -10,7 +10,7 @@ import scipy
 from jaxtyping import Bool, Float32, Float64
 from msgspec import Meta
 
-from ...scene.flags import BitMask, SelectionFlags
+from ...scene.flags import BitMask
 from ...scene.gaussians import Gaussians
 from ...scene.progress import Progress
 from ...scene.scene import Actor, Layer, Scene, core_bounds
@@ -28,23 +28,19 @@ class FloaterRules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     size_above_m: Annotated[
         float,
         Meta(
-            ge=0,
-            le=1000,
-            title="Size above",
+            ge=0, le=1000, title="Size above",
             description="Larger ones (longest standard deviation) are floaters; 0 turns the rule off.",
             extra={"unit": "m"},
         ),
-    ] = 0.0
+    ] = 0.0  # fmt: skip
     isolation_above: Annotated[
         float,
         Meta(
-            ge=0,
-            le=1000,
-            title="Isolation above",
+            ge=0, le=1000, title="Isolation above",
             description="Those farther from their neighbours than so many times the median are floaters; 0 turns the "
             "rule off.",
         ),
-    ] = 8.0
+    ] = 8.0  # fmt: skip
     neighbors: Annotated[
         int, Meta(ge=1, le=64, title="Neighbours", description="How many nearest ones isolation looks at.")
     ] = 8
@@ -60,10 +56,7 @@ class FloaterSearch:
     """Floaters of each layer by its key, with the Gaussians that were searched."""
 
     def run(self) -> Iterator[Progress]:
-        """Search; `found` is complete at the end. A million Gaussians take seconds.
-
-        Gaussians of a far shell, such as the sky dome of a single-file scene, are never floaters.
-        """
+        """Search; `found` is complete at the end. Gaussians of a far shell, such as a sky dome, are never floaters."""
         layers = [each for each in self.scene.layers if is_editable(each) and each.kind == "background"]
         parts = [self.scene.part(each) for each in self.scene.layers if each.visible and each.kind == "background"]
         shell = core_bounds([part for part in parts if part is not None]).shell
@@ -72,34 +65,23 @@ class FloaterSearch:
         for layer in layers:
             part = self.scene.part(layer)
             assert part is not None
-            there = (
-                np.flatnonzero(~part.left_out.flags) if part.left_out is not None else np.arange(len(part.gaussians))
-            )
-            scale = float(np.cbrt(np.linalg.det(part.to_world[:3, :3])))
-            flags = np.zeros(len(part.gaussians), np.bool_)
-            opacities = part.gaussians.opacities[there] * np.float32(part.opacity)
-            sizes_m = part.gaussians.scales[there].max(axis=1, initial=0) * np.float32(scale)
-            flags[there] = self._by_value(opacities, sizes_m)
+            count = len(part.gaussians)
+            there = np.arange(count) if part.left_out is None else np.flatnonzero(~part.left_out.flags)
+            flags = np.zeros(count, np.bool_)
+            flags[there] = part.gaussians.opacities[there] * np.float32(part.opacity) < self.rules.opacity_below
+            if self.rules.size_above_m > 0:
+                scale = np.float32(float(np.cbrt(np.linalg.det(part.to_world[:3, :3]))))
+                sizes_m = part.gaussians.scales[there].max(axis=1, initial=0) * scale
+                flags[there] |= sizes_m > self.rules.size_above_m
             if self.rules.isolation_above > 0 and len(there) > 1:
                 for share, isolated in _isolated(part.gaussians.means[there], self.rules):
-                    yield Progress(
-                        (done + share * len(part.gaussians)) / total, f"Looking at the neighbours in {layer.name}"
-                    )
+                    yield Progress((done + share * count) / total, f"Looking at the neighbours in {layer.name}")
                     if isolated is not None:
                         flags[there] |= isolated
             if shell is not None:
                 flags &= ~shell.holds(part)
-            done += len(part.gaussians)
+            done += count
             self.found[layer.key] = part.gaussians, BitMask.of(flags)
-
-    def _by_value(
-        self, opacities: Float32[np.ndarray, " n"], sizes_m: Float32[np.ndarray, " n"]
-    ) -> Bool[np.ndarray, " n"]:
-        rules = self.rules
-        flags = opacities < rules.opacity_below
-        if rules.size_above_m > 0:
-            flags |= sizes_m > rules.size_above_m
-        return flags
 
 
 def select_floaters(scene: Scene, found: dict[str, tuple[Gaussians, BitMask]]) -> Scene:
@@ -110,7 +92,7 @@ def select_floaters(scene: Scene, found: dict[str, tuple[Gaussians, BitMask]]) -
         selected = mask if gaussians is member.gaussians and mask else None
         if selected is None and member.marks.selected is None:
             return member
-        return replace(member, marks=SelectionFlags(selected, member.marks.hidden, member.marks.deleted))
+        return replace(member, marks=replace(member.marks, selected=selected))
 
     return edit_members(scene, selecting)
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Float64
 
 from ...scene.flags import BitMask, SelectionFlags
 from ...scene.scene import Actor, Layer, Scene, core_bounds, take_gaussians
@@ -19,18 +19,16 @@ def selected_count(scene: Scene) -> int:
 
 def delete_selected(scene: Scene) -> Scene:
     """Mark the selection as deleted, and clear it."""
-    return edit_members(
-        scene, lambda each: _with(each, selected=None, deleted=_either(each.marks.deleted, _meant(each)))
-    )
+    return edit_members(scene, lambda each: _with(each, selected=None, deleted=_or(each.marks.deleted, _meant(each))))
 
 
 def hide_selected(scene: Scene) -> Scene:
-    return edit_members(scene, lambda each: _with(each, selected=None, hidden=_either(each.marks.hidden, _meant(each))))
+    return edit_members(scene, lambda each: _with(each, selected=None, hidden=_or(each.marks.hidden, _meant(each))))
 
 
 def show_all(scene: Scene) -> Scene:
     """Show all hidden Gaussians of editable members."""
-    return edit_members(scene, lambda each: each if each.marks.hidden is None else _with(each, hidden=None))
+    return edit_members(scene, lambda each: _with(each, hidden=None))
 
 
 def isolate_selected(scene: Scene) -> Scene:
@@ -40,7 +38,7 @@ def isolate_selected(scene: Scene) -> Scene:
 
     def isolated(member: Layer | Actor) -> Layer | Actor:
         meant = _meant(member) or BitMask.none(len(member.gaussians))
-        return _with(member, selected=member.marks.selected, hidden=_either(member.marks.hidden, ~meant))
+        return _with(member, hidden=_or(member.marks.hidden, ~meant))
 
     return edit_members(scene, isolated)
 
@@ -52,33 +50,16 @@ def _meant(member: Layer | Actor) -> BitMask | None:
     return meant if meant else None
 
 
-def _either(first: BitMask | None, second: BitMask | None) -> BitMask | None:
+def _or(first: BitMask | None, second: BitMask | None) -> BitMask | None:
     if first is None or second is None:
         return second if first is None else first
     return first | second
 
 
-_NO_FLAGS = BitMask.none(0)  # default for a mark that stays unchanged
-
-
-def _with(
-    member: Layer | Actor,
-    *,
-    selected: BitMask | None = _NO_FLAGS,
-    hidden: BitMask | None = _NO_FLAGS,
-    deleted: BitMask | None = _NO_FLAGS,
-) -> Layer | Actor:
-    old = member.marks
-    marks = SelectionFlags(
-        old.selected if selected is _NO_FLAGS else selected,
-        old.hidden if hidden is _NO_FLAGS else hidden,
-        old.deleted if deleted is _NO_FLAGS else deleted,
-    )
-    same = marks.selected is old.selected and marks.hidden is old.hidden and marks.deleted is old.deleted
-    return member if same else replace(member, marks=marks)
-
-
-# Crop box
+def _with(member: Layer | Actor, **masks: BitMask | None) -> Layer | Actor:
+    """Return a member with other masks in its marks, the same object if they are identical."""
+    same = all(getattr(member.marks, name) is mask for name, mask in masks.items())
+    return member if same else replace(member, marks=replace(member.marks, **masks))
 
 
 @dataclass(frozen=True)
@@ -115,7 +96,7 @@ class CropBox:
         direction = self.to_world[:3, axis] / (self.size_m[axis] / 2) * (1.0 if upper else -1.0)
         face = self.face_m(axis, upper)
         across = sight - (sight @ direction) * direction
-        if across @ across < 1e-6:  # seen end-on
+        if across @ across < 1e-6:  # the axis points at the eye
             return self
         # Signed distance along `direction` from the face to the axis point nearest to the line of sight.
         by_m = float((eye_m - face) @ (direction - (sight @ direction) / (across @ across) * across))
@@ -132,9 +113,10 @@ _THINNEST_M = 0.01
 def box_around(scene: Scene) -> CropBox:
     """Box around the core of the visible background layers, without sky; 10 m at the origin for an empty scene."""
     layers = [each for each in scene.layers if each.visible and each.kind == "background" and len(each.gaussians)]
-    if not layers:
+    parts = [part for each in layers if (part := scene.part(each)) is not None]
+    if not parts:
         return CropBox((0.0, 0.0, 0.0), (10.0, 10.0, 10.0))
-    core = core_bounds([part for each in layers if (part := scene.part(each)) is not None])
+    core = core_bounds(parts)
     x, y, z = core.middle.tolist()
     a, b, c = np.maximum(core.high - core.low, _THINNEST_M).tolist()
     return CropBox((x, y, z), (a, b, c))
@@ -146,28 +128,18 @@ def crop(scene: Scene, box: CropBox) -> Scene:
     def cropped(member: Layer | Actor) -> Layer | Actor:
         if isinstance(member, Actor) or member.kind != "background":
             return member
-        outside = BitMask.of(~_inside(member.gaussians.means, scene.scene_to_world @ member.to_scene, box))
-        marks = member.marks
+        to_box = np.linalg.inv(box.to_world) @ (scene.scene_to_world @ member.to_scene)
+        means, marks = member.gaussians.means, member.marks
+        inside = np.ones(len(means), np.bool_)
+        for row in to_box[:3]:
+            inside &= np.abs(means @ row[:3] + row[3]) <= 1
+        outside = BitMask.of(~inside)
         if not (outside if marks.deleted is None else outside - marks.deleted):
             return member
-        deleted = outside if marks.deleted is None else marks.deleted | outside
         selected = marks.selected - outside if marks.selected is not None else None
-        return replace(member, marks=SelectionFlags(selected if selected else None, marks.hidden, deleted))
+        return _with(member, selected=selected if selected else None, deleted=_or(marks.deleted, outside))
 
     return edit_members(scene, cropped)
-
-
-def _inside(
-    means: Float32[np.ndarray, "n 3"], to_world: Float64[np.ndarray, "4 4"], box: CropBox
-) -> Bool[np.ndarray, " n"]:
-    to_box = np.linalg.inv(box.to_world) @ to_world
-    inside = np.ones(len(means), np.bool_)
-    for row in to_box[:3]:
-        inside &= np.abs(means @ row[:3] + row[3]) <= 1
-    return inside
-
-
-# Compaction
 
 
 def deleted_count(scene: Scene) -> int:
@@ -177,18 +149,19 @@ def deleted_count(scene: Scene) -> int:
 
 def compact(scene: Scene) -> Scene:
     """Remove deleted Gaussians from the arrays, also of locked and hidden members; marks and selection sets follow."""
-    kept = {each.key: ~each.marks.deleted for each in scene.members if each.marks.deleted}
+    rows = {each.key: (~each.marks.deleted).indices for each in scene.members if each.marks.deleted}
 
-    def change(masks: Mapping[str, BitMask]) -> Mapping[str, BitMask]:
-        return {key: mask.take(kept[key].indices) if key in kept else mask for key, mask in masks.items()}
+    def compacted(member: Layer | Actor) -> Layer | Actor:
+        if member.key not in rows:
+            return member
+        where, marks = rows[member.key], member.marks
+        masks = [each.take(where) if each is not None else None for each in (marks.selected, marks.hidden)]
+        gaussians, wet_sh = take_gaussians(member, where)
+        marks = SelectionFlags(*(each if each else None for each in masks))
+        return replace(member, gaussians=gaussians, wet_sh=wet_sh, marks=marks)
 
-    members = tuple(_compacted(each, kept[each.key]) if each.key in kept else each for each in scene.members)
-    return with_selections(with_members(scene, members), change) if kept else scene
+    def compacted_masks(masks: Mapping[str, BitMask]) -> Mapping[str, BitMask]:
+        return {key: mask.take(rows[key]) if key in rows else mask for key, mask in masks.items()}
 
-
-def _compacted(member: Layer | Actor, kept: BitMask) -> Layer | Actor:
-    where, marks = kept.indices, member.marks
-    masks = [each.take(where) if each is not None else None for each in (marks.selected, marks.hidden)]
-    selected, hidden = (each if each else None for each in masks)
-    gaussians, wet_sh = take_gaussians(member, where)
-    return replace(member, gaussians=gaussians, wet_sh=wet_sh, marks=SelectionFlags(selected, hidden))
+    members = tuple(compacted(each) for each in scene.members)
+    return with_selections(with_members(scene, members), compacted_masks) if rows else scene

@@ -17,24 +17,17 @@ from .members import (
     find_unlocked_member,
     insert_after,
     is_editable,
-    member_names,
     unique_name,
     with_members,
-    with_name,
     with_selections,
+    with_unique_name,
 )
-
-__all__ = ["duplicate", "import_scene", "merge", "move_down", "move_up", "remove", "rename", "separate"]
 
 
 def duplicate(scene: Scene, key: str) -> Scene:
-    """Insert a copy of a member after it, under a unique name; its arrays are shared.
-
-    Raises `ValueError` if there is no such member.
-    """
-    member = find_member(scene, key)
-    copy = replace(with_name(member, unique_name(member.name, member_names(scene, member))), locked=False)
-    return with_members(scene, insert_after(scene, key, (copy,)))
+    """Insert a copy of a member after it, under a unique name; its arrays are shared."""
+    copy = replace(with_unique_name(scene, find_member(scene, key)), locked=False)
+    return insert_after(scene, key, copy)
 
 
 def separate(scene: Scene) -> Scene:
@@ -50,13 +43,13 @@ def separate(scene: Scene) -> Scene:
     result, parted = delete_selected(scene), list[str]()
     for source in sources:
         assert source.marks.selected is not None
-        kept = source.marks.selected if source.marks.left_out is None else source.marks.selected - source.marks.left_out
-        if not kept:
+        mask = source.marks.selected if source.marks.left_out is None else source.marks.selected - source.marks.left_out
+        if not mask:
             continue
-        name = unique_name(source.name, member_names(result, source))
-        gaussians, wet_sh = take_gaussians(source, kept.indices)
-        piece = replace(with_name(source, name), gaussians=gaussians, wet_sh=wet_sh, marks=UNMARKED)
-        result = with_members(result, insert_after(result, source.key, (piece,)))
+        gaussians, wet_sh = take_gaussians(source, mask.indices)
+        piece = with_unique_name(result, source)
+        piece = replace(piece, gaussians=gaussians, wet_sh=wet_sh, marks=UNMARKED)
+        result = insert_after(result, source.key, piece)
         if isinstance(source, Layer) and source.kind == "background":
             parted.append(piece.key)
     return merge(result, parted) if len(parted) > 1 else result
@@ -72,14 +65,11 @@ def remove(scene: Scene, key: str) -> Scene:
 
 
 def rename(scene: Scene, key: str, name: str) -> Scene:
-    """Rename a member, with a number appended if the name is in use; selection sets follow.
-
-    Raises `ValueError` if there is no such member, and for an empty name.
-    """
+    """Rename a member, with a number appended if the name is in use; selection sets follow."""
     member, name = find_member(scene, key), name.strip()
     if not name:
         raise ValueError("A name can't be empty.")
-    renamed = with_name(member, unique_name(name, member_names(scene, member) - {member.name}))
+    renamed = with_unique_name(scene, member, name)
     members = tuple(renamed if each is member else each for each in scene.members)
     return with_selections(
         with_members(scene, members),
@@ -125,26 +115,29 @@ def merge(scene: Scene, keys: Sequence[str]) -> Scene:
         raise ValueError("Actors move on their own, so they can't be merged.")
     if len({each.kind for each in joined}) > 1:
         raise ValueError("A sky can't be merged with what is no sky.")
-    first, agree = joined[0], _agree(joined)
-    kept = [_undeleted(each) for each in joined]
-    pieces = [_brought_to(first, each, bake=not agree) for each in joined]
-    every = Gaussians.concatenate(pieces)
+    first, agree = joined[0], len({(each.opacity, each.grading) for each in joined}) == 1
+    undeleted = [slice(None) if each.marks.deleted is None else ~each.marks.deleted.flags for each in joined]
+    every = Gaussians.concatenate([_in_frame_of(first, each, bake=not agree) for each in joined])
     order = lod_order(every).astype(np.int64)
     wet_sh = None
     if any(each.wet_sh is not None for each in joined):
         soaked = [replace(each, gaussians=each.gaussians.with_sh(wet_sh_of(each))) for each in joined]
-        wet_sh = Gaussians.concatenate([_brought_to(first, each, bake=not agree) for each in soaked]).sh[order]
+        wet_sh = Gaussians.concatenate([_in_frame_of(first, each, bake=not agree) for each in soaked]).sh[order]
 
-    def put_together(masks: Sequence[BitMask | None]) -> BitMask | None:
-        mask = _joined(masks, kept)
-        return mask.take(order) if mask else None
+    def join(masks: Sequence[BitMask | None]) -> BitMask | None:
+        flags = [
+            np.zeros(len(each.gaussians), np.bool_) if mask is None else mask.flags
+            for mask, each in zip(masks, joined, strict=True)
+        ]
+        whole = BitMask.of(np.concatenate([own[rows] for own, rows in zip(flags, undeleted, strict=True)])[order])
+        return whole if whole else None
 
     whole = replace(
         first,
         gaussians=every.take(order),
         wet_sh=wet_sh,
         marks=SelectionFlags(
-            put_together([each.marks.selected for each in joined]), put_together([each.marks.hidden for each in joined])
+            join([each.marks.selected for each in joined]), join([each.marks.hidden for each in joined])
         ),
         opacity=first.opacity if agree else 1.0,
         grading=first.grading if agree else UNCHANGED,
@@ -153,22 +146,14 @@ def merge(scene: Scene, keys: Sequence[str]) -> Scene:
     members = tuple(whole if each is first else each for each in scene.members if each.key not in others)
 
     def change(masks: Mapping[str, BitMask]) -> Mapping[str, BitMask]:
-        mask = put_together([masks.get(each.key) for each in joined])
+        mask = join([masks.get(each.key) for each in joined])
         rest = {key: each for key, each in masks.items() if key != first.key and key not in others}
         return rest if mask is None else rest | {first.key: mask}
 
     return with_selections(with_members(scene, members), change)
 
 
-def _agree(layers: list[Layer]) -> bool:
-    return len({(each.opacity, each.grading) for each in layers}) == 1
-
-
-def _undeleted(layer: Layer) -> BitMask:
-    return BitMask.all(len(layer.gaussians)) if layer.marks.deleted is None else ~layer.marks.deleted
-
-
-def _brought_to(first: Layer, layer: Layer, *, bake: bool) -> Gaussians:
+def _in_frame_of(first: Layer, layer: Layer, *, bake: bool) -> Gaussians:
     part = DrawItem(layer.gaussians, layer.to_scene, left_out=layer.marks.deleted)
     if bake:
         part = part._replace(opacity=layer.opacity, colors=layer.grading.matrix)
@@ -176,34 +161,19 @@ def _brought_to(first: Layer, layer: Layer, *, bake: bool) -> Gaussians:
     return transform_gaussians(bake_item(part), np.eye(4) if same else np.linalg.inv(first.to_scene) @ layer.to_scene)
 
 
-def _joined(masks: Sequence[BitMask | None], kept: Sequence[BitMask]) -> BitMask:
-    """Concatenate masks, restricted to the kept Gaussians."""
-    flags = [
-        np.zeros(keep.size, np.bool_) if mask is None else mask.flags[keep.flags]
-        for mask, keep in zip(masks, kept, strict=True)
-    ]
-    return BitMask.of(np.concatenate(flags))
-
-
-# Import
-
-
 def import_scene(scene: Scene, other: Scene) -> Scene:
-    """Add all members of another scene so that the world frames agree: meters, z up, one origin.
-
-    Names are made unique, selection sets are added. A scene without members becomes the other.
-    """
+    """Add the members and selection sets of another scene, so that the world frames agree, under unique names."""
     if not scene.members:
         return other
-    way = np.linalg.inv(scene.scene_to_world) @ other.scene_to_world
-    if np.allclose(way, np.eye(4), rtol=0, atol=1e-12):
-        way = np.eye(4)
+    to_scene = np.linalg.inv(scene.scene_to_world) @ other.scene_to_world
+    if np.allclose(to_scene, np.eye(4), rtol=0, atol=1e-12):
+        to_scene = np.eye(4)
     result, keys = scene, dict[str, str]()
     for member in other.members:
-        added = with_name(member, unique_name(member.name, member_names(result, member)))
+        added = with_unique_name(result, member)
         keys[member.key] = added.key
         is_layer = isinstance(added, Layer)
-        placed = replace(added, to_scene=way @ added.to_scene) if is_layer else moved_actor(added, way)
+        placed = replace(added, to_scene=to_scene @ added.to_scene) if is_layer else moved_actor(added, to_scene)
         result = with_members(result, (*result.members, placed))
     sets = dict(scene.selections)
     for name, masks in other.selections.items():

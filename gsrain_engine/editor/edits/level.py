@@ -11,16 +11,11 @@ from ...scene.geometry import matrices_from_quaternions
 from ...scene.scene import Scene
 
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
-"""A direction along an axis of a scene."""
-
 UNIT_M = (1e-6, 1e6)
 """Range of valid lengths of a scene unit, in meters."""
 
-_SAMPLES = 100_000
-_TRIES = 400
-_STEEPEST_COS = 0.5
-"""Minimum cosine of the ground's slope (60 degrees); steeper ground means that `up` is entirely wrong."""
-
+_SAMPLES, _TRIES = 100_000, 400
+_STEEPEST_COS = 0.5  # minimum cosine of the ground's slope; steeper ground means that `up` is entirely wrong
 _FLAT = 0.6  # maximum ratio of the thinnest axis of a flat Gaussian to its middle one
 _TOLERANCE = 0.008  # maximum distance of ground points from the plane, as a share of the scene's extent
 _BELOW = 2.0  # votes that a plane loses per sample below it: a roof has more of the scene below it than lies on it
@@ -133,9 +128,9 @@ def _winner(
         if length < 1e-12 or abs(normal[2]) < _STEEPEST_COS * length:
             continue
         normal = normal / (length if normal[2] > 0 else -length)
-        on_it = np.abs((few_voters - a) @ normal) < tolerance
+        on_plane = np.abs((few_voters - a) @ normal) < tolerance
         below = (few - a) @ normal < -3 * tolerance
-        votes = weight[0] * on_it.sum() - _BELOW * weight[1] * below.sum()
+        votes = weight[0] * on_plane.sum() - _BELOW * weight[1] * below.sum()
         if votes > best:
             best, winner = votes, (normal, a)
     return winner
@@ -165,13 +160,6 @@ def _samples(
     return np.concatenate(points), np.concatenate(normals)
 
 
-# Scale
-
-
-def distance_m(first: Float64[np.ndarray, "3"], second: Float64[np.ndarray, "3"]) -> float:
-    return float(np.linalg.norm(second - first))
-
-
 def set_length(scene: Scene, measured_m: float, true_m: float) -> Scene:
     """Scale the world so that a measured length becomes its true length.
 
@@ -183,8 +171,7 @@ def set_length(scene: Scene, measured_m: float, true_m: float) -> Scene:
         raise ValueError(f"Lengths must be above 0 m, not {measured_m:g} m and {true_m:g} m.")
     factor = true_m / measured_m
     ground = None if scene.ground_m is None else scene.ground_m * factor
-    metres_per_unit = scene.metres_per_unit * factor
-    path = scene.path
+    metres_per_unit, path = scene.metres_per_unit * factor, scene.path
     if path is not None and not path.is_timed:
         path = with_constant_speed(path, WALKING_M_S / metres_per_unit)
     return replace(scene, metres_per_unit=metres_per_unit, ground_m=ground, path=path, unit_is_assumed=False)
@@ -197,8 +184,8 @@ def set_camera_height(scene: Scene, height_m: float) -> Scene:
     if path or ground are missing, or if the path is not above the ground.
     """
     if scene.path is None or scene.ground_m is None:
-        lacking = "camera path" if scene.path is None else "known height of the ground: level it first"
-        raise ValueError(f"The scene has no {lacking}.")
+        missing = "camera path" if scene.path is None else "known height of the ground: level it first"
+        raise ValueError(f"The scene has no {missing}.")
     up = scene.scene_to_world[2]
     above_m = float(np.median(scene.path.positions @ up[:3] + up[3])) - scene.ground_m
     if not above_m > 0:

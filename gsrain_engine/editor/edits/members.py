@@ -1,13 +1,12 @@
-"""Helpers for edits of members: access to editable ones, unique names, selection sets, new Gaussians."""
+"""Members of a scene in edits: access to editable ones, unique names, selection sets, new Gaussians."""
 
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
+from itertools import count
 
 from ...scene.flags import UNMARKED, BitMask
 from ...scene.scene import Actor, Layer, Scene
-
-Members = tuple[Layer | Actor, ...]
 
 
 def is_editable(member: Layer | Actor) -> bool:
@@ -31,8 +30,9 @@ def find_unlocked_member(scene: Scene, key: str) -> Layer | Actor:
     return member
 
 
-def with_members(scene: Scene, members: Members) -> Scene:
-    """Return the scene with other members; layers and actors each keep the given order."""
+def with_members(scene: Scene, members: Iterable[Layer | Actor]) -> Scene:
+    """Return the scene with other members; layers and actors each in their order."""
+    members = tuple(members)
     return replace(
         scene,
         layers=tuple(each for each in members if isinstance(each, Layer)),
@@ -52,43 +52,31 @@ def with_selections(scene: Scene, change: Callable[[Mapping[str, BitMask]], Mapp
     return replace(scene, selections={name: change(masks) for name, masks in scene.selections.items()})
 
 
-def with_name(member: Layer | Actor, name: str) -> Layer | Actor:
-    return replace(member, name=name) if isinstance(member, Layer) else replace(member, id=name)
-
-
-def member_names(scene: Scene, like: Layer | Actor) -> set[str]:
-    return {each.name for each in scene.members if type(each) is type(like)}
-
-
-def insert_after(scene: Scene, key: str, added: Members) -> Members:
+def insert_after(scene: Scene, key: str, added: Layer | Actor) -> Scene:
     at = next((i for i, each in enumerate(scene.members) if each.key == key), len(scene.members) - 1)
-    return (*scene.members[: at + 1], *added, *scene.members[at + 1 :])
+    return with_members(scene, (*scene.members[: at + 1], added, *scene.members[at + 1 :]))
 
 
-# Unique names
+def with_unique_name(scene: Scene, member: Layer | Actor, name: str | None = None) -> Layer | Actor:
+    """Return a member under a name that no other of its kind has; with `name`, a member of the scene is renamed."""
+    used = {each.name for each in scene.members if type(each) is type(member)}
+    new = unique_name(member.name, used) if name is None else unique_name(name, used - {member.name})
+    return replace(member, name=new) if isinstance(member, Layer) else replace(member, id=new)
 
 
-def unique_name(name: str, taken: Collection[str]) -> str:
+def unique_name(name: str, used: Collection[str]) -> str:
     """Return `name`, with a number appended if it is in use: "road", "road 2", "road 3"."""
-    if name not in taken:
+    if name not in used:
         return name
     stem = re.sub(r" \d+$", "", name) or name
-    number = 2
-    while f"{stem} {number}" in taken:
-        number += 1
-    return f"{stem} {number}"
-
-
-# New Gaussians
+    return next(each for number in count(2) if (each := f"{stem} {number}") not in used)
 
 
 def with_gaussians_of(scene: Scene, other: Scene) -> Scene:
     """Return the scene with the Gaussians of another version of it; unmatched members stay unchanged."""
-    given = {each.key: each.gaussians for each in other.members}
-    wet = {each.key: each.wet_sh for each in other.members}
+    others = {each.key: each for each in other.members}
     for each in scene.members:
-        new = given.get(each.key, each.gaussians)
-        marks = each.marks if len(new) == len(each.gaussians) else UNMARKED
-        wet_sh = wet[each.key] if each.key in given else each.wet_sh
-        scene = scene.with_member(each.key, gaussians=new, wet_sh=wet_sh, marks=marks)
+        new = others.get(each.key, each)
+        marks = each.marks if len(new.gaussians) == len(each.gaussians) else UNMARKED
+        scene = scene.with_member(each.key, gaussians=new.gaussians, wet_sh=new.wet_sh, marks=marks)
     return scene

@@ -17,30 +17,24 @@ Similarity = Float64[np.ndarray, "4 4"]
 
 
 def move_member(scene: Scene, key: str, delta: Similarity) -> Scene:
-    """Move a layer, or an actor with its whole track, by a similarity of the world (meters, z up).
-
-    Raises `ValueError` if there is no such member or it is locked.
-    """
-    member, way = find_unlocked_member(scene, key), _in_scene(scene, delta)
+    """Move an unlocked layer, or actor with its whole track, by a similarity of the world (meters, z up)."""
+    member, step = find_unlocked_member(scene, key), _in_scene(scene, delta)
     if isinstance(member, Layer):
-        return scene.with_member(key, to_scene=way @ member.to_scene)
-    there = moved_actor(member, way)
+        return scene.with_member(key, to_scene=step @ member.to_scene)
+    there = moved_actor(member, step)
     return scene.with_member(key, track=there.track, gaussians=there.gaussians, size_lwh=there.size_lwh)
 
 
 def move_selected(scene: Scene, delta: Similarity, time_s: float = 0.0) -> Scene:
-    """Move the selected Gaussians by a similarity of the world; those of actors at their pose at a time.
-
-    Only arrays that change are copied: a translation leaves scales, quaternions and harmonics untouched.
-    """
-    way = _in_scene(scene, delta)
+    """Move the selected Gaussians by a similarity of the world, those of actors at a time; copies only what changes."""
+    step = _in_scene(scene, delta)
 
     def placed(member: Layer | Actor) -> Layer | Actor:
         to_scene = member.pose_at(time_s)
         if to_scene is None or not member.marks.selected:
             return member
-        own = np.linalg.inv(to_scene) @ way @ to_scene
-        wet_sh = member.wet_sh if member.wet_sh is None else _partly_turned(member.wet_sh, member.marks.selected, own)
+        own = np.linalg.inv(to_scene) @ step @ to_scene
+        wet_sh = None if member.wet_sh is None else _partly_turned(member.wet_sh, member.marks.selected, own)
         return replace(member, gaussians=_partly_moved(member.gaussians, member.marks.selected, own), wet_sh=wet_sh)
 
     return edit_members(scene, placed)
@@ -54,41 +48,41 @@ def preview_move(scene: Scene, key: str | None, delta: Similarity, time_s: float
     """
     if key is not None:
         return move_member(scene, key, delta)
-    way, dragged = _in_scene(scene, delta), list[Layer]()
-    for member in scene.members:
-        to_scene = member.pose_at(time_s)
-        if to_scene is not None and is_editable(member) and member.marks.selected:
-            dragged.append(_dragged(member, way @ to_scene))
-    at_rest = edit_members(scene, _without_selection)
-    return replace(at_rest, layers=(*at_rest.layers, *dragged))
+    step = _in_scene(scene, delta)
+    dragged = [
+        _dragged(member, member.marks.selected, step @ to_scene)
+        for member in scene.members
+        if is_editable(member) and member.marks.selected and (to_scene := member.pose_at(time_s)) is not None
+    ]
+
+    def at_rest(member: Layer | Actor) -> Layer | Actor:
+        marks = member.marks
+        return replace(member, marks=_hiding(marks, marks.selected)) if marks.selected else member
+
+    scene = edit_members(scene, at_rest)
+    return replace(scene, layers=(*scene.layers, *dragged))
 
 
 def pivot(scene: Scene, key: str | None, time_s: float = 0.0) -> Float64[np.ndarray, "3"] | None:
-    """Pivot of a member, or with None of the selection: the middle of its centers, in the world. None if empty.
-
-    The middle is the median along each axis, which is robust to outliers.
-    """
+    """Median center, in the world, of a member, or with None of the selection; None if it is empty."""
     places: list[Float64[np.ndarray, "n 3"]] = []
     for member in scene.members:
         to_scene = member.pose_at(time_s)
-        wanted = member.key == key if key is not None else is_editable(member) and bool(member.marks.selected)
-        if to_scene is None or not wanted or not len(member.gaussians):
+        is_meant = member.key == key if key is not None else is_editable(member) and bool(member.marks.selected)
+        if to_scene is None or not is_meant or not len(member.gaussians):
             continue
-        if isinstance(member, Actor) and key is not None:
-            return (scene.scene_to_world @ to_scene)[:3, 3]
         to_world = scene.scene_to_world @ to_scene
+        if isinstance(member, Actor) and key is not None:
+            return to_world[:3, 3]
         middle = _middle(member.gaussians, None if key is not None else member.marks.selected)
         places.append((to_world[:3, :3] @ middle + to_world[:3, 3])[None])
     return np.concatenate(places).mean(axis=0) if places else None
 
 
-_MIDDLE_SAMPLES = 100_000
-
-
 @scene_cache(maxsize=32)
 def _middle(gaussians: Gaussians, selected: BitMask | None) -> Float64[np.ndarray, "3"]:
     means = gaussians.means if selected is None else gaussians.means[selected.indices]
-    return np.median(means[:: -(-len(means) // _MIDDLE_SAMPLES) or 1], axis=0).astype(np.float64)
+    return np.median(means[:: -(-len(means) // 100_000) or 1], axis=0).astype(np.float64)  # of that many at most
 
 
 def _in_scene(scene: Scene, delta: Similarity) -> Similarity:
@@ -132,30 +126,17 @@ def _turn_of(similarity: Similarity) -> Float64[np.ndarray, "3 3"] | None:
     return None if is_straight else similarity[:3, :3] / scale
 
 
-def _without_selection(member: Layer | Actor) -> Layer | Actor:
-    marks = member.marks
-    if not marks.selected:
-        return member
-    hidden = marks.selected if marks.hidden is None else mask_union(marks.hidden, marks.selected)
-    return replace(member, marks=SelectionFlags(marks.selected, hidden, marks.deleted))
+def _hiding(marks: SelectionFlags, mask: BitMask) -> SelectionFlags:
+    return replace(marks, hidden=mask if marks.hidden is None else mask_union(marks.hidden, mask))
 
 
-def _dragged(member: Layer | Actor, to_scene: Similarity) -> Layer:
-    marks = member.marks
-    assert marks.selected is not None
-    others = _complement(marks.selected)
+def _dragged(member: Layer | Actor, selected: BitMask, to_scene: Similarity) -> Layer:
+    kind = member.kind if isinstance(member, Layer) else "background"
+    marks = _hiding(member.marks, _complement(selected))
     return Layer(
-        f"{member.key} dragged",
-        member.gaussians,
-        member.kind if isinstance(member, Layer) else "background",
-        to_scene,
-        opacity=member.opacity,
-        grading=member.grading,
-        marks=SelectionFlags(
-            marks.selected, others if marks.hidden is None else mask_union(marks.hidden, others), marks.deleted
-        ),
-        wet_sh=member.wet_sh,
-    )
+        f"{member.key} dragged", member.gaussians, kind, to_scene, opacity=member.opacity, grading=member.grading,
+        marks=marks, wet_sh=member.wet_sh,
+    )  # fmt: skip
 
 
 @scene_cache(maxsize=64)
@@ -178,10 +159,8 @@ class Pose:
 
     @property
     def matrix(self) -> Float64[np.ndarray, "4 4"]:
-        matrix = np.eye(4)
-        matrix[:3, :3] = (
-            self.scale * scipy.spatial.transform.Rotation.from_euler("xyz", self.turn_deg, degrees=True).as_matrix()
-        )
+        matrix, rotation = np.eye(4), scipy.spatial.transform.Rotation.from_euler("xyz", self.turn_deg, degrees=True)
+        matrix[:3, :3] = self.scale * rotation.as_matrix()
         matrix[:3, 3] = self.position_m
         return matrix
 
@@ -190,9 +169,9 @@ def pose_of(matrix: Float64[np.ndarray, "4 4"]) -> Pose:
     """Decompose a similarity; if the rotation about y is a right angle, the one about z is 0."""
     scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
     rotation = scipy.spatial.transform.Rotation.from_matrix(matrix[:3, :3] / scale)
-    sine = (rotation.as_matrix())[2, 0]
+    m = rotation.as_matrix()
+    sine = m[2, 0]
     if abs(sine) > 1 - 1e-12:  # SciPy would warn about gimbal lock
-        m = rotation.as_matrix()
         turn = (float(np.degrees(np.arctan2(-sine * m[0, 1], m[1, 1]))), float(-90.0 * np.sign(sine)), 0.0)
     else:
         x, y, z = rotation.as_euler("xyz", degrees=True).tolist()
@@ -207,23 +186,18 @@ def layer_pose(scene: Scene, key: str, time_s: float = 0.0) -> Pose | None:
     A layer that was never moved has position 0, rotation 0, scale 1. An actor has scale 1; None while it is absent.
     """
     member, to_world = scene.member(key), scene.scene_to_world
-    if key.startswith("layers/"):
-        way = member.pose_at(time_s)
-        assert way is not None
-        return pose_of(to_world @ way @ np.linalg.inv(to_world))
-    way = member.pose_at(time_s)
-    if way is None:
+    to_scene = member.pose_at(time_s)
+    if to_scene is None:
         return None
-    pose = to_world @ way
+    if isinstance(member, Layer):
+        return pose_of(to_world @ to_scene @ np.linalg.inv(to_world))
+    pose = to_world @ to_scene
     pose[:3, :3] /= scene.metres_per_unit
     return pose_of(pose)
 
 
 def set_layer_pose(scene: Scene, key: str, pose: Pose, time_s: float = 0.0) -> Scene:
-    """Move a member to a pose as `layer_pose` returns it; an actor with its whole track.
-
-    Raises `ValueError` if there is none, it is locked, it is absent at the time, or the scale is not above 0.
-    """
+    """Move an unlocked member, present at the time, to a pose as `layer_pose` returns it; actors with their track."""
     member = find_unlocked_member(scene, key)
     if not pose.scale > 0:
         raise ValueError(f"The scale of {member.name} must be above 0, not {pose.scale:g}.")

@@ -16,7 +16,7 @@ from ...datasets.open_capture import open_capture
 from ...evaluation.report import RunReport, write_report
 from ...evaluation.report_charts import ImageComparison
 from ...recolor.problem import RecolorSettings
-from ...recolor.rainy_scene import QUICK, rainy_scene
+from ...recolor.recolor import QUICK, rainy_scene
 from ...recolor.result import read_recolored, with_colors, write_recolored
 from ...render.cpu.renderer import CpuRenderer
 from ...scene.camera import Camera

@@ -22,8 +22,8 @@ from ...scene.formats.scene_files import read_scene
 from ...scene.formats.scene_folder import FileCache
 from ...scene.progress import Progress
 from ...scene.scene import Scene
+from ...training.data import ReconstructionTask
 from ...training.settings import TrainingSettings
-from ...training.task import ReconstructionTask
 from ...trusted_code import expect_trusted
 from ..viewport_state import PendingScene
 from .job import WorkerCall, new_report, write_copy

@@ -1,8 +1,9 @@
 """Selectable Gaussians (visible, of unlocked members), and selections combined or by color."""
 
-from collections.abc import Iterator, Mapping
+import operator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float32
@@ -10,25 +11,20 @@ from jaxtyping import Float32
 from ...scene.flags import BitMask
 from ...scene.gaussians import SH_C0
 from ...scene.scene import Actor, DrawItem, Layer, Scene
+from ..edits.members import is_editable
 
 Found = Mapping[str, BitMask]
 """Gaussians found by a tool, by the keys of their members; members without any may be absent."""
 
 
-class Candidate(NamedTuple):
-    """A member at a time."""
-
-    key: str
-    part: DrawItem
-    """Its Gaussians, and their similarity to the world (meters)."""
-
-
-def is_selectable(member: Layer | Actor) -> bool:
-    return member.visible and not member.locked
+def candidates(scene: Scene, time_s: float) -> dict[str, DrawItem]:
+    """Parts of selectable members at a time, by their keys, without actors that are absent then."""
+    parts = {member.key: scene.part(member, time_s) for member in editable(scene)}
+    return {key: part for key, part in parts.items() if part is not None}
 
 
 def editable(scene: Scene) -> Iterator[Layer | Actor]:
-    return (member for member in scene.members if is_selectable(member))
+    return filter(is_editable, scene.members)
 
 
 def visible_gaussians(member: Layer | Actor) -> BitMask:
@@ -37,25 +33,25 @@ def visible_gaussians(member: Layer | Actor) -> BitMask:
     return BitMask.all(len(member.gaussians)) if left_out is None else ~left_out
 
 
-def candidates(scene: Scene, time_s: float) -> list[Candidate]:
-    """Selectable members at a time, without actors that are absent then."""
-    parts = [(member.key, scene.part(member, time_s)) for member in editable(scene)]
-    return [Candidate(key, part) for key, part in parts if part is not None]
+def selected(member: Layer | Actor) -> BitMask:
+    return member.marks.selected or BitMask.none(len(member.gaussians))
 
 
 # Combination of selections
 
 Mode = Literal["set", "add", "remove", "intersect"]
+_COMBINE: dict[Mode, Callable[[BitMask, BitMask], BitMask]] = {
+    "set": lambda _, found: found, "add": operator.or_, "remove": operator.sub, "intersect": operator.and_
+}  # fmt: skip
 
 
 def combine_selection(scene: Scene, found: Found, mode: Mode) -> Scene:
-    """Combine found Gaussians with the selection; returns the same scene object if nothing changes.
-
-    Hidden and deleted Gaussians never become selected; hidden or locked members keep their selection.
-    """
+    """Combine found, shown Gaussians with the selection of editable members; the same scene if nothing changes."""
     for member in editable(scene):
         own = found.get(member.key) or BitMask.none(len(member.gaussians))
-        scene = _with_selected(scene, member, _put_together(selected(member), own & visible_gaussians(member), mode))
+        mask = _COMBINE[mode](selected(member), own & visible_gaussians(member))
+        if not mask.same_as(selected(member)):
+            scene = scene.with_member(member.key, marks=replace(member.marks, selected=mask if mask else None))
     return scene
 
 
@@ -69,13 +65,8 @@ def none_selected(scene: Scene) -> Scene:
 
 def inverted(scene: Scene) -> Scene:
     """Select the shown Gaussians that were not selected."""
-    return combine_selection(
-        scene, {member.key: visible_gaussians(member) - selected(member) for member in editable(scene)}, "set"
-    )
-
-
-def selected(member: Layer | Actor) -> BitMask:
-    return member.marks.selected or BitMask.none(len(member.gaussians))
+    rest = {member.key: visible_gaussians(member) - selected(member) for member in editable(scene)}
+    return combine_selection(scene, rest, "set")
 
 
 def selections(scene: Scene) -> dict[str, BitMask]:
@@ -90,23 +81,6 @@ def selected_count(scene: Scene) -> int:
 
 def selectable_count(scene: Scene) -> int:
     return sum(visible_gaussians(member).size for member in editable(scene))
-
-
-def _put_together(now: BitMask, found: BitMask, mode: Mode) -> BitMask:
-    if mode == "add":
-        return now | found
-    if mode == "remove":
-        return now - found
-    return found if mode == "set" else now & found
-
-
-def _with_selected(scene: Scene, member: Layer | Actor, mask: BitMask) -> Scene:
-    if mask.same_as(selected(member)):
-        return scene
-    return scene.with_member(member.key, marks=replace(member.marks, selected=mask if mask else None))
-
-
-# Base colors
 
 
 def base_colors(part: DrawItem) -> Float32[np.ndarray, "n 3"]:
@@ -130,9 +104,9 @@ def select_similar_colors(
 ) -> dict[str, BitMask]:
     """Find Gaussians whose base color differs by at most `tolerance` (0..1) in each channel."""
     found: dict[str, BitMask] = {}
-    for each in candidates(scene, time_s):
-        difference = base_colors(each.part)
+    for key, part in candidates(scene, time_s).items():
+        difference = base_colors(part)
         difference -= color
         near = np.abs(difference, out=difference) <= tolerance
-        found[each.key] = BitMask.of(near[:, 0] & near[:, 1] & near[:, 2])
+        found[key] = BitMask.of(near[:, 0] & near[:, 1] & near[:, 2])
     return found

@@ -9,9 +9,9 @@ from typing import Literal, no_type_check
 import cv2
 import numba
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int32
+from jaxtyping import Bool, Float32, Float64
 
-from ...render.cpu.compositing import ColorOperator, color_operator, color_operator_transpose
+from ...render.cpu.compositing import color_operator, color_operator_transpose
 from ...render.cpu.projection import NEAR_M, project
 from ...render.draw import RenderView
 from ...scene.camera import Camera
@@ -21,10 +21,7 @@ from .candidates import candidates
 
 Depths = Literal["all through", "front-most", "to a depth"]
 
-# Reach of a shape
-
-MIN_SHARE = 0.05
-"""Behind one opaque surface the visible share is 0.05 at most; overlapping neighbors on a surface keep more."""
+_MIN_SHARE = 0.05  # behind one opaque surface a Gaussian has at most this share; overlapping neighbors on it have more
 
 
 @dataclass(frozen=True)
@@ -36,8 +33,6 @@ class DepthMode:
     """Along the view axis from the camera; only used for "to a depth"."""
     touching: bool = False
     """True if a shape also selects Gaussians that it touches within one standard deviation, not only by center."""
-    min_share: float = MIN_SHARE
-    """Minimum visible share of a Gaussian to count as front-most."""
 
 
 ALL_THROUGH = DepthMode()
@@ -47,25 +42,19 @@ def select_in_screen_shape(
     scene: Scene, shot: RenderView, pixels: Bool[np.ndarray, "h w"], reach: DepthMode = ALL_THROUGH
 ) -> dict[str, BitMask]:
     """Find the Gaussians within a shape of the image of `shot`; `pixels` is its mask."""
-    camera, depth = shot.camera, reach.depth_m if reach.depths == "to a depth" else np.inf
-    found: dict[str, BitMask] = {}
     if not pixels.any():
-        return found
-    own = candidates(scene, shot.time_s)
+        return {}
+    depth = reach.depth_m if reach.depths == "to a depth" else np.inf
     find = _touched if reach.touching else _centered
-    for each in own:
-        found[each.key] = BitMask.of(find(each.part, camera, pixels, depth))
+    own = candidates(scene, shot.time_s)
+    found = {key: BitMask.of(find(part, shot.camera, pixels, depth)) for key, part in own.items()}
     if reach.depths == "front-most":
-        for key, shares in visible_shares(scene, shot, _box_around(pixels)).items():
+        columns, rows = np.flatnonzero(pixels.any(axis=0)), np.flatnonzero(pixels.any(axis=1))
+        box = int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
+        for key, shares in visible_shares(scene, shot, box).items():
             if key in found:
-                found[key] = found[key] & BitMask.of(shares >= reach.min_share)
+                found[key] = found[key] & BitMask.of(shares >= _MIN_SHARE)
     return found
-
-
-def _box_around(pixels: Bool[np.ndarray, "h w"]) -> tuple[int, int, int, int]:
-    """Left, top, right, bottom of the covered pixels; the last two are exclusive."""
-    columns, rows = np.flatnonzero(pixels.any(axis=0)), np.flatnonzero(pixels.any(axis=1))
-    return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
 
 
 def _centered(
@@ -73,7 +62,8 @@ def _centered(
 ) -> Bool[np.ndarray, " n"]:
     flags = np.empty(len(part.gaussians), np.bool_)
     to_camera = np.ascontiguousarray((camera.world_to_camera @ part.to_world)[:3])
-    _find_centers(part.gaussians.means, to_camera, _intrinsics(camera), pixels, depth_m, flags)
+    intrinsics = float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)
+    _find_centers(part.gaussians.means, to_camera, intrinsics, pixels, depth_m, flags)
     return flags
 
 
@@ -84,10 +74,6 @@ def _touched(part: DrawItem, camera: Camera, pixels: Bool[np.ndarray, "h w"], de
     flags = np.zeros(len(part.gaussians), np.bool_)
     flags[splats.indices[touching]] = True
     return flags
-
-
-def _intrinsics(camera: Camera) -> Sequence[float]:
-    return float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)
 
 
 def camera_depths(part: DrawItem, camera: Camera) -> Float64[np.ndarray, " n"]:
@@ -166,14 +152,19 @@ def polygon(corners: Sequence[Point], width: int, height: int) -> Bool[np.ndarra
 def stroke(points: Sequence[Point], radius_px: float, width: int, height: int) -> Bool[np.ndarray, "h w"]:
     """Pixels covered by a disc moved through the points."""
     picture = np.zeros((height, width), np.uint8)
-    fixed = _fixed(points)
+    # OpenCV's fixed-point numbers, where pixel centers are integers
+    near = np.clip(np.array(points, np.float64).reshape(-1, 2), -_FARTHEST, _FARTHEST)
+    fixed = np.round((near - 0.5) * (1 << _SHIFT)).astype(np.int32)
     radius = max(1, round(radius_px * (1 << _SHIFT)))
     for center in fixed.tolist():
         cv2.circle(picture, center, radius, (1,), cv2.FILLED, shift=_SHIFT)
     for start, end in pairwise(fixed):
-        across = _across(start, end, radius)
-        if across is not None:
-            cv2.fillConvexPoly(picture, across, (1,), shift=_SHIFT)
+        along = (end - start).astype(np.float64)
+        length = float(np.hypot(*along))
+        if length > 0:  # the band between two discs
+            side = radius / length * np.array([-along[1], along[0]])
+            corners = np.round([start + side, end + side, end - side, start - side]).astype(np.int32)
+            cv2.fillConvexPoly(picture, corners, (1,), shift=_SHIFT)
     return picture.view(np.bool_)
 
 
@@ -183,24 +174,9 @@ def outlines(pixels: Bool[np.ndarray, "h w"]) -> list[Float64[np.ndarray, "_ 2"]
     return [line.reshape(-1, 2) + 0.5 for line in found]
 
 
-def _fixed(points: Sequence[Point]) -> Int32[np.ndarray, "k 2"]:
-    """Points in OpenCV's fixed-point numbers, where pixel centers are integers."""
-    near = np.clip(np.array(points, np.float64).reshape(-1, 2), -_FARTHEST, _FARTHEST)
-    return np.round((near - 0.5) * (1 << _SHIFT)).astype(np.int32)
+# Visible shares
 
-
-def _across(start: Int32[np.ndarray, "2"], end: Int32[np.ndarray, "2"], radius: int) -> Int32[np.ndarray, "4 2"] | None:
-    """Corners of the band between two discs; None if they are the same."""
-    way = (end - start).astype(np.float64)
-    length = float(np.hypot(*way))
-    if length == 0:
-        return None
-    side = radius / length * np.array([-way[1], way[0]])
-    return np.round([start + side, end + side, end - side, start - side]).astype(np.int32)
-
-
-_MAX_PIXELS = 120_000
-"""Maximum size of the image for visible shares: coarser than the screen's, and several times faster."""
+_MAX_PIXELS = 120_000  # of the image for visible shares: coarser than the screen's, and several times faster
 
 
 def visible_shares(
@@ -215,12 +191,14 @@ def visible_shares(
     members = [member for member in scene.members if member.visible]
     shown = [(member.key, part) for member in members if (part := scene.part(member, shot.time_s)) is not None]
     weights = color_operator([strip_sh(part) for _, part in shown], _cut_out(shot.camera, box))
-    sums, squared = _weight_sums(weights)
+    ones = np.ones((weights.tiles.height, weights.tiles.width, 3), np.float32)
+    gathered = color_operator_transpose(weights.splats.shapes, ones, weights.tiles)
+    sums, squared = gathered[:, 0], gathered[:, 3]  # of each splat's weights, in one pass over the image
     opacities = np.exp(weights.splats.shapes[:, 5])
     shares = np.zeros(sum(len(part.gaussians) for _, part in shown), np.float32)
-    is_seen = sums > 0
-    seen = 2 * squared[is_seen] / (opacities[is_seen] * sums[is_seen])
-    shares[weights.splats.indices[is_seen]] = np.minimum(seen, 1)
+    is_visible = sums > 0
+    visible = 2 * squared[is_visible] / (opacities[is_visible] * sums[is_visible])
+    shares[weights.splats.indices[is_visible]] = np.minimum(visible, 1)
     ends = np.cumsum([len(part.gaussians) for _, part in shown])[:-1]
     return {key: own for (key, _), own in zip(shown, np.split(shares, ends), strict=True)}
 
@@ -232,28 +210,12 @@ def _cut_out(camera: Camera, box: tuple[int, int, int, int]) -> Camera:
     width, height = max(1, round((right - left) * scale)), max(1, round((bottom - top) * scale))
     across, down = width / (right - left), height / (bottom - top)
     return Camera(
-        width,
-        height,
-        camera.fx * across,
-        camera.fy * down,
-        (camera.cx - left) * across,
-        (camera.cy - top) * down,
-        camera.world_to_camera,
-        camera.exposure_s,
-    )
-
-
-def _weight_sums(weights: ColorOperator) -> tuple[Float32[np.ndarray, " m"], Float32[np.ndarray, " m"]]:
-    """Sum of each splat's weights, and of their squares, in one pass over the image."""
-    ones = np.ones((weights.tiles.height, weights.tiles.width, 3), np.float32)
-    gathered = color_operator_transpose(weights.splats.shapes, ones, weights.tiles)
-    return gathered[:, 0], gathered[:, 3]
-
-
-# Items without colors, for tests of position only: harmonics are most of a scene's memory
+        width, height, camera.fx * across, camera.fy * down, (camera.cx - left) * across, (camera.cy - top) * down,
+        camera.world_to_camera, camera.exposure_s,
+    )  # fmt: skip
 
 
 def strip_sh(part: DrawItem) -> DrawItem:
-    """Return a gray item; it uses no memory until it is read."""
+    """Return a gray item, for tests of position only: harmonics are most of a scene's memory; zeros use none yet."""
     count = len(part.gaussians)
     return part._replace(gaussians=part.gaussians.with_sh(np.zeros((count, 1, 3), np.float32)), colors=None)

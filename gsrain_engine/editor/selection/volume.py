@@ -1,6 +1,5 @@
 """Selection in 3D: within a sphere or a box, grow and shrink, and flood fill of connected, similar Gaussians."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import no_type_check
 
@@ -12,9 +11,7 @@ from jaxtyping import Bool, Float64, Int64
 from ...scene.flags import BitMask
 from ...scene.scene import DrawItem, Scene
 from ..edits.gaussians import CropBox
-from .candidates import Candidate, Found, base_color, candidates, select_similar_colors, selected, visible_gaussians
-
-_MIN_RADIUS_M = 0.01
+from .candidates import Found, base_color, candidates, select_similar_colors, selected, visible_gaussians
 
 
 @dataclass(frozen=True)
@@ -27,8 +24,8 @@ class Sphere:
     def reaching(self, eye_m: Float64[np.ndarray, "3"], sight: Float64[np.ndarray, "3"]) -> "Sphere":
         """Return the sphere around the same center that a line of sight touches; `sight` is a unit vector."""
         to_center = self.middle - eye_m
-        beside = to_center - (to_center @ sight) * sight
-        return replace(self, radius_m=max(float(np.linalg.norm(beside)), _MIN_RADIUS_M))
+        across = to_center - (to_center @ sight) * sight
+        return replace(self, radius_m=max(float(np.linalg.norm(across)), 0.01))
 
     @property
     def middle(self) -> Float64[np.ndarray, "3"]:
@@ -60,15 +57,14 @@ def placed_on(box: CropBox, point_m: Float64[np.ndarray, "3"]) -> CropBox:
 
 def in_volume(scene: Scene, time_s: float, volume: Volume) -> dict[str, BitMask]:
     """Find the Gaussians with centers in a volume at a time, also those outside the image."""
-    return {each.key: BitMask.of(_inside(each.part, volume)) for each in candidates(scene, time_s)}
-
-
-def _inside(part: DrawItem, volume: Volume) -> Bool[np.ndarray, " n"]:
-    flags = np.empty(len(part.gaussians), np.bool_)
     to_unit = volume.to_unit if isinstance(volume, Sphere) else np.linalg.inv(volume.to_world)
-    to_unit = np.ascontiguousarray((to_unit @ part.to_world)[:3])
-    _find_inside(part.gaussians.means, to_unit, isinstance(volume, Sphere), flags)
-    return flags
+    found: dict[str, BitMask] = {}
+    for key, part in candidates(scene, time_s).items():
+        flags = np.empty(len(part.gaussians), np.bool_)
+        own_to_unit = np.ascontiguousarray((to_unit @ part.to_world)[:3])
+        _find_inside(part.gaussians.means, own_to_unit, isinstance(volume, Sphere), flags)
+        found[key] = BitMask.of(flags)
+    return found
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -86,58 +82,41 @@ def _find_inside(means, m, is_round, flags):
             flags[i] = abs(a) <= 1 and abs(b) <= 1 and abs(c) <= 1
 
 
-# Centers of several members in one array, and back to masks
-
-
-def world_points(
-    members: Sequence[Candidate], among: Found
-) -> tuple[Float64[np.ndarray, "m 3"], Int64[np.ndarray, "m 2"]]:
-    """Centers in the world (meters) of Gaussians, and their owners: index of the member, index of the Gaussian.
-
-    In the order of members, then of Gaussians.
-    """
-    points, owners = [np.zeros((0, 3))], [np.zeros((0, 2), np.int64)]
-    for number, each in enumerate(members):
-        mask = among.get(each.key)
-        if mask:
-            indices = mask.indices
-            to_world = each.part.to_world
-            points.append(each.part.gaussians.means[indices] @ to_world[:3, :3].T + to_world[:3, 3])
-            owners.append(np.stack([np.full(len(indices), number), indices], axis=1))
-    return np.concatenate(points), np.concatenate(owners)
-
-
-def masks_by_member(members: Sequence[Candidate], owners: Int64[np.ndarray, "m 2"]) -> dict[str, BitMask]:
-    """Masks of Gaussians given by their owners, see `world_points`."""
-    found: dict[str, BitMask] = {}
-    for number, each in enumerate(members):
-        flags = np.zeros(len(each.part.gaussians), np.bool_)
-        flags[owners[owners[:, 0] == number, 1]] = True
-        found[each.key] = BitMask.of(flags)
-    return found
-
-
 # Grow and shrink
 
 
-def expand(scene: Scene, time_s: float, distance_m: float) -> dict[str, BitMask]:
-    """Find unselected Gaussians with centers within a distance of a selected one's."""
-    return _near(scene, time_s, distance_m, of_selected=True)
-
-
-def selection_boundary(scene: Scene, time_s: float, distance_m: float) -> dict[str, BitMask]:
-    """Find selected Gaussians within a distance of shown, unselected ones: those that shrinking removes."""
-    return _near(scene, time_s, distance_m, of_selected=False)
-
-
-def _near(scene: Scene, time_s: float, distance_m: float, *, of_selected: bool) -> dict[str, BitMask]:
+def near_selection(scene: Scene, time_s: float, distance_m: float, *, inside: bool = False) -> dict[str, BitMask]:
+    """Find shown Gaussians within a distance of selected ones, or with `inside` selected ones near any others."""
     own = candidates(scene, time_s)
-    members = [scene.member(each.key) for each in own]
-    inside = {each.key: selected(each) & visible_gaussians(each) for each in members}
-    outside = {each.key: visible_gaussians(each) - selected(each) for each in members}
-    sources, targets = (inside, outside) if of_selected else (outside, inside)
-    points, owners = world_points(own, targets)
-    return masks_by_member(own, owners[_reached(points, world_points(own, sources)[0], distance_m)])
+    members = [scene.member(key) for key in own]
+    chosen = {each.key: selected(each) & visible_gaussians(each) for each in members}
+    others = {each.key: visible_gaussians(each) - selected(each) for each in members}
+    points, rows = _world_points(own, chosen if inside else others)
+    sources, _ = _world_points(own, others if inside else chosen)
+    return _masks(own, rows[_reached(points, sources, distance_m)])
+
+
+def _world_points(
+    parts: dict[str, DrawItem], among: Found
+) -> tuple[Float64[np.ndarray, "m 3"], Int64[np.ndarray, " m"]]:
+    """Centers in the world (meters) of Gaussians, and their rows, increasing, counted through all parts."""
+    points, rows, first = [np.zeros((0, 3))], [np.zeros(0, np.int64)], 0
+    for key, part in parts.items():
+        mask = among.get(key)
+        if mask:
+            indices = mask.indices
+            points.append(part.gaussians.means[indices] @ part.to_world[:3, :3].T + part.to_world[:3, 3])
+            rows.append(first + indices)
+        first += len(part.gaussians)
+    return np.concatenate(points), np.concatenate(rows)
+
+
+def _masks(parts: dict[str, DrawItem], rows: Int64[np.ndarray, " m"]) -> dict[str, BitMask]:
+    """Masks of the Gaussians in rows that are counted through all parts."""
+    ends = np.cumsum([len(part.gaussians) for part in parts.values()], dtype=np.int64)
+    flags = np.zeros(ends[-1] if len(ends) else 0, np.bool_)
+    flags[rows] = True
+    return {key: BitMask.of(own) for key, own in zip(parts, np.split(flags, ends), strict=False)}
 
 
 def _reached(
@@ -162,10 +141,7 @@ def _reached(
 
 # Flood fill
 
-NEIGHBORS = 8
-"""Number of neighbors that defines the spacing."""
-
-_ROOM = 1 << 40  # factor to combine member and Gaussian index into one number; no member has more Gaussians
+_NEIGHBORS = 8  # number of neighbors that defines the spacing
 _EDGE = 1 << 20  # maximum number of cells from the seed: three numbers of 21 bits form a key
 
 
@@ -179,32 +155,23 @@ def flood_select(
     Gaussians at the seed: the distance to the eighth nearest.
     """
     own = candidates(scene, time_s)
-    seed = next(each for each in own if each.key == key)
-    similar = select_similar_colors(scene, time_s, base_color(seed.part, index), tolerance)
-    points, owners = world_points(own, similar)
-    at = int(np.searchsorted(owners[:, 0] * _ROOM + owners[:, 1], own.index(seed) * _ROOM + index))
-    side = reach * _spacing(points, at)
+    similar = select_similar_colors(scene, time_s, base_color(own[key], index), tolerance)
+    points, rows = _world_points(own, similar)
+    before = list(own.values())[: list(own).index(key)]
+    at = int(np.searchsorted(rows, sum(len(part.gaussians) for part in before) + index))
+    squares, nearest = ((points - points[at]) ** 2).sum(axis=1), min(_NEIGHBORS, len(points) - 1)
+    side = reach * max(float(np.sqrt(np.partition(squares, nearest)[nearest])), 1e-6)
     cells = np.floor((points - points[at]) / side + 0.5)
     flags = np.zeros(len(points), np.bool_)
     near = np.flatnonzero(np.abs(cells).max(axis=1) < _EDGE)
     flags[near] = _connected(cells[near].astype(np.int64), int(np.searchsorted(near, at)))
-    return masks_by_member(own, owners[flags])
-
-
-def _spacing(points: Float64[np.ndarray, "m 3"], at: int) -> float:
-    """Distance in meters from one point to its eighth nearest; never 0."""
-    squares = ((points - points[at]) ** 2).sum(axis=1)
-    nearest = min(NEIGHBORS, len(points) - 1)
-    return max(float(np.sqrt(np.partition(squares, nearest)[nearest])), 1e-6)
+    return _masks(own, rows[flags])
 
 
 @numba.njit(cache=True)
 @no_type_check
 def _connected(cells: Int64[np.ndarray, "m 3"], seed: int) -> Bool[np.ndarray, " m"]:
-    """Flag the points whose cells connect to the seed's through neighboring cells.
-
-    Cells are stored in a hash table with open addressing, at most half full.
-    """
+    """Flag the points whose cells connect to the seed's through neighbors, by a hash table at most half full."""
     size = 16
     while size < 2 * len(cells):
         size *= 2

@@ -53,21 +53,16 @@ class OrbitCamera:
         return Camera.from_fov(width, height, self.vertical_fov_deg, pose)
 
     def look_like(self, camera: Camera) -> None:
-        """Take the position, line of sight and field of view of a camera; roll is lost."""
-        forward = camera.world_to_camera[2, :3]
-        self.position = camera.position.copy()
-        self.heading = float(np.arctan2(forward[1], forward[0]))
-        self.pitch = float(np.clip(np.arcsin(np.clip(forward[2], -1, 1)), -_STEEPEST, _STEEPEST))
-        self.vertical_fov_deg = camera.vertical_fov_deg
+        """Use the position, line of sight and field of view of a camera; roll is lost."""
+        self.position, self.vertical_fov_deg = camera.position.copy(), camera.vertical_fov_deg
+        self._look_along(camera.world_to_camera[2, :3])
 
     def carry(self, similarity: Float64[np.ndarray, "4 4"]) -> None:
         """Apply a similarity of the world to the camera; roll is lost."""
         scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
-        x, y, z = similarity[:3, :3] @ self.forward / scale
         self.position = similarity[:3, :3] @ self.position + similarity[:3, 3]
         self.distance_m *= scale
-        self.heading = float(np.arctan2(y, x))
-        self.pitch = float(np.clip(np.arcsin(np.clip(z, -1, 1)), -_STEEPEST, _STEEPEST))
+        self._look_along(similarity[:3, :3] @ self.forward / scale)
 
     def orbit(self, right_rad: float, up_rad: float) -> None:
         """Turn around the target, so that the scene follows the mouse."""
@@ -97,7 +92,9 @@ class OrbitCamera:
         if gap > 0:
             self.distance_m = float(np.clip(self.distance_m, gap + 0.5 * radius, gap + 2 * radius))
             if not is_in_view(core, self.position, self.forward, self.vertical_fov_deg):
-                self._look_at(core.middle)
+                x, y, z = (core.middle - self.position).tolist()
+                self.heading = float(np.arctan2(y, x))
+                self.pitch = float(np.clip(np.arctan2(z, np.hypot(x, y)), -_STEEPEST, _STEEPEST))
         else:
             self.distance_m = min(self.distance_m, 2 * radius)
         distance = self.distance_m * 0.9**steps
@@ -109,9 +106,8 @@ class OrbitCamera:
 
     def fly(self, forward: float, right: float, up: float, real_s: float) -> None:
         """Fly for a time; each direction is -1, 0 or 1."""
-        velocity = self.speed_m_s * (forward * self.forward + right * self.right + up * _UP)
-        self.velocity_m_s = velocity
-        self.position = self.position + velocity * real_s
+        self.velocity_m_s = self.speed_m_s * (forward * self.forward + right * self.right + up * _UP)
+        self.position = self.position + self.velocity_m_s * real_s
 
     @property
     def is_flying(self) -> bool:
@@ -128,14 +124,13 @@ class OrbitCamera:
     def frame(self, core: SceneCore) -> None:
         """Move back along the line of sight until the scene's core fills the image, but stay inside of the shell."""
         self._mend(core)
-        wanted = max(core.radius_m, 1e-3) / float(np.sin(np.radians(self.vertical_fov_deg) / 2))
-        self.distance_m = min(wanted, max(core.farthest_m, 1e-3))
+        fitting_m = max(core.radius_m, 1e-3) / float(np.sin(np.radians(self.vertical_fov_deg) / 2))
+        self.distance_m = min(fitting_m, max(core.farthest_m, 1e-3))
         self.position = core.middle - self.distance_m * self.forward
 
-    def _look_at(self, point: Float64[np.ndarray, "3"]) -> None:
-        x, y, z = (point - self.position).tolist()
-        self.heading = float(np.arctan2(y, x))
-        self.pitch = float(np.clip(np.arctan2(z, np.hypot(x, y)), -_STEEPEST, _STEEPEST))
+    def _look_along(self, forward: Float64[np.ndarray, "3"]) -> None:
+        self.heading = float(np.arctan2(forward[1], forward[0]))
+        self.pitch = float(np.clip(np.arcsin(np.clip(forward[2], -1, 1)), -_STEEPEST, _STEEPEST))
 
     def _mend(self, core: SceneCore) -> None:
         """Reset an unusable pose: non-finite or extremely far."""
@@ -163,14 +158,10 @@ def is_in_view(
 
 _FOV_DEG = 50.0
 _LOOKING_DOWN_DEG = 8.0
-_LOOKING_DOWN_ON_FLAT_DEG = 25.0
-"""Pitch for wide and low scenes such as streets, where the first houses would hide the rest."""
-
+_LOOKING_DOWN_ON_FLAT_DEG = 25.0  # for wide and low scenes such as streets, where the first houses would hide the rest
 _MARGIN = 1.12  # margin around the box, which excludes 2 % along each axis
-ORBIT_S = 8.0
-"""Duration of the orbit for scenes without a drive."""
-
-ORBIT_DEG = 40.0
+ORBIT_S, ORBIT_DEG = 8.0, 40.0
+"""Duration and angle of the orbit for scenes without a drive."""
 
 
 def home_camera(scene: Scene, width: int, height: int) -> Camera:
@@ -206,18 +197,13 @@ def _fitting_distance(core: SceneCore, world_to_camera: Float64[np.ndarray, "3 3
 def default_path(scene: Scene, width: int, height: int) -> CameraPath:
     """Path of the ego vehicle's front camera, else an orbit around the middle. World frame."""
     front = front_camera(scene)
-    if front is not None:
-        return rig_camera_path(scene, front, width, height)
-    return orbit_around(scene, width, height)
+    return orbit_around(scene, width, height) if front is None else rig_camera_path(scene, front, width, height)
 
 
 def orbit_around(
     scene: Scene, width: int, height: int, duration_s: float = ORBIT_S, sweep_deg: float = ORBIT_DEG
 ) -> CameraPath:
-    """Orbit around a scene's middle, from one side of its home camera to the other. World frame.
-
-    Raises `ValueError` if the duration is not above 0.
-    """
+    """Orbit in the world around a scene's middle, centered at its home camera; the duration must be above 0."""
     if not duration_s > 0:
         raise ValueError(f"an orbit of {duration_s:g} s: its time must be above 0 s")
     return orbit_path(find_scene_core(scene).middle, home_camera(scene, width, height), duration_s, sweep_deg)
@@ -234,10 +220,10 @@ def front_camera(scene: Scene) -> RigCamera | None:
 def find_scene_core(scene: Scene) -> SceneCore:
     """Find the dense core of the visible layers, and the sky around it; of the actors if no layer is visible."""
     layers = [each for each in scene.layers if each.visible]
-    shown = [each for each in layers if each.kind != "sky"] or [each for each in scene.actors if each.visible]
+    solid = [each for each in layers if each.kind != "sky"] or [each for each in scene.actors if each.visible]
     parts, sky = (
         [part for each in members if (part := scene.part(each)) is not None]
-        for members in (shown, [each for each in layers if each.kind == "sky"])
+        for members in (solid, [each for each in layers if each.kind == "sky"])
     )
     return core_bounds(parts, sky)
 

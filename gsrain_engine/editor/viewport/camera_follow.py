@@ -51,8 +51,15 @@ class ChaseCamera:
             return
         pose = vehicle.rig_to_world
         self.velocity_m_s = vehicle.speed_m_s * pose[:3, 0]
+        front = vehicle.front_camera
         if self.mode == "front camera":
-            _look_from_front(vehicle, navigation)
+            if front is not None:
+                to_camera = np.linalg.inv(pose @ front.camera_to_ego)
+                navigation.look_like(
+                    Camera(
+                        front.width, front.height, front.fx, front.fy, front.cx, front.cy, to_camera, front.exposure_s
+                    )
+                )
         elif self._pose is None:
             _stand_behind(vehicle, navigation)
         elif not np.array_equal(self._pose, pose):
@@ -71,22 +78,9 @@ def _stand_behind(vehicle: VehicleMoment, navigation: OrbitCamera) -> None:
     navigation.vertical_fov_deg = _FOV_DEG
 
 
-def _look_from_front(vehicle: VehicleMoment, navigation: OrbitCamera) -> None:
-    front = vehicle.front_camera
-    if front is None:
-        return
-    to_camera = np.linalg.inv(vehicle.rig_to_world @ front.camera_to_ego)
-    navigation.look_like(
-        Camera(front.width, front.height, front.fx, front.fy, front.cx, front.cy, to_camera, front.exposure_s)
-    )
-
-
-# Camera that follows an actor at its offset, while the user may look around
-
-
 @dataclass(slots=True)
 class ActorFollower:
-    """Followed actor and its last pose. World frame, meters."""
+    """Camera that follows an actor at its offset, while the user may look around. World frame, meters."""
 
     key: str = ""
     """Key of the actor; "" for none."""
@@ -100,10 +94,7 @@ class ActorFollower:
         self.key, self._pose, self.velocity_m_s = key, None, None
 
     def ride(self, scene: Scene, time_s: float, navigation: OrbitCamera) -> None:
-        """Move and turn the camera with the actor since the last call.
-
-        While the actor is absent the camera stays; a jump in time moves the camera at once.
-        """
+        """Move and turn the camera with the actor since the last call; it stays while the actor is absent."""
         actor = next((each for each in scene.actors if each.key == self.key), None)
         pose = _level_pose(scene, actor, time_s) if actor is not None else None
         before, self.velocity_m_s = self._pose, None
@@ -123,10 +114,10 @@ class ActorFollower:
 
 def _level_pose(scene: Scene, actor: Actor, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
     """Position and heading of an actor, without its pitch and roll."""
-    way = actor.pose_at(time_s)
-    if way is None:
+    to_scene = actor.pose_at(time_s)
+    if to_scene is None:
         return None
-    pose = scene.scene_to_world @ way
+    pose = scene.scene_to_world @ to_scene
     heading = float(np.arctan2(pose[1, 0], pose[0, 0]))
     c, s = np.cos(heading), np.sin(heading)
     level = np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
@@ -137,15 +128,13 @@ def _level_pose(scene: Scene, actor: Actor, time_s: float) -> Float64[np.ndarray
 # Path to ride along and to record: the user's or a default one, in the world
 
 Matrix = Float64[np.ndarray, "4 4"]
-_VIEW_SIZE = (960, 640)  # aspect ratio for the field of view of the default path
 
 
 class PathFollower:
     """Caches the path of the present scene; returns the same object while its inputs stay the same."""
 
-    def __init__(self) -> None:
-        self._own: tuple[CameraPath, Matrix, CameraPath] | None = None
-        self._default: tuple[tuple[object, object], Matrix, CameraPath] | None = None
+    _own: tuple[CameraPath, Matrix, CameraPath] | None = None
+    _default: tuple[tuple[object, object], Matrix, CameraPath] | None = None
 
     def path(self, scene: Scene) -> CameraPath:
         """Path of a scene, in the world (meters, z up)."""
@@ -160,7 +149,8 @@ class PathFollower:
         # Independent of layers: hiding or deleting them must not change a path that the user rides along.
         drive = scene.ego, scene.rigs
         if self._default is None or any(a is not b for a, b in zip(self._default[0], drive, strict=True)):
-            self._default = drive, to_world, default_path(scene, *_VIEW_SIZE)
+            path = default_path(scene, 960, 640)  # only the aspect ratio counts, for the field of view
+            self._default = drive, to_world, path
         elif not np.array_equal(self._default[1], to_world):
             step = to_world @ np.linalg.inv(self._default[1])
             self._default = drive, to_world, self._default[2].moved(step)

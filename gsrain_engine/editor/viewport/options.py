@@ -48,9 +48,6 @@ class ViewOptions:
     """Name of the active viewport tool; empty for navigation."""
 
 
-# Panes
-
-
 class SplitPane(NamedTuple):
     """Content of one pane of the viewport."""
 
@@ -59,11 +56,8 @@ class SplitPane(NamedTuple):
     rainfall: RainSimulation
 
 
-# Texture for panels
-
-
 class Texture(NamedTuple):
-    """A texture on the GPU, first row on top."""
+    """A texture on the GPU for panels, first row on top."""
 
     name: int
     """OpenGL name."""
@@ -87,26 +81,19 @@ class QualityLevel(NamedTuple):
         return self == FULL_QUALITY
 
     def __str__(self) -> str:
-        """Describe the level; empty if it is exact."""
-        words: list[str] = []
-        if self.gaussians < 1:
-            words.append(f"1/{round(1 / self.gaussians)} of the Gaussians")
-        if self.scale < 1:
-            words.append(f"{self.scale:.0%} resolution")
-        return ", ".join(words)
+        """Describe the level; empty for full quality."""
+        subset = f"1/{round(1 / self.gaussians)} of the Gaussians" if self.gaussians < 1 else ""
+        return ", ".join(filter(None, [subset, f"{self.scale:.0%} resolution" if self.scale < 1 else ""]))
 
 
 FULL_QUALITY = QualityLevel(1.0, 1.0)
-
 LEVELS = (
     FULL_QUALITY, QualityLevel(1 / 2, 1.0), QualityLevel(1 / 4, 1.0), QualityLevel(1 / 8, 1.0),
     QualityLevel(1 / 8, 2 / 3), QualityLevel(1 / 8, 1 / 2), QualityLevel(1 / 8, 1 / 3),
 )  # fmt: skip
 """First fewer Gaussians, then fewer pixels."""
 
-SETTLED_S = 0.15
-"""Time without motion after which full quality returns."""
-
+SETTLED_S = 0.15  # time without motion after which full quality returns
 _TOLERANCE = 1.15
 _PROMISING = 0.55  # share of the target frame time below which a finer level is tried
 _FORGET_AFTER = 45  # frames after which a level that was too slow may be tried again

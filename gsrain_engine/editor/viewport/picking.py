@@ -5,14 +5,13 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Float64, Int64
 
 from ...rain.simulation import mean_linear_color
 from ...render.cpu.projection import Splats, project
 from ...render.draw import RenderView
 from ...render.renderer import Color, Renderer
 from ...scene.camera import Camera
-from ...scene.gaussians import Gaussians
 from ...scene.geometry import matrices_from_quaternions
 from ...scene.scene import Actor, DrawItem, Layer, Scene
 
@@ -36,7 +35,7 @@ def pick_point(scene: Scene, shot: RenderView, x: float, y: float) -> Float64[np
     Pixels count from the image's upper left corner; the center of the first is at 0.5, 0.5. Includes locked members,
     excludes hidden and deleted Gaussians.
     """
-    picked = pick(scene, shot, x, y, _is_thing)
+    picked = pick(scene, shot, x, y, lambda each: not (isinstance(each, Layer) and each.kind == "sky"))
     return None if picked is None else picked.point_m
 
 
@@ -48,45 +47,30 @@ def pick(
     It is the one at which half of the pixel's coverage is reached from the camera: neither a faint veil before a
     surface nor something shining through it. None if nothing covers the pixel.
     """
-    members, parts = _visible_at(scene, shot.time_s, among)
-    splats = project(parts, _pixel_camera(shot.camera, x, y))
+    members = [each for each in scene.members if each.visible and (among is None or among(each))]
+    owned = [(each.key, part) for each in members if (part := scene.part(each, shot.time_s)) is not None]
+    parts, camera = [part for _, part in owned], shot.camera
+    pixel = Camera(
+        1, 1, camera.fx, camera.fy, camera.cx - x + 0.5, camera.cy - y + 0.5, camera.world_to_camera, camera.exposure_s
+    )
+    splats = project(parts, pixel)
     rows, weights = _weights(parts, splats)
     if not len(rows) or weights.sum() < _MIN_ALPHA:
         return None
     row = rows[np.searchsorted(np.cumsum(weights), weights.sum() / 2)]
-    number, index = _owner(parts, int(splats.indices[row]))
-    point = _surface_point(parts[number], index, shot.camera, x, y)
-    return PickResult(members[number].key, index, point)
-
-
-def _is_thing(member: Layer | Actor) -> bool:
-    return not (isinstance(member, Layer) and member.kind == "sky")
-
-
-def _visible_at(
-    scene: Scene, time_s: float, among: Callable[[Layer | Actor], bool] | None
-) -> tuple[list[Layer | Actor], list[DrawItem]]:
-    members: list[Layer | Actor] = []
-    parts: list[DrawItem] = []
-    for member in scene.members:
-        if member.visible and (among is None or among(member)):
-            part = scene.part(member, time_s)
-            if part is not None:
-                members.append(member)
-                parts.append(part)
-    return members, parts
-
-
-def _pixel_camera(camera: Camera, x: float, y: float) -> Camera:
-    """Camera of one pixel, with its center at x, y of the whole image."""
-    cx, cy = camera.cx - x + 0.5, camera.cy - y + 0.5
-    return Camera(1, 1, camera.fx, camera.fy, cx, cy, camera.world_to_camera, camera.exposure_s)
+    index = int(splats.indices[row])  # counted through all parts
+    for key, part in owned:
+        if index < len(part.gaussians):
+            return PickResult(key, index, _surface_point(part, index, camera, x, y))
+        index -= len(part.gaussians)
+    raise IndexError(index)
 
 
 def _weights(parts: list[DrawItem], splats: Splats) -> tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
     """Rows of splats that cover the pixel, nearest first, and their blending weights."""
     order = splats.nearest_first().astype(np.int64)
-    order = order[_is_drawn(parts, splats.indices[order])]
+    drawn = [np.ones(len(each.gaussians), bool) if each.left_out is None else ~each.left_out.flags for each in parts]
+    order = order[np.concatenate([*drawn, np.zeros(0, bool)])[splats.indices[order]]]
     shapes = splats.shapes[order].astype(np.float64)
     dx, dy = 0.5 - shapes[:, 0], 0.5 - shapes[:, 1]
     log_alpha = shapes[:, 5] + shapes[:, 3] * dx**2 + shapes[:, 4] * (dy - shapes[:, 2] * dx) ** 2
@@ -95,46 +79,19 @@ def _weights(parts: list[DrawItem], splats: Splats) -> tuple[Int64[np.ndarray, "
     return order, alpha * np.concatenate([[1.0], transmittance[:-1]])[: len(alpha)]
 
 
-def _is_drawn(parts: list[DrawItem], indices: Int64[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
-    drawn = np.ones(len(indices), bool)
-    first = 0
-    for part in parts:
-        own = (indices >= first) & (indices < first + len(part.gaussians))
-        if part.left_out is not None:
-            drawn[own] = ~part.left_out.flags[indices[own] - first]
-        first += len(part.gaussians)
-    return drawn
-
-
-def _owner(parts: list[DrawItem], index: int) -> tuple[int, int]:
-    """Part and index within it of a Gaussian counted through all parts."""
-    for number, part in enumerate(parts):
-        if index < len(part.gaussians):
-            return number, index
-        index -= len(part.gaussians)
-    raise IndexError(index)
-
-
 def _surface_point(part: DrawItem, index: int, camera: Camera, x: float, y: float) -> Float64[np.ndarray, "3"]:
     """Point of maximum density of a Gaussian along a pixel's line of sight; for a flat one, the intersection."""
-    to_object = np.linalg.inv(part.to_world)
+    to_object, gaussians = np.linalg.inv(part.to_world), part.gaussians
     sight = camera.world_to_camera[:3, :3].T @ [(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0]
     eye = to_object[:3, :3] @ camera.position + to_object[:3, 3]
-    own = _whitening(part.gaussians, index)
-    start, way = own @ (eye - part.gaussians.means[index]), own @ (to_object[:3, :3] @ sight)
-    depth = max(float(-(start @ way) / (way @ way)), 0.0)
-    return camera.position + depth * sight
-
-
-def _whitening(gaussians: Gaussians, index: int) -> Float64[np.ndarray, "3 3"]:
-    """Matrix that maps one Gaussian to the unit sphere."""
     scales = gaussians.scales[index].astype(np.float64)
     scales = np.maximum(scales, max(1e-3 * scales.max(), 1e-9))
     rotation = matrices_from_quaternions(gaussians.quaternions[index].astype(np.float64))
-    return rotation.T / scales[:, None]
+    to_sphere = rotation.T / scales[:, None]  # maps the Gaussian to the unit sphere
+    start, along = to_sphere @ (eye - gaussians.means[index]), to_sphere @ (to_object[:3, :3] @ sight)
+    depth = max(float(-(start @ along) / (along @ along)), 0.0)
+    return camera.position + depth * sight
 
-
-# Projection
 
 NEAR_M = 0.05
 
@@ -155,27 +112,20 @@ def project_point(point: Float64[np.ndarray, "3"], camera: Camera) -> ProjectedP
 
 def project_lines(lines: Float64[np.ndarray, "n 2 3"], camera: Camera) -> Float64[np.ndarray, "m 2 2"]:
     """Project world lines (meters) to pixels, clipped at the near plane."""
-    seen = lines @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    depth = seen[..., 2]
-    seen = seen[(depth > NEAR_M).any(axis=1)]
-    start, end = seen[:, 0], seen[:, 1]
-    behind = seen[..., 2] < NEAR_M
+    ends = lines @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    ends = ends[(ends[..., 2] > NEAR_M).any(axis=1)]
+    start, end = ends[:, 0], ends[:, 1]
+    behind = ends[..., 2] < NEAR_M
     rise = np.where(behind.any(axis=1), end[:, 2] - start[:, 2], 1.0)
     crossing = start + ((NEAR_M - start[:, 2]) / rise)[:, None] * (end - start)
-    seen = np.where(behind[..., None], crossing[:, None], seen)
-    focal, center = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
-    return focal * seen[..., :2] / seen[..., 2:] + center
+    ends = np.where(behind[..., None], crossing[:, None], ends)
+    return np.array([camera.fx, camera.fy]) * ends[..., :2] / ends[..., 2:] + np.array([camera.cx, camera.cy])
 
 
 # Gizmo matrices (4x4, column-major)
 
 Handle = Literal["translate", "rotate", "scale"]
-_NEAR_M, _FAR_M = 0.05, 5000.0
-
-
-def opengl_view(camera: Camera) -> list[float]:
-    """World to eye in OpenGL's axes (x right, y up, z backward)."""
-    return column_major(np.diag([1.0, -1.0, -1.0, 1.0]) @ camera.world_to_camera)
+_FAR_M = 5000.0
 
 
 def opengl_projection(camera: Camera) -> list[float]:
@@ -183,19 +133,14 @@ def opengl_projection(camera: Camera) -> list[float]:
     matrix = np.zeros((4, 4))
     matrix[0, 0], matrix[0, 2] = 2 * camera.fx / camera.width, 1 - 2 * camera.cx / camera.width
     matrix[1, 1], matrix[1, 2] = 2 * camera.fy / camera.height, 2 * camera.cy / camera.height - 1
-    matrix[2, 2] = -(_FAR_M + _NEAR_M) / (_FAR_M - _NEAR_M)
-    matrix[2, 3] = -2 * _FAR_M * _NEAR_M / (_FAR_M - _NEAR_M)
+    matrix[2, 2] = -(_FAR_M + NEAR_M) / (_FAR_M - NEAR_M)
+    matrix[2, 3] = -2 * _FAR_M * NEAR_M / (_FAR_M - NEAR_M)
     matrix[3, 2] = -1
     return column_major(matrix)
 
 
 def column_major(matrix: Float64[np.ndarray, "4 4"]) -> list[float]:
     return matrix.T.ravel().tolist()
-
-
-def from_column_major(values: Float32[np.ndarray, "16"]) -> Float64[np.ndarray, "4 4"]:
-    """Matrix from sixteen numbers, column by column."""
-    return values.astype(np.float64).reshape(4, 4).T
 
 
 def frame_at(point_m: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
@@ -213,26 +158,22 @@ def gizmo_delta(
     A gizmo computes in single precision and scales each axis separately. Removes components that the handle does not
     represent; the largest scale of an axis applies to all three, around the gizmo's position.
     """
-    there, back, way = frame_at(start[:3, 3]), frame_at(-start[:3, 3]), np.eye(4)
+    delta = np.eye(4)
     if handle == "translate":
-        way[:3, 3] = now[:3, 3] - start[:3, 3]
-        return way
+        return frame_at(now[:3, 3] - start[:3, 3])
     change = now[:3, :3] @ np.linalg.inv(start[:3, :3])
     if handle == "scale":
         factors = np.clip(np.linalg.norm(change, axis=0), 1e-3, 1e3)
-        way[:3, :3] *= factors[np.argmax(np.abs(np.log(factors)))]
+        delta[:3, :3] *= factors[np.argmax(np.abs(np.log(factors)))]
     else:
         u, _, v = np.linalg.svd(change)  # nearest rotation
-        way[:3, :3] = u @ v
-    return there @ way @ back
-
-
-# Color of a part of the image without rain, for drops if no sky is found
+        delta[:3, :3] = u @ v
+    return frame_at(start[:3, 3]) @ delta @ frame_at(-start[:3, 3])
 
 
 @dataclass(frozen=True, slots=True)
 class SkyColorPick:
-    """A rectangle of the image, in shares of its width and height from the upper left corner."""
+    """Rectangle for the color of drops if no sky is found, in shares of the image from its upper left corner."""
 
     left: float
     top: float
@@ -255,8 +196,8 @@ def mean_color_in_rectangle(
     height, width = rgba.shape[:2]
     x0, x1 = _pixels(pick.left, pick.right, width)
     y0, y1 = _pixels(pick.top, pick.bottom, height)
-    seen = rgba[y0:y1, x0:x1].reshape(-1, 4).astype(np.float64)
-    return mean_linear_color(np.clip(seen[:, :3] + (1 - seen[:, 3:]) * np.array(background), 0, 1))
+    pixels = rgba[y0:y1, x0:x1].reshape(-1, 4).astype(np.float64)
+    return mean_linear_color(np.clip(pixels[:, :3] + (1 - pixels[:, 3:]) * np.array(background), 0, 1))
 
 
 def _pixels(low: float, high: float, count: int) -> tuple[int, int]:

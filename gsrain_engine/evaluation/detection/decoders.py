@@ -3,6 +3,7 @@
 import ast
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -52,9 +53,10 @@ def decoder(name: str) -> Decoder:
     """Find a built-in or installed decoder; raises ValueError if it is missing or unusable."""
     if name in _DECODERS:
         return _DECODERS[name]
-    if (installed := find_extension(DECODERS, name)) is not None:
-        return _installed(installed)
-    raise ValueError(f"no decoder {name!r}")
+    installed = find_extension(DECODERS, name)
+    if installed is None:
+        raise ValueError(f"no decoder {name!r}")
+    return _installed(installed)
 
 
 def decode_outputs(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
@@ -88,26 +90,21 @@ def _end_to_end(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidate
     return BoxCandidates(rows[chosen, :4], confidences[chosen], named)
 
 
-def _yolo(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
-    """Center, size, and one score per class (YOLOv8 and YOLO11 of ultralytics)."""
-    rows = _only_table(outputs, layout, 4 + layout.classes)
-    return _best_classes(_corners(rows[:, :2], rows[:, 2:4]), rows[:, 4:], layout)
+def _yolo(
+    outputs: Sequence[Output], layout: DecoderInput, *, has_objectness: bool = False, in_cells: bool = False
+) -> BoxCandidates:
+    """Center, size, and one score per class (YOLOv8 and YOLO11 of ultralytics).
 
-
-def _yolo_objectness(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
-    """Center, size, objectness, and one score per class (YOLOv5, YOLOv6): confidence is objectness times score."""
-    rows = _only_table(outputs, layout, 5 + layout.classes)
-    return _best_classes(_corners(rows[:, :2], rows[:, 2:4]), rows[:, 4:5] * rows[:, 5:], layout)
-
-
-def _yolox(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
-    """Like `_yolo_objectness`, with centers in cells relative to their cell and log sizes in cells (Ge et al. 2021)."""
-    rows = _only_table(outputs, layout, 5 + layout.classes)
-    cells = cell_grid(layout)
-    _check_cells(len(rows), cells, layout)
-    stride = cells[:, 2:]
-    boxes = _corners((rows[:, :2] + cells[:, :2]) * stride, np.exp(rows[:, 2:4]) * stride)
-    return _best_classes(boxes, rows[:, 4:5] * rows[:, 5:], layout)
+    YOLOv5 and YOLOv6 have an objectness before the scores: confidence is objectness times score. YOLOX (Ge et al. 2021)
+    has it too, with centers relative to their cell and log sizes, both in cells.
+    """
+    rows = _only_table(outputs, layout, 4 + has_objectness + layout.classes)
+    centers, sizes = rows[:, :2], rows[:, 2:4]
+    if in_cells:
+        cells = _cells(len(rows), layout)
+        centers, sizes = (centers + cells[:, :2]) * cells[:, 2:], np.exp(sizes) * cells[:, 2:]
+    scores = rows[:, 4:5] * rows[:, 5:] if has_objectness else rows[:, 4:]
+    return _best_classes(np.concatenate([centers - sizes / 2, centers + sizes / 2], axis=1), scores, layout)
 
 
 def _nanodet(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
@@ -117,8 +114,7 @@ def _nanodet(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
     distributions.
     """
     scores, bins = _scores_and_bins(outputs, layout)
-    cells = cell_grid(layout)
-    _check_cells(len(scores), cells, layout)
+    cells = _cells(len(scores), layout)
     shares = np.exp(bins - bins.max(axis=-1, keepdims=True))
     shares /= shares.sum(axis=-1, keepdims=True)
     distances = (shares @ np.arange(bins.shape[-1], dtype=np.float32)) * cells[:, 2:]
@@ -192,13 +188,16 @@ def _table(output: Output, layout: DecoderInput) -> Float32[np.ndarray, "a k"]:
     return output[0]
 
 
-def _check_cells(rows: int, cells: Float32[np.ndarray, "a 3"], layout: DecoderInput) -> None:
+def _cells(rows: int, layout: DecoderInput) -> Float32[np.ndarray, "a 3"]:
+    """The grid of `cell_grid`; raises ValueError if an output has another number of rows."""
+    cells = cell_grid(layout)
     if rows != len(cells):
         strides = ", ".join(map(str, layout.description.strides))
         raise ValueError(
             f"it gives {rows} rows; an input of {layout.width}x{layout.height} px has {len(cells)} cells of "
             f"strides {strides}"
         )
+    return cells
 
 
 def _check_confidences(confidences: Float32[np.ndarray, " a"], layout: DecoderInput) -> None:
@@ -209,12 +208,8 @@ def _check_confidences(confidences: Float32[np.ndarray, " a"], layout: DecoderIn
         )
 
 
-def _corners(centers: Float32[np.ndarray, "a 2"], sizes: Float32[np.ndarray, "a 2"]) -> Float32[np.ndarray, "a 4"]:
-    return np.concatenate([centers - sizes / 2, centers + sizes / 2], axis=1)
-
-
 def _installed(extension: Extension) -> Decoder:
-    """Return the decoder of another package, with its errors reduced to one sentence."""
+    """Decoder of another package, with its errors reduced to one sentence."""
     row = extension.load(Decoder)
 
     def decode(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
@@ -239,15 +234,12 @@ def _installed(extension: Extension) -> Decoder:
 _DECODERS: dict[str, Decoder] = {
     "end_to_end": Decoder(_end_to_end, is_final=True),
     "yolo": Decoder(_yolo),
-    "yolo_objectness": Decoder(_yolo_objectness),
-    "yolox": Decoder(_yolox),
+    "yolo_objectness": Decoder(partial(_yolo, has_objectness=True)),
+    "yolox": Decoder(partial(_yolo, has_objectness=True, in_cells=True)),
     "nanodet": Decoder(_nanodet),
 }
 
 # Box overlap and suppression
-
-Boxes = Float[np.ndarray, "_ 4"]
-"""Rows x1 y1 x2 y2."""
 
 
 def intersection_over_union(
@@ -255,8 +247,8 @@ def intersection_over_union(
 ) -> Float64[np.ndarray, "n m"]:
     """Intersection over union of boxes: 0..1, 1 for equal boxes (Jaccard index), 0 if both are empty."""
     a, b = first.astype(np.float64)[:, None], second.astype(np.float64)[None]
-    sides = np.minimum(a[..., 2:], b[..., 2:]) - np.maximum(a[..., :2], b[..., :2])
-    shared = np.prod(np.maximum(sides, 0.0), axis=-1)
+    shared_size = np.minimum(a[..., 2:], b[..., 2:]) - np.maximum(a[..., :2], b[..., :2])
+    shared = np.prod(np.maximum(shared_size, 0.0), axis=-1)
     union = _area(a) + _area(b) - shared
     return np.divide(shared, union, out=np.zeros_like(shared), where=union > 0)
 
@@ -265,21 +257,21 @@ def non_maximum_suppression(
     boxes: Float[np.ndarray, "n 4"],
     confidences: Float[np.ndarray, " n"],
     classes: Int[np.ndarray, " n"],
-    most_iou: float,
+    max_iou: float,
 ) -> Int[np.ndarray, " k"]:
     """Rows of the remaining boxes by descending confidence: greedy non-maximum suppression per class.
 
-    Removes a box if a more confident one of its class overlaps it by more than `most_iou`. Among equal confidences the
+    Removes a box if a more confident one of its class overlaps it by more than `max_iou`. Among equal confidences the
     earlier box stays.
     """
     order = np.argsort(-confidences, kind="stable")
-    kept: list[int] = []
+    remaining: list[int] = []
     while len(order):
         best, order = order[0], order[1:]
-        kept.append(int(best))
+        remaining.append(int(best))
         overlap = intersection_over_union(boxes[best][None], boxes[order])[0]
-        order = order[(overlap <= most_iou) | (classes[order] != classes[best])]
-    return np.array(kept, np.int64)
+        order = order[(overlap <= max_iou) | (classes[order] != classes[best])]
+    return np.array(remaining, np.int64)
 
 
 def _area(boxes: Float64[np.ndarray, "*n 4"]) -> Float64[np.ndarray, "*n"]:
@@ -288,12 +280,8 @@ def _area(boxes: Float64[np.ndarray, "*n 4"]) -> Float64[np.ndarray, "*n"]:
 
 # ONNX models
 
-THREADS = 2
-"""Fixed, for a deterministic order of sums; further threads process images in parallel."""
-
-MAX_SIDE_PX = 8192
-"""Largest side of a network's input."""
-
+THREADS = 2  # fixed, for a deterministic order of sums; further threads process images in parallel
+MAX_SIDE_PX = 8192  # largest side of a network's input
 _POINTER = b"version https://git-lfs"  # first bytes of a Git LFS pointer file
 
 
@@ -362,25 +350,19 @@ def open_onnx(path: Path) -> OnnxModel:
         outputs = [_shape(each.shape) for each in session.get_outputs()]
         metadata = dict(session.get_modelmeta().custom_metadata_map)
     except Exception as error:  # onnxruntime's errors have no other common base class
-        raise ValueError(f"{path}: not an ONNX file that onnxruntime opens: {_cause(path, error)}") from None
+        with open_file(path) as file:
+            is_pointer = file.read(len(_POINTER)) == _POINTER
+        cause = "it only points to one (git lfs pull fetches it)" if is_pointer else _first_line(error)
+        raise ValueError(f"{path}: not an ONNX file that onnxruntime opens: {cause}") from None
     kinds = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
     name, kind, axes = inputs[0] if len(inputs) == 1 else ("", "", ())
     shape = _shape(axes)
     if kind not in kinds or len(shape) != 4 or shape[0] not in (1, None) or shape[1] != 3:
-        given = printable_line(", ".join(" ".join(map(str, each)) for each in inputs)) or "nothing"
-        raise ValueError(f"{path}: takes {given}; a detector takes one picture of floats (1, 3, height, width)")
+        takes = printable_line(", ".join(" ".join(map(str, each)) for each in inputs)) or "nothing"
+        raise ValueError(f"{path}: takes {takes}; a detector takes one picture of floats (1, 3, height, width)")
     if max(shape[2] or 0, shape[3] or 0) > MAX_SIDE_PX:
         raise ValueError(f"{path}: takes a picture of {shape[3]} x {shape[2]} px; at most {MAX_SIDE_PX} px a side")
-    return OnnxModel(
-        path=path,
-        input_name=name,
-        width=shape[3],
-        height=shape[2],
-        output_shapes=tuple(outputs),
-        metadata=metadata,
-        _session=session,
-        _kind=kinds[kind],
-    )
+    return OnnxModel(path, name, shape[3], shape[2], tuple(outputs), metadata, session, kinds[kind])
 
 
 def _options(onnxruntime: Any) -> Any:
@@ -396,12 +378,6 @@ def _options(onnxruntime: Any) -> Any:
 
 def _shape(axes: Any) -> tuple[int | None, ...]:
     return tuple(axis if isinstance(axis, int) and axis > 0 else None for axis in axes or ())
-
-
-def _cause(path: Path, error: Exception) -> str:
-    with open_file(path) as file:
-        pointer = file.read(len(_POINTER)) == _POINTER
-    return "it only points to one (git lfs pull fetches it)" if pointer else _first_line(error)
 
 
 def _first_line(error: Exception) -> str:

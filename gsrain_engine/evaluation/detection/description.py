@@ -8,7 +8,6 @@ from msgspec import Meta
 
 from ...plugins import DECODERS, find_extensions
 from ...presets import load_config, shipped_config_names
-from ...scene.objects import COCO_CLASSES
 
 _FOLDER = "detectors"
 Decode = Literal["end_to_end", "yolo", "yolo_objectness", "yolox", "nanodet"]
@@ -16,8 +15,6 @@ Fit = Literal["letterbox", "letterbox_corner", "stretch"]
 Size = Annotated[int, Meta(ge=32, le=8192)]
 Fraction = Annotated[float, Meta(ge=0, le=1)]
 Deviation = Annotated[float, Meta(gt=0)]
-Stride = Annotated[int, Meta(ge=1, le=512)]
-ClassName = Annotated[str, Meta(min_length=1)]
 
 
 class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -34,7 +31,7 @@ class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
         ),
     ]
     classes: Annotated[
-        tuple[ClassName, ...] | Literal["coco"] | None,
+        tuple[Annotated[str, Meta(min_length=1)], ...] | Literal["coco"] | None,
         Meta(title="Classes", description="Names in the detector's order; left out: those the ONNX file holds."),
     ] = None
     input_size_px: Annotated[
@@ -63,7 +60,7 @@ class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
     ] = "letterbox"
     padding: Annotated[int, Meta(ge=0, le=255, title="Grey of the bars")] = 114
     strides: Annotated[
-        tuple[Stride, ...],
+        tuple[Annotated[int, Meta(ge=1, le=512)], ...],
         Meta(
             min_length=1,
             title="Strides",
@@ -102,18 +99,5 @@ def description_names() -> list[str]:
 
 
 def load_description(name: str | Path) -> DetectorDescription:
-    """Load a shipped description by name, or a file by path.
-
-    Raises ValueError with the file, the field and the allowed values.
-    """
+    """Load a shipped description by name, or a file by path; raises ValueError with the file and the field."""
     return load_config(_FOLDER, name, DetectorDescription, "detector description")
-
-
-def named_classes(description: DetectorDescription, in_file: tuple[str, ...] | None) -> tuple[str, ...]:
-    """Classes of the description, else those in the ONNX file; raises ValueError if neither names any."""
-    if description.classes == "coco":
-        return COCO_CLASSES
-    classes = description.classes or in_file
-    if not classes:
-        raise ValueError("it names no classes; its description must (classes: coco, or a list)")
-    return classes

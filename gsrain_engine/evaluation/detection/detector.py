@@ -10,17 +10,8 @@ import platformdirs
 from jaxtyping import Float32, Float64, UInt8
 
 from ...scene.objects import COCO_CLASSES
-from .decoders import (
-    BoxCandidates,
-    DecoderInput,
-    OnnxModel,
-    cell_grid,
-    decode_outputs,
-    decoder,
-    non_maximum_suppression,
-    open_onnx,
-)
-from .description import DetectorDescription, Fit, description_names, load_description, named_classes
+from .decoders import DecoderInput, OnnxModel, cell_grid, decode_outputs, decoder, non_maximum_suppression, open_onnx
+from .description import DetectorDescription, Fit, description_names, load_description
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,10 +38,7 @@ class Detector:
     _model: OnnxModel = field(repr=False)
 
     def detect(self, image: UInt8[np.ndarray, "h w 3"]) -> list[Detection]:
-        """Detect objects in an image (RGB), by descending confidence.
-
-        Raises ValueError with the file's name if the network's output can't be detections.
-        """
+        """Detect objects in an image (RGB), by descending confidence; raises ValueError for outputs of another form."""
         height, width = image.shape[:2]
         placement = letterbox((width, height), self.input_size_px, self.description.fit)
         outputs = self._model.run(network_input(image, placement, self.input_size_px, self.description))
@@ -58,23 +46,18 @@ class Detector:
             found = decode_outputs(outputs, DecoderInput(self.description, len(self.classes), *self.input_size_px))
         except ValueError as error:
             raise ValueError(f"{self._model.path}: {error}") from None
+        if decoder(self.description.decode).is_final:
+            chosen = np.argsort(-found.confidences, kind="stable")
+        else:
+            overlap = self.description.suppression_iou
+            chosen = non_maximum_suppression(found.boxes, found.confidences, found.classes, overlap)
         boxes = placement.in_image(found.boxes)
         visible = (boxes[:, 2] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 1])
         return [
             Detection(self.classes[found.classes[i]], float(found.confidences[i]), _corners(boxes[i]))
-            for i in self._chosen(found)
+            for i in chosen[: self.description.most_detections]
             if visible[i]
         ]
-
-    def _chosen(self, found: BoxCandidates) -> np.ndarray:
-        """Indices of the reported boxes, by descending confidence."""
-        if decoder(self.description.decode).is_final:
-            rows = np.argsort(-found.confidences, kind="stable")
-        else:
-            rows = non_maximum_suppression(
-                found.boxes, found.confidences, found.classes, self.description.suppression_iou
-            )
-        return rows[: self.description.most_detections]
 
 
 def open_detector(path: Path, description: str | Path | None = None) -> Detector:
@@ -85,12 +68,14 @@ def open_detector(path: Path, description: str | Path | None = None) -> Detector
     unknown kind, and for a description that does not fit; ModuleNotFoundError if onnxruntime is missing.
     """
     model = open_onnx(path)
-    beside = path.with_suffix(".yaml")
-    if description is None and beside.is_file():
-        description = beside
+    neighbor = path.with_suffix(".yaml")
+    if description is None and neighbor.is_file():
+        description = neighbor
     described = recognize_description(model) if description is None else load_description(description)
     try:
-        classes = named_classes(described, model.class_names)
+        classes = COCO_CLASSES if described.classes == "coco" else described.classes or model.class_names
+        if not classes:
+            raise ValueError("it names no classes; its description must (classes: coco, or a list)")
         size = _input_size(model, described)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
@@ -99,11 +84,11 @@ def open_detector(path: Path, description: str | Path | None = None) -> Detector
 
 def _input_size(model: OnnxModel, description: DetectorDescription) -> tuple[int, int]:
     """Width and height in pixels, fixed by the file or given by the description."""
-    asked = description.input_size_px or (None, None)
-    for axis, fixed, wanted in zip(("wide", "high"), (model.width, model.height), asked, strict=True):
-        if fixed and wanted and fixed != wanted:
-            raise ValueError(f"its input is {fixed} px {axis}, the description says {wanted} (input_size_px)")
-    width, height = model.width or asked[0], model.height or asked[1]
+    described = description.input_size_px or (None, None)
+    for axis, fixed, other in zip(("wide", "high"), (model.width, model.height), described, strict=True):
+        if fixed and other and fixed != other:
+            raise ValueError(f"its input is {fixed} px {axis}, the description says {other} (input_size_px)")
+    width, height = model.width or described[0], model.height or described[1]
     if width is None or height is None:
         raise ValueError("it takes pictures of any size; its description must choose one (input_size_px: [640, 640])")
     return width, height
@@ -129,10 +114,7 @@ _GRIDS: tuple[tuple[str, tuple[int, ...]], ...] = (
 
 
 def recognize_description(model: OnnxModel) -> DetectorDescription:
-    """Infer the description of a detector from its outputs and from the metadata of ultralytics exports.
-
-    Raises ValueError with the available descriptions if several kinds are possible.
-    """
+    """Infer a detector's description from its outputs and metadata; raises ValueError if several kinds are possible."""
     task = model.metadata.get("task", "detect")
     if task != "detect":
         raise ValueError(f"{model.path}: is made for {task!r}, not for finding boxes (task 'detect')")
@@ -175,8 +157,8 @@ def _by_grid(model: OnnxModel) -> str | None:
 
 def _gives_pixels(model: OnnxModel) -> bool:
     """True if centers are in pixels (YOLOv6, YOLOX with --decode_in_inference), so that they span the input."""
-    grey = np.full((1, 3, model.height or 0, model.width or 0), 114, np.float32)
-    centers = model.run(grey)[0][0, :, :2]
+    gray = np.full((1, 3, model.height or 0, model.width or 0), 114, np.float32)
+    centers = model.run(gray)[0][0, :, :2]
     return bool(np.abs(centers).max() > min(model.width or 0, model.height or 0) / 2)
 
 
@@ -203,10 +185,7 @@ class Letterbox:
 
 
 def letterbox(picture: tuple[int, int], size: tuple[int, int], fit: Fit) -> Letterbox:
-    """Place an image of (width, height) in an input of (width, height).
-
-    Margins differ by at most a pixel, the larger one right and below.
-    """
+    """Place an image of (width, height) in an input; margins differ by at most a pixel, the larger right and below."""
     (picture_width, picture_height), (width, height) = picture, size
     if fit == "stretch":
         return Letterbox(picture_width, picture_height, width, height, 0, 0)
@@ -222,10 +201,7 @@ def letterbox(picture: tuple[int, int], size: tuple[int, int], fit: Fit) -> Lett
 def network_input(
     image: UInt8[np.ndarray, "h w 3"], placement: Letterbox, size: tuple[int, int], description: DetectorDescription
 ) -> Float32[np.ndarray, "1 3 hi wi"]:
-    """The image (RGB) as network input of `size` (width, height).
-
-    Resized bilinearly without antialiasing, as in the detectors' original code.
-    """
+    """The image (RGB) as network input, resized bilinearly without antialiasing as in the detectors' original code."""
     canvas = np.full((size[1], size[0], 3), description.padding, np.uint8)
     inner = cv2.resize(image, (placement.width, placement.height), interpolation=cv2.INTER_LINEAR)
     rows = slice(placement.top, placement.top + placement.height)
@@ -238,24 +214,18 @@ def network_input(
 
 # Detector files
 
-PLACE = "GSRAIN_DETECTOR"
-"""Environment variable with the ONNX file of a detector, or a folder with one."""
-
+PLACE = "GSRAIN_DETECTOR"  # environment variable with the ONNX file of a detector, or a folder with one
 _URL = "https://github.com/Megvii-BaseDetection/YOLOX/releases/download/0.1.1rc0/yolox_nano.onnx"
 
 
-def detector_place() -> Path:
-    """Return the file or folder of GSRAIN_DETECTOR, else the detectors folder in the user's data folder."""
-    own = os.environ.get(PLACE)
-    return Path(own) if own else platformdirs.user_data_path("gsrain", appauthor=False) / "detectors"
-
-
 def find_detector() -> Path:
-    """Return the ONNX file of the detector on this machine, the first by name if there are several.
+    """Return the ONNX file of GSRAIN_DETECTOR, else of the detectors folder in the user's data folder.
 
-    Raises FileNotFoundError with the search path and download instructions.
+    It is the first by name if there are several. Raises FileNotFoundError with the search path and download
+    instructions.
     """
-    place = detector_place()
+    own = os.environ.get(PLACE)
+    place = Path(own) if own else platformdirs.user_data_path("gsrain", appauthor=False) / "detectors"
     files = [place] if place.is_file() else sorted(place.glob("*.onnx"))
     if files:
         return files[0]

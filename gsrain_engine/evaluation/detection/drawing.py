@@ -1,6 +1,6 @@
 """Ground-truth objects and detections drawn over an image, for figures and videos."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from zlib import crc32
 
 import cv2
@@ -11,9 +11,7 @@ from .detector import Detection
 from .metrics import LabeledBox, match_detections
 
 Color = tuple[int, int, int]
-Plate = tuple[int, int, int, int]
-"""Left, top, right, bottom of a label's background, in pixels."""
-
+Plate = tuple[int, int, int, int]  # left, top, right, bottom of a label's background, in pixels
 _COLORS: dict[str, Color] = {
     "car": (86, 180, 233),
     "truck": (230, 159, 0),
@@ -25,9 +23,7 @@ _COLORS: dict[str, Color] = {
 }
 """By class, distinguishable with any color vision (Okabe and Ito 2008)."""
 
-_MISSED: Color = (255, 60, 60)
-_FOUND: Color = (255, 255, 255)
-_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_MISSED, _FOUND = (255, 60, 60), (255, 255, 255)
 _SUBPIXEL_BITS = 4
 _MIN_UNIT = 0.8  # minimum label scale, for legibility in small images
 
@@ -36,23 +32,24 @@ def draw_boxes(
     image: UInt8[np.ndarray, "h w 3"],
     truths: Sequence[LabeledBox],
     detections: Sequence[Detection],
-    least_confidence: float = 0.25,
+    min_confidence: float = 0.25,
 ) -> UInt8[np.ndarray, "h w 3"]:
     """Return a copy with boxes and labels, which scale with the image.
 
-    Detections of at least `least_confidence` are solid lines in their class color; ground-truth objects are dashed,
+    Detections of at least `min_confidence` are solid lines in their class color; ground-truth objects are dashed,
     white if detected with the right class, red if not.
     """
     picture = np.ascontiguousarray(image).copy()
     unit = max(_MIN_UNIT, picture.shape[0] / 720, picture.shape[1] / 1280)
-    shown = sorted((each for each in detections if each.confidence >= least_confidence), key=lambda d: -d.confidence)
-    looked_for = list(zip(truths, match_detections(truths, shown), strict=True))
+    drawn = sorted((each for each in detections if each.confidence >= min_confidence), key=lambda d: -d.confidence)
+    looked_for = list(zip(truths, match_detections(truths, drawn), strict=True))
     for truth, match in looked_for:
         _dashed(picture, truth.box_xyxy, _FOUND if match.confidence > 0 else _MISSED, unit)
-    for each in reversed(shown):
-        _box(picture, each.box_xyxy, class_color(each.class_name), unit)
+    for each in reversed(drawn):
+        corners = (each.box_xyxy[:2], each.box_xyxy[2:])
+        _outlined(cv2.rectangle, picture, corners, class_color(each.class_name), unit)
     plates: list[Plate] = []
-    for each in shown:
+    for each in drawn:
         text = f"{each.class_name} {each.confidence:.2f}"
         _written(picture, text, each.box_xyxy, class_color(each.class_name), unit, plates)
     for truth, match in looked_for:
@@ -68,44 +65,25 @@ def class_color(class_name: str) -> Color:
     return _COLORS.get(class_name) or known[crc32(class_name.encode()) % len(known)]
 
 
-def _thickness(unit: float) -> int:
-    return max(1, round(2 * unit))
-
-
-def _fixed(values: Sequence[float]) -> list[int]:
-    """OpenCV's subpixel coordinates: its (0, 0) is the center of the first pixel."""
-    return [round((value - 0.5) * 2**_SUBPIXEL_BITS) for value in values]
-
-
-def _box(picture: np.ndarray, box: Sequence[float], color: Color, unit: float) -> None:
-    left, top, right, bottom = _fixed(box)
-    dark = (0, 0, 0)
-    for shade, extra in ((dark, 2), (color, 0)):
-        cv2.rectangle(
-            picture, (left, top), (right, bottom), shade, _thickness(unit) + extra, cv2.LINE_AA, _SUBPIXEL_BITS
-        )
-
-
 def _dashed(picture: np.ndarray, box: Sequence[float], color: Color, unit: float) -> None:
     left, top, right, bottom = box
     corners = [(left, top), (right, top), (right, bottom), (left, bottom)]
-    dash = 8 * unit
     for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
         length = max(abs(end[0] - start[0]), abs(end[1] - start[1]))
-        count = max(1, round(length / (2 * dash)))
+        count = max(1, round(length / (2 * 8 * unit)))
         for number in range(count):
             first, last = (number + 0.25) / count, (number + 0.75) / count
             pieces = [[a + (b - a) * share for a, b in zip(start, end, strict=True)] for share in (first, last)]
-            for shade, extra in (((0, 0, 0), 2), (color, 0)):
-                cv2.line(
-                    picture,
-                    tuple(_fixed(pieces[0])),
-                    tuple(_fixed(pieces[1])),
-                    shade,
-                    _thickness(unit) + extra,
-                    cv2.LINE_AA,
-                    _SUBPIXEL_BITS,
-                )
+            _outlined(cv2.line, picture, pieces, color, unit)
+
+
+def _outlined(
+    draw: Callable[..., object], picture: np.ndarray, ends: Sequence[Sequence[float]], color: Color, unit: float
+) -> None:
+    """Draw a rectangle or a line with a dark outline. OpenCV's (0, 0) is the center of the first pixel."""
+    fixed = [[round((value - 0.5) * 2**_SUBPIXEL_BITS) for value in point] for point in ends]
+    for shade, extra in (((0, 0, 0), 2), (color, 0)):
+        draw(picture, *fixed, shade, max(1, round(2 * unit)) + extra, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
 def _written(
@@ -113,7 +91,7 @@ def _written(
 ) -> None:
     """Write a label above the box, else below or inside, to stay in the image and clear of other labels."""
     scale, thickness, pad = 0.5 * unit, max(1, round(unit)), max(2, round(4 * unit))
-    (width, height), base = cv2.getTextSize(text, _FONT, scale, thickness)
+    (width, height), base = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, thickness)
     plate_width, plate_height = width + 2 * pad, height + base // 2 + 2 * pad
     left = int(np.clip(round(box[0]), 0, max(0, picture.shape[1] - plate_width)))
     tops = [round(box[1]) - plate_height, round(box[3]), round(box[1])]
@@ -123,7 +101,16 @@ def _written(
     plates.append(plate)
     cv2.rectangle(picture, plate[:2], (plate[2] - 1, plate[3] - 1), color, cv2.FILLED)
     ink = (0, 0, 0) if np.dot(color, (0.299, 0.587, 0.114)) > 110 else (255, 255, 255)
-    cv2.putText(picture, text, (left + pad, plate[1] + pad + height), _FONT, scale, ink, thickness, cv2.LINE_AA)
+    cv2.putText(
+        picture,
+        text,
+        (left + pad, plate[1] + pad + height),
+        cv2.FONT_HERSHEY_SIMPLEX,
+        scale,
+        ink,
+        thickness,
+        cv2.LINE_AA,
+    )
 
 
 def _overlap(first: Plate, second: Plate) -> bool:

@@ -15,26 +15,19 @@ from matplotlib.figure import Figure, SubFigure
 from PIL import Image, ImageDraw, ImageFont
 
 from ...safe_io.text_files import figure_words
-from ..plot_styles import SeriesStyle, legend_at_right, legend_width_in, series_styles
+from ..report_charts import SeriesStyle, series_styles
 from .drawing import draw_boxes
 from .ground_truth import BoxXYXY
 from .run import EvaluatedImage, ObjectRow
 from .summary import ScoreByIntensity, SeedSpread
 
-MAX_OBJECTS = 8
-"""Maximum number of drawn objects: those with the most frames, ties by distance."""
-
+MAX_OBJECTS = 8  # maximum number of drawn objects: those with the most frames, ties by distance
 _WIDTH_IN, _HEIGHT_IN, _DPI = 5.4, 3.9, 150
 
-_WORDS = {
-    "confidence": "confidence of the match (missed: 0)",
-    "iou": "IoU of the match (missed: 0)",
-    "map": "mAP",
-    "map50": "mAP50",
-}
-
+_WORDS = {"confidence": "confidence of the match (missed: 0)", "iou": "IoU of the match (missed: 0)"}
+_LINES_PER_IN = 5.4  # legend lines per inch at 8 points
+_LEGEND_IN = 2.1  # width in inches of a legend column at 8 points
 _MAX_PANELS = 4  # maximum number of panels per row; further detectors continue in the next row
-_Seeds = dict[int, list[float]]
 _Line = TypeVar("_Line", ObjectRow, ScoreByIntensity)
 
 
@@ -46,17 +39,17 @@ def object_figure(rows: Sequence[ObjectRow], number: Literal["confidence", "iou"
     photograph, and the curve starts at its reconstruction.
     """
     objects = plotted_objects(rows)
-    many: dict[str, set[str]] = defaultdict(set)
-    for row in rows:
-        many[row.class_name].add(row.object)
-    classes = {name: f"{figure_words(name, 20)}, {_counted(many[name])}" for name in sorted(many)}
+    classes = {
+        name: f"{figure_words(name, 20)}, {_mean_label([row for row in rows if row.class_name == name])}"
+        for name in sorted({row.class_name for row in rows})
+    }
     blocks = [("object", objects), ("class_name", classes)] if len(classes) > 1 else [("object", objects)]
     detectors = list(dict.fromkeys(row.detector for row in rows))
     columns = min(len(detectors), _MAX_PANELS)
     lines = ceil(len(detectors) / columns)
     height = lines * _HEIGHT_IN
-    beside = max(legend_width_in(len(names) + 1, height) for _, names in blocks)
-    figure = Figure(figsize=(_WIDTH_IN * columns + beside, height * len(blocks)), layout="constrained")
+    legend_in = max(legend_width_in(len(names) + 1, height) for _, names in blocks)
+    figure = Figure(figsize=(_WIDTH_IN * columns + legend_in, height * len(blocks)), layout="constrained")
     parts: list[SubFigure] = list(figure.subfigures(len(blocks), 1, squeeze=False).ravel())
     for part, (field, names) in zip(parts, blocks, strict=True):
         grid: list[Axes] = list(np.ravel(part.subplots(lines, columns, sharey=True)))
@@ -64,13 +57,18 @@ def object_figure(rows: Sequence[ObjectRow], number: Literal["confidence", "iou"
         for place, (panel, detector) in enumerate(zip(grid, detectors, strict=False)):
             own = [row for row in rows if row.detector == detector]
             for style, name in zip(styles, names, strict=True):
-                _curve(panel, [row for row in own if getattr(row, field) == name], number, style, names[name])
-            _everything(panel, own, number)
+                curve = [row for row in own if getattr(row, field) == name]
+                _band(panel, *_over_seeds(curve, number), style, names[name])
+                originals = [getattr(row, number) for row in curve if row.picture == "original"]
+                if originals and any(row.picture == "clear" for row in curve):
+                    panel.plot([0], [float(np.mean(originals))], "x", color=style.color, markersize=7, clip_on=False)
+            intensities, spreads = _over_seeds(own, number)
+            means = [each.mean for each in spreads]
+            panel.plot(intensities, means, "--", color="black", linewidth=1.8, label=_mean_label(own))
             _dress(panel, figure_words(detector), _WORDS[number] if place % columns == 0 else "")
         for panel in grid[len(detectors) :]:
             panel.set_axis_off()
-        handles, labels = grid[0].get_legend_handles_labels()
-        legend_at_right(part, handles, labels, height)
+        _legend_at_right(part, grid[0], height)
     return figure
 
 
@@ -78,8 +76,8 @@ def precision_figure(scores: Sequence[ScoreByIntensity]) -> Figure:
     """Draw mAP and mAP50 of each detector against the rain rate, with the range over the seeds."""
     detectors = list(dict.fromkeys(each.detector for each in scores))
     entries = len(detectors) + len({each.detector for each in scores if each.picture == "original"})
-    beside = legend_width_in(entries, _HEIGHT_IN)
-    figure = Figure(figsize=(2 * _WIDTH_IN + beside, _HEIGHT_IN), layout="constrained")
+    legend_in = legend_width_in(entries, _HEIGHT_IN)
+    figure = Figure(figsize=(2 * _WIDTH_IN + legend_in, _HEIGHT_IN), layout="constrained")
     panels: list[Axes] = list(figure.subplots(1, 2, sharey=True))
     for panel, number in zip(panels, ("map", "map50"), strict=True):
         for style, detector in zip(series_styles(len(detectors)), detectors, strict=True):
@@ -89,12 +87,10 @@ def precision_figure(scores: Sequence[ScoreByIntensity]) -> Figure:
             _band(panel, [each.intensity_mm_h for each in drawn], spreads, style, figure_words(detector, 28))
             for each in own:
                 if each not in drawn:
-                    value = getattr(each, number).mean
-                    panel.plot(
-                        [0], [value], "x", color=style.color, label=f"{figure_words(detector, 28)}, pictures as taken"
-                    )
-        _dress(panel, "", _WORDS[number])
-    legend_at_right(figure, *panels[0].get_legend_handles_labels(), _HEIGHT_IN)
+                    label = f"{figure_words(detector, 28)}, pictures as taken"
+                    panel.plot([0], [getattr(each, number).mean], "x", color=style.color, label=label)
+        _dress(panel, "", {"map": "mAP", "map50": "mAP50"}[number])
+    _legend_at_right(figure, panels[0], _HEIGHT_IN)
     return figure
 
 
@@ -117,32 +113,13 @@ def plotted_objects(rows: Sequence[ObjectRow]) -> dict[str, str]:
         distances[row.object].append(np.inf if row.distance_m is None else row.distance_m)
     middle = {name: float(np.median(each)) for name, each in distances.items()}
     best = sorted(frames, key=lambda name: (-len(frames[name]), middle[name], name))[:MAX_OBJECTS]
-    return {name: _called(name, classes[name], middle[name], len(frames[name])) for name in best}
-
-
-def _called(name: str, class_name: str, distance_m: float, frames: int) -> str:
-    short = name if len(name) <= 14 else f"{name[:6]}..{name[-6:]}"
-    where = f", {distance_m:.0f} m" if np.isfinite(distance_m) else ""
-    return f"{figure_words(short)}: {figure_words(class_name, 20)}{where}, {frames} frame{'s' if frames > 1 else ''}"
-
-
-def _counted(objects: set[str]) -> str:
-    return f"mean of {len(objects)} object{'' if len(objects) == 1 else 's'}"
-
-
-def _curve(panel: Axes, rows: Sequence[ObjectRow], number: str, style: SeriesStyle, label: str) -> None:
-    intensities, spreads = _over_seeds(_one_without_rain(rows), number)
-    _band(panel, intensities, spreads, style, label)
-    taken = [getattr(row, number) for row in rows if row.picture == "original"]
-    if taken and any(row.picture == "clear" for row in rows):
-        panel.plot([0], [float(np.mean(taken))], "x", color=style.color, markersize=7, clip_on=False)
-
-
-def _everything(panel: Axes, rows: Sequence[ObjectRow], number: str) -> None:
-    """Draw the mean over all objects, in black."""
-    intensities, spreads = _over_seeds(_one_without_rain(rows), number)
-    label = _counted({row.object for row in rows})
-    panel.plot(intensities, [each.mean for each in spreads], "--", color="black", linewidth=1.8, label=label)
+    labels: dict[str, str] = {}
+    for name in best:
+        short = name if len(name) <= 14 else f"{name[:6]}..{name[-6:]}"
+        distance = f", {middle[name]:.0f} m" if np.isfinite(middle[name]) else ""
+        count = f"{len(frames[name])} frame{'s' if len(frames[name]) > 1 else ''}"
+        labels[name] = f"{figure_words(short)}: {figure_words(classes[name], 20)}{distance}, {count}"
+    return labels
 
 
 def _one_without_rain(lines: Sequence[_Line]) -> list[_Line]:
@@ -152,11 +129,34 @@ def _one_without_rain(lines: Sequence[_Line]) -> list[_Line]:
 
 
 def _over_seeds(rows: Sequence[ObjectRow], number: str) -> tuple[list[float], list[SeedSpread]]:
-    by_intensity: dict[float, _Seeds] = defaultdict(lambda: defaultdict(list))
-    for row in rows:
+    """Rain rates, and the spread over seeds of a number's mean at each; without rain, of one kind of images."""
+    by_intensity: dict[float, dict[int, list[float]]] = defaultdict(lambda: defaultdict(list))
+    for row in _one_without_rain(rows):
         by_intensity[row.intensity_mm_h][row.seed].append(getattr(row, number))
     intensities = sorted(by_intensity)
     return intensities, [SeedSpread.of(float(np.mean(each)) for each in by_intensity[r].values()) for r in intensities]
+
+
+def _mean_label(rows: Sequence[ObjectRow]) -> str:
+    count = len({row.object for row in rows})
+    return f"mean of {count} object{'' if count == 1 else 's'}"
+
+
+def legend_columns(entries: int, height_in: float) -> int:
+    """Return the number of columns of a legend in 8 points for a height in inches."""
+    return max(1, ceil(entries / max(1, int(height_in * _LINES_PER_IN))))
+
+
+def legend_width_in(entries: int, height_in: float) -> float:
+    """Return the approximate width of such a legend, in inches."""
+    return _LEGEND_IN * legend_columns(entries, height_in)
+
+
+def _legend_at_right(figure: Figure | SubFigure, panel: Axes, height_in: float) -> None:
+    """Put a panel's legend in 8 points to the right of all panels, in as many columns as its entries need."""
+    handles, labels = panel.get_legend_handles_labels()
+    columns = legend_columns(len(labels), height_in)
+    figure.legend(handles, labels, loc="outside right upper", frameon=False, fontsize=8, ncols=columns)
 
 
 def _band(panel: Axes, x: Sequence[float], spreads: Sequence[SeedSpread], style: SeriesStyle, label: str) -> None:
@@ -174,17 +174,14 @@ def _dress(panel: Axes, title: str, words: str) -> None:
     panel.set_ylabel(words)
     panel.set_ylim(-0.02, 1.02)
     panel.grid(alpha=0.3)
-    for side in ("top", "right"):
-        panel.spines[side].set_visible(False)
+    panel.spines[["top", "right"]].set_visible(False)
 
 
 # Detection sheet
 
 WIDEST_PX = 1920
 _NARROWEST_PX = 240  # minimum width of an image; images that don't fit side by side continue below
-MIN_DRAWN_CONFIDENCE = 0.25
-"""Confidence from which a detection is drawn and counts as found."""
-
+MIN_DRAWN_CONFIDENCE = 0.25  # confidence from which a detection is drawn and counts as found
 _GAP_PX, _LINE_PX, _TEXT_PX = 6, 26, 16
 _PAPER, _INK, _FAINT = (24, 25, 28), (232, 232, 236), (160, 162, 170)
 _SHEET_WORDS = {"original": "as taken", "clear": "without rain"}
@@ -208,7 +205,8 @@ def detection_sheet(pictures: Sequence[EvaluatedImage]) -> UInt8[np.ndarray, "h 
     for place, picture in enumerate(pictures):
         line, column = divmod(place, columns)
         left = _GAP_PX + column * (wide + _GAP_PX)
-        draw.text((left, line * block + 4), _weather(picture), _INK, font)
+        weather = _SHEET_WORDS.get(picture.trial.kind) or f"{picture.trial.intensity_mm_h:g} mm/h"
+        draw.text((left, line * block + 4), weather, _INK, font)
         for row, detector in enumerate(detectors):
             top = line * block + _LINE_PX + row * (_LINE_PX + tall + _GAP_PX)
             judgement = picture.judgements[detector]
@@ -220,8 +218,8 @@ def detection_sheet(pictures: Sequence[EvaluatedImage]) -> UInt8[np.ndarray, "h 
 
 def _cell(picture: EvaluatedImage, detector: str, size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
     """Image resized for the sheet, with boxes drawn at that size for legibility."""
-    judgement, scale = picture.judgements[detector], size[0] / picture.image.shape[1]
-    image = picture.image
+    image, judgement = picture.image, picture.judgements[detector]
+    scale = size[0] / image.shape[1]
     if scale != 1:
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
     truths = [replace(each, box_xyxy=_scaled(each.box_xyxy, scale)) for each in judgement.truths]
@@ -232,8 +230,3 @@ def _cell(picture: EvaluatedImage, detector: str, size: tuple[int, int]) -> UInt
 def _scaled(box: BoxXYXY, scale: float) -> BoxXYXY:
     left, top, right, bottom = box
     return scale * left, scale * top, scale * right, scale * bottom
-
-
-def _weather(picture: EvaluatedImage) -> str:
-    trial = picture.trial
-    return _SHEET_WORDS.get(trial.kind) or f"{trial.intensity_mm_h:g} mm/h"

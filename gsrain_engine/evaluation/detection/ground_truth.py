@@ -4,11 +4,10 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Float64
 
 from ...datasets.capture import TrackedBox
 from ...render.object_labels import bounding_rectangle, convex_outline, cut_at_edges, visible_objects
@@ -23,8 +22,7 @@ BoxXYXY = tuple[float, float, float, float]
 """Left, top, right, bottom in pixels; the left edge of the first column is 0."""
 
 MIN_VISIBILITY = 0.25
-MIN_HEIGHT_PX = 16.0
-"""Smaller or less visible objects are ignored: neither misses nor false detections."""
+MIN_HEIGHT_PX = 16.0  # smaller or less visible objects are ignored: neither misses nor false detections
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,13 +69,14 @@ def ground_truth_from_boxes(boxes: Sequence[TrackedBox], camera: Camera, time_s:
     truths: list[LabeledObject] = []
     for to_camera, box in placed:
         within = cut_at_edges(convex_outline(box_corners(to_camera, box.size_lwh), camera), camera)
-        own = _filled(within, camera)
+        pixels = np.zeros(covered.shape, np.uint8)
+        if len(within) >= 3:
+            cv2.fillConvexPoly(pixels, np.floor(within).astype(np.int32), 1)
+        own = pixels > 0
         if own.any():
-            visibility = float((own & ~covered).sum() / own.sum())
+            name, visibility = label_class(box.class_name), float((own & ~covered).sum() / own.sum())
             distance = _distance(to_camera, box)
-            truths.append(
-                LabeledObject(box.id, label_class(box.class_name), bounding_rectangle(within), visibility, distance)
-            )
+            truths.append(LabeledObject(box.id, name, bounding_rectangle(within), visibility, distance))
             covered |= own
     return tuple(truths)
 
@@ -86,28 +85,18 @@ def _distance(to_camera: Float64[np.ndarray, "4 4"], box: TrackedBox) -> float:
     return float(np.linalg.norm(to_camera[:3, 3] + to_camera[:3, 2] * (box.size_lwh[2] / 2)))
 
 
-def _filled(polygon: Float64[np.ndarray, "c 2"], camera: Camera) -> Bool[np.ndarray, "h w"]:
-    pixels = np.zeros((camera.height, camera.width), np.uint8)
-    if len(polygon) >= 3:
-        cv2.fillConvexPoly(pixels, np.floor(polygon).astype(np.int32), 1)
-    return pixels > 0
-
-
 # Labels from a rendered scene
 
 
 def ground_truth_from_scene(
     renderer: Renderer, scene: Scene, objects: Sequence[SceneObject], camera: Camera, time_s: float
 ) -> tuple[LabeledObject, ...]:
-    """Render object masks from a camera in the world (meters); the nearest object first.
-
-    Boxes bound the visible pixels, as human annotators draw them. Rain is not included.
-    """
+    """Boxes of the pixels that objects show a camera in the world (meters), without rain; the nearest object first."""
+    found = visible_objects(renderer, scene, objects, camera, time_s)
+    names = [label_class(each.object.class_name) for each in found]
     return tuple(
-        LabeledObject(
-            each.object.id, label_class(each.object.class_name), each.box_xyxy, each.visibility, each.distance_m
-        )
-        for each in visible_objects(renderer, scene, objects, camera, time_s)
+        LabeledObject(each.object.id, name, each.box_xyxy, each.visibility, each.distance_m)
+        for each, name in zip(found, names, strict=True)
     )
 
 
@@ -127,8 +116,19 @@ def read_coco(file: Path) -> dict[str, tuple[LabeledObject, ...]]:
         classes = {int(each["id"]): str(each["name"]) for each in document["categories"]}
         names = {int(each["id"]): str(each["file_name"]) for each in document["images"]}
         found: dict[str, list[LabeledObject]] = {name: [] for name in names.values()}
-        for annotation in document["annotations"]:
-            found[names[int(annotation["image_id"])]].append(_object(annotation, classes))
+        for each in document["annotations"]:
+            left, top, width, height = (float(number) for number in each["bbox"])
+            distance = each.get("distance_m")
+            found[names[int(each["image_id"])]].append(
+                LabeledObject(
+                    id=str(each.get("object", each["id"])),
+                    class_name=label_class(classes[int(each["category_id"])]),
+                    box_xyxy=(left, top, left + width, top + height),
+                    visibility=float(each.get("visibility", 1.0)),
+                    distance_m=None if distance is None else float(distance),
+                    is_ignored=bool(each.get("iscrowd", 0)),
+                )
+            )
     except OSError as error:
         raise ValueError(f"{file}: can't be read ({error.strerror or error})") from None
     except KeyError as error:
@@ -140,26 +140,10 @@ def read_coco(file: Path) -> dict[str, tuple[LabeledObject, ...]]:
     return {name: tuple(objects) for name, objects in found.items()}
 
 
-def _object(annotation: dict[str, Any], classes: dict[int, str]) -> LabeledObject:
-    left, top, width, height = (float(each) for each in annotation["bbox"])
-    distance = annotation.get("distance_m")
-    return LabeledObject(
-        id=str(annotation.get("object", annotation["id"])),
-        class_name=label_class(classes[int(annotation["category_id"])]),
-        box_xyxy=(left, top, left + width, top + height),
-        visibility=float(annotation.get("visibility", 1.0)),
-        distance_m=None if distance is None else float(distance),
-        is_ignored=bool(annotation.get("iscrowd", 0)),
-    )
-
-
 # Class matching
 
-VEHICLE = "vehicle"
-"""Class of datasets (Waymo Open) and detectors that do not distinguish kinds of vehicles."""
-
-KINDS_OF_VEHICLES = frozenset({"car", "truck", "bus", "van", "trailer"})
-"""COCO classes that match a vehicle."""
+VEHICLE = "vehicle"  # class of datasets (Waymo Open) and detectors that do not distinguish kinds of vehicles
+KINDS_OF_VEHICLES = frozenset({"car", "truck", "bus", "van", "trailer"})  # COCO classes that match a vehicle
 
 
 @cache
@@ -171,14 +155,10 @@ def label_class(name: str) -> str:
 
 @cache
 def is_same_class(detected: str, labelled: str) -> bool:
-    """Return whether a detected class matches a labeled one.
-
-    Dataset names map to COCO's: Pedestrian is a person. A vehicle matches any of `KINDS_OF_VEHICLES`, in both
-    directions.
-    """
-    seen, label = label_class(detected), label_class(labelled)
-    general = seen if label == VEHICLE else label if seen == VEHICLE else None
-    return seen == label or general in KINDS_OF_VEHICLES
+    """True if classes are the same by `label_class`, or one is a vehicle and the other of `KINDS_OF_VEHICLES`."""
+    detection, label = label_class(detected), label_class(labelled)
+    general = detection if label == VEHICLE else label if detection == VEHICLE else None
+    return detection == label or general in KINDS_OF_VEHICLES
 
 
 def can_detect_class(classes: Collection[str], labelled: str) -> bool:

@@ -16,18 +16,6 @@ from .decoders import intersection_over_union
 from .detector import Detection
 from .ground_truth import is_same_class, label_class
 
-_ABSENT = -1  # value of the COCO evaluation for a class without labeled objects
-
-
-@dataclass(frozen=True, slots=True)
-class ClassPrecision:
-    """Average precision of one class."""
-
-    objects: int
-    """Labeled objects in all images."""
-    map: float
-    map50: float
-
 
 @dataclass(frozen=True, slots=True)
 class AveragePrecision:
@@ -41,8 +29,6 @@ class AveragePrecision:
     """Averaged over the IoU thresholds 0.5, 0.55, ... 0.95."""
     map50: float
     """At an IoU threshold of 0.5 (PASCAL VOC's criterion)."""
-    by_class: dict[str, ClassPrecision]
-    """For classes with labeled objects, by name."""
 
 
 # Labeled boxes
@@ -50,23 +36,17 @@ class AveragePrecision:
 
 @runtime_checkable
 class LabeledBox(Protocol):
-    """A labeled object: its class and its box in the image."""
+    """A labeled object: its class, and its box (left, top, right, bottom in pixels)."""
 
     @property
-    def class_name(self) -> str:
-        """Its class; `is_same_class` decides which detected classes match it."""
-        ...
+    def class_name(self) -> str: ...
 
     @property
-    def box_xyxy(self) -> tuple[float, float, float, float]:
-        """Left, top, right, bottom in pixels."""
-        ...
+    def box_xyxy(self) -> tuple[float, float, float, float]: ...
 
 
 def average_precision(
-    truths: Sequence[Sequence[LabeledBox]],
-    detections: Sequence[Sequence[Detection]],
-    ignored: Sequence[Sequence[LabeledBox]] | None = None,
+    truths: Sequence[Sequence[LabeledBox]], detections: Sequence[Sequence[Detection]]
 ) -> AveragePrecision:
     """Average precision over images, given labeled objects and detections of each in the same order.
 
@@ -74,32 +54,22 @@ def average_precision(
     the mean over 0.50, 0.55, ... 0.95 (Lin et al. 2014 and COCO's own program). 0 to 1, higher is better. A detection
     counts for the labeled class that matches it (`is_same_class`). If several match, as for a car and a vehicle of
     unknown kind, it counts for the class of the object it overlaps, otherwise for its own class. Detections without a
-    matching labeled class are ignored, and so are detections within `ignored` objects of their class (COCO's crowds).
-    Raises ValueError if the numbers of images differ, ModuleNotFoundError with the package to install if pycocotools is
-    missing.
+    matching labeled class are ignored. Raises ValueError if the numbers of images differ, ModuleNotFoundError with the
+    package to install if pycocotools is missing.
     """
-    ignored = [()] * len(truths) if ignored is None else ignored
-    if not len(truths) == len(detections) == len(ignored):
+    if len(truths) != len(detections):
         raise ValueError(f"labels of {len(truths)} pictures and detections of {len(detections)}; there must be as many")
     classes = sorted({each.class_name for picture in truths for each in picture})
     if not classes:
-        return AveragePrecision(math.nan, math.nan, {})
-    precision = _precision(truths, detections, ignored, classes)
-    by_class: dict[str, ClassPrecision] = {}
-    for number, name in enumerate(classes):
-        objects = sum(each.class_name == name for picture in truths for each in picture)
-        by_class[name] = ClassPrecision(objects, _mean(precision[:, :, number]), _mean(precision[0, :, number]))
-    values = by_class.values()
-    return AveragePrecision(
-        float(np.mean([each.map for each in values])), float(np.mean([each.map50 for each in values])), by_class
-    )
+        return AveragePrecision(math.nan, math.nan)
+    precision = _precision(truths, detections, classes)
+    known = [precision[:, :, number] for number in range(len(classes))]
+    by_class = [[float(np.mean(part[part != -1])) for part in (each, each[0])] for each in known]  # -1: no objects
+    return AveragePrecision(*(float(np.mean(values)) for values in zip(*by_class, strict=True)))
 
 
 def _precision(
-    truths: Sequence[Sequence[LabeledBox]],
-    detections: Sequence[Sequence[Detection]],
-    ignored: Sequence[Sequence[LabeledBox]],
-    classes: Sequence[str],
+    truths: Sequence[Sequence[LabeledBox]], detections: Sequence[Sequence[Detection]], classes: Sequence[str]
 ) -> Any:
     """Precision by IoU (10), recall (101) and class."""
     try:
@@ -108,14 +78,12 @@ def _precision(
     except ModuleNotFoundError:
         raise ModuleNotFoundError("average precision needs pycocotools: pip install 'gsrain[evaluate]'") from None
     numbers = {name: number for number, name in enumerate(classes, start=1)}
-    labels = [
-        *(_entry(image, box, numbers) for image, boxes in enumerate(truths) for box in boxes),
-        *(_entry(image, box, numbers) | {"iscrowd": 1} for image, boxes in enumerate(ignored) for box in boxes),
-    ]
+    labels = [_entry(image, box, numbers[box.class_name]) for image, boxes in enumerate(truths) for box in boxes]
     scored = [
-        _entry(image, box, numbers, named) | {"score": box.confidence}
+        _entry(image, box, numbers[name]) | {"score": box.confidence}
         for image, (boxes, there) in enumerate(zip(detections, truths, strict=True))
-        for box, named in zip(boxes, _named(boxes, there, classes), strict=True)
+        for box, name in zip(boxes, _labeled_classes(boxes, there, classes), strict=True)
+        if name is not None
     ]
     with contextlib.redirect_stdout(io.StringIO()):  # pycocotools prints its progress
         evaluation = COCOeval(
@@ -126,14 +94,16 @@ def _precision(
     return evaluation.eval["precision"][:, :, :, 0, -1]
 
 
-def _named(detections: Sequence[Detection], truths: Sequence[LabeledBox], classes: Sequence[str]) -> list[str | None]:
+def _labeled_classes(
+    detections: Sequence[Detection], truths: Sequence[LabeledBox], classes: Sequence[str]
+) -> list[str | None]:
     """Return the labeled class that each detection counts for; None for no class."""
     found: list[str | None] = []
     for each in detections:
         candidates = [name for name in classes if is_same_class(each.class_name, name)]
         if len(candidates) > 1:
             own = [truth for truth in truths if truth.class_name in candidates]
-            overlaps = intersection_over_union(_boxes(own), _boxes([each]))[:, 0] if own else np.zeros(1)
+            overlaps = intersection_over_union(box_rows(own), box_rows([each]))[:, 0] if own else np.zeros(1)
             best = int(np.argmax(overlaps))
             exact = [name for name in candidates if name == label_class(each.class_name)]
             candidates = [own[best].class_name] if overlaps[best] >= MIN_IOU else exact or candidates
@@ -141,40 +111,30 @@ def _named(detections: Sequence[Detection], truths: Sequence[LabeledBox], classe
     return found
 
 
-def _boxes(objects: Sequence[LabeledBox]) -> np.ndarray:
+def box_rows(objects: Sequence[LabeledBox]) -> Float64[np.ndarray, "n 4"]:
+    """Boxes as rows of left, top, right, bottom."""
     return np.array([each.box_xyxy for each in objects], np.float64).reshape(-1, 4)
 
 
-def _entry(image: int, box: LabeledBox, numbers: dict[str, int], named: str | None = "") -> dict[str, Any]:
-    """A box in COCO's format: corner and size; category 0 is for ignored classes.
-
-    `named` is the class that it counts for, if different from its own.
-    """
+def _entry(image: int, box: LabeledBox, category: int) -> dict[str, Any]:
+    """A box in COCO's format: corner and size."""
     left, top, right, bottom = box.box_xyxy
     width, height = right - left, bottom - top
+    corner_and_size = [left, top, width, height]
     return {
-        "image_id": image + 1,
-        "category_id": numbers.get(box.class_name if named == "" else named or "", 0),
-        "bbox": [left, top, width, height],
-        "area": width * height,
-        "iscrowd": 0,
-    }
+        "image_id": image + 1, "category_id": category, "bbox": corner_and_size, "area": width * height, "iscrowd": 0,
+    }  # fmt: skip
 
 
 def _indexed(coco: Any, entries: list[dict[str, Any]], numbers: dict[str, int], images: int) -> Any:
     """An in-memory COCO dataset. Entries are numbered from 1, since COCO uses 0 for none."""
-    counted = [entry for entry in entries if entry["category_id"]]
     coco.dataset = {
         "images": [{"id": image + 1} for image in range(images)],
-        "annotations": [entry | {"id": number} for number, entry in enumerate(counted, start=1)],
+        "annotations": [entry | {"id": number} for number, entry in enumerate(entries, start=1)],
         "categories": [{"id": number, "name": name} for name, number in numbers.items()],
     }
     coco.createIndex()
     return coco
-
-
-def _mean(precision: Any) -> float:
-    return float(np.mean(precision[precision != _ABSENT]))
 
 
 MIN_IOU = 0.5
@@ -197,54 +157,46 @@ class ObjectMatch:
     """`class_seen` if it does not match the object; else None."""
 
 
-def match_detections(
-    truths: Sequence[LabeledBox], detections: Sequence[Detection], least_iou: float = MIN_IOU
-) -> list[ObjectMatch]:
+def match_detections(truths: Sequence[LabeledBox], detections: Sequence[Detection]) -> list[ObjectMatch]:
     """Match each labeled object with a detection.
 
     In order of confidence, each detection takes the free object that it overlaps most, with an IoU of at least
-    `least_iou` (PASCAL VOC's criterion, Everingham et al. 2010, with COCO's greedy choice, Lin et al. 2014): no
-    detection counts for two objects. Matches of any class prefer objects of the detection's own class.
+    `MIN_IOU` (PASCAL VOC's criterion, Everingham et al. 2010, with COCO's greedy choice, Lin et al. 2014): no detection
+    counts for two objects. Matches of any class prefer objects of the detection's own class.
     """
     order = sorted(detections, key=lambda each: -each.confidence)
-    overlaps = intersection_over_union(
-        _image_boxes([each.box_xyxy for each in truths]), _image_boxes([each.box_xyxy for each in order])
-    )
+    overlaps = intersection_over_union(box_rows(truths), box_rows(order))
     same = np.array([[is_same_class(each.class_name, truth.class_name) for each in order] for truth in truths], bool)
-    same = same.reshape(overlaps.shape)
-    own = _greedy([np.where(same, overlaps, 0.0)], least_iou)
-    anything = _greedy([np.where(same, overlaps, 0.0), overlaps], least_iou)
+    of_class = np.where(same.reshape(overlaps.shape), overlaps, 0.0)
+    own, anything = _greedy([of_class]), _greedy([of_class, overlaps])
     matches: list[ObjectMatch] = []
     for row, truth in enumerate(truths):
-        mine, seen = own.get(row), anything.get(row)
-        class_seen = None if seen is None else order[seen].class_name
-        matches.append(
-            ObjectMatch(
-                confidence=0.0 if mine is None else order[mine].confidence,
-                iou=0.0 if mine is None else float(overlaps[row, mine]),
-                confidence_any_class=0.0 if seen is None else order[seen].confidence,
-                iou_any_class=0.0 if seen is None else float(overlaps[row, seen]),
-                class_seen=class_seen,
-                flipped_to=None if class_seen is None or is_same_class(class_seen, truth.class_name) else class_seen,
-            )
-        )
+        confidence, iou, _ = _match(own.get(row), order, overlaps[row])
+        confidence_any, iou_any, name = _match(anything.get(row), order, overlaps[row])
+        flipped_to = None if name is None or is_same_class(name, truth.class_name) else name
+        matches.append(ObjectMatch(confidence, iou, confidence_any, iou_any, name, flipped_to))
     return matches
 
 
-def _greedy(choices: Sequence[Float64[np.ndarray, "t d"]], least_iou: float) -> dict[int, int]:
+def _match(
+    column: int | None, detections: Sequence[Detection], overlaps: Float64[np.ndarray, " d"]
+) -> tuple[float, float, str | None]:
+    """Confidence, IoU and class of a detection; zeros without one."""
+    if column is None:
+        return 0.0, 0.0, None
+    return detections[column].confidence, float(overlaps[column]), detections[column].class_name
+
+
+def _greedy(choices: Sequence[Float64[np.ndarray, "t d"]]) -> dict[int, int]:
     """Greedily assign each column to its best free row, in the first table with a match; returns columns by row."""
-    taken: dict[int, int] = {}
+    matched: dict[int, int] = {}
     for column in range(choices[0].shape[1]):
         for table in choices:
-            free = [row for row in range(len(table)) if row not in taken and table[row, column] >= least_iou]
+            free = [row for row in range(len(table)) if row not in matched and table[row, column] >= MIN_IOU]
             if free:
-                taken[max(free, key=lambda row: table[row, column])] = column
+                matched[max(free, key=lambda row: table[row, column])] = column
                 break
-    return taken
-
-
-def _image_boxes(rows: Sequence[tuple[float, float, float, float]]) -> Float64[np.ndarray, "n 4"]:
-    return np.array(rows, np.float64).reshape(-1, 4)
+    return matched
 
 
 # Recall by distance
@@ -266,10 +218,7 @@ class DistanceRecall:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % confidence interval of the recall (Wilson 1927); 0..1 without objects.
-
-        Assumes independent objects; too narrow for frames of one drive, which are not independent.
-        """
+        """95 % confidence interval (Wilson 1927), 0..1 without objects; too narrow for frames of one drive."""
         return wilson_interval(self.found, self.objects)
 
 
@@ -277,12 +226,12 @@ def recall_by_distance(
     distances_m: Float[np.ndarray, " n"],
     confidences: Float[np.ndarray, " n"],
     edges_m: Sequence[float],
-    least_confidence: float = 0.25,
+    min_confidence: float = 0.25,
 ) -> tuple[DistanceRecall, ...]:
     """Recall between neighboring `edges_m` (a bin includes its nearer edge, not its farther one).
 
     The share of labeled objects that were found, 0 to 1, higher is better; with Wilson's interval (1927). An object is
-    found if the confidence of its match (`ObjectMatch.confidence`, 0 if missed) is at least `least_confidence`. Objects
+    found if the confidence of its match (`ObjectMatch.confidence`, 0 if missed) is at least `min_confidence`. Objects
     outside the edges do not count. Raises ValueError for edges that do not increase.
     """
     edges = np.asarray(edges_m, float)
@@ -290,7 +239,7 @@ def recall_by_distance(
         raise ValueError(
             f"distances between which recall is taken must rise, not {', '.join(f'{e:g}' for e in edges)} m"
         )
-    found = (confidences >= least_confidence) & (confidences > 0)
+    found = (confidences >= min_confidence) & (confidences > 0)
     bins: list[DistanceRecall] = []
     for near, far in pairwise(edges):
         inside = (distances_m >= near) & (distances_m < far)

@@ -5,12 +5,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cache, partial
 from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO, Literal, NamedTuple, Protocol, runtime_checkable
 
 import msgspec
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import UInt8
 from msgspec import structs
 
 from ...appearance.scene_views import PlacedCamera
@@ -29,22 +28,18 @@ from ...scene.scene import Scene
 from .decoders import intersection_over_union
 from .detector import Detection
 from .ground_truth import LabeledObject, can_detect_class, ground_truth_from_boxes, ground_truth_from_scene
-from .metrics import MIN_IOU, ObjectMatch, match_detections
+from .metrics import MIN_IOU, ObjectMatch, box_rows, match_detections
 
 
 @runtime_checkable
 class DetectorProtocol(Protocol):
-    """Interface of object detectors, such as `Detector`."""
+    """Interface of object detectors, such as `Detector`; without `classes` it can name all of them."""
 
     @property
-    def name(self) -> str:
-        """Name in the result rows."""
-        ...
+    def name(self) -> str: ...
 
     @property
-    def classes(self) -> tuple[str, ...]:
-        """Class names; empty if the detector can name all classes."""
-        ...
+    def classes(self) -> tuple[str, ...]: ...
 
     def detect(self, image: UInt8[np.ndarray, "h w 3"]) -> list[Detection]:
         """Detect objects in an image (RGB), by descending confidence."""
@@ -53,8 +48,7 @@ class DetectorProtocol(Protocol):
 
 # Conditions
 
-Kind = Literal["original", "clear", "rainy"]
-"""Original photograph; the scene without rain; the scene in rain."""
+Kind = Literal["original", "clear", "rainy"]  # original photograph; the scene without rain; the scene in rain
 
 
 class Condition(NamedTuple):
@@ -104,24 +98,12 @@ class EvaluatedImage:
     frame: EvaluatedFrame
     trial: Condition
     judgements: Mapping[str, DetectionResult]
-    """By detector."""
     take: Callable[[], UInt8[np.ndarray, "h w 3"]]
     """Renders the image once, on demand: results from an earlier run need no image."""
 
     @property
     def image(self) -> UInt8[np.ndarray, "h w 3"]:
         return self.take()
-
-
-@runtime_checkable
-class ResultCacheProtocol(Protocol):
-    """Interface of caches of earlier results, such as `ResultCache`."""
-
-    def known(self, detector: str, frame: EvaluatedFrame, trial: Condition) -> DetectionResult | None:
-        """Return the cached result for an image, or None."""
-        ...
-
-    def keep(self, judgement: DetectionResult, frame: EvaluatedFrame) -> None: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,15 +129,12 @@ class ConditionRenderer:
             return frame.original()
         if trial.kind == "clear":
             return self._drawn(frame, None)
-        rainfall = self._rainfall(trial.intensity_mm_h, trial.seeds[0])
-        return self._in_front(frame, rainfall) if self.is_in_front else self._drawn(frame, rainfall)
-
-    def _rainfall(self, intensity_mm_h: float, seed: int) -> RainSimulation:
-        key = intensity_mm_h, seed
+        key = trial.intensity_mm_h, trial.seeds[0]
         if key not in self._rains:
-            rain = structs.replace(self.rain, intensity_mm_h=intensity_mm_h, seed=seed)
+            rain = structs.replace(self.rain, intensity_mm_h=key[0], seed=key[1])
             self._rains[key] = RainSimulation.start(rain)
-        return self._rains[key]
+        rainfall = self._rains[key]
+        return self._in_front(frame, rainfall) if self.is_in_front else self._drawn(frame, rainfall)
 
     def _drawn(self, frame: EvaluatedFrame, rainfall: RainSimulation | None) -> UInt8[np.ndarray, "h w 3"]:
         wetness = 0.0 if rainfall is None else rainfall.wetness_at(frame.shot.time_s)
@@ -180,12 +159,9 @@ def evaluate_images(
     detectors: Sequence[DetectorProtocol],
     frames: Sequence[EvaluatedFrame],
     trials: Sequence[Condition],
-    memory: ResultCacheProtocol | None = None,
+    memory: "ResultCache | None" = None,
 ) -> Iterator[EvaluatedImage]:
-    """Render each image and run each detector on it; view by view, in the order of the trials.
-
-    Results in `memory` are reused; new ones are added to it.
-    """
+    """Render each image and run each detector on it, view by view; results in `memory` are reused, new ones added."""
     for frame in frames:
         for trial in trials:
             take = cache(partial(pictures.take, frame, trial))
@@ -201,11 +177,7 @@ def evaluate_images(
 
 
 def evaluate_detections(
-    detector: str,
-    frame: EvaluatedFrame,
-    trial: Condition,
-    detections: Sequence[Detection],
-    classes: tuple[str, ...] = (),
+    detector: str, frame: EvaluatedFrame, trial: Condition, detections: Sequence[Detection], classes: Sequence[str] = ()
 ) -> DetectionResult:
     """Match detections with the objects of a view; `classes` are those of the detector, if known.
 
@@ -217,8 +189,12 @@ def evaluate_detections(
     matches = tuple(match_detections(truths, detections))
     others = [each for each in frame.truths if each not in truths]
     fair = tuple(detections)
-    if others and detections:
-        fair = _without_finds(detections, truths, others)
+    if others and detections:  # without those that overlap an ignored object more than any evaluated one
+        boxes = box_rows(detections)
+        ignored = intersection_over_union(box_rows(others), boxes).max(axis=0)
+        counting = intersection_over_union(box_rows(truths), boxes).max(axis=0, initial=0.0)
+        is_fair = ~((ignored >= MIN_IOU) & (ignored > counting))
+        fair = tuple(each for each, fits in zip(detections, is_fair, strict=True) if fits)
     not_named = tuple(each for each in counted if each not in truths)
     return DetectionResult(detector, trial, frame.name, truths, matches, fair, not_named)
 
@@ -248,8 +224,7 @@ class ObjectRow:
 
     def plain(self) -> dict[str, Any]:
         """Return its fields by the column names of the tables."""
-        fields = {name: getattr(self, name) for name in ObjectRow.__slots__}
-        return {("class" if name == "class_name" else name): value for name, value in fields.items()}
+        return {name if name != "class_name" else "class": getattr(self, name) for name in ObjectRow.__slots__}
 
 
 def object_rows(judgement: DetectionResult) -> Iterator[ObjectRow]:
@@ -262,20 +237,6 @@ def object_rows(judgement: DetectionResult) -> Iterator[ObjectRow]:
                 match.confidence, match.iou, match.confidence_any_class, match.iou_any_class, match.class_seen,
                 truth.visibility, truth.distance_m, truth.height_px,
             )  # fmt: skip
-
-
-def _without_finds(
-    detections: Sequence[Detection], truths: Sequence[LabeledObject], others: Sequence[LabeledObject]
-) -> tuple[Detection, ...]:
-    """Remove detections that overlap an ignored object more than any evaluated one."""
-    boxes = np.array([each.box_xyxy for each in detections], np.float64)
-    there = intersection_over_union(_boxes(others), boxes).max(axis=0)
-    asked = intersection_over_union(_boxes(truths), boxes).max(axis=0) if truths else np.zeros(len(boxes))
-    return tuple(each for each, o, a in zip(detections, there, asked, strict=True) if not (o >= MIN_IOU and o > a))
-
-
-def _boxes(objects: Sequence[LabeledObject]) -> np.ndarray:
-    return np.array([each.box_xyxy for each in objects], np.float64).reshape(-1, 4)
 
 
 # Result cache
@@ -302,15 +263,13 @@ class ResultCache:
     """
 
     def __init__(self, file: Path, inputs: Mapping[str, Any], detectors: Mapping[str, str]) -> None:
-        """Prepare the cache; `read` loads the file.
+        """Prepare the cache; `read` loads the file, which may be missing.
 
-        Args:
-            file: May be missing; its folder must exist.
-            inputs: All inputs of the images except the view: hashes of files, settings, versions.
-            detectors: By name, a hash of its file and its usage.
+        `inputs` are all inputs of the images except the view: hashes of files, settings, versions; `detectors` has, by
+        name, a hash of each detector's file and its usage.
         """
-        told = msgspec.json.encode(inputs, order="sorted")
-        self._bases = {name: _hash(_FORM, told, name.encode(), each.encode()) for name, each in detectors.items()}
+        common = msgspec.json.encode(inputs, order="sorted")
+        self._bases = {name: _hash(_FORM, common, name.encode(), each.encode()) for name, each in detectors.items()}
         self._file = file
         self._known: dict[_Image, DetectionResult] = {}
         self._stream: BinaryIO | None = None
@@ -319,9 +278,7 @@ class ResultCache:
         self._stream = self._file.open("ab")
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._stream is not None:
             self._stream.close()
 
@@ -331,18 +288,18 @@ class ResultCache:
             return 0
         keys = {self._key(name, frame) for name in self._bases for frame in frames}
         lines = read_file(self._file).splitlines(keepends=True)
-        kept: list[bytes] = []
+        valid: list[bytes] = []
         for line in lines:
             try:
                 read = msgspec.json.decode(line, type=_CacheLine)
             except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):  # truncated by a killed run
                 continue
             if read.key in keys and line.endswith(b"\n"):
-                kept.append(line)
+                valid.append(line)
                 self._known[_image(read.key, read.judgement.trial)] = read.judgement
-        if len(kept) < len(lines):
-            with whole_file(self._file) as beside:
-                beside.write_bytes(b"".join(kept))
+        if len(valid) < len(lines):
+            with whole_file(self._file) as temporary:
+                temporary.write_bytes(b"".join(valid))
         return len(self._known)
 
     def known(self, detector: str, frame: EvaluatedFrame, trial: Condition) -> DetectionResult | None:
@@ -352,7 +309,7 @@ class ResultCache:
     def keep(self, judgement: DetectionResult, frame: EvaluatedFrame) -> None:
         assert self._stream is not None
         line = _CacheLine(key=self._key(judgement.detector, frame), judgement=judgement)
-        self._stream.write(msgspec.json.encode(line, enc_hook=_plain) + b"\n")
+        self._stream.write(msgspec.json.encode(line, enc_hook=np.generic.item) + b"\n")
         self._stream.flush()
 
     def _key(self, detector: str, frame: EvaluatedFrame) -> str:
@@ -383,32 +340,22 @@ def _hash(*parts: bytes) -> str:
     return found.hexdigest()[:_DIGITS]
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.generic):
-        return value.item()
-    raise NotImplementedError(type(value).__name__)
-
+# Frames
 
 _STEP_S = 0.005  # half the time step of the velocity estimate
 Labels = dict[str, tuple[LabeledObject, ...]]
 
 
 def scene_frames(renderer: Renderer, scene: Scene, placed: Sequence[PlacedCamera]) -> list[EvaluatedFrame]:
-    """Views of a scene with its actors and parked vehicles as ground truth.
-
-    Raises ValueError for a scene without classified objects.
-    """
+    """Views of a scene with its actors and parked vehicles as ground truth; raises ValueError if it has none."""
     objects = scene_objects(scene)
     if not objects:
         raise ValueError(f"scene {scene.name!r} has no actors to be found; --capture or --truth says what is there")
-    return [
-        EvaluatedFrame(
-            each.name,
-            render_view_of(scene, each),
-            ground_truth_from_scene(renderer, scene, objects, each.camera, each.time_s),
-        )
-        for each in placed
-    ]
+    frames: list[EvaluatedFrame] = []
+    for each in placed:
+        truths = ground_truth_from_scene(renderer, scene, objects, each.camera, each.time_s)
+        frames.append(EvaluatedFrame(each.name, render_view_of(scene, each), truths))
+    return frames
 
 
 def recorded_frames(
@@ -435,21 +382,18 @@ def recorded_frames(
 
 def render_view_of(scene: Scene, placed: PlacedCamera) -> RenderView:
     """The render view of a camera fixed to the scene's ego vehicle, if present at its time."""
-    return RenderView(placed.camera, placed.time_s, _velocity(scene, placed.camera.position, placed.time_s))
-
-
-def _velocity(scene: Scene, position: Float64[np.ndarray, "3"], time_s: float) -> Float64[np.ndarray, "3"]:
-    """Velocity of a point fixed to the ego vehicle, in m/s; zero without one."""
-    now, before, after = (scene.ego_to_world(time_s + step) for step in (0.0, -_STEP_S, _STEP_S))
-    if now is None or before is None or after is None:
-        return np.zeros(3)
-    mounted = np.linalg.inv(now) @ np.append(position, 1.0)
-    return ((after - before) @ mounted)[:3] / (2 * _STEP_S)
+    now, before, after = (scene.ego_to_world(placed.time_s + step) for step in (0.0, -_STEP_S, _STEP_S))
+    velocity_m_s = np.zeros(3)
+    if now is not None and before is not None and after is not None:
+        mounted = np.linalg.inv(now) @ np.append(placed.camera.position, 1.0)
+        velocity_m_s = ((after - before) @ mounted)[:3] / (2 * _STEP_S)
+    return RenderView(placed.camera, placed.time_s, velocity_m_s)
 
 
 def _labels_of(labels: Labels, name: str) -> tuple[LabeledObject, ...]:
     """Labels by a view's name, with or without folder and suffix; empty if the file lacks it."""
-    stem = name.rpartition("/")[2].rpartition(".")[0] or name.rpartition("/")[2]
+    file = name.rpartition("/")[2]
+    stem = file.rpartition(".")[0] or file
     for known, truths in labels.items():
         if name == known or stem == (known.rpartition("/")[2].rpartition(".")[0] or known):
             return truths

@@ -16,9 +16,7 @@ from .ground_truth import is_same_class
 from .metrics import DistanceRecall, Robustness, average_precision, recall_by_distance, robustness
 from .run import DetectionResult, Kind, ObjectRow
 
-FOUND_FROM = 0.25
-"""Confidence from which an object counts as found in the recalls."""
-
+FOUND_FROM = 0.25  # confidence from which an object counts as found in the recalls
 DISTANCES_M = (0.0, 10.0, 20.0, 30.0, 40.0, 60.0, 100.0)
 
 
@@ -32,8 +30,8 @@ class SeedSpread:
 
     @classmethod
     def of(cls, values: Iterable[float]) -> "SeedSpread":
-        taken = np.array(list(values), np.float64)
-        return cls(float(taken.mean()), float(taken.min()), float(taken.max()))
+        array = np.array(list(values), np.float64)
+        return cls(float(array.mean()), float(array.min()), float(array.max()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +87,7 @@ class DistanceScore:
 
 
 _Weather = tuple[str, Kind, float]
+_WITHOUT_RAIN: dict[Kind, tuple[Kind, ...]] = {"rainy": ("clear", "original"), "clear": ("original",), "original": ()}
 
 
 def scores(rows: Sequence[ObjectRow], judgements: Sequence[DetectionResult]) -> list[ScoreByIntensity]:
@@ -107,7 +106,15 @@ def scores(rows: Sequence[ObjectRow], judgements: Sequence[DetectionResult]) -> 
             continue
         own = lines[weather]
         precision = _precisions(by_seed)
-        base = _base(weather, pictures)
+        bases: list[_Weather] = [
+            (weather[0], each, 0.0) for each in _WITHOUT_RAIN[weather[1]] if (weather[0], each, 0.0) in pictures
+        ]
+        change = None
+        if bases:  # the condition without rain that differs least
+            changes = [
+                _mean(each, "confidence") - _mean(lines[bases[0]][seed], "confidence") for seed, each in own.items()
+            ]
+            change = SeedChange.of(changes if weather[1] == "rainy" else changes[:1])
         found.append(
             ScoreByIntensity(
                 *weather,
@@ -120,7 +127,7 @@ def scores(rows: Sequence[ObjectRow], judgements: Sequence[DetectionResult]) -> 
                 flips=SeedSpread.of(float(np.mean([_is_flip(r) for r in each])) for each in own.values()),
                 map=SeedSpread.of(value for value, _ in precision),
                 map50=SeedSpread.of(value for _, value in precision),
-                change=None if base is None else _change(own, lines[base]),
+                change=change,
             )
         )
     return found
@@ -159,35 +166,20 @@ def plain(score: ScoreByIntensity | DistanceScore) -> dict[str, Any]:
     return {name: _finite(value) for name, value in asdict(score).items()}
 
 
-def _base(weather: _Weather, pictures: Iterable[_Weather]) -> _Weather | None:
-    """The condition without rain that is the baseline of a rainy one."""
-    detector, kind, _ = weather
-    without: tuple[Kind, ...] = ("clear", "original") if kind == "rainy" else ("original",) if kind == "clear" else ()
-    there = set(pictures)
-    return next(((detector, each, 0.0) for each in without if (detector, each, 0.0) in there), None)
-
-
-def _change(own: dict[int, list[ObjectRow]], base: dict[int, list[ObjectRow]]) -> SeedChange:
-    changes = [_mean(rows, "confidence") - _mean(base[seed], "confidence") for seed, rows in own.items()]
-    has_seeds = next(iter(own.values()))[0].picture == "rainy"
-    return SeedChange.of(changes if has_seeds else changes[:1])
-
-
 def _precisions(by_seed: dict[int, list[DetectionResult]]) -> list[tuple[float, float]]:
     """Both average precisions of each seed; computed once for equal images."""
     known: dict[tuple[int, ...], tuple[float, float]] = {}
-    for own in by_seed.values():
-        key = tuple(id(each) for each in own)
+    keys = [tuple(map(id, own)) for own in by_seed.values()]
+    for key, own in zip(keys, by_seed.values(), strict=True):
         if key not in known:
             precision = average_precision([each.truths for each in own], [each.detections for each in own])
             known[key] = precision.map, precision.map50
-    return [known[tuple(id(each) for each in own)] for own in by_seed.values()]
+    return [known[key] for key in keys]
 
 
 def _is_flip(row: ObjectRow) -> bool:
-    if row.class_seen is None or is_same_class(row.class_seen, row.class_name):
-        return False
-    return row.confidence_any_class >= FOUND_FROM
+    is_other = row.class_seen is not None and not is_same_class(row.class_seen, row.class_name)
+    return is_other and row.confidence_any_class >= FOUND_FROM
 
 
 def _mean(rows: Sequence[ObjectRow], name: str) -> float:
@@ -209,11 +201,11 @@ def _finite(value: Any) -> Any:
 
 def write_csv(file: Path, rows: Sequence[ObjectRow]) -> None:
     """Write rows as CSV with a header; a miss has a confidence of 0, unknown values are empty."""
-    with whole_file(file) as beside, beside.open("w", encoding="utf-8", newline="") as stream:
-        names = list(rows[0].plain()) if rows else []
-        writer = csv.DictWriter(stream, names)
+    with whole_file(file) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.DictWriter(stream, list(rows[0].plain()) if rows else [])
         writer.writeheader()
-        writer.writerows({k: _rounded(v) for k, v in row.plain().items()} for row in rows)
+        for row in rows:
+            writer.writerow({k: round(v, 6) if isinstance(v, float) else v for k, v in row.plain().items()})
 
 
 def write_parquet(file: Path, rows: Sequence[ObjectRow]) -> bool:
@@ -224,10 +216,6 @@ def write_parquet(file: Path, rows: Sequence[ObjectRow]) -> bool:
     except ModuleNotFoundError:
         return False
     table: Any = pyarrow.Table.from_pylist([row.plain() for row in rows])
-    with whole_file(file) as beside:
-        parquet.write_table(table, beside)
+    with whole_file(file) as temporary:
+        parquet.write_table(table, temporary)
     return True
-
-
-def _rounded(value: object) -> object:
-    return round(value, 6) if isinstance(value, float) else value

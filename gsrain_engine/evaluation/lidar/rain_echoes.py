@@ -26,6 +26,10 @@ class RainReturns(NamedTuple):
     """Equivalent reflectance of a beam-filling target with the same echo."""
 
     @staticmethod
+    def none() -> "RainReturns":
+        return RainReturns(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+
+    @staticmethod
     def joined(*parts: "RainReturns") -> "RainReturns":
         return RainReturns(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
@@ -64,8 +68,8 @@ class DropReturnModel:
     def reach_m(self) -> float:
         """Range beyond which no drop is detected."""
         ranges = np.arange(0, min(self.sensor.range_m, self.sensor.farthest_m) + _STEP_M, _STEP_M)
-        seen = np.flatnonzero(self.first_detected(ranges) < CLASSES)
-        return float(ranges[seen[-1]]) + _STEP_M if len(seen) else 0.0
+        detected = np.flatnonzero(self.first_detected(ranges) < CLASSES)
+        return float(ranges[detected[-1]]) + _STEP_M if len(detected) else 0.0
 
     @cached_property
     def grid_m(self) -> Float64[np.ndarray, " k"]:
@@ -74,9 +78,9 @@ class DropReturnModel:
 
     @cached_property
     def expected(self) -> Float64[np.ndarray, " k"]:
-        """Mean number of detected drops in a beam up to each range of the grid.
+        """Mean number of detected drops in a beam up to each range of the grid; 0 without rain.
 
-        The integral of N pi/4 w(r)^2 P(D is detected at r) over r. 0 without rain.
+        The integral of N pi/4 w(r)^2 P(D is detected at r) over r.
         """
         shares = 1 - self.first_detected(self.grid_m) / CLASSES
         per_m = self.state.density_m3 * np.pi / 4 * self.sensor.beam_width_m(self.grid_m) ** 2 * shares
@@ -112,15 +116,15 @@ def sample_far_returns(
     beam = np.repeat(np.arange(len(beams)), counts)
     turn = np.arange(len(beam)) - np.repeat(np.cumsum(counts) - counts, counts)
     place, size = draws[beam, 1 + 2 * turn], draws[beam, 2 + 2 * turn]
-    wanted = place * mean[beam]
-    wanted += np.where(wanted > left_out[0][beam], (left_out[1] - left_out[0])[beam], 0)
-    ranges = np.interp(wanted, signals.expected, signals.grid_m)
+    drawn = place * mean[beam]
+    drawn += np.where(drawn > left_out[0][beam], (left_out[1] - left_out[0])[beam], 0)
+    ranges = np.interp(drawn, signals.expected, signals.grid_m)
     smallest = np.minimum(signals.first_detected(ranges), CLASSES - 1)
     classes = smallest + np.floor(size * (CLASSES - smallest)).astype(np.int64)
     return RainReturns(beam, ranges, signals.reflectances(ranges, classes))
 
 
-def span_in_box(beams: Beams, box: RegionBox, frame: Float64[np.ndarray, "4 4"]) -> _Span:
+def box_span(beams: Beams, box: RegionBox, frame: Float64[np.ndarray, "4 4"]) -> _Span:
     """Entry and exit range of each beam in a box of a frame, in meters; 0 and 0 for a miss."""
     turn = frame[:3, :3]
     origin, directions = turn.T @ (beams.origin_m - frame[:3, 3]), beams.directions @ turn
@@ -138,34 +142,29 @@ def span_in_box(beams: Beams, box: RegionBox, frame: Float64[np.ndarray, "4 4"])
 def drop_field_returns(
     field: DropBatch, beams: Beams, listened_m: Float64[np.ndarray, " n"], signals: DropReturnModel
 ) -> RainReturns:
-    """Find the field's drops that are in beams at its time and are detected, each nearer than `listened_m`.
-
-    A drop is in every beam whose axis passes its center within half the beam's width.
-    """
-    drops = field.region_drops()
+    """Find the field's detected drops nearer than `listened_m`, each in every beam whose width contains its center."""
+    drops = field.drops(in_view=False)
     away = field.positions(drops) - beams.origin_m
     ranges = np.linalg.norm(away, axis=1)
-    seen = np.flatnonzero(drops.class_index >= signals.first_detected(ranges))
+    detected = np.flatnonzero(drops.class_index >= signals.first_detected(ranges))
     listening = np.flatnonzero(listened_m > 0)
-    if not len(seen) or not len(listening):
-        return RainReturns(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
-    ranges, directions = ranges[seen], away[seen] / ranges[seen, None]
+    if not len(detected) or not len(listening):
+        return RainReturns.none()
+    ranges, directions = ranges[detected], away[detected] / ranges[detected, None]
     half_angles = np.arcsin(np.minimum(signals.sensor.beam_width_m(ranges) / 2 / ranges, 1))
     tree = KDTree(beams.directions[listening])
     met = tree.query_ball_point(directions, 2 * np.sin(half_angles / 2), return_sorted=True)
     counts = np.array([len(each) for each in met])
-    drop = np.repeat(np.arange(len(seen)), counts)
+    drop = np.repeat(np.arange(len(detected)), counts)
     beam = listening[np.fromiter((index for each in met for index in each), np.int64, int(counts.sum()))]
     nearer = ranges[drop] < listened_m[beam]
     drop, beam = drop[nearer], beam[nearer]
-    return RainReturns(beam, ranges[drop], signals.reflectances(ranges[drop], drops.class_index[seen[drop]]))
+    return RainReturns(beam, ranges[drop], signals.reflectances(ranges[drop], drops.class_index[detected[drop]]))
 
 
 # Optics of water in the near infrared
 
-REFRACTIVE_INDEX = {905: 1.327, 1550: 1.318}
-"""Of water, at wavelengths in nm (Hale and Querry 1973, Applied Optics 12)."""
-
+REFRACTIVE_INDEX = {905: 1.327, 1550: 1.318}  # of water, at wavelengths in nm (Hale and Querry 1973, Applied Optics 12)
 ABSORPTION_PER_MM = {905: 0.007, 1550: 1.09}
 """Of water: 4 pi k / wavelength with k = 5.0e-7 and 1.35e-4 (Hale and Querry 1973; Kou, Labrie and Chylek 1993)."""
 

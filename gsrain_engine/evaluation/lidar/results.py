@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float, Float64, Int64
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -15,15 +15,13 @@ from ...rain.properties import RainProperties
 from ...rain.settings import RainSettings
 from ...rain.simulation import RainSimulation
 from ...scene.files import whole_file
-from ..plot_styles import Color, shades
+from ..report_charts import Color, shades
 from .rain_echoes import DropReturnModel
 from .scan import Answer, LidarTurn, RainyScan, ReturnOutcome, scan_in_rain
 from .sensor import Beams
 
-NEAR_STEP_M = 0.5
-"""Width of the bins for drops near the sensor."""
-
-_NEAR_M = 2.0
+NEAR_STEP_M = 0.5  # width of the bins for drops near the sensor
+_MIN_NEAR_M = 2.0  # to which fine bins reach at least
 _JUST = 1 + 1e-6
 
 # Return counts by range
@@ -44,7 +42,6 @@ class ReturnCounts:
     masked: Int64[np.ndarray, " k"]
     """Replaced by a drop's return."""
     false: Int64[np.ndarray, " k"]
-    """Drops."""
     range_rmse_m: float
     """Root mean square of the range error that rain adds to kept returns; NaN without any."""
     untouched: int
@@ -53,26 +50,16 @@ class ReturnCounts:
     @classmethod
     def of(cls, beams: Beams, rainy: RainyScan, edges_m: tuple[float, ...] = RANGE_EDGES_M) -> "ReturnCounts":
         edges = np.array(edges_m)
-
-        def count(fate: ReturnOutcome) -> Int64[np.ndarray, " k"]:
-            return _binned(beams.ranges_m[(rainy.fates == fate) & beams.is_echo], edges)
-
         kept, dropped, masked = (
-            count(fate) for fate in (ReturnOutcome.KEPT, ReturnOutcome.DROPPED, ReturnOutcome.MASKED)
+            _binned(beams.ranges_m[(rainy.fates == fate) & beams.is_echo], edges)
+            for fate in (ReturnOutcome.KEPT, ReturnOutcome.DROPPED, ReturnOutcome.MASKED)
         )
         true = ~rainy.is_false & ~beams.untouched[rainy.beams]
         away = rainy.sweep.points_m[true].astype(np.float64) - beams.origin_m
         added = np.linalg.norm(away, axis=1) - beams.ranges_m[rainy.beams[true]]
-        return cls(
-            edges_m=edges,
-            clear=kept + dropped + masked,
-            kept=kept,
-            dropped=dropped,
-            masked=masked,
-            false=_binned(rainy.false_ranges_m, edges),
-            range_rmse_m=float(np.sqrt(np.mean(added**2))) if len(added) else float("nan"),
-            untouched=int(beams.untouched.sum()),
-        )
+        rmse = float(np.sqrt(np.mean(added**2))) if len(added) else float("nan")
+        false, untouched = _binned(rainy.false_ranges_m, edges), int(beams.untouched.sum())
+        return cls(edges, kept + dropped + masked, kept, dropped, masked, false, rmse, untouched)
 
     def return_share(self) -> Float64[np.ndarray, " k"]:
         """Share of the clear returns that are kept, 0..1; NaN without clear returns."""
@@ -82,10 +69,9 @@ class ReturnCounts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RainRunCounts:
-    """Results of one turn in one rain, without the points."""
+    """Results of one turn in one rain, without the points, to save memory over many runs."""
 
     turn: str
-    """Its name."""
     range_m: float
     """Of the sensor, at 10 %."""
     state: RainProperties
@@ -96,6 +82,7 @@ class RainRunCounts:
     """Clear returns at the detection threshold, which any rain loses."""
     tally: ReturnCounts
     near: ReturnCounts
+    """In fine bins, up to the range at which drops are detected."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,58 +90,29 @@ class RainRun:
     """One turn in one rain."""
 
     turn: LidarTurn
-    state: RainProperties
-    seed: int
-    wetness: float
     rainy: RainyScan
-    tally: ReturnCounts
-    near: ReturnCounts
-    """In fine bins, up to the range at which drops are detected."""
-
-    @property
-    def without_points(self) -> "RainRunCounts":
-        """The counts alone, to save memory over many runs."""
-        sensor, beams = self.turn.sensor, self.turn.beams
-        signals = sensor.signal(beams.ranges_m[beams.is_echo], beams.reflectances[beams.is_echo], 0.0)
-        return RainRunCounts(
-            turn=self.turn.name,
-            range_m=sensor.range_m,
-            state=self.state,
-            seed=self.seed,
-            wetness=self.wetness,
-            at_threshold=int(np.sum(signals < _JUST)),
-            tally=self.tally,
-            near=self.near,
-        )
+    counts: RainRunCounts
 
 
 def rain_runs(
     turn: LidarTurn, intensities_mm_h: Sequence[float], seeds: Sequence[int], *, answer: Answer, wet_road: bool
 ) -> Iterator[RainRun]:
     """Simulate rain on a turn: all seeds of the first rain rate, then of the next."""
-    rains = [RainSettings(intensity_mm_h=intensity) for intensity in intensities_mm_h]
-    reach = max(DropReturnModel(turn.sensor, RainSimulation.start(rain).state).reach_m for rain in rains)
-    edges = near_edges(reach)
+    beams, sensor = turn.beams, turn.sensor
+    states = [RainSimulation.start(RainSettings(intensity_mm_h=each)).state for each in intensities_mm_h]
+    reach_m = max(_MIN_NEAR_M, *(DropReturnModel(sensor, state).reach_m for state in states))
+    near_edges = tuple(float(NEAR_STEP_M * k) for k in range(int(np.ceil(reach_m / NEAR_STEP_M)) + 1))
+    clear = sensor.signal(beams.ranges_m[beams.is_echo], beams.reflectances[beams.is_echo], 0.0)
+    at_threshold = int(np.sum(clear < _JUST))
     for intensity in intensities_mm_h:
         for seed in seeds:
             rainfall = RainSimulation.start(RainSettings(intensity_mm_h=intensity, seed=seed))
-            rainy = scan_in_rain(
-                turn.beams, turn.sensor, rainfall, turn.anchor_to_world, answer=answer, wet_road=wet_road
-            )
-            yield RainRun(
-                turn=turn,
-                state=rainfall.state,
-                seed=seed,
-                wetness=rainfall.wetness_at(turn.beams.time_s) if wet_road else 0.0,
-                rainy=rainy,
-                tally=ReturnCounts.of(turn.beams, rainy),
-                near=ReturnCounts.of(turn.beams, rainy, edges),
-            )
-
-
-def near_edges(reach_m: float) -> tuple[float, ...]:
-    """Edges of fine bins up to a range of at least 2 m."""
-    return tuple(float(NEAR_STEP_M * k) for k in range(int(np.ceil(max(reach_m, _NEAR_M) / NEAR_STEP_M)) + 1))
+            rainy = scan_in_rain(beams, sensor, rainfall, turn.anchor_to_world, answer=answer, wet_road=wet_road)
+            wetness = rainfall.wetness_at(beams.time_s) if wet_road else 0.0
+            tallies = ReturnCounts.of(beams, rainy), ReturnCounts.of(beams, rainy, near_edges)
+            state = rainfall.state
+            counts = RainRunCounts(turn.name, sensor.range_m, state, seed, wetness, at_threshold, *tallies)
+            yield RainRun(turn, rainy, counts)
 
 
 def _binned(
@@ -172,69 +130,54 @@ _VIEWED_SHARE = 0.985
 _ASPECT = 0.66  # height over width of the top view
 _FEWEST = 20  # bins with fewer clear returns are not drawn
 _FEW_ENTRIES = 8  # maximum number of entries for a legend inside its panel; a longer one is placed to its right
-ByIntensity = Mapping[float, Sequence[RainRunCounts]]
-"""All seeds and turns at each rain rate in mm/h."""
-
-_Rows = Mapping[float, Sequence[ReturnCounts]]
+ByIntensity = Mapping[float, Sequence[RainRunCounts]]  # all seeds and turns at each rain rate in mm/h
 
 
-def write_figure(path: Path, shown: RainRun, by_intensity: ByIntensity) -> None:
+def write_figure(path: Path, run: RainRun, by_intensity: ByIntensity) -> None:
     """Draw the figure and write it (PNG) atomically."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as beside:
-        draw_figure(shown, by_intensity).savefig(beside, format="png", dpi=_DPI)
+    with whole_file(path) as temporary:
+        draw_figure(run, by_intensity).savefig(temporary, format="png", dpi=_DPI)
 
 
-def draw_figure(shown: RainRun, by_intensity: ByIntensity) -> Figure:
+def draw_figure(run: RainRun, by_intensity: ByIntensity) -> Figure:
     """Draw one turn from above, clear and in its rain, and the counts of all turns by range."""
     figure = Figure(figsize=_SIZE_INCHES, layout="constrained")
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.08)  # pyright: ignore
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(2, 2, height_ratios=(1.45, 1))
-    reach = float(np.quantile(shown.turn.beams.ranges_m[shown.turn.beams.is_echo], _VIEWED_SHARE))
-    _draw_clear(figure.add_subplot(grid[0, 0]), shown.turn, reach)
-    _draw_rain(figure.add_subplot(grid[0, 1]), shown, reach)
-    _draw_return_share(
-        figure.add_subplot(grid[1, 0]), {rain: [run.tally for run in runs] for rain, runs in by_intensity.items()}
-    )
-    _draw_false(
-        figure.add_subplot(grid[1, 1]), {rain: [run.near for run in runs] for rain, runs in by_intensity.items()}
-    )
+    beams = run.turn.beams
+    echoes = beams.is_echo
+    reach = float(np.quantile(beams.ranges_m[echoes], _VIEWED_SHARE))
+    clear = figure.add_subplot(grid[0, 0])
+    _dots(clear, _from_above(run.turn, beams.points_m[echoes]), _CLEAR)
+    _frame(clear, run.turn, reach, f"clear: {int(echoes.sum()):,} returns")
+    _draw_rain(figure.add_subplot(grid[0, 1]), run, reach)
+    _draw_return_share(figure.add_subplot(grid[1, 0]), by_intensity)
+    _draw_false(figure.add_subplot(grid[1, 1]), by_intensity)
     return figure
 
 
-def _from_above(turn: LidarTurn, points_m: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
+def _from_above(turn: LidarTurn, points_m: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
     """Coordinates ahead and to the left of the vehicle, in meters."""
-    local = (points_m - turn.anchor_to_world[:3, 3]) @ turn.anchor_to_world[:3, :3]
-    return np.stack([local[:, 0], local[:, 1]], axis=1)
+    away = points_m.astype(np.float64) - turn.anchor_to_world[:3, 3]
+    return (away @ turn.anchor_to_world[:3, :3])[:, :2]
 
 
-def _draw_clear(axes: Axes, turn: LidarTurn, reach_m: float) -> None:
-    echoes = turn.beams.is_echo
-    _dots(axes, _from_above(turn, turn.beams.points_m[echoes].astype(np.float64)), _CLEAR)
-    _frame(axes, turn, reach_m)
-    axes.set_title(f"clear: {int(echoes.sum()):,} returns", loc="left")
-
-
-def _draw_rain(axes: Axes, shown: RainRun, reach_m: float) -> None:
-    turn, rainy = shown.turn, shown.rainy
-    fates, clear = rainy.fates, turn.beams.points_m.astype(np.float64)
-    kept = ~rainy.is_false & ~turn.beams.untouched[rainy.beams]
-    _dots(axes, _from_above(turn, rainy.sweep.points_m[kept].astype(np.float64)), _CLEAR, f"kept {int(kept.sum()):,}")
+def _draw_rain(axes: Axes, run: RainRun, reach_m: float) -> None:
+    turn, rainy = run.turn, run.rainy
+    true, points = ~rainy.is_false & ~turn.beams.untouched[rainy.beams], rainy.sweep.points_m
+    _dots(axes, _from_above(turn, points[true]), _CLEAR, f"kept {int(true.sum()):,}")
     for fate, color, title in (
         (ReturnOutcome.DROPPED, _DROPPED, "too weak"),
         (ReturnOutcome.MASKED, _MASKED, "behind a drop"),
     ):
-        lost = fates == fate
-        label = f"{title} {int(lost.sum()):,}"
-        _dots(axes, _from_above(turn, clear[lost]), color, label, size=3.0)
-    false = rainy.sweep.points_m[rainy.is_false].astype(np.float64)
+        lost = rainy.fates == fate
+        _dots(axes, _from_above(turn, turn.beams.points_m[lost]), color, f"{title} {int(lost.sum()):,}", size=3.0)
+    false = points[rainy.is_false]
     _dots(axes, _from_above(turn, false), _FALSE, f"drops {len(false):,}", size=5.0)
-    _frame(axes, turn, reach_m)
-    axes.set_title(
-        f"{shown.state.intensity_mm_h:g} mm/h: {len(rainy.beams) - int(turn.beams.untouched.sum()):,} returns",
-        loc="left",
-    )
+    count = len(rainy.beams) - int(turn.beams.untouched.sum())
+    _frame(axes, turn, reach_m, f"{run.counts.state.intensity_mm_h:g} mm/h: {count:,} returns")
     axes.legend(loc="upper right", fontsize=8, framealpha=0.9, markerscale=3, handletextpad=0.2)
 
 
@@ -242,7 +185,7 @@ def _dots(axes: Axes, places: Float64[np.ndarray, "n 2"], color: str, label: str
     axes.scatter(places[:, 0], places[:, 1], s=size, c=color, linewidths=0, label=label or None, rasterized=True)
 
 
-def _frame(axes: Axes, turn: LidarTurn, reach_m: float) -> None:
+def _frame(axes: Axes, turn: LidarTurn, reach_m: float, title: str) -> None:
     sensor = _from_above(turn, turn.beams.origin_m[None])[0]
     axes.plot(*sensor, marker="^", color=_EGO, markersize=6, linestyle="none")
     axes.set_xlim(sensor[0] - reach_m, sensor[0] + reach_m)
@@ -250,10 +193,12 @@ def _frame(axes: Axes, turn: LidarTurn, reach_m: float) -> None:
     axes.set_aspect("equal")
     axes.set_xlabel("ahead (m)")
     axes.set_ylabel("left (m)")
+    axes.set_title(title, loc="left")
 
 
-def _draw_return_share(axes: Axes, rows: _Rows) -> None:
-    for color, (intensity, tallies) in zip(shades(len(rows)), rows.items(), strict=True):
+def _draw_return_share(axes: Axes, by_intensity: ByIntensity) -> None:
+    for color, (intensity, runs) in zip(shades(len(by_intensity)), by_intensity.items(), strict=True):
+        tallies = [run.tally for run in runs]
         edges = np.where(np.isinf(tallies[0].edges_m), 1.5 * tallies[0].edges_m[-2], tallies[0].edges_m)
         enough = sum(each.clear for each in tallies) >= _FEWEST * len(tallies)
         shares = np.stack([np.where(enough, each.return_share(), np.nan) for each in tallies])
@@ -264,18 +209,12 @@ def _draw_return_share(axes: Axes, rows: _Rows) -> None:
     axes.set_ylim(min(axes.get_ylim()[0], 0.9), 1.005)
 
 
-def _draw_false(axes: Axes, near: _Rows) -> None:
-    for color, (intensity, tallies) in zip(shades(len(near)), near.items(), strict=True):
-        edges = tallies[0].edges_m
-        counts = np.stack([each.false for each in tallies]).astype(np.float64)
+def _draw_false(axes: Axes, by_intensity: ByIntensity) -> None:
+    for color, (intensity, runs) in zip(shades(len(by_intensity)), by_intensity.items(), strict=True):
+        edges, counts = runs[0].near.edges_m, np.stack([run.near.false for run in runs]).astype(np.float64)
         if counts.any():
-            _band(
-                axes,
-                (edges[1:] + edges[:-1]) / 2,
-                counts,
-                color,
-                f"{intensity:g} mm/h: {counts.sum(1).mean():.0f} in all",
-            )
+            label = f"{intensity:g} mm/h: {counts.sum(1).mean():.0f} in all"
+            _band(axes, (edges[1:] + edges[:-1]) / 2, counts, color, label)
     axes.set_title(f"false returns: drops in a turn, per {NEAR_STEP_M:g} m", loc="left")
     _finish(axes, "range (m)")
     axes.set_ylim(bottom=0)

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, no_type_check
+from typing import Any, Literal, no_type_check
 
 import msgspec
 import numba
@@ -26,17 +26,11 @@ from ...scene.camera import Camera
 from ...scene.files import whole_file
 from ...scene.geometry import matrices_from_quaternions
 from ...scene.scene import DrawItem, Layer, PoseTrack, Scene
-from .rain_echoes import (
-    DropReturnModel,
-    RainReturns,
-    drop_field_returns,
-    sample_far_returns,
-    span_in_box,
-    wet_road_share,
-)
+from .rain_echoes import DropReturnModel, RainReturns, box_span, drop_field_returns, sample_far_returns, wet_road_share
 from .sensor import STATED_REFLECTANCE, Beams, LidarSensor
 
 Answer = Literal["strongest", "first", "last"]
+Pose = Float64[np.ndarray, "4 4"]
 
 
 class ReturnOutcome(IntEnum):
@@ -61,7 +55,6 @@ class RainyScan:
     is_false: Bool[np.ndarray, " m"]
     """Mask of the points that are drops."""
     fates: Int8[np.ndarray, " n"]
-    """A `ReturnOutcome` for each beam."""
     signals: Float64[np.ndarray, " m"]
     """Power of each point in multiples of the detection threshold; 0 for points unaffected by rain."""
 
@@ -70,20 +63,11 @@ class RainyScan:
         return np.linalg.norm(self.sweep.points_m[self.is_false].astype(np.float64) - self.sweep.origin_m, axis=1)
 
 
-class _DropReturn(NamedTuple):
-    """The candidate drop return of a beam."""
-
-    beams: Int64[np.ndarray, " m"]
-    ranges_m: Float64[np.ndarray, " m"]
-    reflectances: Float64[np.ndarray, " m"]
-    signals: Float64[np.ndarray, " m"]
-
-
 def scan_in_rain(
     beams: Beams,
     sensor: LidarSensor,
     rainfall: RainSimulation,
-    anchor_to_world: Float64[np.ndarray, "4 4"],
+    anchor_to_world: Pose,
     *,
     answer: Answer = "strongest",
     wet_road: bool = True,
@@ -104,39 +88,48 @@ def scan_in_rain(
         faded *= _wet_road(beams, sensor, rainfall)
     clear = np.where(beams.is_echo, sensor.signal(ranges, beams.reflectances, 0.0), 0.0)
     signals = clear * faded
-    chosen = _answering_drops(beams, sensor, rainfall, anchor_to_world, answer)
     # Threshold returns stay detected without attenuation: rounding must not lose them.
     heard = beams.is_echo & ((signals >= 1) | (faded == 1))
+    drops, drop_signals = _answering_drops(beams, sensor, rainfall, anchor_to_world, answer)
+    if answer == "first":
+        answers = np.ones(len(drops.beams), bool)
+    else:  # always if the echo behind is not detected
+        answers = ~heard[drops.beams]
+        if answer == "strongest":
+            answers |= drop_signals > signals[drops.beams]
+    drops, drop_signals = RainReturns(*(column[answers] for column in drops)), drop_signals[answers]
     by_drop = np.zeros(len(beams), bool)
-    by_drop[chosen.beams] = _drop_answers(answer, chosen, heard, signals)
+    by_drop[drops.beams] = True
     fates = np.full(len(beams), ReturnOutcome.NOTHING, np.int8)
     fates[beams.is_echo] = ReturnOutcome.DROPPED
     fates[heard] = ReturnOutcome.KEPT
     fates[heard & by_drop] = ReturnOutcome.MASKED
-    kept = np.flatnonzero((fates == ReturnOutcome.KEPT) | beams.untouched)
-    false = chosen.beams[by_drop[chosen.beams]]
-    drop = _DropReturn(*(column[by_drop[chosen.beams]] for column in chosen))
+    true = np.flatnonzero((fates == ReturnOutcome.KEPT) | beams.untouched)
     noise = np.random.default_rng([seed, _moment(beams.time_s), 1]).standard_normal(len(beams))
-    moved = noise * _added_sigma(sensor, clear, signals)
+    # The points of a clear sweep already contain their own noise.
+    before, after = (sensor.range_sigma(np.maximum(each, 1)) ** 2 for each in (clear, signals))
+    moved = noise * np.sqrt(np.maximum(after - before, 0))
     moved[beams.untouched] = 0
-    true_points = (beams.points_m + beams.directions * moved[:, None])[kept]
-    spread = drop.ranges_m + noise[false] * sensor.range_sigma(drop.signals)
-    false_points = beams.origin_m + beams.directions[false] * np.maximum(spread, sensor.blind_m)[:, None]
-    order = np.argsort(np.concatenate([kept, false]), kind="stable")
+    true_points = (beams.points_m + beams.directions * moved[:, None])[true]
+    spread = drops.ranges_m + noise[drops.beams] * sensor.range_sigma(drop_signals)
+    false_points = beams.origin_m + beams.directions[drops.beams] * np.maximum(spread, sensor.blind_m)[:, None]
+    order = np.argsort(np.concatenate([true, drops.beams]), kind="stable")
+    intensities = None
+    if beams.intensities is not None:  # the sensor corrects for range but not for rain
+        of_true = beams.intensities[true] * np.where(beams.untouched, 1, faded)[true]
+        of_drops = beams.full_intensity * drops.reflectances * np.exp(-2 * state.extinction_per_m * drops.ranges_m)
+        intensities = np.concatenate([of_true, of_drops]).astype(np.float32)[order]
     points = np.concatenate([true_points, false_points]).astype(np.float32)[order]
-    intensities = _intensities(beams, faded, kept, drop, state.extinction_per_m)
     return RainyScan(
-        sweep=LidarSweep(beams.time_s, points, beams.origin_m, None if intensities is None else intensities[order]),
-        beams=np.concatenate([kept, false])[order],
-        is_false=(np.arange(len(order)) >= len(kept))[order],
+        sweep=LidarSweep(beams.time_s, points, beams.origin_m, intensities),
+        beams=np.concatenate([true, drops.beams])[order],
+        is_false=(np.arange(len(order)) >= len(true))[order],
         fates=fates,
-        signals=np.concatenate([signals[kept], drop.signals])[order],
+        signals=np.concatenate([signals[true], drop_signals])[order],
     )
 
 
-def leveled_frame(
-    forward: Sequence[float] | Float64[np.ndarray, "3"], origin_m: Float64[np.ndarray, "3"]
-) -> Float64[np.ndarray, "4 4"]:
+def leveled_frame(forward: Sequence[float] | Float64[np.ndarray, "3"], origin_m: Float64[np.ndarray, "3"]) -> Pose:
     """Frame of the rain's regions: x along a heading, z up, without tilt."""
     length = float(np.hypot(forward[0], forward[1]))
     x, y = (forward[0] / length, forward[1] / length) if length > 1e-6 else (1.0, 0.0)
@@ -159,21 +152,17 @@ def _wet_road(beams: Beams, sensor: LidarSensor, rainfall: RainSimulation) -> Fl
 
 
 def _answering_drops(
-    beams: Beams,
-    sensor: LidarSensor,
-    rainfall: RainSimulation,
-    anchor_to_world: Float64[np.ndarray, "4 4"],
-    answer: Answer,
-) -> _DropReturn:
-    """The drop of each beam that would be reported without another echo."""
+    beams: Beams, sensor: LidarSensor, rainfall: RainSimulation, anchor_to_world: Pose, answer: Answer
+) -> tuple[RainReturns, Float64[np.ndarray, " m"]]:
+    """The drop of each beam that would be reported without another echo, and its signal."""
     if rainfall.state.intensity_mm_h == 0:
-        return _DropReturn(np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros(0))
+        return RainReturns.none(), np.zeros(0)
     signals = DropReturnModel(sensor, rainfall.state)
     listened = np.where(beams.untouched, 0, np.minimum(beams.ranges_m - sensor.pulse_m, signals.reach_m))
     listened = np.maximum(listened, 0)
     view = RainCamera(Camera.from_fov(1, 1, 45.0, np.eye(4)), anchor_to_world, np.zeros(3))
     field = rainfall.streak_field(beams.time_s, view)
-    simulated = span_in_box(beams, rainfall.rain.streak_region, anchor_to_world)
+    simulated = box_span(beams, rainfall.rain.streak_region, anchor_to_world)
     seed = np.random.default_rng([rainfall.rain.seed, _moment(beams.time_s), 2]).integers(2**63)
     found = RainReturns.joined(
         drop_field_returns(field, beams, listened, signals),
@@ -183,40 +172,7 @@ def _answering_drops(
     first = {"strongest": -strength, "first": found.ranges_m, "last": -found.ranges_m}[answer]
     order = np.lexsort((first, found.beams))
     best = order[np.unique(found.beams[order], return_index=True)[1]]
-    return _DropReturn(found.beams[best], found.ranges_m[best], found.reflectances[best], strength[best])
-
-
-def _drop_answers(
-    answer: Answer, drops: _DropReturn, heard: Bool[np.ndarray, " n"], signals: Float64[np.ndarray, " n"]
-) -> Bool[np.ndarray, " m"]:
-    """Mask of the reported drops: always if the echo behind is not detected."""
-    if answer == "first":
-        return np.ones(len(drops.beams), bool)
-    wins = drops.signals > signals[drops.beams] if answer == "strongest" else np.zeros(len(drops.beams), bool)
-    return ~heard[drops.beams] | wins
-
-
-def _added_sigma(
-    sensor: LidarSensor, clear: Float64[np.ndarray, " n"], rainy: Float64[np.ndarray, " n"]
-) -> Float64[np.ndarray, " n"]:
-    """Additional range noise from rain: the points of a clear sweep already contain their own noise."""
-    before, after = (sensor.range_sigma(np.maximum(each, 1)) ** 2 for each in (clear, rainy))
-    return np.sqrt(np.maximum(after - before, 0))
-
-
-def _intensities(
-    beams: Beams,
-    faded: Float64[np.ndarray, " n"],
-    kept: Int64[np.ndarray, " k"],
-    drops: _DropReturn,
-    extinction_per_m: float,
-) -> Float32[np.ndarray, " m"] | None:
-    """Apparent intensity: the sensor corrects for range but not for rain."""
-    if beams.intensities is None:
-        return None
-    true = beams.intensities[kept] * np.where(beams.untouched, 1, faded)[kept]
-    false = beams.full_intensity * drops.reflectances * np.exp(-2 * extinction_per_m * drops.ranges_m)
-    return np.concatenate([true, false]).astype(np.float32)
+    return RainReturns(*(column[best] for column in found)), strength[best]
 
 
 def _moment(time_s: float) -> int:
@@ -233,15 +189,10 @@ _LARGEST_PX = 2048
 _ROAD_UP = 0.95
 _ROAD_M = 0.3
 
-# Beams of a measured sweep
-
-MATT = 0.2
-"""Default reflectance of all objects, times the cosine of incidence, for sweeps without intensities."""
+MATT = 0.2  # default reflectance of all objects, times the cosine of incidence, for sweeps without intensities
 
 
-def scan_scene(
-    scene: Scene, time_s: float, sensor_to_world: Float64[np.ndarray, "4 4"], sensor: LidarSensor, matt: float = MATT
-) -> Beams:
+def scan_scene(scene: Scene, time_s: float, sensor_to_world: Pose, sensor: LidarSensor, matt: float = MATT) -> Beams:
     """Send the sensor's beams into a scene. `sensor_to_world` is a pose: x forward, y left, z up, meters.
 
     Everything has the same near-infrared reflectance `matt`, times the cosine of incidence, since colors do not
@@ -252,15 +203,23 @@ def scan_scene(
     origin = sensor_to_world[:3, 3].copy()
     ranges, normals = np.full(len(own), np.inf), np.zeros((len(own), 3))
     azimuths = np.degrees(np.arctan2(own[:, 1], own[:, 0]))
-    surfaces = LidarSurfaces.of(scene, time_s)
+    placed = [(each, part) for each in scene.members if each.visible and (part := scene.part(each, time_s)) is not None]
+    parts = [part for _, part in placed]
+    sky = [np.full(len(p.gaussians), isinstance(m, Layer) and m.kind == "sky") for m, p in placed]
+    is_sky = np.concatenate([np.zeros(0, np.bool_), *sky])
     faces = np.round(azimuths / _FACE_DEG).astype(int) % 4
     for face in np.unique(faces).tolist():
         mine = np.flatnonzero(faces == face)
         camera = _face_camera(sensor, sensor_to_world, face)
-        ranges[mine], normals[mine] = surfaces.met_by(directions[mine], camera)
+        ranges[mine], normals[mine] = _surfaces_met(parts, is_sky, directions[mine], camera)
     cosines = np.abs(np.sum(normals * directions, axis=1))
     found = np.isfinite(ranges)
     points = np.where(found[:, None], origin + directions * np.where(found, ranges, 0)[:, None], origin)
+    ego = scene.ego_to_world(time_s)
+    road_m = scene.ground_m if ego is None else float(ego[2, 3]) - EGO_HEIGHT_M
+    is_road = found & (normals[:, 2] > _ROAD_UP)
+    if road_m is not None:
+        is_road &= np.abs(points[:, 2] - road_m) < _ROAD_M
     return Beams(
         time_s=time_s,
         origin_m=origin,
@@ -268,7 +227,7 @@ def scan_scene(
         ranges_m=ranges,
         points_m=points.astype(np.float32),
         reflectances=matt * cosines,
-        road_cosines=np.where(found & _is_road(scene, time_s, points, normals), cosines, 0.0),
+        road_cosines=np.where(is_road, cosines, 0.0),
         untouched=np.zeros(len(own), bool),
     ).heard_by(sensor)
 
@@ -281,7 +240,7 @@ def _own_directions(sensor: LidarSensor) -> Float64[np.ndarray, "n 3"]:
     return np.stack([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)], axis=-1).reshape(-1, 3)
 
 
-def _face_camera(sensor: LidarSensor, sensor_to_world: Float64[np.ndarray, "4 4"], face: int) -> Camera:
+def _face_camera(sensor: LidarSensor, sensor_to_world: Pose, face: int) -> Camera:
     """A camera that covers a quarter of the beams, with pixels as wide as the azimuth step."""
     focal = min(1 / math.radians(sensor.azimuth_step_deg), _LARGEST_PX / 2)
     half = math.ceil(focal) + _MARGIN_PX
@@ -299,16 +258,6 @@ def _face_camera(sensor: LidarSensor, sensor_to_world: Float64[np.ndarray, "4 4"
     return Camera(2 * half, top + bottom, focal, focal, float(half), float(top), to_camera)
 
 
-def _is_road(
-    scene: Scene, time_s: float, points_m: Float64[np.ndarray, "n 3"], normals: Float64[np.ndarray, "n 3"]
-) -> Bool[np.ndarray, " n"]:
-    """Mask of horizontal surfaces at the height of the road, if that is known."""
-    ego = scene.ego_to_world(time_s)
-    height = scene.ground_m if ego is None else float(ego[2, 3]) - EGO_HEIGHT_M
-    flat = normals[:, 2] > _ROAD_UP
-    return flat if height is None else flat & (np.abs(points_m[:, 2] - height) < _ROAD_M)
-
-
 # Ray-surface intersection
 # Flat Gaussians act as pieces of planes. Blended depth of splat centers is too near on a road at a grazing angle, and
 # lies between two surfaces where it mixes them. Instead, a ray passes through the splats until less than half of its
@@ -322,40 +271,27 @@ _FARTHEST_OFF = 0.5  # largest distance of a ray-plane intersection from the spl
 _SAME_SHARE, _SAME_M = 0.03, 0.05  # splats within this distance of the median depth belong to the same surface
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LidarSurfaces:
-    """Visible parts of a scene at a time, with a mask of their sky Gaussians."""
+def _surfaces_met(
+    parts: Sequence[DrawItem], is_sky: Bool[np.ndarray, " g"], directions: Float64[np.ndarray, "n 3"], camera: Camera
+) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, "n 3"]]:
+    """Ranges in meters (infinite without a surface) and world normals that face the camera.
 
-    parts: tuple[DrawItem, ...]
-    is_sky: Bool[np.ndarray, " n"]
-
-    @classmethod
-    def of(cls, scene: Scene, time_s: float) -> "LidarSurfaces":
-        members = [(each, scene.part(each, time_s)) for each in scene.members if each.visible]
-        shown = [(member, part) for member, part in members if part is not None]
-        sky = [np.full(len(p.gaussians), isinstance(m, Layer) and m.kind == "sky") for m, p in shown]
-        return cls(tuple(part for _, part in shown), np.concatenate([np.zeros(0, np.bool_), *sky]))
-
-    def met_by(
-        self, directions: Float64[np.ndarray, "n 3"], camera: Camera
-    ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, "n 3"]]:
-        """Ranges in meters (infinite without a surface) and world normals that face the camera.
-
-        Unit `directions` in the world start at the camera and fall into its image, whose pixel size sets the resolution
-        of the Gaussians.
-        """
-        splats = project(self.parts, camera)
-        tiles = bin_into_tiles(splats.shapes, splats.nearest_first(), camera.width, camera.height)
-        turn = camera.world_to_camera[:3, :3]
-        own = directions @ turn.T
-        rays = own / own[:, 2:]
-        planes = np.column_stack([_planes(self.parts, splats.indices, camera), splats.colors[:, 3]])
-        places = np.stack([camera.cx + camera.fx * rays[:, 0], camera.cy + camera.fy * rays[:, 1]], axis=1)
-        found = np.zeros((len(rays), 4))
-        is_sky = self.is_sky[splats.indices]
-        _meet(splats.shapes, tiles.starts, tiles.members, tiles.columns, planes, is_sky, rays, places, found)
-        there = found[:, 0] > 0
-        return np.where(there, found[:, 0] / own[:, 2], np.inf), found[:, 1:] @ turn
+    Unit `directions` in the world start at the camera and fall into its image, whose pixel size sets the resolution
+    of the Gaussians.
+    """
+    splats = project(parts, camera)
+    tiles = bin_into_tiles(splats.shapes, splats.nearest_first(), camera.width, camera.height)
+    turn = camera.world_to_camera[:3, :3]
+    own = directions @ turn.T
+    rays = own / own[:, 2:]
+    planes = np.column_stack([_planes(parts, splats.indices, camera), splats.colors[:, 3]])
+    places = np.stack([camera.cx + camera.fx * rays[:, 0], camera.cy + camera.fy * rays[:, 1]], axis=1)
+    found = np.zeros((len(rays), 4))
+    _meet(
+        splats.shapes, tiles.starts, tiles.members, tiles.columns, planes, is_sky[splats.indices], rays, places, found
+    )
+    there = found[:, 0] > 0
+    return np.where(there, found[:, 0] / own[:, 2], np.inf), found[:, 1:] @ turn
 
 
 @numba.njit(parallel=True, cache=True)
@@ -434,27 +370,24 @@ def _planes(parts: Sequence[DrawItem], indices: Int64[np.ndarray, " m"], camera:
 
 
 def _normals(
-    part: DrawItem,
-    chosen: Int64[np.ndarray, " m"],
-    places: Float64[np.ndarray, "m 3"],
-    to_camera: Float64[np.ndarray, "4 4"],
+    part: DrawItem, chosen: Int64[np.ndarray, " m"], places: Float64[np.ndarray, "m 3"], to_camera: Pose
 ) -> Float64[np.ndarray, "m 3"]:
     scales: Float32[np.ndarray, "m 3"] = part.gaussians.scales[chosen]
-    turns = matrices_from_quaternions(part.gaussians.quaternions[chosen].astype(np.float64))
+    rotations = matrices_from_quaternions(part.gaussians.quaternions[chosen].astype(np.float64))
     shortest = np.argmin(scales, axis=1)
-    along = np.take_along_axis(turns, shortest[:, None, None], axis=2)[:, :, 0] @ to_camera[:3, :3].T
+    along = np.take_along_axis(rotations, shortest[:, None, None], axis=2)[:, :, 0] @ to_camera[:3, :3].T
     ordered = np.sort(scales, axis=1)
     flat = ordered[:, 0] < _FLAT * ordered[:, 1]
     normals = np.where(flat[:, None], along, places)
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
 
 
+# Beams of a measured sweep
+
 RETROREFLECTING = 100.0
 """Intensity of a white Lambertian target on scales beyond 1; higher values are reflectors (as of Velodyne)."""
 
-ROOF_M = 1.9
-"""Assumed sensor height above the road, a car's roof, if the dataset's origin is on the road."""
-
+ROOF_M = 1.9  # assumed sensor height above the road, a car's roof, if the dataset's origin is on the road
 _ON_ROAD_M = 0.5
 _BEAM_ROAD_M = 0.25  # largest height difference from the road of road points
 _SMALLEST_STEPS = 0.5 / 255  # share of the scale assumed for an intensity of 0, which was rounded down
@@ -477,10 +410,12 @@ def estimate_sensor_range(sweep: LidarSweep, full: float) -> float | None:
     if sweep.intensities is None:
         return None
     ranges = np.linalg.norm(sweep.points_m - sweep.origin_m, axis=1)
-    seen = _reflectances(sweep, full)[ranges > 1]
-    if not len(seen):
-        return None
-    return float(np.quantile(ranges[ranges > 1] * np.sqrt(STATED_REFLECTANCE / seen), _DETECTED_SHARE))
+    reflectances, ranges = _reflectances(sweep, full)[ranges > 1], ranges[ranges > 1]
+    return (
+        float(np.quantile(ranges * np.sqrt(STATED_REFLECTANCE / reflectances), _DETECTED_SHARE))
+        if len(ranges)
+        else None
+    )
 
 
 def sweep_beams(
@@ -494,21 +429,32 @@ def sweep_beams(
     datasets with points in the vehicle's frame) is raised to `ROOF_M`.
     """
     full = full_intensity(sweep) if full is None else full
-    sweep = replace(sweep, origin_m=_origin(sweep, ego))
+    pose = None if ego is None else ego.pose(sweep.time_s)
+    if pose is not None:
+        height = float((sweep.origin_m - pose[:3, 3]) @ pose[:3, 2]) + EGO_HEIGHT_M
+        if height <= _ON_ROAD_M:
+            sweep = replace(sweep, origin_m=sweep.origin_m + (ROOF_M - height) * pose[:3, 2])
     away = sweep.points_m.astype(np.float64) - sweep.origin_m
     ranges = np.linalg.norm(away, axis=1)
     untouched = ranges < max(sensor.clear_m, 1e-3)
     directions = away / np.maximum(ranges, 1e-9)[:, None]
     directions[ranges < 1e-9] = (1, 0, 0)
-    least = sensor.detectable(np.where(untouched, sensor.clear_m, ranges))
+    weakest = sensor.detectable(np.where(untouched, sensor.clear_m, ranges))
+    road_cosines = np.zeros(len(ranges))
+    if pose is not None:
+        up = pose[:3, 2]  # follows the slope under the vehicle
+        heights = (sweep.points_m - pose[:3, 3]) @ up + EGO_HEIGHT_M
+        sensor_height = float((sweep.origin_m - pose[:3, 3]) @ up) + EGO_HEIGHT_M
+        cosines = np.clip((sensor_height - heights) / np.maximum(ranges, 1e-9), 0, 1)
+        road_cosines = np.where(np.abs(heights) < _BEAM_ROAD_M, cosines, 0.0)
     return Beams(
         time_s=sweep.time_s,
         origin_m=sweep.origin_m,
         directions=directions,
         ranges_m=ranges,
         points_m=sweep.points_m,
-        reflectances=np.maximum(_reflectances(sweep, full), least),
-        road_cosines=_road_cosines(sweep, ranges, ego),
+        reflectances=np.maximum(_reflectances(sweep, full), weakest),
+        road_cosines=road_cosines,
         untouched=untouched,
         intensities=sweep.intensities,
         full_intensity=full,
@@ -521,28 +467,6 @@ def _reflectances(sweep: LidarSweep, full: float) -> Float64[np.ndarray, " p"]:
     return np.maximum(sweep.intensities.astype(np.float64) / full, _SMALLEST_STEPS)
 
 
-def _origin(sweep: LidarSweep, ego: PoseTrack | None) -> Float64[np.ndarray, "3"]:
-    pose = None if ego is None else ego.pose(sweep.time_s)
-    if pose is None:
-        return sweep.origin_m
-    up = pose[:3, 2]
-    height = float((sweep.origin_m - pose[:3, 3]) @ up) + EGO_HEIGHT_M
-    return sweep.origin_m if height > _ON_ROAD_M else sweep.origin_m + (ROOF_M - height) * up
-
-
-def _road_cosines(
-    sweep: LidarSweep, ranges_m: Float64[np.ndarray, " p"], ego: PoseTrack | None
-) -> Float64[np.ndarray, " p"]:
-    pose = None if ego is None else ego.pose(sweep.time_s)
-    if pose is None:
-        return np.zeros(len(ranges_m))
-    up = pose[:3, 2]  # follows the slope under the vehicle
-    heights = (sweep.points_m - pose[:3, 3]) @ up + EGO_HEIGHT_M
-    sensor_height = float((sweep.origin_m - pose[:3, 3]) @ up) + EGO_HEIGHT_M
-    cosines = np.clip((sensor_height - heights) / np.maximum(ranges_m, 1e-9), 0, 1)
-    return np.where(np.abs(heights) < _BEAM_ROAD_M, cosines, 0.0)
-
-
 # Turns
 
 
@@ -552,15 +476,15 @@ class LidarTurn:
 
     name: str
     beams: Beams
-    anchor_to_world: Float64[np.ndarray, "4 4"]
+    anchor_to_world: Pose
     """Frame of the rain's regions: the vehicle's, leveled."""
     sensor: LidarSensor
 
 
 def capture_turns(
-    capture: Capture, sensor: LidarSensor, count: int = 1, *, full: float | None = None, told_range: bool = True
+    capture: Capture, sensor: LidarSensor, count: int = 1, *, full: float | None = None, estimates_range: bool = True
 ) -> Iterator[LidarTurn]:
-    """Yield evenly spaced sweeps of a capture. With `told_range` the sensor's range is estimated from each sweep.
+    """Yield evenly spaced sweeps of a capture. With `estimates_range` the sensor's range is estimated from each sweep.
 
     Raises `ValueError` if there is no sweep, or the capture is not in meters with z up.
     """
@@ -571,24 +495,20 @@ def capture_turns(
     for number in evenly_spaced(len(capture.sweeps), count):
         sweep = capture.sweeps[number]
         scale = full_intensity(sweep) if full is None else full
-        told = estimate_sensor_range(sweep, scale) if told_range else None
+        range_m = estimate_sensor_range(sweep, scale) if estimates_range else None
         own = sensor
-        if told is not None:
-            own = msgspec.structs.replace(sensor, range_m=min(max(told, 1.0), 1000.0))
+        if range_m is not None:
+            own = msgspec.structs.replace(sensor, range_m=min(max(range_m, 1.0), 1000.0))
         pose = None if capture.ego is None else capture.ego.pose(sweep.time_s)
-        frame = (
-            leveled_frame((1.0, 0.0, 0.0), sweep.origin_m) if pose is None else leveled_frame(pose[:3, 0], pose[:3, 3])
-        )
+        forward, origin = ((1.0, 0.0, 0.0), sweep.origin_m) if pose is None else (pose[:3, 0], pose[:3, 3])
+        frame = leveled_frame(forward, origin)
         yield LidarTurn(f"sweep{number:04d}", sweep_beams(sweep, own, capture.ego, scale), frame, own)
 
 
 def scene_turns(
     scene: Scene, sensor: LidarSensor, times_s: Sequence[float], *, matt: float = MATT, height_m: float = ROOF_M
 ) -> Iterator[LidarTurn]:
-    """Yield virtual turns of a level sensor on the ego vehicle's roof, `height_m` over the road.
-
-    Raises `ValueError` for a scene without an ego track, and for times without the vehicle.
-    """
+    """Yield virtual turns of a level sensor `height_m` over the road; raises ValueError without an ego vehicle."""
     for number, time_s in enumerate(times_s):
         ego = scene.ego_to_world(time_s)
         if ego is None:
@@ -628,5 +548,5 @@ def write_sweep(path: Path, rainy: RainyScan) -> None:
     if rainy.sweep.intensities is not None:
         columns["intensities"] = rainy.sweep.intensities
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as beside, beside.open("wb") as file:
+    with whole_file(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, **columns)

@@ -1,7 +1,7 @@
 """Lidar sensor model: beams, detection threshold by range, noise, and sensor presets."""
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -79,48 +79,29 @@ class LidarSensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         return np.asarray(reflectance, np.float64) / self.detectable(range_m) * through
 
     def range_sigma(self, signal: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
-        """Standard deviation of a range in meters, at a signal of 1 or more.
-
-        Inverse to the square root of the signal-to-noise ratio (Skolnik; also used by Kilic et al. 2021, LISA).
-        """
+        """Standard deviation of a range in m: inverse to the root of a signal >= 1 (Skolnik; Kilic et al. 2021)."""
         return self.range_sigma_m / np.sqrt(np.asarray(signal, np.float64))
 
 
-def _even(low: float, high: float, count: int) -> tuple[float, ...]:
-    return tuple(float(each) for each in np.linspace(low, high, count).round(3))
+def _generic(name: str, low_deg: float, high_deg: float, rows: int, **values: Any) -> LidarSensor:
+    elevations = tuple(float(each) for each in np.linspace(low_deg, high_deg, rows).round(3))
+    return LidarSensor(name=name, elevations_deg=elevations, **values)
 
 
 SENSORS: dict[str, LidarSensor] = {
-    "32": LidarSensor(
-        name="32 beams, 905 nm, 50 m at 10 %", elevations_deg=_even(-30.67, 10.67, 32), range_m=50.0, farthest_m=100.0
+    "32": _generic("32 beams, 905 nm, 50 m at 10 %", -30.67, 10.67, 32, range_m=50.0, farthest_m=100.0),
+    "64": _generic(
+        "64 beams, 905 nm, 80 m at 10 %", -24.8, 2.0, 64, range_m=80.0, farthest_m=150.0, divergence_mrad=2.0
     ),
-    "64": LidarSensor(
-        name="64 beams, 905 nm, 80 m at 10 %",
-        elevations_deg=_even(-24.8, 2.0, 64),
-        range_m=80.0,
-        farthest_m=150.0,
-        divergence_mrad=2.0,
-    ),
-    "128": LidarSensor(
-        name="128 beams, 905 nm, 200 m at 10 %",
-        elevations_deg=_even(-25.0, 15.0, 128),
-        range_m=200.0,
-        farthest_m=300.0,
-        divergence_mrad=1.5,
+    "128": _generic(
+        "128 beams, 905 nm, 200 m at 10 %", -25.0, 15.0, 128, range_m=200.0, farthest_m=300.0, divergence_mrad=1.5,
         beam_mm=15.0,
     ),
-    "1550": LidarSensor(
-        name="forward, 80 rows, 1550 nm, 250 m at 10 %",
-        elevations_deg=_even(-15.0, 10.0, 80),
-        azimuth_step_deg=0.15,
-        azimuth_limit_deg=60.0,
-        wavelength_nm=1550,
-        range_m=250.0,
-        farthest_m=500.0,
-        divergence_mrad=1.0,
-        beam_mm=25.0,
+    "1550": _generic(
+        "forward, 80 rows, 1550 nm, 250 m at 10 %", -15.0, 10.0, 80, azimuth_step_deg=0.15, azimuth_limit_deg=60.0,
+        wavelength_nm=1550, range_m=250.0, farthest_m=500.0, divergence_mrad=1.0, beam_mm=25.0,
     ),
-}
+}  # fmt: skip
 """Generic sensor classes, by number of beams or wavelength; none is a specific product."""
 
 # Beams of one turn

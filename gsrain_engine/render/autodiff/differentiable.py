@@ -1,5 +1,11 @@
-"""Differentiable rendering of Gaussians, with gradients for all of them and for the camera's pose."""
+"""Differentiable rendering of Gaussians, with gradients for all of them and for the camera's pose.
 
+The CPU runs our own kernels; an NVIDIA GPU runs those of gsplat (Ye et al. 2025), which ends a pixel before the splat
+that would leave less than 1e-4, our renderers after it; all other conventions are the same.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Literal
 
@@ -7,15 +13,58 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from ...scene.camera import Camera
+from ..cpu.compositing import color_operator_transpose
 from ..cpu.projection import nearest_first
-from ..cpu.tiles import TileLists, bin_into_tiles
-from .blend import BlendedImage, blend, blend_backward, blend_colors_backward
-from .cuda import render_with_gsplat
-from .project import TrainedGaussians, TrainedSplats, project_backward, project_trained, sh_backward
-from .types import Footprint, Rendered, Tensor, check_tensors
+from ..cpu.tiles import bin_into_tiles
+from ..cuda import view_arguments
+from .blend import BlendedImage, blend, blend_backward
+from .project import TrainedGaussians, project_backward, project_trained, sh_backward
 
 torch: Any = import_module("torch")
+Tensor = Any  # torch is an optional dependency: its types can't be named
 Backend = Literal["auto", "cpu", "cuda"]
+_DEGREES = {1: 0, 4: 1, 9: 2, 16: 3}
+
+
+class Footprint:
+    """Size of Gaussians in one image, and after the backward pass the loss gradients of their positions in it.
+
+    Density control uses it (Kerbl et al. 2023).
+    """
+
+    def __init__(self, radii_px: Tensor, centers: Tensor | None = None) -> None:
+        self.radii_px = radii_px
+        """(n,) three standard deviations of the longer axis in px; 0 where not drawn."""
+        self.gradients: Tensor | None = None
+        """(n,) set by the backward pass."""
+        self._centers = centers
+
+    @property
+    def drawn(self) -> Tensor:
+        """(n,) bool: Gaussians drawn in the image."""
+        return self.radii_px > 0
+
+    @property
+    def screen_gradients(self) -> Tensor:
+        """(n,) length of the loss's gradient by each center in the image, per px; 0 where not drawn.
+
+        Raises `RuntimeError` before a backward pass, or when only colors needed gradients.
+        """
+        if self.gradients is not None:
+            return self.gradients
+        if self._centers is None or self._centers.grad is None:
+            raise RuntimeError("screen gradients exist after a backward pass through means, scales or a pose only")
+        return self._centers.grad.reshape(-1, 2).norm(dim=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rendered:
+    """Image, alpha and depth with gradients."""
+
+    color: Tensor  # (h, w, 3) display color, premultiplied over nothing
+    alpha: Tensor  # (h, w)
+    depth: Tensor  # (h, w) sum of view depth (m) by weight: expected depth is depth / alpha
+    footprint: Footprint
 
 
 def render_gaussians(
@@ -59,28 +108,54 @@ def render_gaussians(
     return Rendered(color, alpha, depth, footprint)
 
 
+def check_tensors(
+    means: Tensor, scales: Tensor, quaternions: Tensor, opacities: Tensor, colors: Tensor, pose: Tensor | None
+) -> None:
+    """Raise `ValueError` for the first tensor with an invalid shape, precision or device."""
+    if means.ndim != 2 or means.shape[1] != 3:
+        raise ValueError(f"means have shape {tuple(means.shape)}, expected (n, 3)")
+    n = len(means)
+    others = {"scales": scales, "quaternions": quaternions, "opacities": opacities}
+    for (name, tensor), shape in zip(others.items(), ((n, 3), (n, 4), (n,)), strict=True):
+        if tuple(tensor.shape) != shape:
+            raise ValueError(f"{name} have shape {tuple(tensor.shape)}, expected {shape} as there are {n} means")
+    shape = tuple(colors.shape)
+    if shape != (n, 3) and not (len(shape) == 3 and shape[0] == n and shape[1] in _DEGREES and shape[2] == 3):
+        raise ValueError(
+            f"colors have shape {shape}, expected ({n}, 3) or ({n}, k, 3) with k = 1, 4, 9 or 16 as there are {n} means"
+        )
+    if pose is not None and tuple(pose.shape) != (4, 4):
+        raise ValueError(f"world_to_camera has shape {tuple(pose.shape)}, expected (4, 4)")
+    if str(means.dtype) not in ("torch.float32", "torch.float64"):
+        raise ValueError(f"means are {means.dtype}, expected torch.float32 or torch.float64")
+    for name, tensor in {**others, "colors": colors, "world_to_camera": pose}.items():
+        if tensor is not None and tensor.dtype != means.dtype:
+            raise ValueError(f"{name} are {tensor.dtype}, expected {means.dtype} as the means are")
+        if tensor is not None and tensor.device != means.device:
+            raise ValueError(f"{name} are on {tensor.device}, expected {means.device} where the means are")
+
+
+# On the CPU
+
+
 class _Render(torch.autograd.Function):
     """Runs the compiled kernels on the tensors' own memory."""
 
     @staticmethod
-    def forward(
-        ctx: Any,
-        means: Tensor,
-        scales: Tensor,
-        quaternions: Tensor,
-        opacities: Tensor,
-        colors: Tensor,
-        pose: Tensor,
-        camera: Camera,
-        footprint: Footprint,
-    ) -> tuple[Tensor, Tensor, Tensor]:
+    def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, Tensor, Tensor]:
+        means, scales, quaternions, opacities, colors, pose, camera, footprint = inputs
         gaussians = _gaussians(means, scales, quaternions, opacities, colors)
         splats = project_trained(gaussians, camera, _matrix(pose))
-        tiles = _tiles(splats, camera)
+        # Depths are compared in float32, as in all our renderers.
+        order, shapes = nearest_first(splats.channels[:, 3]), splats.shapes
+        if shapes.dtype != np.float32:
+            shapes = np.zeros(shapes.shape, np.float32)
+            shapes[order] = splats.shapes[order]
+        tiles = bin_into_tiles(shapes, order, camera.width, camera.height)
         outputs = tuple(torch.from_numpy(each) for each in blend(splats.shapes, splats.channels, tiles))
         footprint.radii_px = torch.from_numpy(splats.radii_px)
         ctx.save_for_backward(means, scales, quaternions, opacities, colors, pose, *outputs)
-        ctx.kept = splats, tiles, camera, footprint
+        ctx.inputs = splats, tiles, camera, footprint
         ctx.set_materialize_grads(False)
         return outputs
 
@@ -88,39 +163,26 @@ class _Render(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         means, scales, quaternions, opacities, colors, pose, *outputs = ctx.saved_tensors
-        splats, tiles, camera, footprint = ctx.kept
-        gaussians = _gaussians(means, scales, quaternions, opacities, colors)
+        splats, tiles, camera, footprint = ctx.inputs
+        gaussians, matrix = _gaussians(means, scales, quaternions, opacities, colors), _matrix(pose)
         if all(each is None for each in gradients):
             return (None,) * 8
-        color, alpha, depth = (
-            np.zeros(tuple(output.shape), splats.shapes.dtype) if each is None else _array(each)
-            for each, output in zip(gradients, outputs, strict=True)
-        )
-        if not any(ctx.needs_input_grad[i] for i in (0, 1, 2, 3, 5)):
-            sums = blend_colors_backward(splats.shapes, tiles, color)
-            by_harmonics = sh_backward(gaussians, splats, sums, _matrix(pose))
-            return None, None, None, None, torch.from_numpy(by_harmonics[colors.ndim == 2]), None, None, None
         picture = BlendedImage(*map(_array, outputs))
-        sums = blend_backward(splats.shapes, splats.channels, tiles, picture, BlendedImage(color, alpha, depth))
-        found, by_pose = project_backward(gaussians, splats, sums, camera, _matrix(pose))
+        gradient = BlendedImage(
+            *(np.zeros_like(output) if each is None else _array(each)
+              for each, output in zip(gradients, picture, strict=True))
+        )  # fmt: skip
+        if not any(ctx.needs_input_grad[i] for i in (0, 1, 2, 3, 5)):
+            sums = color_operator_transpose(splats.shapes, gradient.color, tiles, with_squares=False)
+            by_harmonics = sh_backward(gaussians, splats, sums, matrix)
+            return None, None, None, None, torch.from_numpy(by_harmonics[colors.ndim == 2]), None, None, None
+        sums = blend_backward(splats.shapes, splats.channels, tiles, picture, gradient)
+        found, by_pose = project_backward(gaussians, splats, sums, camera, matrix)
         footprint.gradients = torch.from_numpy(found.on_screen)
-        geometry = (found.means, found.scales, found.quaternions, found.opacities)
         by_colors = found.display if colors.ndim == 2 else found.colors
-        return (
-            *(torch.from_numpy(each) for each in (*geometry, by_colors)),
-            torch.from_numpy(by_pose).to(pose.dtype) if ctx.needs_input_grad[5] else None,
-            None,
-            None,
-        )
-
-
-def _tiles(splats: TrainedSplats, camera: Camera) -> TileLists:
-    """Lists of splats by tile, nearest first; depths are compared in float32, as in all our renderers."""
-    order, shapes = nearest_first(splats.channels[:, 3]), splats.shapes
-    if shapes.dtype != np.float32:
-        shapes = np.zeros(shapes.shape, np.float32)
-        shapes[order] = splats.shapes[order]
-    return bin_into_tiles(shapes, order, camera.width, camera.height)
+        arrays = (found.means, found.scales, found.quaternions, found.opacities, by_colors)
+        by_pose = torch.from_numpy(by_pose).to(pose.dtype) if ctx.needs_input_grad[5] else None
+        return (*map(torch.from_numpy, arrays), by_pose, None, None)
 
 
 def _gaussians(
@@ -138,3 +200,70 @@ def _array(tensor: Tensor) -> Float[np.ndarray, "..."]:
 
 def _matrix(pose: Tensor) -> Float64[np.ndarray, "4 4"]:
     return np.ascontiguousarray(pose.detach().numpy(), np.float64)
+
+
+# On an NVIDIA GPU
+
+
+def render_with_gsplat(
+    means: Tensor,
+    scales: Tensor,
+    quaternions: Tensor,
+    opacities: Tensor,
+    colors: Tensor,
+    camera: Camera,
+    world_to_camera: Tensor | None,
+    rasterize: Callable[..., tuple[Tensor, Tensor, dict[str, Any]]] | None = None,
+) -> Rendered:
+    """Render the arguments of `render_gaussians` in float32 on one device.
+
+    `rasterize` is `gsplat.rasterization`, or a function with the same signature; None imports gsplat. Raises
+    `ValueError` for float64, or if gsplat is not installed.
+    """
+    if means.dtype != torch.float32:
+        raise ValueError(f"the cuda backend renders float32, got {means.dtype}; backend='cpu' renders both")
+    kernel: Any = rasterize
+    if kernel is None:
+        try:
+            kernel = import_module("gsplat").rasterization
+        except ImportError:
+            raise ValueError("the cuda backend needs gsplat: pip install 'gsrain[cuda]'") from None
+    if not len(means):  # gsplat rejects an empty scene
+        blank = means.sum() + means.new_zeros((camera.height, camera.width))  # an empty sum keeps the graph connected
+        footprint = Footprint(means.new_zeros(0))
+        footprint.gradients = means.new_zeros(0)
+        return Rendered(blank[..., None].expand(-1, -1, 3), blank, blank, footprint)
+    values = _without_what_is_not_finite([means, scales, quaternions, opacities, colors])
+    means, scales, quaternions, opacities, colors = values
+    pose = torch.as_tensor(camera.world_to_camera) if world_to_camera is None else world_to_camera
+    has_harmonics = colors.ndim == 3
+    images, alphas, found = kernel(
+        means=means, quats=quaternions, scales=scales, opacities=torch.clamp(opacities, max=1),
+        colors=colors if has_harmonics else torch.clamp(colors, min=0),
+        sh_degree=_DEGREES[colors.shape[1]] if has_harmonics else None,
+        viewmats=pose.to(means)[None], packed=False, render_mode="RGB+D", **view_arguments(camera, means.device),
+    )  # fmt: skip
+    centers = found["means2d"]
+    if centers.requires_grad:
+        centers.retain_grad()
+    return Rendered(images[0, ..., :3], alphas[0, ..., 0], images[0, ..., 3], Footprint(_radii(found), centers))
+
+
+def _radii(found: dict[str, Any]) -> Tensor:
+    """Three standard deviations of each splat's longer axis in px from gsplat's conics; 0 where not drawn."""
+    a, b, c = found["conics"].detach()[0].unbind(-1)
+    drawn = (found["radii"][0].reshape(len(a), -1) > 0).all(dim=1)
+    largest = (a + c) / 2 + torch.hypot((a - c) / 2, b)
+    smallest = torch.where(drawn, (a * c - b * b) / largest, torch.ones_like(a))
+    return torch.where(drawn, 3 / torch.sqrt(smallest), torch.zeros_like(a))
+
+
+def _without_what_is_not_finite(values: list[Tensor]) -> list[Tensor]:
+    """Make Gaussians with NaN or infinity transparent and detach them, since gsplat doesn't check them."""
+    good = torch.stack([torch.isfinite(each.detach()).reshape(len(each), -1).all(dim=1) for each in values]).all(dim=0)
+    good = good & (values[2].detach().norm(dim=1) > 0)
+    if bool(good.all()):
+        return values
+    values = [torch.where(good.reshape(-1, *[1] * (each.ndim - 1)), each, torch.zeros_like(each)) for each in values]
+    values[2] = torch.where(good[:, None], values[2], torch.tensor([1.0, 0.0, 0.0, 0.0], device=values[2].device))
+    return values

@@ -7,10 +7,8 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from ...scene.camera import Camera
-from ..cpu.projection import DILATION_PX2, LOG_SCENE_CUT, NEAR_M
-
-CHUNK = 512
-"""Gaussians that one thread processes at a time."""
+from ..cpu import projection
+from ..cpu.projection import CHUNK, DILATION_PX2, LOG_SCENE_CUT, NEAR_M, dot, in_camera, jacobian, rotation_columns
 
 
 class TrainedGaussians(NamedTuple):
@@ -45,19 +43,13 @@ def project_trained(
     """
     n, dtype = len(gaussians.means), gaussians.means.dtype
     splats = TrainedSplats(np.empty((n, 8), dtype), np.empty((n, 4), dtype), np.empty(n, dtype))
-    _project(*gaussians, world_to_camera, eye_of(world_to_camera), intrinsics_of(camera), *splats)
+    _project(*gaussians, world_to_camera, eye_of(world_to_camera), projection.intrinsics_of(camera), *splats)
     return splats
 
 
 def eye_of(world_to_camera: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "3"]:
     """Camera position in the world; the matrix need not hold a pure rotation."""
     return np.linalg.solve(world_to_camera[:3, :3], -world_to_camera[:3, 3])
-
-
-def intrinsics_of(camera: Camera) -> tuple[float, float, float, float, float, float]:
-    """Focal lengths, principal point and size in pixels, for compiled code."""
-    c = camera
-    return float(c.fx), float(c.fy), float(c.cx), float(c.cy), float(c.width), float(c.height)
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
@@ -81,47 +73,11 @@ def _project(means, scales, quaternions, opacities, colors, display, m, eye, int
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def jacobian(px, py, pz, m, intrinsics):
-    """Two rows that map the world's axes to pixels, the slopes used, and whether each slope is unclamped.
-
-    Slopes are clamped at 1.3 times the field of view: there they no longer depend on the mean.
-    """
-    fx, fy, cx, cy, width, height = intrinsics
-    near = 1 / pz
-    margin_x, margin_y = 0.15 * width, 0.15 * height
-    across, down = fx * px * near, fy * py * near
-    slope_x = min(max(across, -cx - margin_x), width - cx + margin_x)
-    slope_y = min(max(down, -cy - margin_y), height - cy + margin_y)
-    ux, vx = near * (fx * m[0, 0] - slope_x * m[2, 0]), near * (fy * m[1, 0] - slope_y * m[2, 0])
-    uy, vy = near * (fx * m[0, 1] - slope_x * m[2, 1]), near * (fy * m[1, 1] - slope_y * m[2, 1])
-    uz, vz = near * (fx * m[0, 2] - slope_x * m[2, 2]), near * (fy * m[1, 2] - slope_y * m[2, 2])
-    return (ux, uy, uz), (vx, vy, vz), slope_x, slope_y, slope_x == across, slope_y == down
-
-
-@numba.njit(forceinline=True, error_model="numpy")
-@no_type_check
-def rotation(q):
-    """Columns of the rotation of a quaternion of any length, its unit quaternion and 1 / length."""
+def _unit(q):
+    """Unit quaternion of one of any length, and 1 / length."""
     w, x, y, z = np.float64(q[0]), np.float64(q[1]), np.float64(q[2]), np.float64(q[3])
     by_length = 1 / np.sqrt(w * w + x * x + y * y + z * z)
-    w, x, y, z = w * by_length, x * by_length, y * by_length, z * by_length
-    first = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
-    second = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)
-    third = 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
-    return first, second, third, (w, x, y, z), by_length
-
-
-@numba.njit(forceinline=True, error_model="numpy")
-@no_type_check
-def dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@numba.njit(forceinline=True, error_model="numpy")
-@no_type_check
-def moved(m, row, mean):
-    """One coordinate of a mean in the camera's frame."""
-    return m[row, 0] * mean[0] + m[row, 1] * mean[1] + m[row, 2] * mean[2] + m[row, 3]
+    return w * by_length, x * by_length, y * by_length, z * by_length, by_length
 
 
 @numba.njit(forceinline=True, error_model="numpy")
@@ -132,13 +88,13 @@ def _shape(mean, scale, q, opacity, m, intrinsics, shape):
     Scalars are float64 in either precision.
     """
     fx, fy, cx, cy, width, height = intrinsics
-    pz = moved(m, 2, mean)
+    px, py, pz = in_camera(m, mean)
     if not (NEAR_M < pz < 3e38):  # also rejects NaN
         return 0.0, 0.0
-    px, py = moved(m, 0, mean), moved(m, 1, mean)
     u, v = fx * px / pz + cx, fy * py / pz + cy
     row_u, row_v, _, _, _, _ = jacobian(px, py, pz, m, intrinsics)
-    first, second, third, _, _ = rotation(q)
+    w, x, y, z, _ = _unit(q)
+    first, second, third = rotation_columns(w, x, y, z)
     a, b, c = np.float64(scale[0]), np.float64(scale[1]), np.float64(scale[2])
     u0, v0 = a * dot(row_u, first), a * dot(row_v, first)
     u1, v1 = b * dot(row_u, second), b * dot(row_v, second)
@@ -168,7 +124,7 @@ def _shape(mean, scale, q, opacity, m, intrinsics, shape):
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def direction(mean, eye):
+def _direction(mean, eye):
     """Unit vector from the eye to a mean, and 1 / distance."""
     x, y, z = mean[0] - eye[0], mean[1] - eye[1], mean[2] - eye[2]
     near = 1 / np.sqrt(x * x + y * y + z * z)
@@ -179,8 +135,8 @@ def direction(mean, eye):
 @no_type_check
 def _color(mean, sh, eye, basis):
     """Display color before clamping at 0: the sum of harmonics + 0.5."""
-    x, y, z, _ = direction(mean, eye)
-    write_sh_basis(x, y, z, len(sh), basis)
+    x, y, z, _ = _direction(mean, eye)
+    _write_sh_basis(x, y, z, len(sh), basis)
     red = green = blue = 0.5
     for k in range(len(sh)):
         red += basis[k] * sh[k, 0]
@@ -220,13 +176,13 @@ def project_backward(
     arrays = GaussianGradients(*map(np.zeros_like, [*gaussians, gaussians.opacities]))
     eye = eye_of(world_to_camera)
     by_chunk = np.zeros((-(-len(gaussians.means) // CHUNK), 15))
-    _project_back(*gaussians, *splats, sums, world_to_camera, eye, intrinsics_of(camera), *arrays, by_chunk)
+    _project_back(*gaussians, *splats, sums, world_to_camera, eye, projection.intrinsics_of(camera), *arrays, by_chunk)
     total = by_chunk.sum(axis=0)
     pose = np.zeros((4, 4))
     pose[:3] = total[:12].reshape(3, 4)
     # The eye satisfies R eye + t = 0: it moves by -R^-1 (dR eye + dt).
-    pull = np.linalg.solve(world_to_camera[:3, :3].T, total[12:])
-    pose[:3] -= np.outer(pull, np.append(eye, 1))
+    by_eye = np.linalg.solve(world_to_camera[:3, :3].T, total[12:])
+    pose[:3] -= np.outer(by_eye, np.append(eye, 1))
     return arrays, pose
 
 
@@ -241,17 +197,16 @@ def _project_back(
         pose = by_chunk[chunk]
         for i in range(chunk * CHUNK, min(len(means), (chunk + 1) * CHUNK)):
             if radii[i] > 0:
-                length = _shape_back(
+                on_screen[i] = _shape_back(
                     means[i], scales[i], quaternions[i], m, intrinsics, shapes[i], sums[i], by_means[i], by_scales[i],
                     by_quaternions[i], pose,
                 )  # fmt: skip
-                on_screen[i] = length
                 by_opacities[i] = sums[i, 4] / opacities[i] if opacities[i] <= 1 else 0
                 if len(display) > 0:
                     for c in range(3):
                         by_display[i, c] = sums[i, c] if channels[i, c] > 0 else 0
                 else:
-                    sh_backward_row(
+                    _color_back(
                         means[i], colors[i], channels[i], sums[i], eye, basis, by_basis, by_means[i], by_colors[i], pose
                     )
 
@@ -261,10 +216,11 @@ def _project_back(
 def _shape_back(mean, scale, q, m, intrinsics, shape, sums, by_mean, by_scale, by_q, pose):
     """Write gradients by mean, scale and quaternion, add that by the pose; return the length of that by the center."""
     fx, fy, _, _, _, _ = intrinsics
-    px, py, pz = moved(m, 0, mean), moved(m, 1, mean), moved(m, 2, mean)
+    px, py, pz = in_camera(m, mean)
     near = 1 / pz
     row_u, row_v, slope_x, slope_y, is_free_x, is_free_y = jacobian(px, py, pz, m, intrinsics)
-    first, second, third, unit, by_length = rotation(q)
+    w, x, y, z, by_length = _unit(q)
+    first, second, third = rotation_columns(w, x, y, z)
     a, b, c = np.float64(scale[0]), np.float64(scale[1]), np.float64(scale[2])
     u0, v0, u1, v1 = a * dot(row_u, first), a * dot(row_v, first), b * dot(row_u, second), b * dot(row_v, second)
     u2, v2 = c * dot(row_u, third), c * dot(row_v, third)
@@ -286,7 +242,18 @@ def _shape_back(mean, scale, q, m, intrinsics, shape, sums, by_mean, by_scale, b
     g1 = gu1 * row_u[0] + gv1 * row_v[0], gu1 * row_u[1] + gv1 * row_v[1], gu1 * row_u[2] + gv1 * row_v[2]
     g2 = gu2 * row_u[0] + gv2 * row_v[0], gu2 * row_u[1] + gv2 * row_v[1], gu2 * row_u[2] + gv2 * row_v[2]
     by_scale[0], by_scale[1], by_scale[2] = dot(g0, first), dot(g1, second), dot(g2, third)
-    _quaternion_back(unit, by_length, a, g0, b, g1, c, g2, by_q)
+
+    # The rotation's elements, row then column, to a quaternion of any length.
+    g00, g10, g20 = a * g0[0], a * g0[1], a * g0[2]
+    g01, g11, g21 = b * g1[0], b * g1[1], b * g1[2]
+    g02, g12, g22 = c * g2[0], c * g2[1], c * g2[2]
+    by_w = 2 * (z * (g10 - g01) + y * (g02 - g20) + x * (g21 - g12))
+    by_i = 2 * (y * (g10 + g01) + z * (g20 + g02) - 2 * x * (g11 + g22) + w * (g21 - g12))
+    by_j = 2 * (x * (g10 + g01) + z * (g21 + g12) - 2 * y * (g00 + g22) + w * (g02 - g20))
+    by_k = 2 * (x * (g20 + g02) + y * (g21 + g12) - 2 * z * (g00 + g11) + w * (g10 - g01))
+    along = by_w * w + by_i * x + by_j * y + by_k * z
+    by_q[0], by_q[1] = by_length * (by_w - along * w), by_length * (by_i - along * x)
+    by_q[2], by_q[3] = by_length * (by_j - along * y), by_length * (by_k - along * z)
 
     # From the rows of the Jacobian, row = near (f R_row - slope R_2), and the center to the mean in the camera's frame.
     by_slope_x = -near * (gu[0] * m[2, 0] + gu[1] * m[2, 1] + gu[2] * m[2, 2]) if is_free_x else 0.0
@@ -314,23 +281,6 @@ def _combined(a, first, b, second, c, third):
     )
 
 
-@numba.njit(forceinline=True, error_model="numpy")
-@no_type_check
-def _quaternion_back(unit, by_length, a, g0, b, g1, c, g2, by_q):
-    """Write the gradient by a quaternion of any length from those by its three scaled axes."""
-    w, x, y, z = unit
-    g00, g10, g20 = a * g0[0], a * g0[1], a * g0[2]  # by the rotation's elements, row then column
-    g01, g11, g21 = b * g1[0], b * g1[1], b * g1[2]
-    g02, g12, g22 = c * g2[0], c * g2[1], c * g2[2]
-    by_w = 2 * (z * (g10 - g01) + y * (g02 - g20) + x * (g21 - g12))
-    by_x = 2 * (y * (g10 + g01) + z * (g20 + g02) - 2 * x * (g11 + g22) + w * (g21 - g12))
-    by_y = 2 * (x * (g10 + g01) + z * (g21 + g12) - 2 * y * (g00 + g22) + w * (g02 - g20))
-    by_z = 2 * (x * (g20 + g02) + y * (g21 + g12) - 2 * z * (g00 + g11) + w * (g10 - g01))
-    along = by_w * w + by_x * x + by_y * y + by_z * z
-    by_q[0], by_q[1] = by_length * (by_w - along * w), by_length * (by_x - along * x)
-    by_q[2], by_q[3] = by_length * (by_y - along * y), by_length * (by_z - along * z)
-
-
 # Backward pass of colors
 
 
@@ -340,7 +290,7 @@ def sh_backward(
     sums: Float[np.ndarray, "n 3"],
     world_to_camera: Float64[np.ndarray, "4 4"],
 ) -> tuple[Float[np.ndarray, "n k 3"], Float[np.ndarray, "_ 3"]]:
-    """Convert the sums of `blend_colors_backward` to gradients of harmonics and display colors alone."""
+    """Convert the sums of `color_operator_transpose` to gradients of harmonics and display colors alone."""
     by_colors, by_display = np.zeros_like(gaussians.colors), np.zeros_like(gaussians.display)
     _colors_back(gaussians.means, *splats[1:], sums, eye_of(world_to_camera), by_colors, by_display)
     return by_colors, by_display
@@ -349,7 +299,6 @@ def sh_backward(
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
 def _colors_back(means, channels, radii, sums, eye, by_colors, by_display):
-    coefficients = by_colors.shape[1]
     for chunk in numba.prange((len(means) + CHUNK - 1) // CHUNK):
         basis = np.empty(16, np.float64)
         for i in range(chunk * CHUNK, min(len(means), (chunk + 1) * CHUNK)):
@@ -358,68 +307,50 @@ def _colors_back(means, channels, radii, sums, eye, by_colors, by_display):
                     for c in range(3):
                         by_display[i, c] = sums[i, c] if channels[i, c] > 0 else 0
                 else:
-                    x, y, z, _ = direction(means[i], eye)
-                    write_sh_basis(x, y, z, coefficients, basis)
-                    red, green, blue = _open(channels[i], sums[i])
-                    for k in range(coefficients):
-                        by_colors[i, k, 0] = basis[k] * red
-                        by_colors[i, k, 1] = basis[k] * green
-                        by_colors[i, k, 2] = basis[k] * blue
+                    _harmonics_back(means[i], channels[i], sums[i], eye, basis, by_colors[i])
 
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def _open(channels, sums):
-    """Gradient by the color before clamping at 0: zero for clamped channels."""
-    red = np.float64(sums[0]) if channels[0] > 0 else 0.0
+def _harmonics_back(mean, channels, sums, eye, basis, by_sh):
+    """Write the gradient by the harmonics; returns that by the color before clamping, and the view direction."""
+    x, y, z, near = _direction(mean, eye)
+    _write_sh_basis(x, y, z, len(by_sh), basis)
+    red = np.float64(sums[0]) if channels[0] > 0 else 0.0  # clamped channels have no gradient
     green = np.float64(sums[1]) if channels[1] > 0 else 0.0
     blue = np.float64(sums[2]) if channels[2] > 0 else 0.0
-    return red, green, blue
+    for k in range(len(by_sh)):
+        by_sh[k, 0], by_sh[k, 1], by_sh[k, 2] = basis[k] * red, basis[k] * green, basis[k] * blue
+    return red, green, blue, x, y, z, near
 
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def sh_backward_row(mean, sh, channels, sums, eye, basis, by_basis, by_mean, by_sh, pose):
+def _color_back(mean, sh, channels, sums, eye, basis, by_basis, by_mean, by_sh, pose):
     """Write the gradient by the harmonics; add those by the mean and, in the last three numbers of `pose`, the eye."""
-    x, y, z, near = direction(mean, eye)
-    coefficients = len(sh)
-    write_sh_basis(x, y, z, coefficients, basis)
-    red, green, blue = _open(channels, sums)
-    for k in range(coefficients):
-        by_sh[k, 0] = basis[k] * red
-        by_sh[k, 1] = basis[k] * green
-        by_sh[k, 2] = basis[k] * blue
+    red, green, blue, x, y, z, near = _harmonics_back(mean, channels, sums, eye, basis, by_sh)
+    for k in range(len(sh)):
         by_basis[k] = red * sh[k, 0] + green * sh[k, 1] + blue * sh[k, 2]
-    gx, gy, gz = sh_direction_backward(x, y, z, coefficients, by_basis)
+    gx, gy, gz = _direction_back(x, y, z, len(sh), by_basis)
     along = gx * x + gy * y + gz * z
-    gx, gy, gz = near * (gx - along * x), near * (gy - along * y), near * (gz - along * z)
-    by_mean[0] += gx
-    by_mean[1] += gy
-    by_mean[2] += gz
-    pose[12] -= gx
-    pose[13] -= gy
-    pose[14] -= gz
+    by_direction = near * (gx - along * x), near * (gy - along * y), near * (gz - along * z)
+    for k in range(3):
+        by_mean[k] += by_direction[k]
+        pose[12 + k] -= by_direction[k]
 
 
 # Spherical harmonics and their derivative
 # Float64, with 3DGS signs.
 
-_C0 = 0.28209479177387814
-_C1 = 0.4886025119029199
+_C0, _C1 = 0.28209479177387814, 0.4886025119029199
 _C2, _C20, _C22 = 1.0925484305920792, 0.31539156525252005, 0.5462742152960396
-
-_C33, _C32, _C31, _C30, _C3B = (
-    0.5900435899266435,
-    2.890611442640554,
-    0.4570457994644658,
-    0.3731763325901154,
-    1.445305721320277,
-)
+_C33, _C32, _C31 = 0.5900435899266435, 2.890611442640554, 0.4570457994644658
+_C30, _C3B = 0.3731763325901154, 1.445305721320277
 
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def write_sh_basis(x, y, z, coefficients, basis):
+def _write_sh_basis(x, y, z, coefficients, basis):
     """Write the first 1, 4, 9 or 16 harmonics of the unit direction (x, y, z), eye to Gaussian, into `basis`."""
     basis[0] = _C0
     if coefficients > 1:
@@ -440,7 +371,7 @@ def write_sh_basis(x, y, z, coefficients, basis):
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def sh_direction_backward(x, y, z, coefficients, g):
+def _direction_back(x, y, z, coefficients, g):
     """Gradient by the direction (x, y, z) of a loss whose gradient by the harmonics is `g`: three numbers."""
     gx = gy = gz = 0.0
     if coefficients > 1:

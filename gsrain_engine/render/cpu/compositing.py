@@ -6,18 +6,17 @@ from typing import no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float, Float32, Int32
 
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
-from .fast_math import FAST, exp_of_negative, power
+from .fast_math import FAST, exponential, power
 from .projection import MIN_SCENE_CUT, Splats, project
-from .tiles import TILE, TileLists, bin_into_tiles
+from .tiles import BATCH, TILE, TileLists, bin_into_tiles
 
-MAX_ALPHA = np.float32(0.999)
-"""Maximum alpha of a fragment, as in the reference rasterizer."""
+MAX_ALPHA = 0.999  # maximum alpha of a fragment, as in the reference rasterizer
 
-MIN_TRANSMITTANCE = np.float32(1e-4)
+MIN_TRANSMITTANCE = 1e-4
 """Transmittance below which a pixel is finished.
 
 3DGS (Kerbl et al. 2023) stops before the splat that falls below it, which loses up to a tenth of a pixel at once: a
@@ -25,36 +24,24 @@ drop that hardly dims a pixel could switch such a splat off. Here that splat is 
 value.
 """
 
-BATCH = 32
-"""Splats between two checks for a finished tile."""
-
 
 def composite(
-    shapes: Float32[np.ndarray, "m 8"], channels: Float32[np.ndarray, "m 4"], tiles: TileLists
-) -> tuple[Float32[np.ndarray, "h w 4"], Float32[np.ndarray, "h w"]]:
+    shapes: Float[np.ndarray, "m 8"],
+    channels: Float[np.ndarray, "m 4"],
+    tiles: TileLists,
+    veil: Float32[np.ndarray, "3"] | None = None,
+) -> tuple[Float[np.ndarray, "h w 4"], Float[np.ndarray, "h w"]]:
     """Blend four channels per splat over nothing. Returns the first three with alpha, and the fourth.
 
     Each pixel gets sum_i w_i channel_i with w_i = alpha_i * prod_{j<i} (1 - alpha_j), alpha from `shapes` (see
-    `Splats`), at most `MAX_ALPHA`, until transmittance has fallen below `MIN_TRANSMITTANCE`. The output is
-    byte-identical at any thread count.
+    `Splats`), at most `MAX_ALPHA`, until transmittance has fallen below `MIN_TRANSMITTANCE`. With `veil`, rain has that
+    color, which is cheaper per drop, and is left out of the fourth channel. The precision is that of `shapes`; the
+    output is byte-identical at any thread count.
     """
-    rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
-    fourth = np.empty((tiles.height, tiles.width), np.float32)
-    _composite(shapes, channels, tiles.starts, tiles.members, tiles.columns, rgba, fourth, None, None, None)
-    return rgba, fourth
-
-
-def composite_rain_display_space(
-    shapes: Float32[np.ndarray, "m 8"],
-    channels: Float32[np.ndarray, "m 4"],
-    veil: Float32[np.ndarray, "3"],
-    tiles: TileLists,
-) -> Float32[np.ndarray, "h w 4"]:
-    """Blend as `composite` does, for rain of a single color `veil`, which is cheaper per drop."""
-    rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
-    fourth = np.empty((tiles.height, tiles.width), np.float32)
+    rgba = np.empty((tiles.height, tiles.width, 4), shapes.dtype)
+    fourth = np.empty((tiles.height, tiles.width), shapes.dtype)
     _composite(shapes, channels, tiles.starts, tiles.members, tiles.columns, rgba, fourth, None, None, veil)
-    return rgba
+    return rgba, fourth
 
 
 def composite_in_rain(
@@ -70,57 +57,40 @@ def composite_in_rain(
     combines the shares into the image. Returns it, and the fourth channel and alpha of the scene alone.
     """
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
-    fourth = np.empty((tiles.height, tiles.width), np.float32)
-    alpha = np.empty((tiles.height, tiles.width), np.float32)
+    fourth, alpha = (np.empty((tiles.height, tiles.width), np.float32) for _ in range(2))
     _composite(shapes, channels, tiles.starts, tiles.members, tiles.columns, rgba, fourth, light_linear, alpha, None)
     return rgba, fourth, alpha
-
-
-@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
-@no_type_check
-def alpha_of(power, log_cut):
-    """Alpha of a fragment from its logarithm; 0 below the cut."""
-    alpha = exp_of_negative(power)
-    alpha = alpha if alpha < MAX_ALPHA else MAX_ALPHA
-    return alpha if power >= log_cut else np.float32(0)
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite(shapes, channels, starts, members, columns, rgba, fourth, light_linear, clear_alpha, veil):
-    """Compiled three times: without rain, where the last three are None, with its light, and with its color."""
+    """Compiled per precision without rain, where the last three are None, with its light, and with its color."""
     height, width = fourth.shape
-    rows = (len(starts) - 1) // columns
+    real = shapes.dtype.type
     for place in numba.prange(len(starts) - 1):
-        # Threads get ranges of tiles: column by column, so that each range has sky and road.
-        tile = place % rows * columns + place // rows
-        x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
-        u0, v0 = np.float32(x0 + 0.5), np.float32(y0 + 0.5)
+        tile, x0, y0 = tile_at(place, starts, columns)
         # A column's lines of TILE numbers: transmittance (0 once finished), four channels, alpha; for rain see
         # add_rain_light.
         lines = RAIN_LINES if light_linear is not None else 6 if veil is None else 7
-        state = np.zeros((TILE, lines * TILE), np.float32)
+        state = np.zeros((TILE, lines * TILE), shapes.dtype)
         state[: width - x0, : min(TILE, height - y0)] = 1
         if light_linear is not None:
             state[:, OPEN : OPEN + TILE] = 1
-        # Gather scattered data first, so that cache misses overlap.
-        near_shapes, near_channels = np.empty((BATCH, 8), np.float32), np.empty((BATCH, 4), np.float32)
+        near_shapes, near_channels = np.empty((BATCH, 8), shapes.dtype), np.empty((BATCH, 4), shapes.dtype)
         for first in range(starts[tile], starts[tile + 1], BATCH):
             if is_finished(state):
                 break
             batch = members[first : min(first + BATCH, starts[tile + 1])]
-            for j in range(len(batch)):
-                for i in range(8):
-                    near_shapes[j, i] = shapes[batch[j], i]
-                for i in range(4):
-                    near_channels[j, i] = channels[batch[j], i]
+            gather_rows(shapes, batch, 8, near_shapes)
+            gather_rows(channels, batch, 4, near_channels)
             for j in range(len(batch)):
                 if light_linear is not None and near_shapes[j, 6] < MIN_SCENE_CUT:
-                    _blend_rain(near_shapes[j], u0, v0, state)
+                    _blend_rain(near_shapes[j], real(x0 + 0.5), real(y0 + 0.5), state)
                 elif veil is not None and near_shapes[j, 6] < MIN_SCENE_CUT:
-                    _blend_veil(near_shapes[j], u0, v0, state)
+                    _blend_veil(near_shapes[j], real(x0 + 0.5), real(y0 + 0.5), state)
                 else:
-                    _blend(near_shapes[j], near_channels[j], u0, v0, state)
+                    _blend(near_shapes[j], near_channels[j], real(x0 + 0.5), real(y0 + 0.5), state)
         for u in range(min(TILE, width - x0)):
             line = state[u]
             if light_linear is not None:
@@ -143,47 +113,19 @@ def _composite(shapes, channels, starts, members, columns, rgba, fourth, light_l
                 fourth[y0 + v, x0 + u] = state[u, 4 * TILE + v]
 
 
-@numba.njit(inline="always")
-@no_type_check
-def is_finished(state):
-    """Return whether all pixels of a tile are finished."""
-    for u in range(TILE):
-        line = state[u]
-        largest = np.float32(0)
-        for v in range(TILE):
-            largest = max(largest, line[v])
-        if largest > 0:
-            return False
-    return True
-
-
-@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
-@no_type_check
-def columns_of(shape, x0):
-    """First and past-the-last column of a tile that a splat reaches; x0 is the tile's first pixel center."""
-    low = np.ceil(shape[0] - shape[7] - x0 - np.float32(0.01))
-    high = np.floor(shape[0] + shape[7] - x0 + np.float32(0.01))
-    return int(max(low, np.float32(0))), int(min(high, np.float32(TILE - 1))) + 1
-
-
 @numba.njit(error_model="numpy", fastmath=FAST)
 @no_type_check
 def _blend(shape, channels, x0, y0, state):
+    real = shape.dtype.type
     first, second, third, fourth = channels[0], channels[1], channels[2], channels[3]
-    y, shear, sharpness, log_cut = shape[1], shape[2], shape[4], shape[6]
+    sharpness, log_cut = shape[4], shape[6]
     left, right = columns_of(shape, x0)
     for u in range(left, right):
-        dx = np.float32(u) + (x0 - shape[0])
-        peak = shape[5] + shape[3] * dx * dx
-        start = y0 - (y + shear * dx)
+        _, peak, start = column_of(shape, u, x0, y0)
         line = state[u]
         for v in range(TILE):
-            dy = start + np.float32(v)
-            alpha = alpha_of(sharpness * dy * dy + peak, log_cut)
-            before = line[v]
-            weight = before * alpha
-            after = before - weight
-            line[v] = after if after >= MIN_TRANSMITTANCE else np.float32(0)
+            dy = start + real(v)
+            weight = absorb(line, v, alpha_of(sharpness * dy * dy + peak, log_cut, real), real)
             line[v + TILE] += weight * first
             line[v + 2 * TILE] += weight * second
             line[v + 3 * TILE] += weight * third
@@ -196,41 +138,108 @@ def _blend(shape, channels, x0, y0, state):
 def _blend_rain(shape, x0, y0, state):
     """Blend a rain splat and occlude splats behind it; the lines of the clear scene are unchanged.
 
-    Of all light that enters a pixel, `taken` meets its first drop here. The scene in front had covered A of that; the
+    Of all light that enters a pixel, `share` meets its first drop here. The scene in front had covered A of that; the
     rest shows the drop.
     """
-    y, shear, sharpness, log_cut = shape[1], shape[2], shape[4], shape[6]
+    sharpness, log_cut = shape[4], shape[6]
     left, right = columns_of(shape, x0)
     for u in range(left, right):
-        dx = np.float32(u) + (x0 - shape[0])
-        peak = shape[5] + shape[3] * dx * dx
-        start = y0 - (y + shear * dx)
+        _, peak, start = column_of(shape, u, x0, y0)
         line = state[u]
         for v in range(TILE):
             dy = start + np.float32(v)
-            taken = line[v + OPEN] * alpha_of(sharpness * dy * dy + peak, log_cut)
-            line[v + OPEN] -= taken
-            line[v + RAIN_SHARE] += taken * line[v]
-            line[v + SCENE_SHARE] += taken * line[v + 5 * TILE]
+            share = line[v + OPEN] * alpha_of(sharpness * dy * dy + peak, log_cut, np.float32)
+            line[v + OPEN] -= share
+            line[v + RAIN_SHARE] += share * line[v]
+            line[v + SCENE_SHARE] += share * line[v + 5 * TILE]
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
 @no_type_check
 def _blend_veil(shape, x0, y0, state):
     """Occlude splats behind a rain splat and accumulate its share; the color is added at the end."""
-    y, shear, sharpness, log_cut = shape[1], shape[2], shape[4], shape[6]
+    sharpness, log_cut = shape[4], shape[6]
     left, right = columns_of(shape, x0)
     for u in range(left, right):
-        dx = np.float32(u) + (x0 - shape[0])
-        peak = shape[5] + shape[3] * dx * dx
-        start = y0 - (y + shear * dx)
+        _, peak, start = column_of(shape, u, x0, y0)
         line = state[u]
         for v in range(TILE):
             dy = start + np.float32(v)
-            alpha = alpha_of(sharpness * dy * dy + peak, log_cut)
-            share = line[v] * alpha
+            share = line[v] * alpha_of(sharpness * dy * dy + peak, log_cut, np.float32)
             line[v] -= share
             line[v + VEIL_SHARE] += share
+
+
+# Walk over tiles and the pixels of a splat
+# Shared by all kernels; `real` is their precision, x0 and y0 the center of a tile's first pixel.
+
+
+@numba.njit(inline="always")
+@no_type_check
+def tile_at(place, starts, columns):
+    """Tile at a place of the loop, and its first pixel: column by column, so that each thread has sky and road."""
+    rows = (len(starts) - 1) // columns
+    tile = place % rows * columns + place // rows
+    return tile, (tile % columns) * TILE, (tile // columns) * TILE
+
+
+@numba.njit(inline="always")
+@no_type_check
+def gather_rows(rows, members, width, near):
+    """Copy scattered rows next to each other before they are processed, so that cache misses overlap."""
+    for j in range(len(members)):
+        for i in range(width):
+            near[j, i] = rows[members[j], i]
+
+
+@numba.njit(inline="always")
+@no_type_check
+def is_finished(state):
+    """Return whether all pixels of a tile are finished; their transmittance is the first line of each column."""
+    for u in range(TILE):
+        line = state[u]
+        largest = state.dtype.type(0)
+        for v in range(TILE):
+            largest = max(largest, line[v])
+        if largest > 0:
+            return False
+    return True
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def columns_of(shape, x0):
+    """First and past-the-last column of a tile that a splat reaches."""
+    low = np.ceil(shape[0] - shape[7] - x0 - np.float32(0.01))
+    high = np.floor(shape[0] + shape[7] - x0 + np.float32(0.01))
+    return int(max(low, np.float32(0))), int(min(high, np.float32(TILE - 1))) + 1
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def column_of(shape, u, x0, y0):
+    """Column u of a tile: dx from the splat's center, the largest ln alpha there, and its first row from that line."""
+    dx = shape.dtype.type(u) + (x0 - shape[0])
+    return dx, shape[5] + shape[3] * dx * dx, y0 - (shape[1] + shape[2] * dx)
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def alpha_of(power, log_cut, real):
+    """Alpha of a fragment from its logarithm; 0 below the cut."""
+    alpha = exponential(power)
+    alpha = alpha if alpha < real(MAX_ALPHA) else real(MAX_ALPHA)
+    return alpha if power >= log_cut else real(0)
+
+
+@numba.njit(inline="always", error_model="numpy", fastmath=FAST)
+@no_type_check
+def absorb(line, v, alpha, real):
+    """Take a fragment's light from the transmittance of pixel v of a column; returns it, the blending weight."""
+    weight = line[v] * alpha
+    after = line[v] - weight
+    line[v] = after if after >= real(MIN_TRANSMITTANCE) else real(0)
+    return weight
 
 
 # Rain light
@@ -241,11 +250,8 @@ OPEN, RAIN_SHARE, SCENE_SHARE = 6 * TILE, 7 * TILE, 8 * TILE
 share, and the scene's share before rain; TILE numbers each.
 """
 
-VEIL_SHARE = 6 * TILE
-"""Offset of the rain's share in a column if its color is added at the end."""
-
-RAIN_LINES = 9
-"""Lines of a column in rain."""
+VEIL_SHARE = 6 * TILE  # offset of the rain's share in a column if its color is added at the end
+RAIN_LINES = 9  # lines of a column in rain
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
@@ -278,98 +284,124 @@ def add_rain_light(line: Float32[np.ndarray, " nine_tiles"], light_linear: Float
 @no_type_check
 def _to_linear(display):
     """Branch-free sRGB transfer function (IEC 61966-2-1). Colors of Gaussians are never negative."""
-    least, most = np.float32(0.04045), np.float32(1e9)
-    bounded = min(max(display, least), most)
+    knee = np.float32(0.04045)
+    bounded = min(max(display, knee), np.float32(1e9))
     curve = power((bounded + np.float32(0.055)) * np.float32(1 / 1.055), np.float32(2.4))
-    return curve if display > least else display * np.float32(1 / 12.92)
+    return curve if display > knee else display * np.float32(1 / 12.92)
 
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _to_display(linear):
-    least = np.float32(0.0031308)
-    curve = np.float32(1.055) * power(max(linear, least), np.float32(1 / 2.4)) - np.float32(0.055)
-    return curve if linear > least else np.float32(12.92) * linear
+    knee = np.float32(0.0031308)
+    curve = np.float32(1.055) * power(max(linear, knee), np.float32(1 / 2.4)) - np.float32(0.055)
+    return curve if linear > knee else np.float32(12.92) * linear
 
 
 # Transpose of compositing
 
 
 def color_operator_transpose(
-    shapes: Float32[np.ndarray, "m 8"], image: Float32[np.ndarray, "h w 3"], tiles: TileLists
-) -> Float32[np.ndarray, "m 4"]:
-    """Sum w(pixel) * image(pixel) over all pixels, per splat; the fourth column is the sum of w^2.
+    shapes: Float[np.ndarray, "m 8"], image: Float[np.ndarray, "h w 3"], tiles: TileLists, *, with_squares: bool = True
+) -> Float[np.ndarray, "m c"]:
+    """Sum w(pixel) * image(pixel) over all pixels, per splat; with squares the fourth column is the sum of w^2.
 
-    The weights w are those of `composite`: blending is image = W colors, this is W^T image and the diagonal of W^T W. A
-    splat's sums are taken per tile, then added in tile order: byte-identical at any thread count.
+    The weights w are those of `composite`: blending is image = W colors, this is W^T image and the diagonal of W^T W,
+    in the precision of `shapes`. A splat's sums are taken per tile, then added in tile order: byte-identical at any
+    thread count.
     """
-    by_pair = np.zeros((len(tiles.members), 4), np.float32)
-    _accumulate(shapes, tiles.starts, tiles.members, tiles.columns, image, by_pair)
-    sums = np.zeros((len(shapes), 4), np.float32)
-    _add_pairs(tiles.members, by_pair, sums)
-    return sums
-
-
-@numba.njit(cache=True)
-@no_type_check
-def _add_pairs(members, by_pair, sums):
-    for k in range(len(members)):
-        n = members[k]
-        for channel in range(4):
-            sums[n, channel] += by_pair[k, channel]
+    by_pair = np.zeros((len(tiles.members), 4 if with_squares else 3), shapes.dtype)
+    squares = True if with_squares else None
+    _accumulate(shapes, tiles.starts, tiles.members, tiles.columns, image, by_pair, squares)
+    return add_pairs(tiles.members, by_pair, len(shapes))
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _accumulate(shapes, starts, members, columns, image, by_pair):
+def _accumulate(shapes, starts, members, columns, image, by_pair, squares):
+    """Compiled per precision with the squares of the weights, which are added strictly in order, or None."""
     height, width = image.shape[0], image.shape[1]
-    rows = (len(starts) - 1) // columns
+    real = shapes.dtype.type
     for place in numba.prange(len(starts) - 1):
-        # Column by column, as in compositing.
-        tile = place % rows * columns + place // rows
-        x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
-        # One line per column: transmittance (0 once finished) and the image's three channels.
-        state = np.zeros((TILE, 4 * TILE), np.float32)
+        tile, x0, y0 = tile_at(place, starts, columns)
+        # A column's lines of TILE numbers: transmittance (0 once finished) and the image's three channels.
+        state = np.zeros((TILE, 4 * TILE), shapes.dtype)
         state[: width - x0, : min(TILE, height - y0)] = 1
         for v in range(min(TILE, height - y0)):
             for u in range(min(TILE, width - x0)):
                 for channel in range(3):
                     state[u, (channel + 1) * TILE + v] = image[y0 + v, x0 + u, channel]
-        lanes = np.empty(4 * TILE, np.float32)
-        for k in range(starts[tile], starts[tile + 1]):
-            if (k - starts[tile]) % BATCH == 0 and is_finished(state):
+        lanes, near_shapes = np.empty(4 * TILE, shapes.dtype), np.empty((BATCH, 8), shapes.dtype)
+        for first in range(starts[tile], starts[tile + 1], BATCH):
+            if is_finished(state):
                 break
-            lanes[:] = 0
-            _gather(shapes[members[k]], np.float32(x0 + 0.5), np.float32(y0 + 0.5), state, lanes)
-            for channel in range(4):
-                total = np.float32(0)
-                for u in range(TILE):
-                    total += lanes[channel * TILE + u]
-                by_pair[k, channel] = total
+            batch = members[first : min(first + BATCH, starts[tile + 1])]
+            gather_rows(shapes, batch, 8, near_shapes)
+            for j in range(len(batch)):
+                lanes[:] = 0
+                _gather(near_shapes[j], real(x0 + 0.5), real(y0 + 0.5), state, lanes, squares)
+                if squares is None:
+                    add_lanes(lanes, 3, by_pair[first + j])
+                else:
+                    for channel in range(4):
+                        total = real(0)
+                        for v in range(TILE):
+                            total += lanes[channel * TILE + v]
+                        by_pair[first + j, channel] = total
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
 @no_type_check
-def _gather(shape, x0, y0, state, lanes):
+def _gather(shape, x0, y0, state, lanes, squares):
     """Accumulate over the same pixels with the same weights as compositing; one lane per row of the tile."""
-    y, shear, sharpness, log_cut = shape[1], shape[2], shape[4], shape[6]
+    real = shape.dtype.type
+    sharpness, log_cut = shape[4], shape[6]
     left, right = columns_of(shape, x0)
     for u in range(left, right):
-        dx = np.float32(u) + (x0 - shape[0])
-        peak = shape[5] + shape[3] * dx * dx
-        start = y0 - (y + shear * dx)
+        _, peak, start = column_of(shape, u, x0, y0)
         line = state[u]
         for v in range(TILE):
-            dy = start + np.float32(v)
-            alpha = alpha_of(sharpness * dy * dy + peak, log_cut)
-            before = line[v]
-            weight = before * alpha
-            after = before - weight
-            line[v] = after if after >= MIN_TRANSMITTANCE else np.float32(0)
+            dy = start + real(v)
+            weight = absorb(line, v, alpha_of(sharpness * dy * dy + peak, log_cut, real), real)
             lanes[v] += weight * line[v + TILE]
             lanes[v + TILE] += weight * line[v + 2 * TILE]
             lanes[v + 2 * TILE] += weight * line[v + 3 * TILE]
-            lanes[v + 3 * TILE] += weight * weight
+            if squares is not None:
+                lanes[v + 3 * TILE] += weight * weight
+
+
+@numba.njit(forceinline=True, error_model="numpy", fastmath=FAST | {"reassoc"})
+@no_type_check
+def add_lanes(lanes, count, sums):
+    """Add up `count` lines of lanes; a constant count lets LLVM vectorize it, always in the same order."""
+    for c in range(count):
+        total = lanes[c * TILE]
+        for v in range(1, TILE):
+            total += lanes[c * TILE + v]
+        sums[c] = total
+
+
+def add_pairs(
+    members: Int32[np.ndarray, " pairs"], by_pair: Float[np.ndarray, "pairs c"], count: int
+) -> Float[np.ndarray, "{count} c"]:
+    """Add the rows of each splat's tiles in the order of the tiles; `members` as in `TileLists`, of `count` splats."""
+    sums = np.zeros((count, by_pair.shape[1]), by_pair.dtype)
+    _add_pairs(members, by_pair, sums, numba.get_num_threads())
+    return sums
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check
+def _add_pairs(members, by_pair, sums, shares):
+    """Each thread goes through all pairs but owns a range of splats, so that no row is written by two."""
+    count = len(sums)
+    for share in numba.prange(shares):
+        first, last = share * count // shares, (share + 1) * count // shares
+        for k in range(len(members)):
+            n = members[k]
+            if first <= n < last:
+                for c in range(by_pair.shape[1]):
+                    sums[n, c] += by_pair[k, c]
 
 
 # Color operator

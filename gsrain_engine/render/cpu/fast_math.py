@@ -5,6 +5,7 @@ from typing import no_type_check
 import numba
 import numpy as np
 from jaxtyping import Float32
+from numba import extending, types
 
 FAST = {"contract", "nsz", "arcp"}
 """Rounding freedom of the kernels: fused multiply-add and reciprocals, but no change of infinities or order."""
@@ -12,9 +13,23 @@ FAST = {"contract", "nsz", "arcp"}
 _ROOT_HALF = 0x3F3504F3  # the bits of sqrt(1/2) as float32
 
 
+@no_type_check
+def exponential(x):
+    """exp(x) for x <= 0 inside compiled code, in the precision of x: `_fast_exponential` for float32."""
+    return np.exp(x)
+
+
+@extending.overload(exponential, inline="always")
+@no_type_check
+def _exponential(x):
+    if x == types.float32:
+        return lambda x: _fast_exponential(x)  # noqa: PLW0108 - numba wants a function with this one's arguments
+    return lambda x: np.exp(x)  # noqa: PLW0108
+
+
 @numba.njit(inline="always")
 @no_type_check
-def exp_of_negative(x):
+def _fast_exponential(x):
     """exp(x) for x in [-11.1, 0] to 5e-6 relative, exactly 1 at 0.
 
     A polynomial of degree 5 for exp(x / 16) on [-0.694, 0] (least squares at Chebyshev nodes), squared four times,
@@ -92,9 +107,8 @@ def sh_basis(x: np.float32, y: np.float32, z: np.float32, coefficients: int, bas
         basis[9] = np.float32(-0.5900435899266435) * y * (np.float32(3) * x * x - y * y)
         basis[10] = np.float32(2.890611442640554) * x * y * z
         basis[11] = np.float32(-0.4570457994644658) * y * (np.float32(4) * z * z - x * x - y * y)
-        basis[12] = (
-            np.float32(0.3731763325901154) * z * (np.float32(2) * z * z - np.float32(3) * x * x - np.float32(3) * y * y)
-        )
+        three = np.float32(3)
+        basis[12] = np.float32(0.3731763325901154) * z * (np.float32(2) * z * z - three * x * x - three * y * y)
         basis[13] = np.float32(-0.4570457994644658) * x * (np.float32(4) * z * z - x * x - y * y)
         basis[14] = np.float32(1.445305721320277) * z * (x * x - y * y)
         basis[15] = np.float32(-0.5900435899266435) * x * (x * x - np.float32(3) * y * y)

@@ -13,17 +13,25 @@ from ...scene.flags import BitMask
 from ...scene.scene import DrawItem
 from .fast_math import sh_basis
 
-NEAR_M = 0.2
-"""Gaussians with nearer centers are skipped, as in the reference rasterizer."""
+NEAR_M = 0.2  # Gaussians with nearer centers are skipped, as in the reference rasterizer
+DILATION_PX2 = 0.3  # added to the 2D covariance: the pixel's own footprint (3DGS, Kerbl et al. 2023)
 
-DILATION_PX2 = 0.3
-"""Added to the 2D covariance: the pixel's own footprint (3DGS, Kerbl et al. 2023)."""
 
-_CHUNK = 512
-FEW = 8192
-"""Number of Gaussians below which a single thread is faster than starting others."""
+SCENE_ALPHA_CUT = 1 / 255  # alpha below which fragments of the scene are skipped, as in the reference rasterizer
 
-_Flags = Sequence[Bool[np.ndarray, " _"] | None]
+RAIN_ALPHA_CUT = 1 / 65536
+"""Alpha below which fragments of rain are skipped: streaks of alpha 0.01 would hardly survive a cut at 1/255."""
+
+LOG_SCENE_CUT, LOG_RAIN_CUT = float(np.log(SCENE_ALPHA_CUT)), float(np.log(RAIN_ALPHA_CUT))
+"""Values of log_cut in `Splats.shapes`, by which rain is distinguished from the scene."""
+
+MIN_SCENE_CUT = np.float32(LOG_SCENE_CUT - 1)  # threshold between the logarithms of rain (below) and scene (above)
+
+TINT, TINT_SHARE = (1.0, 0.82, 0.15), 0.5
+"""Display color of the selection, a warm yellow that is rare in streets, and its share; as in common_tint.glsl."""
+
+FEW = 8192  # number of Gaussians below which a single thread is faster than starting others
+CHUNK = 512  # Gaussians that one thread processes at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,16 +57,16 @@ class Splats:
     def __len__(self) -> int:
         return len(self.indices)
 
-    @property
-    def is_rain(self) -> Bool[np.ndarray, " m"]:
-        return self.shapes[:, 6] < MIN_SCENE_CUT
-
     def nearest_first(self) -> Int32[np.ndarray, " drawn"]:
         return nearest_first(self.colors[:, 3])
 
 
 def project(
-    parts: Sequence[DrawItem], camera: Camera, rain: _Flags | None = None, *, as_points: bool = False
+    parts: Sequence[DrawItem],
+    camera: Camera,
+    rain: Sequence[Bool[np.ndarray, " _"] | None] | None = None,
+    *,
+    as_points: bool = False,
 ) -> Splats:
     """Project Gaussians.
 
@@ -73,50 +81,42 @@ def project(
             opacity * sqrt(det / dilated det) (Yu et al. 2024), and is cut at `RAIN_ALPHA_CUT`.
         as_points: Make each an opaque dot with a standard deviation of one pixel instead.
     """
-    intrinsics = _intrinsics(camera)
-    ways = [np.ascontiguousarray(camera.world_to_camera @ part.to_world, np.float64) for part in parts]
-    found = [_candidates(part, way, intrinsics, as_points) for part, way in zip(parts, ways, strict=True)]
+    intrinsics = intrinsics_of(camera)
+    poses = [np.ascontiguousarray(camera.world_to_camera @ part.to_world, np.float64) for part in parts]
+    found = [_candidates(part, pose, intrinsics, as_points) for part, pose in zip(parts, poses, strict=True)]
     count = sum(len(each) for each in found)
     shapes, colors = np.empty((count, 8), np.float32), np.empty((count, 4), np.float32)
     indices = np.empty(count, np.int64)
     first = counted = 0
-    for number, (part, way, own) in enumerate(zip(parts, ways, found, strict=True)):
+    for number, (part, pose, own) in enumerate(zip(parts, poses, found, strict=True)):
         g, last = part.gaussians, first + len(own)
         flags = rain[number] if rain is not None else None
         scales = g.scales if part.growth == 1 else g.scales[: part.drawn_count] * np.float32(part.growth)
-        fill = _project_few if len(own) < FEW else _project_part
+        # What a part lacks has no rows: the kernels skip it.
+        wet_sh = part.wet_sh if part.is_wet and part.wet_sh is not None else np.zeros((0, 1, 3), np.float32)
+        change = np.zeros((0, 4)) if part.colors is None else part.colors
+        fill = _project_range if len(own) < FEW else _project_chunks
         fill(
-            own, g.means, scales, g.quaternions, g.opacities, g.sh, _wet_sh(part), np.float32(part.wetness),
-            np.zeros(0, np.bool_) if flags is None else flags, np.float32(part.opacity), _color_change(part),
-            _words(part.selected), as_points, way, eye_in_object(camera, part), intrinsics,
-            shapes[first:last], colors[first:last],
+            0, len(own), own, g.means, scales, g.quaternions, g.opacities, g.sh,
+            np.require(wet_sh, np.float32, ("C", "W")), np.float32(part.wetness),
+            np.zeros(0, np.bool_) if flags is None else flags, np.float32(part.opacity),
+            np.ascontiguousarray(change, np.float32), _words(part.selected), as_points, pose,
+            eye_in_object(camera, part), intrinsics, shapes[first:last], colors[first:last],
         )  # fmt: skip
         indices[first:last] = own + counted
         first, counted = last, counted + len(g)
     return Splats(shapes, colors, indices)
 
 
-def _intrinsics(camera: Camera) -> tuple[float, ...]:
-    # A tuple: unpacking an array would count references, which costs more than the whole projection.
-    sizes = camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height
-    return tuple(float(size) for size in sizes)
+def intrinsics_of(camera: Camera) -> tuple[float, float, float, float, float, float]:
+    """Focal lengths, principal point and size in px; unpacking an array would cost more than the whole projection."""
+    c = camera
+    return float(c.fx), float(c.fy), float(c.cx), float(c.cy), float(c.width), float(c.height)
 
 
 def _words(mask: BitMask | None) -> UInt32[np.ndarray, " w"]:
     """Bits of a mask, empty without a mask; writable, since read-only arrays would need separate kernels."""
     return np.zeros(0, np.uint32) if mask is None else np.require(mask.words, np.uint32, ("C", "W"))
-
-
-def _color_change(part: DrawItem) -> Float32[np.ndarray, "rows 4"]:
-    """Affine change of a part's display colors; no rows without one."""
-    return np.zeros((0, 4), np.float32) if part.colors is None else np.ascontiguousarray(part.colors, np.float32)
-
-
-def _wet_sh(part: DrawItem) -> Float32[np.ndarray, "_ _ 3"]:
-    """Wet harmonics to blend in; no rows without any, which the kernels skip."""
-    if part.wet_sh is None or not part.is_wet:
-        return np.zeros((0, 1, 3), np.float32)
-    return np.require(part.wet_sh, np.float32, ("C", "W"))
 
 
 def eye_in_object(camera: Camera, part: DrawItem) -> Float64[np.ndarray, "3"]:
@@ -146,31 +146,28 @@ def _candidates(
     g, n = part.gaussians, part.drawn_count if part.opacity > 0 else 0
     flags = np.empty(n, np.bool_)
     largest = part.growth * np.cbrt(abs(np.linalg.det(object_to_camera[:3, :3])))
-    least = -np.inf if as_points or n == 0 else RAIN_ALPHA_CUT / part.opacity
-    left_out = _words(part.left_out)
-    find = _find_few_candidates if n < FEW else _find_candidates
-    find(g.means[:n], g.scales[:n], g.opacities[:n], left_out, least, object_to_camera, largest, intrinsics, flags)
+    faintest = -np.inf if as_points or n == 0 else RAIN_ALPHA_CUT / part.opacity
+    find = _flag_range if n < FEW else _flag_chunks
+    find(
+        0, n, g.means[:n], g.scales[:n], g.opacities[:n], _words(part.left_out), faintest, object_to_camera, largest,
+        intrinsics, flags,
+    )  # fmt: skip
     return np.flatnonzero(flags)
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
-def _find_candidates(means, scales, opacities, left_out, least_opacity, m, scale, intrinsics, flags):
-    """Flag Gaussians near the image, each treated as a ball with the radius of its longest axis."""
-    for chunk in numba.prange((len(means) + _CHUNK - 1) // _CHUNK):
-        first, last = chunk * _CHUNK, min(len(means), (chunk + 1) * _CHUNK)
-        _flag_range(first, last, means, scales, opacities, left_out, least_opacity, m, scale, intrinsics, flags)
+def _flag_chunks(first, last, means, scales, opacities, left_out, faintest, m, scale, intrinsics, flags):
+    for chunk in numba.prange((last - first + CHUNK - 1) // CHUNK):
+        start = first + np.int64(chunk) * CHUNK
+        end = min(last, start + CHUNK)
+        _flag_range(start, end, means, scales, opacities, left_out, faintest, m, scale, intrinsics, flags)
 
 
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check
-def _find_few_candidates(means, scales, opacities, left_out, least_opacity, m, scale, intrinsics, flags):
-    _flag_range(0, len(means), means, scales, opacities, left_out, least_opacity, m, scale, intrinsics, flags)
-
-
-@numba.njit(error_model="numpy")
-@no_type_check
-def _flag_range(first, last, means, scales, opacities, left_out, least_opacity, m, scale, intrinsics, flags):
+def _flag_range(first, last, means, scales, opacities, left_out, faintest, m, scale, intrinsics, flags):
+    """Flag Gaussians near the image, each treated as a ball with the radius of its longest axis."""
     fx, fy, cx, cy, width, height = intrinsics
     half_x, half_y = 0.5 * width, 0.5 * height
     # Longest extents in standard deviations, along a line of sight as slanted as `_shape` allows for.
@@ -180,14 +177,11 @@ def _flag_range(first, last, means, scales, opacities, left_out, least_opacity, 
     reach_y = extent * scale * fy * np.sqrt(1 + slope_y * slope_y)
     dot = extent * np.sqrt(1 + DILATION_PX2)
     for i in range(first, last):
-        x, y, z = means[i, 0], means[i, 1], means[i, 2]
-        px = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
-        py = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
-        pz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+        px, py, pz = in_camera(m, means[i])
         s = max(scales[i, 0], scales[i, 1], scales[i, 2])
         is_near_x = abs(fx * px + (cx - half_x) * pz) <= (half_x + dot) * pz + reach_x * s
         is_near_y = abs(fy * py + (cy - half_y) * pz) <= (half_y + dot) * pz + reach_y * s
-        flags[i] = pz > NEAR_M and is_near_x and is_near_y and opacities[i] > least_opacity
+        flags[i] = pz > NEAR_M and is_near_x and is_near_y and opacities[i] > faintest
     if len(left_out) > 0:  # separate, so that the loop above stays branch-free
         for i in range(first, last):
             flags[i] = flags[i] and not _has(left_out, i)
@@ -201,37 +195,25 @@ def _has(words, i):
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check
-def _project_part(
-    members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain, opacity, change, selected, as_points,
-    object_to_camera, eye, intrinsics, shapes, colors,
+def _project_chunks(
+    first, last, members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain, opacity, change, selected,
+    as_points, object_to_camera, eye, intrinsics, shapes, colors,
 ):  # fmt: skip
-    """Fill shapes and colors of some Gaussians of one part; depth 0 marks those not to be drawn."""
-    for chunk in numba.prange((len(members) + _CHUNK - 1) // _CHUNK):
+    for chunk in numba.prange((last - first + CHUNK - 1) // CHUNK):
+        start = first + np.int64(chunk) * CHUNK
         _project_range(
-            chunk * _CHUNK, min(len(members), (chunk + 1) * _CHUNK), members, means, scales, quaternions, opacities, sh,
-            wet_sh, wetness, rain, opacity, change, selected, as_points, object_to_camera, eye, intrinsics, shapes,
-            colors,
+            start, min(last, start + CHUNK), members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain,
+            opacity, change, selected, as_points, object_to_camera, eye, intrinsics, shapes, colors,
         )  # fmt: skip
 
 
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check
-def _project_few(
-    members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain, opacity, change, selected, as_points,
-    object_to_camera, eye, intrinsics, shapes, colors,
-):  # fmt: skip
-    _project_range(
-        0, len(members), members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain, opacity, change,
-        selected, as_points, object_to_camera, eye, intrinsics, shapes, colors,
-    )  # fmt: skip
-
-
-@numba.njit(error_model="numpy")
-@no_type_check
 def _project_range(
     first, last, members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain, opacity, change, selected,
     as_points, object_to_camera, eye, intrinsics, shapes, colors,
 ):  # fmt: skip
+    """Fill shapes and colors of some Gaussians of one part; depth 0 marks those not to be drawn."""
     basis = np.empty(16, np.float32)
     for n in range(first, last):
         i = members[n]
@@ -260,26 +242,16 @@ def _shape(mean, scale, q, opacity, is_rain, as_point, m, intrinsics, shape):
     Scalars are float64: 1e12 m squared still fits.
     """
     fx, fy, cx, cy, width, height = intrinsics
-    px = m[0, 0] * mean[0] + m[0, 1] * mean[1] + m[0, 2] * mean[2] + m[0, 3]
-    py = m[1, 0] * mean[0] + m[1, 1] * mean[1] + m[1, 2] * mean[2] + m[1, 3]
-    pz = m[2, 0] * mean[0] + m[2, 1] * mean[1] + m[2, 2] * mean[2] + m[2, 3]
+    px, py, pz = in_camera(m, mean)
     if not (NEAR_M < pz < 3e38):  # also rejects NaN
         return 0.0
-
-    # Local affine approximation of the projection, clamped at 1.3 times the field of view: two rows that map the
-    # object's axes to pixels.
     near = 1 / pz
-    margin_x, margin_y = 0.15 * width, 0.15 * height
-    slope_x = min(max(fx * px * near, -cx - margin_x), width - cx + margin_x)
-    slope_y = min(max(fy * py * near, -cy - margin_y), height - cy + margin_y)
-    ux, vx = near * (fx * m[0, 0] - slope_x * m[2, 0]), near * (fy * m[1, 0] - slope_y * m[2, 0])
-    uy, vy = near * (fx * m[0, 1] - slope_x * m[2, 1]), near * (fy * m[1, 1] - slope_y * m[2, 1])
-    uz, vz = near * (fx * m[0, 2] - slope_x * m[2, 2]), near * (fy * m[1, 2] - slope_y * m[2, 2])
-    w, x, y, z = np.float64(q[0]), np.float64(q[1]), np.float64(q[2]), np.float64(q[3])
+    row_u, row_v, _, _, _, _ = jacobian(px, py, pz, m, intrinsics)
+    first, second, third = rotation_columns(np.float64(q[0]), np.float64(q[1]), np.float64(q[2]), np.float64(q[3]))
     a, b, c = np.float64(scale[0]), np.float64(scale[1]), np.float64(scale[2])
-    u0, v0 = _along(a, 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y), ux, uy, uz, vx, vy, vz)
-    u1, v1 = _along(b, 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x), ux, uy, uz, vx, vy, vz)
-    u2, v2 = _along(c, 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y), ux, uy, uz, vx, vy, vz)
+    u0, v0 = a * dot(row_u, first), a * dot(row_v, first)
+    u1, v1 = b * dot(row_u, second), b * dot(row_v, second)
+    u2, v2 = c * dot(row_u, third), c * dot(row_v, third)
     xx, xy, yy = u0 * u0 + u1 * u1 + u2 * u2, u0 * v0 + u1 * v1 + u2 * v2, v0 * v0 + v1 * v1 + v2 * v2
     before = max(xx * yy - xy * xy, 0.0)
     xx += DILATION_PX2
@@ -312,10 +284,50 @@ def _shape(mean, scale, q, opacity, is_rain, as_point, m, intrinsics, shape):
     return pz
 
 
-@numba.njit(inline="always", error_model="numpy")
+@numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def _along(length, x, y, z, ux, uy, uz, vx, vy, vz):
-    return length * (ux * x + uy * y + uz * z), length * (vx * x + vy * y + vz * z)
+def in_camera(m, mean):
+    """Mean in the frame of the camera, of which m is the matrix."""
+    px = m[0, 0] * mean[0] + m[0, 1] * mean[1] + m[0, 2] * mean[2] + m[0, 3]
+    py = m[1, 0] * mean[0] + m[1, 1] * mean[1] + m[1, 2] * mean[2] + m[1, 3]
+    pz = m[2, 0] * mean[0] + m[2, 1] * mean[1] + m[2, 2] * mean[2] + m[2, 3]
+    return px, py, pz
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def jacobian(px, py, pz, m, intrinsics):
+    """Local affine approximation of the projection: two rows that map the object's axes to pixels.
+
+    Also the slopes used, clamped at 1.3 times the field of view, and whether each is unclamped: a clamped one no longer
+    depends on the mean.
+    """
+    fx, fy, cx, cy, width, height = intrinsics
+    near = 1 / pz
+    margin_x, margin_y = 0.15 * width, 0.15 * height
+    across, down = fx * px * near, fy * py * near
+    slope_x = min(max(across, -cx - margin_x), width - cx + margin_x)
+    slope_y = min(max(down, -cy - margin_y), height - cy + margin_y)
+    ux, vx = near * (fx * m[0, 0] - slope_x * m[2, 0]), near * (fy * m[1, 0] - slope_y * m[2, 0])
+    uy, vy = near * (fx * m[0, 1] - slope_x * m[2, 1]), near * (fy * m[1, 1] - slope_y * m[2, 1])
+    uz, vz = near * (fx * m[0, 2] - slope_x * m[2, 2]), near * (fy * m[1, 2] - slope_y * m[2, 2])
+    return (ux, uy, uz), (vx, vy, vz), slope_x, slope_y, slope_x == across, slope_y == down
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def rotation_columns(w, x, y, z):
+    """Columns of the rotation of a unit quaternion."""
+    first = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
+    second = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)
+    third = 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
+    return first, second, third
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @numba.njit(forceinline=True, error_model="numpy")
@@ -351,19 +363,6 @@ def _color(mean, sh, wet_sh, i, wetness, eye, change, basis, color):
     return np.isfinite(red) and np.isfinite(green) and np.isfinite(blue)
 
 
-SCENE_ALPHA_CUT = 1 / 255
-"""Alpha below which fragments of the scene are skipped, as in the reference rasterizer."""
-
-RAIN_ALPHA_CUT = 1 / 65536
-"""Alpha below which fragments of rain are skipped: streaks of alpha 0.01 would hardly survive a cut at 1/255."""
-
-LOG_SCENE_CUT, LOG_RAIN_CUT = float(np.log(SCENE_ALPHA_CUT)), float(np.log(RAIN_ALPHA_CUT))
-"""Values of log_cut in `Splats.shapes`, by which rain is distinguished from the scene."""
-
-MIN_SCENE_CUT = np.float32(LOG_SCENE_CUT - 1)
-"""Threshold between the logarithms of rain (below) and scene (above)."""
-
-
 def nearest_first(depths: Float[np.ndarray, " m"]) -> Int32[np.ndarray, " drawn"]:
     """Rows with a depth above 0, sorted by it as float32; equal depths keep their index.
 
@@ -377,13 +376,3 @@ def nearest_first(depths: Float[np.ndarray, " m"]) -> Int32[np.ndarray, " drawn"
     keys |= rows.astype(np.uint64)
     keys.sort()
     return keys.astype(np.uint32).view(np.int32)  # the lower halves
-
-
-# Selection tint
-# The same as in common_tint.glsl.
-
-TINT = (1.0, 0.82, 0.15)
-"""Display color of the selection: a warm yellow, rare in streets."""
-
-TINT_SHARE = 0.5
-"""Share of the tint in a selected splat's color."""

@@ -13,11 +13,11 @@ from ...rain.simulation import RainFrame
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
 from ..images import layer_color, turbo_colors
-from ..renderer import FARTHEST_M, MAX_FRAGMENTS, NEAREST_M, Frame, RenderMode, RenderStatistics, Stopwatch
-from .compositing import BATCH, columns_of, composite, composite_in_rain, composite_rain_display_space, is_finished
+from ..renderer import FARTHEST_M, MAX_FRAGMENTS, NEAREST_M, Frame, RenderMode, RenderStatistics, timed
+from .compositing import column_of, columns_of, composite, composite_in_rain, is_finished, tile_at
 from .fast_math import FAST
-from .projection import TINT, TINT_SHARE, Splats, project
-from .tiles import TILE, TileLists, bin_into_tiles
+from .projection import MIN_SCENE_CUT, TINT, TINT_SHARE, Splats, in_camera, project, rotation_columns
+from .tiles import BATCH, TILE, TileLists, bin_into_tiles
 
 
 class CpuRenderer:
@@ -39,35 +39,30 @@ class CpuRenderer:
         with_depth: bool = False,
         look: RenderMode = "splats",
     ) -> None:
-        self.statistics = RenderStatistics(stages_ms={"project": 0.0, "sort": 0.0, "draw": 0.0})
-        with self._timed("project"):
+        stages = {"project": 0.0, "sort": 0.0, "draw": 0.0}
+        self.statistics = RenderStatistics(sum(part.drawn_count for part in parts), stages_ms=stages)
+        with timed(stages, "project"):
             falling = rain if look == "splats" and rain is not None and len(rain.gaussians) else None
-            splats = self._project(parts, camera, falling, as_points=look == "points")
-            splats = color_by_mode(look, splats, parts, camera)
-        with self._timed("sort"):
+            if falling is None:
+                splats = _color_by_mode(look, project(parts, camera, as_points=look == "points"), parts, camera)
+            else:
+                drops = DrawItem(falling.gaussians, np.eye(4))
+                flags = [*[None] * len(parts), np.ones(drops.drawn_count, np.bool_)]
+                splats = project([*parts, drops], camera, flags)
+                self.statistics.drops_drawn, self.statistics.haze_drawn = falling.drops_drawn, falling.haze_drawn
+        with timed(stages, "sort"):
             order = splats.nearest_first()
             tiles = bin_into_tiles(splats.shapes, order, camera.width, camera.height)
-        with self._timed("draw"):
+        with timed(stages, "draw"):
             if falling is None:
-                self._frame = draw_mode(look, splats, tiles, with_depth=with_depth)
+                self._frame = _draw_mode(look, splats, tiles, with_depth=with_depth)
             else:
-                self._frame = draw_in_rain(splats, order, tiles, falling, with_depth=with_depth)
+                self._frame = _draw_in_rain(splats, order, tiles, falling, with_depth=with_depth)
         self.statistics.splats_drawn = len(order)
 
     def read(self) -> Frame:
         assert self._frame is not None, "draw before reading the picture"
         return self._frame
-
-    def _project(self, parts: Sequence[DrawItem], camera: Camera, rain: RainFrame | None, *, as_points: bool) -> Splats:
-        self.statistics.gaussians = sum(part.drawn_count for part in parts)
-        if rain is None:
-            return project(parts, camera, as_points=as_points)
-        drops = rain.gaussians
-        self.statistics.drops_drawn, self.statistics.haze_drawn = rain.drops_drawn, rain.haze_drawn
-        return project([*parts, DrawItem(drops, np.eye(4))], camera, [*[None] * len(parts), np.ones(len(drops), bool)])
-
-    def _timed(self, stage: str) -> Stopwatch:
-        return Stopwatch(self.statistics.stages_ms, stage)
 
 
 # Drawing
@@ -75,34 +70,37 @@ class CpuRenderer:
 _MIN_WEIGHT = np.float32(0.5)  # minimum alpha of pixels with depth, as in the OpenGL renderer
 
 
-def draw_mode(look: RenderMode, splats: Splats, tiles: TileLists, *, with_depth: bool) -> Frame:
+def _draw_mode(look: RenderMode, splats: Splats, tiles: TileLists, *, with_depth: bool) -> Frame:
     """Draw a scene without rain; depth is blended from all splats, in any render mode."""
-    if look == "ellipsoids" and not with_depth:
-        return Frame(nearest_surface_colors(splats.shapes, splats.colors, tiles))
-    if look == "overdraw" and not with_depth:
-        return Frame(_heat_of_counts(count_fragments(splats.shapes, tiles)))
-    rgba, weighted = composite(splats.shapes, splats.colors, tiles)
-    depth = _expected_depth(weighted, rgba[..., 3]) if with_depth or look == "depth" else None
+    depth, lists = None, (tiles.starts, tiles.members, tiles.columns)
+    rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
+    if with_depth or look not in ("ellipsoids", "overdraw"):
+        rgba, weighted = composite(splats.shapes, splats.colors, tiles)
+        depth = _expected_depth(weighted, rgba[..., 3]) if with_depth or look == "depth" else None
     if look == "ellipsoids":
-        rgba = nearest_surface_colors(splats.shapes, splats.colors, tiles)
+        _cover(splats.shapes, splats.colors, *lists, rgba)
     elif look == "overdraw":
-        rgba = _heat_of_counts(count_fragments(splats.shapes, tiles))
+        counts = np.empty((tiles.height, tiles.width), np.float32)
+        _count(splats.shapes, *lists, counts)
+        rgba = _heat_where(counts / np.float32(MAX_FRAGMENTS), counts > 0)
     elif look == "depth" and depth is not None:
-        rgba = _heat_of_depth(depth)
+        t = np.log(np.maximum(depth, np.float32(1e-9)) / NEAREST_M) / np.log(FARTHEST_M / NEAREST_M)
+        rgba = _heat_where(t.astype(np.float32), depth > 0)
     return Frame(rgba, depth)
 
 
-def draw_in_rain(
+def _draw_in_rain(
     splats: Splats, order: Int32[np.ndarray, " drawn"], tiles: TileLists, rain: RainFrame, *, with_depth: bool
 ) -> Frame:
     """Draw scene and rain; `tiles` hold the splats in that order."""
     if rain.mixing == "linear":
         rgba, weighted, weight = composite_in_rain(splats.shapes, splats.colors, rain.light_linear, tiles)
     else:  # blended as a display color (the paper's form)
-        rgba = composite_rain_display_space(splats.shapes, splats.colors, rain.color.astype(np.float32), tiles)
+        rgba, _ = composite(splats.shapes, splats.colors, tiles, veil=rain.color.astype(np.float32))
         if not with_depth:
             return Frame(rgba)
-        alone = bin_into_tiles(splats.shapes, order[~splats.is_rain[order]], tiles.width, tiles.height)
+        is_rain = splats.shapes[order, 6] < MIN_SCENE_CUT
+        alone = bin_into_tiles(splats.shapes, order[~is_rain], tiles.width, tiles.height)
         clear, weighted = composite(splats.shapes, splats.colors, alone)
         weight = clear[..., 3]
     return Frame(rgba, _expected_depth(weighted, weight) if with_depth else None)
@@ -114,15 +112,6 @@ def _expected_depth(
     return np.where(weight > _MIN_WEIGHT, weighted / np.maximum(weight, _MIN_WEIGHT), np.float32(0))
 
 
-def _heat_of_depth(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 4"]:
-    t = np.log(np.maximum(depth, np.float32(1e-9)) / NEAREST_M) / np.log(FARTHEST_M / NEAREST_M)
-    return _heat_where(t.astype(np.float32), depth > 0)
-
-
-def _heat_of_counts(counts: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 4"]:
-    return _heat_where(counts / np.float32(MAX_FRAGMENTS), counts > 0)
-
-
 def _heat_where(numbers: Float32[np.ndarray, "h w"], there: np.ndarray) -> Float32[np.ndarray, "h w 4"]:
     return np.where(there[..., None], np.dstack([turbo_colors(numbers), np.ones_like(numbers)]), np.float32(0))
 
@@ -130,7 +119,7 @@ def _heat_where(numbers: Float32[np.ndarray, "h w"], there: np.ndarray) -> Float
 # Render modes by color
 
 
-def color_by_mode(look: RenderMode, splats: Splats, parts: Sequence[DrawItem], camera: Camera) -> Splats:
+def _color_by_mode(look: RenderMode, splats: Splats, parts: Sequence[DrawItem], camera: Camera) -> Splats:
     """Color the splats of `parts` by their normals, opacity or layer; other render modes leave them unchanged.
 
     Selected splats are tinted here, too.
@@ -163,19 +152,17 @@ def _normal_colors(rows, members, means, scales, quaternions, to_world, eye, col
     """Write 0.5 + 0.5 n of each Gaussian's shortest axis n in the world, facing the eye, to `rows` of `colors`."""
     for n in numba.prange(len(rows)):
         i = members[n]
-        w, x, y, z = quaternions[i, 0], quaternions[i, 1], quaternions[i, 2], quaternions[i, 3]
-        w, x, y, z = np.float64(w), np.float64(x), np.float64(y), np.float64(z)
+        q = quaternions[i]
+        axes = rotation_columns(np.float64(q[0]), np.float64(q[1]), np.float64(q[2]), np.float64(q[3]))
         if scales[i, 0] <= scales[i, 1] and scales[i, 0] <= scales[i, 2]:
-            a, b, c = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
-        elif scales[i, 1] <= scales[i, 2]:
-            a, b, c = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)
+            a, b, c = axes[0]
         else:
-            a, b, c = 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
+            a, b, c = axes[1] if scales[i, 1] <= scales[i, 2] else axes[2]
+        mean = in_camera(to_world, means[i])
         length = facing = 0.0
         for k in range(3):
             normal = to_world[k, 0] * a + to_world[k, 1] * b + to_world[k, 2] * c
-            mean = to_world[k, 0] * means[i, 0] + to_world[k, 1] * means[i, 1] + to_world[k, 2] * means[i, 2]
-            facing += normal * (mean + to_world[k, 3] - eye[k])
+            facing += normal * (mean[k] - eye[k])
             length += normal * normal
         half = (-0.5 if facing > 0 else 0.5) / max(np.sqrt(length), 1e-300)
         for k in range(3):
@@ -183,22 +170,19 @@ def _normal_colors(rows, members, means, scales, quaternions, to_world, eye, col
             colors[rows[n], k] = 0.5 + half * normal
 
 
-# Overdraw
+# Overdraw and ellipsoids
 
-
-def count_fragments(shapes: Float32[np.ndarray, "m 8"], tiles: TileLists) -> Float32[np.ndarray, "h w"]:
-    """Count the splats per pixel whose alpha is not below their cut, including those behind opaque ones."""
-    counts = np.empty((tiles.height, tiles.width), np.float32)
-    _count(shapes, tiles.starts, tiles.members, tiles.columns, counts)
-    return counts
+SURFACE_ALPHA = 1 / 4  # alpha on the surface of a Gaussian's ellipsoid
+_LOG_SURFACE_ALPHA = np.float32(np.log(SURFACE_ALPHA))
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _count(shapes, starts, members, columns, counts):
+    """Count the splats per pixel whose alpha is not below their cut, including those behind opaque ones."""
     height, width = counts.shape
-    for tile in numba.prange(len(starts) - 1):
-        x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
+    for place in numba.prange(len(starts) - 1):
+        tile, x0, y0 = tile_at(place, starts, columns)
         state = np.zeros((TILE, TILE), np.float32)
         for k in range(starts[tile], starts[tile + 1]):
             _count_pixels(shapes[members[k]], np.float32(x0 + 0.5), np.float32(y0 + 0.5), state)
@@ -212,40 +196,22 @@ def _count(shapes, starts, members, columns, counts):
 def _count_pixels(shape, x0, y0, state):
     left, right = columns_of(shape, x0)
     for u in range(left, right):
-        dx = np.float32(u) + (x0 - shape[0])
-        peak = shape[5] + shape[3] * dx * dx
-        start = y0 - (shape[1] + shape[2] * dx)
+        _, peak, start = column_of(shape, u, x0, y0)
         for v in range(TILE):
             dy = start + np.float32(v)
             state[u, v] += np.float32(1) if shape[4] * dy * dy + peak >= shape[6] else np.float32(0)
 
 
-# Ellipsoids
-
-SURFACE_ALPHA = 1 / 4
-"""Alpha on the surface of a Gaussian's ellipsoid."""
-
-_LOG_SURFACE_ALPHA = np.float32(np.log(SURFACE_ALPHA))
-
-
-def nearest_surface_colors(
-    shapes: Float32[np.ndarray, "m 8"], colors: Float32[np.ndarray, "m 4"], tiles: TileLists
-) -> Float32[np.ndarray, "h w 4"]:
-    """Color each pixel by the nearest splat whose alpha there is at least `SURFACE_ALPHA`, with an alpha of 1.
-
-    Shaded like a ball: full color in the middle, half of it at the rim. `shapes` and `colors` as in `Splats`.
-    """
-    rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
-    _cover(shapes, colors, tiles.starts, tiles.members, tiles.columns, rgba)
-    return rgba
-
-
 @numba.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _cover(shapes, colors, starts, members, columns, rgba):
+    """Color each pixel by the nearest splat whose alpha there is at least `SURFACE_ALPHA`, with an alpha of 1.
+
+    Shaded like a ball: full color in the middle, half of it at the rim.
+    """
     height, width = rgba.shape[:2]
-    for tile in numba.prange(len(starts) - 1):
-        x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
+    for place in numba.prange(len(starts) - 1):
+        tile, x0, y0 = tile_at(place, starts, columns)
         # A column's lines of TILE numbers: 1 while the pixel is uncovered, three channels.
         state = np.zeros((TILE, 4 * TILE), np.float32)
         state[: width - x0, : min(TILE, height - y0)] = 1

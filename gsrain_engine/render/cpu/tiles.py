@@ -7,12 +7,8 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Int32, Int64
 
-TILE = 16
-"""Side of a tile in pixels: a column of it is one 512-bit or two 256-bit vectors of float32."""
-
-BATCH = 32
-"""Splats gathered from memory before they are processed, so that their cache misses overlap."""
-
+TILE = 16  # side of a tile in pixels: a column of it is one 512-bit or two 256-bit vectors of float32
+BATCH = 32  # splats gathered from memory before they are processed, so that their cache misses overlap
 _CHUNKS = 32  # parts of the splat list that are processed in parallel; the result does not depend on it
 _MAX_PAIRS = 1 << 30
 _SLACK_PX = 1e-2  # margin for float32 rounding, so that an ellipse's edge never loses a pixel
@@ -31,10 +27,6 @@ class TileLists:
     @property
     def columns(self) -> int:
         return -(-self.width // TILE)
-
-    @property
-    def rows(self) -> int:
-        return -(-self.height // TILE)
 
 
 def bin_into_tiles(
@@ -148,16 +140,9 @@ def _box(ellipse, columns, rows):
     x, y, reach_x, reach_y = ellipse[:4]
     left, right = _tiles_between(x - reach_x, x + reach_x, columns)
     top, bottom = _tiles_between(y - reach_y, y + reach_y, rows)
-    is_exact = (right - left == 1 and _lies_within(x, reach_x, left)) or (
-        bottom - top == 1 and _lies_within(y, reach_y, top)
-    )
-    return left, right, top, bottom, is_exact
-
-
-@numba.njit(forceinline=True, error_model="numpy")
-@no_type_check
-def _lies_within(center, reach, tile):
-    return center - reach >= tile * TILE + 0.5 and center + reach <= (tile + 1) * TILE - 0.5
+    in_column = x - reach_x >= left * TILE + 0.5 and x + reach_x <= (left + 1) * TILE - 0.5
+    in_row = y - reach_y >= top * TILE + 0.5 and y + reach_y <= (top + 1) * TILE - 0.5
+    return left, right, top, bottom, (right - left == 1 and in_column) or (bottom - top == 1 and in_row)
 
 
 @numba.njit(forceinline=True, error_model="numpy")

@@ -1,23 +1,21 @@
 """GPU buffers of Gaussians, masks and projected splats, uploaded in slices to keep frames smooth."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import moderngl
 import numpy as np
-from jaxtyping import Float32, UInt8, UInt32
+from jaxtyping import Float32, UInt8
 
 from ...scene.flags import BitMask
 from ...scene.gaussians import Gaussians
-from .prefix_sum import WORK_BYTES
 from .shaders import Switches
 
-CHUNK = 1 << 19
-"""Gaussians per buffer: 96 MiB at SH degree 3, below llvmpipe's limit of 128 MiB per storage block."""
+CHUNK = 1 << 19  # Gaussians per buffer: 96 MiB at SH degree 3, below llvmpipe's limit of 128 MiB per storage block
 
 _RESTING_BYTES = 1 << 29
-"""Memory kept for arrays that are no longer drawn, so that undo or the other image of a split view finds them."""
+"""Memory for arrays that are no longer drawn, so that undo or the other image of a split view finds them."""
 
 Harmonics = Literal["single", "half", "byte"]
 """GPU storage of colors: 32-bit floats; halves; or the first harmonic in halves and the others in signed bytes.
@@ -25,8 +23,7 @@ Harmonics = Literal["single", "half", "byte"]
 Reading them limits the frame rate on a GPU: 192, 96 or 56 bytes per Gaussian at SH degree 3.
 """
 
-SH_BITS: dict[Harmonics, int] = {"single": 32, "half": 16, "byte": 8}
-"""Value of the shader macro `SH_BITS`."""
+SH_BITS: dict[Harmonics, int] = {"single": 32, "half": 16, "byte": 8}  # value of the shader macro `SH_BITS`
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,24 +41,19 @@ class GaussianBuffers:
         return zip(self.means_opacities, self.scales, self.quaternions, self.sh, strict=True)
 
 
-WetColors = Float32[np.ndarray, "n k 3"] | None
-"""Second set of harmonics for the same Gaussians, or None."""
-
+WetColors = Float32[np.ndarray, "n k 3"] | None  # second set of harmonics for the same Gaussians, or None
 _Key = tuple[int, ...]
+_Arrays = tuple[Float32[np.ndarray, "..."], ...]
 
 
 @dataclass(slots=True)
-class _Array:
+class _Upload:
     """One array on the GPU, with a reference to its source so that the key (its identity) stays unique."""
 
     sources: tuple[Any, ...]
     buffers: list[moderngl.Buffer]
     is_awaited: bool = True
     """Uploaded before its first frame."""
-
-    @property
-    def nbytes(self) -> int:
-        return sum(buffer.size for buffer in self.buffers)
 
 
 class GpuArrays:
@@ -73,56 +65,54 @@ class GpuArrays:
     def __init__(self, context: moderngl.Context, harmonics: Harmonics = "half") -> None:
         self._context = context
         self.harmonics: Harmonics = harmonics
-        self._arrays: dict[_Key, _Array] = {}
+        self._arrays: dict[_Key, _Upload] = {}
         """Least recently drawn first."""
-        self._marks: dict[_Key, _Array] = {}
+        self.masks: dict[_Key, _Upload] = {}
+        """Masks of the current frame, by the identity of their words."""
         self._used: set[_Key] = set()
         self._leaving: list[moderngl.Buffer] = []
 
     def buffers(self, gaussians: Gaussians, wet_sh: WetColors = None) -> GaussianBuffers:
         """Return the buffers of a set and of its wet colors, uploading missing ones."""
-        for _ in self.upload(gaussians, wet_sh=wet_sh):
+        for _ in self.upload(gaussians, CHUNK, wet_sh=wet_sh):
             pass
-        found: list[list[moderngl.Buffer]] = []
-        for sources in _sources(gaussians, wet_sh):
-            key = tuple(map(id, sources))
-            self._used.add(key)
-            array = self._arrays[key] = self._arrays.pop(key)  # moved to the end: most recently drawn
-            array.is_awaited = False
-            found.append(array.buffers)
-        return GaussianBuffers(*found)
+        return GaussianBuffers(*map(self._use, _sources(gaussians, wet_sh)))
 
     def keep(self, wet_sh: WetColors) -> None:
         """Mark uploaded wet colors as used: at a wetness of 0 they are not read, but the next frame may need them."""
-        key = (id(wet_sh),)
-        if key in self._arrays:
-            self._used.add(key)
-            array = self._arrays[key] = self._arrays.pop(key)
-            array.is_awaited = False
+        if (id(wet_sh),) in self._arrays:
+            self._use((id(wet_sh),))
 
-    def upload(self, gaussians: Gaussians, slice_size: int = CHUNK, *, wet_sh: WetColors = None) -> Iterator[float]:
+    def _use(self, key: _Key) -> list[moderngl.Buffer]:
+        self._used.add(key)
+        array = self._arrays[key] = self._arrays.pop(key)  # moved to the end: most recently drawn
+        array.is_awaited = False
+        return array.buffers
+
+    def upload(
+        self, gaussians: Gaussians, slice_size: int = CHUNK // 64, *, wet_sh: WetColors = None
+    ) -> Iterator[float]:
         """Upload a set slice by slice; yields the fraction done after each, so that frames can be drawn in between.
 
         Raises `MemoryError` if the graphics card is full.
         """
-        missing = [sources for sources in _sources(gaussians, wet_sh) if tuple(map(id, sources)) not in self._arrays]
-        steps = max(1, sum(-(-len(gaussians) // slice_size) for _ in missing))
-        done = 0
-        for sources in missing:
-            key, array = tuple(map(id, sources)), _Array(sources, [])
+        missing = {key: each for key, each in _sources(gaussians, wet_sh).items() if key not in self._arrays}
+        steps, done = max(1, len(missing) * -(-len(gaussians) // slice_size)), 0
+        for key, sources in missing.items():
+            array = _Upload(sources, [])
             try:
                 for _ in self._written(array, slice_size):
                     done += 1
                     yield done / steps
             except BaseException:  # the upload was abandoned, or the card is full
-                self._leave(array)
+                self._leaving += array.buffers
                 raise
             if key in self._arrays:  # a frame has uploaded it meanwhile
-                self._leave(array)
+                self._leaving += array.buffers
             else:
                 self._arrays[key] = array
 
-    def _written(self, array: _Array, slice_size: int) -> Iterator[None]:
+    def _written(self, array: _Upload, slice_size: int) -> Iterator[None]:
         """Create an array's buffers and fill them, one slice per step."""
         count, row_bytes = len(array.sources[0]), self._packed(array.sources, slice(0, 1)).shape[1]
         for start in range(0, count, CHUNK):
@@ -136,8 +126,7 @@ class GpuArrays:
 
     def missing(self, gaussians: Gaussians, wet_sh: WetColors = None) -> int:
         """Number of Gaussians to be uploaded before these can be drawn: all if any array is missing, or else 0."""
-        is_here = all(tuple(map(id, sources)) in self._arrays for sources in _sources(gaussians, wet_sh))
-        return 0 if is_here else len(gaussians)
+        return 0 if _sources(gaussians, wet_sh).keys() <= self._arrays.keys() else len(gaussians)
 
     def marks(self, left_out: BitMask | None, selected: BitMask | None) -> list[moderngl.Buffer]:
         """Return the bits of both masks, interleaved by word, one buffer per chunk; empty without masks."""
@@ -146,56 +135,54 @@ class GpuArrays:
         words = [each.words if each is not None else None for each in (left_out, selected)]
         key = tuple(map(id, words))
         self._used.add(key)
-        if key not in self._marks:
-            chunks = _packed_marks(words)
-            self._marks[key] = _Array(tuple(words), [self._context.buffer(chunk) for chunk in chunks])
-        return self._marks[key].buffers
-
-    @property
-    def mark_count(self) -> int:
-        return len(self._marks)
+        if key not in self.masks:
+            pairs = np.zeros((max(len(each) for each in words if each is not None), 2), np.uint32)
+            for column, each in enumerate(words):
+                if each is not None:
+                    pairs[:, column] = each
+            step = CHUNK // 32
+            chunks = [self._context.buffer(pairs[start : start + step]) for start in range(0, len(pairs), step)]
+            self.masks[key] = _Upload(tuple(words), chunks)
+        return self.masks[key].buffers
 
     def release_unused(self) -> None:
         """Free arrays that were not used since the last call, one buffer per call, since freeing takes time.
 
         Arrays uploaded before their first frame stay, as do recently drawn ones up to `_RESTING_BYTES`.
         """
-        for key in [key for key in self._marks if key not in self._used]:
-            self._leave(self._marks.pop(key))
+        self._drop(self.masks, [key for key in self.masks if key not in self._used])
         room = _RESTING_BYTES
         for key, array in reversed(list(self._arrays.items())):
             if key not in self._used and not array.is_awaited:
-                room -= array.nbytes
+                room -= sum(buffer.size for buffer in array.buffers)
                 if room < 0:
-                    self._leave(self._arrays.pop(key))
+                    self._drop(self._arrays, [key])
         self._used.clear()
         if self._leaving:
             self._leaving.pop().release()
 
     def release_awaited(self) -> None:
         """Free arrays that were uploaded before their first frame and have not been drawn yet."""
-        for key in [key for key, array in self._arrays.items() if array.is_awaited]:
-            self._leave(self._arrays.pop(key))
+        self._drop(self._arrays, [key for key, array in self._arrays.items() if array.is_awaited])
 
-    def release_all_but(self, kept: Iterable[tuple[Gaussians, WetColors]]) -> None:
+    def release_all_but(self, used: Iterable[tuple[Gaussians, WetColors]]) -> None:
         """Free all arrays except those of some sets and their wet colors, for a new scene."""
-        keys = {tuple(map(id, sources)) for each in kept for sources in _sources(*each)}
-        for key in [key for key in self._arrays if key not in keys]:
-            self._leave(self._arrays.pop(key))
+        keys = {key for each in used for key in _sources(*each)}
+        self._drop(self._arrays, [key for key in self._arrays if key not in keys])
 
     def release_everything(self) -> None:
         """Free everything immediately. No upload may be in progress."""
         self.release_all_but(())
-        for key in list(self._marks):
-            self._leave(self._marks.pop(key))
+        self._drop(self.masks, list(self.masks))
         while self._leaving:
             self._leaving.pop().release()
 
-    def _leave(self, array: _Array) -> None:
-        self._leaving += array.buffers
+    def _drop(self, arrays: dict[_Key, _Upload], keys: list[_Key]) -> None:
+        for key in keys:
+            self._leaving += arrays.pop(key).buffers
 
     def keep_harmonics_as(self, harmonics: Harmonics) -> None:
-        """Change the storage of colors; uploaded ones are uploaded again for their next frame.
+        """Change the storage of colors; uploaded ones are replaced for their next frame.
 
         No upload may be in progress.
         """
@@ -204,14 +191,19 @@ class GpuArrays:
             for buffer in self._arrays.pop(key).buffers:
                 buffer.release()
 
-    def _packed(self, sources: tuple[Float32[np.ndarray, "..."], ...], rows: slice) -> UInt8[np.ndarray, "m bytes"]:
+    def _packed(self, sources: _Arrays, rows: slice) -> UInt8[np.ndarray, "m bytes"]:
         """Rows in the shader's layout: means with opacities, harmonics in their storage, the rest unchanged."""
         first = sources[0][rows]
         if len(sources) == 2:
             return _as_bytes(np.concatenate([first, sources[1][rows][:, None]], axis=1))
-        if first.ndim == 3:
-            return packed_harmonics(first, self.harmonics)
-        return _as_bytes(np.ascontiguousarray(first))
+        return packed_harmonics(first, self.harmonics) if first.ndim == 3 else _as_bytes(np.ascontiguousarray(first))
+
+
+def _sources(gaussians: Gaussians, wet_sh: WetColors = None) -> dict[_Key, _Arrays]:
+    """Arrays of a set in the order of `GaussianBuffers`, by their identities."""
+    g = gaussians
+    arrays = [(g.means, g.opacities), (g.scales,), (g.quaternions,), (g.sh,), *([] if wet_sh is None else [(wet_sh,)])]
+    return {tuple(map(id, each)): each for each in arrays}
 
 
 def packed_harmonics(sh: Float32[np.ndarray, "m k 3"], storage: Harmonics) -> UInt8[np.ndarray, "m bytes"]:
@@ -233,17 +225,6 @@ def packed_harmonics(sh: Float32[np.ndarray, "m k 3"], storage: Harmonics) -> UI
     return np.concatenate([head, _padded(_as_bytes(levels), 4)], axis=1)
 
 
-def _packed_marks(words: Sequence[UInt32[np.ndarray, " w"] | None]) -> Iterator[UInt32[np.ndarray, "c 2"]]:
-    """Interleave two masks by word, 0 for a missing one, split into chunks."""
-    count = max(len(each) for each in words if each is not None)
-    pairs = np.zeros((count, 2), np.uint32)
-    for column, each in enumerate(words):
-        if each is not None:
-            pairs[:, column] = each
-    for start in range(0, count, CHUNK // 32):
-        yield pairs[start : start + CHUNK // 32]
-
-
 def _halves(values: Float32[np.ndarray, "m n"]) -> "np.ndarray[tuple[int, int], np.dtype[np.float16]]":
     return np.clip(values, -65504, 65504).astype(np.float16)
 
@@ -256,17 +237,6 @@ def _as_bytes(rows: "np.ndarray[Any, np.dtype[Any]]") -> UInt8[np.ndarray, "m by
     return rows.view(np.uint8).reshape(len(rows), rows.shape[1] * rows.itemsize)
 
 
-def _sources(gaussians: Gaussians, wet_sh: WetColors = None) -> list[tuple[Float32[np.ndarray, "..."], ...]]:
-    wet = [] if wet_sh is None else [(wet_sh,)]
-    return [
-        (gaussians.means, gaussians.opacities),
-        (gaussians.scales,),
-        (gaussians.quaternions,),
-        (gaussians.sh,),
-        *wet,
-    ]
-
-
 # GPU memory
 # OpenGL reports a lack of memory only when queried.
 
@@ -275,14 +245,15 @@ _MAX_ERRORS = 8  # each kind of error is queued at most once; a lost context ret
 
 def reserve_buffer(context: moderngl.Context, size: int) -> moderngl.Buffer:
     """Create a buffer of `size` bytes; raises `MemoryError` if the graphics card is full."""
+    buffer = None
     try:
         buffer = context.buffer(reserve=size)
-    except moderngl.Error:
-        raise MemoryError(_size_text(size)) from None
-    try:
         check_gpu_memory(context, size)
+    except moderngl.Error:
+        raise _full_card(size) from None
     except MemoryError:
-        buffer.release()
+        if buffer is not None:
+            buffer.release()
         raise
     return buffer
 
@@ -292,13 +263,13 @@ def check_gpu_memory(context: moderngl.Context, size: int) -> None:
     for _ in range(_MAX_ERRORS):
         error = context.error
         if error == "GL_OUT_OF_MEMORY":
-            raise MemoryError(_size_text(size))
+            raise _full_card(size)
         if error == "GL_NO_ERROR":
             return
 
 
-def _size_text(size: int) -> str:
-    return f"the graphics card has no room for {max(1, size >> 20)} MiB more"
+def _full_card(size: int) -> MemoryError:
+    return MemoryError(f"the graphics card has no room for {max(1, size >> 20)} MiB more")
 
 
 class GrowableBuffer:
@@ -306,39 +277,34 @@ class GrowableBuffer:
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
-        self._buffer = context.buffer(reserve=4)
-
-    @property
-    def buffer(self) -> moderngl.Buffer:
+        self.buffer = context.buffer(reserve=4)
         """Current buffer; replaced when it grows."""
-        return self._buffer
 
     def reserve(self, size: int, at_most: int | None = None) -> moderngl.Buffer:
         """Make room for `size` bytes; grows with an eighth to spare, but to at most `at_most` bytes.
 
         Raises `MemoryError` if the graphics card is full.
         """
-        if size > self._buffer.size:
-            self._buffer.release()
-            self._buffer = self._context.buffer(reserve=4)  # valid even if the next allocation fails
+        if size > self.buffer.size:
+            self.buffer.release()
+            self.buffer = self._context.buffer(reserve=4)  # valid even if the next allocation fails
             roomy = size + size // 32 * 4
-            self._buffer = reserve_buffer(self._context, roomy if at_most is None else max(size, min(roomy, at_most)))
-        return self._buffer
+            self.buffer = reserve_buffer(self._context, roomy if at_most is None else max(size, min(roomy, at_most)))
+        return self.buffer
 
     def bind(self, binding: int) -> None:
-        self._buffer.bind_to_storage_buffer(binding)
+        self.buffer.bind_to_storage_buffer(binding)
 
 
 # Projected splats
 
-NEAR_M = 0.2
-"""Gaussians with nearer centers are skipped, as in the reference rasterizer."""
+SLOTS_BY_BLOCK = 256  # slots that one workgroup of a projection fills, from the front; each dispatch starts a new block
+WORK_BYTES = 4 * 9  # the draw's command (5 numbers), the number of elements, an indirect dispatch (3)
 
-SLOTS_BY_BLOCK = 256
-"""Slots that one workgroup of a projection fills, from the front; each dispatch starts a new block."""
+COUNT_OFFSET, GROUPS_OFFSET = 20, 24
+"""Byte offsets of the number of elements and of the dispatch; the draw's command is first."""
 
-_SPLAT_BYTES = 32
-_MAX_RECORD_BLOCKS = 4
+_SPLAT_BYTES, _MAX_RECORD_BLOCKS = 32, 4
 _RECORDS, _SPARSE_KEYS, _COUNTS, _WORK = 8, 4, 5, 7
 
 

@@ -9,9 +9,7 @@ from typing import Any, Literal
 
 import moderngl
 
-REQUIRED_VERSION = 430
-"""OpenGL 4.3: compute shaders and storage buffers."""
-
+REQUIRED_VERSION = 430  # OpenGL 4.3: compute shaders and storage buffers
 ContextSource = Literal["auto", "egl", "osmesa"]
 
 
@@ -21,7 +19,7 @@ class NoOpenGLError(OSError):
 
 def open_context(source: ContextSource = "auto") -> moderngl.Context:
     """Open an OpenGL 4.3 context without a window. It is current within `with context:`, which may be nested."""
-    openers = {"egl": _open_egl, "osmesa": _open_osmesa}
+    openers = {"egl": _open_egl, "osmesa": lambda: _context_of(_OSMesa())}
     tried: list[str] = []
     for name in openers if source == "auto" else (source,):
         try:
@@ -46,21 +44,16 @@ def is_software(context: moderngl.Context) -> bool:
 def _open_egl() -> moderngl.Context:
     """Open a context with reset notification, or without it if the driver lacks it."""
     try:
-        loader: Any = EglContext()
-        context = moderngl.create_context(context=loader, require=REQUIRED_VERSION)
+        loader = EglContext()
+        context = _context_of(loader)
     except (OSError, AttributeError):  # no such library or function
-        return _open_plain_egl()
+        options: Any = {"backend": "egl"}  # moderngl's stub types keyword arguments of a loader as a dictionary
+        return moderngl.create_context(standalone=True, require=REQUIRED_VERSION, **options)
     monitor_context(context, loader.load_opengl_function)
     return context
 
 
-def _open_plain_egl() -> moderngl.Context:
-    options: Any = {"backend": "egl"}  # moderngl's stub types keyword arguments of a loader as a dictionary
-    return moderngl.create_context(standalone=True, require=REQUIRED_VERSION, **options)
-
-
-def _open_osmesa() -> moderngl.Context:
-    loader: Any = _OSMesa()
+def _context_of(loader: Any) -> moderngl.Context:
     return moderngl.create_context(context=loader, require=REQUIRED_VERSION)
 
 
@@ -91,28 +84,22 @@ class _OSMesa:
         if not self._handle:
             raise RuntimeError(f"{name} gives no OpenGL 4.3 core context")
         self._screen = (ctypes.c_ubyte * (4 * 4 * 4))()  # the default framebuffer is never used
-        self.enter()
+        self.__enter__()
 
     def load_opengl_function(self, name: str) -> int:
         """Return the address of an entry point, or 0."""
         return self._library.OSMesaGetProcAddress(name.encode()) or 0
 
-    def enter(self) -> None:
+    def __enter__(self) -> None:
         if not self._library.OSMesaMakeCurrent(self._handle, self._screen, 0x1401, 4, 4):  # GL_UNSIGNED_BYTE
             raise RuntimeError("OSMesaMakeCurrent failed")
         self._depth += 1
 
-    def exit(self) -> None:
-        """Release the context from this thread after as many calls as `enter`."""
+    def __exit__(self, *_: object) -> None:
+        """Release the context from this thread after as many calls as `__enter__`."""
         self._depth -= 1
         if not self._depth:
             self._library.OSMesaMakeCurrent(None, None, 0, 0, 0)
-
-    def __enter__(self) -> None:
-        self.enter()
-
-    def __exit__(self, *_: object) -> None:
-        self.exit()
 
     def release(self) -> None:
         if self._handle:
@@ -126,13 +113,11 @@ class _OSMesa:
 _POINTER, _INT = ctypes.c_void_p, ctypes.c_int
 _OPENGL_API, _PLATFORM_DEVICE, _DRAW = 0x30A2, 0x313F, 0x3059
 _MAX_DEVICES = 64
-
 _CONFIG = (
     0x3033, 0x0001,  # EGL_SURFACE_TYPE, EGL_PBUFFER_BIT
     0x3040, 0x0008,  # EGL_RENDERABLE_TYPE, EGL_OPENGL_BIT
     0x3038,  # EGL_NONE
 )  # fmt: skip
-
 _CONTEXT = (
     0x3098, 4,  # EGL_CONTEXT_MAJOR_VERSION
     0x30FB, 3,  # EGL_CONTEXT_MINOR_VERSION
@@ -161,30 +146,23 @@ class EglContext:
         _need(initialize(self._display, None, None), "no display")
         _need(choose(self._display, _numbers(_CONFIG), ctypes.byref(config), 1, ctypes.byref(found)), "no config")
         _need(found.value and _function(library.eglBindAPI, _INT, _INT)(_OPENGL_API), "no OpenGL")
-        self._context = _need(
-            create(self._display, config, None, _numbers(_CONTEXT)), "no context that tells of resets"
-        )
+        context = create(self._display, config, None, _numbers(_CONTEXT))
+        self._context = _need(context, "no context that tells of resets")
         self._before: list[tuple[int | None, ...]] = []
-        self.enter()
+        self.__enter__()
 
     def load_opengl_function(self, name: str) -> int:
         return self._address(name.encode()) or 0
 
-    def enter(self) -> None:
+    def __enter__(self) -> None:
         display, surface = self._current_display() or self._display, self._current_surface(_DRAW)
         self._before.append((display, surface, surface, self._current()))
         _need(self._make_current(self._display, None, None, self._context), "the context can't be current")
 
-    def exit(self) -> None:
+    def __exit__(self, *_: object) -> None:
         """Restore the thread's previous context, or none if it no longer exists."""
         if not self._make_current(*self._before.pop()):
             self._make_current(self._display, None, None, None)
-
-    def __enter__(self) -> None:
-        self.enter()
-
-    def __exit__(self, *_: object) -> None:
-        self.exit()
 
     def release(self) -> None:
         if self._context:
@@ -194,12 +172,12 @@ class EglContext:
     def _device(self) -> int:
         """Open the display of a device: the first, or GLCONTEXT_DEVICE_INDEX as in moderngl."""
         devices, count = (_POINTER * _MAX_DEVICES)(), _INT()
-        query, wanted = self._address(b"eglQueryDevicesEXT"), int(os.environ.get("GLCONTEXT_DEVICE_INDEX", "0"))
+        query, index = self._address(b"eglQueryDevicesEXT"), int(os.environ.get("GLCONTEXT_DEVICE_INDEX", "0"))
         display = self._address(b"eglGetPlatformDisplayEXT")
         _need(query and display, "no devices")
         ctypes.CFUNCTYPE(_INT, _INT, _POINTER, _POINTER)(query)(_MAX_DEVICES, devices, ctypes.byref(count))
-        _need(0 <= wanted < count.value, f"no device {wanted}")
-        return ctypes.CFUNCTYPE(_POINTER, _INT, _POINTER, _POINTER)(display)(_PLATFORM_DEVICE, devices[wanted], None)
+        _need(0 <= index < count.value, f"no device {index}")
+        return ctypes.CFUNCTYPE(_POINTER, _INT, _POINTER, _POINTER)(display)(_PLATFORM_DEVICE, devices[index], None)
 
 
 def _function(function: Any, result: Any, *arguments: Any) -> Any:
@@ -220,8 +198,6 @@ def _need(value: Any, otherwise: str) -> Any:
 # Lost contexts
 # A driver restart or a removed card destroys everything in GPU memory.
 
-_QUESTIONS = (("GL_KHR_robustness", "KHR"), ("GL_ARB_robustness", "ARB"))
-
 
 class DeviceLostError(OSError):
     """Raised if the contents of the graphics card are lost; the context can no longer be used."""
@@ -234,7 +210,7 @@ class ContextLossMonitor:
     """Remembers that a context is lost, since some drivers report it only once."""
 
     def __init__(self, ask: Callable[[], int]) -> None:
-        """`ask` is the driver's glGetGraphicsResetStatus: 0 if the context works (again)."""
+        """`ask` is the driver's glGetGraphicsResetStatus: 0 if the context works."""
         self.ask = ask
         self._is_lost = False
 
@@ -243,9 +219,9 @@ class ContextLossMonitor:
         self._is_lost = self._is_lost or self.ask() != 0
         return self._is_lost
 
-    def wait_for_driver(self, most_s: float) -> None:
-        """Wait up to `most_s` seconds until the driver has restarted, as reported by its reset status."""
-        until = time.monotonic() + most_s
+    def wait_for_driver(self, timeout_s: float) -> None:
+        """Wait until the driver has restarted, as reported by its reset status."""
+        until = time.monotonic() + timeout_s
         while self.ask() and time.monotonic() < until:
             time.sleep(0.05)
 
@@ -255,8 +231,7 @@ def monitor_context(context: moderngl.Context, address_of: Callable[[str], int |
 
     Drivers report losses only for contexts created with reset notification.
     """
-    extensions = context.extensions
-    endings = ["", *(ending for name, ending in _QUESTIONS if name in extensions)]
+    endings = ["", *(each for each in ("KHR", "ARB") if f"GL_{each}_robustness" in context.extensions)]
     for ending in endings if context.version_code >= 450 else endings[1:]:  # a nonzero address does not prove support
         if address := address_of(f"glGetGraphicsResetStatus{ending}"):
             context.extra = ContextLossMonitor(_question(address))
@@ -270,8 +245,8 @@ def context_monitor(context: moderngl.Context) -> ContextLossMonitor | None:
 
 def check_context(context: moderngl.Context) -> None:
     """Raise `DeviceLostError` if the context is lost, so that drawn or read data may be invalid."""
-    watcher = context_monitor(context)
-    if watcher is not None and watcher.is_lost():
+    monitor = context_monitor(context)
+    if monitor is not None and monitor.is_lost():
         raise DeviceLostError
 
 

@@ -9,13 +9,13 @@ import numpy as np
 from ...rain.simulation import RainFrame
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
+from ..cpu.projection import NEAR_M
 from ..images import layer_color
 from ..renderer import RenderMode
-from .buffers import CHUNK, NEAR_M, SH_BITS, SLOTS_BY_BLOCK, GpuArrays, ProjectedSplatBuffer
-from .prefix_sum import PrefixSum
+from .buffers import CHUNK, SH_BITS, SLOTS_BY_BLOCK, GpuArrays, ProjectedSplatBuffer
 from .rain import RainPass, streak_slots
-from .shaders import load_compute_shader
-from .sort import KEYS, KEYS_BY_GROUP, SLOTS, CpuSort, DepthSort
+from .shaders import ShaderVariants, load_compute_shader, set_uniforms
+from .sort import KEYS, KEYS_BY_GROUP, SLOTS, CpuSort, DepthSort, PrefixSum
 
 _LOOKS: dict[RenderMode, int] = {"points": 1, "normals": 2, "opacity": 3, "layers": 4}
 """Render modes that change the projection of a Gaussian; as in splat_project.comp."""
@@ -24,8 +24,6 @@ _LONGEST_DISPATCH = 1 << 15  # workgroups along one axis, half of the limit guar
 _MARKS = 6  # binding of the masks: the last of the eight guaranteed storage bindings
 _WET = 12
 """Binding of the wet colors, after all blocks of records. Only the shader that blends them uses this ninth block."""
-
-_SAME_COLORS = np.eye(3, 4)
 
 
 class FrameSlots(NamedTuple):
@@ -46,7 +44,7 @@ class ProjectionPass:
         self._arrays = arrays
         self._scan = PrefixSum(context)
         self._gather = load_compute_shader(context, "visible_gather.comp")
-        self._projectors: dict[tuple[int, ...], moderngl.ComputeShader] = {}
+        self._projector = ShaderVariants(context, "splat_project.comp")
         self.drops = RainPass(context)
 
     def project(
@@ -67,17 +65,16 @@ class ProjectionPass:
         if field is not None:
             self.drops.find(field)
         is_wet = any(part.is_wet for part, _ in rows)
-        shader = self._projector(store, wet=is_wet)
-        shader["intrinsics"] = (camera.fx, camera.fy, camera.cx, camera.cy)
-        shader["image_size"] = (camera.width, camera.height)
-        shader["near"] = NEAR_M
-        shader["camera_to_world"] = tuple(camera.camera_to_world[:3, :3].T.ravel())
-        shader["look"] = _LOOKS.get(look, 0)
+        wet = {"WET": 1} if is_wet else {}
+        shader = self._projector({**store.switches, "SH_BITS": SH_BITS[self._arrays.harmonics], **wet})
+        set_uniforms(
+            shader, intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy), image_size=(camera.width, camera.height),
+            near=NEAR_M, camera_to_world=tuple(camera.camera_to_world[:3, :3].T.ravel()), look=_LOOKS.get(look, 0),
+        )  # fmt: skip
         store.bind()
         first = 0
         for number, (part, is_rain) in enumerate(rows):
-            shader["layer_color"] = layer_color(number)
-            shader["is_rain"] = is_rain
+            set_uniforms(shader, layer_color=layer_color(number), is_rain=is_rain)
             if is_wet:
                 shader["wetness"] = part.wetness if part.is_wet else 0.0
             self._dispatch(shader, part, camera, first)
@@ -103,18 +100,17 @@ class ProjectionPass:
     def _dispatch(self, shader: moderngl.ComputeShader, part: DrawItem, camera: Camera, first: int) -> None:
         gaussians = part.gaussians
         object_to_camera = camera.world_to_camera @ part.to_world
-        colors = _SAME_COLORS if part.colors is None else part.colors
+        colors = np.eye(3, 4) if part.colors is None else part.colors
         marks = self._arrays.marks(part.left_out, part.selected)
         buffers = self._arrays.buffers(gaussians, part.wet_sh if part.is_wet else None)
         if not part.is_wet:
             self._arrays.keep(part.wet_sh)
-        shader["growth"] = part.growth
-        shader["layer_opacity"] = part.opacity
-        shader["color_change"] = tuple(colors.T.ravel())
-        shader["has_marks"] = bool(marks)
-        shader["coefficients"] = gaussians.sh.shape[1]
-        shader["object_to_camera"] = tuple(object_to_camera.T.ravel())
-        shader["camera_in_object"] = tuple(np.linalg.inv(object_to_camera)[:3, 3])
+        set_uniforms(
+            shader, growth=part.growth, layer_opacity=part.opacity, color_change=tuple(colors.T.ravel()),
+            has_marks=bool(marks), coefficients=gaussians.sh.shape[1],
+            object_to_camera=tuple(object_to_camera.T.ravel()),
+            camera_in_object=tuple(np.linalg.inv(object_to_camera)[:3, 3]),
+        )  # fmt: skip
         for index, chunk in enumerate(buffers.chunks()):
             count = min(CHUNK, part.drawn_count - index * CHUNK)
             if count <= 0:
@@ -125,16 +121,8 @@ class ProjectionPass:
                 marks[index].bind_to_storage_buffer(_MARKS)
             if buffers.wet_sh:
                 buffers.wet_sh[index].bind_to_storage_buffer(_WET)
-            shader["count"] = count
-            shader["first_slot"] = first + index * CHUNK
+            set_uniforms(shader, count=count, first_slot=first + index * CHUNK)
             shader.run(-(-count // SLOTS_BY_BLOCK))
-
-    def _projector(self, store: ProjectedSplatBuffer, *, wet: bool) -> moderngl.ComputeShader:
-        switches = {**store.switches, "SH_BITS": SH_BITS[self._arrays.harmonics]} | ({"WET": 1} if wet else {})
-        key = tuple(switches.values())
-        if key not in self._projectors:
-            self._projectors[key] = load_compute_shader(self._context, "splat_project.comp", switches)
-        return self._projectors[key]
 
 
 def _slots(count: int) -> int:

@@ -8,9 +8,10 @@ from ...rain.drop_field import FIRST_OF_CLASS
 from ...rain.properties import CLASSES
 from ...rain.shelter_map import ShelterMap
 from ...rain.streaks import DropBatch
-from .buffers import NEAR_M, SLOTS_BY_BLOCK, GrowableBuffer, ProjectedSplatBuffer
-from .prefix_sum import COUNT_OFFSET, GROUPS_OFFSET, WORK_BYTES, PrefixSum
-from .shaders import load_compute_shader
+from ..cpu.projection import NEAR_M
+from .buffers import GROUPS_OFFSET, SLOTS_BY_BLOCK, WORK_BYTES, GrowableBuffer, ProjectedSplatBuffer
+from .shaders import ShaderVariants, set_uniforms
+from .sort import PrefixSum, count_in
 
 _CLASS_ROWS, _FOUND, _PLACES, _ROOFS, _COUNTS, _FOUND_WORK = 1, 2, 3, 3, 5, 6
 _IN_THE_OPEN = np.float32(-1e9)  # replacement for a roof height of -inf in shaders
@@ -21,13 +22,10 @@ class RainPass:
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
-        self._find: dict[bool, moderngl.ComputeShader] = {False: load_compute_shader(context, "rain_find.comp")}
-        self._streaks: dict[tuple[int, ...], moderngl.ComputeShader] = {}
+        self._find, self._streaks = (ShaderVariants(context, f"rain_{name}.comp") for name in ("find", "streaks"))
+        self._find({})
         self._scan = PrefixSum(context)
-        self._classes = GrowableBuffer(context)
-        self._found = GrowableBuffer(context)
-        self._counts = GrowableBuffer(context)
-        self._roofs = GrowableBuffer(context)
+        self._classes, self._found, self._counts, self._roofs = (GrowableBuffer(context) for _ in range(4))
         self._masks_by_class = 1
         self.work = context.buffer(np.zeros(WORK_BYTES // 4, np.uint32))
         """Number of found drops and the indirect dispatch; see `WORK_BYTES`."""
@@ -39,45 +37,33 @@ class RainPass:
         self._classes.reserve(4 * 12 * CLASSES).write(class_rows(field))
         self._found.reserve(4 * masks)
         self._counts.reserve(4 * masks)
-        shader, culling = self._finder(field.roofs is not None), field.culling
+        shader, culling = self._find({} if field.roofs is None else {"ROOFS": 1}), field.culling
         self._set_field(shader, field)
-        shader["count"] = field.count
-        shader["cell_to_region"] = _columns(culling.region_rotation)
-        shader["region_half"] = tuple(culling.region_half)
-        shader["slopes"] = tuple(culling.slopes)
+        set_uniforms(
+            shader, count=field.count, cell_to_region=_columns(culling.region_rotation),
+            region_half=tuple(culling.region_half), slopes=tuple(culling.slopes),
+        )  # fmt: skip
         self._bind(_COUNTS)
         if field.roofs is not None:
             self._set_roofs(shader, field, field.roofs)
         shader.run(masks // 256)
         self._context.memory_barrier()
-        self._scan.run(self._counts.buffer, self.work, masks, by_group=SLOTS_BY_BLOCK, most=field.max_drops)
+        self._scan.run(self._counts.buffer, self.work, masks, by_group=SLOTS_BY_BLOCK, max_elements=field.max_drops)
 
     def project(
         self, store: ProjectedSplatBuffer, field: DropBatch, display_color: Float64[np.ndarray, "3"], first_slot: int
     ) -> None:
         """Turn the found drops into streaks and write the visible ones."""
-        shader, shutter, wishes = self._shader(store), field.shutter, field.rain
+        shader, shutter, rain = self._streaks(store.switches), field.shutter, field.rain
         camera = shutter.camera
         self._set_field(shader, field)
-        values = {
-            "exposure": shutter.exposure_s,
-            "still_camera": wishes.streak_frame == "world",
-            "focal": shutter.focal_px,
-            "phi": wishes.critical_haze_coefficient,
-            "haze_opacity": wishes.haze_opacity,
-            "gain": wishes.streak_gain,
-            "aperture": 1e-3 * wishes.aperture_mm,
-            "focus": wishes.focus_distance_m,
-            "max_copies": wishes.max_copies,
-            "most_drops": field.max_drops,
-            "display_color": tuple(display_color),
-            "intrinsics": (camera.fx, camera.fy, camera.cx, camera.cy),
-            "image_size": (camera.width, camera.height),
-            "near": NEAR_M,
-            "first_slot": first_slot,
-        }
-        for name, value in values.items():
-            shader[name] = value
+        set_uniforms(
+            shader, exposure=shutter.exposure_s, still_camera=rain.streak_frame == "world", focal=shutter.focal_px,
+            phi=rain.critical_haze_coefficient, haze_opacity=rain.haze_opacity, gain=rain.streak_gain,
+            aperture=1e-3 * rain.aperture_mm, focus=rain.focus_distance_m, max_copies=rain.max_copies,
+            max_drops=field.max_drops, display_color=tuple(display_color), near=NEAR_M, first_slot=first_slot,
+            intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy), image_size=(camera.width, camera.height),
+        )  # fmt: skip
         store.bind()
         self._bind(_PLACES)
         self.work.bind_to_storage_buffer(_FOUND_WORK)
@@ -85,7 +71,7 @@ class RainPass:
 
     def found_count(self) -> int:
         """Number of drops found last; waits for the GPU."""
-        return int(np.frombuffer(self.work.read(4, offset=COUNT_OFFSET), np.uint32)[0])
+        return count_in(self.work)
 
     def found(self) -> UInt32[np.ndarray, " m"]:
         """Numbers of the drops found last, class by class; waits for the GPU."""
@@ -97,38 +83,26 @@ class RainPass:
         return ((group * 32 + bit) * CLASSES + class_index * FIRST_OF_CLASS % CLASSES).astype(np.uint32)
 
     def _set_field(self, shader: moderngl.ComputeShader, field: DropBatch) -> None:
-        shader["masks_by_class"] = self._masks_by_class
-        shader["first_of_class"] = FIRST_OF_CLASS
-        shader["seed"] = field.rain.seed
-        shader["period"] = tuple(field.period_m)
-        shader["camera_in_cell"] = tuple(field.culling.camera_position)
-        shader["cell_to_camera"] = _columns(field.culling.cell_to_camera)
+        set_uniforms(
+            shader, masks_by_class=self._masks_by_class, first_of_class=FIRST_OF_CLASS, seed=field.rain.seed,
+            period=tuple(field.period_m), camera_in_cell=tuple(field.culling.camera_position),
+            cell_to_camera=_columns(field.culling.cell_to_camera),
+        )  # fmt: skip
 
     def _set_roofs(self, shader: moderngl.ComputeShader, field: DropBatch, roofs: ShelterMap) -> None:
         heights = np.maximum(roofs.heights_m - np.float32(field.center_m[2]), _IN_THE_OPEN)
         self._roofs.reserve(heights.nbytes).write(heights)
         self._roofs.bind(_ROOFS)
         rows, columns = heights.shape
-        shader["roof_size"] = (columns, rows)
-        shader["roof_corner"] = tuple(np.array(roofs.corner_m) - field.center_m[:2])
-        shader["roof_edge"] = roofs.cell_m
-        shader["cell_to_world"] = _columns(field.axes[:2, :2])
-
-    def _finder(self, with_roofs: bool) -> moderngl.ComputeShader:
-        if with_roofs not in self._find:
-            self._find[with_roofs] = load_compute_shader(self._context, "rain_find.comp", {"ROOFS": 1})
-        return self._find[with_roofs]
+        set_uniforms(
+            shader, roof_size=(columns, rows), roof_corner=tuple(np.array(roofs.corner_m) - field.center_m[:2]),
+            roof_edge=roofs.cell_m, cell_to_world=_columns(field.axes[:2, :2]),
+        )  # fmt: skip
 
     def _bind(self, counts_binding: int) -> None:
         self._classes.bind(_CLASS_ROWS)
         self._found.bind(_FOUND)
         self._counts.bind(counts_binding)
-
-    def _shader(self, store: ProjectedSplatBuffer) -> moderngl.ComputeShader:
-        key = tuple(store.switches.values())
-        if key not in self._streaks:
-            self._streaks[key] = load_compute_shader(self._context, "rain_streaks.comp", store.switches)
-        return self._streaks[key]
 
 
 def streak_slots(field: DropBatch) -> int:
@@ -137,9 +111,9 @@ def streak_slots(field: DropBatch) -> int:
 
 def class_rows(field: DropBatch) -> UInt32[np.ndarray, "classes 12"]:
     """Rows in the layout of common_drop_field.glsl."""
-    seen = field.velocities(np.arange(CLASSES))
+    velocities = field.velocities(np.arange(CLASSES))
     if field.rain.streak_frame == "camera":
-        seen = seen - field.shutter.velocity_m_s
+        velocities = velocities - field.shutter.velocity_m_s
     rows = np.empty((CLASSES, 12), np.uint32)
     rows[:, 0:3] = field.where.wraps.view(np.uint32)
     rows[:, 3:6] = field.where.fractions
@@ -147,7 +121,7 @@ def class_rows(field: DropBatch) -> UInt32[np.ndarray, "classes 12"]:
     numbers[:, 6] = field.culling.class_far_m
     numbers[:, 7] = field.culling.class_margin_m
     numbers[:, 8] = 1e-3 * field.diameters_mm
-    numbers[:, 9:12] = seen @ field.shutter.camera.world_to_camera[:3, :3].T
+    numbers[:, 9:12] = velocities @ field.shutter.camera.world_to_camera[:3, :3].T
     return rows
 
 

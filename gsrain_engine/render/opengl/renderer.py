@@ -1,6 +1,7 @@
 """OpenGL renderer: projects, sorts by depth and blends quads back to front, all on the GPU."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -10,15 +11,13 @@ from jaxtyping import Float32
 
 from ...rain.simulation import RainFrame
 from ...scene.camera import Camera
-from ...scene.gaussians import Gaussians
 from ...scene.scene import DrawItem
 from ..renderer import FARTHEST_M, MAX_FRAGMENTS, NEAREST_M, Color, Frame, RenderMode, RenderStatistics
-from .buffers import CHUNK, GpuArrays, Harmonics, ProjectedSplatBuffer, WetColors, check_gpu_memory
+from .buffers import GpuArrays, Harmonics, ProjectedSplatBuffer, check_gpu_memory
 from .context import check_context, is_software
-from .prefix_sum import COUNT_OFFSET
 from .projection import ProjectionPass
 from .shaders import GpuTimers, Switches, load_program
-from .sort import SLOTS, CpuSort, DepthSort
+from .sort import SLOTS, CpuSort, DepthSort, count_in
 
 _QUADS_BY_INSTANCE = 128
 """Splats per instance; instances of one quad would leave a GPU's vertex units idle. As in splat.vert."""
@@ -72,14 +71,21 @@ class SplatRenderer:
         context: OpenGL 4.3 or later.
         precision: Precision of the image. Half is for scenes without rain: it loses part of the haze.
         harmonics: GPU storage of colors.
+        activates: Make the context current to draw and read, so that several can be used alternately on one thread.
     """
 
     name = "opengl"
 
     def __init__(
-        self, context: moderngl.Context, precision: Literal["half", "single"] = "single", harmonics: Harmonics = "half"
+        self,
+        context: moderngl.Context,
+        precision: Literal["half", "single"] = "single",
+        harmonics: Harmonics = "half",
+        *,
+        activates: bool = False,
     ) -> None:
         self.context = context
+        self._active: AbstractContextManager[object] = context if activates else nullcontext()
         self.arrays = GpuArrays(context, harmonics)
         self._dtype = "f2" if precision == "half" else "f4"
         self._projection = ProjectionPass(context, self.arrays)
@@ -87,18 +93,16 @@ class SplatRenderer:
         self._is_software = is_software(context)
         self._sort = CpuSort(context) if self._is_software else DepthSort(context)
         self._timers = GpuTimers(context)
-        self._quads = context.buffer(_quad_indices().tobytes())
+        quads = 4 * np.arange(_QUADS_BY_INSTANCE, dtype=np.uint32)[:, None]
+        # Two triangles per quad of an instance; both start with the quad's first vertex.
+        self._quads = context.buffer((quads + np.array([0, 1, 2, 1, 3, 2], np.uint32)).tobytes())
         self._programs: dict[tuple[object, ...], tuple[moderngl.Program, moderngl.VertexArray]] = {}
         self._targets: dict[str, Framebuffer] = {}
         self._image: moderngl.Texture | None = None
-        self._measured = RenderStatistics()
+        self.statistics = RenderStatistics()
+        """Statistics of the last image if it was read, or else of the one before, to avoid waiting for the GPU."""
         self._drawn: RenderStatistics | None = None
         self._makes_drops = False
-
-    @property
-    def statistics(self) -> RenderStatistics:
-        """Statistics of the last image if it was read, or else of the one before, to avoid waiting for the GPU."""
-        return self._measured
 
     @property
     def picture(self) -> moderngl.Texture:
@@ -119,60 +123,56 @@ class SplatRenderer:
 
         `camera` is in the world (meters). Depth is the scene's own, without rain.
         """
-        self._take_stock()
-        self._drawn = RenderStatistics(
-            gaussians=sum(part.drawn_count for part in parts), stages_ms={"project": 0.0, "sort": 0.0, "draw": 0.0}
-        )
-        falling = rain if look == "splats" else None
-        self._drawn.haze_drawn = falling.haze_drawn if falling is not None else 0
-        self._makes_drops = falling is not None and falling.streak_field is not None
-        before = self.context.detect_framebuffer()
-        self.context.memory_barrier()  # otherwise shaders may overwrite data that the last frame still reads
-        with self._timers.stage("project"):
-            slots = self._projection.project(self._store, parts, camera, falling, look)
-        with self._timers.stage("sort"):
-            self._projection.compact_visible(self._store, self._sort, slots)
-            order = self._sort.sort(self._store.work)
-        with self._timers.stage("draw"):
-            light = falling.light_linear if falling is not None and falling.mixing == "linear" else None
-            with_depth = with_depth or look == "depth"
-            self._blend(order, camera, look, with_depth=with_depth, linear_rain=light is not None)
-            self._image = self._resolve(look, light)
-        before.use()
-        self.arrays.release_unused()
-        if self._is_software:
+        with self._active:
             self._take_stock()
+            self._drawn = RenderStatistics(
+                gaussians=sum(part.drawn_count for part in parts), stages_ms={"project": 0.0, "sort": 0.0, "draw": 0.0}
+            )
+            falling = rain if look == "splats" else None
+            self._drawn.haze_drawn = falling.haze_drawn if falling is not None else 0
+            self._makes_drops = falling is not None and falling.streak_field is not None
+            before = self.context.detect_framebuffer()
+            self.context.memory_barrier()  # otherwise shaders may overwrite data that the last frame still reads
+            with self._timers.stage("project"):
+                slots = self._projection.project(self._store, parts, camera, falling, look)
+            with self._timers.stage("sort"):
+                self._projection.compact_visible(self._store, self._sort, slots)
+                order = self._sort.sort(self._store.work)
+            with self._timers.stage("draw"):
+                light = falling.light_linear if falling is not None and falling.mixing == "linear" else None
+                with_depth = with_depth or look == "depth"
+                self._blend(order, camera, look, with_depth=with_depth, linear_rain=light is not None)
+                self._image = self._resolve(look, light)
+            before.use()
+            self.arrays.release_unused()
+            if self._is_software:
+                self._take_stock()
 
     def read(self) -> Frame:
         """Fetch the last image (and depth, if it was drawn) from the GPU.
 
         Raises `DeviceLostError` if the GPU was reset meanwhile: the data would be invalid.
         """
-        self._take_stock()
-        rgba = self._fetch(self.picture)
-        depth = self._targets["splats"].depth
-        fetched_depth = None if depth is None else self._fetch(depth)
-        check_context(self.context)
-        if fetched_depth is None:
-            return Frame(rgba)
-        weighted, weight = np.moveaxis(fetched_depth, -1, 0)
-        return Frame(rgba, np.where(weight > 0.5, weighted / np.maximum(weight, np.float32(0.5)), np.float32(0)))
-
-    def upload(
-        self, gaussians: Gaussians, slice_size: int = CHUNK // 64, *, wet_sh: WetColors = None
-    ) -> Iterator[float]:
-        """Upload Gaussians and their wet colors before their first frame, one slice per step."""
-        return self.arrays.upload(gaussians, slice_size, wet_sh=wet_sh)
+        with self._active:
+            self._take_stock()
+            rgba = self._fetch(self.picture)
+            depth = self._targets["splats"].depth
+            sums = None if depth is None else self._fetch(depth)
+            check_context(self.context)
+            if sums is None:
+                return Frame(rgba)
+            weighted, weight = np.moveaxis(sums, -1, 0)
+            return Frame(rgba, np.where(weight > 0.5, weighted / np.maximum(weight, np.float32(0.5)), np.float32(0)))
 
     def _take_stock(self) -> None:
         """Read the statistics of the last image from the GPU."""
         if self._drawn is None:
             return
-        self._measured, self._drawn = self._drawn, None
-        self._measured.stages_ms |= self._timers.collect()
-        self._measured.splats_drawn = int(np.frombuffer(self._store.work.read(4, offset=COUNT_OFFSET), np.uint32)[0])
+        self.statistics, self._drawn = self._drawn, None
+        self.statistics.stages_ms |= self._timers.collect()
+        self.statistics.splats_drawn = count_in(self._store.work)
         if self._makes_drops:
-            self._measured.drops_drawn = self._projection.drops.found_count()
+            self.statistics.drops_drawn = self._projection.drops.found_count()
 
     def _fetch(self, texture: moderngl.Texture) -> Float32[np.ndarray, "h w c"]:
         width, height = texture.size
@@ -187,7 +187,7 @@ class SplatRenderer:
         target = self._target("splats", FramebufferLayout(size, self._dtype, linear_rain, with_depth))
         switches = {"LINEAR_RAIN": linear_rain, "WITH_DEPTH": with_depth}
         switches |= {"ELLIPSOIDS": look == "ellipsoids", "OVERDRAW": look == "overdraw"}
-        macros = {name: 1 for name, wanted in switches.items() if wanted} | dict(self._store.switches)
+        macros = {name: 1 for name, is_set in switches.items() if is_set} | dict(self._store.switches)
         program, vertices = self._program("splat.vert", "splat.frag", macros, self._quads)
         program["image_size"] = size
         target.framebuffer.use()
@@ -244,12 +244,6 @@ class SplatRenderer:
         return self._targets[name]
 
 
-def _quad_indices() -> np.ndarray:
-    """Two triangles per quad of an instance; both start with the quad's first vertex."""
-    quads = 4 * np.arange(_QUADS_BY_INSTANCE, dtype=np.uint32)[:, None]
-    return (quads + np.array([0, 1, 2, 1, 3, 2], np.uint32)).ravel()
-
-
 class Screen:
     """Converts images for the screen: background, display gain, 8 bits."""
 
@@ -272,31 +266,9 @@ class Screen:
             self._framebuffer = self._context.framebuffer([self._texture])
         assert self._framebuffer is not None
         picture.use(0)
-        self._program["picture"] = 0
-        self._program["background"] = background
-        self._program["gain"] = gain
+        self._program["picture"], self._program["background"], self._program["gain"] = 0, background, gain
         before = self._context.detect_framebuffer()
         self._framebuffer.use()
         self._vertices.render(moderngl.TRIANGLES, vertices=3)
         before.use()
         return self._texture
-
-
-class OffscreenRenderer(SplatRenderer):
-    """`SplatRenderer` that activates its own context, so that several can be used alternately on one thread."""
-
-    def draw(
-        self,
-        parts: Sequence[DrawItem],
-        camera: Camera,
-        rain: RainFrame | None = None,
-        *,
-        with_depth: bool = False,
-        look: RenderMode = "splats",
-    ) -> None:
-        with self.context:
-            super().draw(parts, camera, rain, with_depth=with_depth, look=look)
-
-    def read(self) -> Frame:
-        with self.context:
-            return super().read()

@@ -2,8 +2,10 @@
 
 import re
 import time
+from collections import defaultdict
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
+from typing import Any
 
 import moderngl
 
@@ -20,8 +22,7 @@ class ShaderError(RuntimeError):
     """Raised if a shader does not compile; contains the driver's message with source files and lines."""
 
 
-Switches = Mapping[str, int]
-"""Macros of a shader, by name."""
+Switches = Mapping[str, int]  # macros of a shader, by name
 
 
 def load_program(context: moderngl.Context, *names: str, switches: Switches | None = None) -> moderngl.Program:
@@ -43,6 +44,25 @@ def load_compute_shader(
         return context.compute_shader(source.text)
     except moderngl.Error as error:
         raise ShaderError(source.explain(str(error))) from None
+
+
+class ShaderVariants:
+    """Compute shader compiled once for each set of switches; call it with those."""
+
+    def __init__(self, context: moderngl.Context, name: str) -> None:
+        self._context, self._name = context, name
+        self._compiled: dict[tuple[tuple[str, int], ...], moderngl.ComputeShader] = {}
+
+    def __call__(self, switches: Switches) -> moderngl.ComputeShader:
+        key = tuple(switches.items())
+        if key not in self._compiled:
+            self._compiled[key] = load_compute_shader(self._context, self._name, switches)
+        return self._compiled[key]
+
+
+def set_uniforms(shader: moderngl.ComputeShader, **values: Any) -> None:
+    for name, value in values.items():
+        shader[name] = value
 
 
 class _Source:
@@ -73,10 +93,7 @@ class _Source:
 
         def place(match: re.Match[str]) -> str:
             line = int(match[1])
-            if not 1 <= line <= len(self.origins):
-                return match[0]
-            file, number = self.origins[line - 1]
-            return f"{file}:{number}"
+            return "{}:{}".format(*self.origins[line - 1]) if 1 <= line <= len(self.origins) else match[0]
 
         return f"{self.name} does not compile:\n" + _LINE_IN_ERROR.sub(place, message)
 
@@ -97,7 +114,7 @@ class GpuTimers:
         self._is_software = is_software(context)
         self._free: list[moderngl.Query] = []
         self._running: list[tuple[str, moderngl.Query]] = []
-        self._stages_ms: dict[str, float] = {}
+        self._stages_ms: dict[str, float] = defaultdict(float)
 
     @contextmanager
     def stage(self, name: str) -> Generator[None]:
@@ -106,7 +123,7 @@ class GpuTimers:
             start = time.perf_counter()
             yield
             self._context.finish()
-            self._add(name, 1000 * (time.perf_counter() - start))
+            self._stages_ms[name] += 1000 * (time.perf_counter() - start)
             return
         query = self._free.pop() if self._free else self._context.query(time=True)
         with query:
@@ -116,11 +133,9 @@ class GpuTimers:
     def collect(self) -> dict[str, float]:
         """Milliseconds by stage since the last call; waits for the GPU if necessary."""
         for name, query in self._running:
-            self._add(name, query.elapsed / 1e6)
+            self._stages_ms[name] += query.elapsed / 1e6
             self._free.append(query)
         self._running.clear()
-        collected, self._stages_ms = self._stages_ms, {}
+        collected = dict(self._stages_ms)
+        self._stages_ms.clear()
         return collected
-
-    def _add(self, name: str, milliseconds: float) -> None:
-        self._stages_ms[name] = self._stages_ms.get(name, 0.0) + milliseconds

@@ -1,4 +1,4 @@
-"""Depth sort of visible splats: radix sort on the GPU, or a CPU sort for software rasterizers."""
+"""Depth sort of visible splats, a radix sort on the GPU or a CPU sort for software rasterizers; and the prefix sum."""
 
 from typing import NamedTuple
 
@@ -6,17 +6,14 @@ import moderngl
 import numpy as np
 from jaxtyping import UInt32
 
-from .buffers import NEAR_M, GrowableBuffer
-from .prefix_sum import COUNT_OFFSET, GROUPS_OFFSET, WORK_BYTES
+from ..cpu.projection import NEAR_M
+from .buffers import COUNT_OFFSET, GROUPS_OFFSET, WORK_BYTES, GrowableBuffer
 from .shaders import load_compute_shader
 
 KEY_BITS = 28
 DIGIT_BITS = 4
-KEYS_BY_GROUP = 4096
-"""Keys per workgroup; as in common_radix.glsl."""
-
-KEYS, SLOTS, SORTED_KEYS, SORTED_SLOTS, COUNTS, WORK = 0, 1, 2, 3, 4, 7
-"""Storage bindings of the shaders."""
+KEYS_BY_GROUP = 4096  # keys per workgroup; as in common_radix.glsl
+KEYS, SLOTS, SORTED_KEYS, SORTED_SLOTS, COUNTS, WORK = 0, 1, 2, 3, 4, 7  # storage bindings of the shaders
 
 
 class DepthSort:
@@ -27,9 +24,8 @@ class DepthSort:
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
-        self._count = load_compute_shader(context, "radix_count.comp")
-        self._scan = load_compute_shader(context, "radix_scan.comp")
-        self._scatter = load_compute_shader(context, "radix_scatter.comp")
+        names = "radix_count.comp", "radix_scan.comp", "radix_scatter.comp"
+        self._count, self._scan, self._scatter = (load_compute_shader(context, name) for name in names)
         self._pairs = [(GrowableBuffer(context), GrowableBuffer(context)) for _ in range(2)]
         self._counts = GrowableBuffer(context)
 
@@ -53,8 +49,7 @@ class DepthSort:
         for shift in range(0, KEY_BITS, DIGIT_BITS):
             for binding, buffer in zip((KEYS, SLOTS, SORTED_KEYS, SORTED_SLOTS), (*here, *there), strict=True):
                 buffer.bind(binding)
-            self._count["shift"] = shift
-            self._scatter["shift"] = shift
+            self._count["shift"] = self._scatter["shift"] = shift
             self._count.run_indirect(work, GROUPS_OFFSET)
             self._context.memory_barrier()
             self._scan.run()
@@ -127,22 +122,21 @@ class CpuSort:
     """Sorts on the CPU in the same order as `DepthSort`, bit for bit; faster for software rasterizers."""
 
     def __init__(self, context: moderngl.Context) -> None:
-        self._keys, self._slots = GrowableBuffer(context), GrowableBuffer(context)
+        self._pair = GrowableBuffer(context), GrowableBuffer(context)
 
     def reserve(self, capacity: int) -> None:
-        self._keys.reserve(4 * capacity)
-        self._slots.reserve(4 * capacity)
+        for buffer in self._pair:
+            buffer.reserve(4 * capacity)
 
     @property
     def unsorted(self) -> tuple[moderngl.Buffer, moderngl.Buffer]:
-        return self._keys.buffer, self._slots.buffer
+        return self._pair[0].buffer, self._pair[1].buffer
 
     def sort(self, work: moderngl.Buffer) -> moderngl.Buffer:
         keys, slots = self.unsorted
-        count = int(np.frombuffer(work.read(4, offset=COUNT_OFFSET), np.uint32)[0])
+        count = count_in(work)
         if count:
-            found = [np.frombuffer(each.read(4 * count), np.uint32) for each in (keys, slots)]
-            slots.write(nearest_first(*found))
+            slots.write(nearest_first(*(np.frombuffer(each.read(4 * count), np.uint32) for each in (keys, slots))))
         return slots
 
 
@@ -152,3 +146,50 @@ def nearest_first(keys: UInt32[np.ndarray, " n"], slots: UInt32[np.ndarray, " n"
     pairs = (keys.astype(np.uint64) << np.uint64(32)) | slots
     pairs.sort()
     return (pairs & np.uint64(0xFFFFFFFF)).astype(np.uint32)
+
+
+def count_in(work: moderngl.Buffer) -> int:
+    """Read the number of elements from indirect work; waits for the GPU."""
+    return int(np.frombuffer(work.read(4, offset=COUNT_OFFSET), np.uint32)[0])
+
+
+# Prefix sum
+# Over blocks of 256 counts; it also writes the arguments of the indirect draw and dispatch.
+
+_COUNTS, _FOUND_WORK, _WORK = 5, 6, 7
+
+
+class PrefixSum:
+    """Runs visible_scan.comp."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self._shader = load_compute_shader(context, "visible_scan.comp")
+        self._nothing_found = context.buffer(np.zeros(WORK_BYTES // 4, np.uint32))
+
+    def run(
+        self,
+        counts: moderngl.Buffer,
+        work: moderngl.Buffer,
+        blocks: int,
+        *,
+        by_group: int,
+        max_elements: int = 0xFFFFFFFF,
+        found: tuple[moderngl.Buffer, int, int] | None = None,
+    ) -> None:
+        """Scan the counts of blocks in place and fill in `work`.
+
+        Each workgroup of the dispatch processes `by_group` elements, of at most `max_elements`. `found` consists of the
+        work buffer of found drops, the first of their blocks, and the number of blocks per group of drops: all other
+        blocks are empty.
+        """
+        found_work, fixed, copies = found or (self._nothing_found, blocks, 0)
+        for name, value in {
+            "blocks": blocks, "fixed_blocks": fixed, "found_copies": copies, "by_group": by_group,
+            "max_elements": max_elements,
+        }.items():  # fmt: skip
+            self._shader[name] = value
+        for binding, buffer in ((_COUNTS, counts), (_FOUND_WORK, found_work), (_WORK, work)):
+            buffer.bind_to_storage_buffer(binding)
+        self._shader.run()
+        self._context.memory_barrier()

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsrain_engine.editor.selection.candidates import combine_selection, selected, selected_count
-from gsrain_engine.editor.selection.volume import expand, selection_boundary
+from gsrain_engine.editor.selection.volume import near_selection
 from gsrain_engine.scene.flags import BitMask
 
 from .selection_scenes import cloud, world_means
@@ -34,33 +34,34 @@ def test_both_as_all_distances_say(seed, distance_m):
     scene = some(seed)
     points, chosen = everything(scene)
     distances = np.linalg.norm(points[:, None] - points[None], axis=2)
-    for found, from_, to in ((expand, chosen, ~chosen), (selection_boundary, ~chosen, chosen)):
+    for inside, from_, to in ((False, chosen, ~chosen), (True, ~chosen, chosen)):
         nearest = np.where(from_, distances, np.inf).min(axis=1)
         clear = np.abs(nearest - distance_m) > 1e-4
-        assert np.array_equal(flags_of(found(scene, 0.0, distance_m))[clear], ((nearest <= distance_m) & to)[clear])
+        found = flags_of(near_selection(scene, 0.0, distance_m, inside=inside))
+        assert np.array_equal(found[clear], ((nearest <= distance_m) & to)[clear])
 
 
 @settings(max_examples=15)
 @given(st.integers(0, 1000), st.floats(0.1, 3))
 def test_what_has_grown_and_shrunk_holds_what_it_was(seed, distance_m):
     before = some(seed)
-    larger = combine_selection(before, expand(before, 0.0, distance_m), "add")
-    back = combine_selection(larger, selection_boundary(larger, 0.0, distance_m), "remove")
+    larger = combine_selection(before, near_selection(before, 0.0, distance_m), "add")
+    back = combine_selection(larger, near_selection(larger, 0.0, distance_m, inside=True), "remove")
     _, was = everything(before)
     _, now = everything(back)
     assert now[was].all()
     assert selected_count(larger) >= selected_count(back) >= selected_count(before)
 
 
-@pytest.mark.parametrize("found", [expand, selection_boundary])
-def test_nothing_grows_from_nothing(found):
-    assert not flags_of(found(cloud(N), 0.0, 5.0)).any()
+@pytest.mark.parametrize("inside", [False, True])
+def test_nothing_grows_from_nothing(inside):
+    assert not flags_of(near_selection(cloud(N), 0.0, 5.0, inside=inside)).any()
 
 
 def test_locked_members_neither_grow_nor_hold():
     scene = some(3)
     locked = scene.with_member("layers/turned", locked=True)
-    assert set(expand(locked, 0.0, 50.0)) == {"layers/plain"}
-    after = combine_selection(locked, expand(locked, 0.0, 50.0), "add")
+    assert set(near_selection(locked, 0.0, 50.0)) == {"layers/plain"}
+    after = combine_selection(locked, near_selection(locked, 0.0, 50.0), "add")
     assert selected(after.layers[0]).size == N
     assert after.layers[1] is locked.layers[1]

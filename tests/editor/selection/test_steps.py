@@ -6,7 +6,6 @@ import pytest
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.selection import commands
 from gsrain_engine.editor.selection.candidates import selected, selected_count
-from gsrain_engine.editor.selection.commands import rename_selection_set, save_selection_set, selection_set_contents
 from gsrain_engine.scene.flags import BitMask
 
 from .selection_scenes import cloud
@@ -92,19 +91,20 @@ def test_what_is_wrong_with_a_set_is_told_and_nothing_changes(session):
     assert session.scene is before
 
 
-def test_a_renamed_set_keeps_its_place_and_a_saved_one_replaces_its_namesake():
-    scene = cloud()
-    scene = scene.with_member(KEY, marks=replace(scene.layers[0].marks, selected=first(9)[KEY]))
-    scene = save_selection_set(save_selection_set(save_selection_set(scene, "a"), "b"), "c")
-    assert list(rename_selection_set(scene, "b", "x").selections) == ["a", "x", "c"]
-    assert list(save_selection_set(scene, "a").selections) == ["a", "b", "c"]
+def test_a_renamed_set_keeps_its_place_and_a_saved_one_replaces_its_namesake(session):
+    commands.select(session, first(9), "set", "lasso")
+    for name in ("a", "b", "c", "a"):
+        commands.save_set(session, name)
+    assert list(session.scene.selections) == ["a", "b", "c"]
+    commands.rename_set(session, "b", "x")
+    assert list(session.scene.selections) == ["a", "x", "c"]
 
 
-def test_sets_pass_by_members_that_are_gone_or_other():
-    scene = cloud()
+def test_sets_pass_by_members_that_are_gone_or_other(session):
     sets = {"old": {KEY: BitMask.all(7), "layers/gone": BitMask.all(300), "layers/turned": BitMask.all(300)}}
-    scene = replace(scene, selections=sets)
-    assert set(selection_set_contents(scene, "old")) == {"layers/turned"}
+    session.set_scene("Add a set", replace(session.scene, selections=sets))
+    commands.recall_set(session, "old", "set")
+    assert [each.key for each in session.scene.members if each.marks.selected] == ["layers/turned"]
 
 
 def test_hidden_gaussians_of_a_set_stay_as_they_are(session):

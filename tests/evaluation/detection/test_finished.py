@@ -11,7 +11,6 @@ from gsrain_engine.evaluation.detection.run import (
     Condition,
     EvaluatedFrame,
     ResultCache,
-    ResultCacheProtocol,
     evaluate_detections,
 )
 from gsrain_engine.render.draw import RenderView
@@ -39,7 +38,6 @@ def opened(place, inputs=None, detectors=None):
 
 def test_a_judgement_comes_back_as_it_was(file):
     memory = opened(file)
-    assert isinstance(memory, ResultCacheProtocol)
     assert memory.known("net", FRAME, RAINY) is None  # not read yet
     assert memory.read([FRAME]) == 1
     assert asdict(memory.known("net", FRAME, RAINY)) == asdict(FOUND)

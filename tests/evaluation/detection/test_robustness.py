@@ -20,7 +20,7 @@ def test_recall_is_counted_between_distances():
     near, middle, far = recall_by_distance(distances, confidences, (0, 10, 20, 50))
     assert [(each.objects, each.found) for each in (near, middle, far)] == [(1, 1), (3, 2), (2, 1)]
     assert middle.recall == pytest.approx(2 / 3)
-    assert recall_by_distance(distances, confidences, (20, 30), least_confidence=0)[0].found == 0  # a miss stays one
+    assert recall_by_distance(distances, confidences, (20, 30), min_confidence=0)[0].found == 0  # a miss stays one
     with pytest.raises(ValueError, match="must rise, not 0, 20, 20 m"):
         recall_by_distance(distances, confidences, (0, 20, 20))
 

@@ -7,6 +7,8 @@ from gsrain_engine.evaluation.detection.detector import Detection
 from gsrain_engine.evaluation.detection.figures import (
     detection_sheet,
     figure_pixels,
+    legend_columns,
+    legend_width_in,
     object_figure,
     plotted_objects,
     precision_figure,
@@ -29,7 +31,7 @@ from gsrain_engine.evaluation.detection.summary import (
     write_csv,
     write_parquet,
 )
-from gsrain_engine.evaluation.plot_styles import legend_columns, legend_width_in, series_styles, shades
+from gsrain_engine.evaluation.report_charts import series_styles, shades
 from gsrain_engine.render.draw import RenderView
 from gsrain_engine.scene.camera import Camera
 

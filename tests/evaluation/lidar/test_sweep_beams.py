@@ -98,7 +98,7 @@ def test_real_sweeps_in_rain(test_data, capture):
     np.testing.assert_array_equal(lost, wanted)
 
 
-def test_a_told_range_can_be_overruled(test_data):
+def test_a_estimates_range_can_be_overruled(test_data):
     capture = open_capture(test_data / "driving/nuscenes_sample")
     sensor = msgspec.structs.replace(SENSOR, range_m=70.0)
-    assert next(iter(capture_turns(capture, sensor, told_range=False))).sensor.range_m == 70
+    assert next(iter(capture_turns(capture, sensor, estimates_range=False))).sensor.range_m == 70

@@ -5,8 +5,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from gsrain_engine.render.autodiff.cuda import render_with_gsplat  # noqa: E402
-from gsrain_engine.render.autodiff.differentiable import render_gaussians  # noqa: E402
+from gsrain_engine.render.autodiff.differentiable import render_gaussians, render_with_gsplat  # noqa: E402
 
 from .differentiable_gsplat_stand_in import rasterization  # noqa: E402
 from .trained_scenes import NAMES, camera, display, gradients, tensors, with_values  # noqa: E402

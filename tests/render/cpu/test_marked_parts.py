@@ -144,8 +144,7 @@ def test_shader_and_kernels_have_the_same_tint():
 
 def test_all_kernels_are_compiled_ahead():
     compile_kernels()
-    kernels = [projection._find_candidates, projection._find_few_candidates, projection._project_part,
-               projection._project_few]  # fmt: skip
+    kernels = [projection._flag_chunks, projection._flag_range, projection._project_chunks, projection._project_range]
     before = [len(each.signatures) for each in kernels]
     assert all(before)
     for count in COUNTS:

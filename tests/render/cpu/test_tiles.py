@@ -29,7 +29,7 @@ def test_a_tile_is_listed_exactly_where_the_ellipse_touches_it(seed, stretch):
     for n in splats.nearest_first():
         shape = splats.shapes[n]
         # Whole tiles, also where the last ones stick out of the image.
-        power = powers_above_the_cut(shape, tiles.columns * TILE, tiles.rows * TILE)
+        power = powers_above_the_cut(shape, tiles.columns * TILE, -(-tiles.height // TILE) * TILE)
         for tile, members in enumerate(listed):
             row, column = divmod(tile, tiles.columns)
             block = power[row * TILE : (row + 1) * TILE, column * TILE : (column + 1) * TILE]

@@ -29,7 +29,7 @@ def blended(part: DrawItem) -> DrawItem:
 
 def cuda_renderer():
     pytest.importorskip("torch", reason="torch is not installed: pip install gsrain[jobs]")
-    from gsrain_engine.render.cuda.renderer import CudaRenderer
+    from gsrain_engine.render.cuda import CudaRenderer
     from render.cuda.gsplat_stand_in import rasterization
 
     return CudaRenderer(rasterization, "cpu")

@@ -14,7 +14,7 @@ from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
 from gsrain_engine.render.cpu.projection import project
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.cuda.rain import SLABS, split_into_depth_slabs
+from gsrain_engine.render.cuda import SLABS, split_into_depth_slabs
 from gsrain_engine.render.draw import RenderView, draw_view
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.scene.camera import Camera, look_at
@@ -31,7 +31,7 @@ UP = np.array([0.0, 0.0, 1.0])
 @pytest.fixture
 def cuda():
     pytest.importorskip("torch", reason="torch is not installed: pip install gsrain[jobs]")
-    from gsrain_engine.render.cuda.renderer import CudaRenderer
+    from gsrain_engine.render.cuda import CudaRenderer
     from render.cuda.gsplat_stand_in import rasterization
 
     return CudaRenderer(rasterization, "cpu")

@@ -1,0 +1,371 @@
+"""CUDA renderer: scene and rain with gsplat on an NVIDIA GPU, for data-center GPUs with hardly any graphics pipeline.
+
+gsplat has the same conventions as the other renderers: 0.3 px^2 of dilation, alpha cut at 1/255 and at most 0.999, end
+at a transmittance of 1e-4 (Ye et al. 2025). This renderer has been tested only on torch's CPU with a stand-in for
+gsplat based on our own rasterizer (tests/render/cuda/gsplat_stand_in.py), not with gsplat or a GPU.
+"""
+
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, Int64
+
+from ..rain.simulation import RainFrame
+from ..scene.camera import Camera
+from ..scene.gaussians import Gaussians
+from ..scene.geometry import quaternions_from_matrices
+from ..scene.scene import DrawItem
+from .cpu.compositing import MAX_ALPHA
+from .cpu.projection import DILATION_PX2, NEAR_M, TINT, TINT_SHARE, Splats, eye_in_object, project
+from .renderer import Frame, RenderMode, RenderStatistics, timed
+
+torch: Any = import_module("torch")
+Tensor = Any
+"""torch is an optional dependency: this module is imported only if it is installed, and its types can't be named."""
+
+_MIN_WEIGHT = 0.5  # minimum alpha of pixels with depth, as in the other renderers
+
+
+class CudaRenderer:
+    """Renders scene and rain into one image.
+
+    Args:
+        rasterize: `gsplat.rasterization`, or a function with the same signature.
+        device: torch device, such as "cuda".
+    """
+
+    name = "cuda"
+
+    def __init__(self, rasterize: Callable[..., tuple[Tensor, Tensor, dict[str, Any]]], device: str) -> None:
+        self.statistics = RenderStatistics()
+        self._rasterize = rasterize
+        self._device = device
+        self._arrays = CudaArrays(device)
+        self._frame: tuple[Tensor, Tensor | None] | None = None
+
+    @property
+    def device_name(self) -> str:
+        return torch.cuda.get_device_name() if self._device.startswith("cuda") else self._device
+
+    def draw(
+        self,
+        parts: Sequence[DrawItem],
+        camera: Camera,
+        rain: RainFrame | None = None,
+        *,
+        with_depth: bool = False,
+        look: RenderMode = "splats",
+    ) -> None:
+        """Draw parts and rain as one compositing; `read` returns the image.
+
+        `camera` is in the world (meters). The scene is sorted exactly; rain is inserted in slabs of depth, see
+        `composite_rain_slabs`. Depth is the scene's own. Raises `ValueError` for any render mode except "splats".
+        """
+        if look != "splats":
+            raise ValueError(f"the cuda back end shows splats only; look at {look} with --backend opengl or cpu")
+        self.statistics = RenderStatistics(stages_ms={"project": 0.0, "draw": 0.0, "rain": 0.0})
+        falling = rain if rain is not None and len(rain.gaussians) else None
+        with self._timed("project"):
+            scene = self._arrays.before_camera(parts, camera)
+        slabs: DepthSlabs | None = None
+        if falling is not None:
+            with self._timed("rain"):
+                drops = DrawItem(falling.gaussians, np.eye(4))
+                slabs = split_into_depth_slabs(project([drops], camera, [np.ones(drops.drawn_count, np.bool_)]))
+        with self._timed("draw"):
+            image, alpha = self._composited(scene, camera, slabs)
+            rgba, depth, weight = torch.cat([image[..., :3], alpha], dim=-1), None, alpha[..., 0]
+            if with_depth:
+                mean = image[..., 3] / torch.clamp(weight, min=_MIN_WEIGHT)
+                depth = torch.where(weight > _MIN_WEIGHT, mean, 0.0)
+        self.statistics.gaussians = sum(part.drawn_count for part in parts)
+        if falling is not None and slabs is not None:
+            with self._timed("rain"):
+                rgba = composite_rain_slabs(rgba, image[..., 4:], slabs, falling)
+            self.statistics.drops_drawn, self.statistics.haze_drawn = falling.drops_drawn, falling.haze_drawn
+            self.statistics.splats_drawn += len(slabs.shapes)
+            self.statistics.gaussians += len(falling.gaussians)
+        self._frame = rgba, depth
+        self._arrays.release_unused()
+
+    def read(self) -> Frame:
+        assert self._frame is not None, "draw before reading the picture"
+        rgba, depth = self._frame
+        return Frame(rgba.cpu().numpy(), depth.cpu().numpy() if depth is not None else None)
+
+    def _composited(self, scene: "CameraSpace", camera: Camera, slabs: "DepthSlabs | None") -> tuple[Tensor, Tensor]:
+        """Blend color, depth and, for rain, one channel per slab edge: (h, w, 4 + edges) and alpha (h, w, 1)."""
+        depths = scene.means[:, 2]
+        channels = [scene.colors, depths[:, None], *([slab_edge_channels(depths, slabs)] if slabs is not None else [])]
+        colors = torch.cat(channels, dim=1)
+        if not len(depths):  # gsplat rejects an empty scene
+            blank = torch.zeros((camera.height, camera.width, colors.shape[1] + 1), device=self._device)
+            return blank[..., :-1], blank[..., -1:]
+        images, alphas, found = self._rasterize(
+            means=scene.means, quats=scene.quaternions, scales=scene.scales, opacities=scene.opacities, colors=colors,
+            viewmats=torch.eye(4, device=self._device)[None],  # already in the camera's frame
+            **view_arguments(camera, self._device),
+        )  # fmt: skip
+        self.statistics.splats_drawn = int((found["radii"] > 0).all(dim=-1).sum())
+        return images[0], alphas[0]
+
+    @contextmanager
+    def _timed(self, stage: str) -> Generator[None]:
+        """Time a stage; waits for the device at its end, so that stage times don't overlap."""
+        with timed(self.statistics.stages_ms, stage):
+            yield
+            if self._device.startswith("cuda"):
+                torch.cuda.synchronize()
+
+
+def view_arguments(camera: Camera, device: Any) -> dict[str, Any]:
+    """Arguments of `gsplat.rasterization` for a camera's image and our conventions."""
+    intrinsics = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
+    size = {"width": camera.width, "height": camera.height}
+    return {"Ks": torch.tensor(intrinsics, device=device)[None], **size, "near_plane": NEAR_M, "eps2d": DILATION_PX2}
+
+
+# Gaussians as tensors
+# Uploaded once, and transformed to the camera's frame for each frame.
+
+
+class CameraSpace(NamedTuple):
+    """Gaussians of all parts in the camera's frame (OpenCV axes, meters), in gsplat's layout."""
+
+    means: Tensor  # (n, 3)
+    scales: Tensor  # (n, 3)
+    quaternions: Tensor  # (n, 4) wxyz, unit
+    opacities: Tensor  # (n,)
+    colors: Tensor  # (n, 3) display color, never negative
+
+
+class CudaArrays:
+    """Uploads Gaussians on first use and finds them by identity."""
+
+    def __init__(self, device: str) -> None:
+        self._device = device
+        self._held: dict[int, tuple[object, tuple[Tensor, ...]]] = {}
+        self._used: set[int] = set()
+
+    def before_camera(self, parts: Sequence[DrawItem], camera: Camera) -> CameraSpace:
+        """Move the drawn Gaussians of each part to the camera's frame; evaluate harmonics in the part's own frame."""
+        moved = [self._moved(part, camera) for part in parts]
+        nothing = (self._uploaded(np.zeros(shape, np.float32)) for shape in ((0, 3), (0, 3), (0, 4), 0, (0, 3)))
+        return CameraSpace(*(torch.cat(each) for each in zip(nothing, *moved, strict=True)))
+
+    def release_unused(self) -> None:
+        """Free every set that was not used since the last call."""
+        self._held = {key: held for key, held in self._held.items() if key in self._used}
+        self._used.clear()
+
+    def _moved(self, part: DrawItem, camera: Camera) -> CameraSpace:
+        object_to_camera = camera.world_to_camera @ part.to_world  # float64 for accuracy far from the origin
+        scale = float(np.cbrt(np.linalg.det(object_to_camera[:3, :3])))
+        w, x, y, z = quaternions_from_matrices(object_to_camera[:3, :3] / scale)
+        turn = np.array([[w, x, y, z], [-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]])  # q @ turn is their product
+        rows, arrays = _rows(part), self._found(part.gaussians, lambda: _finite_arrays(part.gaussians))
+        means, scales, quaternions, opacities, sh = (each[rows] for each in arrays)
+        linear, shift = self._uploaded(object_to_camera[:3, :3].T), self._uploaded(object_to_camera[:3, 3])
+        directions = means - self._uploaded(eye_in_object(camera, part))
+        directions = directions / torch.linalg.norm(directions, dim=1, keepdim=True)
+        basis = sh_basis(directions)[:, : sh.shape[1]]
+        colors = torch.einsum("nk,nkc->nc", basis, sh) + 0.5
+        if part.is_wet:
+            (wet_sh,) = self._found(part.wet_sh, lambda: (part.wet_sh,))
+            soaked = torch.einsum("nk,nkc->nc", basis, wet_sh[rows]) + 0.5
+            colors = (1 - part.wetness) * colors + part.wetness * soaked
+            opacities = torch.where(torch.isfinite(colors).all(dim=1), opacities, 0)
+            colors = torch.nan_to_num(colors)
+        if part.colors is not None:
+            colors = colors @ self._uploaded(part.colors[:, :3].T) + self._uploaded(part.colors[:, 3])
+        colors = torch.clamp(colors, min=0)
+        if part.selected is not None:
+            tinted = torch.as_tensor(part.selected.flags, device=self._device)[rows][:, None]
+            colors = torch.where(tinted, torch.lerp(colors, self._uploaded(np.array(TINT)), TINT_SHARE), colors)
+        scales, quaternions = scales * (scale * part.growth), quaternions @ self._uploaded(turn)
+        return CameraSpace(means @ linear + shift, scales, quaternions, opacities * part.opacity, colors)
+
+    def _found(self, source: object, arrays: Callable[[], tuple[Any, ...]]) -> tuple[Tensor, ...]:
+        key = id(source)
+        self._used.add(key)
+        if key not in self._held:  # with a reference, so that the identity stays unique
+            self._held[key] = source, tuple(map(self._uploaded, arrays()))
+        return self._held[key][1]
+
+    def _uploaded(self, values: np.ndarray) -> Tensor:
+        return torch.as_tensor(np.ascontiguousarray(values, np.float32), device=self._device)
+
+
+def _rows(part: DrawItem) -> Any:
+    """Drawn Gaussians of a part: a slice without a mask, or else their indices."""
+    count = part.drawn_count if part.opacity > 0 else 0
+    if part.left_out is None:
+        return slice(0, count)
+    indices = (~part.left_out).indices
+    return torch.from_numpy(indices[indices < count])
+
+
+def sh_basis(directions: Tensor) -> Tensor:
+    """Real spherical harmonics up to degree 3 (n, 16) in unit directions (n, 3), with 3DGS signs."""
+    x, y, z = directions.unbind(1)
+    xx, yy, zz = x * x, y * y, z * z
+    harmonics = [
+        torch.full_like(x, 0.28209479177387814),
+        -0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x,
+        1.0925484305920792 * x * y, -1.0925484305920792 * y * z, 0.31539156525252005 * (2 * zz - xx - yy),
+        -1.0925484305920792 * x * z, 0.5462742152960396 * (xx - yy),
+        -0.5900435899266435 * y * (3 * xx - yy), 2.890611442640554 * x * y * z,
+        -0.4570457994644658 * y * (4 * zz - xx - yy), 0.3731763325901154 * z * (2 * zz - 3 * xx - 3 * yy),
+        -0.4570457994644658 * x * (4 * zz - xx - yy), 1.445305721320277 * z * (xx - yy),
+        -0.5900435899266435 * x * (xx - 3 * yy),
+    ]  # fmt: skip
+    return torch.stack(harmonics, dim=1)
+
+
+def _finite_arrays(g: Gaussians) -> tuple[np.ndarray, ...]:
+    """Make Gaussians that contain NaN or infinity transparent, since gsplat doesn't check them."""
+    arrays = g.means, g.scales, g.quaternions, g.opacities, g.sh
+    bad = ~np.logical_and.reduce([np.isfinite(each).all(axis=tuple(range(1, each.ndim))) for each in arrays])
+    if bad.any():
+        arrays = tuple(np.where(bad.reshape(-1, *[1] * (each.ndim - 1)), np.float32(0), each) for each in arrays)
+        arrays[2][bad, 0] = 1
+    return arrays
+
+
+# Rain
+# gsplat's fixed alpha cutoff of 1/255 would erase it. gsplat renders the scene with its blending weights gathered by
+# depth, with one channel per edge between slabs of rain; rain is composited slab by slab in between. Inside a slab rain
+# is assumed to be spread evenly over its depth.
+
+SLABS = 91  # 91 slabs have 92 edges; with color and depth that makes 96 channels, of which gsplat draws 32 at once
+_COLUMNS = 1 << 14  # pixel columns of splats that are processed at once
+_OPAQUE = 0.98  # the other renderers end a pixel that would keep less than 1e-4, with up to 2 % of light left
+_FIXED_POINT = 2.0**40  # logarithms are added as integers: the sum, and thus the output, doesn't depend on the order
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthSlabs:
+    """Splats of rain, nearest first, in slabs of equal weight."""
+
+    shapes: Float32[np.ndarray, "m 8"]
+    """As in `Splats`."""
+    starts: Int64[np.ndarray, " slabs_and_one"]
+    """First splat of each slab; the last entry is the number of splats."""
+    edges_m: Float32[np.ndarray, " slabs_and_one"]
+    """Depths between the slabs, including those of the nearest and the farthest splat; rising."""
+
+
+def split_into_depth_slabs(splats: Splats, slabs: int = SLABS) -> DepthSlabs:
+    """Split rain at depths that give each slab the same weight: opacity times the area of its ellipse.
+
+    Only the scene's splats inside a slab are drawn in the wrong order relative to rain: a small share of the rain at
+    any depth.
+    """
+    order = splats.nearest_first()
+    shapes, depths = splats.shapes[order], splats.colors[order, 3]
+    x, y, opacity = (shapes[:, column].astype(np.float64) for column in (3, 4, 5))
+    weights = np.cumsum(np.exp(opacity) / np.sqrt(x * y))
+    total = weights[-1] if len(order) else 0.0
+    inner = np.searchsorted(weights, total * np.arange(1, slabs) / slabs)
+    starts = np.concatenate([[0], inner, [len(order)]]).astype(np.int64)
+    edges = depths[np.minimum(starts, len(order) - 1)] if len(order) else np.zeros(slabs + 1, np.float32)
+    return DepthSlabs(shapes, starts, edges)
+
+
+def slab_edge_channels(depths: Tensor, slabs: DepthSlabs) -> Tensor:
+    """Shares of the two nearest slab edges, one channel per edge (n, edges), for scene splats at depths (n,).
+
+    They are linear in depth and add up to 1; in front of all rain only the first edge, behind it only the last.
+    """
+    edges = torch.as_tensor(slabs.edges_m, device=depths.device)
+    upper = torch.clamp(torch.searchsorted(edges, depths.contiguous()), 1, len(edges) - 1)
+    low, high = edges[upper - 1], edges[upper]
+    position = upper - 1 + torch.clamp((depths - low) / torch.clamp(high - low, min=1e-6), 0, 1)
+    return torch.clamp(1 - torch.abs(position[:, None] - torch.arange(len(edges), device=depths.device)), min=0)
+
+
+def composite_rain_slabs(rgba: Tensor, by_edge: Tensor, slabs: DepthSlabs, rain: RainFrame) -> Tensor:
+    """Composite rain with a scene: premultiplied display color and alpha (h, w, 4).
+
+    `rgba` is the clear scene, `by_edge` its weights (h, w, edges) from `slab_edge_channels`. With the scene's color B
+    and alpha A, its share W_s and the rain's W_r under each other: enc(min(W_s / A, 1) dec(B) + W_r S) in linear light,
+    as in `add_rain_light`; the display form is the same without enc and dec.
+    """
+    alpha = rgba[..., 3]
+    rain_share, scene_share = _shares(by_edge, alpha, slabs)
+    light = torch.as_tensor(rain.light_linear, device=rgba.device)
+    visible = torch.where(alpha > 0, torch.clamp(scene_share / torch.clamp(alpha, min=1e-30), max=1), 1.0)[..., None]
+    if rain.mixing == "linear":
+        color = _to_display(visible * _to_linear(rgba[..., :3]) + rain_share[..., None] * light)
+    else:
+        color = visible * rgba[..., :3] + rain_share[..., None] * _to_display(light)
+    rainy = torch.cat([color, (rain_share + scene_share)[..., None]], dim=-1)
+    return torch.where(rain_share[..., None] > 0, rainy, rgba)
+
+
+def _shares(by_edge: Tensor, alpha: Tensor, slabs: DepthSlabs) -> tuple[Tensor, Tensor]:
+    """Visible shares of rain and of scene through each other (h, w), see `composite_in_rain`."""
+    height, width = alpha.shape
+    hidden = torch.where(alpha > _OPAQUE, 1 - alpha, 0.0)
+    through_scene = 1 - hidden
+    through_rain = torch.ones_like(alpha)
+    rain_share, scene_share = torch.zeros_like(alpha), by_edge[..., 0]
+    for k, cover in enumerate(_covers(slabs, height, width, alpha.device)):
+        through_scene = through_scene - by_edge[..., k]
+        rain_share = rain_share + through_rain * cover * torch.clamp(through_scene, min=0)
+        through_rain = through_rain * (1 - cover)
+        scene_share = scene_share + through_rain * by_edge[..., k + 1]
+    return rain_share * (1 + hidden), scene_share
+
+
+def _covers(slabs: DepthSlabs, height: int, width: int, device: Tensor) -> Tensor:
+    """Combined alpha of each slab's splats (slabs, h, w): 1 - prod (1 - alpha), in any order."""
+    count = len(slabs.starts) - 1
+    total = torch.zeros(count * height * width, dtype=torch.int64, device=device)
+    shapes = torch.as_tensor(slabs.shapes, device=device)
+    image = torch.as_tensor(np.repeat(np.arange(count), np.diff(slabs.starts)), device=device)
+    left = torch.clamp(torch.ceil(shapes[:, 0] - shapes[:, 7] - 0.5), 0, width).long()
+    right = torch.clamp(torch.floor(shapes[:, 0] + shapes[:, 7] + 0.5), 0, width).long()
+    splats, columns = _spread(left, right)
+    for splat, column in zip(splats.split(_COLUMNS), columns.split(_COLUMNS), strict=True):
+        _add_columns(shapes[splat], column, image[splat] * (height * width) + column, (height, width), total)
+    return -torch.expm1(total.to(torch.float32) / _FIXED_POINT).reshape(count, height, width)
+
+
+def _add_columns(shapes: Tensor, columns: Tensor, places: Tensor, size: tuple[int, int], total: Tensor) -> None:
+    """Add ln(1 - alpha) along one pixel column of each splat, starting at a position in `total`; see `Splats`."""
+    height, width = size
+    x, y, shear, sharpness_x, sharpness_y, log_opacity, log_cut, _ = shapes.unbind(1)
+    dx = columns + 0.5 - x
+    peak = log_opacity + sharpness_x * dx * dx
+    center = y + shear * dx
+    half = torch.sqrt(torch.clamp((peak - log_cut) / -sharpness_y, min=0))
+    top = torch.clamp(torch.ceil(center - half - 0.5), 0, height).long()
+    bottom = torch.clamp(torch.floor(center + half + 0.5), 0, height).long()
+    column, v = _spread(top, bottom)
+    dy = v + 0.5 - center[column]
+    alpha = torch.exp(peak[column] + sharpness_y[column] * dy * dy)
+    logs = torch.log1p(-torch.clamp(alpha, max=float(MAX_ALPHA)))
+    total.index_add_(0, places[column] + v * width, (logs * _FIXED_POINT).to(torch.int64))
+
+
+def _spread(starts: Tensor, ends: Tensor) -> tuple[Tensor, Tensor]:
+    """Every integer from starts to before ends, and the index of its range."""
+    counts = torch.clamp(ends - starts, min=0)
+    owner = torch.repeat_interleave(torch.arange(len(counts), device=counts.device), counts)
+    first = torch.cumsum(counts, 0) - counts
+    return owner, torch.arange(len(owner), device=counts.device) - first[owner] + starts[owner]
+
+
+def _to_linear(display: Tensor) -> Tensor:
+    """Decode by the sRGB transfer function (IEC 61966-2-1)."""
+    return torch.where(display > 0.04045, ((torch.clamp(display, min=0.04045) + 0.055) / 1.055) ** 2.4, display / 12.92)
+
+
+def _to_display(linear: Tensor) -> Tensor:
+    curve = 1.055 * torch.clamp(linear, min=0.0031308) ** (1 / 2.4) - 0.055
+    return torch.where(linear > 0.0031308, curve, 12.92 * linear)

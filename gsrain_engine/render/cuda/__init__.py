@@ -1,1 +1,0 @@
-"""CUDA renderer, based on gsplat."""
