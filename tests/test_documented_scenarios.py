@@ -37,5 +37,5 @@ def test_every_field_of_a_behaviour_stands_in_driving(kind):
 def test_the_pages_examples_can_be_read():
     example = _text("driving.md").split("```yaml\n")[1].split("```")[0]
     assert msgspec.yaml.decode(example, type=Scenario).road_users[0].ahead_m == 40
-    said = _text("driving.md").split("is `behaviour: ")[1].split("`.")[0]
+    said = _text("driving.md").split(": `behaviour: ")[1].split("`.")[0]
     assert msgspec.yaml.decode(said, type=BehaviorSettings).gap_m == 15
