@@ -169,7 +169,7 @@ _GESTURES: dict[str, tuple[bool, tuple[tuple[float, float], ...]]] = {
     "Sphere": (True, ((0.5, 0.62), (0.6, 0.62))),
     "Box": (False, ((0.5, 0.62),)),
     "Flood": (False, ((0.5, 0.6),)),
-    "Colour pick": (False, ((0.92, 0.85),)),
+    "Color pick": (False, ((0.92, 0.85),)),
     "Measure": (False, ((0.3, 0.85), (0.7, 0.85))),
     "Level": (False, ((0.3, 0.8), (0.6, 0.9))),
     "Pick sky color": (True, ((0.4, 0.12), (0.6, 0.25))),

@@ -223,7 +223,7 @@ def test_flood_and_colour_pick_take_what_is_clicked_on_and_a_drag_orbits(hand):
         hand.tap(0.5, 0.75)
         assert hand.counts() == {"road": 400, "wall": 0, "sky": 0}
         assert hand.said == "Select 400 by flood"
-        hand.use("Colour pick")
+        hand.use("Color pick")
         hand.tap(0.5, 0.42, held=(KEY.mod_shift,))
         assert hand.counts() == {"road": 400, "wall": 400, "sky": 0}
         assert hand.said == "Add 400 by colour"

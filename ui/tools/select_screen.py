@@ -210,7 +210,7 @@ _STEP = 1.2
 class ColorPickTool(base.Tool):
     """Click on a color to select it everywhere."""
 
-    name = "Colour pick"
+    name = "Color pick"
     icon = icons_fontawesome_6.ICON_FA_EYE_DROPPER
     key = imgui.Key.i
     help = f"Click on a colour to select it everywhere. {MODIFIERS}"
