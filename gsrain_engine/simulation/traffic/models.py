@@ -85,9 +85,6 @@ class Triggered(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
             raise ValueError("exactly one of `after_s`, `gap_m` and `time_to_collision_s` sets it off")
 
 
-# Braking lead
-
-
 class Brake(Triggered, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="brake"):
     """Keeps its lane and speed until triggered, then brakes at a constant rate and keeps the final speed.
 
@@ -101,9 +98,6 @@ class Brake(Triggered, frozen=True, kw_only=True, forbid_unknown_fields=True, ta
         return _BrakeBehavior(self)
 
 
-# Constant velocity
-
-
 class ConstantVelocity(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="constant-velocity"
 ):
@@ -113,9 +107,6 @@ class ConstantVelocity(
         return _ConstantVelocityBehavior()
 
 
-# Stationary
-
-
 class Stationary(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="stationary"
 ):
@@ -123,9 +114,6 @@ class Stationary(
 
     def begin(self, scene: "Scene", start_s: float) -> Behavior:
         return _StationaryBehavior()
-
-
-# Cut-in
 
 
 class CutIn(Triggered, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="cut-in"):
@@ -169,32 +157,10 @@ BehaviorSettings = ConstantVelocity | Stationary | IntelligentDriver | CutIn | B
 """Settings of a behavior; `begin(scene, start_s)` creates the `Behavior` of one run."""
 
 
-class _IDMBehavior:
-    def __init__(self, settings: IntelligentDriver) -> None:
-        self._settings = settings
-        self._place: LanePosition | None = None
+class _LaneBehavior:
+    """Motion along the road in the own lane, at the speed and over the distance that `_drive` returns for a step."""
 
-    def start(self, placed: RoadUser) -> RoadUser | None:
-        return placed
-
-    def next(self, me: RoadUser | None, around: TrafficState, dt_s: float) -> RoadUser | None:
-        if me is None:
-            return None
-        route = around.route
-        place = self._place or LanePosition.of(route, me)
-        ahead = find_vehicle_ahead(route, me, (around.ego, *around.others))
-        closing = 0.0 if ahead is None else me.speed_m_s - ahead.speed_m_s
-        asked = self._settings.acceleration(me.speed_m_s, None if ahead is None else ahead.gap_m, closing)
-        to = max(0.0, me.speed_m_s + asked * dt_s) if asked < 0 else me.speed_m_s + asked * dt_s
-        speed, distance = changed_speed(me.speed_m_s, to, abs(asked), dt_s)
-        self._place = place.ahead(route, distance)
-        return self._place.user(route, me, speed)
-
-
-class _BrakeBehavior:
-    def __init__(self, settings: Brake) -> None:
-        self._settings, self._trigger = settings, Trigger(settings)
-        self._place: LanePosition | None = None
+    _place: LanePosition | None = None
 
     def start(self, placed: RoadUser) -> RoadUser | None:
         return placed
@@ -203,11 +169,34 @@ class _BrakeBehavior:
         if me is None:
             return None
         place = self._place or LanePosition.of(around.route, me)
-        is_off = self._trigger.watch(me, around) is None
-        to = me.speed_m_s if is_off else min(me.speed_m_s, self._settings.to_speed_m_s)
-        speed, distance = changed_speed(me.speed_m_s, to, self._settings.deceleration_m_s2, dt_s)
+        speed, distance = self._drive(me, around, dt_s)
         self._place = place.ahead(around.route, distance)
         return self._place.user(around.route, me, speed)
+
+    def _drive(self, me: RoadUser, around: TrafficState, dt_s: float) -> tuple[float, float]:
+        raise NotImplementedError
+
+
+class _IDMBehavior(_LaneBehavior):
+    def __init__(self, settings: IntelligentDriver) -> None:
+        self._settings = settings
+
+    def _drive(self, me: RoadUser, around: TrafficState, dt_s: float) -> tuple[float, float]:
+        ahead = find_vehicle_ahead(around.route, me, (around.ego, *around.others))
+        closing = 0.0 if ahead is None else me.speed_m_s - ahead.speed_m_s
+        asked = self._settings.acceleration(me.speed_m_s, None if ahead is None else ahead.gap_m, closing)
+        to = max(0.0, me.speed_m_s + asked * dt_s) if asked < 0 else me.speed_m_s + asked * dt_s
+        return changed_speed(me.speed_m_s, to, abs(asked), dt_s)
+
+
+class _BrakeBehavior(_LaneBehavior):
+    def __init__(self, settings: Brake) -> None:
+        self._settings, self._trigger = settings, Trigger(settings)
+
+    def _drive(self, me: RoadUser, around: TrafficState, dt_s: float) -> tuple[float, float]:
+        is_off = self._trigger.watch(me, around) is None
+        to = me.speed_m_s if is_off else min(me.speed_m_s, self._settings.to_speed_m_s)
+        return changed_speed(me.speed_m_s, to, self._settings.deceleration_m_s2, dt_s)
 
 
 class _ConstantVelocityBehavior:
@@ -215,9 +204,7 @@ class _ConstantVelocityBehavior:
         return placed
 
     def next(self, me: RoadUser | None, around: TrafficState, dt_s: float) -> RoadUser | None:
-        if me is None:
-            return None
-        return me.ahead(me.speed_m_s * dt_s)
+        return None if me is None else me.ahead(me.speed_m_s * dt_s)
 
 
 class _StationaryBehavior:

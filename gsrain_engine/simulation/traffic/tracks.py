@@ -60,8 +60,8 @@ class RecordedTrack:
         return float((after[:2, 3] - before[:2, 3]) @ forward) / (end - begin)
 
     def _pose(self, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
-        way = self._actor.pose_at(self._start_s + time_s)
-        return None if way is None else self._scene.scene_to_world @ way
+        pose = self._actor.pose_at(self._start_s + time_s)
+        return None if pose is None else self._scene.scene_to_world @ pose
 
 
 # Replay of a roll-out
@@ -194,8 +194,8 @@ class _WaypointBehavior:
         rows = [(0.0, 0.0, 0.0), *((point.time_s, point.ahead_m, point.left_m) for point in points)]
         times, ahead, left = np.array(rows).T
         self._end_s = float(times[-1])
-        self._ego_path = scipy.interpolate.PchipInterpolator(times, np.stack([ahead, left], axis=1))
-        self._speed = self._ego_path.derivative()
+        self._path = scipy.interpolate.PchipInterpolator(times, np.stack([ahead, left], axis=1))
+        self._speed = self._path.derivative()
         self._from: LanePosition | None = None
 
     def start(self, placed: RoadUser) -> RoadUser | None:
@@ -207,7 +207,7 @@ class _WaypointBehavior:
         if self._from is None:
             self._from = LanePosition.of(around.route, me)
         time_s = min(around.time_s + dt_s, self._end_s)
-        ahead, left = (float(value) for value in self._ego_path(time_s))
+        ahead, left = (float(value) for value in self._path(time_s))
         vx, vy = (float(value) for value in self._speed(time_s))
         x, y, heading = around.route.at(self._from.along_m + ahead, self._from.left_m + left)
         speed = float(np.hypot(vx, vy)) if around.time_s + dt_s < self._end_s else 0.0
