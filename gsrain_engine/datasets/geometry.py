@@ -29,6 +29,13 @@ def rigid_pose(rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray
     return matrix
 
 
+def heading_pose(center_m: Sequence[float], heading_rad: float) -> Float64[np.ndarray, "4 4"]:
+    """Pose of an upright object, rotated about z from the x axis."""
+    cosine, sine = np.cos(heading_rad), np.sin(heading_rad)
+    turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    return rigid_pose(turn, np.asarray(center_m, np.float64))
+
+
 def translation_pose(translation: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
     """Pose without rotation."""
     return rigid_pose(np.eye(3), translation)

@@ -17,11 +17,9 @@ from .io.arrays import WRONG_VALUES, what_is_wrong
 from .kitti import read_kitti_odometry, read_kitti_raw, recognizes_kitti_odometry, recognizes_kitti_raw
 from .layout_hints import nearest_layout
 from .nerfstudio import read_nerfstudio, recognizes_nerfstudio
-from .nuscenes import read_nuscenes, recognizes_nuscenes
-from .nuscenes_infos import read_nuscenes_infos, recognizes_nuscenes_infos
+from .nuscenes import read_nuscenes, read_nuscenes_infos, recognizes_nuscenes, recognizes_nuscenes_infos
 from .rainsense import read_rainsense, recognizes_rainsense
-from .waymo_v1 import read_waymo_records, recognizes_waymo_records
-from .waymo_v2 import read_waymo_tables, recognizes_waymo_tables
+from .waymo import read_waymo_records, read_waymo_tables, recognizes_waymo_records, recognizes_waymo_tables
 
 _LOOKED_AT = 50  # maximum number of subfolders that are searched for captures
 
