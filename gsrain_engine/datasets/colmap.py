@@ -81,7 +81,7 @@ def read_colmap(path: Path) -> Capture:
     )
 
 
-def _view(model: ColmapModel, image: ColmapImage, folder: Path, name: str, sensor: str) -> CaptureFrame:
+def _view(model: "ColmapModel", image: "ColmapImage", folder: Path, name: str, sensor: str) -> CaptureFrame:
     if image.camera_id not in model.cameras:
         raise CaptureError(f"image {image.name!r} was taken by camera {image.camera_id}, which the model lacks")
     calibration = model.cameras[image.camera_id]
@@ -112,7 +112,7 @@ def _images_bytes(folder: Path) -> int:
     return max((folder / name).stat().st_size for name in ("images.bin", "images.txt") if (folder / name).is_file())
 
 
-def _image_folder(path: Path, model_folder: Path, model: ColmapModel, names_file: Path) -> Path:
+def _image_folder(path: Path, model_folder: Path, model: "ColmapModel", names_file: Path) -> Path:
     """Folder of the images: next to the model, above it, or any other folder of `path`.
 
     Chooses the folder with most of the first ten images. Raises `CaptureError` if none has any, or if it is a link that
@@ -247,7 +247,7 @@ def _read_model(folder: Path) -> ColmapModel:
 
 # Binary files
 
-_MODELS = tuple(PARAMETERS)
+_MODELS = tuple(_PARAMETERS)
 _CAMERA, _IMAGE, _POINT = struct.Struct("<IiQQ"), struct.Struct("<I7dI"), struct.Struct("<Q3d3BdQ")
 _COUNT = struct.Struct("<Q")
 _OBSERVATION_BYTES, _TRACK_BYTES = 24, 8

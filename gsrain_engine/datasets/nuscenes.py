@@ -49,7 +49,7 @@ def read_nuscenes(path: Path, key_frames_only: bool = True) -> Capture:
     folder = folder or _tables_in(path.parent)
     if folder is None:
         raise CaptureError(f"{path}: no tables of nuScenes in it (v1.0-mini/sample_data.json)")
-    scenes = {scene.name: scene.token for scene in _table(folder, "scene", _Named).values()}
+    scenes = {scene.name: scene.token for scene in _table(folder, "scene", _NamedRow).values()}
     if asked is not None and asked not in scenes:
         raise CaptureError(f"{folder}: has no scene {asked!r}; it has {', '.join(sorted(scenes)[:10])}")
     samples = _table(folder, "sample", _Sample)
@@ -83,24 +83,24 @@ def _tables_in(path: Path) -> Path | None:
 # height, time stamps microseconds.
 
 
-class _Row(msgspec.Struct, frozen=True, gc=False):
+class _TableRow(msgspec.Struct, frozen=True, gc=False):
     token: str
 
 
-class _Named(_Row, frozen=True, gc=False):
+class _NamedRow(_TableRow, frozen=True, gc=False):
     """A scene, which is 20 seconds of a drive, or a class of objects."""
 
     name: str
 
 
-class _Sample(_Row, frozen=True, gc=False):
+class _Sample(_TableRow, frozen=True, gc=False):
     """An annotated time."""
 
     timestamp: int
     scene_token: str
 
 
-class _SampleData(_Row, frozen=True, gc=False):
+class _SampleData(_TableRow, frozen=True, gc=False):
     """A file of one sensor."""
 
     sample_token: str
@@ -111,7 +111,7 @@ class _SampleData(_Row, frozen=True, gc=False):
     is_key_frame: bool
 
 
-class _Posed(_Row, frozen=True, gc=False):
+class _Posed(_TableRow, frozen=True, gc=False):
     """Pose of the vehicle in the world."""
 
     translation: tuple[float, float, float]
@@ -128,7 +128,7 @@ class _CalibratedSensor(_Posed, frozen=True, gc=False):
     camera_intrinsic: list[list[float]] = []
 
 
-class _Sensor(_Row, frozen=True, gc=False):
+class _Sensor(_TableRow, frozen=True, gc=False):
     channel: str
     modality: str
 
@@ -141,13 +141,13 @@ class _Annotation(_Posed, frozen=True, gc=False):
     size: tuple[float, float, float]
 
 
-class _Instance(_Row, frozen=True, gc=False):
+class _Instance(_TableRow, frozen=True, gc=False):
     """An annotated object."""
 
     category_token: str
 
 
-_RowType = TypeVar("_RowType", bound=_Row)
+_RowType = TypeVar("_RowType", bound=_TableRow)
 
 
 def _table(folder: Path, name: str, kind: type[_RowType]) -> dict[str, _RowType]:
@@ -180,7 +180,7 @@ class _SceneReader:
     def add_boxes(self, samples: Mapping[str, _Sample]) -> None:
         """Add the boxes of samples. Raises `CaptureError` if the tables are missing, as in the test split."""
         annotations = _table(self.folder, "sample_annotation", _Annotation)
-        classes = _table(self.folder, "category", _Named)
+        classes = _table(self.folder, "category", _NamedRow)
         instances = _table(self.folder, "instance", _Instance)
         for each in annotations.values():
             if each.sample_token not in samples:

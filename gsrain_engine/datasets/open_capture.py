@@ -93,8 +93,8 @@ def _why_not(path: Path) -> str:
     if path == Path("street") and not path.exists():
         return "no such file or folder; gsrain street DIR writes pictures of the built-in street, and DIR is a capture"
     if not path.exists():
-        beside = [each.name for each in path.parent.iterdir()] if path.parent.is_dir() else []
-        close = difflib.get_close_matches(path.name, beside, n=1)
+        siblings = [each.name for each in path.parent.iterdir()] if path.parent.is_dir() else []
+        close = difflib.get_close_matches(path.name, siblings, n=1)
         return "no such file or folder" + (f"; did you mean {close[0]}?" if close else "")
     kind = kind_of_file(path) if path.is_file() else None
     if path.is_file() and format_of(path) is not None:
@@ -107,7 +107,7 @@ def _why_not(path: Path) -> str:
 
 def capture_hint(path: Path) -> str:
     """Hint on an unknown folder, for a message: captures below it, most similar kind, or image folders below it."""
-    posed, pictures = captures_below(path)
+    posed, pictures = _captures_below(path)
     near = None if posed else nearest_layout(path)
     if near is not None:
         return f"; nearest is {near}"
@@ -115,8 +115,8 @@ def capture_hint(path: Path) -> str:
     return f"; give a folder in it: {below}" if below else ""
 
 
-def captures_below(path: Path) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
-    """Captures one or two levels below an unrecognized folder: their relative paths and kinds.
+def _captures_below(path: Path) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
+    """Relative paths and kinds of captures one or two levels below an unrecognized folder.
 
     First those with more than images, of the first level that has any; then folders of images alone.
     """

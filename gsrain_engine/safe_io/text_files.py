@@ -121,23 +121,22 @@ class _SafeYamlLoader(_Parser):
         return super().construct_mapping(node, deep)
 
     def construct_yaml_int(self, node: Any) -> int:
-        if len(node.value) > _MAX_DIGITS:
-            raise yaml.constructor.ConstructorError(
-                None, None, f"a number of {len(node.value)} digits", node.start_mark
-            )
+        _check_digits(node)
         return super().construct_yaml_int(node)
 
     def construct_yaml_float(self, node: Any) -> float:
-        if len(node.value) > _MAX_DIGITS:
-            raise yaml.constructor.ConstructorError(
-                None, None, f"a number of {len(node.value)} digits", node.start_mark
-            )
+        _check_digits(node)
         return super().construct_yaml_float(node)
 
 
 _SafeYamlLoader.add_constructor("tag:yaml.org,2002:int", _SafeYamlLoader.construct_yaml_int)
-
 _SafeYamlLoader.add_constructor("tag:yaml.org,2002:float", _SafeYamlLoader.construct_yaml_float)
+
+
+def _check_digits(node: Any) -> None:
+    if len(node.value) > _MAX_DIGITS:
+        raise yaml.constructor.ConstructorError(None, None, f"a number of {len(node.value)} digits", node.start_mark)
+
 
 # Text for messages
 
