@@ -450,8 +450,8 @@ def _has_old_boxes(folder: Path, infos: list[_Info]) -> bool:
                 points, _ = read_float32_rows(_find(folder, info.lidar_file, "LIDAR_TOP"), info.lidar_columns)
             except CaptureError:
                 continue
-            exact = points.astype(np.float64)
             with np.errstate(invalid="ignore"):  # NaN lies in no box
+                exact = points.astype(np.float64)
                 return _points_inside(info.boxes, exact, True) > _points_inside(info.boxes, exact, False)
     return False
 
