@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
 from ..datasets.capture import EGO_HEIGHT_M, Capture, CaptureFrame, LidarSweep
-from ..datasets.completed_depth import completed_depth
-from ..datasets.depth_maps import camera_height_above_road, measured_depths, road_depth, static_sweeps
+from ..datasets.depth_maps import camera_height_above_road, completed_depth, measured_depths, road_depth, static_sweeps
 from ..datasets.geometry import lidar_depth
 from ..datasets.sky_masks import certain_sky
 from ..datasets.undistort import undistort_frame

@@ -5,19 +5,18 @@ det_20/det_*.json) or one file a frame (labels/100k/train/NAME.json), each with 
 """
 
 import re
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from ..safe_io.limits import read_file
-from .capture import Capture, CaptureError, abbreviated_names
+from .capture import Capture, CaptureError, abbreviated_names, omissions
 from .capture_folder import capture_without_poses
 from .io.images import images_in
 
 _NAME = re.compile(r"[0-9a-f]{8}-[0-9a-f]{8}(-\d{7})?")
-_IMAGE_LAYOUTS = (".", "images", "images/*", "images/*/*", "bdd100k/images/*/*")
+_IMAGE_LAYOUTS = ("images", "images/*", "images/*/*", "bdd100k/images/*/*")
 _FOLDERS_UP = 4
 _FIRST = 20  # number of images of a folder whose names are checked
 _MAX_LABEL_FILES = 200_000
@@ -32,11 +31,8 @@ class _LabeledFrame(msgspec.Struct):
 
 def recognizes_bdd100k(path: Path) -> bool:
     """Return whether most of the first images in a folder, or in a standard subfolder, are named as in BDD-100K."""
-    return any(_holds_frames(images_in(folder)[:_FIRST]) for folder in _image_folders(path))
-
-
-def _holds_frames(files: list[Path]) -> bool:
-    return 2 * sum(map(_is_frame, files)) > len(files)
+    samples = (images_in(folder)[:_FIRST] for folder in _image_folders(path))
+    return any(2 * sum(map(_is_frame, files)) > len(files) for files in samples)
 
 
 def read_bdd100k(path: Path) -> Capture:
@@ -54,8 +50,7 @@ def read_bdd100k(path: Path) -> Capture:
             f"{len(others)} of {len(pictures)} pictures are left out, for they are not named as frames of BDD-100K "
             f"(0000f77c-6257be58.jpg): {abbreviated_names(others)}."
         )
-    attributes = _attributes(path, {file.stem for file in files}, problems)
-    return capture_without_poses(path, files, attributes, problems)
+    return capture_without_poses(path, files, _attributes(path, {file.stem for file in files}, problems), problems)
 
 
 def _is_frame(file: Path) -> bool:
@@ -63,41 +58,34 @@ def _is_frame(file: Path) -> bool:
 
 
 def _image_folders(path: Path) -> list[Path]:
-    found = [folder for layout in _IMAGE_LAYOUTS for folder in ([path] if layout == "." else sorted(path.glob(layout)))]
+    found = [path, *(folder for layout in _IMAGE_LAYOUTS for folder in sorted(path.glob(layout)))]
     return [folder for folder in dict.fromkeys(found) if folder.is_dir()]
 
 
-def _attributes(path: Path, wanted: set[str], problems: list[str]) -> dict[str, dict[str, str]]:
+def _attributes(path: Path, stems: set[str], problems: list[str]) -> dict[str, dict[str, str]]:
     """Attributes by the frame's name, from label files in the folder or next to its parents."""
     found: dict[str, dict[str, str]] = {}
     broken: list[str] = []
-    for file in _label_files(path, wanted):
+    for file in _label_files(path, stems):
         try:
-            for row in _rows(file):
-                name = row.name.rpartition(".")[0] or row.name
-                if name in wanted:
-                    found[name] = {key: str(value) for key, value in row.attributes.items()}
-        except CaptureError as error:
-            broken.append(str(error))
-    if broken:
-        problems.append(f"{len(broken)} label files are left out: {abbreviated_names(broken)}.")
+            rows = msgspec.json.decode(read_file(file), type=list[_LabeledFrame] | _LabeledFrame)
+        except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+            broken.append(str(CaptureError(f"{file}: no label file of BDD-100K ({error})")))
+            continue
+        for row in rows if isinstance(rows, list) else [rows]:
+            name = row.name.rpartition(".")[0] or row.name
+            if name in stems:
+                found[name] = {key: str(value) for key, value in row.attributes.items()}
+    problems += omissions(broken, f"{len(broken)} label files")
     return found
 
 
-def _label_files(path: Path, wanted: set[str]) -> list[Path]:
+def _label_files(path: Path, stems: set[str]) -> list[Path]:
     for base in (path, *path.resolve().parents[:_FOLDERS_UP]):
         folder = base / "labels"
         if folder.is_dir():
             files = sorted(folder.rglob("*.json"))[:_MAX_LABEL_FILES]
-            return [file for file in files if not _NAME.fullmatch(file.stem) or file.stem in wanted]
+            return [file for file in files if not _NAME.fullmatch(file.stem) or file.stem in stems]
         if lists := sorted([*base.glob("bdd100k_labels*.json"), *base.glob("det_*.json")]):
             return lists
     return []
-
-
-def _rows(file: Path) -> Iterable[_LabeledFrame]:
-    try:
-        rows = msgspec.json.decode(read_file(file), type=list[_LabeledFrame] | _LabeledFrame)
-    except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise CaptureError(f"{file}: no label file of BDD-100K ({error})") from None
-    return rows if isinstance(rows, list) else [rows]

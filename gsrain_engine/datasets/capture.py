@@ -105,9 +105,9 @@ class CaptureFrame:
 
     def _read(self, name: str, source: Source | None) -> Any:
         array = source() if callable(source) else source
-        size = (self.camera.height, self.camera.width)
         if array is None:
             return None
+        size = (self.camera.height, self.camera.width)
         if array.shape[:2] != size:
             raise CaptureError(f"view {self.name!r}: {name} is {array.shape[:2]}, its camera says {size}")
         channels = (3,) if name in ("image", "normals") else ()
@@ -168,11 +168,11 @@ class Capture:
     """One sentence for each omission with its reason; everything else is used."""
 
     def __post_init__(self) -> None:
-        names = [view.name for view in self.views]
-        doubled = {name for name in names if names.count(name) > 1} if len(set(names)) < len(names) else set[str]()
+        counted = Counter(view.name for view in self.views)
+        doubled = sorted(name for name, count in counted.items() if count > 1)
         if doubled:
-            raise CaptureError(f"capture {self.name!r} has several views named {sorted(doubled)[0]!r}")
-        for name in names:
+            raise CaptureError(f"capture {self.name!r} has several views named {doubled[0]!r}")
+        for name in counted:
             parts = PurePath(name.replace("\\", "/")).parts
             if not parts or ".." in parts or parts[0].startswith("/") or "\0" in name:
                 raise CaptureError(
@@ -193,9 +193,7 @@ class Capture:
     def has(self) -> frozenset[str]:
         """Optional arrays that every view has: depth, normals, labels, mask, sky."""
         optional = ("depth", "normals", "labels", "mask", "sky")
-        return frozenset(
-            name for name in optional if all(getattr(view, f"{name}_source") is not None for view in self.views)
-        )
+        return frozenset(name for name in optional if all(getattr(view, f"{name}_source") is not None for view in self))
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -214,7 +212,15 @@ def view_names(pictures: Sequence[str]) -> list[str]:
     flat = ["_".join(parts) for parts in _parts(pictures)]
     short = [name.rpartition(".")[0] or name for name in flat]
     counted = Counter(short)
-    return _apart([each if counted[each] == 1 else whole for each, whole in zip(short, flat, strict=True)])
+    names: dict[str, None] = {}
+    for each, whole in zip(short, flat, strict=True):
+        name = free = each if counted[each] == 1 else whole
+        number = 1
+        while free in names:
+            number += 1
+            free = f"{name}_{number}"
+        names[free] = None
+    return list(names)
 
 
 def sensor_names(pictures: Sequence[str]) -> list[str]:
@@ -235,18 +241,6 @@ def _parts(pictures: Sequence[str]) -> list[tuple[str, ...]]:
     return [each[shared:] for each in parts]
 
 
-def _apart(names: Sequence[str]) -> list[str]:
-    """Number repeated names."""
-    apart: dict[str, None] = {}
-    for name in names:
-        number, free = 1, name
-        while free in apart:
-            number += 1
-            free = f"{name}_{number}"
-        apart[free] = None
-    return list(apart)
-
-
 # Readable images
 
 
@@ -255,23 +249,22 @@ def readable_images(capture: Capture, on_progress: Callable[[float], None] | Non
 
     Raises `CaptureError` if none is left.
     """
-    kept: list[CaptureFrame] = []
+    views: list[CaptureFrame] = []
     broken: list[str] = []
-    for k, view in enumerate(capture):
+    for k, view in enumerate(capture, 1):
         try:
             _ = view.image
+            views.append(view)
         except CaptureError as error:
             broken.append(f"View {view.name} is left out: {error}.")
-        else:
-            kept.append(view)
         if on_progress is not None:
-            on_progress((k + 1) / len(capture))
-    if not kept:
+            on_progress(k / len(capture))
+    if not views:
         raise CaptureError(f"{capture.name}: not one picture can be read ({broken[0]})" if broken else capture.name)
-    return replace(capture, views=tuple(kept), problems=(*capture.problems, *broken)) if broken else capture
+    return replace(capture, views=tuple(views), problems=(*capture.problems, *broken)) if broken else capture
 
 
-# Abbreviated lists
+# Lists in messages
 
 _MAX_NAMES = 3
 
@@ -280,6 +273,11 @@ def abbreviated_names(names: Sequence[str]) -> str:
     """Return the first few names and the number of others: "a, b, c and 4 more"."""
     more = len(names) - _MAX_NAMES
     return ", ".join(names[:_MAX_NAMES]) + (f" and {more} more" if more > 0 else "")
+
+
+def omissions(reasons: Sequence[str], what: str) -> list[str]:
+    """Return one problem for all omitted items, such as `what` "4 of 9 images"; none if nothing was omitted."""
+    return [f"{what} are left out: {abbreviated_names(reasons)}."] if reasons else []
 
 
 # File names inside a capture
@@ -325,11 +323,10 @@ def check_inside(folder: Path, names: Iterable[str], source: Path) -> None:
             parents[path.parent] = Path(os.path.realpath(path.parent))
         real = parents[path.parent] / path.name
         try:
-            is_elsewhere = path.name in ("", "..") or real.is_symlink()
+            if path.name in ("", "..") or real.is_symlink():
+                real = Path(os.path.realpath(real))
         except OSError:  # name too long
             continue
-        if is_elsewhere:
-            real = Path(os.path.realpath(real))
         if not real.is_relative_to(home):
             shown = name if len(name) <= _LONGEST_NAME else f"{name[:_LONGEST_NAME]}..."
             raise OutsideError(

@@ -19,7 +19,7 @@ from PIL import Image
 
 from ..scene.camera import DEFAULT_EXPOSURE_S, Camera
 from ..scene.files import SceneFormatError
-from .capture import Capture, CaptureError, CaptureFrame, Lens, abbreviated_names, check_inside
+from .capture import Capture, CaptureError, CaptureFrame, Lens, abbreviated_names, check_inside, omissions
 from .io.arrays import read_floats, read_json_object, read_json_rows
 from .io.images import CONVERT, image_size, images_in, read_color, read_labels, read_mask, unread_images_in
 from .layout_hints import nearest_layout
@@ -27,22 +27,6 @@ from .layout_hints import nearest_layout
 CAMERAS, WORLD = "cameras.json", "world.json"
 _NO_POSES = "No poses: these pictures were made of pictures without any; good for evaluation, not for reconstruction."
 _LARGEST = 1e12  # larger numbers indicate a damaged file
-
-
-def _read_measured(file: Path) -> np.ndarray:
-    """Read floats, with 0 for values that are not finite."""
-    return np.nan_to_num(read_floats(file), copy=False, nan=0, posinf=0, neginf=0)
-
-
-_OTHER_PIXELS: dict[str, tuple[str, Callable[[Path], np.ndarray]]] = {
-    "depth": ("depth.npy", _read_measured),
-    "normals": ("normals.npy", _read_measured),
-    "labels": ("labels.png", read_labels),
-    "mask": ("mask.png", read_mask),
-    "sky": ("sky.png", read_mask),
-}
-
-_ENDINGS = ("png", *(ending for ending, _ in _OTHER_PIXELS.values()))
 
 
 def write_views(folder: Path, views: Iterable[CaptureFrame]) -> Iterator[CaptureFrame]:
@@ -67,12 +51,27 @@ def write_view(folder: Path, view: CaptureFrame) -> dict[str, Any]:
     for name, flags in (("mask", view.mask), ("sky", view.sky)):
         if flags is not None:
             Image.fromarray(flags.astype(np.uint8) * 255).save(folder / f"{view.name}.{name}.png")
-    return _record(view)
+    values: dict[str, Any] = {"name": view.name, "time_s": view.time_s, **view.camera.to_json()}
+    if view.camera.exposure_s != DEFAULT_EXPOSURE_S:
+        values["exposure_s"] = view.camera.exposure_s
+    if view.sensor:
+        values["sensor"] = view.sensor
+    if view.lens is not None:
+        values["lens"] = {"model": view.lens.model, "coefficients": list(view.lens.coefficients)}
+    if view.attributes:
+        values["attributes"] = dict(view.attributes)
+    return values
 
 
 def write_cameras(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Write cameras.json from the rows of all views, which completes the capture folder."""
     (folder / CAMERAS).write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+
+
+def write_world(folder: Path, up: tuple[float, float, float], *, is_metric: bool, has_poses: bool = True) -> None:
+    """Write the up direction of the views' world, whether its unit is the meter, and whether poses are known."""
+    values = {"up": list(up), "is_metric": is_metric} | ({} if has_poses else {"has_poses": False})
+    (folder / WORLD).write_text(json.dumps(values) + "\n", encoding="utf-8")
 
 
 def recognizes_capture_folder(path: Path) -> bool:
@@ -100,14 +99,8 @@ def read_capture_folder(path: Path) -> Capture:
             f"{file}: none of its {len(problems)} views can be used ({(problems or ['it lists none'])[0]})"
         )
     up, is_metric, has_poses = _world(folder / WORLD)
-    told = (*(() if has_poses else (_NO_POSES,)), *problems)
-    return Capture(folder.resolve().name, tuple(views), is_metric=is_metric, up=up, has_poses=has_poses, problems=told)
-
-
-def write_world(folder: Path, up: tuple[float, float, float], *, is_metric: bool, has_poses: bool = True) -> None:
-    """Write the up direction of the views' world, whether its unit is the meter, and whether poses are known."""
-    values = {"up": list(up), "is_metric": is_metric} | ({} if has_poses else {"has_poses": False})
-    (folder / WORLD).write_text(json.dumps(values) + "\n", encoding="utf-8")
+    notes = (*(() if has_poses else (_NO_POSES,)), *problems)
+    return Capture(folder.resolve().name, tuple(views), is_metric=is_metric, up=up, has_poses=has_poses, problems=notes)
 
 
 def _world(file: Path) -> tuple[tuple[float, float, float], bool, bool]:
@@ -125,17 +118,19 @@ def _world(file: Path) -> tuple[tuple[float, float, float], bool, bool]:
     return (x, y, z), is_metric, has_poses
 
 
-def _record(view: CaptureFrame) -> dict[str, Any]:
-    values: dict[str, Any] = {"name": view.name, "time_s": view.time_s, **view.camera.to_json()}
-    if view.camera.exposure_s != DEFAULT_EXPOSURE_S:
-        values["exposure_s"] = view.camera.exposure_s
-    if view.sensor:
-        values["sensor"] = view.sensor
-    if view.lens is not None:
-        values["lens"] = {"model": view.lens.model, "coefficients": list(view.lens.coefficients)}
-    if view.attributes:
-        values["attributes"] = dict(view.attributes)
-    return values
+def _read_measured(file: Path) -> np.ndarray:
+    """Read floats, with 0 for values that are not finite."""
+    return np.nan_to_num(read_floats(file), copy=False, nan=0, posinf=0, neginf=0)
+
+
+_OTHER_PIXELS: dict[str, tuple[str, Callable[[Path], np.ndarray]]] = {
+    "depth": ("depth.npy", _read_measured),
+    "normals": ("normals.npy", _read_measured),
+    "labels": ("labels.png", read_labels),
+    "mask": ("mask.png", read_mask),
+    "sky": ("sky.png", read_mask),
+}
+_ENDINGS = ("png", *(ending for ending, _ in _OTHER_PIXELS.values()))
 
 
 def _view(folder: Path, values: dict[str, Any], where: str) -> CaptureFrame:
@@ -152,22 +147,15 @@ def _view(folder: Path, values: dict[str, Any], where: str) -> CaptureFrame:
         for pixels, (suffix, read) in _OTHER_PIXELS.items()
         if (folder / f"{name}.{suffix}").is_file()
     }
-    return CaptureFrame(
-        name,
-        camera,
-        partial(read_color, picture),
-        time_s=_number(values.get("time_s", 0.0), where, "time_s"),
-        sensor=str(values.get("sensor", "")),
-        lens=_lens(values.get("lens"), where),
-        attributes=_attributes(values.get("attributes", {}), where),
-        **others,
-    )
-
-
-def _attributes(values: Any, where: str) -> dict[str, str]:
-    if not isinstance(values, dict):
+    time_s, lens = _number(values.get("time_s", 0.0), where, "time_s"), _lens(values.get("lens"), where)
+    attributes = values.get("attributes", {})
+    if not isinstance(attributes, dict):
         raise SceneFormatError(where, "attributes must be an object")
-    return {str(key): str(value) for key, value in values.items()}
+    attributes = {str(key): str(value) for key, value in attributes.items()}
+    sensor = str(values.get("sensor", ""))
+    return CaptureFrame(
+        name, camera, partial(read_color, picture), time_s, sensor, lens, attributes=attributes, **others
+    )
 
 
 def _lens(values: Any, where: str) -> Lens | None:
@@ -237,15 +225,14 @@ def capture_without_poses(
             camera = camera_without_calibration(*image_size(file, upright=True))
         except CaptureError as error:
             broken.append(str(error))
-        else:
-            name = file.stem if stems[file.stem] == 1 else file.name
-            known = dict(attributes.get(file.stem, {}))
-            views.append(CaptureFrame(name, camera, partial(read_color, file, True), attributes=known))
+            continue
+        name = file.stem if stems[file.stem] == 1 else file.name
+        known = dict(attributes.get(file.stem, {}))
+        views.append(CaptureFrame(name, camera, partial(read_color, file, True), attributes=known))
     if not views:
         raise CaptureError(f"{path}: no picture in it can be read" + (f" ({broken[0]})" if broken else ""))
-    left_out = [f"{len(broken)} of {len(files)} pictures are left out: {abbreviated_names(broken)}."] if broken else []
-    told = (NO_POSES, *problems, *left_out)
-    return Capture(path.resolve().name, tuple(views), is_metric=False, has_poses=False, problems=told)
+    notes = (NO_POSES, *problems, *omissions(broken, f"{len(broken)} of {len(files)} pictures"))
+    return Capture(path.resolve().name, tuple(views), is_metric=False, has_poses=False, problems=notes)
 
 
 def camera_without_calibration(width: int, height: int) -> Camera:

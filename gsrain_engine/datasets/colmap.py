@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from ..safe_io.limits import open_file, read_file
+from ..safe_io.limits import open_file
 from ..scene.camera import Camera
 from .capture import (
     Capture,
@@ -20,15 +20,131 @@ from .capture import (
     Lens,
     abbreviated_names,
     check_inside,
+    omissions,
     sensor_names,
     view_names,
 )
 from .geometry import camera_of_image, checked_camera, estimate_up_direction, rigid_from_quaternion
+from .io.arrays import read_bytes
 from .io.images import image_size, read_color, read_mask
 
-# COLMAP models
+_LAYOUTS = ("0", "sparse", "sparse/*", "colmap/sparse/*", "colmap_derived/sparse/*", "distorted/sparse/*")
+_IMAGE_FOLDERS = ("images", "input", "image", ".")
+_FOLDERS_UP = 4
+_LARGEST_NUMBER = 1e12
 
-PARAMETERS = {
+
+def recognizes_colmap(path: Path) -> bool:
+    """Return whether the folder, or a standard subfolder, holds a model."""
+    return bool(_models(path))
+
+
+def read_colmap(path: Path) -> Capture:
+    """Read the model with the most images at or below a folder, binary or text.
+
+    Images that are missing, broken, or of a camera model that OpenCV lacks are omitted and listed as problems. Masks in
+    COLMAP's layout (masks/NAME.png next to images/, black is masked out) are included.
+    COLMAP's newer rigs and frames are ignored. Raises `CaptureError`.
+    """
+    model_folder, *others = sorted(_models(path), key=_images_bytes, reverse=True)
+    model = _read_model(model_folder)
+    if not model.images:
+        raise CaptureError(f"{model_folder}: the model has no registered image")
+    unread = abbreviated_names([str(each) for each in others])
+    problems = [f"Of several models {model_folder} is the largest; unread: {unread}."] if others else []
+    names_file = model_folder / ("images.bin" if (model_folder / "images.bin").is_file() else "images.txt")
+    folder = _image_folder(path, model_folder, model, names_file)
+    check_inside(folder, (image.name for image in model.images), names_file)
+    masks = (_mask_file(folder, image.name) for image in model.images)
+    check_inside(folder.parent, (str(mask) for mask in masks if mask is not None), names_file)
+    images = sorted(model.images, key=lambda image: image.name)
+    pictures = [image.name for image in images]
+    views: list[CaptureFrame] = []
+    left_out: list[str] = []
+    for image, name, sensor in zip(images, view_names(pictures), sensor_names(pictures), strict=True):
+        try:
+            views.append(_view(model, image, folder, name, sensor))
+        except CaptureError as error:
+            left_out.append(str(error))
+    if not views:
+        raise CaptureError(f"{model_folder}: none of its {len(images)} images can be used ({left_out[0]})")
+    problems += omissions(left_out, f"{len(left_out)} of {len(images)} images")
+    finite = np.isfinite(model.points).all(axis=1)
+    return Capture(
+        path.resolve().name,
+        tuple(views),
+        points_m=model.points[finite] if finite.any() else None,
+        point_colors=model.colors[finite] if finite.any() else None,
+        is_metric=False,
+        up=estimate_up_direction([view.camera for view in views]),
+        problems=tuple(problems),
+    )
+
+
+def _view(model: "ColmapModel", image: "ColmapImage", folder: Path, name: str, sensor: str) -> CaptureFrame:
+    if image.camera_id not in model.cameras:
+        raise CaptureError(f"image {image.name!r} was taken by camera {image.camera_id}, which the model lacks")
+    calibration = model.cameras[image.camera_id]
+    lens = calibration.lens()  # first, because models that OpenCV lacks have no focal length to read
+    if not all(abs(number) < _LARGEST_NUMBER for number in (*image.quaternion_wxyz, *image.translation)):
+        raise CaptureError(f"image {image.name!r} has a pose whose numbers are not finite, or absurd")
+    try:
+        pose = rigid_from_quaternion(image.quaternion_wxyz, image.translation)
+    except ValueError as error:
+        raise CaptureError(f"image {image.name!r}: {error}") from None
+    camera = checked_camera(calibration.pinhole(pose), f"camera {calibration.id} or the pose of {image.name!r}")
+    file, mask = folder / image.name, _mask_file(folder, image.name)
+    camera = camera_of_image(camera, image_size(file), str(file))
+    mask_source = None if mask is None else partial(read_mask, mask)
+    return CaptureFrame(name, camera, partial(read_color, file), sensor=sensor, lens=lens, mask_source=mask_source)
+
+
+def _models(path: Path) -> list[Path]:
+    folders = [path, *(folder for layout in _LAYOUTS for folder in sorted(path.glob(layout)))]
+    return [folder for folder in dict.fromkeys(folders) if _has(folder, ".bin") or _has(folder, ".txt")]
+
+
+def _has(folder: Path, suffix: str) -> bool:
+    return all((folder / f"{name}{suffix}").is_file() for name in ("cameras", "images"))
+
+
+def _images_bytes(folder: Path) -> int:
+    return max((folder / name).stat().st_size for name in ("images.bin", "images.txt") if (folder / name).is_file())
+
+
+def _image_folder(path: Path, model_folder: Path, model: "ColmapModel", names_file: Path) -> Path:
+    """Folder of the images: next to the model, above it, or any other folder of `path`.
+
+    Chooses the folder with most of the first ten images. Raises `CaptureError` if none has any, or if it is a link that
+    leads out of its parent folder.
+    """
+    above = [path, *(model_folder.resolve().parents[:_FOLDERS_UP]), model_folder]
+    names = [image.name for image in model.images[:10]]
+
+    def count(folder: Path) -> int:
+        return sum((folder / name).is_file() for name in names)
+
+    standard = [base / name for base in above for name in _IMAGE_FOLDERS]
+    for folders in (standard, [each for each in (*path.glob("*/"), *path.glob("*/*/")) if each.is_dir()]):
+        best = max(folders, key=count, default=None)
+        if best is not None and count(best):
+            check_inside(best.parent, [best.name], names_file)
+            return best
+    there = path / _IMAGE_FOLDERS[0]
+    raise CaptureError(
+        f"{model_folder}: none of its {len(model.images)} images lies in {path} ({names[0]}, say); put them into "
+        f"{there}, or a link to where they are (ln -s FOLDER {there}, and --allow-outside)"
+    )
+
+
+def _mask_file(folder: Path, name: str) -> Path | None:
+    candidates = (folder.parent / "masks" / f"{name}.png", folder.parent / "masks" / Path(name).with_suffix(".png"))
+    return next((file for file in candidates if file.is_file()), None)
+
+
+# Models
+
+_PARAMETERS = {
     "SIMPLE_PINHOLE": 3,
     "PINHOLE": 4,
     "SIMPLE_RADIAL": 4,
@@ -50,11 +166,10 @@ PARAMETERS = {
 }
 """Number of parameters of each camera model, in the order of the model numbers in binary files."""
 
-_MODELS = tuple(PARAMETERS)
-_CAMERA, _IMAGE, _POINT = struct.Struct("<IiQQ"), struct.Struct("<I7dI"), struct.Struct("<Q3d3BdQ")
-_COUNT = struct.Struct("<Q")
-_OBSERVATION_BYTES, _TRACK_BYTES = 24, 8
-_LONGEST_NAME = 4096
+_ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_FISHEYE")
+_STRAIGHT = ("SIMPLE_PINHOLE", "PINHOLE")
+_BROWN = ("SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
+_EQUIDISTANT = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_FISHEYE", "FISHEYE")
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,22 +227,38 @@ class ColmapModel:
     colors: UInt8[np.ndarray, "p 3"]
 
 
-def read_colmap_binary(folder: Path) -> ColmapModel:
-    """Read a model; raises `CaptureError` for a file that is truncated or too small for its counts."""
-    points, colors = _points(folder / "points3D.bin")
-    return ColmapModel(_cameras(folder / "cameras.bin"), _images(folder / "images.bin"), points, colors)
+def _read_model(folder: Path) -> ColmapModel:
+    """Read a model, binary or text; raises `CaptureError` for damaged files and unknown cameras."""
+    if _has(folder, ".bin"):
+        points, colors = _points(folder / "points3D.bin")
+        cameras, images = _cameras(folder / "cameras.bin"), _images(folder / "images.bin")
+    else:
+        points, colors = _text_points(folder / "points3D.txt")
+        cameras, images = _text_cameras(folder / "cameras.txt"), _text_images(folder / "images.txt")
+    for camera in cameras.values():
+        expected = _PARAMETERS.get(camera.model)
+        if expected is None:
+            raise CaptureError(f"{folder}: camera {camera.id} has the unknown model {camera.model}")
+        if len(camera.parameters) != expected:
+            counted = f"{len(camera.parameters)} parameters, {camera.model} has {expected}"
+            raise CaptureError(f"{folder}: camera {camera.id} has {counted}")
+    return ColmapModel(cameras, images, points, colors)
+
+
+# Binary files
+
+_MODELS = tuple(_PARAMETERS)
+_CAMERA, _IMAGE, _POINT = struct.Struct("<IiQQ"), struct.Struct("<I7dI"), struct.Struct("<Q3d3BdQ")
+_COUNT = struct.Struct("<Q")
+_OBSERVATION_BYTES, _TRACK_BYTES = 24, 8
+_LONGEST_NAME = 4096
 
 
 class _ByteCursor:
     """Cursor over a file's bytes that checks each read against the rest of the file."""
 
     def __init__(self, file: Path) -> None:
-        self.file = file
-        try:
-            self.data = read_file(file)
-        except OSError as error:
-            raise CaptureError(f"{file}: can't be read ({error.strerror})") from None
-        self.at = 0
+        self.file, self.data, self.at = file, read_bytes(file), 0
 
     def take(self, layout: struct.Struct) -> tuple[Any, ...]:
         start = self.at
@@ -162,7 +293,7 @@ def _cameras(file: Path) -> dict[int, ColmapCamera]:
         id_, model, width, height = data.take(_CAMERA)
         if not 0 <= model < len(_MODELS):
             raise CaptureError(f"{file}: camera {id_} has model number {model}, known are 0..{len(_MODELS) - 1}")
-        parameters = data.take(struct.Struct(f"<{PARAMETERS[_MODELS[model]]}d"))
+        parameters = data.take(struct.Struct(f"<{_PARAMETERS[_MODELS[model]]}d"))
         cameras[id_] = ColmapCamera(id_, _MODELS[model], width, height, parameters)
     return cameras
 
@@ -191,167 +322,9 @@ def _points(file: Path) -> tuple[Float64[np.ndarray, "p 3"], UInt8[np.ndarray, "
     return points, colors
 
 
-_ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_FISHEYE")
-_STRAIGHT = ("SIMPLE_PINHOLE", "PINHOLE")
-_BROWN = ("SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
-_EQUIDISTANT = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_FISHEYE", "FISHEYE")
-
-# COLMAP captures
-
-_LAYOUTS = (".", "0", "sparse", "sparse/*", "colmap/sparse/*", "colmap_derived/sparse/*", "distorted/sparse/*")
-_IMAGE_FOLDERS = ("images", "input", "image", ".")
-_FOLDERS_UP = 4
-_LARGEST_NUMBER = 1e12
-
-
-def recognizes_colmap(path: Path) -> bool:
-    """Return whether the folder, or a standard subfolder, holds a model."""
-    return bool(_models(path))
-
-
-def read_colmap(path: Path) -> Capture:
-    """Read the model with the most images at or below a folder, binary or text.
-
-    Images that are missing, broken, or of a camera model that OpenCV lacks are omitted and listed as problems. Masks in
-    COLMAP's layout (masks/NAME.png next to images/, black is masked out) are included.
-    COLMAP's newer rigs and frames are ignored. Raises `CaptureError`.
-    """
-    model_folder, *others = sorted(_models(path), key=_images_bytes, reverse=True)
-    model = _read_model(model_folder)
-    if not model.images:
-        raise CaptureError(f"{model_folder}: the model has no registered image")
-    unread = abbreviated_names([str(each) for each in others])
-    problems = [f"Of several models {model_folder} is the largest; unread: {unread}."] if others else []
-    names_file = model_folder / ("images.bin" if (model_folder / "images.bin").is_file() else "images.txt")
-    folder = _image_folder(path, model_folder, model, names_file)
-    check_inside(folder, (image.name for image in model.images), names_file)
-    masks = (_mask_file(folder, image.name) for image in model.images)
-    check_inside(folder.parent, (str(mask) for mask in masks if mask is not None), names_file)
-    images = sorted(model.images, key=lambda image: image.name)
-    pictures = [image.name for image in images]
-    views: list[CaptureFrame] = []
-    left_out: list[str] = []
-    for image, name, sensor in zip(images, view_names(pictures), sensor_names(pictures), strict=True):
-        try:
-            views.append(_view(model, image, folder, name, sensor))
-        except CaptureError as error:
-            left_out.append(str(error))
-    if not views:
-        raise CaptureError(f"{model_folder}: none of its {len(images)} images can be used ({left_out[0]})")
-    problems += (
-        [f"{len(left_out)} of {len(images)} images are left out: {abbreviated_names(left_out)}."] if left_out else []
-    )
-    finite = np.isfinite(model.points).all(axis=1)
-    return Capture(
-        path.resolve().name,
-        tuple(views),
-        points_m=model.points[finite] if finite.any() else None,
-        point_colors=model.colors[finite] if finite.any() else None,
-        is_metric=False,
-        up=estimate_up_direction([view.camera for view in views]),
-        problems=tuple(problems),
-    )
-
-
-def _view(model: ColmapModel, image: ColmapImage, folder: Path, name: str, sensor: str) -> CaptureFrame:
-    if image.camera_id not in model.cameras:
-        raise CaptureError(f"image {image.name!r} was taken by camera {image.camera_id}, which the model lacks")
-    taken_by = model.cameras[image.camera_id]
-    file = folder / image.name
-    lens = taken_by.lens()  # first, because models that OpenCV lacks have no focal length to read
-    camera = checked_camera(taken_by.pinhole(_pose(image)), f"camera {taken_by.id} or the pose of {image.name!r}")
-    camera = camera_of_image(camera, image_size(file), str(file))
-    mask = _mask_file(folder, image.name)
-    return CaptureFrame(
-        name,
-        camera,
-        partial(read_color, file),
-        sensor=sensor,
-        lens=lens,
-        mask_source=partial(read_mask, mask) if mask is not None else None,
-    )
-
-
-def _pose(image: ColmapImage) -> Float64[np.ndarray, "4 4"]:
-    if not all(abs(number) < _LARGEST_NUMBER for number in (*image.quaternion_wxyz, *image.translation)):
-        raise CaptureError(f"image {image.name!r} has a pose whose numbers are not finite, or absurd")
-    try:
-        return rigid_from_quaternion(image.quaternion_wxyz, image.translation)
-    except ValueError as error:
-        raise CaptureError(f"image {image.name!r}: {error}") from None
-
-
-def _models(path: Path) -> list[Path]:
-    folders = [folder for layout in _LAYOUTS for folder in ([path] if layout == "." else sorted(path.glob(layout)))]
-    return [folder for folder in dict.fromkeys(folders) if _is_model(folder)]
-
-
-def _is_model(folder: Path) -> bool:
-    return any(
-        all((folder / f"{name}{suffix}").is_file() for name in ("cameras", "images")) for suffix in (".bin", ".txt")
-    )
-
-
-def _images_bytes(folder: Path) -> int:
-    return max((folder / name).stat().st_size for name in ("images.bin", "images.txt") if (folder / name).is_file())
-
-
-def _read_model(folder: Path) -> ColmapModel:
-    binary = (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file()
-    model = read_colmap_binary(folder) if binary else read_colmap_text(folder)
-    for camera in model.cameras.values():
-        _check_parameters(folder, camera)
-    return model
-
-
-def _check_parameters(folder: Path, camera: ColmapCamera) -> None:
-    expected = PARAMETERS.get(camera.model)
-    if expected is None:
-        raise CaptureError(f"{folder}: camera {camera.id} has the unknown model {camera.model}")
-    if len(camera.parameters) != expected:
-        counted = f"{len(camera.parameters)} parameters, {camera.model} has {expected}"
-        raise CaptureError(f"{folder}: camera {camera.id} has {counted}")
-
-
-def _image_folder(path: Path, model_folder: Path, model: ColmapModel, names_file: Path) -> Path:
-    """Folder of the images: next to the model, above it, or any other folder of `path`.
-
-    Chooses the folder with most of the first ten images. Raises `CaptureError` if none has any, or if it is a link that
-    leads out of its parent folder.
-    """
-    above = [path, *(model_folder.resolve().parents[:_FOLDERS_UP]), model_folder]
-    wanted = [image.name for image in model.images[:10]]
-    usual = [base / name for base in above for name in _IMAGE_FOLDERS]
-    for folders in (usual, [each for each in (*path.glob("*/"), *path.glob("*/*/")) if each.is_dir()]):
-        best = max(folders, key=lambda folder: _holds(folder, wanted), default=None)
-        if best is not None and _holds(best, wanted):
-            check_inside(best.parent, [best.name], names_file)
-            return best
-    there = path / _IMAGE_FOLDERS[0]
-    raise CaptureError(
-        f"{model_folder}: none of its {len(model.images)} images lies in {path} ({wanted[0]}, say); put them into "
-        f"{there}, or a link to where they are (ln -s FOLDER {there}, and --allow-outside)"
-    )
-
-
-def _holds(folder: Path, names: list[str]) -> int:
-    return sum((folder / name).is_file() for name in names)
-
-
-def _mask_file(folder: Path, name: str) -> Path | None:
-    candidates = (folder.parent / "masks" / f"{name}.png", folder.parent / "masks" / Path(name).with_suffix(".png"))
-    return next((file for file in candidates if file.is_file()), None)
-
-
 # Text files
 
 _MAX_TEXT_BYTES = 1 << 34
-
-
-def read_colmap_text(folder: Path) -> ColmapModel:
-    """Read a model; raises `CaptureError` that names the file and the line."""
-    points, colors = _text_points(folder / "points3D.txt")
-    return ColmapModel(_text_cameras(folder / "cameras.txt"), _text_images(folder / "images.txt"), points, colors)
 
 
 def _text_cameras(file: Path) -> dict[int, ColmapCamera]:
@@ -363,7 +336,8 @@ def _text_cameras(file: Path) -> dict[int, ColmapCamera]:
             id_, model, width, height, *parameters = line.split()
             camera = ColmapCamera(int(id_), model, int(width), int(height), tuple(float(each) for each in parameters))
         except ValueError:
-            raise _bad(file, number, "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]") from None
+            expected = "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"
+            raise CaptureError(f"{file}, line {number}: expected {expected}") from None
         cameras[camera.id] = camera
     return cameras
 
@@ -380,7 +354,8 @@ def _text_images(file: Path) -> tuple[ColmapImage, ...]:
             turn, shift = (float(qw), float(qx), float(qy), float(qz)), (float(tx), float(ty), float(tz))
             images.append(ColmapImage(name, int(camera_id), turn, shift))
         except ValueError:
-            raise _bad(file, number, "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME") from None
+            expected = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
+            raise CaptureError(f"{file}, line {number}: expected {expected}") from None
         next(lines, None)
     return tuple(images)
 
@@ -395,7 +370,8 @@ def _text_points(file: Path) -> tuple[Float64[np.ndarray, "p 3"], UInt8[np.ndarr
         except ValueError:
             row = []
         if len(row) != 6 or not all(0 <= color <= 255 for color in row[3:]):
-            raise _bad(file, number, "POINT3D_ID X Y Z R G B ERROR TRACK[] with colours within 0..255")
+            expected = "POINT3D_ID X Y Z R G B ERROR TRACK[] with colours within 0..255"
+            raise CaptureError(f"{file}, line {number}: expected {expected}")
         rows.append(row)
     table = np.array(rows, np.float64).reshape(-1, 6)
     return table[:, :3], table[:, 3:].astype(np.uint8)
@@ -408,7 +384,3 @@ def _lines(file: Path) -> Iterator[tuple[int, str]]:
                 yield number, line.strip()
     except (OSError, UnicodeDecodeError) as error:
         raise CaptureError(f"{file}: can't be read as text ({error})") from None
-
-
-def _bad(file: Path, number: int, expected: str) -> CaptureError:
-    return CaptureError(f"{file}, line {number}: expected {expected}")

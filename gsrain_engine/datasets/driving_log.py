@@ -1,7 +1,8 @@
 """Driving log in a dataset's own frames, and its conversion to a capture."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from math import isfinite
@@ -13,12 +14,14 @@ from ..scene.geometry import quaternions_from_matrices
 from ..scene.scene import PoseTrack
 from .capture import EGO_HEIGHT_M, Capture, CaptureError, CaptureFrame, LidarSweep
 from .geometry import BoxSample, road_height, tracked_boxes, transform_points, translation_pose
+from .io.arrays import what_is_wrong
 
 MAX_POINTS = 24_000_000
 """Maximum number of lidar points of a capture (0.4 GB); longer drives keep every k-th point."""
 
 _FARTHEST_M = 1e5
-_ROAD_SCANS, _PROBLEMS_LISTED, _FEWER = 8, 24, 0.9
+_ROAD_SCANS, _MAX_PROBLEMS = 8, 24
+_FEWER = 0.9  # share of the images of the busiest camera, below which images are missing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,10 +40,23 @@ class LidarScan:
         if len(self.points_m) and not np.abs(self.points_m).max() < _FARTHEST_M:
             raise ValueError(f"holds points that are not finite, or farther than {_FARTHEST_M / 1000:g} km")
 
+    @classmethod
+    def placed(
+        cls,
+        time_s: float,
+        vehicle_to_world: Float64[np.ndarray, "4 4"],
+        lidar_to_vehicle: Float64[np.ndarray, "4 4"],
+        points_m: Float[np.ndarray, "p 3"],
+        intensities: Float32[np.ndarray, " p"] | None,
+    ) -> "LidarScan":
+        """Scan of points in the lidar's own frame."""
+        points = transform_points(lidar_to_vehicle, points_m)
+        return cls(time_s, vehicle_to_world, points, lidar_to_vehicle[:3, 3], intensities)
+
 
 @dataclass(slots=True, eq=False)
 class DrivingLog:
-    """A drive in the dataset's own world (meters, z up) and clock (seconds)."""
+    """A drive in the dataset's own world (meters, z up) and clock (seconds), filled by a reader."""
 
     name: str
     road_m: float
@@ -57,14 +73,25 @@ class DrivingLog:
     box_times_s: list[float] = field(default_factory=list[float])
     problems: list[str] = field(default_factory=list[str])
 
+    @contextmanager
+    def omitting(
+        self, what: str, faults: type[Exception] | tuple[type[Exception], ...] = ValueError
+    ) -> Generator[None]:
+        """Turn an error of the block (by default `CaptureError` and ValueError) into the problem "`what` left out"."""
+        try:
+            yield
+        except faults as error:
+            self.problems.append(f"{what} left out: {what_is_wrong(error)}")
+
     def capture(self) -> Capture:
         """Move the origin to the ego's first position and time 0 to the first view; `CaptureError` without views."""
-        self._leave_out_timeless()
+        self.problems.extend(f"{v.name} left out: its time is not finite" for v in self.views if not isfinite(v.time_s))
+        self.views = [view for view in self.views if isfinite(view.time_s)]
         if not self.views:
             raise CaptureError(f"{self.name}: no picture that can be used" + _because(self.problems))
-        if not self.stamps:
+        stamps = sorted(dict(stamp for stamp in self.stamps if isfinite(stamp[0])).items(), key=lambda stamp: stamp[0])
+        if not stamps:
             raise CaptureError(f"{self.name}: no place of the vehicle is known" + _because(self.problems))
-        stamps = sorted(dict(self.stamps).items(), key=lambda stamp: stamp[0])
         scans = iter(self.scans)
         first = [scan for _, scan in zip(range(_ROAD_SCANS), scans, strict=False)]
         road_m = road_height((scan.points_m for scan in first), self.road_m)
@@ -72,14 +99,18 @@ class DrivingLog:
         ego = np.stack([pose @ above_road for _, pose in stamps])
         shift = translation_pose(-ego[0, :3, 3])
         start = min(view.time_s for view in self.views)
-        self._name_missing_images()
+        counted = Counter(view.sensor for view in self.views)
+        most = max(counted.values())
+        for sensor, count in counted.items():
+            if count < _FEWER * most:
+                self.problems.append(f"{sensor} has pictures of {count} moments, another camera of {most}")
         boxes = tracked_boxes(self.boxes, self.box_times_s or [box.time_s for box in self.boxes])
         sweeps = tuple(_sweeps(chain(first, scans), self._stride(first), shift, start))
         return Capture(
             self.name,
             tuple(replace(v, camera=v.camera.moved(shift), time_s=_since(start, v.time_s)) for v in self.views),
             sweeps=sweeps,
-            boxes=tuple(replace(box, track=_later(box.track.moved(shift), start)) for box in boxes),
+            boxes=tuple(replace(box, track=_moved(box.track, shift, start)) for box in boxes),
             ego=PoseTrack(
                 np.array([_since(start, time) for time, _ in stamps]),
                 (ego[:, :3, 3] + shift[:3, 3]),
@@ -88,18 +119,6 @@ class DrivingLog:
             ),
             problems=_shortened_list(self.problems),
         )
-
-    def _leave_out_timeless(self) -> None:
-        self.problems.extend(f"{v.name} left out: its time is not finite" for v in self.views if not isfinite(v.time_s))
-        self.views = [view for view in self.views if isfinite(view.time_s)]
-        self.stamps = [stamp for stamp in self.stamps if isfinite(stamp[0])]
-
-    def _name_missing_images(self) -> None:
-        counted = Counter(view.sensor for view in self.views)
-        most = max(counted.values())
-        for sensor, count in counted.items():
-            if count < _FEWER * most:
-                self.problems.append(f"{sensor} has pictures of {count} moments, another camera of {most}")
 
     def _stride(self, first: Sequence[LidarScan]) -> int:
         each = float(np.mean([len(scan.points_m) for scan in first])) if first else 0.0
@@ -120,8 +139,9 @@ def _sweeps(
         yield LidarSweep(_since(start_s, scan.time_s), points, origin, intensities)
 
 
-def _later(track: PoseTrack, start_s: float) -> PoseTrack:
-    return replace(track, times=np.round(track.times - start_s, 6))
+def _moved(track: PoseTrack, shift: Float64[np.ndarray, "4 4"], start_s: float) -> PoseTrack:
+    moved = track.moved(shift)
+    return replace(moved, times=np.round(moved.times - start_s, 6))
 
 
 def _since(start_s: float, time_s: float) -> float:
@@ -131,8 +151,8 @@ def _since(start_s: float, time_s: float) -> float:
 
 def _shortened_list(problems: Sequence[str]) -> tuple[str, ...]:
     """First problems and the number of others: a download without images has one problem for each."""
-    more = len(problems) - _PROBLEMS_LISTED
-    return (*problems[:_PROBLEMS_LISTED], f"and {more} more problems like these") if more > 1 else tuple(problems)
+    more = len(problems) - _MAX_PROBLEMS
+    return (*problems[:_MAX_PROBLEMS], f"and {more} more problems like these") if more > 1 else tuple(problems)
 
 
 def _because(problems: Sequence[str]) -> str:

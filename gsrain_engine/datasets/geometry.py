@@ -29,6 +29,13 @@ def rigid_pose(rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray
     return matrix
 
 
+def heading_pose(center_m: Sequence[float], heading_rad: float) -> Float64[np.ndarray, "4 4"]:
+    """Pose of an upright object, rotated about z from the x axis."""
+    cosine, sine = np.cos(heading_rad), np.sin(heading_rad)
+    turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    return rigid_pose(turn, np.asarray(center_m, np.float64))
+
+
 def translation_pose(translation: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
     """Pose without rotation."""
     return rigid_pose(np.eye(3), translation)
@@ -116,10 +123,8 @@ def _bent(local: Float64[np.ndarray, "p 3"], camera: Camera, lens: Lens | None) 
         return local[:, :2] / local[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
     coefficients, still = np.array(lens.coefficients), np.zeros(3)
     rows = np.ascontiguousarray(local).reshape(-1, 1, 3)
-    if lens.model == "fisheye":
-        bent, _ = cv2.fisheye.projectPoints(rows, still, still, intrinsics(camera), coefficients)
-    else:
-        bent, _ = cv2.projectPoints(rows, still, still, intrinsics(camera), coefficients)
+    project = cv2.fisheye.projectPoints if lens.model == "fisheye" else cv2.projectPoints
+    bent, _ = project(rows, still, still, intrinsics(camera), coefficients)
     return np.asarray(bent, np.float64).reshape(-1, 2)
 
 
@@ -157,8 +162,6 @@ def _rising(values: Float64[np.ndarray, " n"]) -> int:
 
 # OpenCV calibrations: the first pixel's center is (0, 0), not (0.5, 0.5)
 
-_TO_OURS_PX = 0.5
-
 
 def opencv_camera(
     focal_px: tuple[float, float],
@@ -169,8 +172,7 @@ def opencv_camera(
     """Build a camera (`size` is width, height); ValueError for an invalid calibration."""
     if not np.isfinite([*focal_px, *center_px]).all() or min(focal_px) <= 0:
         raise ValueError("its calibration has no focal length above 0 px")
-    cx, cy = (value + _TO_OURS_PX for value in center_px)
-    return Camera(size[0], size[1], focal_px[0], focal_px[1], cx, cy, world_to_camera)
+    return Camera(*size, *focal_px, center_px[0] + 0.5, center_px[1] + 0.5, world_to_camera)
 
 
 def opencv_camera_of_matrix(
@@ -200,10 +202,8 @@ def camera_of_image(camera: Camera, size: tuple[int, int], picture: str) -> Came
     if (width, height) == (camera.width, camera.height):
         return camera
     if abs(width * camera.height - height * camera.width) > max(camera.width, camera.height):
-        expected = f"{camera.width}x{camera.height}"
-        raise CaptureError(
-            f"{picture}: is {width}x{height} px, its camera says {expected}, which has other proportions"
-        )
+        says = f"its camera says {camera.width}x{camera.height}, which has other proportions"
+        raise CaptureError(f"{picture}: is {width}x{height} px, {says}")
     return scaled_camera(camera, width, height)
 
 
@@ -228,8 +228,7 @@ def road_height(clouds: Iterable[Float[np.ndarray, "_ 3"]], expected_m: float) -
     well-filled layer within 15 m and the width of a lane (curbs lie outside it), and evaluates it below the origin.
     Returns `expected_m` if too few points lie within 1 m of it.
     """
-    near = [_near_road(cloud, expected_m) for cloud in clouds]
-    points = np.concatenate(near) if near else np.zeros((0, 3))
+    points = np.concatenate([np.zeros((0, 3)), *(_near_road(cloud, expected_m) for cloud in clouds)])
     if len(points) < _MINIMUMS:
         return expected_m
     count, edges = np.histogram(points[:, 2], np.arange(-_SLACK_M, _SLACK_M + _BIN_M, _BIN_M) + expected_m)
@@ -284,19 +283,18 @@ def _course(cameras: Sequence[Camera], upright: Float64[np.ndarray, "3"]) -> Flo
     places = np.stack([camera.position for camera in cameras])
     scatter = np.cov(places.T, bias=True) if len(places) > 2 else np.zeros((3, 3))
     variances, directions = np.linalg.eigh(scatter)
-    if variances[2] <= 1e-12 or variances[0] > _FLAT * variances[2]:
-        return np.zeros((3, 3))
-    went = directions[:, 2]
-    return np.zeros((3, 3)) if abs(went @ upright) > _STEEPEST_DRIVE else np.outer(went, went)
+    course = directions[:, 2]
+    is_flat = variances[2] > 1e-12 and variances[0] <= _FLAT * variances[2]
+    is_level = abs(course @ upright) <= _STEEPEST_DRIVE
+    return np.outer(course, course) if is_flat and is_level else np.zeros((3, 3))
 
 
 # Lidar depth
 
-BEAM_GAP_DEG = (0.6, 1.5)
+_BEAM_GAP_DEG = (0.6, 1.5)
 """Largest gap between adjacent beams to be bridged, horizontal and vertical, for a lidar with 32 beams."""
 
-_NEARER_PART, _NEARER_M = 0.05, 0.3
-_NEAREST_M = 0.1
+_NEARER_PART, _NEARER_M, _NEAREST_M = 0.05, 0.3, 0.1
 
 
 def lidar_depth(view: CaptureFrame, sweeps: Sequence[LidarSweep]) -> Float32[np.ndarray, "h w"]:
@@ -324,8 +322,8 @@ def _nearest(
     for cloud in clouds:
         pixels, depths = project_points(cloud, view.camera, view.lens)
         rows, columns, inside = pixels_inside(pixels, size)
-        kept = inside & (depths > from_depth)
-        np.minimum.at(nearest, (rows[kept], columns[kept]), depths[kept].astype(np.float32))
+        used = inside & (depths > from_depth)
+        np.minimum.at(nearest, (rows[used], columns[used]), depths[used].astype(np.float32))
     return nearest
 
 
@@ -345,7 +343,7 @@ def nearest_sweep(view: CaptureFrame, sweeps: Sequence[LidarSweep]) -> LidarSwee
 
 def _hidden(nearest: Float32[np.ndarray, "h w"], view: CaptureFrame) -> Bool[np.ndarray, "h w"]:
     """Mask of points with nearer ones in three of the four quadrants, which exclude the point's own row."""
-    across, up = np.tan(np.radians(BEAM_GAP_DEG))
+    across, up = np.tan(np.radians(_BEAM_GAP_DEG))
     columns = max(round(view.camera.fx * across), 1) + 1
     rows = max(round(view.camera.fy * up), 1)
     window = np.ones((rows, columns), np.uint8)
@@ -353,10 +351,10 @@ def _hidden(nearest: Float32[np.ndarray, "h w"], view: CaptureFrame) -> Bool[np.
     above, below = np.concatenate([edge, nearest[:-1]]), np.concatenate([nearest[1:], edge])
     far_enough = nearest * (1 - _NEARER_PART) - _NEARER_M
     around = np.zeros(nearest.shape, np.uint8)
-    for beside, anchor_row in ((above, rows - 1), (below, 0)):
+    for next_row, anchor_row in ((above, rows - 1), (below, 0)):
         for anchor_column in (0, columns - 1):
-            least = cv2.erode(beside, window, anchor=(anchor_column, anchor_row), borderValue=np.inf)
-            around += least < far_enough
+            minimum = cv2.erode(next_row, window, anchor=(anchor_column, anchor_row), borderValue=np.inf)
+            around += minimum < far_enough
     return (around >= 3) & np.isfinite(nearest)
 
 
@@ -384,13 +382,6 @@ class BoxSample:
         if not (np.isfinite(self.center_to_world).all() and np.isfinite(self.time_s)):
             raise ValueError(f"box {self.id!r} has a pose or a time that is not finite")
 
-    @property
-    def bottom_to_world(self) -> _Pose:
-        """Same axes, origin at the bottom center."""
-        matrix = self.center_to_world.copy()
-        matrix[:3, 3] -= matrix[:3, 2] * (self.size_lwh[2] / 2)
-        return matrix
-
 
 def tracked_boxes(samples: Iterable[BoxSample], times_s: Sequence[float]) -> tuple[TrackedBox, ...]:
     """Join the annotations of each object; `times_s` are all annotated times, with or without boxes.
@@ -407,8 +398,9 @@ def tracked_boxes(samples: Iterable[BoxSample], times_s: Sequence[float]) -> tup
 
 def _tracked(found: dict[int, BoxSample], stamps: Float64[np.ndarray, " t"]) -> TrackedBox:
     rows: list[tuple[float, _Pose, bool]] = []
-    for run in _runs(sorted(found)):
-        poses = [found[index].bottom_to_world for index in run]
+    indices = sorted(found)
+    for run in (part.tolist() for part in np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1)):
+        poses = [_bottom_to_world(found[index]) for index in run]
         before, after = _half_gap(stamps, run[0], -1), _half_gap(stamps, run[-1], +1)
         if not rows and run[0] > 0:
             rows.append((float(stamps[run[0] - 1]), poses[0], False))
@@ -428,15 +420,11 @@ def _tracked(found: dict[int, BoxSample], stamps: Float64[np.ndarray, " t"]) -> 
     return TrackedBox(first.id, first.class_name, (length, width, height), track)
 
 
-def _runs(indices: Sequence[int]) -> list[list[int]]:
-    """Split increasing numbers at gaps."""
-    runs: list[list[int]] = []
-    for index in indices:
-        if runs and index == runs[-1][-1] + 1:
-            runs[-1].append(index)
-        else:
-            runs.append([index])
-    return runs
+def _bottom_to_world(box: BoxSample) -> _Pose:
+    """Pose with the same axes, origin at the bottom center."""
+    matrix = box.center_to_world.copy()
+    matrix[:3, 3] -= matrix[:3, 2] * (box.size_lwh[2] / 2)
+    return matrix
 
 
 def _half_gap(stamps: Float64[np.ndarray, " t"], index: int, side: int) -> float:
@@ -445,10 +433,10 @@ def _half_gap(stamps: Float64[np.ndarray, " t"], index: int, side: int) -> float
     return float(abs(stamps[other] - stamps[index]) / 2) if 0 <= other < len(stamps) else 0.0
 
 
-def _moved_on(pose: _Pose, neighbours: Sequence[_Pose], times: Sequence[float], by_s: float) -> _Pose:
+def _moved_on(pose: _Pose, neighbors: Sequence[_Pose], times: Sequence[float], by_s: float) -> _Pose:
     """Extrapolate a pose in time by the velocity between it and its neighbor."""
     matrix = pose.copy()
-    if neighbours:
-        step = pose[:3, 3] - neighbours[0][:3, 3]
+    if neighbors:
+        step = pose[:3, 3] - neighbors[0][:3, 3]
         matrix[:3, 3] += step / abs(times[1] - times[0]) * abs(by_s)
     return matrix

@@ -45,8 +45,8 @@ class ImageOverride:
 
     def _key(self, name: str, sensor: str) -> str | None:
         plain = _plain(name)
-        asked = [plain.as_posix(), f"{sensor}/{plain.name}", plain.name, flat_name(name)]
-        return next((each for each in asked if each in self.files), None)
+        candidates = (plain.as_posix(), f"{sensor}/{plain.name}", plain.name, flat_name(name))
+        return next((each for each in candidates if each in self.files), None)
 
 
 def flat_name(name: str) -> str:
@@ -84,21 +84,23 @@ def with_images(capture: Capture, folder: Path) -> Capture:
     without a view. Raises `CaptureError` if no image matches a view.
     """
     pictures = find_images(folder)
-    views = tuple(_with_file(view, file, pictures) for view in capture if (file := _file(pictures, view)) is not None)
+    views: list[CaptureFrame] = []
+    missing: list[str] = []
+    for view in capture:
+        file = pictures.file_of(view.name, view.sensor)
+        if file is None:
+            missing.append(view.name)
+        else:
+            views.append(_with_file(view, file, pictures))
     if not views:
         raise CaptureError(f"--images {folder}: has no picture of a view; expected {capture[0].name}.png, for one")
-    told: list[str] = []
-    missing = [view.name for view in capture if _file(pictures, view) is None]
+    problems = list(capture.problems)
     if missing:
-        told.append(f"{len(missing)} views have no picture in {folder}, {missing[0]!r} for one")
-    left_over = pictures.left_over((view.name, view.sensor) for view in capture)
-    if left_over:
-        told.append(f"{len(left_over)} pictures in {folder} belong to no view, {left_over[0]!r} for one")
-    return replace(capture, views=views, problems=(*capture.problems, *told))
-
-
-def _file(pictures: ImageOverride, view: CaptureFrame) -> Path | None:
-    return pictures.file_of(view.name, view.sensor)
+        problems.append(f"{len(missing)} views have no picture in {folder}, {missing[0]!r} for one")
+    unused = pictures.left_over((view.name, view.sensor) for view in capture)
+    if unused:
+        problems.append(f"{len(unused)} pictures in {folder} belong to no view, {unused[0]!r} for one")
+    return replace(capture, views=tuple(views), problems=tuple(problems))
 
 
 def _with_file(view: CaptureFrame, file: Path, pictures: ImageOverride) -> CaptureFrame:
@@ -108,16 +110,14 @@ def _with_file(view: CaptureFrame, file: Path, pictures: ImageOverride) -> Captu
     return replace(view, image_source=lambda: sized_image(file, size))
 
 
-def check_proportions(file: Path, size: tuple[int, int]) -> None:
-    """Raise `CaptureError` for an image that is broken or whose aspect ratio differs from `size` (width, height)."""
+def sized_image(file: Path, size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
+    """Read an image as display color and resize it to (width, height).
+
+    Raises `CaptureError` if it is broken or its aspect ratio differs.
+    """
     width, height = image_size(file)
     if abs(width * size[1] / (height * size[0]) - 1) > _PROPORTIONS:
         raise CaptureError(f"{file}: is {width}x{height} px, its view is {size[0]}x{size[1]}: other proportions")
-
-
-def sized_image(file: Path, size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
-    """Read an image as display color and resize it to (width, height); `CaptureError` on failure."""
-    check_proportions(file, size)
     pixels = read_color(file)
     if pixels.shape[1::-1] == size:
         return pixels

@@ -3,22 +3,13 @@
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
 from ..scene.camera import Camera
-from .capture import (
-    Capture,
-    CaptureError,
-    CaptureFrame,
-    Lens,
-    abbreviated_names,
-    check_inside,
-    sensor_names,
-    view_names,
-)
+from .capture import Capture, CaptureError, CaptureFrame, Lens, check_inside, omissions, sensor_names, view_names
 from .geometry import camera_of_image, checked_camera, estimate_up_direction, invert_pose, rigid_from_numbers
 from .io.arrays import read_floats, read_json_object, what_is_wrong
 from .io.images import SUFFIXES, image_size, read_color, read_mask, read_stored
@@ -27,18 +18,8 @@ from .io.records import read_point_ply
 TRANSFORMS = ("transforms.json", "transforms_train.json")
 _OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
-_MODELS: dict[str, Literal["opencv", "fisheye"]] = {
-    "": "opencv",
-    "SIMPLE_PINHOLE": "opencv",
-    "PINHOLE": "opencv",
-    "PERSPECTIVE": "opencv",
-    "SIMPLE_RADIAL": "opencv",
-    "RADIAL": "opencv",
-    "OPENCV": "opencv",
-    "OPENCV_FISHEYE": "fisheye",
-    "FISHEYE": "fisheye",
-}
-
+_PERSPECTIVE_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
+_FISHEYE_MODELS = ("OPENCV_FISHEYE", "FISHEYE")
 _DEPTH_UNIT_M = 1e-3
 _DEPTH_PATHS = ("depth_file_path", "depth_path")
 _WRONG = (KeyError, TypeError, ValueError, AttributeError, ArithmeticError)
@@ -61,8 +42,8 @@ def read_nerfstudio(path: Path) -> Capture:
     frames = shared.get("frames")
     if not isinstance(frames, list) or not frames or not all(isinstance(frame, dict) for frame in frames):
         raise CaptureError(f"{file}: frames must be a list of objects, one a picture")
-    once = {key: value for key, value in shared.items() if key != "frames"}
-    merged: list[dict[str, Any]] = sorted(({**once, **frame} for frame in frames), key=_file_path)
+    common = {key: value for key, value in shared.items() if key != "frames"}
+    merged: list[dict[str, Any]] = sorted(({**common, **frame} for frame in frames), key=_file_path)
     pictures = [_file_path(frame) for frame in merged]
     check_inside(file.parent, _named_files(file, merged), file)
     views: list[CaptureFrame] = []
@@ -76,10 +57,8 @@ def read_nerfstudio(path: Path) -> Capture:
             problems.append(f"{file}, frame {name}: {what_is_wrong(error)}")
     if not views:
         raise CaptureError(f"{file}: none of its {len(frames)} frames can be used ({problems[0]})")
-    summed = (
-        [f"{len(problems)} of {len(frames)} frames are left out: {abbreviated_names(problems)}."] if problems else []
-    )
-    points, colors = _points(file, shared, summed)
+    problems = omissions(problems, f"{len(problems)} of {len(frames)} frames")
+    points, colors = _points(file, shared, problems)
     return Capture(
         file.resolve().parent.name,
         tuple(views),
@@ -87,7 +66,7 @@ def read_nerfstudio(path: Path) -> Capture:
         point_colors=colors,
         is_metric=any(view.depth_source is not None for view in views),
         up=estimate_up_direction([view.camera for view in views]),
-        problems=tuple(summed),
+        problems=tuple(problems),
     )
 
 
@@ -143,15 +122,13 @@ def _camera(frame: dict[str, Any], size: tuple[int, int], pose: Float64[np.ndarr
 
 
 def _lens(frame: dict[str, Any]) -> Lens | None:
-    name = str(frame.get("camera_model", ""))
-    if name not in _MODELS:
-        usable = ", ".join(model for model in _MODELS if model)
-        raise ValueError(f"has the camera model {name}, which OpenCV doesn't have; usable are {usable}")
-    model = "fisheye" if frame.get("is_fisheye") else _MODELS[name]
+    name, usable = str(frame.get("camera_model", "")), (*_PERSPECTIVE_MODELS, *_FISHEYE_MODELS)
+    if name not in ("", *usable):
+        raise ValueError(f"has the camera model {name}, which OpenCV doesn't have; usable are {', '.join(usable)}")
     k1, k2, k3, k4, p1, p2 = (float(frame.get(key, 0.0)) for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
     if not np.isfinite([k1, k2, k3, k4, p1, p2]).all():
         raise ValueError("has distortion that is not finite")
-    if model == "fisheye":
+    if frame.get("is_fisheye") or name in _FISHEYE_MODELS:
         return Lens("fisheye", (k1, k2, k3, k4))
     if k4:
         raise ValueError("has a fourth radial coefficient k4, which OpenCV's perspective lens doesn't have")

@@ -1,26 +1,36 @@
-"""nuScenes from its own tables: one scene of annotated samples, six cameras, the roof lidar, boxes.
+"""nuScenes, from its own tables or MMDetection3D's info files: annotated samples, six cameras, the roof lidar, boxes.
 
 The world is the map's (z up); the vehicle's frame is on the ground below the rear axle. Images are rectified.
 """
 
+import re
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float64
 
 from ..safe_io.limits import read_file
 from .capture import Capture, CaptureError, CaptureFrame, check_inside
 from .driving_log import DrivingLog, LidarScan
-from .geometry import BoxSample, invert_pose, opencv_camera_of_matrix, rigid_from_quaternion, transform_points
-from .io.images import image_size, read_color
+from .geometry import (
+    BoxSample,
+    heading_pose,
+    invert_pose,
+    opencv_camera_of_matrix,
+    rigid_from_numbers,
+    rigid_from_quaternion,
+)
+from .io.arrays import WRONG_VALUES, read_float32_rows, what_is_wrong
+from .io.images import image_size, images_in, read_color
+from .io.safe_pickle import read_pickle
 
-_LIDAR_COLUMNS = 5  # x y z intensity ring, float32
+_LIDAR_COLUMNS = 5  # x y z (m; right, forward, up) intensity (0..255) ring, float32
 _US = 1e-6
 
 
@@ -35,30 +45,30 @@ def read_nuscenes(path: Path, key_frames_only: bool = True) -> Capture:
     `key_frames_only` False adds the images between annotated samples (12 a second). Raises `CaptureError`.
     """
     folder = _tables_in(path)
-    wanted = None if folder else path.name
+    asked = None if folder else path.name
     folder = folder or _tables_in(path.parent)
     if folder is None:
         raise CaptureError(f"{path}: no tables of nuScenes in it (v1.0-mini/sample_data.json)")
-    tables = NuScenesTables(folder)
-    scenes = {scene.name: scene for scene in tables.scenes.values()}
-    if wanted is not None and wanted not in scenes:
-        raise CaptureError(f"{folder}: has no scene {wanted!r}; it has {', '.join(sorted(scenes)[:10])}")
-    samples = {sample.token: sample.timestamp * _US for sample in tables.samples.values()}
-    of_scene = {token: sample.scene_token for token, sample in tables.samples.items()}
-    by_scene: dict[str, list[SampleData]] = defaultdict(list)
-    for each in tables.sample_data.values():
+    scenes = {scene.name: scene.token for scene in _table(folder, "scene", _NamedRow).values()}
+    if asked is not None and asked not in scenes:
+        raise CaptureError(f"{folder}: has no scene {asked!r}; it has {', '.join(sorted(scenes)[:10])}")
+    samples = _table(folder, "sample", _Sample)
+    by_scene: dict[str, list[_SampleData]] = defaultdict(list)
+    for each in _table(folder, "sample_data", _SampleData).values():
         if each.sample_token in samples and (each.is_key_frame or not key_frames_only):
-            by_scene[of_scene[each.sample_token]].append(each)
-    chosen = scenes[wanted] if wanted else _first_there(folder, scenes, by_scene)
-    tables.read_poses()
-    drive = _SceneReader(tables, folder.parent, chosen, DrivingLog(chosen.name, road_m=0.0))
-    others = sorted(name for name in scenes if name != chosen.name)
-    if wanted is None and others:
-        drive.record.problems.append(
-            f"{chosen.name} is read; open one of the other {len(others)} scenes as {folder.parent / others[0]}"
+            by_scene[samples[each.sample_token].scene_token].append(each)
+    name = asked or _first_there(folder, scenes, by_scene)
+    scene = _SceneReader(folder, DrivingLog(name, road_m=0.0))
+    others = sorted(each for each in scenes if each != name)
+    if asked is None and others:
+        scene.log.problems.append(
+            f"{name} is read; open one of the other {len(others)} scenes as {folder.parent / others[0]}"
         )
-    drive.boxes({token: time for token, time in samples.items() if of_scene[token] == chosen.token})
-    return drive.capture(by_scene[chosen.token])
+    of_scene = {token: sample for token, sample in samples.items() if sample.scene_token == scenes[name]}
+    scene.log.box_times_s = sorted(sample.timestamp * _US for sample in of_scene.values())
+    with scene.log.omitting("boxes", CaptureError):
+        scene.add_boxes(of_scene)
+    return scene.capture(by_scene[scenes[name]], samples)
 
 
 def _tables_in(path: Path) -> Path | None:
@@ -70,20 +80,29 @@ def _tables_in(path: Path) -> Path | None:
 
 # Tables
 # Facts: docs/schema_nuscenes.md of github.com/nutonomy/nuscenes-devkit. Rotations are w x y z, sizes width length
-# height.
+# height, time stamps microseconds.
 
 
-class NuScenesScene(msgspec.Struct, frozen=True, gc=False):
-    """20 seconds of a drive."""
-
+class _TableRow(msgspec.Struct, frozen=True, gc=False):
     token: str
+
+
+class _NamedRow(_TableRow, frozen=True, gc=False):
+    """A scene, which is 20 seconds of a drive, or a class of objects."""
+
     name: str
 
 
-class SampleData(msgspec.Struct, frozen=True, gc=False):
+class _Sample(_TableRow, frozen=True, gc=False):
+    """An annotated time."""
+
+    timestamp: int
+    scene_token: str
+
+
+class _SampleData(_TableRow, frozen=True, gc=False):
     """A file of one sensor."""
 
-    token: str
     sample_token: str
     ego_pose_token: str
     calibrated_sensor_token: str
@@ -92,240 +111,364 @@ class SampleData(msgspec.Struct, frozen=True, gc=False):
     is_key_frame: bool
 
 
-def _first_there(
-    folder: Path, scenes: dict[str, NuScenesScene], by_scene: dict[str, list[SampleData]]
-) -> NuScenesScene:
-    """First scene, by name, with images on disk (a download may be a part of the dataset)."""
-    for name in sorted(scenes):
-        if any((folder.parent / each.filename).is_file() for each in by_scene[scenes[name].token][:50]):
-            return scenes[name]
-    raise CaptureError(f"{folder}: of none of its {len(scenes)} scenes are the files there")
+class _Posed(_TableRow, frozen=True, gc=False):
+    """Pose of the vehicle in the world."""
 
-
-Row = TypeVar("Row")
-
-
-class Sample(msgspec.Struct, frozen=True, gc=False):
-    """An annotated time."""
-
-    token: str
-    timestamp: int
-    """Microseconds."""
-    scene_token: str
-
-
-class EgoPose(msgspec.Struct, frozen=True, gc=False):
-    """Ego pose: vehicle to world."""
-
-    token: str
     translation: tuple[float, float, float]
     rotation: tuple[float, float, float, float]
 
+    def pose(self) -> Float64[np.ndarray, "4 4"]:
+        return rigid_from_quaternion(self.rotation, self.translation)
 
-class CalibratedSensor(msgspec.Struct, frozen=True, gc=False):
+
+class _CalibratedSensor(_Posed, frozen=True, gc=False):
     """Pose of a sensor: sensor to vehicle."""
 
-    token: str
     sensor_token: str
-    translation: tuple[float, float, float]
-    rotation: tuple[float, float, float, float]
     camera_intrinsic: list[list[float]] = []
 
 
-class Sensor(msgspec.Struct, frozen=True, gc=False):
-    """A sensor's name and kind."""
-
-    token: str
+class _Sensor(_TableRow, frozen=True, gc=False):
     channel: str
     modality: str
 
 
-class Annotation(msgspec.Struct, frozen=True, gc=False):
+class _Annotation(_Posed, frozen=True, gc=False):
     """A box at the time of a sample, in the world."""
 
-    token: str
     sample_token: str
     instance_token: str
-    translation: tuple[float, float, float]
     size: tuple[float, float, float]
-    rotation: tuple[float, float, float, float]
 
 
-@dataclass(frozen=True)
-class NuScenesTables:
-    """Tables of one version of the dataset, read on first use. Each raises `CaptureError`."""
-
-    folder: Path
-
-    @cached_property
-    def scenes(self) -> dict[str, NuScenesScene]:
-        return self._rows("scene", NuScenesScene)
-
-    @cached_property
-    def samples(self) -> dict[str, Sample]:
-        return self._rows("sample", Sample)
-
-    @cached_property
-    def sample_data(self) -> dict[str, SampleData]:
-        return self._rows("sample_data", SampleData)
-
-    @cached_property
-    def ego_poses(self) -> dict[str, EgoPose]:
-        return self._rows("ego_pose", EgoPose)
-
-    @cached_property
-    def calibrated_sensors(self) -> dict[str, CalibratedSensor]:
-        return self._rows("calibrated_sensor", CalibratedSensor)
-
-    @cached_property
-    def sensors(self) -> dict[str, Sensor]:
-        return self._rows("sensor", Sensor)
-
-    def read_poses(self) -> None:
-        """Read the tables that every sensor file needs, so that a broken table is reported once."""
-        _ = self.ego_poses, self.calibrated_sensors, self.sensors
-
-    @cached_property
-    def annotations(self) -> dict[str, Annotation]:
-        """Boxes; missing in the test split."""
-        return self._rows("sample_annotation", Annotation)
-
-    @cached_property
-    def class_names(self) -> dict[str, str]:
-        categories = self._rows("category", Category)
-        instances = self._rows("instance", Instance)
-        return {
-            token: categories[each.category_token].name if each.category_token in categories else "unknown"
-            for token, each in instances.items()
-        }
-
-    def _rows(self, name: str, kind: type[Row]) -> dict[str, Row]:
-        file = self.folder / f"{name}.json"
-        try:
-            rows: list[Any] = msgspec.json.decode(read_file(file), type=list[kind])
-        except FileNotFoundError:
-            raise CaptureError(f"{file}: this table of nuScenes is missing") from None
-        except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-            raise CaptureError(f"{file}: {error}") from None
-        return {row.token: row for row in rows}
-
-
-@dataclass(frozen=True, slots=True)
-class _SceneReader:
-    tables: NuScenesTables
-    root: Path
-    scene: NuScenesScene
-    record: DrivingLog
-
-    def capture(self, data: list[SampleData]) -> Capture:
-        check_inside(self.root, (each.filename for each in data), self.root)
-        lidars: list[SampleData] = []
-        numbers = {time: number for number, time in enumerate(sorted({self._sample_time(each) for each in data}))}
-        for each in sorted(data, key=lambda each: each.timestamp):
-            sensor = self._sensor(each)
-            try:
-                if sensor is None or sensor[1] not in ("camera", "lidar"):
-                    continue
-                self.record.stamps.append((each.timestamp * _US, self._vehicle(each)))
-                if sensor[1] == "camera":
-                    self.record.views.append(self._view(each, sensor[0], numbers[self._sample_time(each)]))
-                else:
-                    lidars.append(each)
-            except (CaptureError, KeyError, ValueError) as error:
-                self._left_out(each, str(error))
-        order = {name: number for number, name in enumerate(sorted({view.sensor for view in self.record.views}))}
-        self.record.views.sort(key=lambda view: (view.name.split("_", 1)[0], order[view.sensor], view.time_s))
-        self.record.scans, self.record.scan_count = self._scans(lidars), len(lidars)
-        return self.record.capture()
-
-    def boxes(self, samples: dict[str, float]) -> None:
-        """Read the boxes of the scene's samples, if published."""
-        self.record.box_times_s = sorted(samples.values())
-        try:
-            annotations, names = self.tables.annotations, self.tables.class_names
-        except CaptureError as error:
-            self.record.problems.append(f"boxes left out: {error}")
-            return
-        for each in annotations.values():
-            if each.sample_token not in samples:
-                continue
-            width, length, height = each.size
-            try:
-                pose = rigid_from_quaternion(each.rotation, each.translation)
-                time, name = samples[each.sample_token], names.get(each.instance_token, "unknown")
-                box = BoxSample(each.instance_token, name, time, (length, width, height), pose)
-            except ValueError as error:
-                self.record.problems.append(f"box {each.token} left out: {error}")
-            else:
-                self.record.boxes.append(box)
-
-    def _sample_time(self, each: SampleData) -> int:
-        return self.tables.samples[each.sample_token].timestamp
-
-    def _left_out(self, each: SampleData, why: str) -> None:
-        self.record.problems.append(f"{each.filename} left out: {why}")
-
-    def _sensor(self, each: SampleData) -> tuple[str, str] | None:
-        calibrated = self.tables.calibrated_sensors.get(each.calibrated_sensor_token)
-        sensor = self.tables.sensors.get(calibrated.sensor_token) if calibrated else None
-        if sensor is None:
-            self._left_out(each, "its sensor is not in the tables")
-            return None
-        return sensor.channel, sensor.modality
-
-    def _vehicle(self, each: SampleData) -> Float64[np.ndarray, "4 4"]:
-        placed = self.tables.ego_poses.get(each.ego_pose_token)
-        if placed is None:
-            raise ValueError("its ego pose is not in the tables")
-        return rigid_from_quaternion(placed.rotation, placed.translation)
-
-    def _to_vehicle(self, each: SampleData) -> Float64[np.ndarray, "4 4"]:
-        calibrated = self.tables.calibrated_sensors[each.calibrated_sensor_token]
-        return rigid_from_quaternion(calibrated.rotation, calibrated.translation)
-
-    def _view(self, each: SampleData, channel: str, number: int) -> CaptureFrame:
-        file = self.root / each.filename
-        width, height = image_size(file)
-        matrix = np.asarray(self.tables.calibrated_sensors[each.calibrated_sensor_token].camera_intrinsic, np.float64)
-        to_world = self._vehicle(each) @ self._to_vehicle(each)
-        camera = opencv_camera_of_matrix(matrix, (width, height), invert_pose(to_world))
-        name = f"{number:04d}_{channel}" if each.is_key_frame else f"{number:04d}_{channel}_{each.timestamp}"
-        return CaptureFrame(name, camera, partial(read_color, file), each.timestamp * _US, channel)
-
-    def _scans(self, lidars: list[SampleData]) -> Iterator[LidarScan]:
-        for each in lidars:
-            try:
-                to_vehicle = self._to_vehicle(each)
-                points, light = read_nuscenes_points(self.root / each.filename)
-                placed = transform_points(to_vehicle, points)
-                yield LidarScan(each.timestamp * _US, self._vehicle(each), placed, to_vehicle[:3, 3], light)
-            except (CaptureError, ValueError) as error:
-                self._left_out(each, str(error))
-
-
-def read_nuscenes_points(
-    file: Path, columns: int = _LIDAR_COLUMNS
-) -> tuple[Float32[np.ndarray, "p 3"], Float32[np.ndarray, " p"]]:
-    """Points (m, in the lidar's frame: x right, y forward, z up) and intensities (0..255) of a .pcd.bin."""
-    try:
-        data = read_file(file)
-    except OSError as error:
-        raise CaptureError(f"{file}: can't be read ({error.strerror})") from None
-    if len(data) % (4 * columns) or not data:
-        raise CaptureError(f"{file}: {len(data)} bytes are not rows of {columns} numbers")
-    rows = np.frombuffer(data, np.float32).reshape(-1, columns)
-    return np.ascontiguousarray(rows[:, :3]), np.ascontiguousarray(rows[:, 3])
-
-
-class Instance(msgspec.Struct, frozen=True, gc=False):
+class _Instance(_TableRow, frozen=True, gc=False):
     """An annotated object."""
 
-    token: str
     category_token: str
 
 
-class Category(msgspec.Struct, frozen=True, gc=False):
-    """A class of objects."""
+_RowType = TypeVar("_RowType", bound=_TableRow)
 
-    token: str
-    name: str
+
+def _table(folder: Path, name: str, kind: type[_RowType]) -> dict[str, _RowType]:
+    """Read the rows of a table by their tokens. Raises `CaptureError`."""
+    file = folder / f"{name}.json"
+    try:
+        rows: list[Any] = msgspec.json.decode(read_file(file), type=list[kind])
+    except FileNotFoundError:
+        raise CaptureError(f"{file}: this table of nuScenes is missing") from None
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise CaptureError(f"{file}: {error}") from None
+    return {row.token: row for row in rows}
+
+
+def _first_there(folder: Path, scenes: Mapping[str, str], by_scene: Mapping[str, list[_SampleData]]) -> str:
+    """First scene, by name, with images on disk (a download may be a part of the dataset)."""
+    for name in sorted(scenes):
+        if any((folder.parent / each.filename).is_file() for each in by_scene[scenes[name]][:50]):
+            return name
+    raise CaptureError(f"{folder}: of none of its {len(scenes)} scenes are the files there")
+
+
+class _SceneReader:
+    def __init__(self, folder: Path, log: DrivingLog) -> None:
+        self.folder, self.root, self.log = folder, folder.parent, log
+        self.ego_poses = _table(folder, "ego_pose", _Posed)
+        self.calibrated = _table(folder, "calibrated_sensor", _CalibratedSensor)
+        self.sensors = _table(folder, "sensor", _Sensor)
+
+    def add_boxes(self, samples: Mapping[str, _Sample]) -> None:
+        """Add the boxes of samples. Raises `CaptureError` if the tables are missing, as in the test split."""
+        annotations = _table(self.folder, "sample_annotation", _Annotation)
+        classes = _table(self.folder, "category", _NamedRow)
+        instances = _table(self.folder, "instance", _Instance)
+        for each in annotations.values():
+            if each.sample_token not in samples:
+                continue
+            instance = instances.get(each.instance_token)
+            named = None if instance is None else classes.get(instance.category_token)
+            name = "unknown" if named is None else named.name
+            width, length, height = each.size
+            with self.log.omitting(f"box {each.token}"):
+                time_s = samples[each.sample_token].timestamp * _US
+                self.log.boxes.append(
+                    BoxSample(each.instance_token, name, time_s, (length, width, height), each.pose())
+                )
+
+    def capture(self, data: list[_SampleData], samples: Mapping[str, _Sample]) -> Capture:
+        check_inside(self.root, (each.filename for each in data), self.root)
+        lidars: list[_SampleData] = []
+        times = [samples[each.sample_token].timestamp for each in data]
+        numbers = {time: number for number, time in enumerate(sorted(set(times)))}
+        for each in sorted(data, key=lambda each: each.timestamp):
+            with self.log.omitting(each.filename):
+                sensor = self._sensor(each)
+                if sensor.modality in ("camera", "lidar"):
+                    self.log.stamps.append((each.timestamp * _US, self._vehicle(each)))
+                if sensor.modality == "camera":
+                    number = numbers[samples[each.sample_token].timestamp]
+                    self.log.views.append(self._view(each, sensor.channel, number))
+                elif sensor.modality == "lidar":
+                    lidars.append(each)
+        order = {name: number for number, name in enumerate(sorted({view.sensor for view in self.log.views}))}
+        self.log.views.sort(key=lambda view: (view.name.split("_", 1)[0], order[view.sensor], view.time_s))
+        self.log.scans, self.log.scan_count = self._scans(lidars), len(lidars)
+        return self.log.capture()
+
+    def _sensor(self, each: _SampleData) -> _Sensor:
+        calibrated = self.calibrated.get(each.calibrated_sensor_token)
+        sensor = self.sensors.get(calibrated.sensor_token) if calibrated else None
+        if sensor is None:
+            raise ValueError("its sensor is not in the tables")
+        return sensor
+
+    def _vehicle(self, each: _SampleData) -> Float64[np.ndarray, "4 4"]:
+        placed = self.ego_poses.get(each.ego_pose_token)
+        if placed is None:
+            raise ValueError("its ego pose is not in the tables")
+        return placed.pose()
+
+    def _view(self, each: _SampleData, channel: str, number: int) -> CaptureFrame:
+        file = self.root / each.filename
+        size = image_size(file)
+        calibrated = self.calibrated[each.calibrated_sensor_token]
+        matrix = np.asarray(calibrated.camera_intrinsic, np.float64)
+        camera = opencv_camera_of_matrix(matrix, size, invert_pose(self._vehicle(each) @ calibrated.pose()))
+        name = f"{number:04d}_{channel}" if each.is_key_frame else f"{number:04d}_{channel}_{each.timestamp}"
+        return CaptureFrame(name, camera, partial(read_color, file), each.timestamp * _US, channel)
+
+    def _scans(self, lidars: list[_SampleData]) -> Iterator[LidarScan]:
+        for each in lidars:
+            with self.log.omitting(each.filename):
+                to_vehicle = self.calibrated[each.calibrated_sensor_token].pose()
+                points, light = read_float32_rows(self.root / each.filename, _LIDAR_COLUMNS)
+                yield LidarScan.placed(each.timestamp * _US, self._vehicle(each), to_vehicle, points, light)
+
+
+# MMDetection3D's info files (.pkl), of versions 1.x ("data_list") and before ("infos")
+# Facts: tools/dataset_converters/ of github.com/open-mmlab/mmdetection3d. The files have no object identities: each box
+# exists only around its own sample. Boxes are in the lidar's frame (x right, y forward, z up), given by their centers.
+
+_NEXT_DRIVE_S = 5.0
+_CAMERA = re.compile(r"(^|_)CAM_(FRONT|BACK)(_LEFT|_RIGHT)?_")
+_BOX_NUMBERS = 7
+
+
+def recognizes_nuscenes_infos(path: Path) -> bool:
+    """Return whether a path is an info file, its N-th drive (FILE.pkl/N), or a folder with an info file and images."""
+    if path.suffix == ".pkl":
+        return path.is_file()
+    if path.is_dir():
+        return bool(list(path.glob("*.pkl"))) and (
+            (path / "samples").is_dir() or any(_CAMERA.search(file.name) for file in images_in(path))
+        )
+    return path.parent.suffix == ".pkl" and path.name.isdecimal() and path.parent.is_file()
+
+
+def read_nuscenes_infos(path: Path) -> Capture:
+    """Read one drive of an info file, the first unless the path is FILE.pkl/N. Raises `CaptureError`."""
+    file, number = (path.parent, int(path.name)) if path.parent.suffix == ".pkl" else (path, 0)
+    problems: list[str] = []
+    if file.is_dir():
+        found = sorted(file.glob("*.pkl"))
+        if not found:
+            raise CaptureError(f"{file}: no info file (.pkl) in it")
+        if found[1:]:
+            problems.append(f"{found[0].name} is read of {len(found)} info files")
+        file = found[0]
+    infos, wrong = _infos_of(read_pickle(file), file)
+    drives: list[list[_Info]] = []
+    for info in infos:
+        if drives and 0 <= info.time_s - drives[-1][-1].time_s < _NEXT_DRIVE_S:
+            drives[-1].append(info)
+        else:
+            drives.append([info])
+    problems += [f"{file.name}: {each}" for each in wrong]
+    if not 0 <= number < len(drives):
+        raise CaptureError(f"{file}: has drives 0 to {len(drives) - 1}, not {number}")
+    if len(drives) > 1 and path.parent.suffix != ".pkl":
+        problems.append(f"drive 0 is read of {len(drives)}; open another as {file}/1")
+    name = f"{file.stem}_{number}" if len(drives) > 1 else file.stem
+    return _capture(file.parent, drives[number], DrivingLog(name, road_m=0.0, problems=problems))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _InfoCamera:
+    """An image of a sample."""
+
+    channel: str
+    file: str
+    time_s: float
+    matrix: Float64[np.ndarray, "..."]
+    camera_to_world: Float64[np.ndarray, "4 4"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Info:
+    """A sample: pose of the vehicle at the lidar's time, its images, and boxes in the lidar's frame."""
+
+    time_s: float
+    vehicle_to_world: Float64[np.ndarray, "4 4"]
+    lidar_to_vehicle: Float64[np.ndarray, "4 4"]
+    lidar_file: str
+    lidar_columns: int
+    cameras: tuple[_InfoCamera, ...]
+    class_names: tuple[str, ...]
+    boxes: Float64[np.ndarray, "b 7"]
+    """Center x y z, three sides, rotation about z, as in the file."""
+    has_old_boxes: bool = False
+    """True if sides may be width, length, height and the rotation clockwise from -y, as before version 1.0."""
+
+
+def _capture(folder: Path, infos: list[_Info], log: DrivingLog) -> Capture:
+    named = [(each.file, each.channel) for info in infos for each in info.cameras]
+    named += [(info.lidar_file, "LIDAR_TOP") for info in infos if info.lidar_file]
+    check_inside(folder, (str(found) for name, sensor in named if (found := _found(folder, name, sensor))), folder)
+    old = _has_old_boxes(folder, infos)
+    for number, info in enumerate(infos):
+        log.stamps.append((info.time_s, info.vehicle_to_world))
+        for each in info.cameras:
+            with log.omitting(f"{each.channel} of sample {number}"):
+                file = _find(folder, each.file, each.channel)
+                camera = opencv_camera_of_matrix(each.matrix, image_size(file), invert_pose(each.camera_to_world))
+                name = f"{number:04d}_{each.channel}"
+                log.views.append(CaptureFrame(name, camera, partial(read_color, file), each.time_s, each.channel))
+        log.box_times_s.append(info.time_s)
+        for box, (size, to_lidar) in enumerate(_boxes_in_lidar(info.boxes, old)):
+            with log.omitting(f"box {box} of sample {number}"):
+                pose = info.vehicle_to_world @ info.lidar_to_vehicle @ to_lidar
+                log.boxes.append(BoxSample(f"{number}-{box}", info.class_names[box], info.time_s, size, pose))
+    log.scans, log.scan_count = _scans(folder, infos, log), len(infos)
+    return log.capture()
+
+
+def _scans(folder: Path, infos: list[_Info], log: DrivingLog) -> Iterator[LidarScan]:
+    for info in infos:
+        if info.lidar_file:
+            with log.omitting(info.lidar_file):
+                file = _find(folder, info.lidar_file, "LIDAR_TOP")
+                points, light = read_float32_rows(file, info.lidar_columns)
+                yield LidarScan.placed(info.time_s, info.vehicle_to_world, info.lidar_to_vehicle, points, light)
+
+
+def _find(folder: Path, named: str, sensor: str) -> Path:
+    """Path of a file: as in the info file, in samples/SENSOR, or next to the info file. Raises `CaptureError`."""
+    found = _found(folder, named, sensor)
+    if found is None:
+        raise CaptureError(f"{named}: no such file in {folder}")
+    return found
+
+
+def _found(folder: Path, named: str, sensor: str) -> Path | None:
+    parts = [part for part in Path(named).parts if part not in ("..", ".", "/")]
+    places = [folder.joinpath(*parts[start:]) for start in range(len(parts))]
+    places += [folder / below / sensor / parts[-1] for below in ("samples", "sweeps") if parts]
+    return next((place for place in places if place.is_file()), None)
+
+
+def _infos_of(values: Any, file: Path) -> tuple[list[_Info], list[str]]:
+    """Read all samples and list the omitted ones; `CaptureError` if the file holds none."""
+    if isinstance(values, Mapping) and isinstance(values.get("data_list"), Sequence):
+        classes = values.get("metainfo", {}).get("categories", {})
+        names = {int(number): str(name) for name, number in dict(classes).items()}
+        return _read_rows(values["data_list"], lambda row: _info_of_1_x(row, names), file)
+    rows = values.get("infos") if isinstance(values, Mapping) else values
+    if isinstance(rows, Sequence) and rows and isinstance(rows[0], Mapping) and "cams" in rows[0]:
+        return _read_rows(rows, _info_before_1_0, file)
+    raise CaptureError(f'{file}: not an info file of nuScenes (it has neither "data_list" nor "infos" with cameras)')
+
+
+def _read_rows(rows: Any, read: Callable[[Any], _Info], file: Path) -> tuple[list[_Info], list[str]]:
+    infos: list[_Info] = []
+    problems: list[str] = []
+    for number, row in enumerate(rows):
+        try:
+            infos.append(read(row))
+        except WRONG_VALUES as error:
+            problems.append(f"sample {number} left out: {what_is_wrong(error)}")
+    if not infos:
+        raise CaptureError(f"{file}: no sample that can be used" + (f" ({problems[0]})" if problems else ""))
+    return infos, problems
+
+
+def _info_of_1_x(row: Any, names: Mapping[int, str]) -> _Info:
+    to_world = rigid_from_numbers(row["ego2global"])
+    lidar = row["lidar_points"]
+    to_vehicle = rigid_from_numbers(lidar["lidar2ego"])
+    cameras = tuple(
+        _InfoCamera(
+            str(channel),
+            str(each["img_path"]),
+            float(each.get("timestamp", row["timestamp"])),
+            np.asarray(each["cam2img"], np.float64),
+            # At the lidar's time: lidar2cam includes the vehicle's motion between the two times, cam2ego doesn't.
+            to_world @ to_vehicle @ invert_pose(rigid_from_numbers(each["lidar2cam"])),
+        )
+        for channel, each in row.get("images", {}).items()
+        if each.get("img_path")
+    )
+    instances = [each for each in row.get("instances", ()) if len(each.get("bbox_3d", ())) >= _BOX_NUMBERS]
+    boxes = np.array([each["bbox_3d"][:_BOX_NUMBERS] for each in instances], np.float64).reshape(-1, _BOX_NUMBERS)
+    labels = [int(each["bbox_label_3d"]) for each in instances]
+    classes = tuple(names.get(label, f"class {label}" if label >= 0 else "unknown") for label in labels)
+    file, columns = str(lidar.get("lidar_path") or ""), int(lidar.get("num_pts_feats", 5))
+    return _Info(float(row["timestamp"]), to_world, to_vehicle, file, columns, cameras, classes, boxes)
+
+
+def _info_before_1_0(row: Any) -> _Info:
+    to_world, to_vehicle = _named_pose(row, "ego2global"), _named_pose(row, "lidar2ego")
+    cameras = tuple(
+        _InfoCamera(
+            str(channel),
+            str(each["data_path"]),
+            float(each["timestamp"]) * _US,
+            np.asarray(each["cam_intrinsic"], np.float64),
+            _named_pose(each, "ego2global") @ _named_pose(each, "sensor2ego"),
+        )
+        for channel, each in row["cams"].items()
+    )
+    boxes = np.asarray(row.get("gt_boxes", ()), np.float64).reshape(-1, _BOX_NUMBERS)
+    classes = tuple(str(name) for name in row.get("gt_names", ()))
+    if len(classes) != len(boxes):
+        raise ValueError(f"has {len(boxes)} boxes and {len(classes)} names of them")
+    time_s, file = float(row["timestamp"]) * _US, str(row.get("lidar_path") or "")
+    return _Info(time_s, to_world, to_vehicle, file, 5, cameras, classes, boxes, has_old_boxes=True)
+
+
+def _named_pose(row: Any, name: str) -> Float64[np.ndarray, "4 4"]:
+    return rigid_from_quaternion(row[f"{name}_rotation"], row[f"{name}_translation"])
+
+
+def _has_old_boxes(folder: Path, infos: list[_Info]) -> bool:
+    """Return whether the boxes of the first available sweep hold more points in the convention before version 1.0.
+
+    The layout is the same, and no field distinguishes the conventions.
+    """
+    for info in infos:
+        if info.has_old_boxes and info.lidar_file and len(info.boxes):
+            try:
+                points, _ = read_float32_rows(_find(folder, info.lidar_file, "LIDAR_TOP"), info.lidar_columns)
+            except CaptureError:
+                continue
+            with np.errstate(invalid="ignore"):  # NaN lies in no box
+                exact = points.astype(np.float64)
+                return _points_inside(info.boxes, exact, True) > _points_inside(info.boxes, exact, False)
+    return False
+
+
+def _points_inside(boxes: Float64[np.ndarray, "b 7"], points_m: Float64[np.ndarray, "p 3"], old: bool) -> int:
+    count = 0
+    for size, pose in _boxes_in_lidar(boxes, old):
+        local = (points_m - pose[:3, 3]) @ pose[:3, :3]
+        count += int(np.count_nonzero((np.abs(local) <= np.array(size) / 2).all(axis=1)))
+    return count
+
+
+def _boxes_in_lidar(
+    boxes: Float64[np.ndarray, "b 7"], old: bool
+) -> Iterator[tuple[tuple[float, float, float], Float64[np.ndarray, "4 4"]]]:
+    """Sides (length, width, height, m) and pose (box, x forward, to lidar) of rows of a file."""
+    for row in boxes:
+        x, y, z, first, second, height, turn = (float(value) for value in row)
+        length, width, angle = (second, first, -turn - np.pi / 2) if old else (first, second, turn)
+        yield (length, width, height), heading_pose((x, y, z), angle)

@@ -17,11 +17,9 @@ from .io.arrays import WRONG_VALUES, what_is_wrong
 from .kitti import read_kitti_odometry, read_kitti_raw, recognizes_kitti_odometry, recognizes_kitti_raw
 from .layout_hints import nearest_layout
 from .nerfstudio import read_nerfstudio, recognizes_nerfstudio
-from .nuscenes import read_nuscenes, recognizes_nuscenes
-from .nuscenes_infos import read_nuscenes_infos, recognizes_nuscenes_infos
+from .nuscenes import read_nuscenes, read_nuscenes_infos, recognizes_nuscenes, recognizes_nuscenes_infos
 from .rainsense import read_rainsense, recognizes_rainsense
-from .waymo_v1 import read_waymo_records, recognizes_waymo_records
-from .waymo_v2 import read_waymo_tables, recognizes_waymo_tables
+from .waymo import read_waymo_records, read_waymo_tables, recognizes_waymo_records, recognizes_waymo_tables
 
 _LOOKED_AT = 50  # maximum number of subfolders that are searched for captures
 
@@ -95,8 +93,8 @@ def _why_not(path: Path) -> str:
     if path == Path("street") and not path.exists():
         return "no such file or folder; gsrain street DIR writes pictures of the built-in street, and DIR is a capture"
     if not path.exists():
-        beside = [each.name for each in path.parent.iterdir()] if path.parent.is_dir() else []
-        close = difflib.get_close_matches(path.name, beside, n=1)
+        siblings = [each.name for each in path.parent.iterdir()] if path.parent.is_dir() else []
+        close = difflib.get_close_matches(path.name, siblings, n=1)
         return "no such file or folder" + (f"; did you mean {close[0]}?" if close else "")
     kind = kind_of_file(path) if path.is_file() else None
     if path.is_file() and format_of(path) is not None:
@@ -109,7 +107,7 @@ def _why_not(path: Path) -> str:
 
 def capture_hint(path: Path) -> str:
     """Hint on an unknown folder, for a message: captures below it, most similar kind, or image folders below it."""
-    posed, pictures = captures_below(path)
+    posed, pictures = _captures_below(path)
     near = None if posed else nearest_layout(path)
     if near is not None:
         return f"; nearest is {near}"
@@ -117,8 +115,8 @@ def capture_hint(path: Path) -> str:
     return f"; give a folder in it: {below}" if below else ""
 
 
-def captures_below(path: Path) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
-    """Captures one or two levels below an unrecognized folder: their relative paths and kinds.
+def _captures_below(path: Path) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
+    """Relative paths and kinds of captures one or two levels below an unrecognized folder.
 
     First those with more than images, of the first level that has any; then folders of images alone.
     """

@@ -78,9 +78,6 @@ def check_by_matches(capture: Capture, sensor: str) -> PoseCheck | None:
     return PoseCheck(sensor, "matches", verdict, explained, EXPLAINED, told)
 
 
-_CHECKS = (check_by_matches, check_by_lidar)
-
-
 def check_poses(capture: Capture, on_progress: Callable[[float], None] | None = None) -> tuple[PoseCheck, ...]:
     """Check each camera by all available means; empty without poses or comparable data.
 
@@ -90,7 +87,7 @@ def check_poses(capture: Capture, on_progress: Callable[[float], None] | None = 
         return ()
     checks: list[PoseCheck] = []
     for k, sensor in enumerate(capture.sensors, 1):
-        found = (check(capture, sensor) for check in _CHECKS)
+        found = (check(capture, sensor) for check in (check_by_matches, check_by_lidar))
         checks += [each for each in found if each is not None]
         if on_progress is not None:
             on_progress(k / len(capture.sensors))
@@ -168,18 +165,13 @@ def _matched_with_a_later_one(
     views: Sequence[CaptureFrame], start: int, seen: Callable[[CaptureFrame], ImageFeatures | None]
 ) -> _ImagePair | None:
     for later in (start + stride for stride in _STRIDES if start + stride < len(views)):
-        if _at_one_place(views[start], views[later]):
-            continue
+        if np.allclose(views[start].camera.position, views[later].camera.position, rtol=0, atol=1e-9):
+            continue  # without motion there is no epipolar geometry, only moving objects
         first, second = seen(views[start]), seen(views[later])
         found = None if first is None or second is None else pose_fit.match_features(first, second)
         if found is not None:
             return _ImagePair((views[start], views[later]), found)
     return None
-
-
-def _at_one_place(first: CaptureFrame, second: CaptureFrame) -> bool:
-    """Return whether the camera did not move: then there is no epipolar geometry, only moving objects."""
-    return bool(np.allclose(first.camera.position, second.camera.position, rtol=0, atol=1e-9))
 
 
 def _features(view: CaptureFrame) -> ImageFeatures | None:

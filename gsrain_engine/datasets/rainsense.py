@@ -17,15 +17,20 @@ from jaxtyping import Float64, UInt8
 
 from ..safe_io.limits import read_file
 from ..scene.camera import Camera, look_at
-from .capture import Capture, CaptureError, CaptureFrame, Lens, LidarSweep, TrackedBox, abbreviated_names
+from .capture import Capture, CaptureError, CaptureFrame, Lens, LidarSweep, TrackedBox, omissions
 from .geometry import BoxSample, opencv_camera, rigid_pose, tracked_boxes, transform_points
 from .io.images import image_size
 
-_INTENSITY = "context/rainfall_intensity.txt"
+_INTENSITY, _INTRINSICS = Path("context/rainfall_intensity.txt"), Path("context/camera_intrinsics.txt")
 _DEPTHS = ("", "*/", "*/*/", "*/*/*/")
 _LABEL_WORDS = 15
-_FARTHEST_M = 1e6
+_FARTHEST_M, _LATEST_S = 1e6, 1e12
 _NOTED_SKEW, _MAX_SKEWED = 0.005, 0.1
+_NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+_IMAGE_NUMBER = re.compile(r"image_(\d+)\.jpg")
+CAMERA_HEIGHT_M = 1.5
+"""Assumed height of a sensor on a car, as in the paper; the files don't contain it."""
+
 RAIN = "rain_mm_h"
 """Attribute of each view with the rain intensity."""
 
@@ -83,11 +88,13 @@ class RainSequence:
 
     def capture(self, numbers: Sequence[int] | None = None) -> Capture:
         """Some or all images as a capture, read on demand."""
-        chosen = range(len(self)) if numbers is None else numbers
         lens = Lens("opencv", tuple(self.distortion.tolist()))
+        rain = {RAIN: f"{self.intensity_mm_h:g}"}
         views = (
-            CaptureFrame(self.images[k].stem, self.camera, partial(self.picture, k), self.times_s[k], lens=lens)
-            for k in chosen
+            CaptureFrame(
+                self.images[k].stem, self.camera, partial(self.picture, k), self.times_s[k], lens=lens, attributes=rain
+            )
+            for k in (range(len(self)) if numbers is None else numbers)
         )
         return Capture(self.name, tuple(views))
 
@@ -102,30 +109,23 @@ class RainSequence:
 
 def _sequence(folder: Path, sequence: RainSequence) -> Capture:
     problems: list[str] = []
-    capture = _with_rain(sequence.capture(), sequence)
     numbers = [int(file.stem.rpartition("_")[2]) for file in sequence.images]
     times = dict(zip(numbers, sequence.times_s, strict=True))
     sweeps = _sweeps(folder, sequence, times, problems)
-    return replace(capture, sweeps=sweeps, boxes=_boxes(folder, sequence, times, problems), problems=tuple(problems))
+    boxes = _boxes(folder, sequence, times, problems)
+    return replace(sequence.capture(), sweeps=sweeps, boxes=boxes, problems=tuple(problems))
 
 
 def _data_set(path: Path, sequences: Sequence[RainSequence]) -> Capture:
-    captures = [_with_rain(sequence.capture(), sequence) for sequence in sequences]
     views = [
         replace(view, name=f"{sequence.name.replace('/', '_')}_{view.name}", sensor=sequence.name)
-        for sequence, capture in zip(sequences, captures, strict=True)
-        for view in capture
+        for sequence in sequences
+        for view in sequence.capture()
     ]
-    told = (
+    note = (
         f"{len(sequences)} sequences of several places share no world; open one of their folders for lidar and boxes."
     )
-    return Capture(path.resolve().name, tuple(views), has_poses=False, problems=(told,))
-
-
-def _with_rain(capture: Capture, sequence: RainSequence) -> Capture:
-    """Add the rain intensity to each view."""
-    rain = {RAIN: f"{sequence.intensity_mm_h:g}"}
-    return replace(capture, views=tuple(replace(view, attributes=rain) for view in capture))
+    return Capture(path.resolve().name, tuple(views), has_poses=False, problems=(note,))
 
 
 def _sweeps(
@@ -137,9 +137,9 @@ def _sweeps(
         return ()
     broken: list[str] = []
     sweeps: list[LidarSweep] = []
-    file = folder / "context" / "calib_lid_to_cam.txt"
     try:
-        to_world = sequence.camera.camera_to_world @ _lidar_to_camera(file, problems)
+        to_camera = _lidar_to_camera(folder / "context" / "calib_lid_to_cam.txt", problems)
+        to_world = sequence.camera.camera_to_world @ to_camera
     except (ValueError, OSError) as error:
         problems.append(f"The lidar is left out: {error}.")
         return ()
@@ -151,14 +151,13 @@ def _sweeps(
             sweeps.append(_sweep(file, time_s, to_world))
         except CaptureError as error:
             broken.append(str(error))
-    if broken:
-        problems.append(f"{len(broken)} of {len(files)} lidar frames are left out: {abbreviated_names(broken)}.")
+    problems += omissions(broken, f"{len(broken)} of {len(files)} lidar frames")
     return tuple(sweeps)
 
 
 def _lidar_to_camera(file: Path, problems: list[str]) -> Float64[np.ndarray, "4 4"]:
     """Return the rotation nearest to the file's slightly skewed matrix (by singular values), and its translation."""
-    matrix = np.array(read_numbers(file, 16)).reshape(4, 4)
+    matrix = np.array(_read_numbers(file, 16)).reshape(4, 4)
     if not np.abs(matrix).max() < _FARTHEST_M:
         raise CaptureError(f"{file}: must hold a rotation and a translation on this planet")
     left, stretch, right = np.linalg.svd(matrix[:3, :3])
@@ -196,8 +195,7 @@ def _boxes(
             samples += _labeled(file, sequence, times[_number(file)])
         except (OSError, ValueError) as error:
             broken.append(f"{file}: {error}")
-    if broken:
-        problems.append(f"{len(broken)} of {len(files)} label files are left out: {abbreviated_names(broken)}.")
+    problems += omissions(broken, f"{len(broken)} of {len(files)} label files")
     return tracked_boxes(samples, [times[_number(file)] for file in files])
 
 
@@ -227,24 +225,11 @@ def _number(file: Path) -> int:
     return int(digits) if digits.isdigit() else -1
 
 
-CAMERA_HEIGHT_M = 1.5
-"""Assumed height of a sensor on a car, as in the paper; the files don't contain it."""
-
-_SEQUENCE_INTENSITY, _INTRINSICS = Path("context/rainfall_intensity.txt"), Path("context/camera_intrinsics.txt")
-_NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
-_LATEST_S = 1e12
-_IMAGE_NUMBER = re.compile(r"image_(\d+)\.jpg")
-
-
 def find_rain_sequences(folder: Path) -> list[RainSequence]:
     """Read all sequences at or below a folder, by increasing intensity. Raises ValueError if there is none."""
-    found = sorted(
-        file.parent.parent for file in folder.rglob(_SEQUENCE_INTENSITY.name) if file.parent.name == "context"
-    )
+    found = sorted(file.parent.parent for file in folder.rglob(_INTENSITY.name) if file.parent.name == "context")
     if not found:
-        raise ValueError(
-            f"{folder}: no RainSense sequence in it (a folder with {_SEQUENCE_INTENSITY} and image/image_000.jpg)"
-        )
+        raise ValueError(f"{folder}: no RainSense sequence in it (a folder with {_INTENSITY} and image/image_000.jpg)")
     sequences = [read_rain_sequence(each, each.relative_to(folder).as_posix()) for each in found]
     return sorted(sequences, key=lambda each: each.intensity_mm_h)
 
@@ -254,10 +239,10 @@ def read_rain_sequence(folder: Path, name: str | None = None) -> RainSequence:
     images = tuple(sorted(file for file in (folder / "image").glob("*.jpg") if _IMAGE_NUMBER.fullmatch(file.name)))
     if not images:
         raise ValueError(f"{folder / 'image'}: no image_NNN.jpg in it")
-    intensity = read_numbers(folder / _SEQUENCE_INTENSITY, 1)[0]
+    intensity = _read_numbers(folder / _INTENSITY, 1)[0]
     if not 0 <= intensity <= 500:
-        raise ValueError(f"{folder / _SEQUENCE_INTENSITY}: {intensity} mm/h, expected 0 to 500")
-    k = read_numbers(folder / _INTRINSICS, 14)
+        raise ValueError(f"{folder / _INTENSITY}: {intensity} mm/h, expected 0 to 500")
+    k = _read_numbers(folder / _INTRINSICS, 14)
     first = _decoded(images[0], cv2.IMREAD_GRAYSCALE)
     eye = np.array([0.0, 0.0, CAMERA_HEIGHT_M])
     pose = look_at(eye, eye + [1.0, 0.0, 0.0], np.array([0.0, 0.0, 1.0]))
@@ -269,10 +254,9 @@ def read_rain_sequence(folder: Path, name: str | None = None) -> RainSequence:
     return RainSequence(name or folder.name, intensity, camera, np.array(k[9:14]), images, times)
 
 
-def read_numbers(file: Path, count: int) -> list[float]:
+def _read_numbers(file: Path, count: int) -> list[float]:
     """Read the numbers of a file of `name: values` lines and matrix rows."""
-    lines = _text(file).splitlines()
-    words = [word for line in lines for word in _NUMBER.findall(line.rpartition(":")[2])]
+    words = [word for line in _text(file).splitlines() for word in _NUMBER.findall(line.rpartition(":")[2])]
     if len(words) != count:
         raise ValueError(f"{file}: {len(words)} numbers, expected {count}")
     return [float(word) for word in words]

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from dataclasses import dataclass
-from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -130,8 +129,7 @@ _NEAREST_PART, _FARTHEST_PART = 0.02, 0.98
 _BLUE = 28  # start of the color scale, for the farthest points: lower values are nearly black
 _NEAR_PLANE = 0.05
 _BOX_COLOR, _FRONT_COLOR = (255, 255, 255), (255, 60, 60)
-_CAPTION_PX = 22
-_GAP_PX = 4
+_CAPTION_PX, _GAP_PX = 22, 4
 
 
 def overlay(capture: Capture, view: CaptureFrame, width: int = 960) -> UInt8[np.ndarray, "h w 3"]:
@@ -141,7 +139,12 @@ def overlay(capture: Capture, view: CaptureFrame, width: int = 960) -> UInt8[np.
     """
     straight = undistort_frame(view, width)
     picture = np.ascontiguousarray(straight.image)
-    _draw_points(picture, _depth(capture, view, straight))
+    sweep = nearest_sweep(view, capture.sweeps)
+    if sweep is None:
+        depth = point_depth(straight, np.zeros((0, 3)) if capture.points_m is None else capture.points_m)
+    else:
+        depth = lidar_depth(straight, [sweep])
+    _draw_points(picture, depth)
     for box in capture.boxes:
         _draw_box(picture, straight.camera, box, view.time_s)
     return picture
@@ -172,13 +175,6 @@ def chosen_views(capture: Capture, at_most: int) -> list[CaptureFrame]:
         places = np.linspace(0, len(taken) - 1, min(each, len(taken))) if each > 1 else np.array([len(taken) // 2])
         chosen += [taken[round(k)] for k in np.unique(np.round(places))]
     return chosen[:at_most]
-
-
-def _depth(capture: Capture, view: CaptureFrame, straight: CaptureFrame) -> Float32[np.ndarray, "h w"]:
-    sweep = nearest_sweep(view, capture.sweeps)
-    if sweep is not None:
-        return lidar_depth(straight, [sweep])
-    return point_depth(straight, np.zeros((0, 3)) if capture.points_m is None else capture.points_m)
 
 
 def _draw_points(picture: UInt8[np.ndarray, "h w 3"], depth: Float32[np.ndarray, "h w"]) -> None:
@@ -228,12 +224,10 @@ def _draw_line(
     ends = [
         (camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy) for x, y, z in (start.tolist(), end.tolist())
     ]
-    size = (0, 0, camera.width, camera.height)
-    whole = [(round(float(np.clip(x, -1e6, 1e6))), round(float(np.clip(y, -1e6, 1e6)))) for x, y in ends]
-    for first, second in pairwise(whole):
-        visible, first, second = cv2.clipLine(size, first, second)
-        if visible:
-            cv2.line(picture, first, second, color, max(round(camera.width / 960), 1), cv2.LINE_AA)
+    first, second = (tuple(round(float(np.clip(each, -1e6, 1e6))) for each in point) for point in ends)
+    visible, first, second = cv2.clipLine((0, 0, camera.width, camera.height), first, second)
+    if visible:
+        cv2.line(picture, first, second, color, max(round(camera.width / 960), 1), cv2.LINE_AA)
 
 
 def _captioned(picture: UInt8[np.ndarray, "h w 3"], text: str) -> UInt8[np.ndarray, "h2 w 3"]:

@@ -28,7 +28,7 @@ def undistort_frame(view: CaptureFrame, width: int | None = None) -> CaptureFram
         camera = scaled_camera(camera, width, max(round(camera.height * width / camera.width), 1))
     if view.lens is None and camera is view.camera:
         return view
-    at_centres = {
+    at_centers = {
         f"{name}_source": partial(_nearest, view, camera, name)
         for name in _AT_CENTERS
         if getattr(view, f"{name}_source") is not None
@@ -40,21 +40,20 @@ def undistort_frame(view: CaptureFrame, width: int | None = None) -> CaptureFram
         lens=None,
         image_source=partial(_color, view, camera),
         mask_source=partial(_mask, view, camera) if needs_mask else None,
-        **at_centres,
+        **at_centers,
     )
 
 
 def _color(view: CaptureFrame, camera: Camera) -> UInt8[np.ndarray, "h w 3"]:
     straight = view.image
     if view.lens is not None:
-        columns, rows = _lens_map(_key(view.camera), view.lens)
-        straight = cv2.remap(straight, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        lens_map = _lens_map(_key(view.camera), view.lens)
+        straight = cv2.remap(straight, *lens_map, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(_resized(straight, camera), np.uint8)
 
 
 def _mask(view: CaptureFrame, camera: Camera) -> Bool[np.ndarray, "h w"]:
-    size = (view.camera.height, view.camera.width)
-    allowed = view.mask
+    size, allowed = (view.camera.height, view.camera.width), view.mask
     usable = np.ones(size, np.float32) if allowed is None else allowed.astype(np.float32)
     if view.lens is not None:
         columns, rows = _lens_map(_key(view.camera), view.lens)
@@ -65,10 +64,8 @@ def _mask(view: CaptureFrame, camera: Camera) -> Bool[np.ndarray, "h w"]:
 def _resized(pixels: Shaped[np.ndarray, "h w ..."], camera: Camera) -> Shaped[np.ndarray, "h2 w2 ..."]:
     if pixels.shape[:2] == (camera.height, camera.width):
         return pixels
-    smaller = camera.width < pixels.shape[1]
-    return cv2.resize(
-        pixels, (camera.width, camera.height), interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
-    )
+    interpolation = cv2.INTER_AREA if camera.width < pixels.shape[1] else cv2.INTER_LINEAR
+    return cv2.resize(pixels, (camera.width, camera.height), interpolation=interpolation)
 
 
 def _nearest(view: CaptureFrame, camera: Camera, name: str) -> Shaped[np.ndarray, "h w ..."]:
@@ -76,9 +73,9 @@ def _nearest(view: CaptureFrame, camera: Camera, name: str) -> Shaped[np.ndarray
     pixels = getattr(view, name)
     columns, rows = _source_pixels(view, camera)
     inside = (columns >= 0) & (columns < view.camera.width) & (rows >= 0) & (rows < view.camera.height)
-    taken = pixels[np.where(inside, rows, 0), np.where(inside, columns, 0)]
-    taken[~inside] = 0
-    return taken
+    values = pixels[np.where(inside, rows, 0), np.where(inside, columns, 0)]
+    values[~inside] = 0
+    return values
 
 
 def _source_pixels(view: CaptureFrame, camera: Camera) -> tuple[Shaped[np.ndarray, "h w"], Shaped[np.ndarray, "h w"]]:

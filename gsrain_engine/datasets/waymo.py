@@ -1,9 +1,13 @@
-"""Waymo Perception: cameras, boxes, range images, and protocol buffers, shared by both releases."""
+"""Waymo Perception, both releases: TFRecord files of frames (v1), and folders of Parquet files (v2)."""
 
-from collections.abc import Callable, Sequence
+import zlib
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
+from itertools import groupby
+from pathlib import Path
 from typing import Any, no_type_check
 
 import numpy as np
@@ -11,11 +15,14 @@ from jaxtyping import Float32, Float64, UInt8
 from numba import njit
 
 from ..scene.camera import DEFAULT_EXPOSURE_S, Camera
-from .capture import CaptureError, CaptureFrame, Lens
-from .geometry import OPENCV_FROM_VEHICLE_AXES, invert_pose, rigid_pose
+from .capture import Capture, CaptureError, CaptureFrame, Lens, abbreviated_names
+from .driving_log import DrivingLog, LidarScan
+from .geometry import OPENCV_FROM_VEHICLE_AXES, BoxSample, heading_pose, invert_pose, rigid_from_numbers
+from .io.arrays import WRONG_VALUES, what_is_wrong
 from .io.images import opened_image
+from .io.records import ParquetFile, TFRecord, records_in
 
-CAMERAS = {
+_CAMERAS = {
     1: "FRONT",
     2: "FRONT_LEFT",
     3: "FRONT_RIGHT",
@@ -25,9 +32,350 @@ CAMERAS = {
     7: "REAR",
     8: "REAR_RIGHT",
 }
-
-CLASSES = {1: "vehicle", 2: "pedestrian", 3: "sign", 4: "cyclist"}
+_LASERS = {1: "TOP", 2: "FRONT", 3: "SIDE_LEFT", 4: "SIDE_RIGHT", 5: "REAR"}
+_CLASSES = {1: "vehicle", 2: "pedestrian", 3: "sign", 4: "cyclist"}
+_US = 1e-6
 _LONGEST_EXPOSURE_S = 1.0
+_Cloud = tuple[Float64[np.ndarray, "p 3"], Float32[np.ndarray, " p"]]
+"""Points in the vehicle's frame (m), and intensities."""
+
+# First release: one TFRecord file of frames for each segment of a drive
+
+_SUFFIXES = (".tfrecord", ".tfrecords")
+
+
+def recognizes_waymo_records(path: Path) -> bool:
+    return path.suffix in _SUFFIXES if path.is_file() else bool(_record_files(path))
+
+
+def read_waymo_records(path: Path) -> Capture:
+    """Read one segment, or the first file of a folder. Raises `CaptureError` if no frame is readable."""
+    files = [path] if path.is_file() else _record_files(path)
+    if not files:
+        raise CaptureError(f"{path}: no .tfrecord in it")
+    segment = _RecordSegment(DrivingLog(files[0].stem, road_m=0.0))
+    if files[1:]:
+        segment.log.problems.append(f"{files[0].name} is read; open one of the other {len(files) - 1} by its name")
+    return segment.capture(files[0])
+
+
+def _record_files(folder: Path) -> list[Path]:
+    found = sorted(folder.iterdir()) if folder.is_dir() else []
+    return [file for file in found if file.suffix in _SUFFIXES]
+
+
+class _RecordSegment:
+    def __init__(self, log: DrivingLog) -> None:
+        self.log, self.name, self.frames_with_lidar = log, "", 0
+        self.frames: list[tuple[TFRecord, float, Float64[np.ndarray, "4 4"]]] = []
+        self.lasers: dict[int, WaymoLaser] = {}
+
+    def capture(self, file: Path) -> Capture:
+        try:
+            for number, (record, content) in enumerate(records_in(file)):
+                self._read_frame(record, parsed("Frame", content), number)
+        except CaptureError as error:
+            if not self.log.views:
+                raise CaptureError(str(error) if file.name in str(error) else f"{file}: {error}") from None
+            self.log.problems.append(f"{error}; the {len(self.frames)} frames before are used")
+        if not self.frames:
+            raise CaptureError(f"{file}: no frame in it")
+        self.log.name = self.name or file.stem
+        self.log.stamps = self.log.stamps or [(time, pose) for _, time, pose in self.frames]
+        self.log.scans, self.log.scan_count = self._scans(), self.frames_with_lidar
+        return self.log.capture()
+
+    def _read_frame(self, record: TFRecord, frame: Any, number: int) -> None:
+        name = _text(frame.context.name)
+        if self.name and name != self.name:
+            self.log.problems.append(f"frame {number} left out: it is of another segment ({name})")
+            return
+        self.name = name
+        with self.log.omitting(f"frame {number}"):
+            pose = rigid_from_numbers(frame.pose.transform)
+            time = frame.timestamp_micros * _US
+            self.frames.append((record, time, pose))
+            self.log.box_times_s.append(time)
+            self._add_views(record, frame, number)
+            self._add_boxes(frame, time, pose, number)
+            if any(laser.ri_return1.range_image_compressed for laser in frame.lasers):
+                self.frames_with_lidar += 1
+                for each in frame.context.laser_calibrations:
+                    if each.name not in self.lasers:
+                        named = _LASERS.get(each.name, str(each.name))
+                        with self.log.omitting(f"the calibration of lidar {named} in frame {number}"):
+                            low, high = each.beam_inclination_min, each.beam_inclination_max
+                            laser = WaymoLaser.calibrated(each.extrinsic.transform, each.beam_inclinations, low, high)
+                            self.lasers[each.name] = laser
+
+    def _add_views(self, record: TFRecord, frame: Any, number: int) -> None:
+        calibrations = {each.name: each for each in frame.context.camera_calibrations}
+        for image in sorted(frame.images, key=lambda image: image.name):
+            sensor = _CAMERAS.get(image.name, f"CAMERA_{image.name}")
+            with self.log.omitting(f"{sensor} of frame {number}"):
+                if image.name not in calibrations:
+                    raise ValueError("its calibration is missing")
+                known = calibrations[image.name]
+                to_vehicle = rigid_from_numbers(known.extrinsic.transform)
+                camera = WaymoCamera(sensor, tuple(known.intrinsic), to_vehicle, known.width, known.height)
+                _check_jpeg(image.image, (camera.width, camera.height))
+                pose, time = rigid_from_numbers(image.pose.transform), image.pose_timestamp
+                jpeg = partial(_record_jpeg, record, image.name)
+                self.log.views.append(camera.view(f"{number:04d}_{sensor}", pose, time, image.shutter, jpeg))
+                self.log.stamps.append((time, pose))
+
+    def _add_boxes(self, frame: Any, time_s: float, pose: Float64[np.ndarray, "4 4"], number: int) -> None:
+        for label in frame.laser_labels:
+            with self.log.omitting(f"a box of frame {number}"):
+                box, name = label.box, _CLASSES.get(label.type, "unknown")
+                to_world = pose @ heading_pose((box.center_x, box.center_y, box.center_z), box.heading)
+                size = (box.length, box.width, box.height)
+                self.log.boxes.append(BoxSample(_text(label.id), name, time_s, size, to_world))
+
+    def _scans(self) -> Iterator[LidarScan]:
+        for number, (record, time, pose) in enumerate(self.frames if self.frames_with_lidar else ()):
+            clouds: list[_Cloud] = []
+            for laser in parsed("Frame", record.read()).lasers:
+                named = _LASERS.get(laser.name, str(laser.name))
+                with self.log.omitting(f"lidar {named} of frame {number}", (ValueError, zlib.error)):
+                    poses = None
+                    for image in (laser.ri_return1, laser.ri_return2):
+                        if not image.range_image_compressed:
+                            continue
+                        if laser.name not in self.lasers:
+                            raise ValueError("its calibration is missing")
+                        if image.range_image_pose_compressed:
+                            poses = _unpacked(image.range_image_pose_compressed)
+                        ranges = _unpacked(image.range_image_compressed)
+                        clouds.append(self.lasers[laser.name].points(ranges, poses, pose))
+            if clouds:
+                yield _scan(time, pose, clouds, self.lasers)
+
+
+def _text(words: str | bytes) -> str:
+    """Text of a message; protobuf returns invalid UTF-8 as bytes."""
+    return words if isinstance(words, str) else words.decode(errors="replace")
+
+
+def _record_jpeg(record: TFRecord, camera: int) -> bytes:
+    images = parsed("FramePictures", record.read()).images
+    found = next((image.image for image in images if image.name == camera), None)
+    if found is None:
+        raise CaptureError(f"{record.file}: the picture of {_CAMERAS.get(camera, camera)} is gone")
+    return found
+
+
+# Second release: a folder of Parquet files for each component, a file for each segment of a drive
+# Facts: the column names of waymo_open_dataset/v2/perception. Their fields are those of the first release.
+
+_TIME, _CAMERA, _LASER = "key.frame_timestamp_micros", "key.camera_name", "key.laser_name"
+_PIXEL_POSE = "[LiDARPoseComponent].range_image_return1"
+
+
+def recognizes_waymo_tables(path: Path) -> bool:
+    """Return whether a path holds the folder camera_image (itself or one level below), or is a file in one.
+
+    WAYMO/SEGMENT, without a folder of that name, denotes one segment.
+    """
+    if path.is_file():
+        return path.suffix == ".parquet" and (path.parent.parent / "camera_image").is_dir()
+    return bool(_roots(path)) or any(_has_segment(root, path.name) for root in _roots(path.parent))
+
+
+def read_waymo_tables(path: Path) -> Capture:
+    """Read one segment: that of a file, the named one (WAYMO/SEGMENT), or the first. Raises `CaptureError`."""
+    if path.is_file():
+        return _TableSegment(path.parent.parent, path.stem, []).capture()
+    if _roots(path):
+        root = _roots(path)[0]
+        segments = [file.stem for file in sorted((root / "camera_image").glob("*.parquet"))]
+        if not segments:
+            raise CaptureError(f"{root / 'camera_image'}: no .parquet in it")
+        problems: list[str] = []
+        if segments[1:]:
+            problems.append(f"{segments[0]} is read; open one of the other {len(segments) - 1} as {path / segments[1]}")
+        return _TableSegment(root, segments[0], problems).capture()
+    for root in _roots(path.parent):
+        if _has_segment(root, path.name):
+            return _TableSegment(root, path.name, []).capture()
+    raise CaptureError(f"{path}: no Parquet files of Waymo Perception in it")
+
+
+def _roots(folder: Path) -> list[Path]:
+    if (folder / "camera_image").is_dir():
+        return [folder]
+    return sorted(each.parent for each in folder.glob("*/camera_image") if each.is_dir()) if folder.is_dir() else []
+
+
+def _has_segment(root: Path, segment: str) -> bool:
+    return (root / "camera_image" / f"{segment}.parquet").is_file()
+
+
+class _TableSegment:
+    def __init__(self, root: Path, segment: str, problems: list[str]) -> None:
+        self.root, self.segment = root, segment
+        self.log = DrivingLog(segment, road_m=0.0, problems=problems)
+        self.poses = vehicle_poses(self._table("vehicle_pose"), self.log)
+
+    def capture(self) -> Capture:
+        self._add_views()
+        self.log.box_times_s = sorted(time * _US for time in self.poses)
+        with self.log.omitting("boxes", CaptureError):
+            self._add_boxes()
+        self.log.stamps = self.log.stamps or [(time * _US, pose) for time, pose in self.poses.items()]
+        lasers: dict[int, WaymoLaser] = {}
+        if self._table("lidar").path.is_file():
+            with self.log.omitting("lidar", CaptureError):
+                lasers = self._lasers()
+        if lasers:
+            self.log.scans, self.log.scan_count = self._scans(lasers), len(self.poses)
+        return self.log.capture()
+
+    def _table(self, component: str) -> ParquetFile:
+        return ParquetFile(self.root / component / f"{self.segment}.parquet")
+
+    def _report(self, omitted: Mapping[str, list[str]]) -> None:
+        """Report each reason once, with the affected items."""
+        self.log.problems.extend(f"{abbreviated_names(names)} left out: {why}" for why, names in omitted.items())
+
+    def _add_views(self) -> None:
+        cameras = self._cameras()
+        table, column = self._table("camera_image"), "[CameraImageComponent]."
+        cells = {(row[_TIME], row[_CAMERA]): (group, k) for group, k, row in table.row_groups([_TIME, _CAMERA])}
+        image, pose_column, time_column = (f"{column}{name}" for name in ("image", "pose.transform", "pose_timestamp"))
+        shutter = f"{column}rolling_shutter_params.shutter"
+        numbers = {time: number for number, time in enumerate(sorted({time for time, _ in cells}))}
+        omitted: dict[str, list[str]] = defaultdict(list)
+        for row in table.rows([_TIME, _CAMERA, image, pose_column, time_column], [shutter]):
+            key = (row[_TIME], row[_CAMERA])
+            name = f"{numbers[key[0]]:04d}_{_CAMERAS.get(key[1], f'CAMERA_{key[1]}')}"
+            try:
+                if key[1] not in cameras:
+                    raise ValueError("its calibration is missing")
+                camera = cameras[key[1]]
+                _check_jpeg(row[image], (camera.width, camera.height))
+                pose, time = rigid_from_numbers(row[pose_column]), float(row[time_column])
+                jpeg = partial(table.cell, image, *cells[key])
+                self.log.views.append(camera.view(name, pose, time, float(row[shutter] or 0.0), jpeg))
+                self.log.stamps.append((time, pose))
+            except WRONG_VALUES as error:
+                omitted[what_is_wrong(error)].append(name)
+        self.log.views.sort(key=lambda view: view.name)
+        self._report(omitted)
+
+    def _cameras(self) -> dict[int, "WaymoCamera"]:
+        column = "[CameraCalibrationComponent]."
+        lens = [f"{column}intrinsic.{name}" for name in ("f_u", "f_v", "c_u", "c_v", "k1", "k2", "p1", "p2", "k3")]
+        rest = [f"{column}{name}" for name in ("extrinsic.transform", "width", "height")]
+        cameras: dict[int, WaymoCamera] = {}
+        omitted: dict[str, list[str]] = defaultdict(list)
+        for row in self._table("camera_calibration").rows([_CAMERA, *lens, *rest]):
+            number = int(row[_CAMERA])
+            name = _CAMERAS.get(number, f"CAMERA_{number}")
+            try:
+                numbers = tuple(float(row[each]) for each in lens)
+                to_vehicle = rigid_from_numbers(row[rest[0]])
+                cameras[number] = WaymoCamera(name, numbers, to_vehicle, int(row[rest[1]]), int(row[rest[2]]))
+            except WRONG_VALUES as error:
+                omitted[what_is_wrong(error)].append(name)
+        self._report(omitted)
+        return cameras
+
+    def _add_boxes(self) -> None:
+        column, key = "[LiDARBoxComponent].", "key.laser_object_id"
+        center, size = ([f"{column}box.{part}.{axis}" for axis in "xyz"] for part in ("center", "size"))
+        heading, kind = f"{column}box.heading", f"{column}type"
+        omitted: dict[str, list[str]] = defaultdict(list)
+        for row in self._table("lidar_box").rows([_TIME, key, *center, *size, heading, kind]):
+            try:
+                if row[_TIME] not in self.poses:
+                    raise ValueError("the vehicle's pose of its frame is missing")
+                pose = heading_pose([float(row[axis]) for axis in center], float(row[heading]))
+                to_world, (length, width, height) = self.poses[row[_TIME]] @ pose, (float(row[axis]) for axis in size)
+                name, time = _CLASSES.get(row[kind], "unknown"), row[_TIME] * _US
+                self.log.boxes.append(BoxSample(str(row[key]), name, time, (length, width, height), to_world))
+            except WRONG_VALUES as error:
+                omitted[what_is_wrong(error)].append(f"box {row[key]}")
+        self._report(omitted)
+
+    def _lasers(self) -> dict[int, "WaymoLaser"]:
+        """Calibrations by lidar number. Raises `CaptureError`."""
+        column = "[LiDARCalibrationComponent]."
+        names = [f"{column}{name}" for name in ("extrinsic.transform", "beam_inclination.min", "beam_inclination.max")]
+        values = f"{column}beam_inclination.values"
+        lasers: dict[int, WaymoLaser] = {}
+        for row in self._table("lidar_calibration").rows([_LASER, *names], [values]):
+            with self.log.omitting(f"lidar {_LASERS.get(row[_LASER])}", WRONG_VALUES):
+                beams = row[values] if row[values] is not None else ()
+                lasers[int(row[_LASER])] = WaymoLaser.calibrated(row[names[0]], beams, row[names[1]], row[names[2]])
+        return lasers
+
+    def _scans(self, lasers: dict[int, "WaymoLaser"]) -> Iterator[LidarScan]:
+        """One scan of all lidars for each frame, in file order."""
+        pixel_poses = _PixelPoses(self._table("lidar_pose"))
+        first, second = ("[LiDARComponent].range_image_return1", "[LiDARComponent].range_image_return2")
+        omitted: dict[str, list[str]] = defaultdict(list)
+        rows = self._table("lidar").rows(
+            [_TIME, _LASER, f"{first}.values", f"{first}.shape"], [f"{second}.values", f"{second}.shape"]
+        )
+        with self.log.omitting("the rest of the lidar", CaptureError):
+            for time, of_frame in groupby(rows, lambda row: row[_TIME]):
+                clouds: list[_Cloud] = []
+                for row in of_frame:
+                    try:
+                        if time not in self.poses or row[_LASER] not in lasers:
+                            raise ValueError("the vehicle's pose of its frame or its calibration is missing")
+                        poses = pixel_poses.of(time, row[_LASER])
+                        for name in (first, second):
+                            image = _row_image(row, name)
+                            if image is not None:
+                                clouds.append(lasers[row[_LASER]].points(image, poses, self.poses[time]))
+                    except WRONG_VALUES as error:
+                        omitted[what_is_wrong(error)].append(f"lidar {_LASERS.get(row[_LASER])} at {time}")
+                if clouds:
+                    yield _scan(time * _US, self.poses[time], clouds, lasers)
+        self._report(omitted)
+
+
+def vehicle_poses(table: ParquetFile, log: DrivingLog) -> dict[int, Float64[np.ndarray, "4 4"]]:
+    """Vehicle to world of each frame by its time stamp (microseconds), from a vehicle_pose file."""
+    column = "[VehiclePoseComponent].world_from_vehicle.transform"
+    poses: dict[int, Float64[np.ndarray, "4 4"]] = {}
+    for row in table.rows([_TIME, column]):
+        with log.omitting(f"the pose of frame {row[_TIME]}", WRONG_VALUES):
+            poses[int(row[_TIME])] = rigid_from_numbers(row[column])
+    return poses
+
+
+class _PixelPoses:
+    """Rows of lidar_pose, read in parallel with those of lidar."""
+
+    def __init__(self, table: ParquetFile) -> None:
+        columns = [_TIME, _LASER, f"{_PIXEL_POSE}.values", f"{_PIXEL_POSE}.shape"]
+        self._rows = table.rows(columns) if table.path.is_file() else iter(())
+        self._waiting: dict[tuple[int, int], Float32[np.ndarray, "h w c"] | None] = {}
+        self._lasers: set[int] = set()
+
+    def of(self, time: int, laser: int) -> Float32[np.ndarray, "h w c"] | None:
+        """Poses of a lidar's pixels; None for lidars without any, which are all but the one on the roof."""
+        if (time, laser) not in self._waiting and (laser == 1 or laser in self._lasers):
+            for row in self._rows:
+                key = (row[_TIME], row[_LASER])
+                self._lasers.add(key[1])
+                self._waiting[key] = _row_image(row, _PIXEL_POSE)
+                if key == (time, laser):
+                    break
+        return self._waiting.pop((time, laser), None)
+
+
+def _row_image(row: dict[str, Any], name: str) -> Float32[np.ndarray, "h w c"] | None:
+    values, shape = row[f"{name}.values"], row[f"{name}.shape"]
+    if values is None or not len(values):
+        return None
+    return _range_image(values, tuple(int(side) for side in shape))
+
+
+# Cameras
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,10 +409,10 @@ class WaymoCamera:
         exposure = shutter_s if 0 < shutter_s <= _LONGEST_EXPOSURE_S else DEFAULT_EXPOSURE_S
         camera = Camera(self.width, self.height, fx, fy, cx, cy, invert_pose(to_world), exposure)
         lens = Lens("opencv", self.intrinsics[4:]) if any(self.intrinsics[4:]) else None
-        return CaptureFrame(name, camera, lambda: decoded(jpeg(), name), time_s, self.name, lens)
+        return CaptureFrame(name, camera, lambda: _decoded(jpeg(), name), time_s, self.name, lens)
 
 
-def check_jpeg(content: bytes, size: tuple[int, int]) -> None:
+def _check_jpeg(content: bytes, size: tuple[int, int]) -> None:
     """Raise ValueError unless bytes are a complete JPEG of a width and height."""
     with opened_image(content, "its picture") as picture:
         found = picture.size
@@ -74,23 +422,15 @@ def check_jpeg(content: bytes, size: tuple[int, int]) -> None:
         raise ValueError("the picture is cut off; its end is missing")
 
 
-def decoded(content: bytes, name: str) -> UInt8[np.ndarray, "h w 3"]:
-    """Decode a JPEG. Raises `CaptureError` if it is damaged."""
+def _decoded(content: bytes, name: str) -> UInt8[np.ndarray, "h w 3"]:
     with opened_image(content, name) as picture:
         return np.array(picture.convert("RGB"), np.uint8)
-
-
-def heading_pose(center_m: Sequence[float], heading_rad: float) -> Float64[np.ndarray, "4 4"]:
-    """Pose of an upright box in the vehicle's frame."""
-    cosine, sine = np.cos(heading_rad), np.sin(heading_rad)
-    turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-    return rigid_pose(turn, np.asarray(center_m, np.float64))
 
 
 # Range images
 # Facts: RangeImage in dataset.proto and v2/perception/lidar.py of github.com/waymo-research/waymo-open-dataset.
 
-LASERS = {1: "TOP", 2: "FRONT", 3: "SIDE_LEFT", 4: "SIDE_RIGHT", 5: "REAR"}
+_MAX_NUMBERS = 64 * 4000 * 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,12 +442,19 @@ class WaymoLaser:
     """Inclination of each row from the lowest up, or the lowest and highest edge (2) of evenly spaced rows."""
     is_even: bool
 
+    @classmethod
+    def calibrated(cls, to_vehicle: Any, beams: Any, low: float, high: float) -> "WaymoLaser":
+        """Laser from the numbers of a calibration, whose rows are evenly spaced if it lists no beams."""
+        inclinations, ends = np.asarray(beams, np.float64), np.array([low, high], np.float64)
+        is_even = not len(inclinations)
+        return cls(rigid_from_numbers(to_vehicle), ends if is_even else inclinations, is_even)
+
     def points(
         self,
         ranges: Float32[np.ndarray, "h w c"],
         pixel_poses: Float32[np.ndarray, "u v d"] | None,
         vehicle_to_world: Float64[np.ndarray, "4 4"],
-    ) -> tuple[Float64[np.ndarray, "p 3"], Float32[np.ndarray, " p"]]:
+    ) -> _Cloud:
         """Points (m) in the vehicle's frame at the frame's pose, and intensities; ValueError if shapes disagree.
 
         Column 0 is the backward direction, and columns rotate clockwise seen from above, in the vehicle's frame.
@@ -118,7 +465,13 @@ class WaymoLaser:
             raise ValueError(f"poses of the shape {pixel_poses.shape} belong to a range image of {height}x{width}")
         turned = np.arctan2(self.to_vehicle[1, 0], self.to_vehicle[0, 0])
         yaw = np.pi - 2 * np.pi * (np.arange(width) + 0.5) / width - turned
-        pitch = self._row_pitches(height)
+        if self.is_even:
+            low, high = self.inclinations_rad
+            pitch = (low + (high - low) * (np.arange(height) + 0.5) / height)[::-1]
+        elif len(self.inclinations_rad) == height:
+            pitch = self.inclinations_rad[::-1]
+        else:
+            raise ValueError(f"a lidar of {len(self.inclinations_rad)} beams has a range image of {height} rows")
         poses = np.zeros((0, 0, 6), np.float32) if pixel_poses is None else np.ascontiguousarray(pixel_poses)
         back = invert_pose(vehicle_to_world)
         points = _points(np.ascontiguousarray(ranges), pitch, yaw, self.to_vehicle, poses, back)
@@ -126,13 +479,29 @@ class WaymoLaser:
         light = ranges[..., 1][seen] if ranges.shape[2] > 1 else np.zeros(len(points), np.float32)
         return points, np.ascontiguousarray(light, np.float32)
 
-    def _row_pitches(self, height: int) -> Float64[np.ndarray, " h"]:
-        if self.is_even:
-            low, high = self.inclinations_rad
-            return (low + (high - low) * (np.arange(height) + 0.5) / height)[::-1]
-        if len(self.inclinations_rad) != height:
-            raise ValueError(f"a lidar of {len(self.inclinations_rad)} beams has a range image of {height} rows")
-        return self.inclinations_rad[::-1]
+
+def _scan(
+    time_s: float, pose: Float64[np.ndarray, "4 4"], clouds: list[_Cloud], lasers: Mapping[int, WaymoLaser]
+) -> LidarScan:
+    top = lasers.get(1) or next(iter(lasers.values()))
+    points, intensities = (np.concatenate(each) for each in zip(*clouds, strict=True))
+    return LidarScan(time_s, pose, points, top.to_vehicle[:3, 3], intensities)
+
+
+def _unpacked(compressed: bytes) -> Float32[np.ndarray, "h w c"]:
+    """Parse a serialized MatrixFloat compressed by zlib; ValueError if sizes disagree."""
+    unpacker = zlib.decompressobj()
+    content = unpacker.decompress(compressed, _MAX_NUMBERS * 4 + 64)
+    if not unpacker.eof:
+        raise ValueError("a range image larger than any lidar's")
+    matrix = parsed("MatrixFloat", content)
+    return _range_image(np.frombuffer(matrix.data, "<f4"), tuple(matrix.shape.dims))
+
+
+def _range_image(values: Any, shape: tuple[int, ...]) -> Float32[np.ndarray, "h w c"]:
+    if len(shape) != 3 or min(shape) < 1 or int(np.prod(shape)) != len(values):
+        raise ValueError(f"a range image of {len(values)} numbers says that its shape is {shape}")
+    return np.asarray(values, np.float32).reshape(shape)
 
 
 @njit(cache=True)
@@ -251,11 +620,6 @@ def parsed(message: str, content: bytes) -> Any:
     except Exception as error:  # DecodeError, whose module is not imported here
         raise CaptureError(f"not a message of Waymo's ({error})") from None
     return found
-
-
-def new_message(message: str) -> Any:
-    """Create an empty message to be filled and serialized."""
-    return _kinds()[message]()
 
 
 @cache

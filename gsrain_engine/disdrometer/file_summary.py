@@ -70,10 +70,8 @@ class RateCheck:
 
     @property
     def line(self) -> str:
-        agrees = self.agrees
-        verdict = "agrees" if agrees else "DISAGREES"
-        if agrees is None:
-            verdict = f"too few to judge, {FEWEST_CHECKED} are needed"
+        few = f"too few to judge, {FEWEST_CHECKED} are needed"
+        verdict = {True: "agrees", False: "DISAGREES", None: few}[self.agrees]
         records = f"{self.records:,} records above {LOWEST_CHECKED_MM_H:g} mm/h"
         return f"rate from the drops over the instrument's own: {self.figures} ({records}: {verdict})"
 
@@ -134,11 +132,16 @@ class MeasurementSummary:
             else f"{self.reported_rain_mm:.4g} mm by its own rate"
         )
         quality, instrument = self.quality, printable_line(self.instrument, _LONGEST_NAME)
+        rejected = (
+            ("records that can't be read", sum(count for _, count in self.skipped)),
+            ("without a drop", self.records_without_drops),
+            ("with fewer than 10 drops to trust", self.records_with_few_drops),
+        )
         lines = [
             f"{printable_line(self.file)}: {instrument}, {self.records:,} records of {self.seconds:g} s{span}",
             f"  {self.drops:,.0f} drops, {self.rain_mm:.4g} mm of rain; {own}",
             f"  used: {quality.records_kept:,} records with {quality.drops_kept:,.0f} drops; rejected: "
-            + (", ".join(f"{count:,} {what}" for what, count in self._rejected if count) or "nothing"),
+            + (", ".join(f"{count:,} {what}" for what, count in rejected if count) or "nothing"),
         ]
         lines += [f"  {count:,} unreadable: {printable_line(reason)}" for reason, count in self.skipped[:_REASONS]]
         if len(self.skipped) > _REASONS:
@@ -155,14 +158,6 @@ class MeasurementSummary:
         if self.used_rate_check is not None:
             lines.append(f"  by the drops that are used: {self.used_rate_check.figures}")
         return lines
-
-    @property
-    def _rejected(self) -> tuple[tuple[str, int], ...]:
-        return (
-            ("records that can't be read", sum(count for _, count in self.skipped)),
-            ("without a drop", self.records_without_drops),
-            ("with fewer than 10 drops to trust", self.records_with_few_drops),
-        )
 
     @property
     def _rate_line(self) -> str:

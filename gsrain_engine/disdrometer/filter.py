@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool
 
 from ..rain.calibration import atlas_velocity
 from ..safe_io.limits import TooLargeError, read_file
@@ -50,21 +50,16 @@ class QualityControlReport:
     def lines(self) -> list[str]:
         drops = f"{self.drops_kept:.0f} of {self.drops:.0f} drops"
         records = f"{self.records_kept} of {self.records} records"
-        return [f"{drops} and {records} are kept", *(_line(mask) for mask in self.masks)]
+        lines = [f"{drops} and {records} are kept"]
+        for mask in self.masks:
+            removed = f"{mask.drops:.0f} drops, {mask.records} records removed"
+            result = f"not applied, {mask.not_applied}" if mask.not_applied else removed
+            lines.append(f"{mask.name} ({mask.rule}): {result}")
+        return lines
 
 
-def _line(mask: MaskReport) -> str:
-    if mask.not_applied:
-        return f"{mask.name} ({mask.rule}): not applied, {mask.not_applied}"
-    return f"{mask.name} ({mask.rule}): {mask.drops:.0f} drops, {mask.records} records removed"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Mask:
-    name: str
-    rule: str
-    distrusted: Bool[np.ndarray, "diameters velocities"] | None
-    """None if the mask needs fall speeds and none are measured."""
+_Mask = tuple[str, str, Bool[np.ndarray, "diameters velocities"] | None]
+"""Name, rule, and classes that are not trusted; None if the mask needs fall speeds and none are measured."""
 
 
 def apply_quality_control(
@@ -86,13 +81,13 @@ def apply_quality_control(
     counts = spectra.counts.sum(axis=0)
     trusted = np.ones(counts.shape, bool)
     reports: list[MaskReport] = []
-    for mask in _masks(spectra, smallest_mm, speed_tolerance, classes):
-        if mask.distrusted is None:
-            reports.append(MaskReport(name=mask.name, rule=mask.rule, drops=0.0, records=0, not_applied=_NO_SPEED))
-            continue
-        removed = float(counts[trusted & mask.distrusted].sum())
-        reports.append(MaskReport(name=mask.name, rule=mask.rule, drops=removed, records=0))
-        trusted &= ~mask.distrusted
+    for name, rule, mask in _masks(spectra, smallest_mm, speed_tolerance, classes):
+        if mask is None:
+            reports.append(MaskReport(name=name, rule=rule, drops=0.0, records=0, not_applied=_NO_SPEED))
+        else:
+            removed = float(counts[trusted & mask].sum())
+            reports.append(MaskReport(name=name, rule=rule, drops=removed, records=0))
+            trusted &= ~mask
 
     kept = replace(spectra, counts=spectra.counts * trusted)
     by_record = kept.counts.sum(axis=(1, 2))
@@ -117,36 +112,22 @@ def _masks(
     spectra: DropSpectra, smallest_mm: float, tolerance: float, classes: Bool[np.ndarray, "diameters velocities"] | None
 ) -> Iterator[_Mask]:
     diameters = np.broadcast_to(spectra.diameters_mm[:, None], spectra.counts.shape[1:])
-    yield _Mask("small drops", f"D < {smallest_mm:g} mm", diameters < smallest_mm)
-
-    off = _speed_off(spectra)
+    yield "small drops", f"D < {smallest_mm:g} mm", diameters < smallest_mm
+    speeds, off = spectra.velocities_m_s, None
+    if speeds is not None:  # relative deviation from the expected speed
+        off = speeds / np.maximum(atlas_velocity(spectra.diameters_mm), 1e-6)[:, None] - 1
     margin = f"D < {LARGEST_MARGIN_FALLER_MM:g} mm, faster than {1 + tolerance:.3g} of the expected fall speed"
     splash = f"D < {LARGEST_SPLASH_MM:g} mm, slower than {max(1 - tolerance, 0):.3g} of it"
     speed = f"other drops more than {100 * tolerance:.3g} % off the expected fall speed"
-    if off is None:
-        yield from (
-            _Mask("margin fallers", margin, None),
-            _Mask("splashes", splash, None),
-            _Mask("fall speed", speed, None),
-        )
-    else:
-        yield _Mask("margin fallers", margin, (off > tolerance) & (diameters < LARGEST_MARGIN_FALLER_MM))
-        yield _Mask("splashes", splash, (off < -tolerance) & (diameters < LARGEST_SPLASH_MM))
-        yield _Mask("fall speed", speed, np.abs(off) > tolerance)
-
+    is_margin = None if off is None else (off > tolerance) & (diameters < LARGEST_MARGIN_FALLER_MM)
+    is_splash = None if off is None else (off < -tolerance) & (diameters < LARGEST_SPLASH_MM)
+    yield "margin fallers", margin, is_margin
+    yield "splashes", splash, is_splash
+    yield "fall speed", speed, None if off is None else np.abs(off) > tolerance
     if classes is not None:
         if off is not None and classes.shape != off.shape:
             raise ValueError(f"classes has the shape {classes.shape}, the spectra's classes {off.shape}")
-        yield _Mask("classes", "outside the given classes", None if off is None else ~classes)
-
-
-def _speed_off(spectra: DropSpectra) -> Float64[np.ndarray, "diameters velocities"] | None:
-    """Relative deviation of each class's speed from the expected one; None if no speed is measured."""
-    speeds = spectra.velocities_m_s
-    if speeds is None:
-        return None
-    expected = np.maximum(atlas_velocity(spectra.diameters_mm), 1e-6)[:, None]
-    return speeds / expected - 1
+        yield "classes", "outside the given classes", None if off is None else ~classes
 
 
 # Class masks: 32 x 32 zeros and ones for Parsivel spectra, like PyDSD's conditional matrix

@@ -26,6 +26,7 @@ _WITHOUT_DATE: dict[str, dict[str, None]] = {"png": {}, "pdf": {"CreationDate": 
 """Figure formats, each with the metadata to omit so that equal fits give byte-identical files."""
 
 _STYLE: dict[str, Any] = {"fontsize": 8, "frameon": False}
+_BARS: dict[str, Any] = {"fmt": "o", "ms": 4, "color": _INK, "ecolor": _FAINT, "elinewidth": 1}
 
 
 def write_plot(fitted: FittedCalibration, path: Path | str) -> None:
@@ -87,12 +88,9 @@ def _draw_spectra(axes: Axes, fitted: FittedCalibration) -> None:
         measured = each.spectrum_m3_mm > 0
         axes.plot(middles[measured], each.spectrum_m3_mm[measured], "o", ms=3.5, color=colour)
         axes.plot(d, _law(each, d), "-", lw=1.4, color=colour, label=f"{each.row.intensity_mm_h:.3g} mm/h")
-    axes.set_yscale("log")
-    axes.set_ylim(1e-6 * largest, 3 * largest)
-    axes.set_xlim(0, min(LARGEST_MM, 1.05 * max(seen)))
-    axes.set_xlabel("diameter D (mm)")
-    axes.set_ylabel("N(D) (m$^{-3}$ mm$^{-1}$)")
-    axes.set_title("Drop spectra (points) and gamma fits (lines)")
+    axes.set(yscale="log", ylim=(1e-6 * largest, 3 * largest), xlim=(0, min(LARGEST_MM, 1.05 * max(seen))))
+    axes.set(xlabel="diameter D (mm)", ylabel="N(D) (m$^{-3}$ mm$^{-1}$)")
+    axes.set(title="Drop spectra (points) and gamma fits (lines)")
     axes.legend(title="mean intensity", title_fontsize=8, **_STYLE)
 
 
@@ -113,17 +111,8 @@ def _draw_speeds(axes: Axes, fitted: FittedCalibration) -> None:
     if fitted.speeds is not None:
         used = fitted.speeds.fitted
         middles = 0.5 * (edges[:-1] + edges[1:])
-        axes.errorbar(
-            middles[used],
-            fitted.speeds.mean_m_s[used],
-            fitted.speeds.deviation_m_s[used],
-            fmt="o",
-            ms=4,
-            color=_INK,
-            ecolor=_FAINT,
-            elinewidth=1,
-            label="class means, ± 1 s.d. of drops",
-        )
+        speeds, deviations = fitted.speeds.mean_m_s[used], fitted.speeds.deviation_m_s[used]
+        axes.errorbar(middles[used], speeds, deviations, label="class means, ± 1 s.d. of drops", **_BARS)
         reach = min(LARGEST_MM, 1.15 * float(middles[used].max()))
     d = np.linspace(0.1, reach, 200)
     a, b, c = velocity.coefficients
@@ -131,35 +120,19 @@ def _draw_speeds(axes: Axes, fitted: FittedCalibration) -> None:
     quality = "" if velocity.r2 is None else f", $R^2$ = {velocity.r2:.3f}"
     axes.plot(d, velocity(d), color=_FIT, lw=1.8, label=formula + quality)
     axes.plot(d, atlas_velocity(d), "--", color=_OTHER, lw=1.2, label="Atlas et al. (1973)")
-    axes.set_xlim(0, reach)
-    axes.set_ylim(0, None)
-    axes.set_xlabel("diameter D (mm)")
-    axes.set_ylabel("fall speed V (m/s)")
-    axes.set_title("Fall speed")
+    axes.set(xlim=(0, reach), ylim=(0, None))
+    axes.set(xlabel="diameter D (mm)", ylabel="fall speed V (m/s)", title="Fall speed")
     axes.legend(loc="lower right", **_STYLE)
 
 
 def _draw_axis_ratio(axes: Axes, ratios: AxisRatios) -> None:
     middle, (low, high) = ratios.medians, ratios.quartiles
-    axes.errorbar(
-        ratios.diameters_mm,
-        middle,
-        [middle - low, high - middle],
-        fmt="o",
-        ms=4,
-        color=_INK,
-        ecolor=_FAINT,
-        elinewidth=1,
-        label="medians, quartiles",
-    )
+    axes.errorbar(ratios.diameters_mm, middle, [middle - low, high - middle], label="medians, quartiles", **_BARS)
     d = np.linspace(1.0, max(2.0, float(ratios.diameters_mm.max())), 50)
     line = f"${ratios.offset:.3f} {ratios.slope_per_mm:+.3f} D$"
     axes.plot(d, ratios.offset + ratios.slope_per_mm * d, color=_FIT, lw=1.8, label=f"{line}, $R^2$ = {ratios.r2:.3f}")
     axes.plot(d, 1.07 - 0.07 * d, "--", color=_OTHER, lw=1.2, label="$1.07 - 0.07 D$ (paper, eq. 4)")
-    axes.set_xlabel("diameter D (mm)")
-    axes.set_ylim(0.45, 1.15)
-    axes.set_ylabel("axis ratio, height / width")
-    axes.set_title("Axis ratio")
+    axes.set(xlabel="diameter D (mm)", ylabel="axis ratio, height / width", ylim=(0.45, 1.15), title="Axis ratio")
     axes.legend(loc="lower left", **_STYLE)
 
 
@@ -170,20 +143,12 @@ def _draw_number(axes: Axes, fitted: FittedCalibration) -> None:
     slope, offset = np.polyfit(np.log(x), np.log(y), 1)
     axes.plot(x, np.exp(offset) * x**slope, color=_FIT, lw=1.4, label=f"{np.exp(offset):.0f} $R^{{{slope:.2f}}}$")
     table = load_calibration("published").rows
-    axes.plot(
-        [row.intensity_mm_h for row in table],
-        [row.density_m3 for row in table],
-        "s",
-        ms=4,
-        mfc="none",
-        color=_OTHER,
-        label="paper, table III",
-    )
+    published = [row.intensity_mm_h for row in table], [row.density_m3 for row in table]
+    axes.plot(*published, "s", ms=4, mfc="none", color=_OTHER, label="paper, table III")
     _log_intensity(axes, x)
     axes.set_yscale("log")
     _plain_decades(axes.yaxis)
-    axes.set_ylabel("drops in the air N (m$^{-3}$)")
-    axes.set_title("Number density")
+    axes.set(ylabel="drops in the air N (m$^{-3}$)", title="Number density")
     axes.legend(loc="upper left", **_STYLE)
 
 
@@ -252,9 +217,7 @@ def _points(
 
 
 def _log_intensity(axes: Axes, x: Float64[np.ndarray, " rows"]) -> None:
-    axes.set_xscale("log")
-    axes.set_xlim(0.6 * x[0], 1.6 * x[-1])
-    axes.set_xlabel("intensity R (mm/h)")
+    axes.set(xscale="log", xlim=(0.6 * x[0], 1.6 * x[-1]), xlabel="intensity R (mm/h)")
     _plain_decades(axes.xaxis)
 
 

@@ -13,8 +13,7 @@ from ..safe_io.limits import kind_of_bytes
 from .disdrodb import is_disdrodb, read_disdrodb
 from .filter import FileContents, is_class_mask, read_contents
 from .hdf5_trial import LARGEST_DATASET, passes_trial
-from .netcdf import is_gsrain_spectra, read_gsrain_spectra, read_instrument_spectra
-from .netcdf_repair import with_whole_records
+from .netcdf import is_gsrain_spectra, read_gsrain_spectra, read_instrument_spectra, with_whole_records
 from .parsivel import (
     is_parsivel_asdo,
     is_parsivel_telegrams,

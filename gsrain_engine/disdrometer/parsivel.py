@@ -15,6 +15,7 @@ from .spectra import (
     DisdrometerReading,
     RecordError,
     SpectrumRecord,
+    numbered_lines,
     parse_drop_counts,
     parse_interval_s,
     parse_rain_rate,
@@ -92,14 +93,11 @@ def _months_first(lines: list[str]) -> bool:
 
 
 def _records(path: Path, lines: list[str], columns: _Columns) -> Iterator[tuple[str, str]]:
-    for i, line in enumerate(lines):
-        if not line.strip():
-            continue
-        if columns.names and _is_header(line, columns.separator):  # each restart of the recording repeats it
-            if _names(line, columns.separator) != columns.names:
-                raise DisdrometerFileError(path, f"line {i + 1}: its columns are not those before it: split the file")
-            continue
-        yield f"line {i + 1}", line
+    for where, line in numbered_lines(lines):
+        if not columns.names or not _is_header(line, columns.separator):
+            yield where, line
+        elif _names(line, columns.separator) != columns.names:  # each restart of the recording repeats the header
+            raise DisdrometerFileError(path, f"{where}: its columns are not those before it: split the file")
 
 
 def _record(line: str, columns: _Columns) -> SpectrumRecord:
@@ -149,14 +147,8 @@ def parsivel_log_dialect(lines: list[str]) -> Dialect | None:
 
 def read_parsivel_log(path: Path, lines: list[str], dialect: Dialect) -> DisdrometerReading:
     """Read a log of this dialect; raises `DisdrometerFileError` if no record is usable."""
-    records, skipped = parse_records(path, _log_records(lines), dialect.parse)
+    records, skipped = parse_records(path, numbered_lines(lines), dialect.parse)
     return PARSIVEL.reading_of(path, records, "velocities first", skipped)
-
-
-def _log_records(lines: list[str]) -> Iterator[tuple[str, str]]:
-    for i, line in enumerate(lines):
-        if line.strip():
-            yield f"line {i + 1}", line
 
 
 def parsivel_counts(text: str, separator: str) -> Float64[np.ndarray, " 1024"]:

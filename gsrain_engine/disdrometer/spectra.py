@@ -1,6 +1,6 @@
 """Drop spectra by diameter and fall speed from real or virtual disdrometers, and parsing of their records."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import pairwise
@@ -205,6 +205,11 @@ def parse_records(
     if not records:
         raise DisdrometerFileError(path, no_record_left(skipped))
     return _with_seconds(sorted(records, key=lambda record: record.time)), skipped
+
+
+def numbered_lines(lines: Iterable[str]) -> Iterator[tuple[str, str]]:
+    """Yield each nonempty line with its position, for `parse_records`."""
+    return ((f"line {i}", line) for i, line in enumerate(lines, 1) if line.strip())
 
 
 def no_record_left(skipped: Sequence[str]) -> str:

@@ -25,6 +25,7 @@ from .spectra import (
     DropSpectra,
     RecordError,
     SpectrumRecord,
+    numbered_lines,
     parse_drop_counts,
     parse_interval_s,
     parse_rain_rate,
@@ -57,30 +58,14 @@ def read_minute_table(path: Path, lines: list[str]) -> DisdrometerReading:
     """
     first = next(line for line in lines if line.strip())
     classes = len(first.split()) - _STAMP
-    records, skipped = parse_records(path, _rows(lines), lambda row: _record(row, classes))
+    records, skipped = parse_records(path, numbered_lines(lines), lambda row: _record(row, classes))
     values = np.stack([record.counts for record in records])
     if classes == _COUNTS:
         name, edges, area = "2DVD", TWO_DVD_EDGES_MM, np.full(_COUNTS, TWO_DVD_AREA_M2)
     else:
         name, edges, area = "APU (OTT Parsivel)", instruments.PARSIVEL_DIAMETER_EDGES_MM, instruments.PARSIVEL_AREA_M2
     counts = values if "." not in first else drops_of_densities(values, edges, area, MINUTE_S)
-    spectra = DropSpectra(
-        instrument=name,
-        times=np.array([record.time for record in records]),
-        seconds=np.full(len(records), MINUTE_S),
-        diameter_edges_mm=edges,
-        velocity_edges_m_s=None,
-        counts=counts[:, :, None],
-        area_m2=area,
-        reported_mm_h=np.full(len(records), np.nan),
-    )
-    return DisdrometerReading(spectra=spectra, skipped=tuple(skipped))
-
-
-def _rows(lines: list[str]) -> Iterator[tuple[str, str]]:
-    for i, line in enumerate(lines):
-        if line.strip():
-            yield f"line {i + 1}", line
+    return _diameter_reading(name, records, counts, edges, area, skipped)
 
 
 def _record(row: str, classes: int) -> SpectrumRecord:
@@ -90,9 +75,8 @@ def _record(row: str, classes: int) -> SpectrumRecord:
         begin = datetime.strptime(f"{year} {day} {hour} {minute}", "%Y %j %H %M")
     except ValueError:
         raise RecordError(f"{' '.join(values[:_STAMP])[:40]!r} is no year, day of the year, hour and minute") from None
-    end = begin + timedelta(seconds=MINUTE_S)
     return SpectrumRecord(
-        time=np.datetime64(end, "ms"),
+        time=np.datetime64(begin + timedelta(seconds=MINUTE_S), "ms"),
         seconds=MINUTE_S,
         reported_mm_h=float("nan"),
         counts=parse_drop_counts(values[_STAMP:], classes),
@@ -139,14 +123,26 @@ def read_rainsense_intensity(path: Path, lines: list[str]) -> DisdrometerReading
 
 def rates_reading(instrument: str, records: list[SpectrumRecord], skipped: list[str]) -> DisdrometerReading:
     """Reading without diameter classes; only times and reported rates are meaningful."""
+    return _diameter_reading(instrument, records, np.zeros((len(records), 0)), np.zeros(1), np.zeros(0), skipped)
+
+
+def _diameter_reading(
+    instrument: str,
+    records: list[SpectrumRecord],
+    counts: Float64[np.ndarray, "records diameters"],
+    edges_mm: Float64[np.ndarray, " diameters_and_one"],
+    area_m2: Float64[np.ndarray, " diameters"],
+    skipped: list[str],
+) -> DisdrometerReading:
+    """Reading of an instrument that measures no fall speed."""
     spectra = DropSpectra(
         instrument=instrument,
         times=np.array([record.time for record in records]),
         seconds=np.array([record.seconds for record in records]),
-        diameter_edges_mm=np.zeros(1),
+        diameter_edges_mm=edges_mm,
         velocity_edges_m_s=None,
-        counts=np.zeros((len(records), 0, 1)),
-        area_m2=np.zeros(0),
+        counts=counts[:, :, None],
+        area_m2=area_m2,
         reported_mm_h=np.array([record.reported_mm_h for record in records]),
     )
     return DisdrometerReading(spectra=spectra, skipped=tuple(skipped))
@@ -309,20 +305,10 @@ def read_table(path: Path, lines: Sequence[str], columns: TableColumns) -> Disdr
         return classes.reading_of(path, records, _order(columns), skipped)
     edges, area = columns.diameter_classes()
     counts = np.stack([record.counts for record in records])
-    seconds = np.array([record.seconds for record in records])
     if columns.quantity == "drops_m3_mm":
-        counts = drops_of_densities(counts, edges, area, seconds)
-    spectra = DropSpectra(
-        instrument=columns.instrument,
-        times=np.array([record.time for record in records]),
-        seconds=seconds,
-        diameter_edges_mm=edges,
-        velocity_edges_m_s=None,
-        counts=counts[:, :, None],
-        area_m2=np.full(len(edges) - 1, area),
-        reported_mm_h=np.array([record.reported_mm_h for record in records]),
-    )
-    return DisdrometerReading(spectra=spectra, skipped=tuple(skipped))
+        counts = drops_of_densities(counts, edges, area, np.array([record.seconds for record in records]))
+    areas = np.full(len(edges) - 1, area)
+    return _diameter_reading(columns.instrument, records, counts, edges, areas, skipped)
 
 
 # Headers

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.interpolate import CubicHermiteSpline
 
-from ..rain.drop_field import CLASS_STRIDE, FIRST_OF_CLASS, DropPhases, pcg4d_scalar
+from ..rain.drop_field import CLASS_STRIDE, FIRST_OF_CLASS, DropPhases
+from ..rain.pcg_hash import pcg4d_scalar
 from ..rain.properties import CLASSES
 from ..rain.simulation import RainCamera, RainSimulation
 from ..rain.streaks import DropBatch

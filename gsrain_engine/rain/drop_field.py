@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float64, Int32, Int64, UInt32
 
 from .drop_motion import DropMotion
+from .pcg_hash import pcg4d, pcg4d_scalar
 from .properties import CLASSES
 
 CLASS_STRIDE = 10125
@@ -184,43 +185,3 @@ def place_drops(numbers: Int64[np.ndarray, " m"], seed: int, where: DropPhases) 
     wrap_x = wraps_on(0, pcg4d(i, wrap_z, zero + 1, s)[0])
     wraps_on(1, pcg4d(i, wrap_z, wrap_x * 2 + 2, s)[1])
     return Drops(numbers, classes, fractions)
-
-
-# Stateless random numbers: the pcg4d hash
-# Jarzynski and Olano 2020, "Hash Functions for GPU Rendering". A number is a pure function of its inputs, so any drop
-# at any time can be computed independently, with identical bits in NumPy, Numba and GLSL.
-
-MULTIPLIER, INCREMENT = np.uint32(1664525), np.uint32(1013904223)
-_Bits = UInt32[np.ndarray, "*n"]
-
-
-def pcg4d(x: _Bits, y: _Bits, z: _Bits, w: _Bits) -> tuple[_Bits, _Bits, _Bits, _Bits]:
-    """Hash four 32-bit numbers to four: readable reference of `pcg4d_scalar`."""
-    with np.errstate(over="ignore"):
-        x, y, z, w = _mix(*(v * MULTIPLIER + INCREMENT for v in (x, y, z, w)))
-        return _mix(*(v ^ (v >> np.uint32(16)) for v in (x, y, z, w)))
-
-
-def _mix(x: _Bits, y: _Bits, z: _Bits, w: _Bits) -> tuple[_Bits, _Bits, _Bits, _Bits]:
-    x = x + y * w
-    y = y + z * x
-    z = z + x * y
-    w = w + y * z
-    return x, y, z, w
-
-
-@numba.njit(inline="always")
-@no_type_check
-def pcg4d_scalar(x, y, z, w):
-    """Hash four 32-bit numbers to four, inside compiled code."""
-    m, c, s = np.uint32(1664525), np.uint32(1013904223), np.uint32(16)
-    x, y, z, w = np.uint32(x * m + c), np.uint32(y * m + c), np.uint32(z * m + c), np.uint32(w * m + c)
-    x = np.uint32(x + y * w)
-    y = np.uint32(y + z * x)
-    z = np.uint32(z + x * y)
-    w = np.uint32(w + y * z)
-    x, y, z, w = np.uint32(x ^ (x >> s)), np.uint32(y ^ (y >> s)), np.uint32(z ^ (z >> s)), np.uint32(w ^ (w >> s))
-    x = np.uint32(x + y * w)
-    y = np.uint32(y + z * x)
-    z = np.uint32(z + x * y)
-    return x, y, z, np.uint32(w + y * z)

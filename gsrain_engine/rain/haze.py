@@ -1,11 +1,11 @@
-"""Haze: far drops as large, faint Gaussians with the extinction of the drops."""
+"""Haze: the extinction coefficient of falling drops, and far drops as large, faint Gaussians."""
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt32
 
-from .drop_field import pcg4d
+from .pcg_hash import pcg4d
 from .settings import RainSettings
 from .shelter_map import ShelterMap
 
@@ -19,11 +19,33 @@ _SALT = 0x68617A65  # makes haze independent of drops with the same seed
 _FADE_MEAN = (LIFETIME_S - FADE_S) / LIFETIME_S  # a smoothstep has mean 1/2
 
 
+EXTINCTION_EFFICIENCY = 2.0
+"""Q: a drop much larger than the wavelength removes twice its cross-section from a beam (van de Hulst, 1957)."""
+
+
 class Haze(NamedTuple):
     """Isotropic haze Gaussians in the world."""
 
     means: Float32[np.ndarray, "n 3"]
     opacities: Float32[np.ndarray, " n"]
+
+
+def extinction_per_m(rain: RainSettings, density_m3: float, mean_square_m2: float) -> float:
+    """Extinction coefficient of falling drops from their number per m3 and their mean squared diameter (eq. 6)."""
+    return rain.haze_gain * np.pi / 4 * EXTINCTION_EFFICIENCY * density_m3 * mean_square_m2
+
+
+def haze_count(rain: RainSettings, extinction: float) -> int:
+    """Number M of haze Gaussians in the haze region: M = beta V_f / (2 pi s_h^2 alpha_m), unless the settings fix it.
+
+    The extinction along a ray then equals that of the drops, `extinction` per m.
+    """
+    if extinction <= 0:
+        return 0
+    if rain.haze_count is not None:
+        return rain.haze_count
+    shadow_m2 = 2 * np.pi * rain.haze_sigma_m**2 * rain.haze_opacity
+    return round(extinction * rain.haze_region.volume_m3 / shadow_m2)
 
 
 def make_haze(

@@ -13,10 +13,8 @@ from jaxtyping import Float, Float64
 from scipy import special
 
 from .calibration import Calibration, atlas_velocity
+from .haze import extinction_per_m, haze_count
 from .settings import CALIBRATED_UP_TO_MM_H, RainSettings
-
-EXTINCTION_EFFICIENCY = 2.0
-"""Q: a drop much larger than the wavelength removes twice its cross-section from a beam (van de Hulst, 1957)."""
 
 SMALLEST_MM, LARGEST_MM = 0.1, 8.0
 """Diameter limits: smaller drops are drizzle mist, larger ones break up. The distribution is cut and renormalized."""
@@ -126,11 +124,7 @@ def rain_properties(rain: RainSettings, calibration: Calibration) -> RainPropert
     if rain.closure == "density" and implied > 0:
         density, drawn = table_density * intensity / implied, intensity
     square_m2 = 1e-6 * sizes.expectation(lambda d: d**2)
-    extinction = rain.haze_gain * np.pi / 4 * EXTINCTION_EFFICIENCY * density * square_m2
-    haze_gaussians = rain.haze_count if extinction > 0 else 0
-    if haze_gaussians is None:  # M = beta V_f / (2 pi s_h^2 alpha_m): the extinction along a ray equals that of drops
-        shadow_m2 = 2 * np.pi * rain.haze_sigma_m**2 * rain.haze_opacity
-        haze_gaussians = round(extinction * rain.haze_region.volume_m3 / shadow_m2)
+    extinction = extinction_per_m(rain, density, square_m2)
     return RainProperties(
         intensity_mm_h=intensity,
         density_m3=density,
@@ -144,7 +138,7 @@ def rain_properties(rain: RainSettings, calibration: Calibration) -> RainPropert
         extinction_per_m=extinction,
         visibility_m=float(np.log(20)) / float(extinction) if extinction > 0 else float("inf"),
         drops=round(density * rain.streak_region.volume_m3),
-        haze_gaussians=haze_gaussians,
+        haze_gaussians=haze_count(rain, extinction),
     )
 
 

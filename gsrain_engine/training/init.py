@@ -10,8 +10,7 @@ from scipy.ndimage import uniform_filter
 from scipy.spatial import KDTree
 
 from ..datasets.capture import Capture, CaptureFrame, TrackedBox
-from ..datasets.completed_depth import completed_depth
-from ..datasets.depth_maps import DepthPriors, camera_height_above_road, depth_priors
+from ..datasets.depth_maps import DepthPriors, camera_height_above_road, completed_depth, depth_priors
 from ..datasets.geometry import lidar_depth
 from ..datasets.masks import box_outline, can_move, is_moving, moving_boxes, pixel_rays, points_in_box, static_mask
 from ..render.cpu.renderer import CpuRenderer

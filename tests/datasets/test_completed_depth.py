@@ -4,8 +4,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsrain_engine.datasets.capture import Capture
-from gsrain_engine.datasets.completed_depth import completed_depth
-from gsrain_engine.datasets.depth_maps import camera_height_above_road, completed_depths, measured_depths, road_depth
+from gsrain_engine.datasets.depth_maps import (
+    camera_height_above_road,
+    completed_depth,
+    completed_depths,
+    measured_depths,
+    road_depth,
+)
 from tests.training.drive_capture import ROAD_Z, drive_capture, world_depth
 
 

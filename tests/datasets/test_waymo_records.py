@@ -14,7 +14,7 @@ from tfrecord_framing import framed
 from waymo_lidar import BEAMS, LIDAR_TO_VEHICLE, pixel_poses, range_image
 
 pytest.importorskip("google.protobuf")
-from gsrain_engine.datasets.waymo import WaymoLaser, new_message
+from gsrain_engine.datasets.waymo import WaymoLaser, parsed
 
 OWN_AXES = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 """Waymo's camera axes (x forward, y left, z up) to OpenCV's."""
@@ -62,7 +62,7 @@ def write_frames(
     """Frames with one camera, a lidar with one return, and the parked car. The vehicle moves while the lidar turns."""
     records: list[bytes] = []
     for k in range(drive.samples):
-        frame = new_message("Frame")
+        frame = parsed("Frame", b"")
         frame.timestamp_micros = int(drive.time(k) * 1e6)
         frame.pose.transform.extend(drive.vehicle_to_world(k).ravel())
         frame.context.name = "segment-7"
@@ -89,7 +89,7 @@ def write_frames(
 
 
 def _matrix(values: np.ndarray) -> bytes:
-    message = new_message("MatrixFloat")
+    message = parsed("MatrixFloat", b"")
     message.data = values.astype("<f4").tobytes()
     message.shape.dims.extend(values.shape)
     return zlib.compress(message.SerializeToString())

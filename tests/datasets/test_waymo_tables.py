@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from gsrain_engine.datasets.capture import EGO_HEIGHT_M, CaptureError
+from gsrain_engine.datasets.driving_log import DrivingLog
+from gsrain_engine.datasets.io.records import ParquetFile
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
-from gsrain_engine.datasets.waymo_v2 import vehicle_poses
+from gsrain_engine.datasets.waymo import vehicle_poses
 from mini_drive import BOX_LWH, FOCAL, HEIGHT, WIDTH, MiniDrive, points_inside
 from waymo_lidar import BEAMS, LIDAR_TO_VEHICLE, pixel_poses, range_image
 
@@ -20,8 +22,9 @@ Tables = dict[str, list[dict[str, Any]]]
 
 
 def test_reads_the_real_vehicle_poses(test_data: Path) -> None:
-    poses, problems = vehicle_poses(test_data / "driving" / "waymo_frame" / "v2_vehicle_pose.parquet")
-    assert not problems
+    log = DrivingLog("drive", road_m=0.0)
+    poses = vehicle_poses(ParquetFile(test_data / "driving" / "waymo_frame" / "v2_vehicle_pose.parquet"), log)
+    assert not log.problems
     times = sorted(poses)
     assert len(times) == 199
     assert np.diff(times).mean() == pytest.approx(100_000, abs=100)

@@ -7,7 +7,7 @@ import xarray as xr
 
 from gsrain_engine.disdrometer import open
 from gsrain_engine.disdrometer.instruments import PARSIVEL_DIAMETER_EDGES_MM, PARSIVEL_VELOCITY_EDGES_M_S
-from gsrain_engine.disdrometer.netcdf_repair import record_layout
+from gsrain_engine.disdrometer.netcdf import record_layout
 from gsrain_engine.disdrometer.open import read_disdrometer
 from gsrain_engine.disdrometer.spectra import DisdrometerFileError
 from parsivel_text import DRY, RAIN_MM_H, rain

@@ -7,11 +7,10 @@ from gsrain_engine.rain.drop_field import (
     DropCulling,
     drop_phases,
     find_drops,
-    pcg4d,
-    pcg4d_scalar,
     place_drops,
 )
 from gsrain_engine.rain.drop_motion import DropMotion, Wind
+from gsrain_engine.rain.pcg_hash import pcg4d, pcg4d_scalar
 from gsrain_engine.rain.properties import CLASSES
 from oracles.drop_phases import displacement, phases_of
 

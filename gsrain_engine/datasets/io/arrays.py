@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
-from ...safe_io.limits import InputError, open_file, read_file
+from ...safe_io.limits import MAX_FILE_BYTES, InputError, open_file, read_file
 from ...safe_io.numpy_files import DAMAGES, array_bytes, read_array_header, read_member
 from ..capture import CaptureError
 
@@ -31,6 +31,23 @@ def read_floats(file: Path) -> Float32[np.ndarray, "..."]:
         return np.array(numbers.reshape(shape, order="F" if is_fortran else "C"), np.float32, order="C")
 
 
+def read_float32_rows(file: Path, columns: int) -> tuple[Float32[np.ndarray, "p 3"], Float32[np.ndarray, " p"]]:
+    """Read a lidar's points (the first three columns) and intensities (the fourth) from rows of float32 numbers."""
+    data = read_bytes(file)
+    if len(data) % (4 * columns) or not data:
+        raise CaptureError(f"{file}: {len(data)} bytes are not rows of {columns} numbers")
+    rows = np.frombuffer(data, np.float32).reshape(-1, columns)
+    return np.ascontiguousarray(rows[:, :3]), np.ascontiguousarray(rows[:, 3])
+
+
+def read_bytes(file: Path, max_bytes: int = MAX_FILE_BYTES) -> bytes:
+    """Read a whole file; raises `CaptureError` that names it."""
+    try:
+        return read_file(file, max_bytes)
+    except OSError as error:
+        raise CaptureError(f"{file}: can't be read ({error.strerror})") from None
+
+
 # NumPy archives
 
 _MAX_ARCHIVE_BYTES = 1 << 29
@@ -46,7 +63,13 @@ def read_npz(file: Path, key: str) -> np.ndarray[Any, np.dtype[Any]]:
             members = {each.filename.removesuffix(".npy"): each for each in archive.infolist()}
             if key not in members:
                 raise CaptureError(f"{file}: has no array {key!r}, only {', '.join(members) or 'nothing'}")
-            return _array(file, archive, members[key])
+            member = members[key]
+            if member.file_size > _MAX_ARCHIVE_BYTES:
+                raise CaptureError(
+                    f"{file}: the array {member.filename!r} is larger than {_MAX_ARCHIVE_BYTES >> 20} MB"
+                )
+            check_expansion(file, member.file_size, file.stat().st_size)
+            return read_member(archive, member)
     except FileNotFoundError:
         raise CaptureError(f"{file}: no such file") from None
     except CaptureError:
@@ -55,13 +78,6 @@ def read_npz(file: Path, key: str) -> np.ndarray[Any, np.dtype[Any]]:
         raise CaptureError(str(error)) from None
     except DAMAGES as error:
         raise CaptureError(f"{file}: not a readable .npz file ({error})") from None
-
-
-def _array(file: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray[Any, np.dtype[Any]]:
-    if member.file_size > _MAX_ARCHIVE_BYTES:
-        raise CaptureError(f"{file}: the array {member.filename!r} is larger than {_MAX_ARCHIVE_BYTES >> 20} MB")
-    check_expansion(file, member.file_size, file.stat().st_size)
-    return read_member(archive, member)
 
 
 # Decompression limits

@@ -17,28 +17,16 @@ from .arrays import check_expansion
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 """Suffixes of readable images, in lowercase."""
 
-UNREAD_SUFFIXES = (
-    ".heic",
-    ".heif",
-    ".avif",
-    ".gif",
-    ".jxl",
-    ".dng",
-    ".cr2",
-    ".cr3",
-    ".nef",
-    ".arw",
-    ".raf",
-    ".orf",
-    ".rw2",
-)
+_UNREAD_SUFFIXES = (
+    ".heic", ".heif", ".avif", ".gif", ".jxl", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2",
+)  # fmt: skip
 """Suffixes of images that must be converted first."""
 
 CONVERT = "of formats that can't be read (convert them to JPEG or PNG)"
 """Description of such images in messages."""
 
 _MAX_BYTES, _TAIL_BYTES = 1 << 31, 1 << 16
-_JPEG_END, _PNG_END = b"\xff\xd9", b"IEND"
+_ENDS = {"JPEG": b"\xff\xd9", "PNG": b"IEND"}
 _BYTES_OF_A_PIXEL = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2, "I;16L": 2}
 """Bytes a pixel of Pillow's modes; all others have four."""
 
@@ -46,28 +34,24 @@ _LONGEST_PX = 16384  # maximum side of a camera image, as for all cameras
 _WITH_EXIF = ("JPEG", "MPO", "WEBP", "TIFF")
 """Formats that store the orientation before the pixels; a PNG would have to be read to its end."""
 
-_BEHIND = "white"
+_BACKGROUND = "white"
 """Background of transparent images, as in viewers and in nerfstudio's reader of NeRF's synthetic scenes."""
 
 _EXIF_ORIENTATION, _SIDEWAYS = 0x0112, (5, 6, 7, 8)
 
 
-def is_image(path: Path) -> bool:
-    return path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
-
-
-def unread_images_in(folder: Path) -> list[Path]:
-    """Images directly in a folder, by name, of unreadable formats: HEIC of phones, raw files of cameras."""
-    if not folder.is_dir():
-        return []
-    return sorted(
-        file for file in folder.iterdir() if file.suffix.lower() in UNREAD_SUFFIXES and not file.name.startswith(".")
-    )
+def is_image(path: Path, suffixes: tuple[str, ...] = SUFFIXES) -> bool:
+    return path.suffix.lower() in suffixes and not path.name.startswith(".")
 
 
 def images_in(folder: Path) -> list[Path]:
     """Images directly in a folder, by name; empty if the folder does not exist."""
     return sorted(file for file in folder.iterdir() if is_image(file) and file.is_file()) if folder.is_dir() else []
+
+
+def unread_images_in(folder: Path) -> list[Path]:
+    """Images directly in a folder, by name, of unreadable formats: HEIC of phones, raw files of cameras."""
+    return sorted(file for file in folder.iterdir() if is_image(file, _UNREAD_SUFFIXES)) if folder.is_dir() else []
 
 
 def image_size(file: Path, upright: bool = False) -> tuple[int, int]:
@@ -92,10 +76,12 @@ def read_color(file: Path, upright: bool = False) -> UInt8[np.ndarray, "h w 3"]:
     with opened_image(file, str(file)) as opened:
         picture = ImageOps.exif_transpose(opened) if upright and opened.format in _WITH_EXIF else opened
         if picture.mode.startswith(("I", "F")):
-            return np.repeat(_eight_bits(np.asarray(picture))[..., None], 3, axis=2)
+            values = np.asarray(picture).astype(np.float64)  # 16-bit gray
+            gray = (np.clip(np.nan_to_num(values), 0, 65535) / 257 + 0.5).astype(np.uint8)
+            return np.repeat(gray[..., None], 3, axis=2)
         if picture.has_transparency_data:  # fully transparent pixels may have any color
             clear = picture.convert("RGBA")
-            picture = Image.alpha_composite(Image.new("RGBA", clear.size, _BEHIND), clear)
+            picture = Image.alpha_composite(Image.new("RGBA", clear.size, _BACKGROUND), clear)
         return np.array(picture.convert("RGB"), np.uint8)
 
 
@@ -131,12 +117,10 @@ def opened_image(source: Path | bytes, name: str) -> Generator[Image.Image]:
             Image.open(stream) as picture,
         ):
             size = len(source) if isinstance(source, bytes) else os.fstat(stream.fileno()).st_size
-            if max(picture.size) > _LONGEST_PX:
-                raise CaptureError(
-                    f"{name}: {picture.size[0]}x{picture.size[1]} px; at most {_LONGEST_PX} a side can be used"
-                )
-            pixels = picture.size[0] * picture.size[1]
-            check_expansion(name, pixels * _BYTES_OF_A_PIXEL.get(picture.mode, 4), size)
+            width, height = picture.size
+            if max(width, height) > _LONGEST_PX:
+                raise CaptureError(f"{name}: {width}x{height} px; at most {_LONGEST_PX} a side can be used")
+            check_expansion(name, width * height * _BYTES_OF_A_PIXEL.get(picture.mode, 4), size)
             yield picture
     except FileNotFoundError:
         raise CaptureError(f"{name}: no such picture") from None
@@ -145,24 +129,15 @@ def opened_image(source: Path | bytes, name: str) -> Generator[Image.Image]:
     except InputError as error:
         raise CaptureError(f"{name}: {error.strerror}") from None
     except UnidentifiedImageError:
-        raise CaptureError(f"{name}: not a readable picture: it is {_what_it_is(source)}") from None
+        kind = kind_of_bytes(source) if isinstance(source, bytes) else kind_of_file(source, named_rightly=True)
+        kind = kind or "of no format that is known"
+        raise CaptureError(f"{name}: not a readable picture: it is {kind}") from None
     except Exception:  # damaged images raise different exceptions for each format
         raise CaptureError(f"{name}: not a readable picture: it is damaged, or cut off") from None
 
 
-def _what_it_is(source: Path | bytes) -> str:
-    if isinstance(source, Path):
-        return kind_of_file(source, named_rightly=True) or "of no format that is known"
-    return kind_of_bytes(source) or "of no format that is known"
-
-
-def _eight_bits(values: np.ndarray) -> UInt8[np.ndarray, "h w"]:
-    """Scale 16-bit gray to 8 bits."""
-    return (np.clip(np.nan_to_num(values.astype(np.float64)), 0, 65535) / 257 + 0.5).astype(np.uint8)
-
-
 def _ends(file: Path, kind: str | None) -> bool:
-    end = {"JPEG": _JPEG_END, "PNG": _PNG_END}.get(kind or "")
+    end = _ENDS.get(kind or "")
     if end is None:
         return True
     with open_file(file, _MAX_BYTES) as stream:

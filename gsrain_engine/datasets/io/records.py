@@ -33,7 +33,7 @@ class ParquetFile:
     def rows(self, columns: Sequence[str], optional: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
         """Yield rows in order, lists as NumPy arrays, other values as Python's; missing optional columns are None."""
         opened = self._opened()
-        there = set(self._column_names(opened))
+        there = set(opened.schema_arrow.names)
         missing = [name for name in columns if name not in there]
         if missing:
             raise CaptureError(f"{self.path}: has no column {missing[0]!r}")
@@ -69,10 +69,6 @@ class ParquetFile:
             return _parquet().ParquetFile(self.path)
         except _DAMAGES as error:
             raise CaptureError(f"{self.path}: not a Parquet file that can be read ({error})") from None
-
-    @staticmethod
-    def _column_names(opened: Any) -> list[str]:
-        return list(opened.schema_arrow.names)
 
 
 @lru_cache(maxsize=2)
@@ -209,8 +205,7 @@ def _binary_columns(file: Path) -> dict[str, np.ndarray]:
             raise CaptureError(f"{file}: a PLY of points has an element 'vertex'")
         dtype, offset = element_rows(file, elements["vertex"])
         stream.seek(offset)
-        data = stream.read(elements["vertex"].nbytes)
-    rows = np.frombuffer(data, dtype)
+        rows = np.frombuffer(stream.read(elements["vertex"].nbytes), dtype)
     return {name: rows[name] for name in dtype.names or ()}
 
 
@@ -241,6 +236,4 @@ def _text_columns(file: Path) -> dict[str, np.ndarray]:
                 raise CaptureError(f"{file}: vertex {len(values)} holds something else than numbers") from None
     if len(values) < count or any(len(row) != len(names) for row in values):
         raise CaptureError(f"{file}: {count} vertices of {len(names)} numbers were to come, it is cut off or damaged")
-    table = np.array(values, np.float64).reshape(count, len(names))
-    columns = {name: table[:, k] for k, name in enumerate(names)}
-    return columns
+    return dict(zip(names, np.array(values, np.float64).reshape(count, len(names)).T, strict=True))

@@ -15,25 +15,36 @@ import numpy as np
 from jaxtyping import Int64
 from numba import njit
 
-from ...safe_io.limits import read_file
 from ...safe_io.text_files import printable_line
 from ..capture import CaptureError
+from .arrays import read_bytes
+
+_MAX_BYTES = 8 << 30
+
+
+def read_pickle(file: Path) -> Any:
+    """Read a pickle of builtin containers, numbers, strings and NumPy arrays; `CaptureError` for any other."""
+    content = read_bytes(file, _MAX_BYTES)
+    fault = int(_walk(np.frombuffer(content, np.uint8), _LENGTHS))
+    if fault >= 0:
+        raise CaptureError(f"{file}: not a readable pickle (damaged or cut off at byte {fault} of {len(content)})")
+    try:
+        return _PlainValues(io.BytesIO(content)).load()
+    except pickle.UnpicklingError as error:
+        raise CaptureError(f"{file}: {error}") from None
+    except RecursionError:
+        raise CaptureError(f"{file}: not a readable pickle (too deep)") from None
+    except Exception as error:  # damaged pickles raise different exceptions for each instruction
+        raise CaptureError(f"{file}: not a readable pickle ({type(error).__name__}: {error})") from None
+
+
+# Instructions
 
 _LINE, _TWO_LINES, _LENGTH_1, _LENGTH_4, _LENGTH_8, _UNKNOWN = -1, -2, -3, -4, -5, -6
 """Special lengths of an instruction's argument: one or two lines, or given by a length of 1, 4 or 8 bytes."""
 
 _LINES = {b"c", b"i"}  # instructions with two lines
 _STOP, _PUT, _BINPUT, _LONG_BINPUT = (code[0] for code in (pickle.STOP, pickle.PUT, pickle.BINPUT, pickle.LONG_BINPUT))
-
-
-def lying_instruction(content: bytes) -> int | None:
-    """Byte of the first instruction that is invalid or claims too much memory; None if there is none.
-
-    Compares lengths with the rest of the file, and memo indices, up to which Python allocates, with the instruction
-    count.
-    """
-    place = int(_walk(np.frombuffer(content, np.uint8), _LENGTHS))
-    return None if place < 0 else place
 
 
 def _lengths() -> Int64[np.ndarray, "256"]:
@@ -55,7 +66,11 @@ _LENGTHS = _lengths()
 @njit(cache=True)
 @no_type_check
 def _walk(content, lengths):
-    """Position of the first invalid instruction; -1 if all are valid up to STOP."""
+    """Position of the first instruction that is invalid or claims too much memory; -1 if there is none up to STOP.
+
+    Compares lengths with the rest of the file, and memo indices, up to which Python allocates, with the instruction
+    count.
+    """
     at, count, size = 0, 0, content.size
     while at < size:
         start, code = at, content[at]
@@ -105,28 +120,7 @@ def _number(content, at, width):
     return number
 
 
-# Reading
-
-_MAX_BYTES = 8 << 30
-
-
-def read_pickle(file: Path) -> Any:
-    """Read a pickle of builtin containers, numbers, strings and NumPy arrays; `CaptureError` for any other."""
-    try:
-        content = read_file(file, _MAX_BYTES)
-    except OSError as error:
-        raise CaptureError(f"{file}: can't be read ({error.strerror})") from None
-    lying = lying_instruction(content)
-    if lying is not None:
-        raise CaptureError(f"{file}: not a readable pickle (damaged or cut off at byte {lying} of {len(content)})")
-    try:
-        return _PlainValues(io.BytesIO(content)).load()
-    except pickle.UnpicklingError as error:
-        raise CaptureError(f"{file}: {error}") from None
-    except RecursionError:
-        raise CaptureError(f"{file}: not a readable pickle (too deep)") from None
-    except Exception as error:  # damaged pickles raise different exceptions for each instruction
-        raise CaptureError(f"{file}: not a readable pickle ({type(error).__name__}: {error})") from None
+# Values
 
 
 class _PlainValues(pickle.Unpickler):
@@ -135,10 +129,8 @@ class _PlainValues(pickle.Unpickler):
     def find_class(self, module: str, name: str, /) -> Any:
         found = _ALLOWED.get((_OLD_MODULES.get(module, module).replace("numpy._core", "numpy.core"), name))
         if found is None:
-            asked = printable_line(f"{module}.{name}")
-            raise pickle.UnpicklingError(
-                f"refused, for it asks for {asked}; a file of data holds plain values and NumPy arrays"
-            )
+            asked = f"it asks for {printable_line(f'{module}.{name}')}"
+            raise pickle.UnpicklingError(f"refused, for {asked}; a file of data holds plain values and NumPy arrays")
         return found
 
     def persistent_load(self, pid: Any, /) -> Any:
