@@ -1,9 +1,9 @@
-"""Shows the shortest way to a rainy picture: opens a scene and renders it dry and at 8.5 mm/h.
+"""Shows how to render a rainy image in a few lines: opens a scene and renders it dry and at 8.5 mm/h.
 
     python examples/01_open_and_rain.py [OUT] [SCENE]
 
-SCENE is a file or folder that `gsrain` opens (3DGS .ply, .spz, .splat, .sog, a scene folder); without it the built-in
-street.
+SCENE is a file or folder that `gsrain` opens (3DGS .ply, .spz, .splat, .sog, a scene folder); the default is the
+built-in street.
 """
 
 import sys

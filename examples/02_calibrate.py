@@ -1,9 +1,9 @@
-"""Shows how drop spectra become a calibration that rain can fall by.
+"""Shows how to fit a calibration of the rain to drop spectra.
 
     python examples/02_calibrate.py [OUT] [FILE...]
 
-FILE is a disdrometer's: Parsivel, Thies LNM, Joss-Waldvogel, 2DVD. Without one the spectra are those of simulated drops
-(see 03), and the fit should find the law again that they were drawn from.
+FILE is a disdrometer's: Parsivel, Thies LNM, Joss-Waldvogel, 2DVD. Without one, the spectra come from simulated drops
+(see 03), and the fit should recover the law from which they were drawn.
 """
 
 import sys

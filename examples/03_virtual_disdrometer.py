@@ -1,8 +1,9 @@
-"""Shows that the drops on the screen carry the water that was asked for: counts them through half a square metre.
+"""Shows that the simulated drops have the rain rate that was set: counts them through half a square meter.
 
     python examples/03_virtual_disdrometer.py [OUT]
 
-closure="density" has as many drops as the intensity needs; "published" has the paper's table, which holds less water.
+closure="density" sets the drop density to match the intensity; "published" uses the paper's table, which contains less
+water.
 """
 
 import sys
@@ -22,4 +23,4 @@ for closure in ("density", "published"):
         counted = VirtualDisdrometer(rainfall, area_m2=0.5).measure(minutes_s)
         measured = f"{counted.rate_mm_h:.3f} +- {counted.standard_error_mm_h:.3f} mm/h"
         print(f"{closure:9} {intensity_mm_h:4g} mm/h asked, {measured:>21} measured, {counted.drops:9,} drops counted")
-        write_spectra(out / f"{closure}_{intensity_mm_h:g}mm_h.nc", counted.spectra)  # for xarray, or for 02
+        write_spectra(out / f"{closure}_{intensity_mm_h:g}mm_h.nc", counted.spectra)  # for xarray, or as input of 02

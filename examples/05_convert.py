@@ -1,8 +1,8 @@
-"""Shows what each scene format keeps: writes a scene in all that can be written, and draws what comes back.
+"""Shows what each scene format keeps: writes a scene in every writable format, reads it back and renders it.
 
     python examples/05_convert.py [OUT] [SCENE]
 
-`gsrain convert IN OUT` does the writing; more can be read than written: .compressed.ply, .ksplat, .sog.
+`gsrain convert IN OUT` converts the same way; other formats can only be read: .compressed.ply, .ksplat, .sog.
 """
 
 import sys

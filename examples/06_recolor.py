@@ -1,9 +1,9 @@
-"""Shows how a scene takes on the look of pictures: views of it are turned to dusk, and its colours solved for that.
+"""Shows how to recolor a scene from edited images: views of it are turned to dusk, and its colors fitted to them.
 
     python examples/06_recolor.py [OUT] [SCENE]
 
-Any program may make the pictures: a diffusion model, an image editor. `gsrain transfer` writes views into a folder, and
-`gsrain recolor --images` takes a folder back; `--refine` there also moves the Gaussians, and needs torch.
+Any program can make the images: a diffusion model, an image editor. `gsrain transfer` writes views to a folder, and
+`gsrain recolor --images` reads images from one; its option `--refine` also moves the Gaussians, and needs torch.
 """
 
 import sys
@@ -32,7 +32,7 @@ from gsrain_engine.api import (
 
 
 def dusk(image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:
-    """Darken a picture, its reds the most; what is bright already glows on."""
+    """Darken an image, reds the most; bright areas stay bright."""
     return (image ** np.array([2.2, 1.9, 1.5])).astype(np.float32)
 
 
@@ -41,12 +41,12 @@ scene = load_scene(sys.argv[2] if len(sys.argv) > 2 else "street")
 views = scene_views(scene, chosen_cameras(scene, ViewChoice(count=8, width_px=240)))
 targets = [TargetView(view.name, view.camera, view.time_s, dusk(view.image)) for view in views]
 
-settings = RecolorSettings(iterations=8, sh_degree=1, exposure=False)  # the look has the same exposure everywhere
+settings = RecolorSettings(iterations=8, sh_degree=1, exposure=False)  # the look has the same exposure in every view
 recolored = run_to_end(recolor_scene(scene, targets[:4] + targets[5:], targets[4:5], settings))
 for view in recolored.measured:
     print(f"{view.name}, which was held out: {view.psnr_clear_db:.1f} dB before, {view.psnr_db:.1f} dB now")
 
-at_dusk = with_colors(scene, recolored.colors)  # beside the clear colours: the rain's wetness blends between them
+at_dusk = with_colors(scene, recolored.colors)  # in addition to the clear colors: the rain's wetness blends them
 write_scene(at_dusk, out / "at_dusk")
 with open_renderer() as renderer:
     for wetness in (0.0, 1.0):

@@ -1,8 +1,8 @@
-"""Shows a scene that has become wet, with darker ground under a cloudy sky: clear, after the shower, and in it.
+"""Shows how to make a scene wet, with darker ground under a cloudy sky: clear, after the shower, and during it.
 
     python examples/07_wet.py [OUT] [SCENE]
 
-No weights and no torch are needed: the look is computed from light, depth and normals.
+It needs neither weights nor torch: the look is computed from light, depth and normals.
 """
 
 import sys
@@ -13,7 +13,7 @@ import gsrain as gr
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "out")
 scene = gr.load(sys.argv[2] if len(sys.argv) > 2 else "street")
 wet = gr.wet(scene, progress=lambda step: print(f"{step.fraction:4.0%} {step.message}"))
-gr.save(wet, out / "wet")  # `gsrain out/wet` opens it; the intensity then moves drops and colors together
+gr.save(wet, out / "wet")  # `gsrain out/wet` opens it; the intensity then changes drops and colors together
 
 weathers = {
     "clear": gr.Rain(),

@@ -1,8 +1,8 @@
-"""Shows many drives at once: two drivers, two intensities, two seeds, one table; needs pyarrow (`gsrain[drive]`).
+"""Shows many drives in parallel: two agents, two intensities, two seeds, one table; needs pyarrow (`gsrain[drive]`).
 
     python examples/09_sweep.py [OUT] [SCENE]
 
-Run again it goes on where it was stopped; with other settings only what is new is driven. SCENE is one with an ego
+If run again, it continues where it was stopped; after a change of settings, only new drives run. SCENE needs an ego
 vehicle, as in 08.
 """
 
@@ -14,7 +14,7 @@ from gsrain_engine.api import DriveSweep, Jitter, run_sweep_and_report, run_to_e
 
 
 def main(out: Path, scene: str) -> None:
-    """Drive, and put together what came of it."""
+    """Run the drives and print the results."""
     sweep = DriveSweep(
         scenarios=("stationary-lead",),
         scenes=(scene,),
@@ -31,7 +31,7 @@ def main(out: Path, scene: str) -> None:
     print(out / "sweep" / "report.html")
 
 
-if __name__ == "__main__":  # workers are processes of their own, which load this file too
+if __name__ == "__main__":  # workers are separate processes that import this file too
     if find_spec("pyarrow") is None:
         print("skipped: rows of sweeps take the package pyarrow (pip install 'gsrain[drive]')")
     else:
