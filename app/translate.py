@@ -12,8 +12,13 @@ from cyclopts import Parameter
 from jaxtyping import Bool, Float64
 
 from gsrain_engine.appearance.base import ClearView, RainyView, SkippedCounts, TransferSettings
-from gsrain_engine.appearance.finetune.settings import finetuning_help, finetuning_names, load_finetuning
-from gsrain_engine.appearance.finetune.task import FinetuneResult, FinetuneTask
+from gsrain_engine.appearance.finetune.settings import (
+    FinetuneResult,
+    FinetuneTask,
+    finetuning_help,
+    finetuning_names,
+    load_finetuning,
+)
 from gsrain_engine.appearance.output_folder import (
     ContactSheet,
     TransferRecord,
@@ -272,12 +277,12 @@ def _of_scene(source: str, choice: ViewChoice, capture: Path | None) -> SourceVi
 
 
 def _of_capture(source: Path, choice: ViewChoice) -> SourceViews:
-    from gsrain_engine.appearance.capture_views import capture_views
+    from gsrain_engine.appearance.capture_views import CaptureViews
     from gsrain_engine.appearance.wet_look.environment import ImageEnvironment
 
     most_px = choice.width_px or OWN_WIDTH_PX
     capture = chosen_views(open_capture(source), choice)
-    views, width_px = capture_views(capture, most_px), max(min(most_px, view.camera.width) for view in capture)
+    views, width_px = CaptureViews(capture, most_px), max(min(most_px, view.camera.width) for view in capture)
     return SourceViews(capture.name, views, ImageEnvironment(), views.to_world, width_px, views.mask)
 
 

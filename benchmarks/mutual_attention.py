@@ -21,13 +21,12 @@ import torch
 from torch.nn.attention import SDPBackend, sdpa_kernel
 
 from gsrain_engine.appearance.base import ClearView, RainyView
-from gsrain_engine.appearance.capture_views import capture_views
-from gsrain_engine.appearance.covisibility import rank_neighbors
-from gsrain_engine.appearance.cyclegan_turbo.cross_view_attention import chunked_attention
+from gsrain_engine.appearance.capture_views import CaptureViews
+from gsrain_engine.appearance.correspondence import rank_neighbors
+from gsrain_engine.appearance.cyclegan_turbo.cross_view_attention import CrossViewAttention, chunked_attention
 from gsrain_engine.appearance.cyclegan_turbo.model import CycleGanTurbo, TurboArchitecture, build_random_model, tiny
 from gsrain_engine.appearance.cyclegan_turbo.pretrained import open_model
-from gsrain_engine.appearance.cyclegan_turbo.settings import CrossViewAttention, RunSettings
-from gsrain_engine.appearance.cyclegan_turbo.translator import CycleGanTurboTransfer
+from gsrain_engine.appearance.cyclegan_turbo.translator import CycleGanTurboTransfer, RunSettings
 from gsrain_engine.datasets.street import capture_street
 from gsrain_engine.evaluation.consistency import agreements, pool_errors
 from gsrain_engine.scene.camera import Camera, look_at
@@ -48,7 +47,7 @@ def street(width: int) -> tuple[list[ClearView], list[ClearView]]:
     trained = [camera(random.uniform(0, 60), random.uniform(-1.2, 1.2), 192) for _ in range(TRAINED_ON)]
     names = [*HEADINGS, *(f"{i:02}" for i in range(TRAINED_ON))]
     capture = capture_street(measured + trained, [0.0] * len(names), STREET, names=names)
-    views = [replace(view, sensor=view.name) for view in capture_views(capture, width)]
+    views = [replace(view, sensor=view.name) for view in CaptureViews(capture, width)]
     return views[: len(HEADINGS)], views[len(HEADINGS) :]
 
 

@@ -7,8 +7,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
-from ..appearance.finetune.settings import FinetuningSettings, code_of, load_finetuning
-from ..appearance.finetune.task import FinetuneTask
+from ..appearance.finetune.settings import FinetuneTask, FinetuningSettings, code_of, load_finetuning
 from ..safe_io.text_files import printable_line
 from ..trusted_code import UntrustedCodeError, trust_permanently
 from .jobs.training import HOW_TO_GET_DIFFUSION, FinetuneJob, has_torch

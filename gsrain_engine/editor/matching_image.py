@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float32, Int64, UInt8
 
 from ..appearance.base import ClearView
-from ..appearance.capture_views import capture_views
+from ..appearance.capture_views import CaptureViews
 from ..appearance.correspondence import COLORS, Correspondence, MatchOutcome, correspondence, warped
 from ..appearance.scene_views import PlacedCamera, scene_view, scene_views
 from ..datasets.capture import Capture, CaptureFrame
@@ -96,7 +96,7 @@ class MatchableViews:
     def __init__(self, capture: Capture, scene: Scene | None) -> None:
         """`scene` is the scene that shares the capture's units and axes, if there is one."""
         self.capture, self.scene = capture, scene
-        self._recorded = capture_views(capture, WIDTH_PX)
+        self._recorded = CaptureViews(capture, WIDTH_PX)
         self._straight = [undistort_frame(view, min(WIDTH_PX, view.camera.width)) for view in capture]
         self._camera_panel: Sequence[ClearView] | None = None
         if scene is not None:

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float64, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from ..appearance.base import ClearView, RainyView, Transfer
-from ..appearance.capture_views import capture_views
+from ..appearance.capture_views import CaptureViews
 from ..appearance.cyclegan_turbo.weight_paths import find_base_model, find_transfer_weights
 from ..appearance.finetune.dataset import DatasetImage, ImageSettings, open_images
 from ..appearance.normals import WEIGHTS
@@ -296,7 +296,7 @@ def _read_seconds(folder: Path) -> float | None:
 
 def capture_source(capture: Capture, width_px: int, source_stamp: str) -> ComparedSource:
     """Use the images of a capture; wider ones are downscaled to `width_px`."""
-    views = capture_views(capture, width_px)
+    views = CaptureViews(capture, width_px)
     return ComparedSource(
         capture.name, views, ImageEnvironment(), views.to_world, views.mask, capture.has_poses, source_stamp
     )

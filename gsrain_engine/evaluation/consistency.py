@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float32
 
 from ..appearance.base import RainyView
-from ..appearance.correspondence import Correspondence, correspondence, warped
-from ..appearance.covisibility import rank_neighbors
+from ..appearance.correspondence import Correspondence, correspondence, rank_neighbors, warped
 from ..appearance.output_folder import is_transferred_folder, read_transferred
 from ..appearance.scene_views import CachedViews
 
@@ -68,10 +67,10 @@ def open_view_folder(folder: Path, width_px: int | None = None) -> ViewFolder:
         transferred = read_transferred(folder)
         kept = _RecentViews(transferred)
         return ViewFolder(folder, kept, True, transferred.record.method, dict(transferred.record.settings))
-    from ..appearance.capture_views import capture_views
+    from ..appearance.capture_views import CaptureViews
     from ..datasets.open_capture import open_capture  # loads every reader
 
-    clear = capture_views(open_capture(folder), width_px or _DEFAULT_WIDTH_PX)
+    clear = CaptureViews(open_capture(folder), width_px or _DEFAULT_WIDTH_PX)
     return ViewFolder(folder, _CaptureImages(clear), False)
 
 

@@ -9,11 +9,9 @@ from ...safe_io.limits import read_file
 
 BASE_VARIABLE = "GSRAIN_SD_TURBO"
 """Environment variable with a folder of SD-Turbo in diffusers' layout."""
-
 WEIGHTS_VARIABLE = "GSRAIN_TRANSFER_WEIGHTS"
 PUBLISHED_URL = "https://www.cs.cmu.edu/~img2img-turbo/models/clear2rainy.pkl"
 _HUB_NAME = "stabilityai/sd-turbo"
-_MAX_NAME_BYTES = 1 << 10
 _PARTS = ("unet", "vae")
 _SUFFIXES = (".safetensors", ".pkl", ".pt", ".pth")
 
@@ -101,7 +99,7 @@ def captions_file() -> Path:
 def hub_snapshots(name: str) -> list[Path]:
     """Snapshots of a model in Hugging Face's cache, that of "main" first."""
     main = _hub_cache(name) / "refs" / "main"
-    named = read_file(main, _MAX_NAME_BYTES).decode("utf-8").strip() if main.is_file() else ""
+    named = read_file(main, 1 << 10).decode("utf-8").strip() if main.is_file() else ""
     return sorted((_hub_cache(name) / "snapshots").glob("*"), key=lambda folder: (folder.name != named, folder.name))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from ...appearance.finetune.loss_log import read_losses
-from ...appearance.finetune.task import FinetuneTask, warning_in, with_warning
+from ...appearance.finetune.settings import FinetuneTask, warning_in, with_warning
 from ...datasets.image_override import with_images
 from ...datasets.open_capture import open_capture
 from ...evaluation.report import write_report
@@ -30,7 +30,7 @@ from .job import WorkerCall, new_report, write_copy
 from .process import JobState, WorkerProcess
 
 if TYPE_CHECKING:
-    from ...appearance.finetune.task import FinetuneResult
+    from ...appearance.finetune.settings import FinetuneResult
 
 TRANSFER_TRAINING_TITLE = "Train the transfer"
 Losses = Mapping[str, Float64[np.ndarray, " n"]]

@@ -68,7 +68,7 @@ def test_losses_after_a_checkpoint_are_forgotten(tmp_path: Path) -> None:
         for step in (1, 2, 3):
             log.add(step, {"cycle_clear": step / 3, "change": 0.5})
     with LossLog(tmp_path, begins_at=2) as log:
-        assert [row["step"] for row in log.kept] == [1, 2]
+        assert [row["step"] for row in log.earlier_rows] == [1, 2]
         log.add(3, {"cycle_clear": 9.0, "change": 0.5})
         log.show(3, np.zeros((8, 8, 3), np.uint8))
     rows = read_losses(tmp_path / "losses.csv")
