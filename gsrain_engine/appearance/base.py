@@ -79,8 +79,7 @@ class SkippedCounts:
 
     def add(self, view: RainyView) -> None:
         self._views += 1
-        if view.left_out:
-            self._reasons[view.left_out] += 1
+        self._reasons.update(filter(None, [view.left_out]))
 
     @property
     def sentences(self) -> tuple[str, ...]:

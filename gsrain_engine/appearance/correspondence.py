@@ -77,26 +77,19 @@ class Correspondence:
         return grid.astype(np.float32), is_valid
 
 
-# Depth tolerance and matching. Meters along the view axis.
+# Matching. Depth in meters along the view axis.
+
+_TOLERANCE_M, _TOLERANCE_SHARE = 0.05, 0.02
+"""Largest difference between two depths of one point: the larger of a distance and a share of the depth."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tolerance:
-    """Largest difference between two depths of one point: the larger of `distance_m` and `share` of the depth."""
-
-    distance_m: float = 0.05
-    share: float = 0.02
-    edges: bool = True
-    """Skip pixels on depth edges, which mix the depth and color of two surfaces."""
-
-
-def correspondence(of: ClearView, to: ClearView, tolerance: Tolerance | None = None) -> Correspondence:
+def correspondence(of: ClearView, to: ClearView, *, skips_edges: bool = True) -> Correspondence:
     """Find each pixel of a view in another one: (13)-(15) of the paper as a backward warp, which leaves no holes.
 
     Each pixel is unprojected by its depth and projected into the other image; it matches if the depth there equals its
     distance. The sky is infinitely far away and only matches sky. Vehicles match only if both views have the same time.
+    Pixels on depth edges, which mix the depth and color of two surfaces, are skipped.
     """
-    tolerance = tolerance or Tolerance()
     here, there = DepthLookup(of), DepthLookup(to)
     places, depth = reprojected(here.inverse_depth, of.camera, to.camera)
     height, width = to.camera.height, to.camera.width
@@ -108,8 +101,8 @@ def correspondence(of: ClearView, to: ClearView, tolerance: Tolerance | None = N
     found = there.at(safe)
 
     outcome = np.full(of.depth.shape, MatchOutcome.MATCHED, np.uint8)
-    outcome[inside & ~found.agrees(depth, here.is_sky, tolerance)] = MatchOutcome.HIDDEN
-    if tolerance.edges:
+    outcome[inside & ~found.agrees(depth, here.is_sky)] = MatchOutcome.HIDDEN
+    if skips_edges:
         outcome[here.edges | (inside & found.edge)] = MatchOutcome.EDGE
     if abs(of.time_s - to.time_s) > _SAME_MOMENT_S:
         vehicle = sampled(to.vehicles[..., None], safe)[..., 0] > _SHARE
@@ -149,9 +142,9 @@ class DepthSample:
     slack: float
     """Additional tolerance, as a share of the distance."""
 
-    def agrees(self, depth: Float64[np.ndarray, "h w"], is_sky: Flags, tolerance: Tolerance) -> Flags:
+    def agrees(self, depth: Float64[np.ndarray, "h w"], is_sky: Flags) -> Flags:
         """Mask of samples at the given depth; sky only agrees with sky."""
-        allowed = np.maximum(tolerance.distance_m, max(tolerance.share, self.slack) * depth)
+        allowed = np.maximum(_TOLERANCE_M, max(_TOLERANCE_SHARE, self.slack) * depth)
         with np.errstate(invalid="ignore"):  # infinity minus infinity: both are sky
             near = np.abs(depth - self.depth) <= allowed
         return np.where(is_sky, self.sky, near & np.isfinite(self.depth))

@@ -25,9 +25,8 @@ def check_checkout(named_by: str | Path, normals: str, checkout: Path | str | No
 def dsine_module(checkout: Path, estimates_uncertainty: bool = False) -> Any:
     """Return DSINE without weights, as `torch.nn.Module`, from either layout of its repository.
 
-    Raises:
-        ValueError: If the folder is not DSINE's code or `geffnet` is not installed.
-        UntrustedCodeError: If a file named the folder and the user has not allowed its content.
+    Raises ValueError if the folder is not DSINE's code or `geffnet` is not installed, and `UntrustedCodeError` if a
+    file named the folder and the user has not allowed its content.
     """
     if not any((checkout / "models" / file).is_file() for file in ("dsine.py", "dsine/v02.py")):
         raise ValueError(f"{checkout}: not DSINE's program: it has neither models/dsine/v02.py nor models/dsine.py")

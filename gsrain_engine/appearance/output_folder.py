@@ -218,13 +218,9 @@ def _to_unit(values: Bytes) -> Float32[np.ndarray, "h w ..."]:
 def write_record(folder: Path, record: TransferRecord, *, has_poses: bool = True) -> None:
     """Write the record, and a world file if z is not up, the unit is not the meter, or poses are unknown."""
     values = {
-        "version": _VERSION,
-        "method": record.method,
-        "made_of": record.made_of,
-        "settings": dict(record.settings),
-        "to_world": record.to_world.tolist(),
-        "notes": list(record.notes),
-    }
+        "version": _VERSION, "method": record.method, "made_of": record.made_of, "settings": dict(record.settings),
+        "to_world": record.to_world.tolist(), "notes": list(record.notes),
+    }  # fmt: skip
     (folder / TRANSFER).write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
     x, y, z = (record.to_world[2, :3] / record.metres_per_unit).tolist()
     is_metric = bool(np.isclose(record.metres_per_unit, 1, atol=1e-9))

@@ -133,12 +133,10 @@ class ViewChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     source: Annotated[
         Source,
-        Meta(
-            title="Views",
-            description="recorded: the cameras of a capture; rig: the scene's own, along the ego's way; path: its "
-            "camera path; around: outwards from its middle and inwards from a ring; auto: the first there is.",
-        ),
-    ] = "auto"
+        Meta(title="Views", description="recorded: the cameras of a capture; rig: the scene's own, along the ego's "
+             "way; path: its camera path; around: outwards from its middle and inwards from a ring; auto: the first "
+             "there is."),
+    ] = "auto"  # fmt: skip
     count: _Count | None = None
     """None is all views of a recording, and 24 otherwise."""
     width_px: _Width | None = None
@@ -151,17 +149,10 @@ class ViewChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 def chosen_cameras(
     scene: Scene, choice: ViewChoice, capture: Capture | None = None, own_width_px: int | None = None
 ) -> list[PlacedCamera]:
-    """Place cameras in a scene as chosen; names are unique.
+    """Place cameras in a scene as chosen; names are unique. Raises ValueError if the scene has no such views.
 
-    Args:
-        scene: Scene to view.
-        choice: Choice of views.
-        capture: Recording of the scene; its world has the scene's own units and axes.
-        own_width_px: Without a chosen width, images have their cameras' width, up to this; None makes them small
-            instead (`ViewChoice.width_px`).
-
-    Raises:
-        ValueError: If the scene has no such views.
+    `capture` is the recording of the scene; its world has the scene's own units and axes. Without a chosen width,
+    images have their cameras' width, up to `own_width_px`; None makes them small instead (`ViewChoice.width_px`).
     """
     source, count = choice.source, choice.count or DEFAULT_COUNT
     has_rig = scene.ego is not None and scene.ego.valid.any() and any(scene.rigs.values())

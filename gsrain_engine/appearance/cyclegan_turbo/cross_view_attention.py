@@ -251,9 +251,7 @@ class AttentionPlan:
 
     def last_use(self) -> dict[int, int]:
         """Return for each source view the last step that uses it; its features can be freed afterwards."""
-        return {
-            source: number for number, step in enumerate(self.steps) for source in chain.from_iterable(step.sources)
-        }
+        return {source: number for number, step in enumerate(self.steps) for source in chain(*step.sources)}
 
 
 def attention_plan(views: Sequence[ClearView], settings: CrossViewAttention | None) -> AttentionPlan:

@@ -105,22 +105,18 @@ class CycleGanTurbo(torch.nn.Module):
     def translate(self, pictures: Tensor, guides: Tensor | None = None, direction: Direction = "a2b") -> Tensor:
         """Return images (b, 3, h, w) in [-1, 1] in the other domain; the result is deterministic.
 
-        Args:
-            pictures: In [-1, 1]; h and w multiples of `architecture.side_multiple`.
-            guides: (b, 1, h, w) in [-1, 1], the fourth channel; None gives zeros if the encoders have one.
-            direction: Usually "a2b", from clear to rainy.
-
-        Raises ValueError for other sizes, and for guides without a fourth channel.
+        h and w are multiples of `architecture.side_multiple`. `guides` (b, 1, h, w) in [-1, 1] are the fourth channel;
+        None gives zeros if the encoders have one. Raises ValueError for other sizes, and for guides without a channel.
         """
         if torch.is_grad_enabled():
             latents, skips = self.encode(pictures, guides, direction)
-            return self.decode(self.denoise(latents, direction), skips, direction)
+            return decode_latents(self.autoencoder(direction), self.denoise(latents, direction), skips)
         # One by one, since the autoencoder needs most of the memory, and images only interact in the UNet.
         singles: list[Tensor | None] = [None] * len(pictures) if guides is None else list(guides.split(1))
         halves = [self.encode(*each, direction) for each in zip(pictures.split(1), singles, strict=True)]
         clean = self.denoise(torch.cat([latents for latents, _ in halves]), direction)
-        made = [self.decode(clean[i : i + 1], skips, direction) for i, (_, skips) in enumerate(halves)]
-        return torch.cat(made)
+        vae = self.autoencoder(direction)
+        return torch.cat([decode_latents(vae, clean[i : i + 1], skips) for i, (_, skips) in enumerate(halves)])
 
     def encode(
         self, pictures: Tensor, guides: Tensor | None = None, direction: Direction = "a2b"
@@ -142,9 +138,6 @@ class CycleGanTurbo(torch.nn.Module):
         caption = self.captions[direction].expand(len(latents), -1, -1)
         noise = self.unet(latents, steps, encoder_hidden_states=caption).sample
         return self.step.clean(latents, noise)
-
-    def decode(self, latents: Tensor, skips: list[Tensor], direction: Direction = "a2b") -> Tensor:
-        return decode_latents(self.autoencoder(direction), latents, skips)
 
     def autoencoder(self, direction: Direction) -> Any:
         return self.vae if direction == "a2b" else self.vae_b2a

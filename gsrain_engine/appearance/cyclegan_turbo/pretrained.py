@@ -8,17 +8,9 @@ from typing import Any
 
 from ...safe_io.limits import check_file
 from ...scene.files import whole_file
+from . import model as turbo
 from .lora import LoraRanks
-from .model import (
-    ARCHITECTURES,
-    CAPTIONS,
-    CycleGanTurbo,
-    TurboArchitecture,
-    assemble_model,
-    build_random_model,
-    check_base,
-    sd_turbo,
-)
+from .model import ARCHITECTURES, CAPTIONS, CycleGanTurbo, TurboArchitecture, sd_turbo
 from .weight_paths import base_model_instructions, captions_file, find_base_model, text_encoder_folder
 from .weights import apply_adapter_weights, first_of, open_weights
 
@@ -51,7 +43,7 @@ def open_model(
     normals = normals or (file is not None and file.takes_guides)
     if file is not None and file.random_base_seed is not None:
         log.warning("%s: trained upon random weights, for a test: the pictures will mean nothing", weights)
-        model = build_random_model(ARCHITECTURES[file.architecture](), normals, lora, file.random_base_seed)
+        model = turbo.build_random_model(ARCHITECTURES[file.architecture](), normals, lora, file.random_base_seed)
     else:
         architecture = sd_turbo() if file is None else ARCHITECTURES[file.architecture]()
         texts = CAPTIONS if file is None else file.texts(weather)
@@ -74,7 +66,7 @@ def read_base(
     `texts` are the captions for a2b and b2a; None if the transfer weights include their embeddings.
     Raises FileNotFoundError and ValueError with the file and the fault.
     """
-    check_base(folder, architecture)
+    turbo.check_base(folder, architecture)
     diffusers: Any = import_module("diffusers")
     unet = _part(diffusers.UNet2DConditionModel, folder / "unet")
     vae = _part(diffusers.AutoencoderKL, folder / "vae")
@@ -82,7 +74,7 @@ def read_base(
         captions = torch.zeros(2, *architecture.caption_shape)
     else:
         captions = torch.stack(caption_embeddings(texts, folder, architecture))
-    model = assemble_model(architecture, unet, vae, captions, normals=normals, lora=lora)
+    model = turbo.assemble_model(architecture, unet, vae, captions, normals=normals, lora=lora)
     model.texts = CAPTIONS if texts is None else texts
     return model
 

@@ -16,16 +16,8 @@ from jaxtyping import Float, Float32
 from ..base import ClearView, RainyView, TransferSettings
 from ..correspondence import correspondence
 from ..normals import GuideKind, NormalEstimator, normals_to_gray, open_estimator
-from .cross_view_attention import (
-    AttentionPlan,
-    AttentionStep,
-    BatchElement,
-    CrossViewAttention,
-    CrossViewExchange,
-    TileWindow,
-    attention_plan,
-    cross_view_attention,
-)
+from . import cross_view_attention as attention
+from .cross_view_attention import AttentionStep, BatchElement, CrossViewAttention, CrossViewExchange, TileWindow
 from .model import CycleGanTurbo
 from .pretrained import open_model
 from .weight_paths import find_transfer_weights
@@ -82,28 +74,22 @@ class CycleGanTurboTransfer:
     def transferred(self, views: Sequence[ClearView]) -> Iterator[RainyView]:
         """Yield rainy views in the plan's order; see `Transfer`. Holds only views that later ones attend to."""
         mutual, self._count = self.settings.mutual, len(views)
-        plan = attention_plan(views, mutual)
-        if mutual is None or not plan.last_use():
-            yield from self._steps(views, plan, None)
-            return
-        with cross_view_attention(self.model.unet, mutual) as talk:
-            yield from self._steps(views, plan, talk)
-
-    def _steps(
-        self, views: Sequence[ClearView], plan: AttentionPlan, talk: CrossViewExchange | None
-    ) -> Iterator[RainyView]:
+        plan = attention.attention_plan(views, mutual)
         last_use = plan.last_use()
         held: dict[int, ClearView] = {}
-        for number, step in enumerate(plan.steps):
-            held.update({index: views[index] for index in step.views})
-            if not number:
-                self._log_duration(held[step.views[0]], len(views))
-            yield from self._step(held, step, last_use, talk)
-            over = {index for index in held if last_use.get(index, -1) <= number}
-            for index in over:
-                del held[index]
-            if talk is not None:
-                talk.maps.forget(over)
+        is_alone = mutual is None or not last_use
+        context = nullcontext() if is_alone else attention.cross_view_attention(self.model.unet, mutual)
+        with context as exchange:
+            for number, step in enumerate(plan.steps):
+                held.update({index: views[index] for index in step.views})
+                if not number:
+                    self._log_duration(held[step.views[0]], len(views))
+                yield from self._step(held, step, last_use, exchange)
+                over = {index for index in held if last_use.get(index, -1) <= number}
+                for index in over:
+                    del held[index]
+                if exchange is not None:
+                    exchange.maps.forget(over)
 
     def _log_duration(self, view: ClearView, count: int) -> None:
         if self.model.architecture.name == "tiny":
@@ -114,8 +100,9 @@ class CycleGanTurboTransfer:
         log.info("%s: %d views will take about %.0f s on %s", self.name, count, seconds, self._device)
 
     def _step(
-        self, held: dict[int, ClearView], step: AttentionStep, is_source: Container[int], talk: CrossViewExchange | None
+        self, held: dict[int, ClearView], step: AttentionStep, used: Container[int], exchange: CrossViewExchange | None
     ) -> Iterator[RainyView]:
+        mutual = self.settings.mutual
         entries: list[_Entry] = []
         inputs: list[tuple[ClearView, Image, tuple[TileWindow, ...], str]] = []
         for index, sources in zip(step.views, step.sources, strict=True):
@@ -124,34 +111,30 @@ class CycleGanTurboTransfer:
             picture, guide = resized(view.image, *windows[0].frame), self._guide(view, *windows[0].frame)
             found = ((source, correspondence(view, held[source])) for source in sources)
             places = tuple(each for each in found if each[1].valid.mean() >= _MIN_MATCHED)
-            inputs.append((view, picture, windows, "" if places or index in is_source else self._why_alone(view)))
+            left_out = ""
+            if mutual is not None and mutual.neighbours and self._count > 1 and not places and index not in used:
+                left_out = NO_OVERLAP if view.has_pose else WITHOUT_POSE
+            inputs.append((view, picture, windows, left_out))
             for window in windows:
-                element = BatchElement(index, window, places, index in is_source)
+                element = BatchElement(index, window, places, index in used)
                 part = None if guide is None else guide[window.slices]
                 entries.append(_Entry(picture[window.slices], part, element))
         # Views of one step may attend to each other in every layer; tiles of one view never do.
         size = len(entries) if len(step.views) > 1 else 1
         made: list[Image] = []
         for start in range(0, len(entries), size):
-            made += self._made(entries[start : start + size], talk)
+            made += self._made(entries[start : start + size], exchange)
         for view, picture, windows, left_out in inputs:
             parts, made = made[: len(windows)], made[len(windows) :]
             small = blend_tiles(parts, windows, self.settings.overlap_px)
             yield RainyView(view, restore_size(small, picture, view.image, self.settings.detail), left_out=left_out)
 
-    def _why_alone(self, view: ClearView) -> str:
-        """Return why a view has no cross-view attention; empty if none was requested."""
-        mutual = self.settings.mutual
-        if mutual is None or not mutual.neighbours or self._count < 2:
-            return ""
-        return NO_OVERLAP if view.has_pose else WITHOUT_POSE
-
-    def _made(self, entries: Sequence["_Entry"], talk: CrossViewExchange | None) -> list[Image]:
+    def _made(self, entries: Sequence["_Entry"], exchange: CrossViewExchange | None) -> list[Image]:
         """Run entries of one size through the network as a batch; display color, 0..1."""
         pictures = torch.stack([self._tensor(2 * each.picture - 1) for each in entries])
         known = [each.guide for each in entries if each.guide is not None]
         guides = torch.stack([self._tensor(each) for each in known]) if len(known) == len(entries) else None
-        announced = nullcontext() if talk is None else talk.batch([each.element for each in entries])
+        announced = nullcontext() if exchange is None else exchange.batch([each.element for each in entries])
         with announced, torch.inference_mode():
             found = self.model.translate(pictures, guides, "a2b").float().permute(0, 2, 3, 1).cpu().numpy()
         return [np.clip((each + 1) / 2, 0, 1).astype(np.float32) for each in found]
@@ -205,12 +188,10 @@ def open_cyclegan_turbo(settings: TransferSettings) -> CycleGanTurboTransfer:
     if model.guide and settings.normals in ("dsine", "marigold"):
         estimator = open_estimator(settings.normals, settings.normals_weights, settings.normals_checkout, device)
     run = RunSettings(
-        side_px=settings.side_px,
-        tile_px=settings.tile_px,
+        side_px=settings.side_px, tile_px=settings.tile_px, guide=settings.guide,
         normals=settings.normals if model.guide else "none",
-        guide=settings.guide,
         mutual=CrossViewAttention(neighbours=settings.neighbours) if settings.mutual_attention else None,
-    )
+    )  # fmt: skip
     model = model.to(device, getattr(torch, settings.precision))
     return CycleGanTurboTransfer(model, run, estimator)
 

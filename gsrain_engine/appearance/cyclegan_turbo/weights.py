@@ -495,10 +495,8 @@ def _settings(metadata: Mapping[str, str], source: str) -> Mapping[str, Any]:
 
 def _alpha(settings: Mapping[str, Any], layer: str, rank: int) -> float:
     pattern: Mapping[str, float] = settings.get("alpha_pattern") or {}
-    for ending, alpha in pattern.items():
-        if layer == ending or layer.endswith(f".{ending}"):
-            return float(alpha)
-    return float(settings.get("lora_alpha", rank))
+    found = (alpha for ending, alpha in pattern.items() if f".{layer}".endswith(f".{ending}"))
+    return float(next(found, settings.get("lora_alpha", rank)))
 
 
 _LENGTH_BYTES = 8

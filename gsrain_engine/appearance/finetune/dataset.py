@@ -19,7 +19,7 @@ from ...datasets.rainsense import RAIN
 from ...datasets.undistort import undistort_frame
 from ...safe_io.limits import open_file
 from ...scene.files import whole_file
-from ..normals import NormalEstimator, normals_from_depth, normals_to_gray
+from ..normals import NormalEstimator, normals_from_depth, normals_to_gray, open_estimator
 
 _Guide = Callable[[CaptureFrame], Float32[np.ndarray, "_ _"] | None]
 
@@ -136,7 +136,11 @@ def open_images(settings: ImageSettings, cache: Path | None = None) -> ImageSpli
     Each source is split separately, so that training and test have the same mix. Broken images are skipped and listed.
     Raises `CaptureError` if a source can't be read, or has no or too few images of the requested weather.
     """
-    guide = _guides(settings, cache)
+    guide = None
+    if settings.guide != "none":
+        paths = (settings.normals_weights, settings.normals_checkout)
+        estimator = None if settings.normals == "none" else open_estimator(settings.normals, *paths)
+        guide = ConditioningImages(settings.guide, estimator, settings.normals, cache)
     rows: list[tuple[str, str, int, int]] = []
     problems: list[str] = []
     parts: dict[str, tuple[list[DatasetImage], list[DatasetImage]]] = {}
@@ -157,17 +161,6 @@ def open_images(settings: ImageSettings, cache: Path | None = None) -> ImageSpli
     train = UnpairedImages(tuple(parts["clear"][0]), tuple(parts["rainy"][0]))
     test = UnpairedImages(tuple(parts["clear"][1]), tuple(parts["rainy"][1]))
     return ImageSplit(train, test, tuple(rows), tuple(problems))
-
-
-def _guides(settings: ImageSettings, cache: Path | None) -> _Guide | None:
-    if settings.guide == "none":
-        return None
-    if settings.normals == "none":
-        return ConditioningImages(settings.guide)
-    from ..normals import open_estimator  # loads torch
-
-    estimator = open_estimator(settings.normals, settings.normals_weights, settings.normals_checkout)
-    return ConditioningImages(settings.guide, estimator, settings.normals, cache)
 
 
 def _chosen(source: ImageSource, problems: list[str]) -> list[CaptureFrame]:

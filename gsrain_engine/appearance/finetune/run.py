@@ -12,6 +12,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from jaxtyping import Float32, UInt8
 
@@ -26,7 +27,7 @@ from . import checkpoint
 from .dataset import DatasetImage, ImageSplit, UnpairedImages, open_images
 from .discriminator import ClipFeatures, Discriminator
 from .loss_log import CollapseMonitor, LossLog, color_distance, distance_sample, read_losses
-from .settings import FinetuneResult, FinetuneTask, FinetuningSettings, with_warning, write_finetuning
+from .settings import FinetuneResult, FinetuneTask, FinetuningSettings, with_warning
 from .step import FinetuneStepResult, FinetuneTrainer, PairSampler, Perceptual, fingerprint
 
 torch: Any = import_module("torch")
@@ -40,20 +41,15 @@ _RECENT = 100  # number of last iterations that the result's losses are averaged
 def finetune(task: FinetuneTask, perceptual: Perceptual | None = None) -> Generator[Progress, None, FinetuneResult]:
     """Fine-tune, and write weights, checkpoint, losses, samples and settings into the task's folder.
 
-    Args:
-        task: Settings and folder.
-        perceptual: LPIPS on the task's device; None trains without its losses and logs a warning.
-
-    Yields:
-        Progress, at least once per iteration, sometimes with a preview. If stopped, the last checkpoint remains.
+    `perceptual` is LPIPS on the task's device; None trains without its losses and logs a warning. Yields progress at
+    least once per iteration, sometimes with a preview. If stopped, the last checkpoint remains.
 
     Raises:
         CaptureError: For unreadable images.
         FinetuningCheckpointError: If `resume` finds no checkpoint, or one of another training.
         FileNotFoundError: If SD-Turbo or CLIP is missing, with download instructions.
         ValueError: If files don't fit each other, or the folder holds another training.
-        DivergedError: If the training diverged.
-        MemoryError: If the device has too little memory.
+        DivergedError, MemoryError: If the training diverged, or the device has too little memory.
         PathInUseError: If another process writes into the folder.
     """
     with hold_for_writing(task.output):
@@ -92,7 +88,7 @@ class _FinetuneLoop:
         self._warned: str | None = None
         self._previewed_at = self._flushed_at = -np.inf
         self._grid: Path = task.samples
-        write_finetuning(task.config, task.settings)
+        task.config.write_bytes(msgspec.yaml.encode(task.settings))
 
     def train(self) -> Generator[Progress]:
         settings = self._settings
@@ -225,9 +221,8 @@ def start_finetuning(
 ) -> FinetuneTrainer:
     """Build the trainer; new parts are initialized from the seed.
 
-    Raises:
-        FileNotFoundError: If SD-Turbo, CLIP or the initial weights are missing, with download instructions.
-        ValueError: If one of them has another architecture, or CUDA is not available.
+    Raises FileNotFoundError if SD-Turbo, CLIP or the initial weights are missing, with download instructions, and
+    ValueError if one of them has another architecture, or CUDA is not available.
     """
     device = chosen_device(settings.device)
     guided = settings.pictures.guide != "none"
@@ -274,7 +269,7 @@ _GAP_PX = 4
 
 def sample_grid(training: FinetuneTrainer, pictures: Sequence[DatasetImage]) -> UInt8[np.ndarray, "h w 3"]:
     """One row per image: clear, rainy, and clear once more."""
-    rows: list[UInt8[np.ndarray, "h w 3"]] = []
+    rows: list[UInt8[np.ndarray, "_ _ 3"]] = []
     for picture in pictures:
         clear, guide = training.order.read(picture)
         rainy = training.translated(clear, guide, "a2b")
@@ -288,7 +283,7 @@ def join_horizontally(*pictures: Tensor) -> UInt8[np.ndarray, "h w 3"]:
     return _joined([each.to(torch.uint8).cpu().numpy() for each in scaled], axis=1)
 
 
-def _joined(images: list[UInt8[np.ndarray, "h w 3"]], axis: int) -> UInt8[np.ndarray, "h w 3"]:
+def _joined(images: Sequence[UInt8[np.ndarray, "_ _ 3"]], axis: int) -> UInt8[np.ndarray, "_ _ 3"]:
     """Join images with a white gap between them."""
     shape = list(images[0].shape)
     shape[axis] = _GAP_PX

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_type_hints
 
-import msgspec
 from msgspec import Meta, Struct
 
 from ...presets import load_values, shipped_config_names
@@ -71,10 +70,9 @@ class FinetuningSettings(Struct, frozen=True, kw_only=True, forbid_unknown_field
     ] = None
     clip: Annotated[
         str | None,
-        Meta(
-            title="CLIP", description="Folder of CLIP ViT-B/32, by which discriminators see; none: found like SD-Turbo."
-        ),
-    ] = None
+        Meta(title="CLIP",
+             description="Folder of CLIP ViT-B/32, by which discriminators see; none: found like SD-Turbo."),
+    ] = None  # fmt: skip
     lpips: Annotated[
         str | None, Meta(title="LPIPS", description="File of LPIPS's VGG weights; none: those of this machine, if any.")
     ] = None
@@ -97,12 +95,9 @@ class FinetuningSettings(Struct, frozen=True, kw_only=True, forbid_unknown_field
     ] = False
     precision: Annotated[
         Literal["float32", "bfloat16"],
-        Meta(
-            title="Precision",
-            description="bfloat16 halves memory, but is known to end in models that only reconstruct: their first "
-            "changes are smaller than its steps.",
-        ),
-    ] = "float32"
+        Meta(title="Precision", description="bfloat16 halves memory, but is known to end in models that only "
+             "reconstruct: their first changes are smaller than its steps."),
+    ] = "float32"  # fmt: skip
     seed: Annotated[int, Meta(ge=0, le=2**31 - 1, title="Seed", description="Same seed, same bytes.")] = 0
     device: Annotated[
         Literal["auto", "cpu", "cuda"], Meta(title="Device", description="auto: CUDA where it is there.")
@@ -249,10 +244,6 @@ def finetuning_help(name: str) -> str:
 
 def finetuning_names() -> list[str]:
     return shipped_config_names(_FOLDER)
-
-
-def write_finetuning(file: Path, settings: FinetuningSettings) -> None:
-    file.write_bytes(msgspec.yaml.encode(settings))
 
 
 # Path of CLIP's vision model for the discriminators. Needs no torch.

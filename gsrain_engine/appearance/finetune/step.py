@@ -6,18 +6,17 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
+from ..cyclegan_turbo.model import Direction
 from .dataset import DatasetImage, UnpairedImages
 from .discriminator import Discriminator
 from .settings import FinetuningSettings, OptimizerSettings
 
 torch: Any = import_module("torch")
 Tensor = Any
-Direction = Literal["a2b", "b2a"]
-"""a is clear, b is rainy."""
 
 _GENERATOR, _DISCRIMINATORS = "generator", "discriminators"
 
@@ -120,11 +119,8 @@ class FinetuneTrainer:
         self._settings, self._perceptual = settings, perceptual
         optimizer = settings.optimizer
         self._generator = NamedOptimizer(optimizer, optimizer.rate, *trained_parameters(model))
-        own = {
-            f"{kind}.{name}": parameter
-            for kind, judge in (("rainy", self.rainy_judge), ("clear", self.clear_judge))
-            for name, parameter in judge.named_parameters()
-        }
+        own = {f"rainy.{name}": parameter for name, parameter in self.rainy_judge.named_parameters()}
+        own |= {f"clear.{name}": parameter for name, parameter in self.clear_judge.named_parameters()}
         rate = optimizer.rate if optimizer.discriminator_rate is None else optimizer.discriminator_rate
         self._judges = NamedOptimizer(optimizer, rate, own)
         if settings.gradient_checkpointing:

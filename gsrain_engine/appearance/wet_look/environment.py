@@ -177,7 +177,7 @@ class ImageEnvironment:
 
         Where rays leave the image, objects at its border are extended a little, so that they don't end abruptly.
         """
-        camera = mirror_camera(view.camera, ground.plane, _SCALE)
+        camera = mirror_camera(view.camera, ground.plane, MIRROR_SCALE)
         hits = screen_space_reflection(view, ground, camera)
         size = (camera.height, camera.width)
         sky, nothing = np.ones(size, np.float32), np.zeros(size, np.float32)

@@ -12,7 +12,7 @@ from ...scene.geometry import linear_to_srgb, srgb_to_linear
 from ..base import ClearView, Image, Plane
 from ..normals import view_directions, view_rays
 from .masks import SurfaceShares, smoothstep
-from .noise import SmoothNoise, guided_filter
+from .noise import guided_filter, smooth_noise_at
 from .settings import WetSettings
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
@@ -164,8 +164,8 @@ def overcast_surfaces(
     tint = in_shadow + sunlit[..., None] * (in_sun - in_shadow)
     # Ground overexposed by the sun would be as even as plastic when it is dimmed.
     clipped = smoothstep(*_CLIPPED, view.image.min(axis=-1)) * surfaces.ground
-    grain = SmoothNoise(settings.seed + 2, 1.1)
-    shift += _LOST_EV * clipped * grain.at(surfaces.points[..., 0] / _GRAIN_M, surfaces.points[..., 1] / _GRAIN_M)
+    x, y = (surfaces.points[..., i] / _GRAIN_M for i in (0, 1))
+    shift += _LOST_EV * clipped * smooth_noise_at(x, y, settings.seed + 2, 1.1)
     # Ambient occlusion of the ground next to vehicles.
     near = cv2.GaussianBlur(view.vehicles, (0, 0), max(1.0, _CONTACT_SHARE * view.camera.width))
     shade = (_CONTACT_SHADE * np.minimum(2 * near, 1) * surfaces.ground).astype(np.float32)
@@ -256,7 +256,7 @@ def overcast_sky(directions: Float[np.ndarray, "h w 3"], settings: WetSettings) 
     """Light of the cloud deck by unit world direction (z up), linear. Below the horizon it is the horizon's."""
     rise = np.clip(directions[..., 2], 0, 1).astype(np.float32)
     over = _CLOUD_HEIGHT_PERIODS * (rise + _FLAT)
-    clouds = SmoothNoise(settings.seed).at(directions[..., 0] / over, directions[..., 1] / over)
+    clouds = smooth_noise_at(directions[..., 0] / over, directions[..., 1] / over, settings.seed)
     gray = settings.sky_brightness * (1 - (1 - HORIZON_TO_ZENITH) * rise**0.7)
     gray *= 1 + settings.clouds * _CLOUD_CONTRAST * clouds * np.minimum(1, 4 * rise + 0.3)
     display = np.minimum(gray[..., None] + settings.coolness * TINT, 1)

@@ -12,7 +12,7 @@ from ...scene.geometry import srgb_to_linear
 from ..base import ClearView, Image, Plane
 from .illumination import LUMINANCE, overcast_sky
 from .masks import SurfaceShares, smoothstep
-from .noise import SmoothNoise, guided_filter
+from .noise import guided_filter, smooth_noise_at
 from .settings import WetSettings
 
 WATER_REFLECTANCE = 0.02
@@ -60,7 +60,7 @@ def _streaks(surfaces: SurfaceShares, seed: int) -> Plane:
     """Pattern of water running down walls: noise that is fine across and long downwards, -1 to 1."""
     x, y, z = (surfaces.points[..., i] for i in range(3))
     along = (0.8 * x + 0.6 * y) / _STREAK_WIDTH_M + 0.618 * (0.8 * y - 0.6 * x) / _STREAK_WIDTH_M
-    noise = SmoothNoise(seed + 1, 0.9).at(along, z / _STREAK_HEIGHT_M)
+    noise = smooth_noise_at(along, z / _STREAK_HEIGHT_M, seed + 1, 0.9)
     return (2 * smoothstep(-1.0, 1.6, noise) - 1) * (1 - surfaces.up_facing)
 
 

@@ -11,16 +11,11 @@ from ..base import Image, Plane
 _SIZE = 512
 
 
-class SmoothNoise:
-    """Gaussian noise of mean 0 and variance 1 with a power spectrum of f^-(2 slope) and period 1."""
-
-    def __init__(self, seed: int, slope: float = 1.6) -> None:
-        self._values = _texture(seed, slope)
-
-    def at(self, x: Float[np.ndarray, "h w"], y: Float[np.ndarray, "h w"]) -> Plane:
-        """Values at positions given in periods."""
-        columns, rows = ((_SIZE * (each - np.floor(each))).astype(np.float32) for each in (x, y))
-        return cv2.remap(self._values, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP).astype(np.float32)
+def smooth_noise_at(x: Float[np.ndarray, "h w"], y: Float[np.ndarray, "h w"], seed: int, slope: float = 1.6) -> Plane:
+    """Gaussian noise of mean 0, variance 1, a power spectrum of f^-(2 slope) and period 1; x and y are in periods."""
+    columns, rows = ((_SIZE * (each - np.floor(each))).astype(np.float32) for each in (x, y))
+    values = _texture(seed, slope)
+    return cv2.remap(values, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP).astype(np.float32)
 
 
 @lru_cache(maxsize=8)

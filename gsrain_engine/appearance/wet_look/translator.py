@@ -7,17 +7,9 @@ import numpy as np
 from ...scene.geometry import linear_to_srgb, srgb_to_linear
 from ..base import ClearView, Image, RainyView
 from ..normals import view_rays
+from . import illumination
 from .environment import ReflectionEnvironment
-from .illumination import (
-    IlluminationEstimate,
-    composite_over_cloud,
-    daylight,
-    estimate_illumination,
-    extend_sky_mask,
-    match_sky_brightness,
-    overcast_image,
-    overcast_surfaces,
-)
+from .illumination import IlluminationEstimate, composite_over_cloud, estimate_illumination, extend_sky_mask
 from .masks import VisibleGround, surfaces_of
 from .materials import add_clear_coat, add_emissive_lights, apply_fog, emissive_share, wet_surfaces_color
 from .settings import WetSettings
@@ -73,8 +65,8 @@ def rainy_image(view: ClearView, settings: WetSettings) -> Image:
     """
     clear = srgb_to_linear(view.image).astype(np.float32)
     view = extend_sky_mask(view)
-    cloud = match_sky_brightness(view, settings, daylight(view))
-    rainy = composite_over_cloud(view, overcast_image(view, settings), cloud)
+    cloud = illumination.match_sky_brightness(view, settings, illumination.daylight(view))
+    rainy = composite_over_cloud(view, illumination.overcast_image(view, settings), cloud)
     return ((1 - settings.wetness) * clear + settings.wetness * rainy).astype(np.float32)
 
 
@@ -87,7 +79,8 @@ def rainy_light(
     rays = view_rays(view.camera)
     directions = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
     surfaces = surfaces_of(view, ground)
-    surface = wet_surfaces_color(overcast_surfaces(view, light, settings, surfaces), surfaces, settings)
+    surface = illumination.overcast_surfaces(view, light, settings, surfaces)
+    surface = wet_surfaces_color(surface, surfaces, settings)
     surface = add_clear_coat(surface, surfaces, directions, settings)
     surface = add_emissive_lights(surface, view, emissive_share(view, surfaces, settings.tail_lamps), settings.lamps)
     rainy = composite_over_cloud(view, apply_fog(surface, view, rays, settings), settings)

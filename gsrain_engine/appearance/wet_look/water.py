@@ -48,15 +48,10 @@ def water_layer_of(
     wetness: float,
     seed: int,
 ) -> WaterLayer | None:
-    """Compute the water on the ground of a view; None if there is none.
+    """Compute the water on the ground of a view, for a wetness of 0 (none) to 1; None if there is none.
 
-    Args:
-        view: Clear view.
-        surface: View on the rainy day without the water, linear light; source of screen-space reflections.
-        surroundings: Source of the ground and of reflections from outside the view.
-        look: Function that makes any view look like `surface`; applied to the reflected environment.
-        wetness: 0 (none) to 1.
-        seed: Seed of the puddles.
+    `surface` is the view on the rainy day without the water, in linear light: the source of screen-space reflections.
+    `surroundings` provide the ground and reflections from outside the view, to which `look` gives the same weather.
     """
     ground = surroundings.ground(view) if wetness > 0 else None
     if ground is None:
