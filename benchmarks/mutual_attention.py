@@ -142,17 +142,17 @@ def rows(model: CycleGanTurbo, views: Sequence[ClearView], settings: RunSettings
         }  # fmt: skip
 
 
-def layer_cost(kernel: str, views: int, most_scores: int) -> dict[str, Any]:
+def layer_cost(kernel: str, views: int, max_scores: int) -> dict[str, Any]:
     """Cost of attention in SD-Turbo's finest layer at 512 x 512 px: 5 heads of 64, 4096 queries, keys of some views."""
     query, key = (torch.randn(1, 5, tokens, 64) for tokens in (4096, views * 4096))
     chosen = SDPBackend.MATH if kernel == "math" else SDPBackend.FLASH_ATTENTION
     before, started = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
     with torch.inference_mode(), sdpa_kernel([chosen]):
-        chunked_attention(query, key, key, 0.125, most_scores)
+        chunked_attention(query, key, key, 0.125, max_scores)
     took = time.process_time() - started
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     return {
-        "kernel": kernel, "views": views, "most_scores": most_scores, "peak_mb": round(peak / 1024),
+        "kernel": kernel, "views": views, "max_scores": max_scores, "peak_mb": round(peak / 1024),
         "processor_seconds": round(took, 2),
     }  # fmt: skip
 
@@ -166,12 +166,12 @@ def main() -> None:
     parser.add_argument("--strengths", type=float, nargs="+", default=(1.0, 40.0, 400.0), help="of its self-attention")
     parser.add_argument("--layer", choices=("flash", "math"), help="measure one layer with this kernel, nothing else")
     parser.add_argument("--views", type=int, default=3, help="whose keys the layer looks at")
-    parser.add_argument("--most-scores", type=int, default=CrossViewAttention().most_scores)
+    parser.add_argument("--max-scores", type=int, default=CrossViewAttention().max_scores)
     parser.add_argument("--threads", type=int, default=1)
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
     if arguments.layer:
-        print(json.dumps(layer_cost(arguments.layer, arguments.views, arguments.most_scores)))
+        print(json.dumps(layer_cost(arguments.layer, arguments.views, arguments.max_scores)))
         return
     views, to_train_on = street(arguments.width)
     if arguments.weights:

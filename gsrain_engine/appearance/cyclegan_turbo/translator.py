@@ -77,9 +77,8 @@ class CycleGanTurboTransfer:
         plan = attention.attention_plan(views, mutual)
         last_use = plan.last_use()
         held: dict[int, ClearView] = {}
-        is_alone = mutual is None or not last_use
-        context = nullcontext() if is_alone else attention.cross_view_attention(self.model.unet, mutual)
-        with context as exchange:
+        uses = mutual if last_use else None
+        with nullcontext() if uses is None else attention.cross_view_attention(self.model.unet, uses) as exchange:
             for number, step in enumerate(plan.steps):
                 held.update({index: views[index] for index in step.views})
                 if not number:

@@ -152,7 +152,6 @@ def _layer_surfaces(scene: Scene, layer: Layer) -> _LayerSurfaces:
 
 # Image environment: the view's own image and depth, for views without a scene
 
-_SCALE = 0.5
 _MIN_UP = 0.7
 _FARTHEST_M = 60.0
 _MAX_IMAGE_POINTS = 60_000

@@ -18,6 +18,7 @@ from gsrain_engine.appearance.wet_look.materials import (
     wet_albedo,
     wet_surfaces_color,
 )
+from gsrain_engine.appearance.wet_look.noise import smooth_noise_at
 from gsrain_engine.appearance.wet_look.settings import WetSettings
 from gsrain_engine.scene.geometry import srgb_to_linear
 
